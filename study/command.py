@@ -1,0 +1,25 @@
+"""What every command shares: one line and an exit code for whatever a user can get wrong."""
+
+import sys
+from collections.abc import Callable
+
+from taichi_nmm.errors import InputError
+
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+
+
+def run_command(main: Callable[[], None]) -> None:
+    """Run a command's `main` and leave the process with its exit code.
+
+    Bad input prints one line on standard error and exits with 2; Ctrl-C exits with 130 and says
+    that what was finished is kept.
+    """
+    try:
+        main()
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(EXIT_BAD_INPUT)
+    except KeyboardInterrupt:
+        print("interrupted: finished work is kept; the same command resumes", file=sys.stderr)
+        sys.exit(EXIT_INTERRUPTED)

@@ -1,0 +1,51 @@
+"""taichi-nmm: thousands of neuromuscular bipeds at once.
+
+Importing the package is cheap: Taichi is imported when a simulation is first asked for.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from taichi_nmm.body import Bodies
+from taichi_nmm.cost import smooth_cost, walking_cost
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES, GAINS, K_T, LOW_LEVEL_GAINS, load_gains
+from taichi_nmm.result import END_REASONS, Result, Trajectory
+from taichi_nmm.settings import Settings
+from taichi_nmm.terrain import Terrain
+
+if TYPE_CHECKING:
+    from taichi_nmm.forward import forward_dynamics
+    from taichi_nmm.simulator import simulate
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "END_REASONS",
+    "GAINS",
+    "GAIN_NAMES",
+    "K_T",
+    "LOW_LEVEL_GAINS",
+    "Bodies",
+    "InputError",
+    "Result",
+    "Settings",
+    "Terrain",
+    "Trajectory",
+    "forward_dynamics",
+    "load_gains",
+    "simulate",
+    "smooth_cost",
+    "walking_cost",
+]
+
+_NEEDS_TAICHI = {
+    "forward_dynamics": "taichi_nmm.forward",
+    "simulate": "taichi_nmm.simulator",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _NEEDS_TAICHI:
+        return getattr(import_module(_NEEDS_TAICHI[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

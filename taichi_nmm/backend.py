@@ -1,0 +1,108 @@
+"""The one place that imports and initialises Taichi.
+
+Every other module takes `ti` from here, so a switch of engine is a change of this file alone.
+
+How a CPU is kept busy: the state of LANES walkers lies side by side in small local arrays, and each
+phase of the step is an innermost loop over them. LLVM's loop vectoriser turns that loop into SIMD
+instructions, as long as its body has no branch, calls no library function and touches no memory but
+local arrays (a field access reloads a pointer in every turn, which halves the vector width). So the
+physics is plain scalar code; on a GPU the same code runs with one walker a thread.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import taichi as ti
+
+from taichi_nmm.errors import InputError
+from taichi_nmm.settings import Settings
+
+LANES_CPU = 8  # float32 lanes of a 256-bit register; measured against 1, 4, 16 by tools/bench.py
+LANES_GPU = 1  # a thread is a walker
+
+# Measured, not assumed: with Taichi's control-flow-graph pass a loop nest holding a comparison lost
+# its stores without an error. Strict floating point keeps NaN checks honest and results portable.
+CFG_OPTIMIZATION = False
+FAST_MATH = False
+
+if TYPE_CHECKING:
+    Rows = Any
+else:
+    Rows = ti.template()  # a local array [row, lane], passed by reference
+
+_running: Settings | None = None
+_arch = "cpu"
+
+
+def start(settings: Settings) -> None:
+    """Initialise Taichi for these settings; does nothing when it already runs so.
+
+    Kernels hold no fields, so starting again with another precision loses nothing.
+
+    Raises:
+        InputError: the architecture asked for is not available on this machine.
+    """
+    global _running, _arch
+    if _running is not None and _same_engine(_running, settings):
+        return
+    arch = _available_arch(settings.arch)
+    options: dict[str, Any] = {} if settings.threads is None else {"cpu_max_num_threads": settings.threads}
+    ti.init(
+        arch=arch,
+        default_fp=ti.f64 if settings.precision == "float64" else ti.f32,
+        default_ip=ti.i32,
+        cfg_optimization=CFG_OPTIMIZATION,
+        fast_math=FAST_MATH,
+        offline_cache=True,
+        log_level=ti.WARN,
+        **options,
+    )
+    _running = settings
+    _arch = {ti.cuda: "cuda", ti.vulkan: "vulkan"}.get(ti.cfg.arch, "cpu")
+
+
+def lanes() -> int:
+    """Walkers side by side in a pack on the machine that runs."""
+    return LANES_CPU if _arch == "cpu" else LANES_GPU
+
+
+def is_double() -> bool:
+    """Whether the kernels being compiled compute in float64."""
+    return _running is not None and _running.precision == "float64"
+
+
+def real_dtype() -> type[np.floating[Any]]:
+    """NumPy's type for the kernels' numbers."""
+    return np.float64 if is_double() else np.float32
+
+
+def metadata() -> dict[str, Any]:
+    """What produced a result: engine, version, machine and numerics."""
+    return {
+        "engine": "taichi",
+        "engine_version": ".".join(str(part) for part in ti.__version__),
+        "arch": _arch,
+        "precision": _running.precision if _running else "",
+        "fast_math": FAST_MATH,
+    }
+
+
+def _same_engine(a: Settings, b: Settings) -> bool:
+    return (a.precision, a.arch, a.threads) == (b.precision, b.arch, b.threads)
+
+
+def _available_arch(name: str) -> Any:
+    if name == "cpu":
+        return ti.cpu
+    if name == "auto":
+        return ti.gpu if _has(ti.cuda) else ti.cpu
+    arch = {"cuda": ti.cuda, "vulkan": ti.vulkan}[name]
+    if not _has(arch):
+        raise InputError("simulation.arch", name, "an architecture of this machine (cpu is)")
+    return arch
+
+
+def _has(arch: Any) -> bool:
+    from taichi._lib import core
+
+    return bool({ti.cuda: core.with_cuda, ti.vulkan: core.with_vulkan}[arch]())

@@ -1,0 +1,117 @@
+"""The kernels: many packs of walkers advance side by side, one pack a task of the parallel loop.
+
+A pack's rows live in NumPy arrays [pack, row, lane] between launches and in local arrays within
+one, since only local arrays let the compiler vectorise (`backend`).
+"""
+
+from taichi_nmm import dynamics, kinematics, walker
+from taichi_nmm.backend import Rows, ti
+from taichi_nmm.rows import COORDINATES, Const, Delay, Gait, Muscle, State, Sums, Work
+
+# Rows of a walker between launches, block after block.
+FIRST_FIBRE = State.count
+FIRST_DELAY = FIRST_FIBRE + Muscle.count
+FIRST_EVENT = FIRST_DELAY + Delay.count
+FIRST_SUM = FIRST_EVENT + Gait.count
+WALKER_ROWS = FIRST_SUM + Sums.count
+
+PACKS_PER_TASK = 1  # of the CPU's thread pool; packs are few and long
+
+
+@ti.func
+def load(packs: Rows, p, first: Rows, count: Rows, lanes: Rows, target: Rows):
+    """Copy a block of a pack's rows into a local array."""
+    for row in range(count):
+        for lane in range(lanes):
+            target[row, lane] = packs[p, first + row, lane]
+
+
+@ti.func
+def save(packs: Rows, p, first: Rows, count: Rows, lanes: Rows, source: Rows):
+    """Copy a local array back into a block of a pack's rows."""
+    for row in range(count):
+        for lane in range(lanes):
+            packs[p, first + row, lane] = source[row, lane]
+
+
+@ti.kernel
+def advance(
+    lanes: ti.template(),
+    packs: ti.types.ndarray(),
+    constants: ti.types.ndarray(),
+    terrains: ti.types.ndarray(),
+    heights: ti.types.ndarray(),
+    muscles: ti.types.ndarray(),
+    first_tick: ti.i32,
+    ticks: ti.i32,
+    substeps: ti.i32,
+    step_s: float,
+    relaxation_speed_mps: float,
+    activation_blend: float,
+    load_blend: float,
+):
+    """Advance all packs by `ticks` control ticks.
+
+    packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], terrains [p, lanes] (rows of
+    `heights` [terrain, node]), muscles [7, TABLE_COLUMNS].
+    """
+    ti.loop_config(block_dim=PACKS_PER_TASK)
+    for p in range(packs.shape[0]):
+        state = ti.Matrix.zero(float, State.count, lanes)
+        fibres = ti.Matrix.zero(float, Muscle.count, lanes)
+        delay = ti.Matrix.zero(float, Delay.count, lanes)
+        events = ti.Matrix.zero(float, Gait.count, lanes)
+        sums = ti.Matrix.zero(float, Sums.count, lanes)
+        const = ti.Matrix.zero(float, Const.count, lanes)
+        work = ti.Matrix.zero(float, Work.count, lanes)
+        terrain = ti.Vector.zero(ti.i32, lanes)
+        load(packs, p, 0, State.count, lanes, state)
+        load(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
+        load(packs, p, FIRST_DELAY, Delay.count, lanes, delay)
+        load(packs, p, FIRST_EVENT, Gait.count, lanes, events)
+        load(packs, p, FIRST_SUM, Sums.count, lanes, sums)
+        load(constants, p, 0, Const.count, lanes, const)
+        for lane in range(lanes):
+            terrain[lane] = terrains[p, lane]
+        for tick in range(first_tick, first_tick + ticks):
+            walker.step(
+                tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_blend,
+                lanes, terrain, heights, muscles,
+                state, fibres, delay, events, sums, const, work,
+            )  # fmt: skip
+        save(packs, p, 0, State.count, lanes, state)
+        save(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
+        save(packs, p, FIRST_DELAY, Delay.count, lanes, delay)
+        save(packs, p, FIRST_EVENT, Gait.count, lanes, events)
+        save(packs, p, FIRST_SUM, Sums.count, lanes, sums)
+
+
+@ti.kernel
+def accelerate(
+    lanes: ti.template(),
+    states: ti.types.ndarray(),
+    torques: ti.types.ndarray(),
+    constants: ti.types.ndarray(),
+    accelerations: ti.types.ndarray(),
+):
+    """Accelerations of walkers in the air: `dynamics.solve` with the generalised forces alone.
+
+    states [p, 18, lanes] (q, then qdot), torques [p, 6, lanes], accelerations [p, 9, lanes].
+    """
+    ti.loop_config(block_dim=PACKS_PER_TASK)
+    for p in range(states.shape[0]):
+        state = ti.Matrix.zero(float, State.count, lanes)
+        const = ti.Matrix.zero(float, Const.count, lanes)
+        work = ti.Matrix.zero(float, Work.count, lanes)
+        load(states, p, 0, 2 * COORDINATES, lanes, state)
+        load(constants, p, 0, Const.count, lanes, const)
+        for lane in range(lanes):
+            for i in ti.static(range(6)):
+                work[Work.joint_torque + i, lane] = torques[p, i, lane]
+        for lane in range(lanes):
+            kinematics.directions(lane, state, work)
+            dynamics.momentum_after_free_step(lane, 1.0, 0.0, state, const, work)
+            dynamics.solve(lane, 1.0, const, work)
+        for lane in range(lanes):
+            for i in ti.static(range(COORDINATES)):
+                accelerations[p, i, lane] = work[Work.new_qdot + i, lane]

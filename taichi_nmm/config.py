@@ -1,0 +1,164 @@
+"""Configurations: TOML read strictly, so that no misspelt key is ever ignored.
+
+`Table` is one TOML table; the functions below read the tables that every command shares.
+"""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_nmm import terrain as terrains
+from taichi_nmm.body import Bodies
+from taichi_nmm.errors import InputError
+from taichi_nmm.settings import CONTACT_RELAXATION_SPEED_MPS, Settings
+from taichi_nmm.terrain import Terrain
+
+REQUIRED = object()
+
+TERRAIN_KINDS = ("flat", "rough", "blocks", "ramp", "stairs", "file")
+
+
+class Table:
+    """One table of a configuration; every read names the key, and `done` refuses what is left."""
+
+    def __init__(self, data: dict[str, Any], name: str = "") -> None:
+        self._data = dict(data)
+        self._name = name
+        self._known: list[str] = []
+
+    def path(self, key: str) -> str:
+        """The key with the tables it lies in, as errors name it."""
+        return f"{self._name}.{key}" if self._name else key
+
+    def number(
+        self, key: str, default: Any = REQUIRED, low: float = -math.inf, high: float = math.inf
+    ) -> float:
+        """A finite number within [low, high]."""
+        value = self._take(key, default)
+        allowed = f"a number from {low:g} to {high:g}"
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(self.path(key), value, allowed)
+        if not (math.isfinite(value) and low <= value <= high):
+            raise InputError(self.path(key), value, allowed)
+        return float(value)
+
+    def integer(
+        self, key: str, default: Any = REQUIRED, low: int = 0, high: int = 2**63 - 1
+    ) -> int:
+        """A whole number within [low, high]."""
+        value = self._take(key, default)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise InputError(self.path(key), value, f"a whole number from {low} to {high}")
+        return value
+
+    def text(self, key: str, default: Any = REQUIRED, choices: tuple[str, ...] = ()) -> str:
+        """A string, one of `choices` where they are given."""
+        value = self._take(key, default)
+        if not isinstance(value, str) or (choices and value not in choices):
+            raise InputError(self.path(key), value, " or ".join(choices) or "a string")
+        return value
+
+    def boolean(self, key: str, default: Any = REQUIRED) -> bool:
+        """true or false."""
+        value = self._take(key, default)
+        if not isinstance(value, bool):
+            raise InputError(self.path(key), value, "true or false")
+        return value
+
+    def table(self, key: str) -> "Table":
+        """A sub-table; empty where it is missing."""
+        value = self._take(key, {})
+        if not isinstance(value, dict):
+            raise InputError(self.path(key), value, "a table")
+        return Table(value, self.path(key))
+
+    def tables(self, key: str) -> list["Table"]:
+        """An array of tables; empty where it is missing."""
+        value = self._take(key, [])
+        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+            raise InputError(self.path(key), value, "an array of tables")
+        return [Table(item, f"{self.path(key)}[{index}]") for index, item in enumerate(value)]
+
+    def done(self) -> None:
+        """Refuse keys that nothing has read."""
+        for key, value in self._data.items():
+            raise InputError(self.path(key), value, f"only the keys {', '.join(self._known)}")
+
+    def _take(self, key: str, default: Any) -> Any:
+        self._known.append(key)
+        if key in self._data:
+            return self._data.pop(key)
+        if default is REQUIRED:
+            raise InputError(self.path(key), "missing", "a value: the key is required")
+        return default
+
+
+def read_toml(path: str | Path) -> Table:
+    """The top table of a TOML file."""
+    try:
+        with Path(path).open("rb") as file:
+            return Table(tomllib.load(file))
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError("config", str(path), f"a readable TOML file ({error})") from None
+
+
+def read_settings(table: Table, arch: str | None = None) -> Settings:
+    """The table [simulation], less its duration; `arch` overrides the file's."""
+    configured = table.text("arch", "auto")
+    return Settings(
+        physics_step_s=table.number("physics_step_s", 1e-3),
+        contact_relaxation_speed_mps=table.number(
+            "contact_relaxation_speed_mps", CONTACT_RELAXATION_SPEED_MPS
+        ),
+        precision=table.text("precision", "float32"),
+        arch=arch or configured,
+    )
+
+
+def read_terrain(table: Table, seed: int | np.random.SeedSequence) -> Terrain:
+    """The table [terrain]: its kind and that kind's settings; drawn from `seed` where it is random.
+
+    Reads every key of the table, and refuses the rest.
+    """
+    kind = table.text("kind", "flat", TERRAIN_KINDS)
+    if kind == "flat":
+        result = terrains.flat()
+    elif kind in ("rough", "blocks"):
+        shape = {
+            "amplitude_m": table.number("amplitude_m", 0.08, 0.0, 1.0),
+            "spacing_m": table.number("spacing_m", 1.0, 0.1, 100.0),
+            "flat_start_m": table.number("flat_start_m", terrains.FLAT_START_M, 0.0, 100.0),
+        }
+        if kind == "blocks":
+            riser_m = table.number("riser_m", 0.10, terrains.GRID_SPACING_M, 100.0)
+            result = terrains.blocks(seed, riser_m=riser_m, **shape)
+        else:
+            result = terrains.rough(seed, **shape)
+    elif kind == "ramp":
+        result = terrains.ramp(
+            increment=table.number("increment", 0.04, 0.001, 1.0),
+            segment_m=table.number("segment_m", 20.0, 0.1, 300.0),
+            largest_slope=table.number("largest_slope", 0.20, 0.001, 1.0),
+            direction=table.text("direction", "up", ("up", "down")),
+        )
+    elif kind == "stairs":
+        result = terrains.stairs(
+            rise_m=table.number("rise_m", 0.10, 0.001, 1.0),
+            run_m=table.number("run_m", 0.30, 0.1, 100.0),
+            flat_start_m=table.number("flat_start_m", terrains.FLAT_START_M, 0.0, 100.0),
+            direction=table.text("direction", "up", ("up", "down")),
+        )
+    else:
+        result = terrains.from_file(table.text("file"))
+    table.done()
+    return result
+
+
+def read_bodies(table: Table, seed: int | np.random.SeedSequence) -> Bodies:
+    """The table [body]: one body, disturbed by up to `disturbance` (0.15 in the paper)."""
+    fraction = table.number("disturbance", 0.0, 0.0, 0.9)
+    table.done()
+    return Bodies.nominal() if fraction == 0 else Bodies.disturbed([seed], fraction)

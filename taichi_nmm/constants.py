@@ -1,0 +1,60 @@
+"""The rows of a walker that no step writes: its gains, and its body's coefficients."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
+from taichi_nmm.contact import STATIC_DEFLECTION_M
+from taichi_nmm.parameters import LOW_LEVEL_NAMES
+from taichi_nmm.rows import LEGS, Const
+from taichi_nmm.settings import CONTROL_TICK_S
+
+W_FILTER = LOW_LEVEL_NAMES.index("w_filter")
+
+
+def constant_rows(
+    gains: NDArray[np.float64], low_level: NDArray[np.float64], bodies: Bodies
+) -> NDArray[np.float64]:
+    """`rows.Const` of each walker, [n, Const.count]."""
+    mass, inertia, com = bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m
+    rows = np.zeros((len(gains), Const.count))
+    rows[:, Const.gains : Const.gains + gains.shape[1]] = gains
+    rows[:, Const.low_level : Const.low_level + low_level.shape[1]] = low_level
+    rows[:, Const.leg_angle_blend] = 1.0 - np.exp(-low_level[:, W_FILTER] * CONTROL_TICK_S)
+    rows[:, Const.total_mass] = mass.sum(axis=1)
+    rows[:, Const.contact_stiffness] = mass.sum(axis=1) * GRAVITY_MPS2 / STATIC_DEFLECTION_M
+    rows[:, Const.hat_weight] = mass[:, 0] * GRAVITY_MPS2
+    # The HAT's centre of mass lies above the hip while D points down: hence the sign.
+    rows[:, Const.a_hat] = -mass[:, 0] * com[:, 0]
+    rows[:, Const.b_hat] = inertia[:, 0] + mass[:, 0] * com[:, 0] ** 2
+    for leg in range(LEGS):
+        links = slice(1 + 3 * leg, 4 + 3 * leg)
+        rows[:, Const.leg_weight + leg] = mass[:, links].sum(axis=1) * GRAVITY_MPS2
+        a, b = leg_coefficients(mass[:, links], inertia[:, links], com[:, links])
+        rows[:, Const.a_leg + 3 * leg : Const.a_leg + 3 * leg + 3] = a
+        rows[:, Const.b_leg + 6 * leg : Const.b_leg + 6 * leg + 6] = b
+    return rows
+
+
+def leg_coefficients(
+    mass: NDArray[np.float64], inertia: NDArray[np.float64], com: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A1 A2 A3 and B11 B22 B33 B12 B13 B23 of legs, from columns thigh, shank, foot."""
+    m1, m2, m3 = mass.T
+    i1, i2, i3 = inertia.T
+    c1, c2, c3 = com.T
+    below_hip = m1 * c1 + (m2 + m3) * THIGH_LENGTH_M
+    below_knee = m2 * c2 + m3 * SHANK_LENGTH_M
+    below_ankle = m3 * c3
+    a = np.column_stack([below_hip, below_knee, below_ankle])
+    b = np.column_stack(
+        [
+            i1 + m1 * c1**2 + (m2 + m3) * THIGH_LENGTH_M**2,
+            i2 + m2 * c2**2 + m3 * SHANK_LENGTH_M**2,
+            i3 + m3 * c3**2,
+            below_knee * THIGH_LENGTH_M,
+            below_ankle * THIGH_LENGTH_M,
+            below_ankle * SHANK_LENGTH_M,
+        ]
+    )
+    return a, b

@@ -1,0 +1,137 @@
+"""Feet on the ground: height under each point, depth, and the springs' forces at the old velocity.
+
+Normal force kn d (1 - u/vmax)+ as Geyer & Herr 2010; friction an anchored spring and damper, capped
+by one Coulomb coefficient. Both enter the step linearly implicitly (`dynamics`).
+"""
+
+from taichi_nmm.backend import Rows, ti
+from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M
+from taichi_nmm.rows import CONTACTS, Const, State, Work
+from taichi_nmm.terrain import GRID_NODES, GRID_SPACING_M, GRID_START_M
+
+STATIC_DEFLECTION_M = 0.01  # kn = kt = M g / this
+FRICTION_DAMPING_S = 0.02  # ct = this times kt
+
+LAST_CELL = float(GRID_NODES - 2)
+ANKLE_SHARE_OF_BALL = -HEEL_OFFSET_M / (BALL_OFFSET_M - HEEL_OFFSET_M)
+
+
+@ti.func
+def ground_under(x, index, heights: Rows):
+    """Height and slope of terrain `index` at x: linear between nodes, level outside."""
+    cell = (x - GRID_START_M) * (1.0 / GRID_SPACING_M)
+    clamped = ti.min(ti.max(cell, 0.0), LAST_CELL + 1.0)
+    left = ti.min(ti.floor(clamped), LAST_CELL)
+    i = ti.cast(left, ti.i32)
+    low = heights[index, i]
+    high = heights[index, i + 1]
+    inside = (cell >= 0.0) & (cell <= LAST_CELL + 1.0)
+    slope = ti.select(inside, (high - low) * (1.0 / GRID_SPACING_M), 0.0)
+    return low + (high - low) * (clamped - left), slope
+
+
+@ti.func
+def look_up_ground(lane, index, heights: Rows, state: Rows, work: Rows):
+    """Ground under the four contact points and the hip; the only phase that reads the terrain."""
+    for c in ti.static(range(CONTACTS)):
+        height, slope = ground_under(work[Work.point_x + c, lane], index, heights)
+        work[Work.ground + c, lane] = height
+        work[Work.ground_slope + c, lane] = slope
+    height_hip, _slope_hip = ground_under(state[State.q + 0, lane], index, heights)
+    work[Work.ground_hip, lane] = height_hip
+
+
+@ti.func
+def gaps(lane, state: Rows, work: Rows):
+    """Depth of each point along the ground's normal; a fresh touch-down sets the anchor."""
+    for c in ti.static(range(CONTACTS)):
+        slope = work[Work.ground_slope + c, lane]
+        cosine = 1.0 / ti.sqrt(1.0 + slope * slope)
+        gap = (work[Work.ground + c, lane] - work[Work.point_z + c, lane]) * cosine
+        work[Work.gap + c, lane] = gap
+        work[Work.normal_x + c, lane] = 0.0 - slope * cosine
+        work[Work.normal_z + c, lane] = cosine
+        touching = ti.select(gap > 0.0, 1.0, 0.0)
+        fresh = touching > state[State.touching + c, lane]
+        state[State.anchor_x + c, lane] = ti.select(
+            fresh, work[Work.point_x + c, lane], state[State.anchor_x + c, lane]
+        )
+        state[State.anchor_z + c, lane] = ti.select(
+            fresh, work[Work.point_z + c, lane], state[State.anchor_z + c, lane]
+        )
+        state[State.touching + c, lane] = touching
+
+
+@ti.func
+def spring_forces(lane, step_s, relaxation_speed_mps, state: Rows, const: Rows, work: Rows):
+    """Contact forces at zero velocity and their damping by the new one, c = k d/vmax + k h.
+
+    Every touching point starts the complementarity passes as sticking.
+    """
+    stiffness = const[Const.contact_stiffness, lane]
+    work[Work.friction_damping, lane] = stiffness * (FRICTION_DAMPING_S + step_s)
+    for c in ti.static(range(CONTACTS)):
+        tangent_x = work[Work.normal_z + c, lane]
+        tangent_z = 0.0 - work[Work.normal_x + c, lane]
+        slid = (work[Work.point_x + c, lane] - state[State.anchor_x + c, lane]) * tangent_x + (
+            work[Work.point_z + c, lane] - state[State.anchor_z + c, lane]
+        ) * tangent_z
+        work[Work.normal_force_0 + c, lane] = stiffness * work[Work.gap + c, lane]
+        work[Work.normal_damping + c, lane] = stiffness * (
+            work[Work.gap + c, lane] / relaxation_speed_mps + step_s
+        )
+        work[Work.friction_0 + c, lane] = 0.0 - stiffness * slid
+        work[Work.normal_on + c, lane] = state[State.touching + c, lane]
+        work[Work.slip + c, lane] = 0.0
+        work[Work.normal_force + c, lane] = 0.0
+        work[Work.friction + c, lane] = 0.0
+
+
+@ti.func
+def drag_anchors(lane, step_s, state: Rows, const: Rows, work: Rows):
+    """A point that slips, or has let go, takes its anchor along: the spring holds what is left."""
+    stiffness = const[Const.contact_stiffness, lane]
+    for c in ti.static(range(CONTACTS)):
+        tangent_x = work[Work.normal_z + c, lane]
+        tangent_z = 0.0 - work[Work.normal_x + c, lane]
+        speed_x, speed_z = point_velocity(lane, c, work)
+        hold = work[Work.friction + c, lane] / stiffness
+        new_x = work[Work.point_x + c, lane] + step_s * speed_x + tangent_x * hold
+        new_z = work[Work.point_z + c, lane] + step_s * speed_z + tangent_z * hold
+        slips = (work[Work.slip + c, lane] != 0.0) | (work[Work.normal_on + c, lane] == 0.0)
+        state[State.anchor_x + c, lane] = ti.select(slips, new_x, state[State.anchor_x + c, lane])
+        state[State.anchor_z + c, lane] = ti.select(slips, new_z, state[State.anchor_z + c, lane])
+
+
+@ti.func
+def point_velocity(lane, c: Rows, work: Rows):
+    """Velocity of contact point c after the step, from normal and tangential Jacobians."""
+    leg = ti.static(c // 2)
+    base_x = work[Work.new_qdot + 0, lane]
+    base_z = work[Work.new_qdot + 1, lane]
+    normal_x, normal_z = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
+    along_normal = base_x * normal_x + base_z * normal_z
+    along_tangent = base_x * normal_z - base_z * normal_x
+    for i in ti.static(range(3)):
+        rate = work[Work.new_qdot + 3 + 3 * leg + i, lane]
+        along_normal += work[Work.jacobian_n + 3 * c + i, lane] * rate
+        along_tangent += work[Work.jacobian_t + 3 * c + i, lane] * rate
+    return (
+        along_normal * normal_x + along_tangent * normal_z,
+        along_normal * normal_z - along_tangent * normal_x,
+    )
+
+
+@ti.func
+def ground_at_ankle(lane, leg: Rows, work: Rows):
+    """Ground height under the ankle, from those under heel and ball."""
+    heel = work[Work.ground + 2 * leg, lane]
+    ball = work[Work.ground + 2 * leg + 1, lane]
+    return heel + ANKLE_SHARE_OF_BALL * (ball - heel)
+
+
+@ti.func
+def on_ground(lane, leg: Rows, state: Rows):
+    """1 while heel or ball of the leg is in the ground, else 0."""
+    return ti.max(state[State.touching + 2 * leg, lane], state[State.touching + 2 * leg + 1, lane])
+

@@ -1,0 +1,311 @@
+"""Equations of motion of the seven links, and their linearly implicit step with contacts and stops.
+
+The mass matrix is an arrow: base (x, z), HAT, and two legs of three links that touch only the base.
+Contacts and joint stops keep that form, so one step is two 3x3 factorisations and a 2x2 solve.
+With d_i the direction of link i and e_i = dd_i/dth_i: M[xz, i] = A_i e_i, M[i, j] = B_ij e_i.e_j.
+"""
+
+from taichi_nmm.backend import Rows, ti
+from taichi_nmm.body import (
+    BALL_OFFSET_M,
+    GRAVITY_MPS2,
+    HEEL_OFFSET_M,
+    SHANK_LENGTH_M,
+    THIGH_LENGTH_M,
+)
+from taichi_nmm.rows import CONTACTS, LEGS, STOPS, Const, State, Work
+
+FRICTION_COEFFICIENT = 0.9
+
+
+@ti.func
+def slope_vector(lane, i: Rows, work: Rows):
+    """e_i, the derivative of link i's direction; feet (3, 6) lie a quarter turn ahead."""
+    s, c = work[Work.sine + i, lane], work[Work.cosine + i, lane]
+    x = 0.0 - c
+    z = s
+    if ti.static(i in (3, 6)):
+        x = 0.0 - s
+        z = 0.0 - c
+    return x, z
+
+
+@ti.func
+def leg_inertia(lane, leg: Rows, const: Rows, work: Rows):
+    """B_ij e_i.e_j of a leg: m11, m22, m33, m12, m13, m23."""
+    b = ti.static(Const.b_leg + 6 * leg)
+    x1, z1 = slope_vector(lane, 1 + 3 * leg, work)
+    x2, z2 = slope_vector(lane, 2 + 3 * leg, work)
+    x3, z3 = slope_vector(lane, 3 + 3 * leg, work)
+    return (
+        const[b + 0, lane],
+        const[b + 1, lane],
+        const[b + 2, lane],
+        const[b + 3, lane] * (x1 * x2 + z1 * z2),
+        const[b + 4, lane] * (x1 * x3 + z1 * z3),
+        const[b + 5, lane] * (x2 * x3 + z2 * z3),
+    )
+
+
+@ti.func
+def momentum_after_free_step(lane, step_s, mass_scale, state: Rows, const: Rows, work: Rows):
+    """momentum = mass_scale M qdot + step Q: gravity, centrifugal terms and joint torques.
+
+    (1, h) gives the right-hand side of a step; (0, 1) the generalised forces alone.
+    """
+    qdot = ti.static(State.qdot)
+    vx, vz, w0 = state[qdot + 0, lane], state[qdot + 1, lane], state[qdot + 2, lane]
+    mass = const[Const.total_mass, lane]
+    a0, b0 = const[Const.a_hat, lane], const[Const.b_hat, lane]
+    e0x, e0z = slope_vector(lane, 0, work)
+    # d is e turned back a quarter: d = (-e_z, e_x).
+    force_x = 0.0 - a0 * e0z * w0 * w0
+    force_z = a0 * e0x * w0 * w0 - mass * GRAVITY_MPS2
+    base_x = mass * vx + a0 * e0x * w0
+    base_z = mass * vz + a0 * e0z * w0
+    torque_0 = 0.0 - GRAVITY_MPS2 * a0 * e0z
+    for leg in ti.static(range(LEGS)):
+        a, w = ti.static(Const.a_leg + 3 * leg, qdot + 3 + 3 * leg)
+        w1, w2, w3 = state[w, lane], state[w + 1, lane], state[w + 2, lane]
+        x1, z1 = slope_vector(lane, 1 + 3 * leg, work)
+        x2, z2 = slope_vector(lane, 2 + 3 * leg, work)
+        x3, z3 = slope_vector(lane, 3 + 3 * leg, work)
+        a1, a2, a3 = const[a, lane], const[a + 1, lane], const[a + 2, lane]
+        base_x += a1 * x1 * w1 + a2 * x2 * w2 + a3 * x3 * w3
+        base_z += a1 * z1 * w1 + a2 * z2 * w2 + a3 * z3 * w3
+        force_x -= a1 * z1 * w1 * w1 + a2 * z2 * w2 * w2 + a3 * z3 * w3 * w3
+        force_z += a1 * x1 * w1 * w1 + a2 * x2 * w2 * w2 + a3 * x3 * w3 * w3
+        b = ti.static(Const.b_leg + 6 * leg)
+        cross_12 = const[b + 3, lane] * (z1 * x2 - x1 * z2)  # B12 e1.d2
+        cross_13 = const[b + 4, lane] * (z1 * x3 - x1 * z3)
+        cross_23 = const[b + 5, lane] * (z2 * x3 - x2 * z3)
+        t = ti.static(Work.joint_torque + 3 * leg)
+        hip, knee, ankle = work[t, lane], work[t + 1, lane], work[t + 2, lane]
+        torque_0 -= hip
+        torque_1 = (
+            cross_12 * w2 * w2 + cross_13 * w3 * w3 - GRAVITY_MPS2 * a1 * z1 + hip - knee
+        )
+        torque_2 = (
+            cross_23 * w3 * w3 - cross_12 * w1 * w1 - GRAVITY_MPS2 * a2 * z2 + knee - ankle
+        )
+        torque_3 = (
+            0.0 - cross_13 * w1 * w1 - cross_23 * w2 * w2 - GRAVITY_MPS2 * a3 * z3 + ankle
+        )
+        m11, m22, m33, m12, m13, m23 = leg_inertia(lane, leg, const, work)
+        m = ti.static(Work.momentum + 3 + 3 * leg)
+        work[m, lane] = step_s * torque_1 + mass_scale * (
+            a1 * (x1 * vx + z1 * vz) + m11 * w1 + m12 * w2 + m13 * w3
+        )
+        work[m + 1, lane] = step_s * torque_2 + mass_scale * (
+            a2 * (x2 * vx + z2 * vz) + m12 * w1 + m22 * w2 + m23 * w3
+        )
+        work[m + 2, lane] = step_s * torque_3 + mass_scale * (
+            a3 * (x3 * vx + z3 * vz) + m13 * w1 + m23 * w2 + m33 * w3
+        )
+    work[Work.momentum + 0, lane] = mass_scale * base_x + step_s * force_x
+    work[Work.momentum + 1, lane] = mass_scale * base_z + step_s * force_z
+    work[Work.momentum + 2, lane] = step_s * torque_0 + mass_scale * (
+        a0 * (e0x * vx + e0z * vz) + b0 * w0
+    )
+
+
+@ti.func
+def contact_jacobians(lane, work: Rows):
+    """Leg parts of each point's Jacobian along normal and tangent: (L1 e1, L2 e2, r e3).direction."""
+    for c in ti.static(range(CONTACTS)):
+        leg = ti.static(c // 2)
+        lever = ti.static((THIGH_LENGTH_M, SHANK_LENGTH_M, (HEEL_OFFSET_M, BALL_OFFSET_M)[c % 2]))
+        nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
+        for i in ti.static(range(3)):
+            x, z = slope_vector(lane, 1 + 3 * leg + i, work)
+            work[Work.jacobian_n + 3 * c + i, lane] = lever[i] * (x * nx + z * nz)
+            work[Work.jacobian_t + 3 * c + i, lane] = lever[i] * (x * nz - z * nx)
+
+
+@ti.func
+def solve(lane, step_s, const: Rows, work: Rows):
+    """New velocities: (M + h sum c J J^T) v = momentum + h sum J f0, over the active contacts.
+
+    Friction of a slipping point is a given force and adds nothing to the matrix.
+    """
+    c_t = step_s * work[Work.friction_damping, lane]
+    a0, b0 = const[Const.a_hat, lane], const[Const.b_hat, lane]
+    e0x, e0z = slope_vector(lane, 0, work)
+    p0 = work[Work.momentum + 2, lane]
+    mass = const[Const.total_mass, lane]
+    k = a0 / b0
+    hxx = mass - k * a0 * e0x * e0x
+    hxz = 0.0 - k * a0 * e0x * e0z
+    hzz = mass - k * a0 * e0z * e0z
+    px = work[Work.momentum + 0, lane] - k * e0x * p0
+    pz = work[Work.momentum + 1, lane] - k * e0z * p0
+    for leg in ti.static(range(LEGS)):
+        # One leg: H_ll (m..), its coupling to the base (gx, gz), its right-hand side (r..).
+        m11, m22, m33, m12, m13, m23 = leg_inertia(lane, leg, const, work)
+        a = ti.static(Const.a_leg + 3 * leg)
+        x1, z1 = slope_vector(lane, 1 + 3 * leg, work)
+        x2, z2 = slope_vector(lane, 2 + 3 * leg, work)
+        x3, z3 = slope_vector(lane, 3 + 3 * leg, work)
+        gx1, gx2, gx3 = const[a, lane] * x1, const[a + 1, lane] * x2, const[a + 2, lane] * x3
+        gz1, gz2, gz3 = const[a, lane] * z1, const[a + 1, lane] * z2, const[a + 2, lane] * z3
+        p = ti.static(Work.momentum + 3 + 3 * leg)
+        r1, r2, r3 = work[p, lane], work[p + 1, lane], work[p + 2, lane]
+        for end in ti.static(range(2)):
+            c = ti.static(2 * leg + end)
+            nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
+            on = work[Work.normal_on + c, lane]
+            slip = work[Work.slip + c, lane]
+            sticks = on * ti.select(slip == 0.0, 1.0, 0.0)
+            friction = ti.select(
+                slip == 0.0, work[Work.friction_0 + c, lane], work[Work.friction + c, lane]
+            )
+            for direction in ti.static(range(2)):
+                j = ti.static((Work.jacobian_n if direction == 0 else Work.jacobian_t) + 3 * c)
+                j1, j2, j3 = work[j, lane], work[j + 1, lane], work[j + 2, lane]
+                jx, jz = nx, nz
+                weight = on * step_s * work[Work.normal_damping + c, lane]
+                force = step_s * on * work[Work.normal_force_0 + c, lane]
+                if ti.static(direction == 1):
+                    jx = nz
+                    jz = 0.0 - nx
+                    weight = sticks * c_t
+                    force = step_s * on * friction
+                u1, u2, u3 = weight * j1, weight * j2, weight * j3
+                ux, uz = weight * jx, weight * jz
+                m11 += u1 * j1
+                m22 += u2 * j2
+                m33 += u3 * j3
+                m12 += u1 * j2
+                m13 += u1 * j3
+                m23 += u2 * j3
+                gx1 += ux * j1
+                gx2 += ux * j2
+                gx3 += ux * j3
+                gz1 += uz * j1
+                gz2 += uz * j2
+                gz3 += uz * j3
+                hxx += ux * jx
+                hxz += ux * jz
+                hzz += uz * jz
+                r1 += force * j1
+                r2 += force * j2
+                r3 += force * j3
+                px += force * jx
+                pz += force * jz
+        knee_on = work[Work.stop_on + 2 * leg, lane]
+        ankle_on = work[Work.stop_on + 2 * leg + 1, lane]
+        knee = step_s * knee_on * work[Work.stop_damping + 2 * leg, lane]
+        ankle = step_s * ankle_on * work[Work.stop_damping + 2 * leg + 1, lane]
+        knee_torque = step_s * knee_on * work[Work.stop_torque_0 + 2 * leg, lane]
+        ankle_torque = step_s * ankle_on * work[Work.stop_torque_0 + 2 * leg + 1, lane]
+        m11 += knee
+        m12 -= knee
+        m22 += knee + ankle
+        m23 -= ankle
+        m33 += ankle
+        r1 -= knee_torque
+        r2 += knee_torque - ankle_torque
+        r3 += ankle_torque
+        # Factor H_ll = L D L^T, keep its inverse applied to the coupling and right-hand side.
+        i1 = 1.0 / m11
+        l21 = m12 * i1
+        l31 = m13 * i1
+        i2 = 1.0 / (m22 - l21 * m12)
+        l32 = (m23 - l21 * m13) * i2
+        i3 = 1.0 / (m33 - l31 * m13 - l32 * (m23 - l21 * m13))
+        sx1, sx2, sx3 = substitute(gx1, gx2, gx3, l21, l31, l32, i1, i2, i3)
+        sz1, sz2, sz3 = substitute(gz1, gz2, gz3, l21, l31, l32, i1, i2, i3)
+        sr1, sr2, sr3 = substitute(r1, r2, r3, l21, l31, l32, i1, i2, i3)
+        hxx -= gx1 * sx1 + gx2 * sx2 + gx3 * sx3
+        hxz -= gx1 * sz1 + gx2 * sz2 + gx3 * sz3
+        hzz -= gz1 * sz1 + gz2 * sz2 + gz3 * sz3
+        px -= gx1 * sr1 + gx2 * sr2 + gx3 * sr3
+        pz -= gz1 * sr1 + gz2 * sr2 + gz3 * sr3
+        s = ti.static(Work.leg_solution + 9 * leg)
+        work[s + 0, lane] = sx1
+        work[s + 1, lane] = sx2
+        work[s + 2, lane] = sx3
+        work[s + 3, lane] = sz1
+        work[s + 4, lane] = sz2
+        work[s + 5, lane] = sz3
+        work[s + 6, lane] = sr1
+        work[s + 7, lane] = sr2
+        work[s + 8, lane] = sr3
+    determinant = 1.0 / (hxx * hzz - hxz * hxz)
+    vx = (px * hzz - pz * hxz) * determinant
+    vz = (pz * hxx - px * hxz) * determinant
+    work[Work.new_qdot + 0, lane] = vx
+    work[Work.new_qdot + 1, lane] = vz
+    work[Work.new_qdot + 2, lane] = (p0 - a0 * (e0x * vx + e0z * vz)) / b0
+    for leg in ti.static(range(LEGS)):
+        for i in ti.static(range(3)):
+            s = ti.static(Work.leg_solution + 9 * leg + i)
+            work[Work.new_qdot + 3 + 3 * leg + i, lane] = (
+                work[s + 6, lane] - work[s, lane] * vx - work[s + 3, lane] * vz
+            )
+
+
+@ti.func
+def substitute(b1, b2, b3, l21, l31, l32, i1, i2, i3):
+    """Solve L D L^T y = b for unit lower L and inverse pivots i."""
+    y1 = b1
+    y2 = b2 - l21 * y1
+    y3 = b3 - l31 * y1 - l32 * y2
+    x3 = y3 * i3
+    x2 = y2 * i2 - l32 * x3
+    x1 = y1 * i1 - l21 * x2 - l31 * x3
+    return x1, x2, x3
+
+
+@ti.func
+def revise_contacts(lane, work: Rows):
+    """One complementarity pass: forces of the solution; drop what pulls, slip what exceeds the cone.
+
+    Without the drop the linearised damper would glue the foot to the ground.
+    """
+    changed = 0.0
+    for c in ti.static(range(CONTACTS)):
+        leg = ti.static(c // 2)
+        vx, vz = work[Work.new_qdot + 0, lane], work[Work.new_qdot + 1, lane]
+        nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
+        u_n = vx * nx + vz * nz
+        u_t = vx * nz - vz * nx
+        for i in ti.static(range(3)):
+            rate = work[Work.new_qdot + 3 + 3 * leg + i, lane]
+            u_n += work[Work.jacobian_n + 3 * c + i, lane] * rate
+            u_t += work[Work.jacobian_t + 3 * c + i, lane] * rate
+        on = work[Work.normal_on + c, lane]
+        slip = work[Work.slip + c, lane]
+        normal = on * (
+            work[Work.normal_force_0 + c, lane] - work[Work.normal_damping + c, lane] * u_n
+        )
+        stuck = on * (work[Work.friction_0 + c, lane] - work[Work.friction_damping, lane] * u_t)
+        pulls = normal < 0.0
+        normal = ti.max(normal, 0.0)
+        cone = FRICTION_COEFFICIENT * normal
+        breaks = (slip == 0.0) & (pulls == False) & (ti.max(stuck, 0.0 - stuck) > cone)  # noqa: E712
+        slip = ti.select(breaks, ti.select(stuck > 0.0, 1.0, 0.0 - 1.0), slip)
+        work[Work.normal_on + c, lane] = ti.select(pulls, 0.0, on)
+        work[Work.slip + c, lane] = slip
+        work[Work.normal_force + c, lane] = normal
+        friction = ti.select(slip == 0.0, stuck, slip * cone)
+        work[Work.friction + c, lane] = ti.select(pulls, 0.0, friction)
+        changed = ti.select(pulls | breaks, 1.0, changed)
+    for stop in ti.static(range(STOPS)):
+        child = ti.static(Work.new_qdot + 4 + 3 * (stop // 2) + stop % 2)
+        rate = work[child, lane] - work[child - 1, lane]
+        restoring = work[Work.stop_torque_0 + stop, lane]
+        torque = restoring - work[Work.stop_damping + stop, lane] * rate
+        on = work[Work.stop_on + stop, lane]
+        wrong = (on > 0.5) & (torque * restoring < 0.0)
+        work[Work.stop_on + stop, lane] = ti.select(wrong, 0.0, on)
+        changed = ti.select(wrong, 1.0, changed)
+    work[Work.changed, lane] = changed
+
+
+@ti.func
+def step_coordinates(lane, step_s, state: Rows, work: Rows):
+    """Semi-implicit Euler: q' = q + h v'."""
+    for i in ti.static(range(9)):
+        state[State.qdot + i, lane] = work[Work.new_qdot + i, lane]
+        state[State.q + i, lane] += step_s * work[Work.new_qdot + i, lane]

@@ -1,0 +1,67 @@
+"""`forward_dynamics`: accelerations of the linkage in the air, by the simulator's own functions."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_nmm import backend
+from taichi_nmm.batch import accelerate
+from taichi_nmm.body import Bodies
+from taichi_nmm.constants import constant_rows
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
+from taichi_nmm.rows import COORDINATES
+from taichi_nmm.settings import Settings
+
+JOINTS = 6
+
+
+def forward_dynamics(
+    q: ArrayLike, qdot: ArrayLike, joint_torque: ArrayLike, bodies: Bodies | None = None
+) -> NDArray[np.float64]:
+    """Accelerations of a batch of states without contact, float64 [n, 9].
+
+    Args:
+        q: hip x, z and the angles of HAT, thigh, shank, foot left, then right, [n, 9].
+        qdot: their rates, [n, 9].
+        joint_torque: left hip, knee, ankle, right hip, knee, ankle, N m, [n, 6]; positive turns
+            the child clockwise.
+        bodies: one for all or n of them; None is the nominal body.
+
+    Raises:
+        InputError: a shape that does not fit.
+    """
+    states = np.hstack([_matrix("q", q, COORDINATES), _matrix("qdot", qdot, COORDINATES)])
+    count = len(states)
+    torques = _matrix("joint_torque", joint_torque, JOINTS)
+    bodies = bodies or Bodies.nominal()
+    if len(torques) != count:
+        raise InputError("joint_torque.shape", torques.shape, f"[{count}, {JOINTS}]")
+    if len(bodies) not in (1, count):
+        raise InputError("bodies", len(bodies), f"one body, or {count}")
+    backend.start(Settings(precision="float64", arch="cpu"))
+    constants = constant_rows(
+        np.zeros((count, len(GAINS))),
+        np.zeros((count, len(LOW_LEVEL_GAINS))),
+        bodies.take(np.arange(count) % len(bodies)),
+    )
+    lanes = backend.lanes()
+    padded = -(-count // lanes) * lanes
+    accelerations = np.zeros((padded // lanes, COORDINATES, lanes))
+    accelerate(
+        lanes, _fold(states, padded, lanes), _fold(torques, padded, lanes),
+        _fold(constants, padded, lanes), accelerations,
+    )  # fmt: skip
+    return accelerations.transpose(0, 2, 1).reshape(padded, COORDINATES)[:count]
+
+
+def _matrix(name: str, values: ArrayLike, columns: int) -> NDArray[np.float64]:
+    matrix = np.asarray(values, dtype=np.float64)
+    if matrix.ndim != 2 or matrix.shape[1] != columns or not len(matrix):
+        raise InputError(f"{name}.shape", matrix.shape, f"[n, {columns}]")
+    return matrix
+
+
+def _fold(flat: NDArray[np.float64], padded: int, lanes: int) -> NDArray[np.float64]:
+    """[n, row] to [pack, row, lane], filled up with the last row."""
+    full = flat[np.minimum(np.arange(padded), len(flat) - 1)]
+    return np.ascontiguousarray(full.reshape(-1, lanes, flat.shape[1]).transpose(0, 2, 1))

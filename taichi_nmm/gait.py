@@ -1,0 +1,202 @@
+"""Steps and their score: the determinants of gait M1..M5 of Antonova et al. 2016, in the kernel.
+
+Step i is swing -> strike -> stance -> take-off of one leg, scored at its committed take-off. Contact
+is debounced: the foot takes off when contact has been lost for 0.1 s, and strikes when it comes down
+after at least as long. The left leg's first stance began with no strike and is not a step.
+"""
+
+import math
+
+from taichi_nmm.backend import Rows, ti
+from taichi_nmm.contact import ground_at_ankle, on_ground
+from taichi_nmm.result import HUMAN_SPEED_MPS
+from taichi_nmm.rows import LEGS, MUSCLES_PER_LEG, Const, Gait, Muscle, State, Sums, Work
+
+DEBOUNCE_TICKS = 100.0  # 0.1 s
+KNEE_FLEXION_LOW_RAD = math.radians(35.0)
+KNEE_FLEXION_HIGH_RAD = math.radians(95.0)
+TICKS_PER_SECOND = 1000.0
+
+
+@ti.func
+def latch(gait: Rows, row, lane, condition, value):
+    """Remember `value` in a row of `gait` where `condition` holds."""
+    gait[row, lane] = ti.select(condition, value, gait[row, lane])
+
+
+@ti.func
+def observe_leg(lane, leg: Rows, tick, state: Rows, const: Rows, gait: Rows, sums: Rows, work: Rows):
+    """Strike, mid-stance, contact and take-off of one leg at this tick."""
+    alive = state[State.active, lane] > 0.5
+    down = alive & (on_ground(lane, leg, state) > 0.5)
+    knee = work[Work.joint + 3 * leg + 1, lane]
+    ankle = work[Work.joint + 3 * leg + 2, lane]
+    hip_x = state[State.q + 0, lane]
+    com = work[Work.com_z, lane] - ground_at_ankle(lane, leg, work)
+    was_standing = gait[Gait.in_stance + leg, lane] > 0.5
+    rested = gait[Gait.air_ticks + leg, lane] >= DEBOUNCE_TICKS
+    strike = down & rested & (was_standing == False)  # noqa: E712
+    commit = alive & was_standing & rested & (down == False)  # noqa: E712
+    scored = commit & (gait[Gait.struck + leg, lane] > 0.5)
+
+    score_step(lane, leg, scored, gait, sums)
+    latch(gait, Gait.tick_takeoff + leg, lane, commit, gait[Gait.tick_last + leg, lane])
+
+    count_strike(lane, leg, strike, tick, gait, sums, work)
+    latch(gait, Gait.struck + leg, lane, strike, 1.0)
+    latch(gait, Gait.knee_peak_swing + leg, lane, strike, gait[Gait.knee_peak + leg, lane])
+    latch(gait, Gait.ankle_strike + leg, lane, strike, ankle)
+    latch(gait, Gait.com_strike + leg, lane, strike, com)
+    latch(gait, Gait.com_mid + leg, lane, strike, 0.0)
+    latch(gait, Gait.past_middle + leg, lane, strike, 0.0)
+    latch(gait, Gait.hip_x_strike + leg, lane, strike, hip_x)
+    latch(gait, Gait.tick_strike + leg, lane, strike, tick)
+    for row in ti.static(
+        (
+            Gait.trunk_sum, Gait.stance_ticks, Gait.knee_peak_stance,
+            Gait.vertical_peak, Gait.braking_peak, Gait.propulsion_peak,
+        )
+    ):  # fmt: skip
+        latch(gait, row + leg, lane, strike, 0.0)
+
+    standing = ti.select(strike, 1.0, ti.select(commit, 0.0, gait[Gait.in_stance + leg, lane]))
+    gait[Gait.in_stance + leg, lane] = standing
+    middle = (
+        alive
+        & (standing > 0.5)
+        & (gait[Gait.past_middle + leg, lane] < 0.5)
+        & (hip_x >= work[Work.ankle_x + leg, lane])
+    )
+    latch(gait, Gait.com_mid + leg, lane, middle, com)
+    latch(gait, Gait.past_middle + leg, lane, middle, 1.0)
+    follow_contact(lane, leg, tick, down, com, state, const, gait, work)
+    highest = ti.max(gait[Gait.knee_peak + leg, lane], knee)
+    gait[Gait.knee_peak + leg, lane] = ti.select(down, knee, highest)
+    latch(gait, Gait.ankle_last + leg, lane, down, ankle)
+    air = ti.select(down, 0.0, gait[Gait.air_ticks + leg, lane] + 1.0)
+    latch(gait, Gait.air_ticks + leg, lane, alive, air)
+
+
+@ti.func
+def follow_contact(
+    lane, leg: Rows, tick, down, com, state: Rows, const: Rows, gait: Rows, work: Rows
+):
+    """What a foot on the ground leaves behind: the latest values and the stance's peaks."""
+    latch(gait, Gait.com_last + leg, lane, down, com)
+    latch(gait, Gait.hip_x_last + leg, lane, down, state[State.q + 0, lane])
+    latch(gait, Gait.tick_last + leg, lane, down, tick)
+    share = ti.select(down, 1.0, 0.0)
+    gait[Gait.trunk_sum + leg, lane] += share * state[State.q + 2, lane]
+    gait[Gait.stance_ticks + leg, lane] += share
+    # Filtered forces over the weight of the HAT, turned into body weights.
+    to_body_weights = const[Const.hat_weight, lane] / body_weight(lane, const)
+    load = state[State.load_filter + leg, lane] + (
+        const[Const.leg_weight + leg, lane] / const[Const.hat_weight, lane]
+    )
+    push = state[State.push_filter + leg, lane] * to_body_weights
+    knee = work[Work.joint + 3 * leg + 1, lane]
+    raise_to(gait, Gait.vertical_peak + leg, lane, down, load * to_body_weights)
+    raise_to(gait, Gait.braking_peak + leg, lane, down, 0.0 - push)
+    raise_to(gait, Gait.propulsion_peak + leg, lane, down, push)
+    raise_to(gait, Gait.knee_peak_stance + leg, lane, down, knee)
+
+
+@ti.func
+def raise_to(gait: Rows, row, lane, condition, value):
+    """Keep the larger of a row and `value` where `condition` holds."""
+    latch(gait, row, lane, condition, ti.max(gait[row, lane], value))
+
+
+@ti.func
+def body_weight(lane, const: Rows):
+    """Weight of the whole body, N."""
+    return (
+        const[Const.hat_weight, lane]
+        + const[Const.leg_weight + 0, lane]
+        + const[Const.leg_weight + 1, lane]
+    )
+
+
+@ti.func
+def count_strike(lane, leg: Rows, strike, tick, gait: Rows, sums: Rows, work: Rows):
+    """Length and duration of the step that this strike ends."""
+    one = ti.select(strike, 1.0, 0.0)
+    length = work[Work.ankle_x + leg, lane] - work[Work.ankle_x + 1 - leg, lane]
+    sums[Sums.strikes, lane] += one
+    sums[Sums.step_length, lane] += one * length
+    sums[Sums.step_length_squared, lane] += one * length * length
+    before = gait[Gait.last_strike_tick, lane]
+    timed = ti.select(strike & (before >= 0.0), 1.0, 0.0)
+    duration = (tick - before) * (1.0 / TICKS_PER_SECOND)
+    sums[Sums.step_durations, lane] += timed
+    sums[Sums.step_duration, lane] += timed * duration
+    sums[Sums.step_duration_squared, lane] += timed * duration * duration
+    latch(gait, Gait.last_strike_tick, lane, strike, tick)
+
+
+@ti.func
+def score_step(lane, leg: Rows, scored, gait: Rows, sums: Rows):
+    """M1..M5 of a finished step, added to the walker's sums."""
+    one = ti.select(scored, 1.0, 0.0)
+    swing_peak = gait[Gait.knee_peak_swing + leg, lane]
+    m1 = (swing_peak > KNEE_FLEXION_LOW_RAD) & (swing_peak < KNEE_FLEXION_HIGH_RAD)
+    strike, takeoff = gait[Gait.ankle_strike + leg, lane], gait[Gait.ankle_last + leg, lane]
+    m2 = (strike < 0.0) & (takeoff > 0.0)
+    middle = gait[Gait.com_mid + leg, lane]
+    m3 = (
+        (gait[Gait.past_middle + leg, lane] > 0.5)
+        & (gait[Gait.com_strike + leg, lane] < middle)
+        & (gait[Gait.com_last + leg, lane] < middle)
+    )
+    m4 = gait[Gait.trunk_sum + leg, lane] > 0.0
+    ticks = ti.max(gait[Gait.tick_last + leg, lane] - gait[Gait.tick_strike + leg, lane], 1.0)
+    progress = gait[Gait.hip_x_last + leg, lane] - gait[Gait.hip_x_strike + leg, lane]
+    difference = progress * TICKS_PER_SECOND / ticks - HUMAN_SPEED_MPS
+    deviation = ti.max(difference, 0.0 - difference)
+    sums[Sums.steps, lane] += one
+    sums[Sums.m1, lane] += one * ti.select(m1, 1.0, 0.0)
+    sums[Sums.m2, lane] += one * ti.select(m2, 1.0, 0.0)
+    sums[Sums.m3, lane] += one * ti.select(m3, 1.0, 0.0)
+    sums[Sums.m4, lane] += one * ti.select(m4, 1.0, 0.0)
+    sums[Sums.m5, lane] += one * deviation
+    sums[Sums.m5_corrected, lane] += one * ti.max(1.0 - deviation, 0.0)
+    sums[Sums.knee_peak_swing, lane] += one * swing_peak
+    sums[Sums.knee_peak_stance, lane] += one * gait[Gait.knee_peak_stance + leg, lane]
+    sums[Sums.ankle_strike, lane] += one * strike
+    sums[Sums.ankle_takeoff, lane] += one * takeoff
+    sums[Sums.vertical_peak, lane] += one * gait[Gait.vertical_peak + leg, lane]
+    sums[Sums.braking_peak, lane] += one * gait[Gait.braking_peak + leg, lane]
+    sums[Sums.propulsion_peak, lane] += one * gait[Gait.propulsion_peak + leg, lane]
+
+
+@ti.func
+def add_up_posture(lane, state: Rows, muscle: Rows, sums: Rows, work: Rows):
+    """Sums over time of a walker that is up: trunk, hip height and speed, support, activations."""
+    one = state[State.active, lane]
+    trunk, speed = state[State.q + 2, lane], state[State.qdot + 0, lane]
+    height = state[State.q + 1, lane] - work[Work.ground_hip, lane]
+    left, right = on_ground(lane, 0, state), on_ground(lane, 1, state)
+    sums[Sums.ticks, lane] += one
+    sums[Sums.trunk, lane] += one * trunk
+    sums[Sums.trunk_squared, lane] += one * trunk * trunk
+    sums[Sums.hip_height, lane] += one * height
+    sums[Sums.hip_height_squared, lane] += one * height * height
+    sums[Sums.hip_speed, lane] += one * speed
+    sums[Sums.hip_speed_squared, lane] += one * speed * speed
+    sums[Sums.double_support, lane] += one * left * right
+    sums[Sums.flight, lane] += one * (1.0 - left) * (1.0 - right)
+    for m in ti.static(range(MUSCLES_PER_LEG)):
+        pair = (
+            muscle[Muscle.activation + m, lane]
+            + muscle[Muscle.activation + MUSCLES_PER_LEG + m, lane]
+        )
+        sums[Sums.activation + m, lane] += one * 0.5 * pair
+
+
+@ti.func
+def add_up_forces(lane, step_s, state: Rows, sums: Rows, work: Rows):
+    """Impulses of the ground and metabolic energy over one physics step."""
+    time = state[State.active, lane] * step_s
+    sums[Sums.metabolic_energy, lane] += time * work[Work.metabolic_power, lane]
+    for i in ti.static(range(2 * LEGS)):
+        sums[Sums.impulse + i, lane] += time * state[State.ground_force + i, lane]

@@ -1,0 +1,135 @@
+"""The state in which every walk starts: left leg in stance, right leg in swing, 1.3 m/s.
+
+Source: the walker T; the stance leg additionally pivots about its foot instead of skidding.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
+from taichi_nmm.delays import TA_LENGTH_OFFSET
+from taichi_nmm.muscle import (
+    ACTIVATION_FLOOR,
+    T_ANKLE_COSINE,
+    T_ANKLE_SINE,
+    T_HIP_SLOPE,
+    T_KNEE_COSINE,
+    T_KNEE_SINE,
+    T_LENGTH,
+    T_OPTIMAL,
+    T_SLACK,
+    muscle_table,
+)
+from taichi_nmm.rows import (
+    LEGS,
+    LONG_DELAY_TICKS,
+    LONG_SIGNALS,
+    MID_DELAY_TICKS,
+    MID_SIGNALS,
+    MUSCLE_COUNT,
+    MUSCLES_PER_LEG,
+    SHORT_DELAY_TICKS,
+    TA,
+    Delay,
+    Gait,
+    Muscle,
+    Signal,
+    State,
+)
+from taichi_nmm.swing import HOLD
+from taichi_nmm.terrain import Terrain
+
+SPEED_MPS = 1.3
+STANCE_LEG_RATE_RADPS = 1.3
+PENETRATION_M = 0.005
+JOINTS_RAD = np.deg2rad([[-5.0, 5.0, -5.0], [-30.0, 5.0, 0.0]])  # hip, knee, ankle; left, right
+
+
+def initial_rows(terrain: Terrain) -> NDArray[np.float64]:
+    """State, muscles, delays, gait memory and (empty) sums of a walker on this terrain, [rows]."""
+    state = _state(terrain)
+    fibres = _fibres()
+    delay = _delays(state, fibres)
+    events = np.zeros(Gait.count)
+    events[Gait.in_stance] = 1.0
+    events[Gait.last_strike_tick] = -1.0
+    return np.concatenate([state, fibres, delay, events])
+
+
+def _segment_angles() -> NDArray[np.float64]:
+    """Absolute angles of HAT and both legs, [7]."""
+    return np.concatenate([[0.0], np.cumsum(JOINTS_RAD, axis=1).ravel()])
+
+
+def _foot_points(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Heel and ball of both feet relative to the hip, [leg, point, xz]."""
+    legs = angles[1:].reshape(LEGS, 3)
+    lengths = np.array([THIGH_LENGTH_M, SHANK_LENGTH_M])
+    ankle = -np.stack(
+        [(lengths * np.sin(legs[:, :2])).sum(axis=1), (lengths * np.cos(legs[:, :2])).sum(axis=1)],
+        axis=1,
+    )
+    forward = np.stack([np.cos(legs[:, 2]), -np.sin(legs[:, 2])], axis=1)
+    offsets = np.array([HEEL_OFFSET_M, BALL_OFFSET_M])
+    return np.asarray(ankle[:, None, :] + offsets[None, :, None] * forward[:, None, :])
+
+
+def _state(terrain: Terrain) -> NDArray[np.float64]:
+    angles = _segment_angles()
+    points = _foot_points(angles)
+    depth = terrain.height(points[0, :, 0]) - points[0, :, 1]  # with the hip at height zero
+    state = np.zeros(State.count)
+    state[State.q + 1] = depth.max() - PENETRATION_M
+    state[State.q + 2 : State.q + 9] = angles
+    state[State.qdot] = SPEED_MPS
+    state[State.qdot + 3 : State.qdot + 5] = STANCE_LEG_RATE_RADPS
+    ankle = (points[:, 1] * -HEEL_OFFSET_M + points[:, 0] * BALL_OFFSET_M) / 0.20
+    state[State.leg_angle_filter : State.leg_angle_filter + LEGS] = np.pi - np.arctan2(
+        -ankle[:, 1], -ankle[:, 0]
+    )
+    touching = terrain.height(points[:, :, 0]) > points[:, :, 1] + state[State.q + 1]
+    state[State.stance_before : State.stance_before + LEGS] = touching.any(axis=1)
+    state[State.swing_phase : State.swing_phase + LEGS] = HOLD
+    state[State.active] = 1.0
+    state[State.end_z] = state[State.q + 1]
+    return state
+
+
+def _fibres() -> NDArray[np.float64]:
+    """Relaxed muscles with slack tendons: the fibre takes the unit's length less the slack."""
+    table = muscle_table()
+    fibres = np.zeros(Muscle.count)
+    fibres[Muscle.activation : Muscle.activation + MUSCLE_COUNT] = ACTIVATION_FLOOR
+    fibres[Muscle.stimulation : Muscle.stimulation + MUSCLE_COUNT] = ACTIVATION_FLOOR
+    for leg, (hip, knee, ankle) in enumerate(JOINTS_RAD):
+        unit = (
+            table[:, T_LENGTH]
+            + table[:, T_HIP_SLOPE] * hip
+            + table[:, T_KNEE_SINE] * np.sin(knee)
+            + table[:, T_KNEE_COSINE] * np.cos(knee)
+            + table[:, T_ANKLE_SINE] * np.sin(ankle)
+            + table[:, T_ANKLE_COSINE] * np.cos(ankle)
+        )
+        first = Muscle.length + MUSCLES_PER_LEG * leg
+        fibres[first : first + MUSCLES_PER_LEG] = (unit - table[:, T_SLACK]) / table[:, T_OPTIMAL]
+    return fibres
+
+
+def _delays(state: NDArray[np.float64], fibres: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rings filled with the first sample."""
+    sample = np.zeros(Signal.count)
+    for leg in range(LEGS):
+        length_ta = fibres[Muscle.length + MUSCLES_PER_LEG * leg + TA]
+        sample[Signal.length_ta + leg] = max(length_ta - TA_LENGTH_OFFSET, 0.0)
+        sample[Signal.knee + leg] = JOINTS_RAD[leg, 1]
+        sample[Signal.stance + leg] = state[State.stance_before + leg]
+    long, mid, short = np.split(sample, [LONG_SIGNALS, LONG_SIGNALS + MID_SIGNALS])
+    rings = np.concatenate(
+        [
+            np.repeat(long, LONG_DELAY_TICKS),
+            np.repeat(mid, MID_DELAY_TICKS),
+            np.repeat(short, SHORT_DELAY_TICKS),
+        ]
+    )
+    assert len(rings) == Delay.count
+    return rings

@@ -1,0 +1,104 @@
+"""Where everything is: directions of the links, contact points, joint angles, leg angle and length.
+
+World x forward, z up; all angles clockwise positive. Thigh and shank point along
+D(th) = (-sin th, -cos th) from their proximal joint, the foot along F(th) = (cos th, -sin th).
+"""
+
+from taichi_nmm.backend import Rows, ti
+from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
+from taichi_nmm.elementary import HALF_PI, arctangent2, sine_cosine
+from taichi_nmm.rows import LEGS, SEGMENT_COUNT, Const, State, Work
+
+
+@ti.func
+def directions(lane, state: Rows, work: Rows):
+    """Sine and cosine of the seven segment angles."""
+    for i in ti.static(range(SEGMENT_COUNT)):
+        s, c = sine_cosine(state[State.q + 2 + i, lane])
+        work[Work.sine + i, lane] = s
+        work[Work.cosine + i, lane] = c
+
+
+@ti.func
+def contact_points(lane, state: Rows, work: Rows):
+    """Ankles, heels and balls."""
+    for leg in ti.static(range(LEGS)):
+        thigh, shank, foot = ti.static(1 + 3 * leg, 2 + 3 * leg, 3 + 3 * leg)
+        ankle_x = (
+            state[State.q + 0, lane]
+            - THIGH_LENGTH_M * work[Work.sine + thigh, lane]
+            - SHANK_LENGTH_M * work[Work.sine + shank, lane]
+        )
+        ankle_z = (
+            state[State.q + 1, lane]
+            - THIGH_LENGTH_M * work[Work.cosine + thigh, lane]
+            - SHANK_LENGTH_M * work[Work.cosine + shank, lane]
+        )
+        work[Work.ankle_x + leg, lane] = ankle_x
+        for end in ti.static(range(2)):
+            offset = ti.static((HEEL_OFFSET_M, BALL_OFFSET_M)[end])
+            work[Work.point_x + 2 * leg + end, lane] = (
+                ankle_x + offset * work[Work.cosine + foot, lane]
+            )
+            work[Work.point_z + 2 * leg + end, lane] = (
+                ankle_z - offset * work[Work.sine + foot, lane]
+            )
+        leg_geometry(lane, leg, ankle_x, ankle_z, state, work)
+
+
+@ti.func
+def leg_geometry(lane, leg: Rows, ankle_x, ankle_z, state: Rows, work: Rows):
+    """Length and angle of the line hip - ankle; 90 deg is vertical, less is in front of the hip."""
+    dx = state[State.q + 0, lane] - ankle_x
+    dz = state[State.q + 1, lane] - ankle_z
+    work[Work.leg_length + leg, lane] = ti.sqrt(dx * dx + dz * dz)
+    work[Work.leg_angle + leg, lane] = 2.0 * HALF_PI - arctangent2(dz, dx)
+
+
+@ti.func
+def joints(lane, state: Rows, work: Rows):
+    """Joint angles (child minus parent), their rates, and sine and cosine of knee and ankle."""
+    for leg in ti.static(range(LEGS)):
+        for joint in ti.static(range(3)):
+            child = ti.static(1 + 3 * leg + joint)
+            parent = ti.static(0 if joint == 0 else child - 1)
+            work[Work.joint + 3 * leg + joint, lane] = (
+                state[State.q + 2 + child, lane] - state[State.q + 2 + parent, lane]
+            )
+            work[Work.joint_rate + 3 * leg + joint, lane] = (
+                state[State.qdot + 2 + child, lane] - state[State.qdot + 2 + parent, lane]
+            )
+            if ti.static(joint > 0):
+                sc, cc = work[Work.sine + child, lane], work[Work.cosine + child, lane]
+                sp, cp = work[Work.sine + parent, lane], work[Work.cosine + parent, lane]
+                row = ti.static(2 * leg + joint - 1)
+                work[Work.sine_joint + row, lane] = sc * cp - cc * sp
+                work[Work.cosine_joint + row, lane] = cc * cp + sc * sp
+
+
+@ti.func
+def centre_of_mass(lane, state: Rows, const: Rows, work: Rows):
+    """Position of the whole body's centre of mass, and its forward velocity."""
+    x = const[Const.a_hat, lane] * (0.0 - work[Work.sine + 0, lane])
+    z = const[Const.a_hat, lane] * (0.0 - work[Work.cosine + 0, lane])
+    v = const[Const.a_hat, lane] * (
+        0.0 - work[Work.cosine + 0, lane] * state[State.qdot + 2, lane]
+    )
+    for leg in ti.static(range(LEGS)):
+        for link in ti.static(range(3)):
+            i = ti.static(1 + 3 * leg + link)
+            a = const[Const.a_leg + 3 * leg + link, lane]
+            s, c = work[Work.sine + i, lane], work[Work.cosine + i, lane]
+            rate = state[State.qdot + 2 + i, lane]
+            if ti.static(link < 2):
+                x += a * (0.0 - s)
+                z += a * (0.0 - c)
+                v += a * (0.0 - c) * rate
+            else:
+                x += a * c
+                z += a * (0.0 - s)
+                v += a * (0.0 - s) * rate
+    mass = const[Const.total_mass, lane]
+    work[Work.com_x, lane] = state[State.q + 0, lane] + x / mass
+    work[Work.com_z, lane] = state[State.q + 1, lane] + z / mass
+    work[Work.com_speed, lane] = state[State.qdot + 0, lane] + v / mass

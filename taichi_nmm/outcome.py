@@ -1,0 +1,89 @@
+"""From a walker's final state and sums to its row of results."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_nmm.body import GRAVITY_MPS2, Bodies
+from taichi_nmm.result import MUSCLES, RESULT_DTYPE
+from taichi_nmm.rows import State, Sums
+from taichi_nmm.settings import CONTROL_TICK_S
+
+SCORE_SUMS = {
+    "m1": "m1_sum", "m2": "m2_sum", "m3": "m3_sum", "m4": "m4_sum", "m5": "m5_sum_mps",
+    "m5_corrected": "m5_corrected_sum",
+}  # fmt: skip
+STEP_MEANS = {
+    "m1": "m1_mean", "m2": "m2_mean", "m3": "m3_mean", "m4": "m4_mean", "m5": "m5_mean_mps",
+    "knee_peak_swing": "knee_peak_swing_rad", "knee_peak_stance": "knee_peak_stance_rad",
+    "ankle_strike": "ankle_strike_rad", "ankle_takeoff": "ankle_takeoff_rad",
+    "vertical_peak": "grf_vertical_peak_bw", "braking_peak": "grf_braking_peak_bw",
+    "propulsion_peak": "grf_propulsion_peak_bw",
+}  # fmt: skip
+
+
+def result_rows(
+    final: NDArray[np.float64], sums: NDArray[np.float64], bodies: Bodies, duration_s: float
+) -> NDArray[np.void]:
+    """Result rows from state rows [n, State.count] and summed rows [n, Sums.count].
+
+    A quotient over nothing (no step, no distance) is zero.
+    """
+    rows = np.zeros(len(final), dtype=RESULT_DTYPE)
+    # A diverged walker's last numbers may be NaN; whatever was summed before is kept where finite.
+    sums = np.nan_to_num(sums, nan=0.0, posinf=0.0, neginf=0.0)
+    rows["end_reason"] = final[:, State.end_reason].astype(np.uint8)
+    rows["duration_s"] = np.round(final[:, State.end_tick]) * CONTROL_TICK_S
+    rows["hip_x_m"] = final[:, State.end_x]
+    rows["hip_z_m"] = final[:, State.end_z]
+    rows["distance_m"] = rows["hip_x_m"]
+    rows["mean_speed_mps"] = _quotient(rows["distance_m"], rows["duration_s"])
+    mass = bodies.mass_kg.sum(axis=1)
+    work = mass * np.maximum(rows["distance_m"], 0.0)
+    rows["cost_of_transport_jpkgpm"] = _quotient(sums[:, Sums.metabolic_energy], work)
+    rows["survived_fraction"] = rows["duration_s"] / duration_s
+    _score(rows, sums)
+    _summary(rows, sums, mass * GRAVITY_MPS2)
+    return rows
+
+
+def _score(rows: NDArray[np.void], sums: NDArray[np.float64]) -> None:
+    steps = sums[:, Sums.steps]
+    rows["step_count"] = np.round(steps).astype(np.int32)
+    for name, column in SCORE_SUMS.items():
+        rows[column] = sums[:, getattr(Sums, name)]
+    for name, column in STEP_MEANS.items():
+        rows[column] = _quotient(sums[:, getattr(Sums, name)], steps)
+    binary = rows["m1_sum"] + rows["m2_sum"] + rows["m3_sum"] + rows["m4_sum"]
+    rows["phi_printed"] = binary + rows["m5_sum_mps"]
+    rows["phi_corrected"] = binary + rows["m5_corrected_sum"]
+
+
+def _summary(
+    rows: NDArray[np.void], sums: NDArray[np.float64], weight_n: NDArray[np.float64]
+) -> None:
+    ticks = sums[:, Sums.ticks]
+    moments = {
+        ("trunk_mean_rad", "trunk_sd_rad"): (Sums.trunk, ticks),
+        ("hip_height_mean_m", "hip_height_sd_m"): (Sums.hip_height, ticks),
+        ("", "hip_speed_sd_mps"): (Sums.hip_speed, ticks),
+        ("step_length_mean_m", "step_length_sd_m"): (Sums.step_length, sums[:, Sums.strikes]),
+        ("step_duration_mean_s", "step_duration_sd_s"): (
+            Sums.step_duration, sums[:, Sums.step_durations],
+        ),
+    }  # fmt: skip
+    for (mean_name, sd_name), (row, count) in moments.items():
+        mean = _quotient(sums[:, row], count)
+        square = _quotient(sums[:, row + 1], count)  # the row after a sum holds its squares
+        rows[sd_name] = np.sqrt(np.maximum(square - mean**2, 0.0))
+        if mean_name:
+            rows[mean_name] = mean
+    rows["double_support_fraction"] = _quotient(sums[:, Sums.double_support], ticks)
+    rows["flight_fraction"] = _quotient(sums[:, Sums.flight], ticks)
+    vertical = sums[:, Sums.impulse + 1] + sums[:, Sums.impulse + 3]
+    rows["grf_vertical_mean_bw"] = _quotient(vertical, weight_n * rows["duration_s"])
+    for m, muscle in enumerate(MUSCLES):
+        rows[f"activation_{muscle.lower()}_mean"] = _quotient(sums[:, Sums.activation + m], ticks)
+
+
+def _quotient(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.divide(a, b, out=np.zeros(len(a)), where=b > 0)

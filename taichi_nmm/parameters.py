@@ -1,0 +1,139 @@
+"""The searched gains and the fixed ones: names, units, bounds, meaning and source, in one place.
+
+The sampler, the store, the configurations, the plots and the documents read this table.
+
+Sources: P = Antonova, Rai, Atkeson 2016; T = the transfemoral-prosthesis walker of the same group
+(``IntactModel``), whose published rough-ground optimum gives ``K_T`` and the fixed gains.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_nmm.errors import InputError
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One gain of the controller: what it is called, what it may be, and where it comes from."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    default: float
+    meaning: str
+    source: str
+
+
+# Force gains multiply F/Fmax. Bounds: wide enough that about 6 % of uniform draws walk 100 s on
+# flat ground. Defaults: K_T, T's published rough-ground optimum.
+GAINS: tuple[Parameter, ...] = (
+    Parameter("K_GAS", "1", 0.0, 8.0, 3.874, "positive force feedback of gastrocnemius", "P 1"),
+    Parameter("K_GLU", "1", 0.0, 3.0, 0.5755, "positive force feedback of gluteus", "P 2"),
+    Parameter("K_HAM", "1", 0.0, 3.0, 0.1282, "positive force feedback of hamstrings", "P 3"),
+    Parameter("K_SOL", "1", 0.0, 24.0, 16.58, "positive force feedback of soleus", "P 4"),
+    Parameter("K_TA_SOL", "1", 0.0, 8.0, 3.879, "inhibition of tibialis by soleus force", "P 5"),
+    Parameter("K_TA", "1", 0.0, 9.0, 4.727, "positive length feedback of tibialis", "P 6"),
+    Parameter("K_VAS", "1", 0.0, 8.0, 1.989, "positive force feedback of vastus", "P 7"),
+    Parameter("Kp_stance", "1/rad", 0.0, 9.0, 4.572, "trunk lean onto hip muscles", "P 8"),
+    Parameter("Kd_stance", "s/rad", 0.0, 2.0, 0.5131, "trunk rate onto hip muscles", "P 9"),
+    Parameter("K_mix_GLU", "1", 0.0, 3.5, 1.492, "share of trunk feedback to gluteus", "P 10"),
+    Parameter("Kp_swing", "N m/rad", 5.0, 300.0, 63.94, "hip torque on leg-angle error", "P 11"),
+    Parameter("Kd_swing", "N m s/rad", 0.0, 45.0, 17.54, "hip torque on leg-angle rate", "P 12"),
+    Parameter(
+        "alpha_0", "rad", np.deg2rad(55.0), np.deg2rad(92.0), np.deg2rad(70.57),
+        "nominal target leg angle, 90 deg is vertical", "P 13",
+    ),
+    Parameter("C_d", "rad/m", 0.0, 0.5, 0.00476, "target angle per distance CoM - ankle", "P 14"),
+    Parameter("C_v", "rad s/m", 0.0, 0.5, 0.02548, "target angle per CoM speed", "P 15"),
+    Parameter("l_clr", "m", 0.55, 0.99, 0.7591, "leg length that counts as cleared", "P 16"),
+)  # fmt: skip
+
+# Not searched by the paper, but of the same form, so that a later study can search them.
+LOW_LEVEL_GAINS: tuple[Parameter, ...] = (
+    Parameter("k_oe", "1/rad", 0.0, 10.0, 1.0204, "knee over-extension inhibits vastus", "T"),
+    Parameter("k_flex", "N m s/rad", 0.0, 50.0, 7.95, "knee flexion on leg-angle rate", "T"),
+    Parameter("k_hold_1", "N m s/rad", 0.0, 50.0, 10.28, "knee damping, flexing", "T"),
+    Parameter("k_hold_2", "N m s/rad", 0.0, 50.0, 0.400, "knee damping, extending", "T"),
+    Parameter("k_stop", "N m/rad", 0.0, 500.0, 6.72, "stop of the leg near its target", "T"),
+    Parameter("k_ext", "N m/m", 0.0, 1500.0, 577.1, "knee extension before landing", "T"),
+    Parameter("w_filter", "1/s", 10.0, 500.0, 64.47, "leg-angle rate filter", "T"),
+    Parameter(
+        "theta_ref", "rad", np.deg2rad(-10.0), np.deg2rad(30.0), np.deg2rad(6.0),
+        "torso reference angle, forward positive", "T",
+    ),
+)  # fmt: skip
+
+GAIN_NAMES: tuple[str, ...] = tuple(parameter.name for parameter in GAINS)
+LOW_LEVEL_NAMES: tuple[str, ...] = tuple(parameter.name for parameter in LOW_LEVEL_GAINS)
+
+K_T: NDArray[np.float64] = np.array([parameter.default for parameter in GAINS])
+"""T's published rough-ground optimum, [16]."""
+
+NAMED_GAINS_DIRECTORY = Path(__file__).parent / "gains"
+
+
+def lower_bounds(group: tuple[Parameter, ...] = GAINS) -> NDArray[np.float64]:
+    """Lower bounds of a group of parameters, in its order."""
+    return np.array([parameter.low for parameter in group])
+
+
+def upper_bounds(group: tuple[Parameter, ...] = GAINS) -> NDArray[np.float64]:
+    """Upper bounds of a group of parameters, in its order."""
+    return np.array([parameter.high for parameter in group])
+
+
+def gain_rows(
+    values: ArrayLike, group: tuple[Parameter, ...] = GAINS, field: str = "gains"
+) -> NDArray[np.float64]:
+    """Check a batch of gains and return it as float64 [n, len(group)].
+
+    Values outside the search bounds are allowed (a published vector may lie there); values that
+    are not finite, or another shape, are an `InputError`.
+    """
+    try:
+        rows = np.atleast_2d(np.asarray(values, dtype=np.float64))
+    except (TypeError, ValueError):
+        raise InputError(field, type(values).__name__, "an array of numbers") from None
+    if rows.ndim != 2 or rows.shape[1] != len(group):
+        raise InputError(f"{field}.shape", np.shape(values), f"[n, {len(group)}] or [{len(group)}]")
+    bad = np.argwhere(~np.isfinite(rows))
+    if len(bad):
+        row, column = (int(index) for index in bad[0])
+        name = group[column].name
+        raise InputError(f"{field}[{row}].{name}", float(rows[row, column]), "a finite number")
+    return rows
+
+
+def load_gains(source: str) -> NDArray[np.float64]:
+    """Gains by name (``K_T``, or a file shipped in ``taichi_nmm/gains``) or from a JSON file, [16].
+
+    The file is one object with exactly the 16 names as keys, angles in rad.
+    """
+    if source == "K_T":
+        return K_T.copy()
+    shipped = NAMED_GAINS_DIRECTORY / f"{source}.json"
+    path = shipped if shipped.is_file() else Path(source)
+    names = ["K_T", *sorted(file.stem for file in NAMED_GAINS_DIRECTORY.glob("*.json"))]
+    if not path.is_file():
+        raise InputError("gains", source, f"one of {', '.join(names)}, or a JSON file that exists")
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError("gains", source, f"a readable JSON object ({error})") from None
+    if not isinstance(data, dict):
+        raise InputError("gains", source, "a JSON object of the 16 gains")
+    for name in data:
+        if name not in GAIN_NAMES:
+            raise InputError("gains", name, f"only the names {' '.join(GAIN_NAMES)}")
+    values = []
+    for name in GAIN_NAMES:
+        value = data.get(name)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"gains.{name}", value, "a number")
+        values.append(float(value))
+    return gain_rows(values)[0]

@@ -1,0 +1,116 @@
+"""Stance reflexes and their mixing with swing: stimulations of the muscles and weights of the torques.
+
+Sources: stance reflexes Geyer & Herr 2010; mixing by leg load after Song & Geyer 2015, as in the
+walker T. All signals are the delayed ones.
+"""
+
+import math
+
+from taichi_nmm.backend import Rows, ti
+from taichi_nmm.rows import (
+    GAS,
+    GLU,
+    HAM,
+    HFL,
+    LEGS,
+    MUSCLES_PER_LEG,
+    SOL,
+    TA,
+    VAS,
+    Const,
+    Muscle,
+    Signal,
+    State,
+    Work,
+)
+
+PRESTIMULATION = 0.01
+PRESTIMULATION_VAS = 0.08
+PRESTIMULATION_TRUNK = 0.05
+OVEREXTENSION_RAD = math.radians(10.0)
+LOAD_FILTER_S = 0.02
+
+# Columns of the gains that the reflexes read, in the order of `parameters.GAINS`.
+K_GAS, K_GLU, K_HAM, K_SOL, K_TA_SOL, K_TA, K_VAS, KP_STANCE, KD_STANCE, K_MIX_GLU = (
+    Const.gains + i for i in range(10)
+)
+K_OE = Const.low_level + 0
+THETA_REF = Const.low_level + 7
+
+
+@ti.func
+def clip01(x):
+    """x limited to [0, 1]."""
+    return ti.min(ti.max(x, 0.0), 1.0)
+
+
+@ti.func
+def stance_weights(lane, state: Rows, work: Rows):
+    """Share of stance control of each leg, from stance flags, load, and which leg came down last.
+
+    0 off the ground; the load while the other leg leads in double support; else 1.
+    """
+    s = ti.static(Work.sensed)
+    left, right = work[s + Signal.stance, lane], work[s + Signal.stance + 1, lane]
+    both = left * right
+    for leg in ti.static(range(LEGS)):
+        flag = work[s + Signal.stance + leg, lane]
+        rises = both * ti.select(flag > state[State.stance_before + leg, lane], 1.0, 0.0)
+        state[State.leads + leg, lane] = both * ti.max(state[State.leads + leg, lane], rises)
+        state[State.stance_before + leg, lane] = flag
+    for leg in ti.static(range(LEGS)):
+        flag = work[s + Signal.stance + leg, lane]
+        load = clip01(work[s + Signal.load + leg, lane])
+        other_leads = state[State.leads + 1 - leg, lane]
+        state[State.stance_weight + leg, lane] = flag * ti.select(other_leads > 0.5, load, 1.0)
+
+
+@ti.func
+def stimulate(lane, state: Rows, const: Rows, muscle: Rows, work: Rows):
+    """Stimulations of all muscles: stance reflexes and swing, mixed by the stance weights."""
+    s = ti.static(Work.sensed)
+    lean = work[s + Signal.trunk, lane] - const[THETA_REF, lane]
+    balance = (
+        const[KP_STANCE, lane] * lean + const[KD_STANCE, lane] * work[s + Signal.trunk_rate, lane]
+    )
+    for leg in ti.static(range(LEGS)):
+        weight = state[State.stance_weight + leg, lane]
+        load = work[s + Signal.load + leg, lane]
+        force_sol = work[s + Signal.force_sol + leg, lane]
+        knee = work[s + Signal.knee + leg, lane]
+        extends = (knee < OVEREXTENSION_RAD) & (work[s + Signal.knee_rate + leg, lane] < 0.0)
+        inhibition = const[K_OE, lane] * ti.select(extends, OVEREXTENSION_RAD - knee, 0.0)
+        # Forward lean excites the extensors, backward lean the flexor, as the leg carries load.
+        extensor = clip01(load * (PRESTIMULATION_TRUNK + ti.max(balance, 0.0)))
+        flexor = clip01(load * (PRESTIMULATION_TRUNK - ti.min(balance, 0.0)))
+        swing_ta = PRESTIMULATION + const[K_TA, lane] * work[s + Signal.length_ta + leg, lane]
+        sol = PRESTIMULATION + const[K_SOL, lane] * force_sol
+        ta = swing_ta - const[K_TA_SOL, lane] * force_sol
+        gas = PRESTIMULATION + const[K_GAS, lane] * work[s + Signal.force_gas + leg, lane]
+        vas = (
+            PRESTIMULATION_VAS
+            + const[K_VAS, lane] * work[s + Signal.force_vas + leg, lane]
+            - inhibition
+        )
+        ham = (
+            PRESTIMULATION + const[K_HAM, lane] * work[s + Signal.force_ham + leg, lane] + extensor
+        )
+        glu = (
+            PRESTIMULATION
+            + const[K_GLU, lane] * work[s + Signal.force_glu + leg, lane]
+            + const[K_MIX_GLU, lane] * extensor
+        )
+        m = ti.static(Muscle.stimulation + MUSCLES_PER_LEG * leg)
+        muscle[m + SOL, lane] = mix(weight, sol, 0.0)
+        muscle[m + TA, lane] = mix(weight, ta, swing_ta)
+        muscle[m + GAS, lane] = mix(weight, gas, 0.0)
+        muscle[m + VAS, lane] = mix(weight, vas, 0.0)
+        muscle[m + HAM, lane] = mix(weight, ham, 0.0)
+        muscle[m + GLU, lane] = mix(weight, glu, 0.0)
+        muscle[m + HFL, lane] = mix(weight, flexor, 0.0)
+
+
+@ti.func
+def mix(weight, stance, swing):
+    """Stimulation between stance and swing, within [0.01, 1]."""
+    return ti.min(ti.max(weight * stance + (1.0 - weight) * swing, PRESTIMULATION), 1.0)

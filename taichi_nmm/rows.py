@@ -1,0 +1,188 @@
+"""Where each named quantity lies in the kernels' local arrays [row, lane].
+
+Legs are in the order left, right; contacts heel left, ball left, heel right, ball right; joint stops
+knee left, ankle left, knee right, ankle right; muscles `MUSCLES` left, then right; segments as in
+`body.SEGMENT_NAMES`. A block's row is the name plus the index within the block.
+"""
+
+from types import SimpleNamespace
+
+LEGS = 2
+CONTACTS = 4
+STOPS = 4
+SEGMENT_COUNT = 7
+MUSCLES_PER_LEG = 7
+MUSCLE_COUNT = LEGS * MUSCLES_PER_LEG
+COORDINATES = 9
+
+SOL, TA, GAS, VAS, HAM, GLU, HFL = range(MUSCLES_PER_LEG)
+
+
+def blocks(**sizes: int) -> SimpleNamespace:
+    """First rows of consecutive named blocks, and their total as `count`."""
+    rows, first = SimpleNamespace(), 0
+    for name, size in sizes.items():
+        setattr(rows, name, first)
+        first += size
+    rows.count = first
+    return rows
+
+
+# What the walker carries from step to step.
+State = blocks(
+    q=COORDINATES,  # hip x, z; segment angles, clockwise positive
+    qdot=COORDINATES,
+    touching=CONTACTS,  # 1 while the point is in the ground
+    anchor_x=CONTACTS,  # where the friction spring holds
+    anchor_z=CONTACTS,
+    load_filter=LEGS,  # leg load over HAT weight, 20 ms low pass
+    push_filter=LEGS,  # horizontal ground force over HAT weight, 20 ms low pass
+    ground_force=2 * LEGS,  # of the last physics step: left x, left z, right x, right z
+    leg_angle_filter=LEGS,
+    swing_phase=LEGS,  # FLEX, HOLD, STOP, EXTEND as 0..3
+    leads=LEGS,  # the leg that came down last in this double support
+    stance_before=LEGS,  # delayed stance flag at the last tick
+    stance_weight=LEGS,  # share of stance control in the joint torques
+    hip_torque=LEGS,  # ideal (muscle-free) part, held over the tick
+    knee_torque=LEGS,
+    active=1,  # 1 until the walker falls or diverges
+    end_reason=1,
+    end_tick=1,
+    end_x=1,
+    end_z=1,
+)
+
+Muscle = blocks(
+    activation=MUSCLE_COUNT,
+    stimulation=MUSCLE_COUNT,
+    length=MUSCLE_COUNT,  # contractile element over its optimal length
+    velocity=MUSCLE_COUNT,  # optimal lengths a second over the largest, lengthening positive
+    force=MUSCLE_COUNT,  # over Fmax
+)
+
+# Never written by a step: gains and the body's coefficients of `model` section 3.
+Const = blocks(
+    gains=16,
+    low_level=8,
+    total_mass=1,
+    a_hat=1,
+    b_hat=1,
+    a_leg=3 * LEGS,  # A1 A2 A3
+    b_leg=6 * LEGS,  # B11 B22 B33 B12 B13 B23
+    contact_stiffness=1,
+    hat_weight=1,
+    leg_weight=LEGS,
+    leg_angle_blend=1,  # 1 - exp(-w_filter tick)
+)
+
+# Scratch of one step.
+Work = blocks(
+    sine=SEGMENT_COUNT,
+    cosine=SEGMENT_COUNT,
+    point_x=CONTACTS,
+    point_z=CONTACTS,
+    ground=CONTACTS,  # ground height under a contact point
+    ground_slope=CONTACTS,
+    ground_hip=1,
+    gap=CONTACTS,  # depth in the ground along its normal
+    normal_x=CONTACTS,
+    normal_z=CONTACTS,
+    leg_length=LEGS,
+    leg_angle=LEGS,
+    leg_angle_rate=LEGS,
+    ankle_x=LEGS,
+    com_x=1,
+    com_z=1,
+    com_speed=1,
+    joint=3 * LEGS,  # hip, knee, ankle of the left leg, then the right
+    joint_rate=3 * LEGS,
+    joint_torque=3 * LEGS,
+    sine_joint=2 * LEGS,  # knee, ankle
+    cosine_joint=2 * LEGS,
+    sensed=19,  # delayed signals, `Signal`
+    metabolic_power=1,
+    momentum=COORDINATES,  # M qdot + h Q, without contacts
+    jacobian_n=3 * CONTACTS,  # leg part, in the normal's direction
+    jacobian_t=3 * CONTACTS,
+    normal_on=CONTACTS,  # 1 while the complementarity passes keep the contact
+    slip=CONTACTS,  # 0 sticks; +-1 slips with friction of that sign
+    normal_force=CONTACTS,
+    friction=CONTACTS,
+    normal_force_0=CONTACTS,  # at the old velocity; less the damping times the new one
+    normal_damping=CONTACTS,
+    friction_0=CONTACTS,
+    friction_damping=1,
+    stop_on=STOPS,
+    stop_torque_0=STOPS,
+    stop_damping=STOPS,
+    leg_solution=9 * LEGS,  # a leg's inverse on its coupling (x, z) and right-hand side
+    new_qdot=COORDINATES,
+    changed=1,
+)
+
+# Signals that reach the controller late; a leg's two values lie side by side.
+Signal = blocks(
+    force_sol=LEGS, force_gas=LEGS, length_ta=LEGS,  # 20 ms
+    force_vas=LEGS, knee=LEGS, knee_rate=LEGS, stance=LEGS,  # 10 ms
+    force_ham=LEGS, force_glu=LEGS, load=LEGS, trunk=1, trunk_rate=1,  # 5 ms
+)  # fmt: skip
+
+LONG_DELAY_TICKS, MID_DELAY_TICKS, SHORT_DELAY_TICKS = 20, 10, 5
+LONG_SIGNALS = Signal.force_vas
+MID_SIGNALS = Signal.force_ham - Signal.force_vas
+SHORT_SIGNALS = Signal.count - Signal.force_ham
+Delay = blocks(
+    long=LONG_SIGNALS * LONG_DELAY_TICKS,
+    mid=MID_SIGNALS * MID_DELAY_TICKS,
+    short=SHORT_SIGNALS * SHORT_DELAY_TICKS,
+)
+
+# Gait events: what a leg remembers of its step (`Gait`), and sums that the host drains (`Sums`).
+Gait = blocks(
+    in_stance=LEGS,
+    struck=LEGS,  # this stance began with a strike, so its step is scored
+    air_ticks=LEGS,
+    knee_peak=LEGS,  # since the last contact
+    knee_peak_swing=LEGS,  # of the swing before the strike
+    knee_peak_stance=LEGS,
+    ankle_strike=LEGS,
+    ankle_last=LEGS,
+    com_strike=LEGS,
+    com_mid=LEGS,
+    com_last=LEGS,
+    past_middle=LEGS,
+    trunk_sum=LEGS,
+    stance_ticks=LEGS,
+    hip_x_strike=LEGS,
+    hip_x_last=LEGS,
+    tick_strike=LEGS,
+    tick_last=LEGS,
+    vertical_peak=LEGS,
+    braking_peak=LEGS,
+    propulsion_peak=LEGS,
+    tick_takeoff=LEGS,  # of the last committed take-off, for the event list
+    last_strike_tick=1,  # of either leg
+)
+
+Sums = blocks(
+    ticks=1,
+    steps=1,
+    m1=1, m2=1, m3=1, m4=1, m5=1, m5_corrected=1,
+    knee_peak_swing=1,
+    knee_peak_stance=1,
+    ankle_strike=1,
+    ankle_takeoff=1,
+    vertical_peak=1,
+    braking_peak=1,
+    propulsion_peak=1,
+    strikes=1,
+    step_length=1, step_length_squared=1,
+    step_durations=1, step_duration=1, step_duration_squared=1,
+    trunk=1, trunk_squared=1,
+    hip_height=1, hip_height_squared=1,
+    hip_speed=1, hip_speed_squared=1,
+    double_support=1, flight=1,
+    activation=MUSCLES_PER_LEG,
+    metabolic_energy=1,  # J
+    impulse=2 * LEGS,  # ground force times time, N s: left x, left z, right x, right z
+)  # fmt: skip

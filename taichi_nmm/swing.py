@@ -1,0 +1,102 @@
+"""Swing-leg placement: hip and knee torques that fold the leg, swing it, stop it and put it down.
+
+Source: Desai & Geyer 2012, 2013, as in the walker T. Legs' phases FLEX, HOLD, STOP, EXTEND.
+Angles and rates of the leg are present ones; only the stance flags are delayed.
+"""
+
+import math
+
+from taichi_nmm.backend import Rows, ti
+from taichi_nmm.rows import LEGS, Const, Signal, State, Work
+
+FLEX, HOLD, STOP, EXTEND = 0.0, 1.0, 2.0, 3.0
+
+THRESHOLD_RAD = math.radians(8.0)  # how long before its target the leg is stopped
+LARGEST_LEG_RATE_RADPS = 10.0
+LANDING_LENGTH_M = 1.0
+RATE_FREE_TICKS = 100.0  # the filtered leg rate is taken as zero for the first 0.1 s
+
+KP_SWING, KD_SWING, ALPHA_0, C_D, C_V, L_CLR = (Const.gains + 10 + i for i in range(6))
+K_FLEX, K_HOLD_1, K_HOLD_2, K_STOP, K_EXT = (Const.low_level + 1 + i for i in range(5))
+
+
+@ti.func
+def leg_rates(lane, tick, state: Rows, const: Rows, work: Rows):
+    """Rate of the leg angle through a first-order filter, w (alpha - y) with y' = w (alpha - y)."""
+    settled = ti.select(tick > RATE_FREE_TICKS, 1.0, 0.0)
+    for leg in ti.static(range(LEGS)):
+        lag = work[Work.leg_angle + leg, lane] - state[State.leg_angle_filter + leg, lane]
+        work[Work.leg_angle_rate + leg, lane] = settled * const[Const.low_level + 6, lane] * lag
+        state[State.leg_angle_filter + leg, lane] += const[Const.leg_angle_blend, lane] * lag
+
+
+@ti.func
+def next_phase(phase, stance, other_stance, length, clearance, angle, threshold, rate):
+    """Phase after at most one transition."""
+    clears = (phase == FLEX) & (length < clearance) & (other_stance > 0.5)
+    near = (phase == HOLD) & (angle < threshold)
+    turned = (phase == STOP) & (rate >= 0.0)
+    moved = ti.select(clears, HOLD, ti.select(near, STOP, ti.select(turned, EXTEND, phase)))
+    return ti.select(stance > 0.5, FLEX, moved)
+
+
+@ti.func
+def hold_torque(knee_rate, leg_rate, error, k_hold_1, k_hold_2):
+    """Knee torque that keeps the folded leg folded, `error` = leg angle less its target."""
+    extending = ti.max(0.0 - k_hold_2 * knee_rate * error * (leg_rate - knee_rate), 0.0)
+    extending = ti.select(knee_rate < leg_rate, extending, 0.0)
+    return ti.select(knee_rate >= 0.0, 0.0 - k_hold_1 * knee_rate, extending)
+
+
+@ti.func
+def place_legs(lane, state: Rows, const: Rows, work: Rows):
+    """Ideal hip and knee torques of both legs, weighted by their share of swing control."""
+    left_hip, left_knee = swing_torques(lane, 0, state, const, work)
+    right_hip, right_knee = swing_torques(lane, 1, state, const, work)
+    left_weight = state[State.stance_weight + 0, lane]
+    right_weight = state[State.stance_weight + 1, lane]
+    # The stance hip carries the reaction of a leg in the air, so that the trunk does not.
+    s = ti.static(Work.sensed + Signal.stance)
+    left_carries = ti.select(work[s + 1, lane] > 0.5, 0.0, 0.0 - right_hip)
+    right_carries = ti.select(work[s + 0, lane] > 0.5, 0.0, 0.0 - left_hip)
+    state[State.hip_torque + 0, lane] = (
+        left_weight * left_carries + (1.0 - left_weight) * left_hip
+    )
+    state[State.hip_torque + 1, lane] = (
+        right_weight * right_carries + (1.0 - right_weight) * right_hip
+    )
+    state[State.knee_torque + 0, lane] = (1.0 - left_weight) * left_knee
+    state[State.knee_torque + 1, lane] = (1.0 - right_weight) * right_knee
+
+
+@ti.func
+def swing_torques(lane, leg: Rows, state: Rows, const: Rows, work: Rows):
+    """Ideal hip and knee torque of one leg in swing; moves its phase on."""
+    s = ti.static(Work.sensed + Signal.stance)
+    angle, rate = work[Work.leg_angle + leg, lane], work[Work.leg_angle_rate + leg, lane]
+    length = work[Work.leg_length + leg, lane]
+    ahead = work[Work.com_x, lane] - work[Work.ankle_x + 1 - leg, lane]
+    target = (
+        const[ALPHA_0, lane]
+        - const[C_D, lane] * ahead
+        - const[C_V, lane] * work[Work.com_speed, lane]
+    )
+    threshold = target + THRESHOLD_RAD
+    phase = next_phase(
+        state[State.swing_phase + leg, lane], work[s + leg, lane], work[s + 1 - leg, lane],
+        length, const[L_CLR, lane], angle, threshold, rate,
+    )  # fmt: skip
+    state[State.swing_phase + leg, lane] = phase
+    near = (angle < threshold) & (rate < LARGEST_LEG_RATE_RADPS)
+    braking = const[K_STOP, lane] * (threshold - angle) * (1.0 - rate / LARGEST_LEG_RATE_RADPS)
+    stop = ti.select(near, braking, 0.0)
+    stop -= ti.select(phase == EXTEND, const[K_EXT, lane] * (LANDING_LENGTH_M - length), 0.0)
+    stop = ti.select(phase >= STOP, stop, 0.0)
+    knee_rate = work[Work.joint_rate + 3 * leg + 1, lane]
+    hold = hold_torque(
+        knee_rate, rate, angle - target, const[K_HOLD_1, lane], const[K_HOLD_2, lane]
+    )
+    flex = 0.0 - const[K_FLEX, lane] * ti.min(rate, 0.0)
+    hip = const[KP_SWING, lane] * (target - angle) - const[KD_SWING, lane] * rate + 2.0 * stop
+    knee = ti.select(phase == FLEX, flex, hold + stop)
+    return hip, knee

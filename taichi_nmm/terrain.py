@@ -1,0 +1,161 @@
+"""Grounds to walk on: a height table on a uniform grid, linear between its nodes.
+
+The kernel reads nothing else of a terrain than its table; outside the table it is flat.
+"""
+
+import math
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_nmm.errors import InputError
+
+GRID_START_M = -5.0
+GRID_SPACING_M = 0.05  # shorter than a foot; one cell is the shortest riser
+GRID_END_M = 300.0  # the fastest gaits reach 2.4 m/s in 100 s
+GRID_NODES = round((GRID_END_M - GRID_START_M) / GRID_SPACING_M) + 1
+GRID_X_M: NDArray[np.float64] = GRID_START_M + GRID_SPACING_M * np.arange(GRID_NODES)
+
+FLAT_START_M = 9.0  # every walker gets some steps to settle
+
+
+@dataclass(frozen=True, eq=False)
+class Terrain:
+    """One ground.
+
+    Attributes:
+        name: how it was made, for people.
+        height_m: heights at `GRID_X_M`, float64 [GRID_NODES].
+    """
+
+    name: str
+    height_m: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if np.shape(self.height_m) != (GRID_NODES,):
+            raise InputError("terrain.height_m.shape", np.shape(self.height_m), f"[{GRID_NODES}]")
+        if not np.all(np.isfinite(self.height_m)):
+            raise InputError("terrain.height_m", "nan or inf", "finite numbers")
+
+    def height(self, x_m: ArrayLike) -> NDArray[np.float64]:
+        """Height at x, of the same shape."""
+        return np.interp(x_m, GRID_X_M, self.height_m)
+
+
+def flat() -> Terrain:
+    """Level ground."""
+    return Terrain("flat", np.zeros(GRID_NODES))
+
+
+def rough(
+    seed: int | np.random.SeedSequence,
+    amplitude_m: float = 0.08,
+    spacing_m: float = 1.0,
+    flat_start_m: float = FLAT_START_M,
+) -> Terrain:
+    """Knots every `spacing_m`, each +-`amplitude_m` from the last, linear in between."""
+    _positive(spacing_m=spacing_m)
+    knots_x, knots = _random_walk(seed, amplitude_m, spacing_m, flat_start_m)
+    height = np.interp(GRID_X_M, knots_x, knots)
+    return Terrain(f"rough +-{amplitude_m:g} m every {spacing_m:g} m", height)
+
+
+def blocks(
+    seed: int | np.random.SeedSequence,
+    amplitude_m: float = 0.08,
+    spacing_m: float = 1.0,
+    riser_m: float = 0.10,
+    flat_start_m: float = FLAT_START_M,
+) -> Terrain:
+    """Level blocks of `spacing_m`, each +-`amplitude_m` from the last, joined by short risers.
+
+    A riser lies at the end of its block and is `riser_m` long: from one grid cell to a whole block
+    (which is the rough ground).
+    """
+    _positive(spacing_m=spacing_m)
+    if not GRID_SPACING_M <= riser_m <= spacing_m:
+        raise InputError("terrain.riser_m", riser_m, f"{GRID_SPACING_M} to {spacing_m} (spacing_m)")
+    knots_x, knots = _random_walk(seed, amplitude_m, spacing_m, flat_start_m)
+    starts = np.column_stack([knots_x[1:] - riser_m, knots_x[1:]]).ravel()
+    levels = np.column_stack([knots[:-1], knots[1:]]).ravel()
+    height = np.interp(GRID_X_M, starts, levels)
+    return Terrain(f"blocks +-{amplitude_m:g} m, risers {riser_m:g} m", height)
+
+
+def ramp(
+    increment: float = 0.04,
+    segment_m: float = 20.0,
+    largest_slope: float = 0.20,
+    direction: str = "up",
+) -> Terrain:
+    """Slope that grows by `increment` every `segment_m` until `largest_slope` (0.2 = 20 %)."""
+    _positive(increment=increment, segment_m=segment_m, largest_slope=largest_slope)
+    middle = np.maximum(GRID_X_M[:-1] + 0.5 * GRID_SPACING_M, 0.0)
+    slope = _sign(direction) * np.minimum(np.floor(middle / segment_m) * increment, largest_slope)
+    height = np.concatenate([[0.0], np.cumsum(slope * GRID_SPACING_M)])
+    return Terrain(f"ramp {direction} {100 * increment:g} % per {segment_m:g} m", height)
+
+
+def stairs(
+    rise_m: float = 0.10,
+    run_m: float = 0.30,
+    flat_start_m: float = FLAT_START_M,
+    direction: str = "up",
+) -> Terrain:
+    """Treads of `run_m`, each `rise_m` above (or below) the last, risers one grid cell long."""
+    _positive(rise_m=rise_m, run_m=run_m)
+    _within_grid(flat_start_m)
+    if run_m < 2 * GRID_SPACING_M:
+        raise InputError("terrain.run_m", run_m, f"at least {2 * GRID_SPACING_M}")
+    count = np.floor((GRID_X_M - flat_start_m) / run_m + 1e-9) + 1.0
+    height = _sign(direction) * rise_m * np.maximum(count, 0.0)
+    return Terrain(f"stairs {direction} {rise_m:g} m / {run_m:g} m", height)
+
+
+def from_file(path: str | Path) -> Terrain:
+    """A height table: text, two columns x_m and height_m, x increasing; linear in between."""
+    path = Path(path)
+    try:
+        with warnings.catch_warnings(action="ignore"):  # an empty table is refused below
+            table = np.loadtxt(path, delimiter=",", ndmin=2, comments="#")
+    except (OSError, ValueError) as error:
+        raise InputError("terrain.file", str(path), f"a readable table x,height ({error})") from None
+    if table.shape[0] < 2 or table.shape[1] != 2:
+        raise InputError("terrain.file", str(path), "at least two rows of two columns x,height")
+    if not np.all(np.isfinite(table)) or not np.all(np.diff(table[:, 0]) > 0):
+        raise InputError("terrain.file", str(path), "finite numbers, x strictly increasing")
+    return Terrain(f"file {path.name}", np.interp(GRID_X_M, table[:, 0], table[:, 1]))
+
+
+def _random_walk(
+    seed: int | np.random.SeedSequence, amplitude_m: float, spacing_m: float, flat_start_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Knots from the end of the flat start on: positions and heights, [k] and [k]."""
+    if not 0 <= amplitude_m < math.inf:
+        raise InputError("terrain.amplitude_m", amplitude_m, "a finite number, zero or more")
+    _within_grid(flat_start_m)
+    count = int(np.ceil((GRID_END_M - flat_start_m) / spacing_m)) + 1
+    rng = np.random.default_rng(seed)
+    steps = rng.uniform(-amplitude_m, amplitude_m, count - 1)
+    return flat_start_m + spacing_m * np.arange(count), np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _positive(**values: float) -> None:
+    for name, value in values.items():
+        if not 0 < value < math.inf:
+            raise InputError(f"terrain.{name}", value, "a positive, finite number")
+
+
+def _within_grid(flat_start_m: float) -> None:
+    if not GRID_START_M <= flat_start_m < GRID_END_M:
+        allowed = f"{GRID_START_M:g} to below {GRID_END_M:g}"
+        raise InputError("terrain.flat_start_m", flat_start_m, allowed)
+
+
+def _sign(direction: str) -> float:
+    if direction not in ("up", "down"):
+        raise InputError("terrain.direction", direction, "up or down")
+    return 1.0 if direction == "up" else -1.0

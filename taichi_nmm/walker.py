@@ -1,0 +1,198 @@
+"""The time step of a pack of walkers, on one screen.
+
+`step` is one control tick: sense, control, then as many physics steps as fit. Every phase is a loop
+over the lanes whose body has no branch, so that the compiler turns it into SIMD instructions. Times
+and delays are the same for all lanes, since a batch starts together.
+"""
+
+import math
+
+from taichi_nmm import contact, delays, dynamics, gait, joint_stops, kinematics, muscle
+from taichi_nmm import reflexes, swing
+from taichi_nmm.backend import Rows, ti
+from taichi_nmm.rows import (
+    LEGS,
+    LONG_DELAY_TICKS,
+    MID_DELAY_TICKS,
+    MUSCLES_PER_LEG,
+    SHORT_DELAY_TICKS,
+    Const,
+    State,
+    Work,
+)
+
+# At most this many solves a step. The cap is part of the model: with fewer, or with many more, the
+# verdict 'alive at 5 s' changes for 3-5 % of the search space.
+CONTACT_PASSES = 4
+
+FALL_HEIGHT_M = 0.6  # hip over the ground
+FALL_LEAN_RAD = math.radians(60.0)
+LARGEST_SANE = 1e6  # a sum of |q| and |qdot| beyond this, or NaN, is a diverged walker
+FELL, DIVERGED = 1.0, 2.0  # result.END_REASONS; 0 completes
+
+
+@ti.func
+def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_blend,
+         lanes: Rows, terrain: Rows, heights: Rows, muscles: Rows,
+         state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
+         const: Rows, work: Rows):  # fmt: skip
+    """One control tick of 1 ms for a pack."""
+    for substep in range(substeps):
+        for lane in range(lanes):
+            kinematics.directions(lane, state, work)
+            kinematics.contact_points(lane, state, work)
+            kinematics.joints(lane, state, work)
+        for lane in range(lanes):
+            contact.look_up_ground(lane, terrain[lane], heights, state, work)
+        for lane in range(lanes):
+            contact.gaps(lane, state, work)
+        if substep == 0:
+            control(tick, lanes, state, fibres, delay, events, sums, const, work)
+        for lane in range(lanes):
+            start_torques(lane, work)
+        contract_muscles(step_s, activation_blend, lanes, muscles, fibres, work)
+        for lane in range(lanes):
+            add_ideal_torques(lane, state, work)
+            contact.spring_forces(lane, step_s, relaxation_speed_mps, state, const, work)
+            joint_stops.knee_and_ankle_stops(lane, step_s, work)
+            dynamics.momentum_after_free_step(lane, step_s, 1.0, state, const, work)
+            dynamics.contact_jacobians(lane, work)
+        for _ in range(CONTACT_PASSES):
+            for lane in range(lanes):
+                dynamics.solve(lane, step_s, const, work)
+                dynamics.revise_contacts(lane, work)
+            if settled(lanes, work):
+                break
+        for lane in range(lanes):
+            contact.drag_anchors(lane, step_s, state, const, work)
+            weigh_legs(lane, load_blend, state, const, work)
+            gait.add_up_forces(lane, step_s, state, sums, work)
+            dynamics.step_coordinates(lane, step_s, state, work)
+    for lane in range(lanes):
+        end_walk(lane, tick, state, work)
+
+
+@ti.func
+def control(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
+            const: Rows, work: Rows):  # fmt: skip
+    """What happens once a tick: events, delayed senses, reflexes, swing-leg placement."""
+    time = ti.cast(tick, float)
+    for lane in range(lanes):
+        kinematics.centre_of_mass(lane, state, const, work)
+        for leg in ti.static(range(LEGS)):
+            gait.observe_leg(lane, leg, time, state, const, events, sums, work)
+        gait.add_up_posture(lane, state, fibres, sums, work)
+    for lane in range(lanes):
+        delays.sense(lane, state, fibres, work)
+    slot_long = tick % LONG_DELAY_TICKS
+    slot_mid = tick % MID_DELAY_TICKS
+    slot_short = tick % SHORT_DELAY_TICKS
+    for lane in range(lanes):
+        delays.exchange(lane, slot_long, slot_mid, slot_short, delay, work)
+    for lane in range(lanes):
+        reflexes.stance_weights(lane, state, work)
+        reflexes.stimulate(lane, state, const, fibres, work)
+        swing.leg_rates(lane, time, state, const, work)
+        swing.place_legs(lane, state, const, work)
+
+
+@ti.func
+def start_torques(lane, work: Rows):
+    """Clear the sums that the muscles add to."""
+    work[Work.metabolic_power, lane] = 0.0
+    for i in ti.static(range(3 * LEGS)):
+        work[Work.joint_torque + i, lane] = 0.0
+
+
+@ti.func
+def contract_muscles(step_s, blend, lanes: Rows, muscles: Rows, fibres: Rows, work: Rows):
+    """All muscles, one after another: a run-time loop, since unrolling it costs compile time.
+
+    The legs are unrolled, so that the compiler sees that a muscle's rows do not overlap others.
+    """
+    for leg in ti.static(range(LEGS)):
+        for m in range(MUSCLES_PER_LEG):
+            data = muscle.constants(muscles, m)
+            for lane in range(lanes):
+                muscle.contract(lane, leg, m, data, step_s, blend, fibres, work)
+
+
+@ti.func
+def add_ideal_torques(lane, state: Rows, work: Rows):
+    """Joint torques: hip and knee muscles by their share of stance, the ideal parts, the hip stop."""
+    for leg in ti.static(range(LEGS)):
+        weight = state[State.stance_weight + leg, lane]
+        hip, knee = ti.static(3 * leg, 3 * leg + 1)
+        stop = joint_stops.hip_stop_torque(
+            work[Work.joint + hip, lane], work[Work.joint_rate + hip, lane]
+        )
+        work[Work.joint_torque + hip, lane] = (
+            weight * work[Work.joint_torque + hip, lane]
+            + state[State.hip_torque + leg, lane]
+            + stop
+        )
+        work[Work.joint_torque + knee, lane] = (
+            weight * work[Work.joint_torque + knee, lane] + state[State.knee_torque + leg, lane]
+        )
+
+
+@ti.func
+def settled(lanes: Rows, work: Rows):
+    """Whether the last pass changed no contact of any lane; a further pass would change nothing."""
+    changed = 0.0
+    for lane in range(lanes):
+        changed = ti.max(changed, work[Work.changed, lane])
+    return changed == 0.0
+
+
+@ti.func
+def weigh_legs(lane, blend, state: Rows, const: Rows, work: Rows):
+    """Ground forces of the legs, and their low pass. At the physics rate: a heel strike's spike is
+    shorter than a tick, and aliasing it ruins the convergence with the step.
+    """
+    hat_weight = const[Const.hat_weight, lane]
+    for leg in ti.static(range(LEGS)):
+        force_x = 0.0
+        force_z = 0.0
+        for end in ti.static(range(2)):
+            c = ti.static(2 * leg + end)
+            normal, friction = work[Work.normal_force + c, lane], work[Work.friction + c, lane]
+            nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
+            force_x += normal * nx + friction * nz
+            force_z += normal * nz - friction * nx
+        state[State.ground_force + 2 * leg, lane] = force_x
+        state[State.ground_force + 2 * leg + 1, lane] = force_z
+        load = ti.max((force_z - const[Const.leg_weight + leg, lane]) / hat_weight, 0.0)
+        state[State.load_filter + leg, lane] += blend * (
+            load - state[State.load_filter + leg, lane]
+        )
+        state[State.push_filter + leg, lane] += blend * (
+            force_x / hat_weight - state[State.push_filter + leg, lane]
+        )
+
+
+@ti.func
+def end_walk(lane, tick, state: Rows, work: Rows):
+    """Fall and divergence; the place where an active walker is, so that a fallen one keeps its."""
+    size = 0.0
+    for i in ti.static(range(18)):
+        value = state[State.q + i, lane]  # q, then qdot
+        size += ti.max(value, 0.0 - value)
+    diverged = (size < LARGEST_SANE) == False  # noqa: E712  (true for NaN too)
+    lean = state[State.q + 2, lane]
+    upright = (
+        (state[State.q + 1, lane] - work[Work.ground_hip, lane] >= FALL_HEIGHT_M)
+        & (lean <= FALL_LEAN_RAD)
+        & (lean >= 0.0 - FALL_LEAN_RAD)
+    )
+    active = state[State.active, lane] > 0.5
+    ends = active & (diverged | (upright == False))  # noqa: E712
+    reason = ti.select(diverged, DIVERGED, FELL)
+    moves = active & (diverged == False)  # noqa: E712
+    state[State.end_reason, lane] = ti.select(ends, reason, state[State.end_reason, lane])
+    state[State.end_tick, lane] = ti.select(
+        active, ti.cast(tick + 1, float), state[State.end_tick, lane]
+    )
+    state[State.end_x, lane] = ti.select(moves, state[State.q + 0, lane], state[State.end_x, lane])
+    state[State.end_z, lane] = ti.select(moves, state[State.q + 1, lane], state[State.end_z, lane])
+    state[State.active, lane] = ti.select(ends, 0.0, state[State.active, lane])
