@@ -9,10 +9,15 @@ local arrays (a field access reloads a pointer in every turn, which halves the v
 physics is plain scalar code; on a GPU the same code runs with one walker a thread.
 """
 
+import contextlib
+import os
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import taichi as ti
+
+os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # standard output is the commands'
+import taichi as ti  # noqa: E402
 
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import Settings
@@ -46,17 +51,18 @@ def start(settings: Settings) -> None:
     if _running is not None and _same_engine(_running, settings):
         return
     arch = _available_arch(settings.arch)
-    options: dict[str, Any] = {} if settings.threads is None else {"cpu_max_num_threads": settings.threads}
-    ti.init(
-        arch=arch,
-        default_fp=ti.f64 if settings.precision == "float64" else ti.f32,
-        default_ip=ti.i32,
-        cfg_optimization=CFG_OPTIMIZATION,
-        fast_math=FAST_MATH,
-        offline_cache=True,
-        log_level=ti.WARN,
-        **options,
-    )
+    threads = {} if settings.threads is None else {"cpu_max_num_threads": settings.threads}
+    with contextlib.redirect_stdout(sys.stderr):
+        ti.init(
+            arch=arch,
+            default_fp=ti.f64 if settings.precision == "float64" else ti.f32,
+            default_ip=ti.i32,
+            cfg_optimization=CFG_OPTIMIZATION,
+            fast_math=FAST_MATH,
+            offline_cache=True,
+            log_level=ti.WARN,
+            **threads,
+        )
     _running = settings
     _arch = {ti.cuda: "cuda", ti.vulkan: "vulkan"}.get(ti.cfg.arch, "cpu")
 

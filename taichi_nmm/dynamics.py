@@ -261,7 +261,8 @@ def substitute(b1, b2, b3, l21, l31, l32, i1, i2, i3):
 def revise_contacts(lane, work: Rows):
     """One complementarity pass: forces of the solution; drop what pulls, slip what exceeds the cone.
 
-    Without the drop the linearised damper would glue the foot to the ground.
+    Without the drop the linearised damper would glue the foot to the ground. A slipping point's
+    friction follows its normal force from pass to pass, so it asks for another one until that rests.
     """
     changed = 0.0
     for c in ti.static(range(CONTACTS)):
@@ -285,12 +286,13 @@ def revise_contacts(lane, work: Rows):
         cone = FRICTION_COEFFICIENT * normal
         breaks = (slip == 0.0) & (pulls == False) & (ti.max(stuck, 0.0 - stuck) > cone)  # noqa: E712
         slip = ti.select(breaks, ti.select(stuck > 0.0, 1.0, 0.0 - 1.0), slip)
+        moves = (slip != 0.0) & (normal != work[Work.normal_force + c, lane])
+        changed = ti.select(pulls | breaks | moves, 1.0, changed)
         work[Work.normal_on + c, lane] = ti.select(pulls, 0.0, on)
         work[Work.slip + c, lane] = slip
         work[Work.normal_force + c, lane] = normal
         friction = ti.select(slip == 0.0, stuck, slip * cone)
         work[Work.friction + c, lane] = ti.select(pulls, 0.0, friction)
-        changed = ti.select(pulls | breaks, 1.0, changed)
     for stop in ti.static(range(STOPS)):
         child = ti.static(Work.new_qdot + 4 + 3 * (stop // 2) + stop % 2)
         rate = work[child, lane] - work[child - 1, lane]

@@ -2,7 +2,8 @@
 
 Step i is swing -> strike -> stance -> take-off of one leg, scored at its committed take-off. Contact
 is debounced: the foot takes off when contact has been lost for 0.1 s, and strikes when it comes down
-after at least as long. The left leg's first stance began with no strike and is not a step.
+after at least as long. A swing that began before the simulation did is not observed whole: neither
+the left leg's first stance nor the right leg's first swing makes a step.
 """
 
 import math
@@ -43,7 +44,8 @@ def observe_leg(lane, leg: Rows, tick, state: Rows, const: Rows, gait: Rows, sum
     latch(gait, Gait.tick_takeoff + leg, lane, commit, gait[Gait.tick_last + leg, lane])
 
     count_strike(lane, leg, strike, tick, gait, sums, work)
-    latch(gait, Gait.struck + leg, lane, strike, 1.0)
+    took_off = ti.select(gait[Gait.tick_takeoff + leg, lane] > 0.0, 1.0, 0.0)
+    latch(gait, Gait.struck + leg, lane, strike, took_off)
     latch(gait, Gait.knee_peak_swing + leg, lane, strike, gait[Gait.knee_peak + leg, lane])
     latch(gait, Gait.ankle_strike + leg, lane, strike, ankle)
     latch(gait, Gait.com_strike + leg, lane, strike, com)

@@ -140,7 +140,7 @@ Delay = blocks(
 # Gait events: what a leg remembers of its step (`Gait`), and sums that the host drains (`Sums`).
 Gait = blocks(
     in_stance=LEGS,
-    struck=LEGS,  # this stance began with a strike, so its step is scored
+    struck=LEGS,  # this stance ended a swing seen from its take-off on, so its step is scored
     air_ticks=LEGS,
     knee_peak=LEGS,  # since the last contact
     knee_peak_swing=LEGS,  # of the swing before the strike

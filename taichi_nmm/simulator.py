@@ -6,10 +6,9 @@ batch, on its order, on the chunks or on the number of threads.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from taichi_nmm import backend
 from taichi_nmm.batch import FIRST_SUM, WALKER_ROWS, advance
@@ -20,39 +19,17 @@ from taichi_nmm.initial import initial_rows
 from taichi_nmm.muscle import ACTIVATION_TIME_S, muscle_table
 from taichi_nmm.outcome import result_rows
 from taichi_nmm.packs import Packs
-from taichi_nmm.parameters import LOW_LEVEL_GAINS, gain_rows
 from taichi_nmm.recorder import Recorder
 from taichi_nmm.reflexes import LOAD_FILTER_S
 from taichi_nmm.result import Result
 from taichi_nmm.settings import CONTROL_TICK_S, Settings
-from taichi_nmm.terrain import Terrain, flat
+from taichi_nmm.terrain import Terrain
+from taichi_nmm.walkers import Batch, check_batch
 
 CHUNK_TICKS = 250  # 0.25 s: fallen walkers leave the packs this often
 LONGEST_WALK_S = 10_000.0  # ticks stay whole numbers in float32
 
 Progress = Callable[[float, int], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Checked input: n walkers, each with its gains, body and terrain.
-
-    Attributes:
-        gains: [n, 16].
-        low_level: [n, 8].
-        bodies: n of them.
-        terrains: the different grounds.
-        terrain_index: each walker's, [n].
-    """
-
-    gains: NDArray[np.float64]
-    low_level: NDArray[np.float64]
-    bodies: Bodies
-    terrains: tuple[Terrain, ...]
-    terrain_index: NDArray[np.int32]
-
-    def __len__(self) -> int:
-        return len(self.gains)
 
 
 def simulate(
@@ -88,12 +65,12 @@ def simulate(
         KeyboardInterrupt: between chunks.
     """
     settings = settings or Settings()
-    batch = _check(gains, bodies, terrains, terrain_index, low_level_gains)
+    batch = check_batch(gains, bodies, terrains, terrain_index, low_level_gains)
     ticks = _ticks(duration_s)
     recorder = Recorder(record, record_rate_hz, len(batch))
     backend.start(settings)
-    packs = _pack(batch)
-    launch = _launcher(batch, settings)
+    packs = start_packs(batch)
+    launch = launcher(batch, settings)
     tick = 0
     while tick < ticks and packs.walkers.size:
         for part in recorder.parts(tick, min(CHUNK_TICKS, ticks - tick)):
@@ -109,63 +86,14 @@ def simulate(
     return Result(rows, recorder.trajectories(rows), backend.metadata())
 
 
-def _check(
-    gains: ArrayLike,
-    bodies: Bodies | None,
-    terrains: Terrain | Sequence[Terrain] | None,
-    terrain_index: ArrayLike | None,
-    low_level_gains: ArrayLike | None,
-) -> Batch:
-    rows = gain_rows(gains)
-    count = len(rows)
-    if low_level_gains is None:
-        low_level_gains = [parameter.default for parameter in LOW_LEVEL_GAINS]
-    low_level = gain_rows(low_level_gains, LOW_LEVEL_GAINS, "low_level_gains")
-    if len(low_level) not in (1, count):
-        raise InputError("low_level_gains.shape", low_level.shape, f"[{count}, 8] or [8]")
-    bodies = bodies or Bodies.nominal()
-    if len(bodies) not in (1, count):
-        raise InputError("bodies", len(bodies), f"one body, or {count}: one a walker")
-    grounds, index = _check_terrains(terrains, terrain_index, count)
-    everyone = np.arange(count)
-    return Batch(
-        rows,
-        low_level[everyone % len(low_level)],
-        bodies.take(everyone % len(bodies)),
-        grounds,
-        index,
-    )
-
-
-def _check_terrains(
-    terrains: Terrain | Sequence[Terrain] | None, terrain_index: ArrayLike | None, count: int
-) -> tuple[tuple[Terrain, ...], NDArray[np.int32]]:
-    if terrains is None:
-        terrains = flat()
-    grounds = (terrains,) if isinstance(terrains, Terrain) else tuple(terrains)
-    if not grounds:
-        raise InputError("terrains", "none", "at least one terrain")
-    if terrain_index is None:
-        if len(grounds) not in (1, count):
-            allowed = f"one, or {count}: one a walker; else give terrain_index"
-            raise InputError("terrains", len(grounds), allowed)
-        return grounds, np.arange(count, dtype=np.int32) % np.int32(len(grounds))
-    index = np.asarray(terrain_index)
-    if index.shape != (count,) or index.dtype.kind not in "iu":
-        raise InputError("terrain_index.shape", index.shape, f"[{count}] of whole numbers")
-    if count and not (0 <= index.min() and index.max() < len(grounds)):
-        raise InputError("terrain_index", int(index.max()), f"0 to {len(grounds) - 1}")
-    return grounds, index.astype(np.int32)
-
-
 def _ticks(duration_s: float) -> int:
     if not CONTROL_TICK_S <= duration_s <= LONGEST_WALK_S:
         raise InputError("duration_s", duration_s, f"{CONTROL_TICK_S} to {LONGEST_WALK_S:g}")
     return round(duration_s / CONTROL_TICK_S)
 
 
-def _pack(batch: Batch) -> Packs:
-    """The walkers at the start."""
+def start_packs(batch: Batch) -> Packs:
+    """The walkers at the start. The backend runs already: it sets lanes and precision."""
     rows = np.zeros((len(batch), WALKER_ROWS))
     starts = np.array([initial_rows(terrain) for terrain in batch.terrains])
     rows[:, :FIRST_SUM] = starts[batch.terrain_index]
@@ -173,7 +101,7 @@ def _pack(batch: Batch) -> Packs:
     return Packs(rows, constants, batch.terrain_index, backend.lanes(), backend.real_dtype())
 
 
-def _launcher(batch: Batch, settings: Settings) -> Callable[[Packs, int, int], None]:
+def launcher(batch: Batch, settings: Settings) -> Callable[[Packs, int, int], None]:
     """The kernel with everything that stays the same from launch to launch."""
     real = backend.real_dtype()
     heights = np.array([terrain.height_m for terrain in batch.terrains], dtype=real)
@@ -190,5 +118,3 @@ def _launcher(batch: Batch, settings: Settings) -> Callable[[Packs, int, int], N
         )  # fmt: skip
 
     return launch
-
-

@@ -122,7 +122,9 @@ def from_file(path: str | Path) -> Terrain:
         with warnings.catch_warnings(action="ignore"):  # an empty table is refused below
             table = np.loadtxt(path, delimiter=",", ndmin=2, comments="#")
     except (OSError, ValueError) as error:
-        raise InputError("terrain.file", str(path), f"a readable table x,height ({error})") from None
+        raise InputError(
+            "terrain.file", str(path), f"a readable table x,height ({error})"
+        ) from None
     if table.shape[0] < 2 or table.shape[1] != 2:
         raise InputError("terrain.file", str(path), "at least two rows of two columns x,height")
     if not np.all(np.isfinite(table)) or not np.all(np.diff(table[:, 0]) > 0):

@@ -1,0 +1,88 @@
+"""The checked input of a simulation: n walkers, each with its gains, body and terrain."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_nmm.body import Bodies
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import LOW_LEVEL_GAINS, gain_rows
+from taichi_nmm.terrain import Terrain, flat
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Checked input: n walkers, each with its gains, body and terrain.
+
+    Attributes:
+        gains: [n, 16].
+        low_level: [n, 8].
+        bodies: n of them.
+        terrains: the different grounds.
+        terrain_index: each walker's, [n].
+    """
+
+    gains: NDArray[np.float64]
+    low_level: NDArray[np.float64]
+    bodies: Bodies
+    terrains: tuple[Terrain, ...]
+    terrain_index: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.gains)
+
+
+def check_batch(
+    gains: ArrayLike,
+    bodies: Bodies | None,
+    terrains: Terrain | Sequence[Terrain] | None,
+    terrain_index: ArrayLike | None,
+    low_level_gains: ArrayLike | None,
+) -> Batch:
+    """A `Batch` from what `simulate` takes; see there for defaults.
+
+    Raises:
+        InputError: a shape, a value or an index that cannot be used.
+    """
+    rows = gain_rows(gains)
+    count = len(rows)
+    if low_level_gains is None:
+        low_level_gains = [parameter.default for parameter in LOW_LEVEL_GAINS]
+    low_level = gain_rows(low_level_gains, LOW_LEVEL_GAINS, "low_level_gains")
+    if len(low_level) not in (1, count):
+        raise InputError("low_level_gains.shape", low_level.shape, f"[{count}, 8] or [8]")
+    bodies = bodies or Bodies.nominal()
+    if len(bodies) not in (1, count):
+        raise InputError("bodies", len(bodies), f"one body, or {count}: one a walker")
+    grounds, index = _check_terrains(terrains, terrain_index, count)
+    everyone = np.arange(count)
+    return Batch(
+        rows,
+        low_level[everyone % len(low_level)],
+        bodies.take(everyone % len(bodies)),
+        grounds,
+        index,
+    )
+
+
+def _check_terrains(
+    terrains: Terrain | Sequence[Terrain] | None, terrain_index: ArrayLike | None, count: int
+) -> tuple[tuple[Terrain, ...], NDArray[np.int32]]:
+    if terrains is None:
+        terrains = flat()
+    grounds = (terrains,) if isinstance(terrains, Terrain) else tuple(terrains)
+    if not grounds:
+        raise InputError("terrains", "none", "at least one terrain")
+    if terrain_index is None:
+        if len(grounds) not in (1, count):
+            allowed = f"one, or {count}: one a walker; else give terrain_index"
+            raise InputError("terrains", len(grounds), allowed)
+        return grounds, np.arange(count, dtype=np.int32) % np.int32(len(grounds))
+    index = np.asarray(terrain_index)
+    if index.shape != (count,) or index.dtype.kind not in "iu":
+        raise InputError("terrain_index.shape", index.shape, f"[{count}] of whole numbers")
+    if count and not (0 <= index.min() and index.max() < len(grounds)):
+        raise InputError("terrain_index", int(index.max()), f"0 to {len(grounds) - 1}")
+    return grounds, index.astype(np.int32)

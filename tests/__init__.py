@@ -1,0 +1,1 @@
+"""Tests; a package, so that helpers import by one name and file names may repeat."""
