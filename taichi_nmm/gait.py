@@ -26,6 +26,12 @@ def latch(gait: Rows, row, lane, condition, value):
 
 
 @ti.func
+def add(sums: Rows, row, lane, condition, value):
+    """Add `value` where `condition` holds. Not by a factor of 0 or 1: 0 times NaN is NaN."""
+    sums[row, lane] += ti.select(condition, value, 0.0)
+
+
+@ti.func
 def observe_leg(lane, leg: Rows, tick, state: Rows, const: Rows, gait: Rows, sums: Rows, work: Rows):
     """Strike, mid-stance, contact and take-off of one leg at this tick."""
     alive = state[State.active, lane] > 0.5
@@ -55,7 +61,7 @@ def observe_leg(lane, leg: Rows, tick, state: Rows, const: Rows, gait: Rows, sum
     latch(gait, Gait.tick_strike + leg, lane, strike, tick)
     for row in ti.static(
         (
-            Gait.trunk_sum, Gait.stance_ticks, Gait.knee_peak_stance,
+            Gait.trunk_sum, Gait.knee_peak_stance,
             Gait.vertical_peak, Gait.braking_peak, Gait.propulsion_peak,
         )
     ):  # fmt: skip
@@ -87,9 +93,7 @@ def follow_contact(
     latch(gait, Gait.com_last + leg, lane, down, com)
     latch(gait, Gait.hip_x_last + leg, lane, down, state[State.q + 0, lane])
     latch(gait, Gait.tick_last + leg, lane, down, tick)
-    share = ti.select(down, 1.0, 0.0)
-    gait[Gait.trunk_sum + leg, lane] += share * state[State.q + 2, lane]
-    gait[Gait.stance_ticks + leg, lane] += share
+    add(gait, Gait.trunk_sum + leg, lane, down, state[State.q + 2, lane])
     # Filtered forces over the weight of the HAT, turned into body weights.
     to_body_weights = const[Const.hat_weight, lane] / body_weight(lane, const)
     load = state[State.load_filter + leg, lane] + (
@@ -122,24 +126,22 @@ def body_weight(lane, const: Rows):
 @ti.func
 def count_strike(lane, leg: Rows, strike, tick, gait: Rows, sums: Rows, work: Rows):
     """Length and duration of the step that this strike ends."""
-    one = ti.select(strike, 1.0, 0.0)
     length = work[Work.ankle_x + leg, lane] - work[Work.ankle_x + 1 - leg, lane]
-    sums[Sums.strikes, lane] += one
-    sums[Sums.step_length, lane] += one * length
-    sums[Sums.step_length_squared, lane] += one * length * length
+    add(sums, Sums.strikes, lane, strike, 1.0)
+    add(sums, Sums.step_length, lane, strike, length)
+    add(sums, Sums.step_length_squared, lane, strike, length * length)
     before = gait[Gait.last_strike_tick, lane]
-    timed = ti.select(strike & (before >= 0.0), 1.0, 0.0)
+    timed = strike & (before >= 0.0)
     duration = (tick - before) * (1.0 / TICKS_PER_SECOND)
-    sums[Sums.step_durations, lane] += timed
-    sums[Sums.step_duration, lane] += timed * duration
-    sums[Sums.step_duration_squared, lane] += timed * duration * duration
+    add(sums, Sums.step_durations, lane, timed, 1.0)
+    add(sums, Sums.step_duration, lane, timed, duration)
+    add(sums, Sums.step_duration_squared, lane, timed, duration * duration)
     latch(gait, Gait.last_strike_tick, lane, strike, tick)
 
 
 @ti.func
 def score_step(lane, leg: Rows, scored, gait: Rows, sums: Rows):
     """M1..M5 of a finished step, added to the walker's sums."""
-    one = ti.select(scored, 1.0, 0.0)
     swing_peak = gait[Gait.knee_peak_swing + leg, lane]
     m1 = (swing_peak > KNEE_FLEXION_LOW_RAD) & (swing_peak < KNEE_FLEXION_HIGH_RAD)
     strike, takeoff = gait[Gait.ankle_strike + leg, lane], gait[Gait.ankle_last + leg, lane]
@@ -155,50 +157,50 @@ def score_step(lane, leg: Rows, scored, gait: Rows, sums: Rows):
     progress = gait[Gait.hip_x_last + leg, lane] - gait[Gait.hip_x_strike + leg, lane]
     difference = progress * TICKS_PER_SECOND / ticks - HUMAN_SPEED_MPS
     deviation = ti.max(difference, 0.0 - difference)
-    sums[Sums.steps, lane] += one
-    sums[Sums.m1, lane] += one * ti.select(m1, 1.0, 0.0)
-    sums[Sums.m2, lane] += one * ti.select(m2, 1.0, 0.0)
-    sums[Sums.m3, lane] += one * ti.select(m3, 1.0, 0.0)
-    sums[Sums.m4, lane] += one * ti.select(m4, 1.0, 0.0)
-    sums[Sums.m5, lane] += one * deviation
-    sums[Sums.m5_corrected, lane] += one * ti.max(1.0 - deviation, 0.0)
-    sums[Sums.knee_peak_swing, lane] += one * swing_peak
-    sums[Sums.knee_peak_stance, lane] += one * gait[Gait.knee_peak_stance + leg, lane]
-    sums[Sums.ankle_strike, lane] += one * strike
-    sums[Sums.ankle_takeoff, lane] += one * takeoff
-    sums[Sums.vertical_peak, lane] += one * gait[Gait.vertical_peak + leg, lane]
-    sums[Sums.braking_peak, lane] += one * gait[Gait.braking_peak + leg, lane]
-    sums[Sums.propulsion_peak, lane] += one * gait[Gait.propulsion_peak + leg, lane]
+    add(sums, Sums.steps, lane, scored, 1.0)
+    add(sums, Sums.m1, lane, scored & m1, 1.0)
+    add(sums, Sums.m2, lane, scored & m2, 1.0)
+    add(sums, Sums.m3, lane, scored & m3, 1.0)
+    add(sums, Sums.m4, lane, scored & m4, 1.0)
+    add(sums, Sums.m5, lane, scored, deviation)
+    add(sums, Sums.m5_corrected, lane, scored, ti.max(1.0 - deviation, 0.0))
+    add(sums, Sums.knee_peak_swing, lane, scored, swing_peak)
+    add(sums, Sums.knee_peak_stance, lane, scored, gait[Gait.knee_peak_stance + leg, lane])
+    add(sums, Sums.ankle_strike, lane, scored, strike)
+    add(sums, Sums.ankle_takeoff, lane, scored, takeoff)
+    add(sums, Sums.vertical_peak, lane, scored, gait[Gait.vertical_peak + leg, lane])
+    add(sums, Sums.braking_peak, lane, scored, gait[Gait.braking_peak + leg, lane])
+    add(sums, Sums.propulsion_peak, lane, scored, gait[Gait.propulsion_peak + leg, lane])
 
 
 @ti.func
 def add_up_posture(lane, state: Rows, muscle: Rows, sums: Rows, work: Rows):
     """Sums over time of a walker that is up: trunk, hip height and speed, support, activations."""
-    one = state[State.active, lane]
+    up = state[State.active, lane] > 0.5
     trunk, speed = state[State.q + 2, lane], state[State.qdot + 0, lane]
     height = state[State.q + 1, lane] - work[Work.ground_hip, lane]
     left, right = on_ground(lane, 0, state), on_ground(lane, 1, state)
-    sums[Sums.ticks, lane] += one
-    sums[Sums.trunk, lane] += one * trunk
-    sums[Sums.trunk_squared, lane] += one * trunk * trunk
-    sums[Sums.hip_height, lane] += one * height
-    sums[Sums.hip_height_squared, lane] += one * height * height
-    sums[Sums.hip_speed, lane] += one * speed
-    sums[Sums.hip_speed_squared, lane] += one * speed * speed
-    sums[Sums.double_support, lane] += one * left * right
-    sums[Sums.flight, lane] += one * (1.0 - left) * (1.0 - right)
+    add(sums, Sums.ticks, lane, up, 1.0)
+    add(sums, Sums.trunk, lane, up, trunk)
+    add(sums, Sums.trunk_squared, lane, up, trunk * trunk)
+    add(sums, Sums.hip_height, lane, up, height)
+    add(sums, Sums.hip_height_squared, lane, up, height * height)
+    add(sums, Sums.hip_speed, lane, up, speed)
+    add(sums, Sums.hip_speed_squared, lane, up, speed * speed)
+    add(sums, Sums.double_support, lane, up, left * right)
+    add(sums, Sums.flight, lane, up, (1.0 - left) * (1.0 - right))
     for m in ti.static(range(MUSCLES_PER_LEG)):
         pair = (
             muscle[Muscle.activation + m, lane]
             + muscle[Muscle.activation + MUSCLES_PER_LEG + m, lane]
         )
-        sums[Sums.activation + m, lane] += one * 0.5 * pair
+        add(sums, Sums.activation + m, lane, up, 0.5 * pair)
 
 
 @ti.func
 def add_up_forces(lane, step_s, state: Rows, sums: Rows, work: Rows):
     """Impulses of the ground and metabolic energy over one physics step."""
-    time = state[State.active, lane] * step_s
-    sums[Sums.metabolic_energy, lane] += time * work[Work.metabolic_power, lane]
+    up = state[State.active, lane] > 0.5
+    add(sums, Sums.metabolic_energy, lane, up, step_s * work[Work.metabolic_power, lane])
     for i in ti.static(range(2 * LEGS)):
-        sums[Sums.impulse + i, lane] += time * state[State.ground_force + i, lane]
+        add(sums, Sums.impulse + i, lane, up, step_s * state[State.ground_force + i, lane])

@@ -152,7 +152,6 @@ Gait = blocks(
     com_last=LEGS,
     past_middle=LEGS,
     trunk_sum=LEGS,
-    stance_ticks=LEGS,
     hip_x_strike=LEGS,
     hip_x_last=LEGS,
     tick_strike=LEGS,

@@ -17,7 +17,9 @@ GRID_START_M = -5.0
 GRID_SPACING_M = 0.05  # shorter than a foot; one cell is the shortest riser
 GRID_END_M = 300.0  # the fastest gaits reach 2.4 m/s in 100 s
 GRID_NODES = round((GRID_END_M - GRID_START_M) / GRID_SPACING_M) + 1
-GRID_X_M: NDArray[np.float64] = GRID_START_M + GRID_SPACING_M * np.arange(GRID_NODES)
+GRID_X_M: NDArray[np.float64] = GRID_START_M + GRID_SPACING_M * np.arange(
+    GRID_NODES, dtype=np.float64
+)
 
 FLAT_START_M = 9.0  # every walker gets some steps to settle
 
@@ -42,7 +44,7 @@ class Terrain:
 
     def height(self, x_m: ArrayLike) -> NDArray[np.float64]:
         """Height at x, of the same shape."""
-        return np.interp(x_m, GRID_X_M, self.height_m)
+        return np.interp(np.asarray(x_m, dtype=np.float64), GRID_X_M, self.height_m)
 
 
 def flat() -> Terrain:
@@ -142,7 +144,8 @@ def _random_walk(
     count = int(np.ceil((GRID_END_M - flat_start_m) / spacing_m)) + 1
     rng = np.random.default_rng(seed)
     steps = rng.uniform(-amplitude_m, amplitude_m, count - 1)
-    return flat_start_m + spacing_m * np.arange(count), np.concatenate([[0.0], np.cumsum(steps)])
+    knots_x = flat_start_m + spacing_m * np.arange(count, dtype=np.float64)
+    return knots_x, np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _positive(**values: float) -> None:

@@ -1,0 +1,86 @@
+"""The same bits whatever the threads, the order, the batch's size or the process."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import taichi_nmm
+from taichi_nmm import terrain
+from taichi_nmm.body import Bodies
+from taichi_nmm.parameters import K_T, lower_bounds, upper_bounds
+from taichi_nmm.settings import Settings
+from taichi_nmm.terrain import Terrain
+
+WALKERS = 1000
+DURATION_S = 2.0
+CPU = Settings(arch="cpu")
+
+
+def batch() -> tuple[NDArray[np.float64], Bodies, list[Terrain], NDArray[np.int64]]:
+    rng = np.random.default_rng(7)
+    gains = rng.uniform(lower_bounds(), upper_bounds(), (WALKERS, 16))
+    gains[::10] = K_T * rng.uniform(0.95, 1.05, (WALKERS // 10, 16))
+    bodies = Bodies.disturbed(np.random.SeedSequence(3).spawn(WALKERS))
+    grounds = [terrain.flat(), terrain.rough(1, flat_start_m=1.0)]
+    return gains, bodies, grounds, np.arange(WALKERS) % 2
+
+
+def rows(index: NDArray[np.int64], settings: Settings = CPU) -> NDArray[np.void]:
+    """Results of these walkers of the batch, in this order."""
+    gains, bodies, grounds, ground = batch()
+    return taichi_nmm.simulate(
+        gains[index], duration_s=DURATION_S, bodies=bodies.take(index), terrains=grounds,
+        terrain_index=ground[index], settings=settings,
+    ).rows  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def whole() -> NDArray[np.void]:
+    return rows(np.arange(WALKERS))
+
+
+def test_walkers_differ(whole: NDArray[np.void]) -> None:
+    assert len(np.unique(whole["duration_s"])) > WALKERS / 4
+    assert 0.02 < (whole["end_reason"] == 0).mean() < 0.9
+
+
+def test_permuted_batch_permutes_its_rows(whole: NDArray[np.void]) -> None:
+    order = np.random.default_rng(1).permutation(WALKERS)
+    assert rows(order).tobytes() == whole[order].tobytes()
+
+
+@pytest.mark.parametrize("walker", [0, 5, 990])
+def test_batch_of_one(whole: NDArray[np.void], walker: int) -> None:
+    assert rows(np.array([walker])).tobytes() == whole[[walker]].tobytes()
+
+
+def test_one_and_two_threads(whole: NDArray[np.void]) -> None:
+    index = np.arange(200)
+    for threads in (1, 2):
+        settings = Settings(arch="cpu", threads=threads)
+        assert rows(index, settings).tobytes() == whole[:200].tobytes()
+
+
+def test_new_process(whole: NDArray[np.void], tmp_path: Path) -> None:
+    script = tmp_path / "again.py"
+    script.write_text(
+        "import sys, numpy as np\n"
+        "from tests.taichi_nmm.test_determinism import rows\n"
+        "np.save(sys.argv[1], rows(np.arange(64)))\n"
+    )
+    file = tmp_path / "rows.npy"
+    root = Path(__file__).resolve().parents[2]
+    subprocess.run(
+        [sys.executable, str(script), str(file)], check=True, cwd=root, env={**_environment(root)}
+    )
+    assert np.load(file).tobytes() == whole[:64].tobytes()
+
+
+def _environment(root: Path) -> dict[str, str]:
+    import os
+
+    return {**os.environ, "PYTHONPATH": str(root)}

@@ -1,0 +1,63 @@
+"""Elementary functions against NumPy: interpreted in float64, compiled in float32."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.parity.interpreter import interpreted_walker
+
+ANGLES = np.concatenate([np.linspace(-60.0, 60.0, 20001), np.arange(-8, 9) * np.pi / 4])
+
+
+@pytest.fixture(scope="module")
+def elementary() -> Any:
+    return interpreted_walker().kinematics.sine_cosine.__globals__
+
+
+def test_sine_and_cosine(elementary: Any) -> None:
+    sine, cosine = elementary["sine_cosine"](ANGLES)
+    assert np.abs(sine - np.sin(ANGLES)).max() < 1e-14
+    assert np.abs(cosine - np.cos(ANGLES)).max() < 1e-14
+
+
+def test_arctangent_in_all_quadrants(elementary: Any) -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(2, 10000)) * rng.choice([1e-6, 1.0, 1e6], (2, 10000))
+    x[:4], y[:4] = [1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]
+    assert np.abs(elementary["arctangent2"](y, x) - np.arctan2(y, x)).max() < 1e-14
+
+
+def test_exponential_and_its_clamp(elementary: Any) -> None:
+    x = np.linspace(-80.0, 80.0, 20001)
+    module = elementary["exponential"] if "exponential" in elementary else None
+    exponential = module or interpreted_walker().muscle.exponential
+    assert np.abs(exponential(x) / np.exp(x) - 1.0).max() < 1e-13
+    assert np.isclose(exponential(np.array([-1e9]))[0], np.exp(-80.0))
+
+
+def test_compiled_in_float32() -> None:
+    from taichi_nmm import backend
+    from taichi_nmm.elementary import arctangent2, exponential, sine_cosine
+    from taichi_nmm.settings import Settings
+
+    ti = backend.ti
+    backend.start(Settings(precision="float32", arch="cpu"))
+
+    @ti.kernel
+    def apply(x: ti.types.ndarray(), out: ti.types.ndarray()):  # type: ignore[no-untyped-def]
+        for i in range(x.shape[0]):
+            s, c = sine_cosine(x[i])
+            out[0, i] = s
+            out[1, i] = c
+            out[2, i] = exponential(x[i])
+            out[3, i] = arctangent2(x[i], 2.0 - x[i])
+
+    x = np.linspace(-20.0, 20.0, 4001, dtype=np.float32)
+    out = np.zeros((4, len(x)), np.float32)
+    apply(x, out)
+    exact = x.astype(np.float64)
+    assert np.abs(out[0] - np.sin(exact)).max() < 5e-7
+    assert np.abs(out[1] - np.cos(exact)).max() < 5e-7
+    assert np.abs(out[2] / np.exp(exact) - 1.0).max() < 5e-6
+    assert np.abs(out[3] - np.arctan2(exact, 2.0 - exact)).max() < 1e-6

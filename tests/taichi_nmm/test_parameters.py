@@ -1,0 +1,150 @@
+"""The table of gains: names, order, bounds; gains from arrays and files."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taichi_nmm import parameters
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import (
+    GAIN_NAMES,
+    GAINS,
+    K_T,
+    LOW_LEVEL_GAINS,
+    LOW_LEVEL_NAMES,
+    Parameter,
+    gain_rows,
+    load_gains,
+    lower_bounds,
+    upper_bounds,
+)
+
+IN_THE_PAPERS_ORDER = (
+    "K_GAS K_GLU K_HAM K_SOL K_TA_SOL K_TA K_VAS Kp_stance Kd_stance K_mix_GLU "
+    "Kp_swing Kd_swing alpha_0 C_d C_v l_clr"
+)
+GROUPS = pytest.mark.parametrize("group", [GAINS, LOW_LEVEL_GAINS])
+
+
+def test_sixteen_names_in_the_papers_order() -> None:
+    assert " ".join(GAIN_NAMES) == IN_THE_PAPERS_ORDER
+
+
+def test_seven_low_level_gains_and_the_torso_angle() -> None:
+    assert len(LOW_LEVEL_NAMES) == 8
+    assert LOW_LEVEL_NAMES[-1] == "theta_ref"
+    assert not set(LOW_LEVEL_NAMES) & set(GAIN_NAMES)
+
+
+@GROUPS
+def test_bounds_hold_the_defaults(group: tuple[Parameter, ...]) -> None:
+    default = np.array([parameter.default for parameter in group])
+    assert np.all(lower_bounds(group) < default)
+    assert np.all(default < upper_bounds(group))
+
+
+@GROUPS
+def test_each_has_a_unit_a_meaning_and_a_source(group: tuple[Parameter, ...]) -> None:
+    assert all(p.unit and p.meaning and p.source for p in group)
+
+
+def test_bounds_are_those_of_the_specification() -> None:
+    high = [8, 3, 3, 24, 8, 9, 8, 9, 2, 3.5, 300, 45, np.deg2rad(92), 0.5, 0.5, 0.99]
+    low = [0] * 10 + [5, 0, np.deg2rad(55), 0, 0, 0.55]
+    np.testing.assert_allclose(upper_bounds(), high)
+    np.testing.assert_allclose(lower_bounds(), low)
+
+
+def test_one_vector_becomes_a_row() -> None:
+    np.testing.assert_array_equal(gain_rows(K_T), K_T[None])
+    assert gain_rows(np.tile(K_T, (5, 1)).astype(np.float32)).dtype == np.float64
+
+
+def test_gains_outside_the_bounds_are_allowed() -> None:
+    assert gain_rows(10.0 * K_T)[0, 0] == pytest.approx(10.0 * K_T[0])
+
+
+@pytest.mark.parametrize("shape", [(15,), (3, 17), (2, 2, 16), ()])
+def test_a_wrong_shape_is_named(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match=r"gains\.shape"):
+        gain_rows(np.ones(shape))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_gain_that_is_not_finite_is_named_with_its_row(value: float) -> None:
+    rows = np.tile(K_T, (3, 1))
+    rows[2, 12] = value
+    with pytest.raises(InputError, match=r"gains\[2\]\.alpha_0: .*a finite number"):
+        gain_rows(rows)
+
+
+@pytest.mark.parametrize("values", ["K_T", [["x"] * 16], [[1.0] * 16, [1.0]], None])
+def test_what_is_no_array_of_numbers_is_refused(values: object) -> None:
+    with pytest.raises(InputError, match="gains"):
+        gain_rows(values)  # type: ignore[arg-type]
+
+
+def test_the_low_level_group_is_checked_under_its_own_name() -> None:
+    with pytest.raises(InputError, match=r"low_level_gains\.shape.*\[n, 8\]"):
+        gain_rows(np.ones((2, 16)), LOW_LEVEL_GAINS, "low_level_gains")
+
+
+def test_k_t_is_loaded_by_name_as_a_copy() -> None:
+    loaded = load_gains("K_T")
+    np.testing.assert_array_equal(loaded, K_T)
+    loaded[:] = 0.0
+    assert np.all(load_gains("K_T") == K_T)
+
+
+def test_shipped_gains_lie_inside_the_bounds() -> None:
+    for file in parameters.NAMED_GAINS_DIRECTORY.glob("*.json"):
+        loaded = load_gains(file.stem)
+        assert np.all((lower_bounds() <= loaded) & (loaded <= upper_bounds()))
+
+
+def test_gains_come_back_from_a_file_whatever_its_order(tmp_path: Path) -> None:
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps(dict(reversed(list(zip(GAIN_NAMES, K_T.tolist(), strict=True))))))
+    np.testing.assert_array_equal(load_gains(str(path)), K_T)
+
+
+def gains_text(**changes: object) -> str:
+    """A file of K_T with some values changed; None leaves the name out."""
+    data = {**dict(zip(GAIN_NAMES, K_T.tolist(), strict=True)), **changes}
+    return json.dumps({name: value for name, value in data.items() if value is not None})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", r"gains: .*a readable JSON object"),
+        ("[1, 2]", r"gains: .*a JSON object of the 16 gains"),
+        (gains_text(K_KNEE=1.0), r"gains: 'K_KNEE'.*only the names K_GAS"),
+        (gains_text(C_d=None), r"gains\.C_d: .*a number"),
+        (gains_text(C_d="0.1"), r"gains\.C_d: '0.1'.*a number"),
+        (gains_text(C_d=True), r"gains\.C_d: True.*a number"),
+        (gains_text(C_d=float("nan")), r"gains.*C_d: nan.*a finite number"),
+    ],
+)
+def test_a_file_that_is_not_the_sixteen_gains_is_refused(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    path = tmp_path / "bad.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        load_gains(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "binary.json"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="a readable JSON object"):
+        load_gains(str(path))
+
+
+def test_an_unknown_name_lists_the_known_ones() -> None:
+    with pytest.raises(InputError, match=r"gains: 'nobody'.*one of K_T.*or a JSON file"):
+        load_gains("nobody")

@@ -1,0 +1,179 @@
+"""`simulate`: what it returns, what it refuses, and that a broken walker stays alone."""
+
+import sys
+
+import numpy as np
+import pytest
+
+import taichi_nmm
+from taichi_nmm import terrain
+from taichi_nmm.body import Bodies
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES, K_T, LOW_LEVEL_GAINS
+from taichi_nmm.result import COMPLETED, DIVERGED, FELL, Result
+from taichi_nmm.settings import Settings
+
+CPU = Settings(arch="cpu")
+# K_T without push-off and balance: falls within the first steps.
+FALLING = K_T * np.where(np.isin(GAIN_NAMES, ["K_SOL", "Kp_stance"]), 0.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def walk() -> Result:
+    return taichi_nmm.simulate(
+        [K_T, FALLING], duration_s=20.0, settings=CPU, record=[1, 0], record_rate_hz=200
+    )
+
+
+def test_walker_completes_and_faller_falls(walk: Result) -> None:
+    assert walk["end_reason"].tolist() == [COMPLETED, FELL]
+    assert walk.end_reason.tolist() == ["completed", "fell"]
+    assert walk["duration_s"][0] == 20.0
+    assert 0.3 < walk["duration_s"][1] < 10.0
+    assert walk["survived_fraction"] == pytest.approx(walk["duration_s"] / 20.0)
+    assert walk["mean_speed_mps"] == pytest.approx(walk["distance_m"] / walk["duration_s"])
+
+
+def test_reference_gait_is_that_of_a_human(walk: Result) -> None:
+    row = walk.rows[0]
+    assert row["mean_speed_mps"] == pytest.approx(1.395, abs=0.05)
+    assert row["grf_vertical_mean_bw"] == pytest.approx(1.0, abs=0.01)
+    assert 3.0 < row["cost_of_transport_jpkgpm"] < 7.0
+    assert 0.5 < row["step_duration_mean_s"] < 0.65
+    assert 0.1 < row["double_support_fraction"] < 0.25
+    assert row["flight_fraction"] == 0.0
+    assert np.deg2rad(4) < row["trunk_mean_rad"] < np.deg2rad(9)
+    assert row["step_duration_mean_s"] * row["mean_speed_mps"] == pytest.approx(
+        row["step_length_mean_m"] + row["mean_speed_mps"] * 0.0, rel=0.15
+    )
+
+
+def test_score_is_the_sum_of_its_components(walk: Result) -> None:
+    row = walk.rows[0]
+    binary = row["m1_sum"] + row["m2_sum"] + row["m3_sum"] + row["m4_sum"]
+    assert row["phi_printed"] == pytest.approx(binary + row["m5_sum_mps"])
+    assert row["phi_corrected"] == pytest.approx(binary + row["m5_corrected_sum"])
+    for name in ("m1", "m2", "m3", "m4"):
+        assert 0 <= row[f"{name}_sum"] <= row["step_count"]
+        assert row[f"{name}_sum"] == round(row[f"{name}_sum"])
+        assert row[f"{name}_mean"] == pytest.approx(row[f"{name}_sum"] / row["step_count"])
+
+
+def test_trajectory_agrees_with_the_result(walk: Result) -> None:
+    faller, walker = walk.trajectories
+    assert (faller.walker, walker.walker) == (1, 0)
+    assert len(walker.time_s) == 4000
+    assert np.allclose(np.diff(walker.time_s), 0.005)
+    assert faller.time_s[-1] <= walk["duration_s"][1]
+    assert walker.q[-1, 0] == walk["hip_x_m"][0]
+    joints = walker.q[:, [3, 4, 5]] - walker.q[:, [2, 3, 4]]
+    assert np.allclose(walker.joint_rad[:, :3], joints)
+    weight = 80.0 * 9.81  # kg, m/s2
+    vertical = walker.ground_force_n[:, [1, 3]].sum(axis=1)
+    assert vertical[400:].mean() == pytest.approx(weight, rel=0.02)
+    airborne = ~walker.stance.any(axis=1)
+    assert np.abs(vertical[airborne]).max(initial=0.0) < 0.5 * weight
+    assert walker.muscle_force_n.min() >= 0 and walker.activation.min() > 0
+
+
+def test_events_alternate_and_make_the_step_count(walk: Result) -> None:
+    events = walk.trajectories[1].events
+    assert (np.diff(events["time_s"]) >= 0).all()
+    for side in (0, 1):
+        kinds = events[(events["side"] == side)]["kind"]
+        assert (np.diff(kinds.astype(int)) != 0).all()  # strike, take-off, strike, ...
+    # A step needs a whole swing and its stance's end: both legs' first strikes and take-offs less.
+    takeoffs = int((events["kind"] == 1).sum())
+    assert walk["step_count"][0] == takeoffs - 2
+
+
+def test_recording_changes_no_bit(walk: Result) -> None:
+    plain = taichi_nmm.simulate([K_T, FALLING], duration_s=20.0, settings=CPU)
+    assert plain.rows.tobytes() == walk.rows.tobytes()
+    assert plain.trajectories == ()
+
+
+def test_progress_and_interrupt() -> None:
+    seen: list[tuple[float, int]] = []
+
+    def watch(simulated_s: float, active: int) -> None:
+        seen.append((simulated_s, active))
+        if simulated_s >= 1.0:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        taichi_nmm.simulate([K_T] * 3, duration_s=5.0, settings=CPU, progress=watch)
+    assert seen == [(0.25, 3), (0.5, 3), (0.75, 3), (1.0, 3)]
+
+
+def test_divergence_is_a_code_and_touches_no_neighbour() -> None:
+    gains = np.tile(K_T, (9, 1))
+    gains[4, GAIN_NAMES.index("Kp_swing")] = 1e30
+    result = taichi_nmm.simulate(gains, duration_s=2.0, settings=CPU)
+    assert result["end_reason"][4] == DIVERGED
+    assert all(np.isfinite(result[name]).all() for name in result.rows.dtype.names or ())
+    others = np.delete(result.rows, 4)
+    assert len({row.tobytes() for row in others}) == 1
+    alone = taichi_nmm.simulate(K_T, duration_s=2.0, settings=CPU)
+    assert others[0].tobytes() == alone.rows[0].tobytes()
+
+
+def test_every_kind_of_input_reaches_the_walker() -> None:
+    gains = np.tile(K_T, (4, 1))
+    bodies = Bodies.nominal(4)
+    bodies.mass_kg[1, 0] *= 1.1
+    low_level = np.tile([parameter.default for parameter in LOW_LEVEL_GAINS], (4, 1))
+    low_level[3, 7] += 0.05
+    grounds = [terrain.flat(), terrain.ramp(increment=0.05, segment_m=0.5)]
+    result = taichi_nmm.simulate(
+        gains, duration_s=3.0, bodies=bodies, low_level_gains=low_level, terrains=grounds,
+        terrain_index=[0, 0, 1, 0], settings=CPU,
+    )  # fmt: skip
+    assert len(set(result["hip_x_m"].tolist())) == 4
+
+
+def test_settings_change_the_walk() -> None:
+    base = taichi_nmm.simulate(K_T, duration_s=2.0, settings=CPU)["hip_x_m"][0]
+    for other in (
+        Settings(arch="cpu", contact_relaxation_speed_mps=0.03),
+        Settings(arch="cpu", physics_step_s=0.5e-3),
+    ):
+        x = taichi_nmm.simulate(K_T, duration_s=2.0, settings=other)["hip_x_m"][0]
+        assert x != base
+        assert x == pytest.approx(base, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"gains": np.zeros(15)}, r"gains\.shape"),
+        ({"gains": np.full(16, np.nan)}, r"gains\[0\]\.K_GAS: nan"),
+        ({"gains": "much"}, "gains"),
+        ({"duration_s": 0.0}, "duration_s: 0.0"),
+        ({"duration_s": float("nan")}, "duration_s"),
+        ({"bodies": Bodies.nominal(3)}, "bodies: 3"),
+        ({"terrains": []}, "terrains"),
+        ({"terrains": [terrain.flat()] * 3}, "terrains: 3"),
+        ({"terrain_index": [1, 0]}, "terrain_index"),
+        ({"terrain_index": [0.0, 0.0]}, "terrain_index"),
+        ({"low_level_gains": np.zeros(7)}, r"low_level_gains\.shape"),
+        ({"record": [2]}, "record: 2"),
+        ({"record": [0], "record_rate_hz": 300.0}, "record_rate_hz: 300"),
+    ],
+)
+def test_bad_input_names_field_value_and_what_is_allowed(
+    arguments: dict[str, object], message: str
+) -> None:
+    full: dict[str, object] = {"gains": [K_T, K_T], "settings": CPU, **arguments}
+    gains = full.pop("gains")
+    with pytest.raises(InputError, match=message) as caught:
+        taichi_nmm.simulate(gains, **full)  # type: ignore[arg-type]
+    assert "allowed:" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_import_is_cheap() -> None:
+    import subprocess
+
+    code = "import sys, taichi_nmm; assert 'taichi' not in sys.modules; print('cheap')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "cheap", done.stderr
