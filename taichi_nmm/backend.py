@@ -10,17 +10,21 @@ physics is plain scalar code; on a GPU the same code runs with one walker a thre
 """
 
 import contextlib
+import io
 import os
-import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # standard output is the commands'
-import taichi as ti  # noqa: E402
+import taichi as ti
+from taichi._lib import core as _core
+from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import Settings
+
+__all__ = ["Array", "Rows", "is_double", "lanes", "metadata", "real_dtype", "start", "ti"]
 
 LANES_CPU = 8  # float32 lanes of a 256-bit register; measured against 1, 4, 16 by tools/bench.py
 LANES_GPU = 1  # a thread is a walker
@@ -31,9 +35,11 @@ CFG_OPTIMIZATION = False
 FAST_MATH = False
 
 if TYPE_CHECKING:
-    Rows = Any
+    Rows: TypeAlias = Any
+    Array: TypeAlias = Any
 else:
     Rows = ti.template()  # a local array [row, lane], passed by reference
+    Array = ti.types.ndarray()  # a NumPy array, passed to a kernel without a copy on a CPU
 
 _running: Settings | None = None
 _arch = "cpu"
@@ -45,26 +51,17 @@ def start(settings: Settings) -> None:
     Kernels hold no fields, so starting again with another precision loses nothing.
 
     Raises:
-        InputError: the architecture asked for is not available on this machine.
+        InputError: the architecture asked for is not on this machine.
     """
     global _running, _arch
     if _running is not None and _same_engine(_running, settings):
         return
-    arch = _available_arch(settings.arch)
-    threads = {} if settings.threads is None else {"cpu_max_num_threads": settings.threads}
-    with contextlib.redirect_stdout(sys.stderr):
-        ti.init(
-            arch=arch,
-            default_fp=ti.f64 if settings.precision == "float64" else ti.f32,
-            default_ip=ti.i32,
-            cfg_optimization=CFG_OPTIMIZATION,
-            fast_math=FAST_MATH,
-            offline_cache=True,
-            log_level=ti.WARN,
-            **threads,
-        )
-    _running = settings
-    _arch = {ti.cuda: "cuda", ti.vulkan: "vulkan"}.get(ti.cfg.arch, "cpu")
+    for arch in _candidates(settings.arch):
+        if _initialise(arch, settings):
+            _running = settings
+            _arch = arch
+            return
+    raise InputError("simulation.arch", settings.arch, "an architecture of this machine (cpu is)")
 
 
 def lanes() -> int:
@@ -97,18 +94,55 @@ def _same_engine(a: Settings, b: Settings) -> bool:
     return (a.precision, a.arch, a.threads) == (b.precision, b.arch, b.threads)
 
 
-def _available_arch(name: str) -> Any:
-    if name == "cpu":
-        return ti.cpu
-    if name == "auto":
-        return ti.gpu if _has(ti.cuda) else ti.cpu
-    arch = {"cuda": ti.cuda, "vulkan": ti.vulkan}[name]
-    if not _has(arch):
-        raise InputError("simulation.arch", name, "an architecture of this machine (cpu is)")
-    return arch
+def _candidates(name: str) -> tuple[str, ...]:
+    return ("cuda", "cpu") if name == "auto" else (name,)
 
 
-def _has(arch: Any) -> bool:
-    from taichi._lib import core
+def _initialise(arch: str, settings: Settings) -> bool:
+    """Start Taichi on `arch` and see that it computes there; False where the machine lacks it."""
+    ti.set_logging_level(ti.ERROR)  # Taichi warns about every driver that is not there
+    if arch == "cuda" and not _core.with_cuda():
+        return False
+    threads = {} if settings.threads is None else {"cpu_max_num_threads": settings.threads}
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            ti.init(
+                arch=getattr(ti, arch),
+                enable_fallback=False,
+                default_fp=ti.f64 if settings.precision == "float64" else ti.f32,
+                default_ip=ti.i32,
+                cfg_optimization=CFG_OPTIMIZATION,
+                fast_math=FAST_MATH,
+                offline_cache=True,
+                log_level=ti.ERROR,
+                **threads,
+            )
+        return arch == "cpu" or _computes()
+    except RuntimeError:
+        return False
 
-    return bool({ti.cuda: core.with_cuda, ti.vulkan: core.with_vulkan}[arch]())
+
+@ti.kernel
+def _double(values: Array):
+    for i in range(values.shape[0]):
+        values[i] = 2.0 * values[i]
+
+
+def _computes() -> bool:
+    """Whether a kernel's stores arrive: a driver can be there without a device."""
+    values = np.ones(4, dtype=np.float32)
+    _double(values)
+    return bool(np.all(values == 2.0))
+
+
+def _word_positions_briefly() -> None:
+    """Name source lines instead of drawing them, which takes half of a warm start."""
+
+    def position(context: Any, node: Any) -> str:
+        line = node.lineno + context.lineno_offset
+        return f'File "{context.file}", line {line}, in {context.func.func.__name__}:\n'
+
+    ASTTransformerContext.get_pos_info = position
+
+
+_word_positions_briefly()

@@ -5,7 +5,7 @@ one, since only local arrays let the compiler vectorise (`backend`).
 """
 
 from taichi_nmm import dynamics, kinematics, walker
-from taichi_nmm.backend import Rows, ti
+from taichi_nmm.backend import Array, Rows, ti
 from taichi_nmm.rows import COORDINATES, Const, Delay, Gait, Muscle, State, Sums, Work
 
 # Rows of a walker between launches, block after block.
@@ -36,15 +36,15 @@ def save(packs: Rows, p, first: Rows, count: Rows, lanes: Rows, source: Rows):
 
 @ti.kernel
 def advance(
-    lanes: ti.template(),
-    packs: ti.types.ndarray(),
-    constants: ti.types.ndarray(),
-    terrains: ti.types.ndarray(),
-    heights: ti.types.ndarray(),
-    muscles: ti.types.ndarray(),
-    first_tick: ti.i32,
-    ticks: ti.i32,
-    substeps: ti.i32,
+    lanes: Rows,
+    packs: Array,
+    constants: Array,
+    terrains: Array,
+    heights: Array,
+    muscles: Array,
+    first_tick: int,
+    ticks: int,
+    substeps: int,
     step_s: float,
     relaxation_speed_mps: float,
     activation_blend: float,
@@ -88,11 +88,11 @@ def advance(
 
 @ti.kernel
 def accelerate(
-    lanes: ti.template(),
-    states: ti.types.ndarray(),
-    torques: ti.types.ndarray(),
-    constants: ti.types.ndarray(),
-    accelerations: ti.types.ndarray(),
+    lanes: Rows,
+    states: Array,
+    torques: Array,
+    constants: Array,
+    accelerations: Array,
 ):
     """Accelerations of walkers in the air: `dynamics.solve` with the generalised forces alone.
 

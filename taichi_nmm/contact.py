@@ -134,4 +134,3 @@ def ground_at_ankle(lane, leg: Rows, work: Rows):
 def on_ground(lane, leg: Rows, state: Rows):
     """1 while heel or ball of the leg is in the ground, else 0."""
     return ti.max(state[State.touching + 2 * leg, lane], state[State.touching + 2 * leg + 1, lane])
-

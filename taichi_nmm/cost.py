@@ -40,4 +40,4 @@ def walking_cost(
         SPEED_WEIGHT * np.abs(rows["mean_speed_mps"] - target_speed_mps)
         + rows["cost_of_transport_jpkgpm"]
     )
-    return np.where(rows["end_reason"] == COMPLETED, walked, fell)
+    return np.asarray(np.where(rows["end_reason"] == COMPLETED, walked, fell))

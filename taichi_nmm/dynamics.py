@@ -82,15 +82,9 @@ def momentum_after_free_step(lane, step_s, mass_scale, state: Rows, const: Rows,
         t = ti.static(Work.joint_torque + 3 * leg)
         hip, knee, ankle = work[t, lane], work[t + 1, lane], work[t + 2, lane]
         torque_0 -= hip
-        torque_1 = (
-            cross_12 * w2 * w2 + cross_13 * w3 * w3 - GRAVITY_MPS2 * a1 * z1 + hip - knee
-        )
-        torque_2 = (
-            cross_23 * w3 * w3 - cross_12 * w1 * w1 - GRAVITY_MPS2 * a2 * z2 + knee - ankle
-        )
-        torque_3 = (
-            0.0 - cross_13 * w1 * w1 - cross_23 * w2 * w2 - GRAVITY_MPS2 * a3 * z3 + ankle
-        )
+        torque_1 = cross_12 * w2 * w2 + cross_13 * w3 * w3 - GRAVITY_MPS2 * a1 * z1 + hip - knee
+        torque_2 = cross_23 * w3 * w3 - cross_12 * w1 * w1 - GRAVITY_MPS2 * a2 * z2 + knee - ankle
+        torque_3 = 0.0 - cross_13 * w1 * w1 - cross_23 * w2 * w2 - GRAVITY_MPS2 * a3 * z3 + ankle
         m11, m22, m33, m12, m13, m23 = leg_inertia(lane, leg, const, work)
         m = ti.static(Work.momentum + 3 + 3 * leg)
         work[m, lane] = step_s * torque_1 + mass_scale * (
@@ -111,7 +105,7 @@ def momentum_after_free_step(lane, step_s, mass_scale, state: Rows, const: Rows,
 
 @ti.func
 def contact_jacobians(lane, work: Rows):
-    """Leg parts of each point's Jacobian along normal and tangent: (L1 e1, L2 e2, r e3).direction."""
+    """Leg parts of the points' Jacobians, (L1 e1, L2 e2, r e3) along normal and tangent."""
     for c in ti.static(range(CONTACTS)):
         leg = ti.static(c // 2)
         lever = ti.static((THIGH_LENGTH_M, SHANK_LENGTH_M, (HEEL_OFFSET_M, BALL_OFFSET_M)[c % 2]))
@@ -259,10 +253,10 @@ def substitute(b1, b2, b3, l21, l31, l32, i1, i2, i3):
 
 @ti.func
 def revise_contacts(lane, work: Rows):
-    """One complementarity pass: forces of the solution; drop what pulls, slip what exceeds the cone.
+    """One complementarity pass: drop contacts that pull, let slip what exceeds the cone.
 
     Without the drop the linearised damper would glue the foot to the ground. A slipping point's
-    friction follows its normal force from pass to pass, so it asks for another one until that rests.
+    friction follows its normal force from pass to pass: it asks for more until that rests.
     """
     changed = 0.0
     for c in ti.static(range(CONTACTS)):

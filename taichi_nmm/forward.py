@@ -28,14 +28,14 @@ def forward_dynamics(
         bodies: one for all or n of them; None is the nominal body.
 
     Raises:
-        InputError: a shape that does not fit.
+        InputError: a shape that does not fit, or a number that is not finite.
     """
-    states = np.hstack([_matrix("q", q, COORDINATES), _matrix("qdot", qdot, COORDINATES)])
-    count = len(states)
-    torques = _matrix("joint_torque", joint_torque, JOINTS)
+    angles = _matrix("q", q, COORDINATES)
+    count = len(angles)
+    rates = _matrix("qdot", qdot, COORDINATES, count)
+    torques = _matrix("joint_torque", joint_torque, JOINTS, count)
+    states = np.hstack([angles, rates])
     bodies = bodies or Bodies.nominal()
-    if len(torques) != count:
-        raise InputError("joint_torque.shape", torques.shape, f"[{count}, {JOINTS}]")
     if len(bodies) not in (1, count):
         raise InputError("bodies", len(bodies), f"one body, or {count}")
     backend.start(Settings(precision="float64", arch="cpu"))
@@ -54,10 +54,16 @@ def forward_dynamics(
     return accelerations.transpose(0, 2, 1).reshape(padded, COORDINATES)[:count]
 
 
-def _matrix(name: str, values: ArrayLike, columns: int) -> NDArray[np.float64]:
+def _matrix(
+    name: str, values: ArrayLike, columns: int, rows: int | None = None
+) -> NDArray[np.float64]:
     matrix = np.asarray(values, dtype=np.float64)
-    if matrix.ndim != 2 or matrix.shape[1] != columns or not len(matrix):
-        raise InputError(f"{name}.shape", matrix.shape, f"[n, {columns}]")
+    count = "n" if rows is None else str(rows)
+    fits = matrix.ndim == 2 and len(matrix) > 0 and matrix.shape[1] == columns
+    if not fits or (rows is not None and len(matrix) != rows):
+        raise InputError(f"{name}.shape", matrix.shape, f"[{count}, {columns}]")
+    if not np.all(np.isfinite(matrix)):
+        raise InputError(name, "nan or inf", "finite numbers")
     return matrix
 
 

@@ -1,9 +1,9 @@
 """Steps and their score: the determinants of gait M1..M5 of Antonova et al. 2016, in the kernel.
 
-Step i is swing -> strike -> stance -> take-off of one leg, scored at its committed take-off. Contact
-is debounced: the foot takes off when contact has been lost for 0.1 s, and strikes when it comes down
-after at least as long. A swing that began before the simulation did is not observed whole: neither
-the left leg's first stance nor the right leg's first swing makes a step.
+A step is swing -> strike -> stance -> take-off of one leg, scored at its committed take-off.
+Contact is debounced: a foot takes off when contact has been lost for 0.1 s, and strikes when it
+comes down after at least as long. A swing that began before the simulation is not observed whole: neither the
+left leg's first stance nor the right leg's first swing makes a step.
 """
 
 import math
@@ -32,7 +32,9 @@ def add(sums: Rows, row, lane, condition, value):
 
 
 @ti.func
-def observe_leg(lane, leg: Rows, tick, state: Rows, const: Rows, gait: Rows, sums: Rows, work: Rows):
+def observe_leg(
+    lane, leg: Rows, tick, state: Rows, const: Rows, gait: Rows, sums: Rows, work: Rows
+):
     """Strike, mid-stance, contact and take-off of one leg at this tick."""
     alive = state[State.active, lane] > 0.5
     down = alive & (on_ground(lane, leg, state) > 0.5)

@@ -81,9 +81,7 @@ def centre_of_mass(lane, state: Rows, const: Rows, work: Rows):
     """Position of the whole body's centre of mass, and its forward velocity."""
     x = const[Const.a_hat, lane] * (0.0 - work[Work.sine + 0, lane])
     z = const[Const.a_hat, lane] * (0.0 - work[Work.cosine + 0, lane])
-    v = const[Const.a_hat, lane] * (
-        0.0 - work[Work.cosine + 0, lane] * state[State.qdot + 2, lane]
-    )
+    v = const[Const.a_hat, lane] * (0.0 - work[Work.cosine + 0, lane] * state[State.qdot + 2, lane])
     for leg in ti.static(range(LEGS)):
         for link in ti.static(range(3)):
             i = ti.static(1 + 3 * leg + link)

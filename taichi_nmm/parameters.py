@@ -136,4 +136,4 @@ def load_gains(source: str) -> NDArray[np.float64]:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(f"gains.{name}", value, "a number")
         values.append(float(value))
-    return gain_rows(values)[0]
+    return np.asarray(gain_rows(values)[0])

@@ -69,7 +69,10 @@ def _trajectory(
         rows = np.zeros((0, FIRST_SUM + Sums.count))
     q = rows[:, State.q : State.q + COORDINATES]
     angles = q[:, 2:]
-    joints = [angles[:, [1, 2, 3]] - angles[:, [0, 1, 2]], angles[:, [4, 5, 6]] - angles[:, [0, 4, 5]]]
+    joints = [
+        angles[:, [1, 2, 3]] - angles[:, [0, 1, 2]],
+        angles[:, [4, 5, 6]] - angles[:, [0, 4, 5]],
+    ]
     fibres = rows[:, FIRST_FIBRE:]
     force = fibres[:, Muscle.force : Muscle.force + MUSCLE_COUNT] * np.tile(FMAX_N, LEGS)
     touching = rows[:, State.touching : State.touching + 2 * LEGS].reshape(-1, LEGS, 2)
@@ -82,7 +85,7 @@ def _trajectory(
         activation=fibres[:, Muscle.activation : Muscle.activation + MUSCLE_COUNT],
         muscle_force_n=force,
         ground_force_n=_mean_forces(rows, interval),
-        stance=touching.any(axis=2),
+        stance=np.any(touching > 0.5, axis=2, keepdims=False),
         events=_events(rows),
     )
 
@@ -104,8 +107,6 @@ def _events(rows: NDArray[np.float64]) -> NDArray[np.void]:
     for kind, row in enumerate((Gait.tick_strike, Gait.tick_takeoff)):
         for side in range(LEGS):
             remembered = np.unique(rows[:, FIRST_EVENT + row + side])
-            events += [
-                (tick * CONTROL_TICK_S, side, kind) for tick in remembered if tick > 0
-            ]
+            events += [(tick * CONTROL_TICK_S, side, kind) for tick in remembered if tick > 0]
     assert len(EVENT_KINDS) == 2
     return np.sort(np.array(events, dtype=EVENT_DTYPE), order="time_s")

@@ -1,4 +1,4 @@
-"""Stance reflexes and their mixing with swing: stimulations of the muscles and weights of the torques.
+"""Stance reflexes and their mixing with swing: muscle stimulations and weights of the torques.
 
 Sources: stance reflexes Geyer & Herr 2010; mixing by leg load after Song & Geyer 2015, as in the
 walker T. All signals are the delayed ones.

@@ -127,4 +127,4 @@ class Result:
     @property
     def end_reason(self) -> NDArray[np.str_]:
         """End reasons as words, [n]."""
-        return np.array(END_REASONS)[self.rows["end_reason"]]
+        return np.asarray(np.array(END_REASONS)[self.rows["end_reason"]])

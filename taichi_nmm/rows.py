@@ -1,8 +1,8 @@
 """Where each named quantity lies in the kernels' local arrays [row, lane].
 
-Legs are in the order left, right; contacts heel left, ball left, heel right, ball right; joint stops
-knee left, ankle left, knee right, ankle right; muscles `MUSCLES` left, then right; segments as in
-`body.SEGMENT_NAMES`. A block's row is the name plus the index within the block.
+Legs are in the order left, right; contacts heel left, ball left, heel right, ball right; joint
+stops knee left, ankle left, knee right, ankle right; muscles `MUSCLES` left, then right; segments
+as in `body.SEGMENT_NAMES`. A block's row is the name plus the index within the block.
 """
 
 from types import SimpleNamespace

@@ -59,9 +59,7 @@ def place_legs(lane, state: Rows, const: Rows, work: Rows):
     s = ti.static(Work.sensed + Signal.stance)
     left_carries = ti.select(work[s + 1, lane] > 0.5, 0.0, 0.0 - right_hip)
     right_carries = ti.select(work[s + 0, lane] > 0.5, 0.0, 0.0 - left_hip)
-    state[State.hip_torque + 0, lane] = (
-        left_weight * left_carries + (1.0 - left_weight) * left_hip
-    )
+    state[State.hip_torque + 0, lane] = left_weight * left_carries + (1.0 - left_weight) * left_hip
     state[State.hip_torque + 1, lane] = (
         right_weight * right_carries + (1.0 - right_weight) * right_hip
     )

@@ -7,8 +7,17 @@ and delays are the same for all lanes, since a batch starts together.
 
 import math
 
-from taichi_nmm import contact, delays, dynamics, gait, joint_stops, kinematics, muscle
-from taichi_nmm import reflexes, swing
+from taichi_nmm import (
+    contact,
+    delays,
+    dynamics,
+    gait,
+    joint_stops,
+    kinematics,
+    muscle,
+    reflexes,
+    swing,
+)
 from taichi_nmm.backend import Rows, ti
 from taichi_nmm.rows import (
     LEGS,
@@ -21,8 +30,8 @@ from taichi_nmm.rows import (
     Work,
 )
 
-# The first solve and at most four more. The cap is part of the model: with fewer, or with many more,
-# the verdict 'alive at 5 s' changes for some per cent of the search space.
+# The first solve and at most four more. The cap is part of the model: with fewer, or with many
+# more, the verdict 'alive at 5 s' changes for some per cent of the search space.
 CONTACT_PASSES = 1 + 4
 
 FALL_HEIGHT_M = 0.6  # hip over the ground
@@ -119,7 +128,7 @@ def contract_muscles(step_s, blend, lanes: Rows, muscles: Rows, fibres: Rows, wo
 
 @ti.func
 def add_ideal_torques(lane, state: Rows, work: Rows):
-    """Joint torques: hip and knee muscles by their share of stance, the ideal parts, the hip stop."""
+    """Hip and knee torques: muscles by their share of stance, ideal parts, the hip's stop."""
     for leg in ti.static(range(LEGS)):
         weight = state[State.stance_weight + leg, lane]
         hip, knee = ti.static(3 * leg, 3 * leg + 1)

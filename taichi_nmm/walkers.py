@@ -83,6 +83,6 @@ def _check_terrains(
     index = np.asarray(terrain_index)
     if index.shape != (count,) or index.dtype.kind not in "iu":
         raise InputError("terrain_index.shape", index.shape, f"[{count}] of whole numbers")
-    if count and not (0 <= index.min() and index.max() < len(grounds)):
+    if count and not (index.min() >= 0 and index.max() < len(grounds)):
         raise InputError("terrain_index", int(index.max()), f"0 to {len(grounds) - 1}")
     return grounds, index.astype(np.int32)

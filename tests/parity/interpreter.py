@@ -1,7 +1,7 @@
 """The walker interpreted by NumPy: the simulator's own modules, with NumPy in Taichi's place.
 
-The leaf physics has no branch on a value, so it runs as it stands on arrays of walkers: a lane index
-becomes the index array of all walkers. That checks the compiler, not the equations.
+The leaf physics has no branch on a value, so it runs as it stands on arrays of walkers: a lane
+index becomes the index array of all walkers. That checks the compiler, not the equations.
 """
 
 import builtins

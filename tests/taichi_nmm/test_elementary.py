@@ -12,7 +12,7 @@ ANGLES = np.concatenate([np.linspace(-60.0, 60.0, 20001), np.arange(-8, 9) * np.
 
 @pytest.fixture(scope="module")
 def elementary() -> Any:
-    return interpreted_walker().kinematics.sine_cosine.__globals__
+    return interpreted_walker().muscle.exponential.__globals__
 
 
 def test_sine_and_cosine(elementary: Any) -> None:
@@ -30,8 +30,7 @@ def test_arctangent_in_all_quadrants(elementary: Any) -> None:
 
 def test_exponential_and_its_clamp(elementary: Any) -> None:
     x = np.linspace(-80.0, 80.0, 20001)
-    module = elementary["exponential"] if "exponential" in elementary else None
-    exponential = module or interpreted_walker().muscle.exponential
+    exponential = elementary["exponential"]
     assert np.abs(exponential(x) / np.exp(x) - 1.0).max() < 1e-13
     assert np.isclose(exponential(np.array([-1e9]))[0], np.exp(-80.0))
 

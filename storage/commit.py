@@ -1,0 +1,69 @@
+"""The commit protocol: a file appears under its name whole and checked, or not at all.
+
+Writing straight to the destination leaves an unreadable file under the final name when the process
+is killed. So: a temporary sibling, closed and re-opened to be checked, on the disk before it takes
+its name; and the folder on the disk before anyone is told.
+"""
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from taichi_nmm.errors import InputError
+
+TEMPORARY_SUFFIX = ".tmp"  # hidden files of this ending are never read
+
+
+def commit(path: Path, write: Callable[[Path], None], check: Callable[[Path], None]) -> None:
+    """Make the file `path`: `write` fills a temporary sibling, `check` re-opens it and may raise.
+
+    Raises:
+        InputError: the folder cannot be written or the disk is full; nothing is left behind.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
+    with writable(path):
+        try:
+            write(temporary)
+            check(temporary)
+            _sync(temporary)
+            temporary.replace(path)
+            _sync(path.parent)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def commit_json(path: Path, document: dict[str, Any]) -> None:
+    """Make a JSON file."""
+    text = json.dumps(document, indent=2) + "\n"
+
+    def check(temporary: Path) -> None:
+        if json.loads(temporary.read_text(encoding="utf-8")) != document:
+            raise OSError("what was read back differs from what was written")
+
+    commit(path, lambda temporary: _write_text(temporary, text), check)
+
+
+@contextmanager
+def writable(path: Path) -> Iterator[None]:
+    """Turn the system's refusal to write at `path` into one line for the user."""
+    try:
+        yield
+    except OSError as error:
+        allowed = f"a place that can be written, with space left ({error.strerror or error})"
+        raise InputError("out", str(path), allowed) from None
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def _sync(path: Path) -> None:
+    """Have the system put a file's or a folder's content on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

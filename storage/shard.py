@@ -1,0 +1,105 @@
+"""One shard: a Parquet file whose footer says what it is part of."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from storage.commit import commit
+from taichi_nmm.errors import InputError
+
+FOOTER_KEY = b"taichi_nmm"
+FOOTER_NEEDS = {"rows", "shard", "specification", "specification_hash"}
+HASH_BLOCK_BYTES = 1 << 20
+
+
+def shard_name(number: int) -> str:
+    """File name of a shard."""
+    return f"part-{number:05d}.parquet"
+
+
+def write_table(path: Path, table: pa.Table, footer: dict[str, Any]) -> None:
+    """Commit a table with its footer; the same table and footer give the same bytes.
+
+    Raises:
+        InputError: the folder cannot be written or the disk is full; nothing is left behind.
+    """
+    stamped = table.replace_schema_metadata({FOOTER_KEY: json.dumps(footer)})
+    words = [field.name for field in table.schema if pa.types.is_string(field.type)]
+
+    def write(temporary: Path) -> None:
+        pq.write_table(
+            stamped,
+            temporary,
+            compression="zstd",
+            use_dictionary=words,  # a dictionary of floats is larger than the floats
+            write_page_checksum=True,  # a reader finds a flipped bit with no manifest at hand
+        )
+
+    def check(temporary: Path) -> None:
+        with pq.ParquetFile(temporary) as file:
+            if footer_of(file) != footer or file.metadata.num_rows != len(table):
+                raise OSError("what was read back differs from what was written")
+
+    commit(path, write, check)
+
+
+def footer_of(file: pq.ParquetFile) -> dict[str, Any] | None:
+    """What the footer says; None in a Parquet file of somebody else."""
+    try:
+        footer = json.loads((file.schema_arrow.metadata or {})[FOOTER_KEY])
+    except (KeyError, ValueError):
+        return None
+    return footer if isinstance(footer, dict) else None
+
+
+def read_footer(path: Path) -> tuple[dict[str, Any], pa.Schema]:
+    """Footer and columns of a shard or a merged file.
+
+    Raises:
+        InputError: missing, truncated, not Parquet, or not of this project.
+    """
+    try:
+        with pq.ParquetFile(path) as file:
+            footer, schema, rows = footer_of(file), file.schema_arrow, file.metadata.num_rows
+    except (OSError, pa.ArrowException) as error:
+        allowed = f"a Parquet file that is whole ({first_line(error)})"
+        raise InputError("store", str(path), allowed) from None
+    if footer is None or not footer.keys() >= FOOTER_NEEDS:
+        raise InputError("store", str(path), "a file whose footer has a store's specification")
+    if footer.get("rows") != rows:
+        raise InputError("store", str(path), f"a file of {footer.get('rows')} rows, not {rows}")
+    return footer, schema.remove_metadata()
+
+
+def read_columns(path: Path, columns: list[str] | None = None) -> pa.Table:
+    """Columns of a file, every page checked against its checksum.
+
+    Raises:
+        InputError: the file cannot be read or is damaged.
+    """
+    try:
+        table = pq.read_table(
+            path, columns=columns, page_checksum_verification=True, partitioning=None
+        )
+    except (OSError, pa.ArrowException) as error:
+        allowed = f"an undamaged Parquet file ({first_line(error)})"
+        raise InputError("store", str(path), allowed) from None
+    return table.replace_schema_metadata(None)
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's bytes."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(HASH_BLOCK_BYTES):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def first_line(error: Exception) -> str:
+    """An error's message, cut to the one line a user is shown."""
+    return (str(error).splitlines() or [type(error).__name__])[0]

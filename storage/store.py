@@ -1,0 +1,167 @@
+"""Reading a store: a finished folder, one shard of it, or a merged file."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from storage.document import document_hash
+from storage.manifest import Manifest
+from storage.schema import columns_of
+from storage.shard import file_hash, read_columns, read_footer, write_table
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES, GAINS
+
+if TYPE_CHECKING:
+    import pandas
+
+
+@dataclass(frozen=True)
+class Store:
+    """Scores of many points; rows are in the order of the points.
+
+    Attributes:
+        path: what was opened.
+        files: the Parquet files it consists of.
+        footers: what each file says of itself: shard, rows, code, engine, architecture, precision.
+        columns: names of all columns.
+        specification: what was computed, as in specification.json.
+    """
+
+    path: Path
+    files: tuple[Path, ...]
+    footers: tuple[dict[str, Any], ...]
+    columns: tuple[str, ...]
+    specification: dict[str, Any]
+
+    def __len__(self) -> int:
+        """Rows."""
+        return sum(footer["rows"] for footer in self.footers)
+
+    def table(self, columns: Iterable[str] | None = None) -> pa.Table:
+        """The rows as an Arrow table: all columns, or those named in that order."""
+        names = list(self.columns if columns is None else columns)
+        for name in names:
+            if name not in self.columns:
+                raise InputError("column", name, f"one of {', '.join(self.columns)}")
+        return pa.concat_tables(read_columns(file, names) for file in self.files)
+
+    def numpy(self, columns: Iterable[str] | None = None) -> NDArray[np.void]:
+        """The rows as a structured array, [n]; words are NumPy strings."""
+        table = self.table(columns)
+        arrays = {name: _as_numpy(table[name]) for name in table.column_names}
+        rows = np.empty(len(table), [(name, values.dtype) for name, values in arrays.items()])
+        for name, values in arrays.items():
+            rows[name] = values
+        return rows
+
+    def pandas(self, columns: Iterable[str] | None = None) -> "pandas.DataFrame":
+        """The rows as a pandas data frame, if pandas is installed."""
+        try:
+            import pandas  # noqa: F401
+        except ImportError:
+            allowed = "an installed package (Arrow and NumPy need none)"
+            raise InputError("pandas", "missing", allowed) from None
+        return self.table(columns).to_pandas()
+
+    def gains(self) -> NDArray[np.float64]:
+        """The points, [n, 16]."""
+        table = self.table(GAIN_NAMES)
+        return np.column_stack([table[name].to_numpy() for name in GAIN_NAMES])
+
+    def require_bounds(self) -> None:
+        """Refuse a store whose points were drawn from other bounds than those of `GAINS`."""
+        stored = self.specification["gains"]
+        current = {gain.name: {"low": gain.low, "high": gain.high} for gain in GAINS}
+        for name in dict.fromkeys([*current, *stored]):
+            if stored.get(name) != current.get(name):
+                allowed = f"{current.get(name)}, the bounds of this version; compute a new store"
+                raise InputError(f"store.gains.{name}", stored.get(name), allowed)
+
+
+def open_store(path: str | Path, verify: bool = False) -> Store:
+    """Open a store's folder, a single shard, or a merged file.
+
+    Args:
+        path: the folder or the file.
+        verify: also compare every file with its SHA-256 in the manifest beside it. Whenever
+            columns are read, pages are compared with their checksums; a merged file, or a shard
+            that was taken out of its folder, has only these.
+
+    Raises:
+        InputError: missing, unfinished, truncated, damaged, or not a store.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError("store", str(path), "a store's folder or file that exists")
+    manifest = Manifest.read(path) if path.is_dir() else None
+    files = tuple(path / name for name in manifest.hashes) if manifest else (path,)
+    footers, specification = _read_footers(files)
+    if manifest is not None:
+        _check_folder(files, footers, manifest)
+    columns = tuple(column.partition(":")[0] for column in specification["columns"])
+    store = Store(path, files, footers, columns, specification)
+    if verify:
+        _verify(store)
+    return store
+
+
+def merge(source: str | Path, target: str | Path) -> Store:
+    """Write a store into one file, whole or not at all, and open it."""
+    store, target = open_store(source, verify=True), Path(target)
+    footer = {key: _common(store.footers, key) for key in store.footers[0]}
+    write_table(target, store.table(), footer | {"rows": len(store)})
+    return open_store(target)
+
+
+def _read_footers(files: tuple[Path, ...]) -> tuple[tuple[dict[str, Any], ...], dict[str, Any]]:
+    """The footers of all files, and the one specification that they were checked to share."""
+    footers = []
+    for file in files:
+        footer, schema = read_footer(file)
+        specification = footer["specification"]
+        if document_hash(specification) != footer["specification_hash"]:
+            raise InputError("store", str(file), "a footer whose specification has its hash")
+        if columns_of(schema) != specification["columns"]:
+            raise InputError("store", str(file), "a file with the columns of its specification")
+        footers.append(footer)
+    return tuple(footers), footers[0]["specification"]
+
+
+def _check_folder(
+    files: tuple[Path, ...], footers: tuple[dict[str, Any], ...], manifest: Manifest
+) -> None:
+    expected = document_hash(manifest.specification)
+    for number, (file, footer) in enumerate(zip(files, footers, strict=True)):
+        if (footer["specification_hash"], footer["shard"]) != (expected, number):
+            raise InputError("store", str(file), f"shard {number} of this store")
+    rows = sum(footer["rows"] for footer in footers)
+    if rows != manifest.rows:
+        raise InputError("store", f"{rows} rows", f"{manifest.rows} rows, as the manifest says")
+
+
+def _verify(store: Store) -> None:
+    for file in store.files:
+        try:
+            expected = Manifest.read(file.parent).hashes.get(file.name)
+        except InputError:
+            expected = None
+        if expected is None:
+            read_columns(file)
+        elif file_hash(file) != expected:
+            raise InputError("store", str(file), f"a file of SHA-256 {expected}; compute it again")
+
+
+def _common(footers: tuple[dict[str, Any], ...], key: str) -> Any:
+    """What all footers say, or the list of all they say."""
+    values = [footer[key] for footer in footers]
+    return values[0] if all(value == values[0] for value in values) else values
+
+
+def _as_numpy(column: pa.ChunkedArray) -> NDArray[Any]:
+    values: NDArray[Any] = column.to_numpy()
+    return values.astype(np.str_) if values.dtype == object else values

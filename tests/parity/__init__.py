@@ -1,0 +1,1 @@
+"""The walker against other engines: MuJoCo, and a dense NumPy dynamics."""

@@ -1,0 +1,121 @@
+"""The linkage's dynamics written another way: dense, from the Jacobians of the seven masses.
+
+The simulator solves the closed form of the equations as an arrow matrix; nothing here knows of it.
+Every centre of mass is `hip + sum_k arm[i, k] u_k(th_k)`, u_k the unit vector along segment k, so
+with e_k = du_k/dth_k the Jacobian of segment i is J_i = [1, arm[i, k] e_k] and the centripetal
+part of its acceleration is `-sum_k arm[i, k] u_k w_k^2`.
+
+Arrays: states q, qdot [n, 9] as in `taichi_nmm`, joint torques [n, 6], bodies of length 1 or n.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
+
+Array = NDArray[np.float64]
+
+# Column of q for parent and child of each joint: left hip, knee, ankle, right hip, knee, ankle.
+JOINT_PARENT = (2, 3, 4, 2, 6, 7)
+JOINT_CHILD = (3, 4, 5, 6, 7, 8)
+
+
+def contract(subscripts: str, *operands: Array) -> Array:
+    """`np.einsum`, with the type of its result."""
+    result: Array = np.einsum(subscripts, *operands)
+    return result
+
+
+def unit_vectors(q: Array) -> Array:
+    """u_k [n, 7, 2]: HAT up, thighs and shanks down, feet forward, all turned clockwise by th_k."""
+    sine, cosine = np.sin(q[:, 2:]), np.cos(q[:, 2:])
+    u = np.stack([-sine, -cosine], axis=-1)
+    u[:, 0] *= -1.0
+    for foot in (3, 6):
+        u[:, foot] = np.stack([cosine[:, foot], -sine[:, foot]], axis=-1)
+    return u
+
+
+def clockwise_quarter_turn(u: Array) -> Array:
+    """du/dth of a vector that turns clockwise with th, [..., 2]."""
+    return np.stack([u[..., 1], -u[..., 0]], axis=-1)
+
+
+def arms_m(bodies: Bodies) -> Array:
+    """arm[i, k] in m: how far the centre of mass of segment i lies along u_k, [n, 7, 7]."""
+    arm = np.zeros((len(bodies), 7, 7))
+    arm[:, range(7), range(7)] = bodies.com_m
+    for thigh in (1, 4):
+        shank, foot = thigh + 1, thigh + 2
+        arm[:, [shank, foot], thigh] = THIGH_LENGTH_M
+        arm[:, foot, shank] = SHANK_LENGTH_M
+    return arm
+
+
+def jacobians(q: Array, bodies: Bodies) -> Array:
+    """d(centre of mass of segment i)/dq, [n, 7, 2, 9]."""
+    e = clockwise_quarter_turn(unit_vectors(q))
+    base = np.broadcast_to(np.eye(2), (len(q), 7, 2, 2))
+    return np.concatenate([base, contract("nik,nkc->nick", arms_m(bodies), e)], axis=-1)
+
+
+def mass_matrix(q: Array, bodies: Bodies) -> Array:
+    """[n, 9, 9]."""
+    jacobian = jacobians(q, bodies)
+    matrix = contract("ni,nica,nicb->nab", bodies.mass_kg, jacobian, jacobian)
+    matrix[:, range(2, 9), range(2, 9)] += bodies.inertia_kgm2
+    return matrix
+
+
+def forward_dynamics(q: Array, qdot: Array, joint_torque: Array, bodies: Bodies) -> Array:
+    """Accelerations [n, 9] in free flight."""
+    turning = contract("nik,nkc,nk->nic", arms_m(bodies), unit_vectors(q), qdot[:, 2:] ** 2)
+    pull = turning + np.array([0.0, -GRAVITY_MPS2])
+    force = contract("ni,nica,nic->na", bodies.mass_kg, jacobians(q, bodies), pull)
+    force[:, JOINT_CHILD] += joint_torque
+    for joint, parent in enumerate(JOINT_PARENT):  # the HAT is parent twice
+        force[:, parent] -= joint_torque[:, joint]
+    acceleration = np.linalg.solve(mass_matrix(q, bodies), force[..., None])[..., 0]
+    return acceleration.astype(np.float64)
+
+
+def com_positions(q: Array, bodies: Bodies) -> Array:
+    """Centre of mass of each segment, [n, 7, 2]."""
+    return q[:, None, :2] + contract("nik,nkc->nic", arms_m(bodies), unit_vectors(q))
+
+
+def com_accelerations(q: Array, qdot: Array, qddot: Array, bodies: Bodies) -> Array:
+    """Acceleration of each segment's centre of mass, [n, 7, 2]."""
+    turning = contract("nik,nkc,nk->nic", arms_m(bodies), unit_vectors(q), qdot[:, 2:] ** 2)
+    return contract("nica,na->nic", jacobians(q, bodies), qddot) - turning
+
+
+def energy(q: Array, qdot: Array, bodies: Bodies) -> Array:
+    """Kinetic and potential energy in J, [n]."""
+    kinetic = 0.5 * contract("na,nab,nb->n", qdot, mass_matrix(q, bodies), qdot)
+    height = com_positions(q, bodies)[..., 1]
+    return kinetic + GRAVITY_MPS2 * contract("ni,ni->n", bodies.mass_kg, height)
+
+
+def momentum(q: Array, qdot: Array, bodies: Bodies) -> Array:
+    """Linear momentum in N s, [n, 2]."""
+    velocity = contract("nica,na->nic", jacobians(q, bodies), qdot)
+    return contract("ni,nic->nc", bodies.mass_kg, velocity)
+
+
+def angular_momentum(q: Array, qdot: Array, bodies: Bodies) -> Array:
+    """About the whole body's centre of mass, clockwise positive, in N m s, [n]."""
+    velocity = contract("nica,na->nic", jacobians(q, bodies), qdot)
+    orbit = moment_about_com(q, velocity, bodies)
+    return orbit + contract("ni,ni->n", bodies.inertia_kgm2, qdot[:, 2:])
+
+
+def moment_about_com(q: Array, rate: Array, bodies: Bodies) -> Array:
+    """Clockwise moment of m_i rate_i (velocities or accelerations, [n, 7, 2]), [n]."""
+    position = com_positions(q, bodies)
+    mass = bodies.mass_kg[..., None]
+    centre = np.sum(mass * position, axis=1, keepdims=True) / np.sum(mass, axis=1, keepdims=True)
+    lever = mass * (position - centre)
+    return contract("ni,ni->n", lever[..., 1], rate[..., 0]) - contract(
+        "ni,ni->n", lever[..., 0], rate[..., 1]
+    )

@@ -1,0 +1,69 @@
+"""A simulator that takes no time: every number is a fixed function of the walker's own input."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from storage.specification import Specification, read_specification
+from taichi_nmm.config import Table
+from taichi_nmm.parameters import upper_bounds
+from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
+
+ENGINE = {
+    "engine": "fake",
+    "engine_version": "1",
+    "arch": "cpu",
+    "precision": "float32",
+    "fast_math": False,
+}
+
+
+def simulate(gains: Any, **options: Any) -> Result:
+    """The signature of `taichi_nmm.simulate`; walkers live longer the larger their first gain."""
+    unit = gains[:, 0] / upper_bounds()[0]
+    bodies, terrains = options["bodies"], options["terrains"]
+    index = options.get("terrain_index", np.zeros(len(gains), dtype=int))
+    slopes = [terrain.height_m.std() for terrain in np.atleast_1d(np.array(terrains, dtype=object))]
+    mass = bodies.mass_kg.sum(axis=1) / 80.0
+    fitness = unit * mass - 0.001 * np.array(slopes)[index]
+    rows = np.zeros(len(gains), RESULT_DTYPE)
+    for number, name in enumerate(RESULT_DTYPE.names or ()):
+        rows[name] = 10.0 * np.sin(number + 7.0 * fitness) ** 2
+    horizon = options["duration_s"]
+    rows["duration_s"] = np.minimum(horizon, 10.0 * fitness)
+    rows["survived_fraction"] = rows["duration_s"] / horizon
+    rows["end_reason"] = np.where(rows["duration_s"] < horizon, FELL, COMPLETED)
+    options["progress"](horizon, len(gains))
+    return Result(rows, metadata=ENGINE)
+
+
+def flip_a_bit(file: Path) -> None:
+    """Damage a number in the middle of a shard, and nothing that is needed to open it."""
+    groups = pq.read_metadata(file).row_group(0)
+    column = groups.column(groups.num_columns // 2)
+    data = bytearray(file.read_bytes())
+    data[column.data_page_offset + column.total_compressed_size // 2] ^= 1
+    file.write_bytes(bytes(data))
+
+
+def configuration(**changes: Any) -> dict[str, Any]:
+    """A small store's configuration; `robust=True` adds six settings."""
+    robust = changes.pop("robust", False)
+    data: dict[str, Any] = {"samples": 50, "shard_rows": 8, "seed": 7} | changes
+    if robust:
+        data["robust"] = {
+            "settings": 6,
+            "min_survival_s": 3.0,
+            "horizon_s": 8.0,
+            "seed": 8,
+            "terrain": {"kind": "rough", "amplitude_m": 0.08},
+            "body": {"disturbance": 0.15},
+        }
+    return data
+
+
+def specification(**changes: Any) -> Specification:
+    """The specification of `configuration`."""
+    return read_specification(Table(configuration(**changes)))

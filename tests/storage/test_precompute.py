@@ -1,0 +1,242 @@
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import taichi_nmm
+from storage.folder import StoreFolder
+from storage.precompute import Summary, precompute
+from storage.shard import FOOTER_KEY, read_columns
+from taichi_nmm.errors import InputError
+from taichi_nmm.result import Result
+from tests.storage import fake
+
+SHARD = "part-00003.parquet"
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    path = tmp_path / "store"
+    fill(path)
+    return path
+
+
+def fill(path: Path, fresh: bool = False, **changes: object) -> Summary:
+    return precompute(fake.specification(**changes), path, fresh)
+
+
+def content(path: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in path.iterdir()}
+
+
+def test_a_store_is_its_shards_a_specification_and_a_manifest(store: Path) -> None:
+    shards = [f"part-{number:05d}.parquet" for number in range(7)]
+    assert sorted(content(store)) == [".lock", "manifest.json", *shards, "specification.json"]
+    manifest = json.loads((store / "manifest.json").read_text())
+    assert [shard["file"] for shard in manifest["shards"]] == shards
+    assert manifest["rows"] == 50
+    assert manifest["specification"] == fake.specification().document
+
+
+def test_summary_counts(tmp_path: Path) -> None:
+    first = fill(tmp_path / "store", robust=True)
+    rows = pa.concat_tables(
+        read_columns(file) for file in sorted((tmp_path / "store").glob("*.parquet"))
+    )
+    assert first.points == first.points_computed == len(rows) == 50
+    assert first.alive_at_horizon == rows["end_reason"].to_pylist().count("completed")
+    assert first.alive_fraction == first.alive_at_horizon / 50
+    assert first.robust_evaluated == sum(rows["robust_evaluated"].to_pylist())
+    again = fill(tmp_path / "store", robust=True)
+    assert (again.points_computed, again.walkers_per_s) == (0, 0.0)
+    assert again.alive_at_horizon == first.alive_at_horizon
+
+
+def test_footers_say_what_made_the_shard(store: Path) -> None:
+    footer = json.loads(pq.read_schema(store / SHARD).metadata[FOOTER_KEY])
+    specification = fake.specification()
+    assert footer == {
+        "format": 1,
+        "specification_hash": specification.hash,
+        "shard": 3,
+        "rows": 8,
+        "code_version": taichi_nmm.__version__,
+        **fake.ENGINE,
+        "seed": 7,
+        "specification": specification.document,
+    }
+
+
+def test_two_runs_are_equal_byte_for_byte(store: Path, tmp_path: Path) -> None:
+    fill(tmp_path / "other")
+    assert content(tmp_path / "other") == content(store)
+
+
+def truncate(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[:-100])
+
+
+def empty(file: Path) -> None:
+    file.write_bytes(b"")
+
+
+def foreign(file: Path) -> None:
+    pq.write_table(pa.table({"a": [1]}), file)
+
+
+def foreign_columns(file: Path) -> None:
+    table = pq.read_table(file, partitioning=None)
+    pq.write_table(table.drop_columns(["phi_printed"]), file)
+
+
+def fewer_rows(file: Path) -> None:
+    pq.write_table(pq.read_table(file, partitioning=None).slice(1), file)
+
+
+def another_shard(file: Path) -> None:
+    shutil.copy(file.with_name("part-00002.parquet"), file)
+
+
+def another_specification(file: Path) -> None:
+    other = file.parent.with_name("other")
+    fill(other, seed=8)
+    shutil.copy(other / file.name, file)
+
+
+def wrong_hash(file: Path) -> None:
+    table = pq.read_table(file, partitioning=None)
+    pq.write_table(table, file, compression="snappy")  # the right rows, but not the bytes
+
+
+DAMAGE = [
+    truncate, empty, foreign, foreign_columns, fewer_rows, another_shard, another_specification,
+    fake.flip_a_bit, wrong_hash, Path.unlink,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_shard_is_found_and_redone(store: Path, damage: Callable[[Path], None]) -> None:
+    before = content(store)
+    damage(store / SHARD)
+    assert fill(store).points_computed == 8
+    assert content(store) == before
+
+
+@pytest.mark.parametrize("damage", [d for d in DAMAGE if d is not wrong_hash])
+def test_damage_is_found_without_a_manifest(store: Path, damage: Callable[[Path], None]) -> None:
+    before = content(store)
+    (store / "manifest.json").unlink()
+    damage(store / SHARD)
+    assert fill(store).points_computed == 8
+    assert content(store) == before
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"shards": 3}'])
+def test_a_damaged_manifest_is_written_again(store: Path, text: str) -> None:
+    before = content(store)
+    (store / "manifest.json").write_text(text)
+    assert fill(store).points_computed == 0
+    assert content(store) == before
+
+
+def test_an_interrupt_loses_one_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def interrupted(*args: object, **options: object) -> Result:
+        calls.append(1)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return fake.simulate(*args, **options)
+
+    with monkeypatch.context() as context:
+        context.setitem(vars(taichi_nmm), "simulate", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            fill(tmp_path / "store")
+    assert not (tmp_path / "store" / "manifest.json").exists()
+    assert fill(tmp_path / "store").points_computed == 50 - 3 * 8
+    fill(tmp_path / "other")
+    assert content(tmp_path / "store") == content(tmp_path / "other")
+
+
+def test_temporary_files_of_a_killed_run_are_cleared(store: Path) -> None:
+    before = content(store)
+    (store / ".part-00001.parquet.123.tmp").write_bytes(b"half")
+    fill(store)
+    assert content(store) == before
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"samples": 51}, "samples"),
+        ({"seed": 9}, "seed"),
+        ({"simulation": {"duration_s": 6.0}}, "simulation.duration_s"),
+        ({"terrain": {"kind": "stairs"}}, "terrain.name"),
+        ({"body": {"disturbance": 0.1}}, "body.disturbance"),
+        ({"robust": True}, "robust"),
+    ],
+)
+def test_another_specification_is_refused_by_name(
+    store: Path, changes: dict[str, object], field: str
+) -> None:
+    before = content(store)
+    with pytest.raises(InputError, match="--fresh") as caught:
+        fill(store, **changes)
+    assert caught.value.field == field
+    assert content(store) == before
+
+
+def test_fresh_starts_over_and_leaves_the_files_of_others(store: Path) -> None:
+    (store / "notes.txt").write_text("mine")
+    summary = fill(store, fresh=True, samples=20)
+    assert (summary.points, summary.points_computed) == (20, 20)
+    shards = [f"part-{number:05d}.parquet" for number in range(3)]
+    assert sorted(file.name for file in store.glob("*.parquet")) == shards
+    assert (store / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["notes.txt", SHARD, "manifest.json"])
+@pytest.mark.parametrize("fresh", [False, True])
+def test_a_folder_of_something_else_is_refused(tmp_path: Path, name: str, fresh: bool) -> None:
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(InputError, match=name):
+        fill(tmp_path, fresh)
+    assert content(tmp_path) == {name: b"mine"}
+
+
+@pytest.mark.parametrize("text", ["", "{"])
+def test_an_unreadable_specification_is_refused_unless_fresh(store: Path, text: str) -> None:
+    (store / "specification.json").write_text(text)
+    with pytest.raises(InputError, match="a readable specification"):
+        fill(store)
+    assert fill(store, fresh=True).points_computed == 50
+
+
+def test_out_is_a_file(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    for path in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(InputError) as caught:
+            fill(path)
+        assert caught.value.field == "out"
+
+
+def test_a_folder_in_use_is_refused(store: Path) -> None:
+    specification = fake.specification()
+    with (
+        StoreFolder.claim(store, specification, fresh=False),
+        pytest.raises(InputError, match="no other process"),
+        StoreFolder.claim(store, specification, fresh=True),
+    ):
+        pytest.fail("two processes would write")
+    assert fill(store).points_computed == 0
+
+
+def test_progress_starts_at_what_is_there_and_ends_at_all(store: Path) -> None:
+    (store / SHARD).unlink()
+    seen: list[float] = []
+    precompute(fake.specification(), store, progress=seen.append)
+    assert seen[0] == 42 and seen[-1] == 50 and seen == sorted(seen)

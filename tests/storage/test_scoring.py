@@ -1,0 +1,76 @@
+import numpy as np
+
+from storage.schema import columns_of, robust_names
+from storage.scoring import score_shard
+from storage.sobol import sobol_gains
+from taichi_nmm.parameters import GAIN_NAMES
+from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
+from tests.storage import fake
+
+
+def report(_: float) -> None:
+    pass
+
+
+def test_names_of_robust_columns_end_with_the_unit() -> None:
+    assert robust_names("m5_sum_mps") == ("robust_m5_sum_mean_mps", "robust_m5_sum_sd_mps")
+    assert robust_names("phi_printed") == ("robust_phi_printed_mean", "robust_phi_printed_sd")
+
+
+def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
+    specification = fake.specification()
+    shard = score_shard(specification, 2, report)
+    table = shard.table
+    assert columns_of(table.schema) == specification.document["columns"]
+    assert table.column_names == ["row", *GAIN_NAMES, *(RESULT_DTYPE.names or ())]
+    assert table["row"].to_pylist() == list(range(16, 24))
+    gains = sobol_gains(specification.seed, 16, 8)
+    assert np.array_equal(table["l_clr"].to_numpy(), gains[:, 15])
+    assert set(table["end_reason"].to_pylist()) <= set(END_REASONS)
+    assert shard.engine == fake.ENGINE
+
+
+def test_robust_columns_are_mean_and_spread_over_the_settings() -> None:
+    specification = fake.specification(robust=True)
+    robust = specification.robust
+    assert robust is not None
+    table = score_shard(specification, 0, report).table
+    evaluated = table["robust_evaluated"].to_numpy()
+    assert 0 < evaluated.sum() < len(evaluated)
+    assert np.array_equal(evaluated, table["duration_s"].to_numpy() >= 3.0)
+    point = int(np.flatnonzero(evaluated)[0])
+    runs = [
+        fake.simulate(
+            sobol_gains(specification.seed, point, 1),
+            bodies=robust.bodies.take([setting]),
+            terrains=robust.terrains[setting],
+            duration_s=robust.horizon_s,
+            progress=lambda now_s, active: None,
+        ).rows[0]
+        for setting in range(6)
+    ]
+    for component, _ in SCORE_FIELDS:
+        values = np.array([run[component] for run in runs], dtype=float)
+        mean, spread = (table[name][point].as_py() for name in robust_names(component))
+        np.testing.assert_allclose([mean, spread], [values.mean(), values.std()], rtol=1e-12)
+
+
+def test_points_that_were_not_evaluated_hold_zero() -> None:
+    table = score_shard(fake.specification(robust=True), 0, report).table
+    skipped = ~table["robust_evaluated"].to_numpy()
+    for component, _ in SCORE_FIELDS:
+        for name in robust_names(component):
+            assert not table[name].to_numpy()[skipped].any()
+
+
+def test_a_shard_without_survivors_needs_no_robust_run() -> None:
+    specification = fake.specification(robust=True, samples=8, simulation={"duration_s": 60.0})
+    object.__setattr__(specification.robust, "min_survival_s", 60.0)
+    table = score_shard(specification, 0, report).table
+    assert not table["robust_evaluated"].to_numpy().any()
+
+
+def test_progress_rises_to_one() -> None:
+    seen: list[float] = []
+    score_shard(fake.specification(robust=True), 0, seen.append)
+    assert seen == sorted(seen) and seen[-1] == 1.0

@@ -1,0 +1,32 @@
+import warnings
+
+import numpy as np
+from scipy.stats import qmc
+
+from storage.sobol import sobol_gains
+from taichi_nmm.parameters import lower_bounds, upper_bounds
+
+
+def test_a_part_alone_equals_one_long_run() -> None:
+    whole = sobol_gains(3, 0, 512)
+    for first, count in ((0, 100), (100, 7), (107, 405), (511, 1)):
+        assert np.array_equal(sobol_gains(3, first, count), whole[first : first + count])
+
+
+def test_points_fill_the_bounds_evenly() -> None:
+    points = sobol_gains(3, 0, 1024)
+    unit = (points - lower_bounds()) / (upper_bounds() - lower_bounds())
+    assert unit.min() >= 0 and unit.max() <= 1
+    counts = [np.histogram(column, bins=16, range=(0, 1))[0] for column in unit.T]
+    assert np.all(np.array(counts) == 64)  # a Sobol sequence's promise, not a random one's
+    assert qmc.discrepancy(unit[:, :4]) < 1e-3
+
+
+def test_seeds_give_different_points() -> None:
+    assert not np.any(sobol_gains(3, 0, 8) == sobol_gains(4, 0, 8))
+
+
+def test_no_warning_about_a_length_that_is_no_power_of_two() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert sobol_gains(0, 0, 5).shape == (5, 16)

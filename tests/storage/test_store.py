@@ -1,0 +1,220 @@
+import json
+import pickle
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import storage.store
+from storage import merge, open_store
+from storage.precompute import precompute
+from storage.sobol import sobol_gains
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES, GAINS
+from tests.storage import fake
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("original") / "store"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(vars(__import__("taichi_nmm")), "simulate", fake.simulate)
+        precompute(fake.specification(robust=True), path)
+    return path
+
+
+@pytest.fixture
+def folder(original: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(original, tmp_path / "store"))
+
+
+def test_arrow_numpy_and_pandas_agree(folder: Path) -> None:
+    store = open_store(folder, verify=True)
+    table, rows, frame = store.table(), store.numpy(), store.pandas()
+    assert len(store) == len(table) == len(rows) == len(frame) == 50
+    assert list(store.columns) == table.column_names == list(rows.dtype.names) == list(frame)
+    for name in store.columns:
+        assert table[name].to_pylist() == rows[name].tolist() == frame[name].tolist()
+    assert rows["row"].tolist() == list(range(50))
+    assert rows["end_reason"].dtype.kind == "U"
+    assert rows["step_count"].dtype == np.int32
+    assert rows["robust_evaluated"].dtype == np.bool_
+
+
+def test_columns_come_as_asked(folder: Path) -> None:
+    store = open_store(folder)
+    names = ("phi_printed", "row")
+    assert store.table(names).column_names == list(names)
+    assert store.numpy(names).dtype.names == names
+    assert list(store.pandas(names)) == list(names)
+    with pytest.raises(InputError, match="column: 'phi'"):
+        store.table(["phi"])
+
+
+def test_gains_are_the_sobol_points(folder: Path) -> None:
+    assert np.array_equal(open_store(folder).gains(), sobol_gains(7, 0, 50))
+
+
+def test_one_shard_opens_alone(folder: Path, tmp_path: Path) -> None:
+    for path in (folder / "part-00001.parquet", tmp_path / "taken-out.parquet"):
+        if not path.exists():
+            shutil.copy(folder / "part-00001.parquet", path)
+        store = open_store(path, verify=True)
+        assert store.numpy(["row"])["row"].tolist() == list(range(8, 16))
+        assert store.specification == fake.specification(robust=True).document
+
+
+def test_a_folder_named_like_a_hive_partition_adds_no_column(folder: Path) -> None:
+    renamed = folder.rename(folder.with_name("seed=3"))
+    assert "seed" not in open_store(renamed).table().column_names
+
+
+def test_merged_file_holds_the_same_rows(folder: Path, tmp_path: Path) -> None:
+    merged = merge(folder, tmp_path / "merged.parquet")
+    assert merged.table() == open_store(folder).table().combine_chunks()
+    footer = merged.footers[0]
+    assert (footer["rows"], footer["shard"]) == (50, list(range(7)))
+    assert (footer["arch"], footer["engine"]) == ("cpu", "fake")
+    assert open_store(tmp_path / "merged.parquet", verify=True).columns == merged.columns
+    merge(folder, tmp_path / "again.parquet")
+    files = [tmp_path / name for name in ("merged.parquet", "again.parquet")]
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_missing_paths(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="that exists"):
+        open_store(tmp_path / "nothing")
+    with pytest.raises(InputError, match="a finished store"):
+        open_store(tmp_path)
+
+
+def test_an_unfinished_store_is_refused(folder: Path) -> None:
+    (folder / "manifest.json").unlink()
+    with pytest.raises(InputError, match="a finished store"):
+        open_store(folder)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"shards": [1]}'])
+def test_a_damaged_manifest(folder: Path, text: str) -> None:
+    (folder / "manifest.json").write_text(text)
+    with pytest.raises(InputError, match="an undamaged manifest"):
+        open_store(folder)
+
+
+def test_a_manifest_whose_specification_was_edited(folder: Path) -> None:
+    path = folder / "manifest.json"
+    path.write_text(path.read_text().replace('"seed": 7', '"seed": 9'))
+    with pytest.raises(InputError, match="an undamaged manifest"):
+        open_store(folder)
+
+
+def test_a_missing_shard(folder: Path) -> None:
+    (folder / "part-00003.parquet").unlink()
+    with pytest.raises(InputError, match=r"part-00003\.parquet"):
+        open_store(folder)
+
+
+@pytest.mark.parametrize("length", [0, 3, 1000])
+def test_a_truncated_shard(folder: Path, length: int) -> None:
+    shard = folder / "part-00003.parquet"
+    shard.write_bytes(shard.read_bytes()[:length])
+    for path in (folder, shard):
+        with pytest.raises(InputError, match=r"part-00003\.parquet.* whole") as caught:
+            open_store(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_foreign_file(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.parquet"
+    pq.write_table(pa.table({"phi_printed": [1.0]}), path)
+    with pytest.raises(InputError, match="footer"):
+        open_store(path)
+    path.write_text("row,phi_printed\n0,1\n")
+    with pytest.raises(InputError, match="Parquet"):
+        open_store(path)
+
+
+@pytest.mark.parametrize("footer", ["3", "{", '{"rows": 1}', '{"rows": 1, "specification": 4}'])
+def test_a_footer_of_somebody_else_under_our_key(tmp_path: Path, footer: str) -> None:
+    path = tmp_path / "foreign.parquet"
+    pq.write_table(pa.table({"a": [1.0]}).replace_schema_metadata({"taichi_nmm": footer}), path)
+    with pytest.raises(InputError, match="footer"):
+        open_store(path)
+
+
+def test_columns_that_are_not_those_of_the_specification(folder: Path) -> None:
+    shard = folder / "part-00003.parquet"
+    pq.write_table(pq.read_table(shard, partitioning=None).drop_columns(["phi_printed"]), shard)
+    with pytest.raises(InputError, match="columns of its specification"):
+        open_store(folder)
+
+
+def test_shards_in_the_wrong_place(folder: Path) -> None:
+    shutil.copy(folder / "part-00002.parquet", folder / "part-00003.parquet")
+    with pytest.raises(InputError, match="shard 3 of this store"):
+        open_store(folder)
+
+
+def test_a_wrong_hash_is_found_when_verified(folder: Path) -> None:
+    shard = folder / "part-00003.parquet"
+    pq.write_table(pq.read_table(shard, partitioning=None), shard, compression="snappy")
+    assert len(open_store(folder)) == 50
+    for path in (folder, shard):
+        with pytest.raises(InputError, match="SHA-256"):
+            open_store(path, verify=True)
+
+
+def test_a_flipped_bit_is_found_by_reading(folder: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copy(folder / "part-00003.parquet", tmp_path / "flipped.parquet"))
+    fake.flip_a_bit(path)
+    with pytest.raises(InputError, match="undamaged"):
+        open_store(path).table()
+    with pytest.raises(InputError, match="undamaged"):
+        open_store(path, verify=True)
+
+
+def test_a_store_of_other_bounds_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = open_store(folder)
+    store.require_bounds()
+    monkeypatch.setattr(storage.store, "GAINS", GAINS[:-1])
+    with pytest.raises(InputError) as caught:
+        store.require_bounds()
+    assert caught.value.field == f"store.gains.{GAIN_NAMES[-1]}"
+
+
+def test_pandas_is_optional(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match="pandas"):
+        open_store(folder).pandas()
+
+
+def test_a_store_pickles(folder: Path) -> None:
+    store = pickle.loads(pickle.dumps(open_store(folder)))
+    assert store.table() == open_store(folder).table()
+
+
+def test_merging_into_a_place_that_cannot_be_written(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a place that can be written"):
+        merge(folder, tmp_path / "missing" / "merged.parquet")
+
+
+def test_reading_loads_no_simulator(folder: Path) -> None:
+    code = (
+        "import sys, storage; storage.open_store(sys.argv[1]).numpy()\n"
+        "print([name for name in ('taichi', 'matplotlib', 'optuna') if name in sys.modules])"
+    )
+    repository = Path(__file__).parents[2]
+    run = subprocess.run(
+        [sys.executable, "-c", code, str(folder)], cwd=repository, capture_output=True, text=True
+    )
+    assert (run.stdout.strip(), run.returncode) == ("[]", 0), run.stderr
+
+
+def test_footers_are_json_that_others_can_read(folder: Path) -> None:
+    metadata = pq.read_metadata(folder / "part-00000.parquet").metadata
+    assert json.loads(metadata[b"taichi_nmm"])["specification"]["gains"]["K_GAS"]["high"] == 8.0

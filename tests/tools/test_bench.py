@@ -1,0 +1,80 @@
+"""The benchmark command on a few walkers: what it reports, and what it refuses."""
+
+import json
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from taichi_nmm.errors import InputError
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLES = 64
+
+
+def bench(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "tools/bench.py", *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def report() -> dict[str, Any]:
+    done = bench("--samples", str(SAMPLES), "--arch", "cpu", "--mujoco", "--json")
+    assert done.returncode == 0, done.stderr
+    parsed: dict[str, Any] = json.loads(done.stdout)
+    return parsed
+
+
+def test_compilation_is_timed_apart_from_the_run(report: dict[str, Any]) -> None:
+    assert report["cold_start_s"] > report["warm_start_s"] > 0.0
+    assert report["run"]["run_s"] < report["cold_start_s"]
+
+
+def test_speed_is_that_of_the_walkers_simulated(report: dict[str, Any]) -> None:
+    run = report["run"]
+    assert run["samples"] == SAMPLES
+    assert run["walkers_per_s"] * run["run_s"] == pytest.approx(SAMPLES)
+    steps = run["walker_steps_per_s"] * run["run_s"]
+    assert 1000 * 5 * run["alive"] <= steps <= 1000 * 5 * SAMPLES
+    assert 0 < run["alive"] < SAMPLES
+
+
+def test_memory_is_that_of_the_run(report: dict[str, Any]) -> None:
+    assert 50 < report["run"]["peak_rss_mib"] < 4096
+
+
+def test_ratios_compare_with_the_references(report: dict[str, Any]) -> None:
+    ratios = report["times_reference_speed"]
+    per_s = report["run"]["walkers_per_s"]
+    assert ratios["scalar C, float64"] == pytest.approx(per_s / (100_000 / 234.0))
+    assert ratios["hand-written AVX-512, float32"] == pytest.approx(per_s / (100_000 / 14.9))
+
+
+def test_mujoco_steps_are_counted_in_the_same_run(report: dict[str, Any]) -> None:
+    mujoco = report["mujoco"]
+    ours = report["run"]["walker_steps_per_s"]
+    assert mujoco["steps_per_s_single"] > 1000
+    assert mujoco["ratio_to_all"] == pytest.approx(ours / mujoco["steps_per_s_all"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"), [(("--samples", "0"), "samples"), (("--lanes", "1,65"), "lanes")]
+)
+def test_bad_arguments_are_one_line_and_exit_code_2(arguments: tuple[str, ...], field: str) -> None:
+    done = bench(*arguments)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith(f"error: {field}: ")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_lane_widths_are_read_from_a_list() -> None:
+    lane_widths = runpy.run_path(str(ROOT / "tools" / "bench.py"))["lane_widths"]
+    assert lane_widths("") == []
+    assert lane_widths("1,4,16") == [1, 4, 16]
+    for wrong in ("0", "4,,8", "1,four", "1.5"):
+        with pytest.raises(InputError, match="lanes"):
+            lane_widths(wrong)

@@ -1,0 +1,248 @@
+"""The command: within this process, and in processes that are killed and interrupted for real."""
+
+import json
+import random
+import runpy
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import taichi_nmm
+from storage import open_store
+from taichi_nmm.errors import InputError
+from taichi_nmm.settings import Settings
+from tests.storage import fake
+
+REPOSITORY = Path(__file__).parents[2]
+TOOL = REPOSITORY / "tools" / "precompute.py"
+CONFIG = """
+samples = 96
+shard_rows = 8
+seed = 7
+"""
+SHARDS = 12
+WAIT_S = 60.0
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "store.toml"
+    path.write_text(CONFIG)
+    return path
+
+
+def start(config: Path, out: Path, *options: str, **accidents: Any) -> subprocess.Popen[str]:
+    launcher = [sys.executable, "-m", "tests.tools.launch_precompute", json.dumps(accidents)]
+    return subprocess.Popen(
+        [*launcher, "--config", str(config), "--out", str(out), *options],
+        cwd=REPOSITORY,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    """Exit code, standard output, and the last line of standard error."""
+    out, err = process.communicate(timeout=WAIT_S)
+    return process.returncode, out, (err.strip().splitlines() or [""])[-1]
+
+
+def run(config: Path, out: Path, *options: str, **accidents: Any) -> tuple[int, str, str]:
+    return finish(start(config, out, *options, **accidents))
+
+
+def shards(out: Path) -> int:
+    return len(list(out.glob("part-*.parquet")))
+
+
+def wait_for_shards(process: subprocess.Popen[str], out: Path, count: int) -> None:
+    deadline = time.monotonic() + WAIT_S
+    while shards(out) < count and process.poll() is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def content(out: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in out.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("uninterrupted")
+    (folder / "store.toml").write_text(CONFIG)
+    code, _, error = run(folder / "store.toml", folder / "store")
+    assert code == 0, error
+    return content(folder / "store")
+
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """The command within this process: exit code, standard output, standard error."""
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", [str(TOOL), *map(str, arguments)])
+        monkeypatch.setattr(sys, "path", sys.path.copy())
+        try:
+            runpy.run_path(str(TOOL), run_name="__main__")
+            code = 0
+        except SystemExit as leaving:
+            code = int(leaving.code or 0)
+        return code, *capsys.readouterr()
+
+    return call
+
+
+def test_json_is_one_object(config: Path, tmp_path: Path, command: Command) -> None:
+    store = tmp_path / "store"
+    code, out, _ = command("--config", config, "--out", store, "--json", "--samples", 20)
+    summary = json.loads(out)
+    assert code == 0
+    assert (summary["points"], summary["points_computed"], summary["shards"]) == (20, 20, 3)
+    assert summary["path"] == str(store)
+    assert summary["walkers_per_s"] > 0
+    ends = open_store(store, verify=True).numpy(["end_reason"])["end_reason"]
+    assert summary["alive_at_horizon"] == (ends == "completed").sum()
+
+
+def test_text_says_what_was_done_and_where(
+    config: Path, tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config.write_text(CONFIG + "[robust]\nsettings = 2\n[robust.body]\ndisturbance = 0.1\n")
+    monkeypatch.chdir(tmp_path)
+    code, out, progress = command("--config", config)
+    assert code == 0
+    assert "96 in 12 shards (96 computed now)" in out
+    assert "points on the disturbed settings" in out
+    assert str(Path("out", "store")) in out  # named after the configuration
+    assert "walker/s" in progress and "96/96" in progress
+    assert (tmp_path / "out" / "store" / "manifest.json").is_file()
+
+
+def test_another_specification_is_refused_and_fresh_starts_over(
+    config: Path, tmp_path: Path, command: Command, uninterrupted: dict[str, bytes]
+) -> None:
+    out = tmp_path / "store"
+    assert command("--config", config, "--out", out, "--samples", 20)[0] == 0
+    before = content(out)
+    code, _, error = command("--config", config, "--out", out)
+    assert code == 2 and error.startswith("error: samples: 96 cannot be used; allowed: 20, as ")
+    assert content(out) == before
+    assert command("--config", config, "--out", out, "--fresh")[0] == 0
+    assert content(out) == uninterrupted
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "line"),
+    [
+        ("samples = 5\nsead = 1", [], "error: sead: 1 cannot be used"),
+        ("samples = 'all'", [], "error: samples: 'all' cannot be used"),
+        ("samples = 5", ["--samples", "0"], "error: samples: 0 cannot be used"),
+        ("samples = ", [], "error: config: "),
+        (None, [], "error: config: "),
+        ("samples = 5", ["--out", "/dev/null/store"], "error: out: "),
+    ],
+)
+def test_bad_input_is_one_line_and_touches_nothing(
+    tmp_path: Path, command: Command, text: str | None, options: list[str], line: str
+) -> None:
+    config = tmp_path / "bad.toml"
+    if text is not None:
+        config.write_text(text)
+    code, out, error = command("--config", config, "--out", tmp_path / "store", *options)
+    assert (code, out, error.count("\n")) == (2, "", 1)
+    assert error.startswith(line)
+    assert not (tmp_path / "store").exists()
+
+
+def test_a_missing_gpu_is_refused_before_anything_is_written(
+    config: Path, tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(settings: Settings) -> None:
+        raise InputError("simulation.arch", settings.arch, "an architecture of this machine")
+
+    monkeypatch.setitem(vars(taichi_nmm), "backend", SimpleNamespace(start=refuse))
+    code, _, error = command("--config", config, "--out", tmp_path / "store", "--arch", "cuda")
+    assert code == 2 and error.startswith("error: simulation.arch: 'cuda'")
+    assert not (tmp_path / "store").exists()
+
+
+def test_kill_9_again_and_again_then_equal(
+    config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
+) -> None:
+    out, dice, codes = tmp_path / "store", random.Random(1), []
+    while shards(out) < SHARDS - 4:
+        process = start(config, out, delay_s=0.05)
+        wait_for_shards(process, out, shards(out) + 3)
+        time.sleep(dice.uniform(0.0, 0.08))  # while simulating, while writing, in between
+        process.kill()
+        process.communicate()
+        codes.append(process.returncode)
+    assert -signal.SIGKILL in codes
+    code, _, error = run(config, out)
+    assert code == 0, error
+    assert content(out) == uninterrupted
+
+
+def test_kill_9_between_writing_and_naming_a_file(
+    config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
+) -> None:
+    # Files get their names in this order: the specification, twelve shards, the manifest.
+    out = tmp_path / "store"
+    for rename, expected in ((1, 0), (3, 1), (12, SHARDS)):
+        code, _, _ = run(config, out, kill_at_rename=rename)
+        assert (code, shards(out)) == (-signal.SIGKILL, expected)
+        assert len(list(out.glob(".*.tmp"))) == 1
+    assert run(config, out)[0] == 0
+    assert content(out) == uninterrupted
+
+
+def test_interrupt_exits_130_and_resumes(
+    config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
+) -> None:
+    out = tmp_path / "store"
+    process = start(config, out, delay_s=0.05)
+    wait_for_shards(process, out, 2)
+    process.send_signal(signal.SIGINT)
+    code, _, error = finish(process)
+    assert (code, error) == (130, "interrupted: finished work is kept; the same command resumes")
+    kept = shards(out)
+    assert 2 <= kept < SHARDS
+    code, text, _ = run(config, out, "--json")
+    assert json.loads(text)["points_computed"] == 8 * (SHARDS - kept)
+    assert content(out) == uninterrupted
+
+
+def test_two_launchers_on_one_folder(
+    config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
+) -> None:
+    out = tmp_path / "store"
+    first = start(config, out, delay_s=0.3)
+    wait_for_shards(first, out, 1)
+    code, _, error = run(config, out)
+    assert code == 2 and error.startswith("error: out: ") and "no other process" in error
+    assert first.poll() is None
+    assert finish(first)[0] == 0
+    assert content(out) == uninterrupted
+
+
+def test_a_full_disk_is_one_line(
+    config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
+) -> None:
+    out = tmp_path / "store"
+    code, _, error = run(config, out, largest_file_bytes=8000)
+    assert code == 2 and error.startswith("error: out: ") and "File too large" in error
+    assert sorted(content(out)) == [".lock", "specification.json"]
+    assert run(config, out)[0] == 0
+    assert content(out) == uninterrupted

@@ -1,0 +1,196 @@
+"""How fast the simulator is: start-up and run time apart, lane widths, MuJoCo beside it.
+
+    python tools/bench.py --samples 100000 --lanes 1,4,8,16 --mujoco
+
+Each figure comes from a fresh process. "Cold" starts with an empty cache of compiled kernels,
+"warm" with a full one; both import, start the engine and compile. Run the command on an idle
+machine: the figures of two cores in use by something else say nothing.
+"""
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from study.command import run_command
+from taichi_nmm.errors import InputError
+from taichi_nmm.settings import ARCHITECTURES
+
+ROOT = Path(__file__).resolve().parents[1]
+WORKER = ROOT / "tools" / "bench_worker.py"
+MUJOCO_MODULE = "tests.parity.mujoco_bench_model"
+CACHE_VARIABLE = "TI_OFFLINE_CACHE_FILE_PATH"  # Taichi's own
+
+LARGEST_LANES = 64
+LANE_SAMPLES = 8192  # points for a row of the table of lane widths, at most
+MUJOCO_ROLLOUTS = 256  # of a second each
+
+# Seconds for 100,000 points x 5 s, as measured on another 2-core machine (AVX-512).
+REFERENCE_POINTS = 100_000
+REFERENCES_S = {"scalar C, float64": 234.0, "hand-written AVX-512, float32": 14.9}
+
+Measured = dict[str, Any]
+
+
+def main() -> None:
+    options = parse()
+    with tempfile.TemporaryDirectory() as cache:
+        report = measure(options, Path(cache))
+    print(json.dumps(report) if options.json else text(report))
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--samples", type=int, default=100_000, metavar="N", help="%(default)s")
+    parser.add_argument("--lanes", default="", metavar="1,4,8,16", help="compare widths on the CPU")
+    parser.add_argument("--mujoco", action="store_true", help="time MuJoCo's mj_step beside it")
+    parser.add_argument("--arch", choices=ARCHITECTURES, default="auto")
+    parser.add_argument("--json", action="store_true", help="print one object")
+    options = parser.parse_args()
+    options.lanes = lane_widths(options.lanes)
+    if options.samples < 1:
+        raise InputError("samples", options.samples, "1 or more")
+    return options
+
+
+def lane_widths(listed: str) -> list[int]:
+    """The comma-separated widths; none for an empty list."""
+    try:
+        widths = [int(width) for width in listed.split(",") if listed]
+    except ValueError:
+        widths = [0]
+    if not all(1 <= width <= LARGEST_LANES for width in widths):
+        raise InputError("lanes", listed, f"widths from 1 to {LARGEST_LANES}, such as 1,4,8,16")
+    return widths
+
+
+def measure(options: argparse.Namespace, cache: Path) -> Measured:
+    """Everything that was asked for; nothing runs beside anything else."""
+    arch = ["--arch", options.arch]
+    cold = worker("cold start", cache / "main", "--samples", "0", *arch)
+    run = worker("run", cache / "main", "--samples", str(options.samples), *arch)
+    report: Measured = {
+        "machine": {"cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}"},
+        "cold_start_s": cold["start_s"],
+        "warm_start_s": run.pop("start_s"),
+        "run": run,
+        "times_reference_speed": speed_ratios(run),
+    }
+    if options.lanes:
+        samples = min(options.samples, LANE_SAMPLES)
+        report["lanes"] = [lane_row(cache, width, samples) for width in options.lanes]
+    if options.mujoco:
+        report["mujoco"] = mujoco_steps(run, min(options.samples, MUJOCO_ROLLOUTS))
+    return report
+
+
+def worker(what: str, cache: Path, *arguments: str) -> Measured:
+    """What `bench_worker.py` measures with this cache of kernels."""
+    return run_json(what, [str(WORKER), *arguments], {CACHE_VARIABLE: str(cache)})
+
+
+def run_json(what: str, arguments: list[str], environment: dict[str, str]) -> Measured:
+    """Run Python in a fresh process; its last line is the result."""
+    print(f"measuring: {what}", file=sys.stderr, flush=True)
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=ROOT,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode != 0:
+        reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise InputError("bench", what, f"a measurement that runs ({reason})")
+    measured: Measured = json.loads(done.stdout.splitlines()[-1])
+    return measured
+
+
+def speed_ratios(run: Measured) -> dict[str, float]:
+    """Our walkers a second as multiples of the references'."""
+    return {
+        name: run["walkers_per_s"] * seconds / REFERENCE_POINTS
+        for name, seconds in REFERENCES_S.items()
+    }
+
+
+def lane_row(cache: Path, width: int, samples: int) -> Measured:
+    """Compile and run time with so many walkers side by side, from a cache of its own."""
+    arguments = ["--samples", str(samples), "--arch", "cpu", "--lanes", str(width)]
+    row = worker(f"{width} lanes", cache / f"lanes-{width}", *arguments)
+    names = ("lanes", "start_s", "samples", "run_s", "walkers_per_s", "alive")
+    return {name: row[name] for name in names}
+
+
+def mujoco_steps(run: Measured, rollouts: int) -> Measured:
+    """MuJoCo's steps a second, and ours as multiples of them."""
+    row = run_json("MuJoCo", ["-m", MUJOCO_MODULE, "--rollouts", str(rollouts)], {})
+    return {
+        **row,
+        "ratio_to_single": run["walker_steps_per_s"] / row["steps_per_s_single"],
+        "ratio_to_all": run["walker_steps_per_s"] / row["steps_per_s_all"],
+    }
+
+
+def text(report: Measured) -> str:
+    return "\n\n".join(
+        [main_text(report)]
+        + ([lanes_text(report["lanes"])] if "lanes" in report else [])
+        + ([mujoco_text(report["mujoco"])] if "mujoco" in report else [])
+    )
+
+
+def main_text(report: Measured) -> str:
+    run, machine = report["run"], report["machine"]
+    memory = "unknown" if run["peak_rss_mib"] is None else f"{run['peak_rss_mib']:,.0f} MiB"
+    lines = [
+        f"machine        {machine['cores']} cores, {machine['system']}; {run['arch']},"
+        f" {run['precision']}, {run['lanes']} lanes",
+        f"cold start     {report['cold_start_s']:.1f} s (compiles)",
+        f"warm start     {report['warm_start_s']:.1f} s",
+        f"run            {run['samples']:,} points x {run['duration_s']:g} s in"
+        f" {run['run_s']:.1f} s, {100 * run['alive'] / run['samples']:.1f} % alive at the end",
+        f"speed          {run['walkers_per_s']:,.0f} walkers/s,"
+        f" {run['walker_steps_per_s']:,.0f} walker-steps/s",
+        f"peak memory    {memory}",
+    ]
+    for name, ratio in report["times_reference_speed"].items():
+        lines.append(
+            f"{ratio:6.2f} x the speed of {name}"
+            f" ({REFERENCES_S[name]:g} s for {REFERENCE_POINTS:,}, on another 2-core machine)"
+        )
+    return "\n".join(lines)
+
+
+def lanes_text(rows: list[Measured]) -> str:
+    head = f"{'lanes':>5}  {'cold start s':>12}  {'run s':>8}  {'walkers/s':>9}  {'alive':>6}"
+    body = [
+        f"{row['lanes']:5d}  {row['start_s']:12.1f}  {row['run_s']:8.2f}"
+        f"  {row['walkers_per_s']:9,.0f}  {row['alive']:6d}"
+        for row in rows
+    ]
+    return "\n".join([f"{rows[0]['samples']:,} points, CPU", head, *body])
+
+
+def mujoco_text(row: Measured) -> str:
+    return "\n".join(
+        [
+            f"MuJoCo {row['version']}, mj_step of the same body, 14 muscles, contacts, 1 ms",
+            f"1 thread       {row['steps_per_s_single']:,.0f} steps/s;"
+            f" ours {row['ratio_to_single']:.1f} x",
+            f"{row['threads']} threads      {row['steps_per_s_all']:,.0f} steps/s;"
+            f" ours {row['ratio_to_all']:.1f} x",
+        ]
+    )
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,80 @@
+"""One measurement of the simulator in one fresh process, printed as one JSON object.
+
+`tools/bench.py` starts it: start-up and compilation can only be timed in a process that has
+not imported anything, and the peak of memory belongs to a process.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+SEED = 2016
+TICK_S = 1e-3
+
+
+def main() -> None:
+    options = parse()
+    began = time.perf_counter()
+    start_up(options)
+    ready = time.perf_counter()
+    measured = run(options) if options.samples else {}
+    print(json.dumps({"start_s": ready - began, **measured, "peak_rss_mib": peak_rss_mib()}))
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--samples", type=int, required=True, help="0 only starts up")
+    parser.add_argument("--duration", type=float, default=5.0, help="s on flat ground")
+    parser.add_argument("--arch", default="auto")
+    parser.add_argument("--lanes", type=int, help="walkers side by side; default: the simulator's")
+    return parser.parse_args()
+
+
+def start_up(options: argparse.Namespace) -> None:
+    """Import, start the engine, compile: one tick of one walker."""
+    from taichi_nmm import K_T, Settings, backend, simulate
+
+    if options.lanes is not None:
+        backend.LANES_CPU = options.lanes
+    simulate(K_T, duration_s=TICK_S, settings=Settings(arch=options.arch))
+
+
+def run(options: argparse.Namespace) -> dict[str, object]:
+    """Sobol points over the bounds, on flat ground, from gains to results."""
+    from storage.sobol import sobol_gains
+    from taichi_nmm import Settings, backend, simulate
+    from taichi_nmm.result import COMPLETED
+
+    settings = Settings(arch=options.arch)
+    gains = sobol_gains(SEED, 0, options.samples)
+    began = time.perf_counter()
+    result = simulate(gains, duration_s=options.duration, settings=settings)
+    run_s = time.perf_counter() - began
+    return {
+        "samples": options.samples,
+        "duration_s": options.duration,
+        "run_s": run_s,
+        "walkers_per_s": options.samples / run_s,
+        "walker_steps_per_s": float(result["duration_s"].sum()) / settings.physics_step_s / run_s,
+        "alive": int((result["end_reason"] == COMPLETED).sum()),
+        "lanes": backend.lanes(),
+        **result.metadata,
+    }
+
+
+def peak_rss_mib() -> float | None:
+    """Most memory this process has held; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+if __name__ == "__main__":
+    main()

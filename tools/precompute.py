@@ -1,0 +1,89 @@
+"""Compute a store of gait scores: points of a Sobol sequence, simulated and written shard by shard.
+
+Stop it when you like; the same command goes on where it stopped.
+"""
+
+import argparse
+import json
+import sys
+from contextlib import closing
+from dataclasses import asdict
+from pathlib import Path
+
+# The repository comes before tools/, where study.py would hide the package of its name.
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tqdm import tqdm
+
+from storage.precompute import Summary, precompute
+from storage.specification import Specification, read_specification
+from study.command import run_command
+from taichi_nmm.config import read_toml
+from taichi_nmm.settings import ARCHITECTURES
+
+
+class ProgressBar:
+    """Walkers a second and the time left; what earlier runs computed is no part of the rate."""
+
+    def __init__(self, total: int) -> None:
+        """A bar of `total` walkers, not shown yet."""
+        self._total = total
+        self._bar: tqdm[None] | None = None
+
+    def show(self, points: float) -> None:
+        """Move to `points`; the first call tells what was there."""
+        if self._bar is None:
+            self._bar = tqdm(total=self._total, initial=int(points), unit="walker", smoothing=0.05)
+        self._bar.update(int(points) - self._bar.n)
+
+    def close(self) -> None:
+        """Leave the line."""
+        if self._bar is not None:
+            self._bar.close()
+
+
+def main() -> None:
+    options = parse()
+    specification = read_specification(read_toml(options.config), options.samples, options.arch)
+    require_arch(specification)
+    out = options.out or Path("out") / options.config.stem
+    with closing(ProgressBar(specification.samples)) as bar:
+        summary = precompute(specification, out, options.fresh, bar.show)
+    print(json.dumps(asdict(summary)) if options.json else text(summary))
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--config", type=Path, default=Path("configs/store.toml"), metavar="FILE")
+    parser.add_argument("--samples", type=int, metavar="N", help="points, instead of the file's")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/<name of the config>")
+    parser.add_argument("--arch", choices=ARCHITECTURES, help="machine, instead of the file's")
+    parser.add_argument("--fresh", action="store_true", help="start over")
+    parser.add_argument("--json", action="store_true", help="print the summary as one object")
+    return parser.parse_args()
+
+
+def require_arch(specification: Specification) -> None:
+    """Refuse a GPU that is not there before any file is touched."""
+    if specification.settings.arch in ("cuda", "vulkan"):
+        from taichi_nmm import backend
+
+        backend.start(specification.settings)
+
+
+def text(summary: Summary) -> str:
+    lines = [
+        f"points      {summary.points} in {summary.shards} shards"
+        f" ({summary.points_computed} computed now)",
+        f"alive       {summary.alive_at_horizon} at the horizon"
+        f" ({100 * summary.alive_fraction:.2f} %)",
+        f"speed       {summary.walkers_per_s:.0f} walkers/s over {summary.wall_s:.1f} s",
+        f"store       {summary.path}",
+    ]
+    if summary.robust_evaluated is not None:
+        lines.insert(2, f"robust      {summary.robust_evaluated} points on the disturbed settings")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    run_command(main)
