@@ -2,8 +2,8 @@
 
 A step is swing -> strike -> stance -> take-off of one leg, scored at its committed take-off.
 Contact is debounced: a foot takes off when contact has been lost for 0.1 s, and strikes when it
-comes down after at least as long. A swing that began before the simulation is not observed whole: neither the
-left leg's first stance nor the right leg's first swing makes a step.
+comes down after at least as long. A swing that began before the simulation is not observed whole:
+neither the left leg's first stance nor the right leg's first swing makes a step.
 """
 
 import math

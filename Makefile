@@ -1,0 +1,21 @@
+# make quickstart   a walker found on rough ground, from a fresh clone, in minutes
+# make test         all tests
+# Needs Python 3.11 or newer and make; everything else goes into .venv.
+
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: quickstart test
+
+quickstart: .venv/installed
+	$(BIN)/python tools/quickstart.py
+
+test: .venv/installed
+	$(BIN)/python -m pytest
+
+.venv/installed: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: Python 3.11 or newer is needed: make PYTHON=python3.12")'
+	$(PYTHON) -m venv .venv
+	@echo "Installing the pinned packages into .venv (a minute or two) ..."
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	@touch $@

@@ -1,0 +1,71 @@
+"""Random numbers that depend on the seed, the purpose and the trial: on nothing else.
+
+A study that is resumed, or continued by another process, therefore draws what it would have drawn.
+"""
+
+import warnings
+from enum import IntEnum
+from zlib import crc32
+
+import numpy as np
+import optuna
+from optuna.exceptions import ExperimentalWarning
+from optuna.storages import RetryHeartbeatStaleTrialCallback
+from optuna.trial import FrozenTrial
+
+
+class Purpose(IntEnum):
+    """What a draw is for: the first word of its spawn key. Numbers are never reused."""
+
+    BODY = 0
+    TERRAIN = 1
+    STARTUP_ROW = 2
+    GP_RESTARTS = 3
+    TIE_BREAK = 4
+    INDEPENDENT = 5
+    CMAES = 6
+    CMAES_MEAN = 7
+
+
+def stream(seed: int, purpose: Purpose, *key: int) -> np.random.SeedSequence:
+    """The seed of one draw."""
+    return np.random.SeedSequence(seed, spawn_key=(int(purpose), *key))
+
+
+def generator(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:
+    """A fresh NumPy generator for one draw."""
+    return np.random.default_rng(stream(seed, purpose, *key))
+
+
+def seed_32bit(seed: int, purpose: Purpose, *key: int) -> int:
+    """The seed of one draw for libraries that take 32 bits."""
+    return int(stream(seed, purpose, *key).generate_state(1)[0])
+
+
+def name_key(name: str) -> int:
+    """A parameter's name as a word of a spawn key, the same in every process."""
+    return crc32(name.encode())
+
+
+def turn(study: optuna.Study, trial: FrozenTrial) -> int:
+    """The trial's number in a study in which nothing had ever been killed.
+
+    A killed trial is run again under a new number (Optuna's retry callback does it). The repetition
+    takes the turn of the original, and the trials after it are counted as if it were not there.
+    """
+    originals = _repetitions(study)
+    number = originals.get(trial.number, trial.number)
+    return number - sum(repetition < number for repetition in originals)
+
+
+def _repetitions(study: optuna.Study) -> dict[int, int]:
+    """Trials that repeat a killed one: their numbers, and the number of the first original."""
+    originals = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExperimentalWarning)
+        for trial in study.get_trials(deepcopy=False):
+            if trial.system_attrs:  # most have none, and the question is not free
+                originals[trial.number] = RetryHeartbeatStaleTrialCallback.retried_trial_number(
+                    trial
+                )
+    return {number: original for number, original in originals.items() if original is not None}

@@ -1,0 +1,10 @@
+"""Pictures of a gait: a strip of stick figures, a gait cycle beside human ranges, a film.
+
+Importing this package imports matplotlib (its object-oriented interface with the Agg canvas only).
+"""
+
+from study.pictures.gait_cycle import write_gait_cycle
+from study.pictures.movie import find_ffmpeg, write_movie
+from study.pictures.strip import write_strip
+
+__all__ = ["find_ffmpeg", "write_gait_cycle", "write_movie", "write_strip"]

@@ -1,0 +1,99 @@
+"""A film of the walker: H.264 in MP4, made by the ffmpeg that comes with imageio-ffmpeg."""
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from storage.commit import commit
+from study.pictures.scene import FRAME_RATE_HZ, SIZE_PX, frames
+from taichi_nmm.errors import InputError
+from taichi_nmm.result import Trajectory
+from taichi_nmm.terrain import Terrain
+
+FIXING = "a working ffmpeg: pip install imageio-ffmpeg, or leave the film out"
+
+
+def find_ffmpeg() -> str:
+    """Path of an ffmpeg that runs.
+
+    Raises:
+        InputError: there is none, or it does not start.
+    """
+    import imageio_ffmpeg
+
+    try:
+        program = str(imageio_ffmpeg.get_ffmpeg_exe())
+        subprocess.run([program, "-version"], check=True, capture_output=True, timeout=30)
+    except (OSError, RuntimeError, subprocess.SubprocessError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise InputError("ffmpeg", reason, FIXING) from None
+    return program
+
+
+def write_movie(
+    path: str | Path,
+    trajectory: Trajectory,
+    terrain: Terrain,
+    seconds: float = 8.0,
+    title: str = "",
+) -> Path:
+    """Film the last `seconds` of a walk in real time, with the forces of the ground.
+
+    Args:
+        path: of the MP4 (H.264, yuv420p, index first).
+        trajectory: of at least one sample.
+        terrain: the ground it walked on.
+        seconds: how much of the walk's end is shown.
+        title: one line in the corner.
+
+    Raises:
+        InputError: no ffmpeg that works, or the file cannot be written.
+    """
+    path = Path(path)
+    program = find_ffmpeg()
+
+    def write(temporary: Path) -> None:
+        _encode(program, frames(trajectory, terrain, seconds, title), temporary)
+
+    commit(path, write, _check)
+    return path
+
+
+def _encode(program: str, pictures: Iterator[bytes], path: Path) -> None:
+    width, height = SIZE_PX
+    command = [
+        program, "-y", "-loglevel", "error",
+        "-f", "rawvideo", "-pix_fmt", "rgba", "-s", f"{width}x{height}",
+        "-r", str(FRAME_RATE_HZ), "-i", "-",
+        "-an", "-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p",
+        "-movflags", "+faststart", "-f", "mp4", str(path),
+    ]  # fmt: skip
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdin is not None and process.stderr is not None
+    try:
+        _feed(process.stdin, pictures)
+        complaint = process.stderr.read().decode(errors="replace").strip()
+        status = process.wait()
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+    if status != 0:
+        reason = complaint.splitlines()[-1] if complaint else f"exit code {status}"
+        raise InputError("ffmpeg", reason, FIXING)
+
+
+def _feed(pipe: IO[bytes], pictures: Iterator[bytes]) -> None:
+    """Send the frames; an ffmpeg that has gone away is noticed by its exit code."""
+    try:
+        with pipe:
+            for picture in pictures:
+                pipe.write(picture)
+    except BrokenPipeError:
+        pass
+
+
+def _check(path: Path) -> None:
+    if path.stat().st_size == 0:
+        raise OSError("the film was not written")

@@ -1,0 +1,152 @@
+"""A strip of stick figures over the ground they walk on, to scale."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from study.pictures import style
+from study.pictures.skeleton import leg
+from study.pictures.stick_figure import LEFT, StickFigure, activation_bar, draw_ground
+from study.pictures.window import at_times, finite, last_metres
+from taichi_nmm.result import Trajectory
+from taichi_nmm.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+SHOWN_M = 6.6
+POSE_SPACING_M = 0.66  # not a whole number of steps: the poses run through the stride
+GHOST_INTERVAL_S = 0.04
+MARGIN_M = 0.7
+NARROWEST_M = 4.0
+ABOVE_HIP_M = 0.95
+BELOW_GROUND_M = 0.16
+SCALE_IN_PER_M = 1.12
+KEY = f"Left leg in front. Thin: left leg every {1e3 * GHOST_INTERVAL_S:.0f} ms. Blue: hip."
+LEVEL_M = 0.01  # ground that varies by less is level
+
+
+def write_strip(
+    path: str | Path, trajectory: Trajectory, terrain: Terrain, title: str = ""
+) -> Path:
+    """Draw the last metres of a walk as poses at their places, muscles coloured by activation.
+
+    Below, where the ground is not level, its profile over the whole walk. A walker that fell is
+    shown falling.
+
+    Args:
+        path: of the PNG.
+        trajectory: of at least one sample; about 50 samples a second or more.
+        terrain: the ground it walked on.
+        title: one line, such as the name of the gait and how it ended.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    trajectory = finite(trajectory)
+    start_s, end_s = last_metres(trajectory, SHOWN_M)
+    poses_s = _pose_times(trajectory, start_s, end_s)
+    q = at_times(trajectory, trajectory.q, poses_s)
+    low_x, high_x, low_z, high_z = _frame(q, terrain)
+    figure, axes, bar, profile = _layout(
+        high_x - low_x, high_z - low_z, _uneven(trajectory, terrain)
+    )
+    axes.set(xlim=(low_x, high_x), ylim=(low_z, high_z))
+    _draw_poses(axes, bar, trajectory, poses_s)
+    _draw_ghosts(axes, trajectory, start_s, end_s)
+    x = np.linspace(low_x, high_x, 2000)
+    draw_ground(axes, x, terrain.height(x), low_z)
+    if profile is not None:
+        _draw_profile(profile, trajectory, terrain, (low_x, high_x))
+    axes.set_title(title, loc="left", fontsize=style.TITLE_PT, color=style.INK, pad=20)
+    axes.text(0.0, 1.012, KEY, transform=axes.transAxes, fontsize=style.SMALL_PT, color=style.INK)
+    return style.save_png(figure, path)
+
+
+def _pose_times(trajectory: Trajectory, start_s: float, end_s: float) -> Array:
+    """Times of the poses, evenly spaced, so many that they stand about a step apart."""
+    x = np.interp([start_s, end_s], trajectory.time_s, trajectory.q[:, 0])
+    count = max(round(abs(x[1] - x[0]) / POSE_SPACING_M), 1) + 1
+    return np.linspace(start_s, end_s, count)
+
+
+def _frame(q: Array, terrain: Terrain) -> tuple[float, float, float, float]:
+    """Limits of the picture: x from, to; z from, to."""
+    middle = 0.5 * (q[:, 0].min() + q[:, 0].max())
+    width = max(np.ptp(q[:, 0]) + 2.0 * MARGIN_M, NARROWEST_M)
+    low_x, high_x = middle - 0.5 * width, middle + 0.5 * width
+    ground = terrain.height(np.linspace(low_x, high_x, 200))
+    return low_x, high_x, ground.min() - BELOW_GROUND_M, q[:, 1].max() + ABOVE_HIP_M
+
+
+def _uneven(trajectory: Trajectory, terrain: Terrain) -> bool:
+    x = trajectory.q[:, 0]
+    ground = terrain.height(np.linspace(x.min(), x.max() + 1.0, 4000))
+    return bool(np.ptp(ground) > LEVEL_M)
+
+
+def _layout(
+    width_m: float, height_m: float, with_profile: bool
+) -> tuple[Figure, Axes, Axes, Axes | None]:
+    """Figure, axes of the poses, of the colour bar, and of the profile if one is wanted."""
+    strip_in = height_m * SCALE_IN_PER_M
+    profile_in = 1.25 if with_profile else 0.0
+    width_in = width_m * SCALE_IN_PER_M + 1.6
+    height_in = strip_in + profile_in + 1.05
+    figure = style.new_figure(width_in, height_in)
+
+    def box(left: float, bottom: float, width: float, height: float) -> Axes:
+        return figure.add_axes(
+            (left / width_in, bottom / height_in, width / width_in, height / height_in)
+        )
+
+    axes = box(0.6, profile_in + 0.5, width_in - 1.6, strip_in)
+    axes.set_aspect("equal", anchor="W")
+    style.tidy(axes)
+    axes.grid(False)
+    axes.set_xlabel("distance (m)", fontsize=style.TEXT_PT, color=style.INK)
+    axes.set_ylabel("height (m)", fontsize=style.TEXT_PT, color=style.INK)
+    bar = box(width_in - 0.85, profile_in + 0.5 + 0.15 * strip_in, 0.13, 0.7 * strip_in)
+    profile = box(0.6, 0.5, width_in - 1.6, profile_in - 0.65) if with_profile else None
+    return figure, axes, bar, profile
+
+
+def _draw_poses(axes: Axes, bar: Axes, trajectory: Trajectory, times_s: Array) -> None:
+    q = at_times(trajectory, trajectory.q, times_s)
+    activation = at_times(trajectory, trajectory.activation, times_s)
+    for number in range(len(times_s)):
+        figure = StickFigure(axes, layer=3.0 + number)
+        figure.pose(q[number], activation[number])
+    activation_bar(bar, figure)
+
+
+def _draw_ghosts(axes: Axes, trajectory: Trajectory, start_s: float, end_s: float) -> None:
+    """The left leg and the hip's path between the poses, as a chronophotograph has them."""
+    times_s = np.arange(start_s, end_s, GHOST_INTERVAL_S)
+    if not len(times_s):
+        return
+    near = leg(at_times(trajectory, trajectory.q, times_s), LEFT)
+    chains = near.chain()[:, [0, 1, 2, 4]]
+    axes.add_collection(
+        LineCollection(list(chains), colors=style.FAINT, linewidths=0.4, alpha=0.55, zorder=1.5),
+        autolim=False,
+    )
+    axes.plot(*near.hip.T, color=style.MODEL, linewidth=0.8, zorder=1.6)
+
+
+def _draw_profile(
+    axes: Axes, trajectory: Trajectory, terrain: Terrain, shown_m: tuple[float, float]
+) -> None:
+    """The ground of the whole walk, with the part above marked."""
+    style.tidy(axes)
+    x = np.linspace(trajectory.q[0, 0], trajectory.q[:, 0].max() + 1.0, 4000)
+    height = terrain.height(x)
+    margin = 0.1 * np.ptp(height)
+    draw_ground(axes, x, height, height.min() - margin)
+    axes.axvspan(*shown_m, color=style.MODEL, alpha=0.18, linewidth=0, zorder=3)
+    axes.set(xlim=(x[0], x[-1]), ylim=(height.min() - margin, height.max() + margin))
+    axes.set_xlabel("whole walk: distance (m)", fontsize=style.TEXT_PT, color=style.INK)
+    axes.set_ylabel("ground (m)", fontsize=style.TEXT_PT, color=style.INK)

@@ -1,0 +1,76 @@
+"""What all pictures share: colours that survive colour blindness and print, fonts, saving.
+
+Figures are made with Matplotlib's object-oriented interface; its global state is never touched.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from storage.commit import commit
+
+INK = "#22262B"
+FAINT = "#8A9099"
+GRID = "#E3E6EA"
+GROUND = "#CFC8BC"
+MODEL = "#0072B2"  # Okabe & Ito's blue
+HUMAN = "#9AA0A8"
+EMG = "#F3D9A4"
+FAR_LIMB = "#DDE1E6"
+NEAR_LIMB = "#BEC5CE"
+ACTIVATION_MAP = "YlOrRd"  # lightness falls monotonically: readable in grey and without red-green
+
+SMALL_PT = 8.0
+TEXT_PT = 9.0
+TITLE_PT = 11.0
+PNG_DPI = 200
+PNG_START, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
+
+
+def new_figure(width_in: float, height_in: float, dpi: int = PNG_DPI) -> Figure:
+    """An empty white figure with an Agg canvas."""
+    figure = Figure(figsize=(width_in, height_in), dpi=dpi, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def rgba(figure: Figure) -> bytes:
+    """The figure drawn, as rows of red, green, blue and opacity."""
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    return bytes(canvas.buffer_rgba())
+
+
+def tidy(axes: Axes) -> None:
+    """Thin spines, faint grid, small readable ticks."""
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(FAINT)
+    axes.tick_params(colors=INK, labelsize=SMALL_PT, color=FAINT, length=3)
+    axes.grid(True, color=GRID, linewidth=0.6)
+    axes.set_axisbelow(True)
+
+
+def save_png(figure: Figure, path: str | Path) -> Path:
+    """Write the figure as a PNG, whole or not at all.
+
+    Raises:
+        InputError: the folder cannot be written, or the disk is full.
+    """
+    path = Path(path)
+
+    def write(temporary: Path) -> None:
+        figure.savefig(temporary, format="png")
+
+    commit(path, write, _check_png)
+    return path
+
+
+def _check_png(path: Path) -> None:
+    content = path.read_bytes()
+    if not (content.startswith(PNG_START) and content.endswith(PNG_END)):
+        raise OSError("the picture was not written whole")

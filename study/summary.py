@@ -1,0 +1,104 @@
+"""What a study says to its user: a line a trial, and what was found."""
+
+import os
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import optuna
+from optuna.trial import FrozenTrial
+
+from study.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
+from study.objective import trial_gains
+from study.runner import finished
+from taichi_nmm.parameters import GAIN_NAMES
+from taichi_nmm.result import COMPLETED, END_REASONS
+
+OUTCOMES = ("duration_s", "distance_m", "mean_speed_mps", "end_reason")
+
+
+def progress_line(study: optuna.Study, trial: FrozenTrial, trials: int) -> str:
+    """One finished trial, and the best so far."""
+    best = study.best_trial
+    return (
+        f"{study.study_name}  {len(finished(study)):>{len(str(trials))}}/{trials}  "
+        f"cost {trial.values[0]:8.4f}  {_outcome(trial):<38}  "
+        f"best {best.values[0]:.4f} (trial {best.number})"
+    )
+
+
+def study_line(study: optuna.Study) -> str:
+    """A study in one line: how many trials lasted to the end, and the best."""
+    best, walkers = study.best_trial, _walkers(study)
+    row = ""
+    if ROW_ATTRIBUTE in best.user_attrs:
+        attributes = best.user_attrs
+        row = f" (row {attributes[ROW_ATTRIBUTE]}, score {attributes[SCORE_ATTRIBUTE]:.1f})"
+    first = f", the first in trial {walkers[0]}" if walkers else ""
+    return (
+        f"{study.study_name}: {len(walkers)} of {len(finished(study))} trials to the end{first}; "
+        f"best trial {best.number}{row}: cost {best.values[0]:.4f}, {_outcome(best)}"
+    )
+
+
+def summary(study: optuna.Study, url: str, gains: Path) -> dict[str, Any]:
+    """What a study has found, for programs: one object of plain values."""
+    best, walkers = study.best_trial, _walkers(study)
+    return {
+        "study": study.study_name,
+        "trials": len(finished(study)),
+        "walkers": len(walkers),
+        "first_walker": walkers[0] if walkers else None,
+        "best_trial": best.number,
+        "best_cost": best.values[0],
+        "row": best.user_attrs.get(ROW_ATTRIBUTE),
+        "score": best.user_attrs.get(SCORE_ATTRIBUTE),
+        **{name: best.user_attrs[name] for name in OUTCOMES},
+        "gains": str(gains),
+        "storage": url,
+        "dashboard": dashboard_command(url),
+    }
+
+
+def summary_text(study: optuna.Study, url: str, gains: Path) -> str:
+    """The same, for people."""
+    return "\n".join(
+        (
+            study_line(study),
+            f"gains:     {gains}",
+            f"database:  {url}",
+            f"dashboard: {dashboard_command(url)}",
+        )
+    )
+
+
+def dashboard_command(url: str) -> str:
+    """The line that opens the studies in a browser, whether the environment is active or not."""
+    program = "optuna-dashboard"
+    beside = Path(sys.executable).with_name(program)
+    if shutil.which(program) is None and beside.is_file():
+        program = os.path.relpath(beside)
+    return f"{program} {url}"
+
+
+def best_gains(study: optuna.Study) -> dict[str, float]:
+    """The gains of the best trial by name: the content of a gains file."""
+    return dict(zip(GAIN_NAMES, trial_gains(study.best_trial).tolist(), strict=True))
+
+
+def _walkers(study: optuna.Study) -> list[int]:
+    """Numbers of the trials that did not fall."""
+    return [
+        trial.number
+        for trial in finished(study)
+        if trial.user_attrs["end_reason"] == END_REASONS[COMPLETED]
+    ]
+
+
+def _outcome(trial: FrozenTrial) -> str:
+    attributes = trial.user_attrs
+    return (
+        f"{attributes['end_reason']} {attributes['duration_s']:.1f} s, "
+        f"{attributes['distance_m']:.1f} m at {attributes['mean_speed_mps']:.2f} m/s"
+    )

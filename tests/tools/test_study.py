@@ -1,0 +1,228 @@
+"""tools/study.py as its users meet it: output, exit codes, locks, kill -9."""
+
+import json
+import os
+import re
+import runpy
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import optuna
+import pytest
+from optuna.trial import TrialState
+
+import taichi_nmm
+from storage import studies
+from storage.studies import only_run
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES, GAINS
+from taichi_nmm.result import Result
+from taichi_nmm.settings import Settings
+from tests.study import fake_walker
+
+ROOT = Path(__file__).parents[2]
+ROUGH8 = ROOT / "configs" / "rough8.toml"
+
+
+class Command:
+    """The command in a folder of its own, in this process."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.folder = folder
+        self.monkeypatch = monkeypatch
+
+    def arguments(self, **changes: str | int) -> list[str]:
+        options: dict[str, str | int] = {
+            "config": str(ROUGH8),
+            "sampler": "dog",
+            "trials": 4,
+            "storage": self.url(),
+            "store": str(self.folder / "store"),
+            "out": str(self.folder / "out"),
+        }
+        pairs = (options | changes).items()
+        return [word for name, value in pairs for word in (f"--{name}", str(value))]
+
+    def url(self) -> str:
+        return f"sqlite:///{self.folder / 'studies.db'}"
+
+    def run(self, *flags: str, **changes: str | int) -> int:
+        """Exit code of the command."""
+        self.monkeypatch.setattr(sys, "argv", ["study.py", *self.arguments(**changes), *flags])
+        try:
+            runpy.run_path(str(ROOT / "tools" / "study.py"), run_name="__main__")
+        except SystemExit as end:
+            return int(end.code or 0)
+        return 0
+
+    def rows(self, url: str | None = None) -> list[int]:
+        study = optuna.load_study(study_name="rough8/dog", storage=url or self.url())
+        trials = study.get_trials(states=(TrialState.COMPLETE,))
+        return [trial.user_attrs["row"] for trial in trials]
+
+
+@pytest.fixture
+def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    fake_walker.write_store(tmp_path / "store")
+    return Command(tmp_path, monkeypatch)
+
+
+def test_json_is_one_object(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.run("--json") == 0
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    assert found["study"] == "rough8/dog"
+    assert found["trials"] == 4
+    assert found["end_reason"] in ("completed", "fell")
+    assert err.count("rough8/dog") == 4  # a line a trial
+    gains = json.loads((command.folder / "out" / "dog-best.json").read_text())
+    assert tuple(gains) == GAIN_NAMES
+    taichi_nmm.load_gains(str(command.folder / "out" / "dog-best.json"))
+
+
+def test_trials_are_a_total(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.run() == 0
+    first = command.rows()
+    assert command.run(trials=7) == 0
+    assert command.run(trials=7) == 0
+    assert "7/7" in capsys.readouterr().err
+    assert len(command.rows()) == 7
+    assert command.rows()[:4] == first
+
+
+def test_random_needs_no_store(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.run(sampler="random", store="nowhere") == 0
+    assert "rough8/random: " in capsys.readouterr().out
+
+
+def no_gpu(settings: Settings) -> None:
+    raise InputError("simulation.arch", settings.arch, "an architecture of this machine")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"config": "nowhere.toml"}, "config: 'nowhere.toml'"),
+        ({"trials": 0}, "trials: 0"),
+        ({"trials": 1000}, "trials: 1000 .* at most 200"),
+        ({"storage": "postgresql://host/db"}, "storage: 'postgresql://host/db' .* sqlite:///FILE"),
+        ({"store": "nowhere"}, "nowhere"),
+        ({"arch": "cuda"}, "simulation.arch: 'cuda'"),
+    ],
+)
+def test_bad_input_is_one_line_and_no_file(
+    command: Command,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    changes: dict[str, str | int],
+    message: str,
+) -> None:
+    if "arch" in changes:  # a machine without a GPU
+        monkeypatch.setattr("taichi_nmm.backend.start", no_gpu)
+    assert command.run(**changes) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert re.match(f"error: .*{message}", lines[0])
+    assert [path.name for path in command.folder.iterdir()] == ["store"]
+
+
+def test_a_store_of_other_bounds_is_refused(
+    command: Command, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    narrower = replace(GAINS[0], high=7.0)
+    monkeypatch.setattr("storage.store.GAINS", (narrower, *GAINS[1:]))
+    assert command.run() == 2
+    assert re.search(r"gains\.K_GAS: .*8\.0.* allowed: .*7\.0", capsys.readouterr().err)
+
+
+def test_another_configuration_is_refused_by_name(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.run() == 0
+    other = command.folder / "other.toml"
+    other.write_text(ROUGH8.read_text().replace("seed = 1", "seed = 2"))
+    capsys.readouterr()
+    assert command.run(config=str(other), trials=6) == 2
+    assert "study rough8/dog: seed: 2" in capsys.readouterr().err
+    assert len(command.rows()) == 4
+
+
+def test_a_locked_database_is_one_line(
+    command: Command, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert command.run() == 0
+    monkeypatch.setattr(studies, "BUSY_TIMEOUT_S", 0.1)
+    capsys.readouterr()
+    with closing(sqlite3.connect(command.folder / "studies.db")) as connection:
+        connection.execute("BEGIN EXCLUSIVE")
+        assert command.run(trials=6) == 2
+    assert "database is locked" in capsys.readouterr().err
+
+
+def test_a_database_locked_half_way_is_one_line_and_resumes(
+    command: Command, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(studies, "BUSY_TIMEOUT_S", 0.1)
+    database = sqlite3.connect(command.folder / "studies.db")
+    calls = iter(range(100))
+
+    def simulate_and_lock(*args: Any, **options: Any) -> Result:
+        if next(calls) == 2:
+            database.execute("BEGIN EXCLUSIVE")
+        return fake_walker.simulate(*args, **options)
+
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate_and_lock)
+    with closing(database):
+        assert command.run() == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert re.match("error: storage: .*database is locked", lines[-1])
+    assert len(lines) == 3  # two trials, one error
+    assert command.run() == 0
+    assert len(set(command.rows())) == 4
+
+
+def test_a_study_that_runs_already_is_refused(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with only_run(command.url(), "rough8/dog"):
+        assert command.run() == 2
+    assert "another process" in capsys.readouterr().err
+
+
+def test_ctrl_c_says_that_work_is_kept(
+    command: Command, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> Result:
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", interrupted)
+    assert command.run() == 130
+    assert "resumes" in capsys.readouterr().err
+
+
+def test_killed_and_resumed_is_the_same_study(command: Command) -> None:
+    whole = f"sqlite:///{command.folder / 'whole.db'}"
+    assert command.run(trials=7, storage=whole) == 0
+    program = [sys.executable, str(ROOT / "tests" / "tools" / "fake_study.py")]
+    with subprocess.Popen(
+        program + command.arguments(trials=7),
+        stderr=subprocess.PIPE,
+        env=os.environ | {"FAKE_TRIAL_S": "0.5"},
+    ) as process:
+        assert process.stderr is not None
+        for _ in range(4):
+            assert b"rough8/dog" in process.stderr.readline()
+        time.sleep(0.25)  # into the fifth trial
+        process.send_signal(signal.SIGKILL)
+    assert len(command.rows()) == 4
+    assert command.run(trials=7) == 0
+    assert command.rows() == command.rows(whole)
