@@ -1,11 +1,14 @@
 # make quickstart   a walker found on rough ground, from a fresh clone, in minutes
 # make test         all tests
+# make lint         style and types, as CI checks them
+# make hooks        run the lint before every commit
 # Needs Python 3.11 or newer and make; everything else goes into .venv.
 
 PYTHON ?= python3
 BIN := .venv/bin
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: quickstart test
+.PHONY: quickstart test lint hooks
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
@@ -13,9 +16,21 @@ quickstart: .venv/installed
 test: .venv/installed
 	$(BIN)/python -m pytest
 
+lint: .venv/lint-installed
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+hooks: .venv/lint-installed
+	$(BIN)/pre-commit install
+
 .venv/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: Python 3.11 or newer is needed: make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
 	@echo "Installing the pinned packages into .venv (a minute or two) ..."
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	$(INSTALL) -e '.[test]'
+	@touch $@
+
+.venv/lint-installed: .venv/installed
+	$(INSTALL) -e '.[test,dev]'
 	@touch $@
