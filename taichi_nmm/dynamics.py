@@ -120,123 +120,164 @@ def contact_jacobians(lane, work: Rows):
 def solve(lane, step_s, const: Rows, work: Rows):
     """New velocities: (M + h sum c J J^T) v = momentum + h sum J f0, over the active contacts.
 
-    Friction of a slipping point is a given force and adds nothing to the matrix.
+    HAT and legs are eliminated one after another (Schur complement), which leaves two equations in
+    the base's velocity; the rest follows from it.
     """
-    c_t = step_s * work[Work.friction_damping, lane]
-    a0, b0 = const[Const.a_hat, lane], const[Const.b_hat, lane]
-    e0x, e0z = slope_vector(lane, 0, work)
-    p0 = work[Work.momentum + 2, lane]
-    mass = const[Const.total_mass, lane]
-    k = a0 / b0
-    hxx = mass - k * a0 * e0x * e0x
-    hxz = 0.0 - k * a0 * e0x * e0z
-    hzz = mass - k * a0 * e0z * e0z
-    px = work[Work.momentum + 0, lane] - k * e0x * p0
-    pz = work[Work.momentum + 1, lane] - k * e0z * p0
+    eliminate_hat(lane, const, work)
     for leg in ti.static(range(LEGS)):
-        # One leg: H_ll (m..), its coupling to the base (gx, gz), its right-hand side (r..).
-        m11, m22, m33, m12, m13, m23 = leg_inertia(lane, leg, const, work)
-        a = ti.static(Const.a_leg + 3 * leg)
-        x1, z1 = slope_vector(lane, 1 + 3 * leg, work)
-        x2, z2 = slope_vector(lane, 2 + 3 * leg, work)
-        x3, z3 = slope_vector(lane, 3 + 3 * leg, work)
-        gx1, gx2, gx3 = const[a, lane] * x1, const[a + 1, lane] * x2, const[a + 2, lane] * x3
-        gz1, gz2, gz3 = const[a, lane] * z1, const[a + 1, lane] * z2, const[a + 2, lane] * z3
-        p = ti.static(Work.momentum + 3 + 3 * leg)
-        r1, r2, r3 = work[p, lane], work[p + 1, lane], work[p + 2, lane]
-        for end in ti.static(range(2)):
-            c = ti.static(2 * leg + end)
-            nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
-            on = work[Work.normal_on + c, lane]
-            slip = work[Work.slip + c, lane]
-            sticks = on * ti.select(slip == 0.0, 1.0, 0.0)
-            friction = ti.select(
-                slip == 0.0, work[Work.friction_0 + c, lane], work[Work.friction + c, lane]
-            )
-            for direction in ti.static(range(2)):
-                j = ti.static((Work.jacobian_n if direction == 0 else Work.jacobian_t) + 3 * c)
-                j1, j2, j3 = work[j, lane], work[j + 1, lane], work[j + 2, lane]
-                jx, jz = nx, nz
-                weight = on * step_s * work[Work.normal_damping + c, lane]
-                force = step_s * on * work[Work.normal_force_0 + c, lane]
-                if ti.static(direction == 1):
-                    jx = nz
-                    jz = 0.0 - nx
-                    weight = sticks * c_t
-                    force = step_s * on * friction
-                u1, u2, u3 = weight * j1, weight * j2, weight * j3
-                ux, uz = weight * jx, weight * jz
-                m11 += u1 * j1
-                m22 += u2 * j2
-                m33 += u3 * j3
-                m12 += u1 * j2
-                m13 += u1 * j3
-                m23 += u2 * j3
-                gx1 += ux * j1
-                gx2 += ux * j2
-                gx3 += ux * j3
-                gz1 += uz * j1
-                gz2 += uz * j2
-                gz3 += uz * j3
-                hxx += ux * jx
-                hxz += ux * jz
-                hzz += uz * jz
-                r1 += force * j1
-                r2 += force * j2
-                r3 += force * j3
-                px += force * jx
-                pz += force * jz
-        knee_on = work[Work.stop_on + 2 * leg, lane]
-        ankle_on = work[Work.stop_on + 2 * leg + 1, lane]
-        knee = step_s * knee_on * work[Work.stop_damping + 2 * leg, lane]
-        ankle = step_s * ankle_on * work[Work.stop_damping + 2 * leg + 1, lane]
-        knee_torque = step_s * knee_on * work[Work.stop_torque_0 + 2 * leg, lane]
-        ankle_torque = step_s * ankle_on * work[Work.stop_torque_0 + 2 * leg + 1, lane]
-        m11 += knee
-        m12 -= knee
-        m22 += knee + ankle
-        m23 -= ankle
-        m33 += ankle
-        r1 -= knee_torque
-        r2 += knee_torque - ankle_torque
-        r3 += ankle_torque
-        # Factor H_ll = L D L^T, keep its inverse applied to the coupling and right-hand side.
-        i1 = 1.0 / m11
-        l21 = m12 * i1
-        l31 = m13 * i1
-        i2 = 1.0 / (m22 - l21 * m12)
-        l32 = (m23 - l21 * m13) * i2
-        i3 = 1.0 / (m33 - l31 * m13 - l32 * (m23 - l21 * m13))
-        sx1, sx2, sx3 = substitute(gx1, gx2, gx3, l21, l31, l32, i1, i2, i3)
-        sz1, sz2, sz3 = substitute(gz1, gz2, gz3, l21, l31, l32, i1, i2, i3)
-        sr1, sr2, sr3 = substitute(r1, r2, r3, l21, l31, l32, i1, i2, i3)
-        hxx -= gx1 * sx1 + gx2 * sx2 + gx3 * sx3
-        hxz -= gx1 * sz1 + gx2 * sz2 + gx3 * sz3
-        hzz -= gz1 * sz1 + gz2 * sz2 + gz3 * sz3
-        px -= gx1 * sr1 + gx2 * sr2 + gx3 * sr3
-        pz -= gz1 * sr1 + gz2 * sr2 + gz3 * sr3
-        s = ti.static(Work.leg_solution + 9 * leg)
-        work[s + 0, lane] = sx1
-        work[s + 1, lane] = sx2
-        work[s + 2, lane] = sx3
-        work[s + 3, lane] = sz1
-        work[s + 4, lane] = sz2
-        work[s + 5, lane] = sz3
-        work[s + 6, lane] = sr1
-        work[s + 7, lane] = sr2
-        work[s + 8, lane] = sr3
+        start_leg(lane, leg, const, work)
+        for c in ti.static((2 * leg, 2 * leg + 1)):
+            add_contact(lane, c, step_s, work)
+        add_stops(lane, leg, step_s, work)
+        eliminate_leg(lane, leg, work)
+    b = ti.static(Work.base)
+    hxx, hxz, hzz = work[b, lane], work[b + 1, lane], work[b + 2, lane]
+    px, pz = work[b + 3, lane], work[b + 4, lane]
     determinant = 1.0 / (hxx * hzz - hxz * hxz)
     vx = (px * hzz - pz * hxz) * determinant
     vz = (pz * hxx - px * hxz) * determinant
+    e0x, e0z = slope_vector(lane, 0, work)
+    coupling = const[Const.a_hat, lane] * (e0x * vx + e0z * vz)
     work[Work.new_qdot + 0, lane] = vx
     work[Work.new_qdot + 1, lane] = vz
-    work[Work.new_qdot + 2, lane] = (p0 - a0 * (e0x * vx + e0z * vz)) / b0
+    work[Work.new_qdot + 2, lane] = (work[Work.momentum + 2, lane] - coupling) / const[
+        Const.b_hat, lane
+    ]
     for leg in ti.static(range(LEGS)):
         for i in ti.static(range(3)):
             s = ti.static(Work.leg_solution + 9 * leg + i)
             work[Work.new_qdot + 3 + 3 * leg + i, lane] = (
                 work[s + 6, lane] - work[s, lane] * vx - work[s + 3, lane] * vz
             )
+
+
+@ti.func
+def eliminate_hat(lane, const: Rows, work: Rows):
+    """The base's equations hxx, hxz, hzz, px, pz without the HAT."""
+    a0, mass = const[Const.a_hat, lane], const[Const.total_mass, lane]
+    e0x, e0z = slope_vector(lane, 0, work)
+    k = a0 / const[Const.b_hat, lane]
+    p0 = work[Work.momentum + 2, lane]
+    b = ti.static(Work.base)
+    work[b + 0, lane] = mass - k * a0 * e0x * e0x
+    work[b + 1, lane] = 0.0 - k * a0 * e0x * e0z
+    work[b + 2, lane] = mass - k * a0 * e0z * e0z
+    work[b + 3, lane] = work[Work.momentum + 0, lane] - k * e0x * p0
+    work[b + 4, lane] = work[Work.momentum + 1, lane] - k * e0z * p0
+
+
+@ti.func
+def start_leg(lane, leg: Rows, const: Rows, work: Rows):
+    """A leg's equations in the air: inertia, coupling to the base in x and z, right-hand side."""
+    m, g, r = ti.static(Work.leg_inertia, Work.leg_coupling, Work.leg_rhs)
+    inertia = leg_inertia(lane, leg, const, work)
+    for i in ti.static(range(6)):
+        work[m + i, lane] = inertia[i]
+    for i in ti.static(range(3)):
+        x, z = slope_vector(lane, 1 + 3 * leg + i, work)
+        a = const[Const.a_leg + 3 * leg + i, lane]
+        work[g + i, lane] = a * x
+        work[g + 3 + i, lane] = a * z
+        work[r + i, lane] = work[Work.momentum + 3 + 3 * leg + i, lane]
+
+
+@ti.func
+def add_contact(lane, c: Rows, step_s, work: Rows):
+    """Normal and friction of one point; a slipping one's friction is a given force."""
+    nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
+    on, sticks = work[Work.normal_on + c, lane], work[Work.slip + c, lane] == 0.0
+    add_rank_one(
+        lane, ti.static(Work.jacobian_n + 3 * c), nx, nz,
+        on * step_s * work[Work.normal_damping + c, lane],
+        on * step_s * work[Work.normal_force_0 + c, lane], work,
+    )  # fmt: skip
+    friction = ti.select(sticks, work[Work.friction_0 + c, lane], work[Work.friction + c, lane])
+    damping = ti.select(sticks, work[Work.friction_damping, lane], 0.0)
+    add_rank_one(
+        lane, ti.static(Work.jacobian_t + 3 * c), nz, 0.0 - nx,
+        on * step_s * damping, on * step_s * friction, work,
+    )  # fmt: skip
+
+
+@ti.func
+def add_rank_one(lane, jacobian: Rows, jx, jz, weight, force, work: Rows):
+    """Add weight J J^T and force J, J = (jx, jz, the leg's three rows from `jacobian` on)."""
+    m, g, r, b = ti.static(Work.leg_inertia, Work.leg_coupling, Work.leg_rhs, Work.base)
+    j1, j2, j3 = work[jacobian, lane], work[jacobian + 1, lane], work[jacobian + 2, lane]
+    u1, u2, u3, ux, uz = weight * j1, weight * j2, weight * j3, weight * jx, weight * jz
+    work[m + 0, lane] += u1 * j1
+    work[m + 1, lane] += u2 * j2
+    work[m + 2, lane] += u3 * j3
+    work[m + 3, lane] += u1 * j2
+    work[m + 4, lane] += u1 * j3
+    work[m + 5, lane] += u2 * j3
+    work[g + 0, lane] += ux * j1
+    work[g + 1, lane] += ux * j2
+    work[g + 2, lane] += ux * j3
+    work[g + 3, lane] += uz * j1
+    work[g + 4, lane] += uz * j2
+    work[g + 5, lane] += uz * j3
+    work[r + 0, lane] += force * j1
+    work[r + 1, lane] += force * j2
+    work[r + 2, lane] += force * j3
+    work[b + 0, lane] += ux * jx
+    work[b + 1, lane] += ux * jz
+    work[b + 2, lane] += uz * jz
+    work[b + 3, lane] += force * jx
+    work[b + 4, lane] += force * jz
+
+
+@ti.func
+def add_stops(lane, leg: Rows, step_s, work: Rows):
+    """Active stops of knee and ankle: J = +1 on the child, -1 on the parent."""
+    m, r = ti.static(Work.leg_inertia, Work.leg_rhs)
+    knee, ankle = ti.static(2 * leg, 2 * leg + 1)
+    knee_on = step_s * work[Work.stop_on + knee, lane]
+    ankle_on = step_s * work[Work.stop_on + ankle, lane]
+    knee_weight = knee_on * work[Work.stop_damping + knee, lane]
+    ankle_weight = ankle_on * work[Work.stop_damping + ankle, lane]
+    knee_torque = knee_on * work[Work.stop_torque_0 + knee, lane]
+    ankle_torque = ankle_on * work[Work.stop_torque_0 + ankle, lane]
+    work[m + 0, lane] += knee_weight
+    work[m + 1, lane] += knee_weight + ankle_weight
+    work[m + 2, lane] += ankle_weight
+    work[m + 3, lane] -= knee_weight
+    work[m + 5, lane] -= ankle_weight
+    work[r + 0, lane] -= knee_torque
+    work[r + 1, lane] += knee_torque - ankle_torque
+    work[r + 2, lane] += ankle_torque
+
+
+@ti.func
+def eliminate_leg(lane, leg: Rows, work: Rows):
+    """Factor a leg's matrix as L D L^T and take the leg out of the base's equations.
+
+    Keeps the inverse applied to the coupling (x, z) and the right-hand side in `leg_solution`.
+    """
+    m, b, s = ti.static(Work.leg_inertia, Work.base, Work.leg_solution + 9 * leg)
+    m12, m13, m23 = work[m + 3, lane], work[m + 4, lane], work[m + 5, lane]
+    i1 = 1.0 / work[m, lane]
+    l21 = m12 * i1
+    l31 = m13 * i1
+    i2 = 1.0 / (work[m + 1, lane] - l21 * m12)
+    rest = m23 - l21 * m13
+    l32 = rest * i2
+    i3 = 1.0 / (work[m + 2, lane] - l31 * m13 - l32 * rest)
+    for column in ti.static(range(3)):  # coupling in x, coupling in z, right-hand side
+        y = ti.static(Work.leg_coupling + 3 * column)
+        x1, x2, x3 = substitute(
+            work[y, lane], work[y + 1, lane], work[y + 2, lane], l21, l31, l32, i1, i2, i3
+        )
+        work[s + 3 * column, lane] = x1
+        work[s + 3 * column + 1, lane] = x2
+        work[s + 3 * column + 2, lane] = x3
+    gx, gz = ti.static(Work.leg_coupling, Work.leg_coupling + 3)
+    for i in ti.static(range(3)):
+        work[b + 0, lane] -= work[gx + i, lane] * work[s + i, lane]
+        work[b + 1, lane] -= work[gx + i, lane] * work[s + 3 + i, lane]
+        work[b + 2, lane] -= work[gz + i, lane] * work[s + 3 + i, lane]
+        work[b + 3, lane] -= work[gx + i, lane] * work[s + 6 + i, lane]
+        work[b + 4, lane] -= work[gz + i, lane] * work[s + 6 + i, lane]
 
 
 @ti.func
