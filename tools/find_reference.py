@@ -10,6 +10,7 @@ is written. The same seed finds the same gait on the same machine. Exit codes: 0
 
 import argparse
 import sys
+import tempfile
 from pathlib import Path
 
 # The repository comes before tools/, where study.py would hide the package of its name.
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import taichi_nmm
-from storage.commit import commit_json
+from storage.commit import commit_json, writable
 from storage.sobol import sobol_gains
 from study.command import run_command
 from study.pictures import human_ranges
@@ -47,7 +48,6 @@ BODY_DISTURBANCE = 0.06
 
 BODY_WEIGHT_N = GRAVITY_MPS2 * sum(segment.mass_kg for segment in SEGMENTS)
 LOW, RANGE = lower_bounds(), upper_bounds() - lower_bounds()
-
 
 # What a walker pays for looking unlike people: per standard deviation of the three joint angles
 # over the stride, per degree of trunk lean and per metre of step outside what is usual.
@@ -174,7 +174,7 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--restarts", type=int, default=4, help="searches (%(default)s)")
-    parser.add_argument("--generations", type=int, default=150, help="of each (%(default)s)")
+    parser.add_argument("--generations", type=int, default=300, help="of each (%(default)s)")
     parser.add_argument("--out", type=Path, required=True, help="JSON file of the gains")
     parser.add_argument("--arch", choices=ARCHITECTURES, default="auto")
     return parser.parse_args()
@@ -187,8 +187,8 @@ def main() -> None:
             raise InputError(name, getattr(args, name), "1 or more")
     if args.seed < 0:
         raise InputError("seed", args.seed, "0 or more")
-    if not args.out.parent.is_dir():
-        raise InputError("out", str(args.out), "a file in a folder that exists")
+    with writable(args.out):  # found out before the search, not after
+        tempfile.TemporaryFile(dir=args.out.parent).close()
     found = np.vstack([
         search(start, args.seed, restart, args.generations, args.arch)
         for restart, start in enumerate(starts(args.seed, args.restarts, args.arch))

@@ -72,7 +72,7 @@ def test_the_same_seed_searches_the_same_way(
         (["--restarts", "0"], "restarts: 0"),
         (["--generations", "-1"], "generations: -1"),
         (["--seed", "-1"], "seed: -1"),
-        (["--out", "no/such/folder/gains.json"], "a file in a folder that exists"),
+        (["--out", "no/such/folder/gains.json"], "a place that can be written"),
     ],
 )
 def test_bad_input(

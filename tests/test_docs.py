@@ -1,0 +1,51 @@
+"""Documents say what the code says: parameters, commands, configurations and files."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from taichi_nmm.config import read_toml
+from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
+
+ROOT = Path(__file__).resolve().parent.parent
+TOOLS = sorted(
+    path.name for path in (ROOT / "tools").glob("*.py") if path.name != "bench_worker.py"
+)
+CONFIGS = sorted((ROOT / "configs").glob("*.toml"))
+
+
+def table_row(parameter: Parameter) -> str:
+    """A parameter's row of the table in docs/walker.md."""
+    p = parameter
+    bounds = f"{p.low:.4g} | {p.high:.4g} | {p.default:.4g}"
+    return f"| `{p.name}` | {p.unit} | {bounds} | {p.meaning} | {p.source} |"
+
+
+@pytest.mark.parametrize("parameter", [*GAINS, *LOW_LEVEL_GAINS], ids=lambda p: p.name)
+def test_parameter_table_is_that_of_the_code(parameter: Parameter) -> None:
+    assert table_row(parameter) in (ROOT / "docs" / "walker.md").read_text()
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_every_command_is_in_the_readme_and_explains_itself(tool: str) -> None:
+    assert f"tools/{tool}" in (ROOT / "README.md").read_text()
+    done = subprocess.run(
+        [sys.executable, ROOT / "tools" / tool, "--help"], capture_output=True, text=True
+    )
+    assert done.returncode == 0 and "usage:" in done.stdout
+
+
+@pytest.mark.parametrize("config", CONFIGS, ids=lambda path: path.name)
+def test_every_configuration_is_toml_and_named_in_the_documents(config: Path) -> None:
+    read_toml(config)
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    assert any(config.name in page.read_text() for page in pages)
+
+
+def test_links_to_files_of_the_repository_lead_somewhere() -> None:
+    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+        for link in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
+            assert (page.parent / link).exists(), f"{page.name}: {link}"
