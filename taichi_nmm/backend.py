@@ -12,6 +12,8 @@ physics is plain scalar code; on a GPU the same code runs with one walker a thre
 import contextlib
 import io
 import os
+import threading
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -24,7 +26,7 @@ from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import Settings
 
-__all__ = ["Array", "Rows", "is_double", "lanes", "metadata", "real_dtype", "start", "ti"]
+__all__ = ["Array", "Rows", "is_double", "lanes", "launch", "metadata", "real_dtype", "start", "ti"]
 
 LANES_CPU = 8  # float32 lanes of a 256-bit register; measured against 1, 4, 16 by tools/bench.py
 LANES_GPU = 1  # a thread is a walker
@@ -43,6 +45,7 @@ else:
 
 _running: Settings | None = None
 _arch = "cpu"
+_compiled: set[str] = set()
 
 
 def start(settings: Settings) -> None:
@@ -56,12 +59,41 @@ def start(settings: Settings) -> None:
     global _running, _arch
     if _running is not None and _same_engine(_running, settings):
         return
+    _require_main_thread()
+    _compiled.clear()
     for arch in _candidates(settings.arch):
         if _initialise(arch, settings):
             _running = settings
             _arch = arch
             return
     raise InputError("simulation.arch", settings.arch, "an architecture of this machine (cpu is)")
+
+
+def launch(kernel: Callable[..., None], *arguments: Any) -> None:
+    """Run a kernel, compiling it first where it is new.
+
+    Raises:
+        InputError: the kernel is new and this is not the main thread (compiling there aborts the
+            process), or the device cannot take it.
+    """
+    if kernel.__name__ not in _compiled:
+        _require_main_thread()
+    try:
+        kernel(*arguments)
+    except RuntimeError as error:  # a driver that cannot take the kernel says so only here
+        allowed = f"a device that runs the kernel ({error})"
+        raise InputError("simulation.arch", _arch, allowed) from error
+    _compiled.add(kernel.__name__)
+
+
+def _require_main_thread() -> None:
+    if threading.current_thread() is not threading.main_thread():
+        raise InputError(
+            "thread",
+            threading.current_thread().name,
+            "the main thread, for a process's first simulation; simulate once before starting "
+            "threads such as study.optimize(n_jobs=2)",
+        )
 
 
 def lanes() -> int:

@@ -47,8 +47,8 @@ def forward_dynamics(
     lanes = backend.lanes()
     padded = -(-count // lanes) * lanes
     accelerations = np.zeros((padded // lanes, COORDINATES, lanes))
-    accelerate(
-        lanes, _fold(states, padded, lanes), _fold(torques, padded, lanes),
+    backend.launch(
+        accelerate, lanes, _fold(states, padded, lanes), _fold(torques, padded, lanes),
         _fold(constants, padded, lanes), accelerations,
     )  # fmt: skip
     return accelerations.transpose(0, 2, 1).reshape(padded, COORDINATES)[:count]

@@ -111,15 +111,11 @@ def launcher(batch: Batch, settings: Settings) -> Callable[[Packs, int, int], No
     load_blend = 1.0 - np.exp(-step_s / LOAD_FILTER_S)
 
     def launch(packs: Packs, first_tick: int, ticks: int) -> None:
-        try:
-            advance(
-                packs.lanes, packs.rows, packs.constants, packs.terrains, heights, muscles,
-                first_tick, ticks, settings.substeps, step_s,
-                settings.contact_relaxation_speed_mps, activation_blend, load_blend,
-            )  # fmt: skip
-        except RuntimeError as error:  # a driver that cannot take the kernel says so only here
-            raise InputError(
-                "simulation.arch", settings.arch, f"a device that runs the kernel ({error})"
-            ) from error
+        backend.launch(
+            advance,
+            packs.lanes, packs.rows, packs.constants, packs.terrains, heights, muscles,
+            first_tick, ticks, settings.substeps, step_s,
+            settings.contact_relaxation_speed_mps, activation_blend, load_blend,
+        )  # fmt: skip
 
     return launch

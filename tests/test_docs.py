@@ -49,3 +49,26 @@ def test_links_to_files_of_the_repository_lead_somewhere() -> None:
     for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
         for link in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
             assert (page.parent / link).exists(), f"{page.name}: {link}"
+
+
+def python_blocks(page: Path) -> list[str]:
+    """The Python code of a page, block by block."""
+    return re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
+
+
+def test_the_readmes_simulation_runs() -> None:
+    code = python_blocks(ROOT / "README.md")[0]
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert "completed" in done.stdout and "(10000, 6)" in done.stdout
+
+
+def test_the_readmes_study_and_the_stores_page_run_on_a_small_store(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "store").symlink_to(ROOT / "tests" / "assets" / "store-v1")
+    blocks = [python_blocks(ROOT / "README.md")[1], python_blocks(ROOT / "docs" / "store.md")[0]]
+    for code in blocks:
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path
+        )
+        assert done.returncode == 0, done.stderr

@@ -1,5 +1,6 @@
 """`simulate`: what it returns, what it refuses, and that a broken walker stays alone."""
 
+import subprocess
 import sys
 
 import numpy as np
@@ -171,9 +172,30 @@ def test_bad_input_names_field_value_and_what_is_allowed(
     assert "allowed:" in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_import_is_cheap() -> None:
-    import subprocess
+THREAD = """
+import threading, taichi_nmm
+def attempt():
+    try:
+        taichi_nmm.simulate(taichi_nmm.K_T, duration_s=0.01)
+    except taichi_nmm.InputError as error:
+        print(error)
+for _ in range(2):
+    thread = threading.Thread(target=attempt, name="worker")
+    thread.start()
+    thread.join()
+    taichi_nmm.simulate(taichi_nmm.K_T, duration_s=0.01)
+print("done")
+"""
 
+
+def test_first_simulation_off_the_main_thread_is_refused_and_later_ones_run() -> None:
+    done = subprocess.run([sys.executable, "-c", THREAD], capture_output=True, text=True)
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("thread: 'worker' cannot be used; allowed: the main thread")
+    assert lines[1:] == ["done"], done.stderr
+
+
+def test_import_is_cheap() -> None:
     code = "import sys, taichi_nmm; assert 'taichi' not in sys.modules; print('cheap')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "cheap", done.stderr
