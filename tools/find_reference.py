@@ -174,7 +174,7 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--restarts", type=int, default=4, help="searches (%(default)s)")
-    parser.add_argument("--generations", type=int, default=300, help="of each (%(default)s)")
+    parser.add_argument("--generations", type=int, default=150, help="of each (%(default)s)")
     parser.add_argument("--out", type=Path, required=True, help="JSON file of the gains")
     parser.add_argument("--arch", choices=ARCHITECTURES, default="auto")
     return parser.parse_args()
