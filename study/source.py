@@ -93,6 +93,8 @@ class Source(ABC):
     ) -> Model:
         """The model after the trials of a history, at the points where they were seen."""
         limits = read_limits(history.trials, self.options.feasibility)
+        if self.options.feasibility is not None and not np.isfinite(limits).any():
+            self._warn_silent(history, "feasibility", self.options.feasibility)
         evidence = Evidence(seen, history.cost, limits, running)
         return Model(self.options, kernel, parameters, evidence, self.constants)
 
@@ -105,6 +107,8 @@ class Source(ABC):
         width = simulated.features.shape[1]
         reported = read_shown(history.trials, self.options.mismatch, width)
         known = np.asarray(np.isfinite(reported).all(axis=1))
+        if not known.any():
+            self._warn_silent(history, "mismatch", f"{self.options.mismatch}, {width} numbers")
         shown = np.where(known[:, None], scale.standard(reported), np.nan)
         found = Mismatch.fit(simulated, shown, parameters, self.options.fast)
         if found is None:
@@ -112,6 +116,11 @@ class Source(ABC):
         corrected = found.corrected(simulated).features
         features = np.where(known[:, None], shown, corrected)
         return found, Points(features, simulated.coordinates)
+
+    def _warn_silent(self, history: History, option: str, wanted: str) -> None:
+        """Once start-up is over: an option that no finished trial has given anything to."""
+        if len(history.trials) >= self.options.n_startup_trials:
+            self.warn(f"{option} is left out: no finished trial reports it ({wanted})")
 
     def rng(self, purpose: Purpose, turn: int) -> np.random.Generator:
         """Of one draw."""
@@ -163,13 +172,16 @@ def gumbel_choice(log_weight: Floats, rng: np.random.Generator) -> int:
 
 
 def missing_in(
-    names: Sequence[str], study: optuna.Study, before: FrozenTrial, ours: str
+    names: Sequence[str], study: optuna.Study, before: FrozenTrial, ours: str | None
 ) -> InputError | None:
-    """An error if the latest finished trial that was proposed here lacks a parameter."""
+    """An error if the latest finished trial that was proposed here lacks a parameter.
+
+    `ours` is the user attribute that tells proposals of this sampler; None takes any trial.
+    """
     for trial in reversed(study.get_trials(deepcopy=False)):
         if trial.number == before.number or not trial.state.is_finished():
             continue
-        if trial.values is None or ours not in trial.user_attrs:
+        if trial.values is None or (ours is not None and ours not in trial.user_attrs):
             continue
         for name in names:
             if name not in trial.params:

@@ -94,7 +94,8 @@ class SpaceSource(Source):
                 allowed = "a parameter left free: the feature function wants all of them"
                 return InputError(name, f"fixed, of {distribution}", allowed)
         names = [name for name in search_space if name in declared]
-        return missing_in(names, study, trial, FEATURES_ATTRIBUTE)
+        ours = None if self.function is None else FEATURES_ATTRIBUTE  # nothing is noted without
+        return missing_in(names, study, trial, ours)
 
     def _choose(self, study: optuna.Study, trial: FrozenTrial, space: Space) -> Candidate:
         own_turn = turn(study, trial)

@@ -13,7 +13,7 @@ from optuna.distributions import (
     IntDistribution,
 )
 from optuna.samplers import BaseSampler
-from optuna.trial import FrozenTrial
+from optuna.trial import FrozenTrial, TrialState
 
 from study.acquisition import argmax_random_tie, fading_log_weight
 from study.candidates import nearby
@@ -86,6 +86,7 @@ class TableSource(Source):
     def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
         """The table's parameters; where it need not fit, once a trial has shown that it does."""
         if not self.options.strict and not proves_fit(self.rows, study, trial):
+            self._warn_of_foreign(study)
             return {}
         return self.rows.space.as_dict()
 
@@ -319,6 +320,15 @@ class TableSource(Source):
         assert self.options.prior is not None  # or there is nothing to rank by
         rows = self.rows
         return FeaturePrior.of(self.options.prior, rows.feature_names, rows.features[rows.offered])
+
+    def _warn_of_foreign(self, study: optuna.Study) -> None:
+        """Where the table need not fit: say so once a trial has suggested none of its names."""
+        finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+        if finished and not any(name in finished[-1].params for name in self.rows.names):
+            self.warn(
+                f"the study suggests none of the table's parameters: "
+                f"{', '.join(self.rows.names[:3])}, ...; the independent sampler takes over"
+            )
 
     def _warn_of(self, history: History) -> None:
         if history.unplaced:
