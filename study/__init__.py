@@ -1,9 +1,32 @@
-"""Studies of the walker in Optuna: the determinants-of-gait sampler, objectives, experiments.
+"""Studies of expensive things in Optuna: feature-kernel samplers, and experiments with the walker.
 
-Importing this package imports neither Taichi nor matplotlib.
+Importing this package imports neither Taichi nor matplotlib, and the names below when first used.
 """
 
-from study.dog_sampler import DoGSampler
-from study.score_table import ScoreTable
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["DoGSampler", "ScoreTable"]
+if TYPE_CHECKING:
+    from study.dog_sampler import DoGSampler
+    from study.feature_sampler import FeatureKernelSampler
+    from study.feature_table import FeatureTable
+
+__all__ = ["DoGSampler", "FeatureKernelSampler", "FeatureTable"]
+
+_MODULES = {
+    "DoGSampler": "study.dog_sampler",
+    "FeatureKernelSampler": "study.feature_sampler",
+    "FeatureTable": "study.feature_table",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first asked for (PEP 562)."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted([*globals(), *__all__])

@@ -11,8 +11,8 @@ from optuna.trial import FrozenTrial
 from study.config import StudyConfig
 from study.dog_sampler import DoGSampler
 from study.draws import Purpose, generator, seed_32bit
+from study.feature_table import FeatureTable
 from study.random_sampler import ReproducibleRandomSampler
-from study.score_table import ScoreTable
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS, lower_bounds, upper_bounds
 
@@ -21,7 +21,9 @@ ARMS = ("dog", "random", "cmaes")
 SOURCE_TRIALS = 10  # Optuna's warm start takes the best tenth of them
 
 
-def new_sampler(arm: str, config: StudyConfig, table: ScoreTable | None, turn: int) -> BaseSampler:
+def new_sampler(
+    arm: str, config: StudyConfig, table: FeatureTable | None, turn: int
+) -> BaseSampler:
     """The sampler of one trial, the `turn`-th; all arms but CMA-ES have the same for every trial.
 
     CMA-ES keeps its state in the trials; a new object with a seed of its own for each trial makes

@@ -25,6 +25,10 @@ class Purpose(IntEnum):
     INDEPENDENT = 5
     CMAES = 6
     CMAES_MEAN = 7
+    CANDIDATES = 8
+    OFF_GRID = 9
+    OFF_GRID_UTILITY = 10
+    STARTUP_POINT = 11
 
 
 def stream(seed: int, purpose: Purpose, *key: int) -> np.random.SeedSequence:

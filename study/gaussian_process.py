@@ -1,87 +1,132 @@
-"""The Gaussian process of cost over score: scikit-learn fits it, blocks of candidates query it.
+"""Fitting: scikit-learn's marginal likelihood, times priors on the constants.
 
-| symbol | shape | meaning |
-|---|---|---|
-| x | [n] | scores of the finished trials, standardised over the table |
-| y | [n] | their costs, standardised over the trials |
-| K | [n, n] | c exp(-(x_i - x_j)^2 / (2 l^2)) + s^2 I: the DoG kernel with its constants learned |
-| L | [n, n] | Cholesky factor of K |
-| alpha | [n] | K^-1 y |
-
-Many parameter sets share one score, and their costs differ: s^2 is that spread, which no repetition
-would remove. It belongs to what the next trial will show, so `predict` includes it, as
-scikit-learn's does.
+The constants maximise log p(y | X, theta) + sum_i log N(theta_i; mode_i, sd_i^2), theta being their
+logarithms. With few trials the likelihood alone is happy with any of them.
 """
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+from study.posterior import Posterior
+from study.terms import Term
 
 Floats = NDArray[np.float64]
+Objective = Callable[[Floats], tuple[float, Floats]]
 
-# Initial value and bounds, in standard deviations of the costs (variances) and of the scores.
-SIGNAL_VARIANCE = (1.0, (1e-2, 1e2))
-LENGTH_SCALE = (1.0, (5e-2, 2e1))
-NOISE_VARIANCE = (0.3, (1e-4, 1e1))
-
-RESTARTS = 2  # the likelihood has a mode that explains everything as noise
-BLOCK = 2048  # candidates at a time: [n, block] stays in the cache
+JITTER = 1e-10  # scikit-learn's own
+LIKELIHOOD_TRIALS = 120  # at most; constants are few, and the cost grows with the cube
+ITERATIONS = 40
+NOISE_STARTS = (0.0, 3.0)  # added to the log noise: the likelihood has a mode that is all noise
+SECOND_START_TRIALS = 30  # up to so many: with more, the modes are rarely two
 
 
-@dataclass(frozen=True, eq=False)
-class ScoreProcess:
-    """A fitted process.
+@dataclass(frozen=True)
+class PriorOptimizer:
+    """An optimizer for scikit-learn's regressor: L-BFGS on likelihood times prior."""
 
-    Attributes:
-        regressor: fitted on x and y.
-        cost_mean: what `y` was centred by.
-        cost_sd: what `y` was divided by.
-    """
+    term: Term
+    starts: tuple[float, ...]
 
-    regressor: GaussianProcessRegressor
-    cost_mean: float
-    cost_sd: float
+    def __call__(self, objective: Any, start: Floats, bounds: Floats) -> tuple[Floats, float]:
+        """The best theta [t] of the starts, and the objective there."""
+        mode = np.array([prior.mode for prior in self.term.priors])
+        sd = np.array([prior.sd for prior in self.term.priors])
 
-    @classmethod
-    def fit(cls, score: Floats, cost: Floats, seed: int) -> "ScoreProcess":
-        """Fit to trials [n], n >= 1; constants by marginal likelihood, best of several starts."""
-        mean, sd = float(cost.mean()), float(cost.std())
-        sd = sd if sd > 0 else 1.0
-        regressor = GaussianProcessRegressor(
-            kernel=new_kernel(), alpha=0.0, n_restarts_optimizer=RESTARTS, random_state=seed
+        def penalised(theta: Floats) -> tuple[float, Floats]:
+            value, gradient = objective(theta, eval_gradient=True)
+            z = (theta - mode) / sd
+            return float(value + 0.5 * z @ z), gradient + z / sd
+
+        found = [self._descend(penalised, start, bounds, shift) for shift in self.starts]
+        best = min(found, key=lambda result: float(result.fun))
+        return best.x, float(best.fun)
+
+    @staticmethod
+    def _descend(objective: Objective, start: Floats, bounds: Floats, noise_shift: float) -> Any:
+        theta = start.copy()
+        theta[-1] += noise_shift  # white noise is the last term of every kernel
+        return minimize(
+            objective,
+            np.clip(theta, bounds[:, 0], bounds[:, 1]),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxiter": ITERATIONS, "ftol": 1e-5},
         )
-        with warnings.catch_warnings():
-            # With few trials a constant at its bound is an answer, not a failure.
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            regressor.fit(score[:, None], (cost - mean) / sd)
-        return cls(regressor, mean, sd)
-
-    def predict(self, score: Floats) -> tuple[Floats, Floats]:
-        """Mean and standard deviation of the cost of new rows with these scores [m]."""
-        mean, variance = np.empty(len(score)), np.empty(len(score))
-        for start in range(0, len(score), BLOCK):
-            block = slice(start, start + BLOCK)
-            mean[block], variance[block] = self._posterior(score[block])
-        return self.cost_mean + self.cost_sd * mean, self.cost_sd * np.sqrt(variance)
-
-    def _posterior(self, score: Floats) -> tuple[Floats, Floats]:
-        """Mean k^T alpha and variance c + s^2 - |L^-1 k|^2, in standard units, [m]."""
-        fitted = self.regressor
-        signal, noise = fitted.kernel_.k1.k1.constant_value, fitted.kernel_.k2.noise_level
-        distance = (fitted.X_train_ - score) / fitted.kernel_.k1.k2.length_scale
-        k = signal * np.exp(-0.5 * distance**2)
-        whitened = solve_triangular(fitted.L_, k, lower=True, check_finite=False)
-        # The trials cannot explain more than the signal; rounding can.
-        explained = np.minimum(np.sum(whitened**2, axis=0), signal)
-        return fitted.alpha_ @ k, signal + noise - explained
 
 
-def new_kernel() -> ConstantKernel:
-    """The DoG kernel before learning: constant x RBF + white noise."""
-    return ConstantKernel(*SIGNAL_VARIANCE) * RBF(*LENGTH_SCALE) + WhiteKernel(*NOISE_VARIANCE)
+def learn(term: Term, x: Floats, y: Floats, *, center: bool = True) -> Floats:
+    """The constants [t], as logarithms, from trials x [n, p] with costs y [n] or [n, outputs].
+
+    `center` takes the mean of the process to be that of the costs; else it is zero.
+    """
+    some = _informative(y)
+    scaled, _, _ = _standard(y, center)
+    starts = NOISE_STARTS if len(y) <= SECOND_START_TRIALS else NOISE_STARTS[:1]
+    optimizer = PriorOptimizer(term, starts)
+    return np.asarray(_regressor(term, x[some], scaled[some], optimizer).kernel_.theta)
+
+
+def condition(
+    term: Term,
+    theta: Floats,
+    x: Floats,
+    y: Floats,
+    *,
+    center: bool = True,
+    noisy: bool,
+    fast: bool,
+) -> Posterior:
+    """The posterior under given constants, after trials x [n, p] with costs y [n]."""
+    scaled, mean, sd = _standard(y, center)
+    kept = Term(term.kernel.clone_with_theta(theta), term.priors)
+    return Posterior(_regressor(kept, x, scaled, None), mean, sd, noisy, fast)
+
+
+def believe(posterior: Posterior, x: Floats, y: Floats) -> Posterior:
+    """The same after further trials, with costs in their own unit; constants and scale are kept."""
+    old = posterior.regressor
+    scaled = (y - posterior.cost_mean) / posterior.cost_sd
+    term = Term(old.kernel_, ())
+    regressor = _regressor(
+        term, np.vstack([old.X_train_, x]), np.concatenate([old.y_train_, scaled]), None
+    )
+    return Posterior(
+        regressor, posterior.cost_mean, posterior.cost_sd, posterior.noisy, posterior.fast
+    )
+
+
+def _regressor(
+    term: Term, x: Floats, y: Floats, optimizer: PriorOptimizer | None
+) -> GaussianProcessRegressor:
+    regressor = GaussianProcessRegressor(term.kernel, alpha=JITTER, optimizer=optimizer)
+    with warnings.catch_warnings():
+        # With few trials a constant at its bound is an answer, not a failure.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return regressor.fit(x, y)
+
+
+def _standard(y: Floats, center: bool) -> tuple[Floats, float, float]:
+    """Costs in standard units, their mean and their standard deviation (one if they are equal)."""
+    mean = float(y.mean()) if center else 0.0
+    sd = float(np.sqrt(np.mean((y - mean) ** 2)))
+    sd = sd if sd > 1e-12 * abs(mean) and sd > 0 else 1.0
+    return (y - mean) / sd, mean, sd
+
+
+def _informative(y: Floats) -> NDArray[np.int64]:
+    """Trials that the constants are learned from: the best half of the limit, the rest evenly."""
+    if len(y) <= LIKELIHOOD_TRIALS:
+        return np.arange(len(y))
+    order = np.argsort(y if y.ndim == 1 else np.abs(y).sum(axis=1), kind="stable")
+    best, others = np.split(order, [LIKELIHOOD_TRIALS // 2])
+    spread = np.linspace(0, len(others) - 1, LIKELIHOOD_TRIALS - len(best)).astype(np.int64)
+    return np.sort(np.concatenate([best, others[spread]]))

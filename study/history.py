@@ -1,6 +1,6 @@
-"""What a study's trials say to a sampler over rows: the rows tried, and the costs they showed."""
+"""What a study's trials say to a sampler: where they were, and the costs they showed."""
 
-import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +9,16 @@ from numpy.typing import NDArray
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
-from study.score_table import Rows
-from taichi_nmm.errors import InputError
+from study.rows import Rows
+from study.space import Space
+from study.transforms import clip_infinities
 
-ROW_ATTRIBUTE = "row"
-SCORE_ATTRIBUTE = "score"
+Floats = NDArray[np.float64]
+
+ROW_ATTRIBUTE = "row"  # of the table; -1 for a point off it
+SCORE_ATTRIBUTE = "score"  # the feature, where there is one
+FEATURES_ATTRIBUTE = "features"  # as a list, where there are several, or no table
+OFF_TABLE = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,67 +26,93 @@ class History:
     """The trials of a study before one of its trials.
 
     Attributes:
-        tried: rows that any trial has taken, whatever became of it, bool [n].
-        observed: rows of the finished trials, [m].
-        cost: their values, lower is better, finite, [m].
-        unplaced: numbers of finished trials that are no row of the table.
+        trials: the n finished ones that can be learned from, in the order of their numbers.
+        parameters: of each, [n, d].
+        rows: of each, OFF_TABLE where it is no row, [n].
+        cost: of each, lower is better, finite, [n].
+        running: parameters of those running elsewhere, [r, d].
+        running_rows: of each, [r].
+        tried: rows that any trial has taken, whatever became of it, bool [rows of the table].
+        unplaced: numbers of finished trials left out, being no row of the table.
     """
 
+    trials: tuple[FrozenTrial, ...]
+    parameters: Floats
+    rows: NDArray[np.int64]
+    cost: Floats
+    running: Floats
+    running_rows: NDArray[np.int64]
     tried: NDArray[np.bool_]
-    observed: NDArray[np.int64]
-    cost: NDArray[np.float64]
     unplaced: tuple[int, ...]
 
 
-def read_history(rows: Rows, study: optuna.Study, before: FrozenTrial) -> History:
-    """The history that the trial `before` is proposed from, in the order of the trial numbers."""
-    tried = np.zeros(len(rows), dtype=bool)
-    observed, values, unplaced = [], [], []
+def read_history(
+    study: optuna.Study,
+    before: FrozenTrial,
+    space: Space,
+    table: Rows | None = None,
+    usable: Callable[[FrozenTrial], bool] = lambda trial: True,
+) -> History:
+    """The history that the trial `before` is proposed from.
+
+    Args:
+        study: whose trials are read.
+        before: left out itself.
+        space: parameters that a trial must have to be learned from.
+        table: where rows are looked up.
+        usable: of a trial that is no row of the table: whether it can be learned from.
+    """
+    tried = np.zeros(0 if table is None else len(table), dtype=bool)
+    finished: list[tuple[FrozenTrial, int]] = []
+    running: list[tuple[FrozenTrial, int]] = []
+    unplaced = []
     for trial in study.get_trials(deepcopy=False):
         if trial.number == before.number:
             continue
-        row = row_of(rows, trial)
+        row = None if table is None else row_of(table, trial)
         if row is not None:
             tried[row] = True
-        if trial.state is not TrialState.COMPLETE:
-            continue
-        if row is None:
-            unplaced.append(trial.number)
-        else:
-            observed.append(row)
-            values.append(trial.values[0])
+        if trial.state is TrialState.COMPLETE:
+            if row is not None or (space.holds(trial) and usable(trial)):
+                finished.append((trial, OFF_TABLE if row is None else row))
+            elif table is not None:
+                unplaced.append(trial.number)
+        elif trial.state is TrialState.RUNNING and (row is not None or space.holds(trial)):
+            running.append((trial, OFF_TABLE if row is None else row))
+    values = np.array([trial.values[0] for trial, _ in finished], dtype=np.float64)
     sign = -1.0 if study.direction is StudyDirection.MAXIMIZE else 1.0
-    cost = sign * clip_infinities(np.array(values, dtype=np.float64))
-    return History(tried, np.array(observed, dtype=np.int64), cost, tuple(unplaced))
+    return History(
+        tuple(trial for trial, _ in finished),
+        _parameters(finished, space, table),
+        np.array([row for _, row in finished], dtype=np.int64),
+        sign * clip_infinities(values),
+        _parameters(running, space, table),
+        np.array([row for _, row in running], dtype=np.int64),
+        tried,
+        tuple(unplaced),
+    )
 
 
-def row_of(rows: Rows, trial: FrozenTrial) -> int | None:
+def _parameters(placed: list[tuple[FrozenTrial, int]], space: Space, table: Rows | None) -> Floats:
+    """Of trials with their rows, [n, d]."""
+    parameters = np.empty((len(placed), len(space)))
+    for place, (trial, row) in enumerate(placed):
+        if row == OFF_TABLE or table is None:
+            parameters[place] = space.rows([trial.params])[0]
+        else:
+            parameters[place] = table.parameters[row]
+    return parameters
+
+
+def row_of(table: Rows, trial: FrozenTrial) -> int | None:
     """The row that a trial is, or is about to be; None where its parameters are no row.
 
     The number that the sampler left in the trial counts if the parameters suggested so far are
     that row's. A trial without one (enqueued by hand) is looked up by its exact values.
     """
     row = trial.user_attrs.get(ROW_ATTRIBUTE)
-    if isinstance(row, int) and 0 <= row < len(rows):
-        expected = rows.as_parameters(row)
-        _require_all_suggested(rows, trial)
-        if all(trial.params.get(name, value) == value for name, value in expected.items()):
+    if isinstance(row, int) and 0 <= row < len(table):
+        suggested = trial.params
+        if all(suggested.get(name, v) == v for name, v in table.as_parameters(row).items()):
             return row
-    return rows.find(trial.params)
-
-
-def clip_infinities(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Infinite values replaced by the largest and the smallest finite one (zero if none is)."""
-    finite = values[np.isfinite(values)]
-    low, high = (finite.min(), finite.max()) if len(finite) else (0.0, 0.0)
-    return np.where(values == math.inf, high, np.where(values == -math.inf, low, values))
-
-
-def _require_all_suggested(rows: Rows, trial: FrozenTrial) -> None:
-    """Refuse to go on in a study whose objective leaves out parameters of the table."""
-    if trial.state is not TrialState.COMPLETE:
-        return
-    for name in rows.names:
-        if name not in trial.params:
-            allowed = f"an objective that suggests all of {', '.join(rows.names)}"
-            raise InputError(name, f"not suggested in trial {trial.number}", allowed)
+    return table.find(trial.params)

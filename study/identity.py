@@ -5,14 +5,14 @@ from typing import Any
 import optuna
 
 from study.config import StudyConfig
-from study.score_table import ScoreTable
+from study.feature_table import FeatureTable
 from taichi_nmm.errors import InputError
 
 IDENTITY_ATTRIBUTE = "config"
 
 
 def check_identity(
-    study: optuna.Study, config: StudyConfig, arm: str, table: ScoreTable | None
+    study: optuna.Study, config: StudyConfig, arm: str, table: FeatureTable | None
 ) -> None:
     """Write the configuration into a new study; refuse a study made with another one.
 
@@ -34,7 +34,7 @@ def check_identity(
         )
 
 
-def _identity(config: StudyConfig, arm: str, table: ScoreTable | None) -> dict[str, Any]:
+def _identity(config: StudyConfig, arm: str, table: FeatureTable | None) -> dict[str, Any]:
     identity: dict[str, Any] = config.identity()
     if arm == "dog" and table is not None:
         identity |= {

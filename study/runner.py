@@ -10,9 +10,9 @@ from optuna.trial import FrozenTrial, TrialState
 
 from study.arms import new_sampler
 from study.config import StudyConfig
+from study.feature_table import FeatureTable
 from study.identity import check_identity
 from study.objective import WalkObjective
-from study.score_table import ScoreTable
 from taichi_nmm.errors import InputError
 
 Report = Callable[[optuna.Study, FrozenTrial], None]
@@ -23,7 +23,7 @@ def run_study(
     arm: str,
     trials: int,
     storage: BaseStorage,
-    table: ScoreTable | None = None,
+    table: FeatureTable | None = None,
     report: Report | None = None,
 ) -> optuna.Study:
     """Run the study name/arm until it has `trials` finished trials, and return it.
@@ -55,7 +55,7 @@ def run_study(
     return study
 
 
-def check_trials(trials: int, table: ScoreTable | None) -> None:
+def check_trials(trials: int, table: FeatureTable | None) -> None:
     """Refuse a number of trials that cannot be run; the DoG sampler never takes a row twice."""
     if trials < 1:
         raise InputError("trials", trials, "1 or more")
@@ -64,7 +64,7 @@ def check_trials(trials: int, table: ScoreTable | None) -> None:
 
 
 def open_study(
-    config: StudyConfig, arm: str, storage: BaseStorage, table: ScoreTable | None
+    config: StudyConfig, arm: str, storage: BaseStorage, table: FeatureTable | None
 ) -> optuna.Study:
     """The study name/arm, new or resumed; one of another configuration is refused."""
     study = optuna.create_study(

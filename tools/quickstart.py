@@ -22,9 +22,9 @@ from storage.specification import read_specification
 from storage.studies import only_run, open_studies, storage_errors
 from study.command import run_command
 from study.config import StudyConfig, read_study_config
+from study.feature_table import FeatureTable
 from study.objective import simulate_gains, trial_gains
 from study.runner import run_study, study_name
-from study.score_table import ScoreTable
 from study.summary import best_gains, dashboard_command, progress_line, study_line
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.config import read_toml
@@ -43,17 +43,17 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def make_store(path: Path) -> ScoreTable:
+def make_store(path: Path) -> FeatureTable:
     specification = read_specification(read_toml(CONFIGS / "quickstart-store.toml"))
     say(
         f"1. Scoring {specification.samples} walkers, {specification.duration_s:g} s on flat ground"
     )
     with tqdm(total=specification.samples, unit="walker") as bar:
         precompute(specification, path, progress=lambda points: bar.update(int(points) - bar.n))
-    return ScoreTable.from_store(path)
+    return FeatureTable.from_parquet(path, features=["phi_printed"])
 
 
-def run_arm(config: StudyConfig, arm: str, url: str, table: ScoreTable) -> optuna.Study:
+def run_arm(config: StudyConfig, arm: str, url: str, table: FeatureTable) -> optuna.Study:
     storage = open_studies(url)
     with only_run(url, study_name(config, arm)), storage_errors(url):
         return run_study(

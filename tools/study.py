@@ -21,8 +21,8 @@ from storage.studies import only_run, open_studies, storage_errors, studies_path
 from study.arms import ARMS
 from study.command import run_command
 from study.config import StudyConfig, read_study_config
+from study.feature_table import FeatureTable
 from study.runner import check_trials, run_study, study_name
-from study.score_table import ScoreTable
 from study.summary import best_gains, progress_line, summary, summary_text
 from taichi_nmm.settings import ARCHITECTURES, Settings
 
@@ -40,10 +40,10 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def read_table(args: argparse.Namespace, config: StudyConfig) -> ScoreTable | None:
+def read_table(args: argparse.Namespace, config: StudyConfig) -> FeatureTable | None:
     if args.sampler != "dog":
         return None
-    return ScoreTable.from_store(args.store or config.store, score=config.score)
+    return FeatureTable.from_parquet(args.store or config.store, features=[config.score])
 
 
 def require_arch(settings: Settings) -> None:

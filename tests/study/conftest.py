@@ -7,7 +7,7 @@ import optuna
 import pytest
 
 import taichi_nmm
-from study import ScoreTable
+from study import FeatureTable
 from tests.study import fake_walker
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -27,8 +27,8 @@ def store(fake_simulator: None, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def table() -> ScoreTable:
+def table() -> FeatureTable:
     """60 rows of two parameters; the score says how good a row is."""
     rng = np.random.default_rng(0)
     a, b = rng.uniform(-1, 1, 60), rng.uniform(0, 5, 60)
-    return ScoreTable.from_arrays({"a": a, "b": b}, np.abs(a), bounds={"a": (-1, 1), "b": (0, 5)})
+    return FeatureTable.from_arrays({"a": a, "b": b}, np.abs(a), bounds={"a": (-1, 1), "b": (0, 5)})

@@ -1,4 +1,4 @@
-"""Expected improvement against its integral, and ties."""
+"""Acquisition functions against their integrals and definitions, and ties."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,14 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from study.acquisition import argmax_random_tie, expected_improvement
+from study.acquisition import (
+    argmax_random_tie,
+    confidence_bound,
+    expected_improvement,
+    fading_log_weight,
+    log_expected_improvement,
+    thompson,
+)
 
 
 @pytest.mark.parametrize("mean", [-2.0, 0.0, 1.3, 4.0])
@@ -40,3 +47,67 @@ def test_equal_values_are_drawn_evenly(value: float) -> None:
     counts = np.bincount([argmax_random_tie(values, rng) for _ in range(3000)], minlength=4)
     assert counts[1] == 0
     assert_allclose(counts[[0, 2, 3]], 1000, atol=120)
+
+
+@pytest.mark.parametrize("sd", [0.1, 1.0, 3.0])
+def test_log_improvement_is_the_logarithm(sd: float) -> None:
+    mean = np.linspace(-3.0, 3.0, 61) * sd * 5
+    spread = np.full_like(mean, sd)
+    improvement = expected_improvement(mean, spread, 0.5)
+    found = log_expected_improvement(mean, spread, 0.5)
+    clear = improvement > 1e-9 * sd  # below, the plain one loses digits
+    assert clear.sum() > 20
+    assert_allclose(found[clear], np.log(improvement[clear]), rtol=1e-6, atol=1e-6)
+
+
+def test_log_improvement_is_finite_and_falls_where_the_plain_one_underflows() -> None:
+    mean = np.concatenate([np.linspace(0, 50, 400), np.logspace(1.71, 9, 400)])
+    found = log_expected_improvement(mean, np.ones_like(mean), best=0.0)
+    assert np.isfinite(found).all()
+    assert np.all(np.diff(found) < 0)
+    assert expected_improvement(mean[-1:], np.ones(1), best=0.0)[0] == 0.0
+
+
+@pytest.mark.parametrize("z", [-1.5, -8.0, -30.0, -900.0, -1100.0, -2e6])
+def test_log_improvement_has_the_tail_of_its_series(z: float) -> None:
+    found = log_expected_improvement(np.array([-z]), np.ones(1), best=0.0)[0]
+    if z > -30:
+        exact, _ = quad(lambda t: (z - t) * norm.pdf(t), z - 12, z, epsabs=0, epsrel=1e-12)
+        assert_allclose(found, np.log(exact), rtol=1e-8)
+    else:  # phi(z) / z^2 (1 - 3/z^2 + ...)
+        assert_allclose(found, norm.logpdf(z) - 2 * np.log(-z) + np.log1p(-3 / z**2), rtol=1e-7)
+
+
+def test_without_doubt_the_log_improvement_is_that_of_the_gain() -> None:
+    with np.errstate(all="raise"):
+        found = log_expected_improvement(np.array([1.0, 3.0]), np.zeros(2), best=2.0)
+    assert found.tolist() == [0.0, -np.inf]
+
+
+def test_the_confidence_bound_trades_mean_for_doubt() -> None:
+    mean, sd = np.array([0.0, 1.0]), np.array([0.1, 1.0])
+    assert np.argmax(confidence_bound(mean, sd, 0.0)) == 0
+    assert np.argmax(confidence_bound(mean, sd, 2.0)) == 1
+
+
+def test_thompson_draws_from_the_joint_posterior() -> None:
+    rng, mean = np.random.default_rng(0), np.array([1.0, -2.0])
+    covariance = np.array([[1.0, 0.6], [0.6, 0.5]])
+    draws = -np.array([thompson(mean, covariance, rng) for _ in range(4000)])
+    assert_allclose(draws.mean(axis=0), mean, atol=0.06)
+    assert_allclose(np.cov(draws.T), covariance, atol=0.06)
+
+
+def test_a_prior_fades() -> None:
+    rank = np.array([0.1, 1.0])
+    weights = [np.exp(fading_log_weight(rank, 10.0, trials)) for trials in (0, 1, 10, 1000)]
+    assert_allclose(weights[0], weights[1])
+    assert_allclose(weights[2], rank)
+    assert weights[1][0] < weights[2][0] < weights[3][0] < 1.0
+    assert all(weight[1] == 1.0 for weight in weights)
+
+
+def test_infinite_values_can_win_or_lose() -> None:
+    rng = np.random.default_rng(0)
+    assert argmax_random_tie(np.array([-np.inf, 3.0]), rng) == 1
+    assert {argmax_random_tie(np.full(3, -np.inf), rng) for _ in range(40)} == {0, 1, 2}

@@ -10,10 +10,11 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.storages import RetryHeartbeatStaleTrialCallback
 from optuna.trial import TrialState
 
-from study import ScoreTable
+from study import FeatureTable
 from study.draws import Purpose, generator, turn
-from study.history import clip_infinities, read_history
+from study.history import read_history
 from study.random_sampler import ReproducibleRandomSampler
+from study.transforms import clip_infinities
 
 
 def kill(study: optuna.Study, number: int) -> None:
@@ -56,7 +57,7 @@ def test_random_search_repeats_what_was_killed() -> None:
     assert all(params["x"] != params["y"] for params in undisturbed)
 
 
-def test_history_takes_finished_trials_and_counts_all_rows(table: ScoreTable) -> None:
+def test_history_takes_finished_trials_and_counts_all_rows(table: FeatureTable) -> None:
     study = optuna.create_study(direction="maximize")
     for row, state in enumerate((TrialState.COMPLETE, TrialState.FAIL, TrialState.PRUNED)):
         study.enqueue_trial(table.rows.as_parameters(row))
@@ -64,9 +65,9 @@ def test_history_takes_finished_trials_and_counts_all_rows(table: ScoreTable) ->
         trial.suggest_float("a", -1, 1), trial.suggest_float("b", 0, 5)
         study.tell(trial, 2.5 if state is TrialState.COMPLETE else None, state=state)
     number = study.ask().number
-    history = read_history(table.rows, study, study.trials[number])
+    history = read_history(study, study.trials[number], table.rows.space, table.rows)
     assert np.flatnonzero(history.tried).tolist() == [0, 1, 2]
-    assert history.observed.tolist() == [0]
+    assert history.rows.tolist() == [0]
     assert history.cost.tolist() == [-2.5]
     assert history.unplaced == ()
 

@@ -9,7 +9,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 import taichi_nmm
 from storage.studies import open_studies
-from study import ScoreTable
+from study import FeatureTable
 from study.arms import ARMS, new_sampler
 from study.config import StudyConfig, read_study_config
 from study.objective import WalkObjective, simulate_gains, suggest_gains
@@ -29,15 +29,15 @@ def config() -> StudyConfig:
 
 
 @pytest.fixture
-def stored(store: Path) -> ScoreTable:
-    return ScoreTable.from_store(store)
+def stored(store: Path) -> FeatureTable:
+    return FeatureTable.from_parquet(store, features=["phi_printed"])
 
 
 def run(
     config: StudyConfig,
     arm: str,
     trials: int,
-    stored: ScoreTable,
+    stored: FeatureTable,
     storage: optuna.storages.BaseStorage,
 ) -> list[FrozenTrial]:
     table = stored if arm == "dog" else None
@@ -45,7 +45,7 @@ def run(
 
 
 @pytest.mark.parametrize("arm", ARMS)
-def test_trials_say_what_happened(config: StudyConfig, stored: ScoreTable, arm: str) -> None:
+def test_trials_say_what_happened(config: StudyConfig, stored: FeatureTable, arm: str) -> None:
     trials = run(config, arm, 5, stored, optuna.storages.InMemoryStorage())
     assert len(trials) == 5
     for trial in trials:
@@ -69,7 +69,7 @@ def test_the_cost_is_the_configured_one(config: StudyConfig, fake_simulator: Non
 
 @pytest.mark.parametrize("arm", ARMS)
 def test_a_study_in_pieces_is_the_same_study(
-    config: StudyConfig, stored: ScoreTable, arm: str, tmp_path: Path
+    config: StudyConfig, stored: FeatureTable, arm: str, tmp_path: Path
 ) -> None:
     whole = run(config, arm, 16, stored, optuna.storages.InMemoryStorage())
     url = f"sqlite:///{tmp_path}/studies.db"
@@ -81,7 +81,7 @@ def test_a_study_in_pieces_is_the_same_study(
 
 @pytest.mark.parametrize("arm", ["dog", "random"])
 def test_interrupted_trials_are_run_again(
-    config: StudyConfig, stored: ScoreTable, arm: str, monkeypatch: pytest.MonkeyPatch
+    config: StudyConfig, stored: FeatureTable, arm: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = run(config, arm, 8, stored, optuna.storages.InMemoryStorage())
     storage, calls = optuna.storages.InMemoryStorage(), iter(range(100))
@@ -99,7 +99,7 @@ def test_interrupted_trials_are_run_again(
     assert [trial.params for trial in trials] == [trial.params for trial in whole]
 
 
-def test_a_trial_found_running_is_run_again(config: StudyConfig, stored: ScoreTable) -> None:
+def test_a_trial_found_running_is_run_again(config: StudyConfig, stored: FeatureTable) -> None:
     whole = run(config, "dog", 6, stored, optuna.storages.InMemoryStorage())
     storage = optuna.storages.InMemoryStorage()
     run(config, "dog", 4, stored, storage)
@@ -114,7 +114,7 @@ def test_a_trial_found_running_is_run_again(config: StudyConfig, stored: ScoreTa
 
 
 def test_a_repetition_queued_before_the_kill_is_not_queued_twice(
-    config: StudyConfig, stored: ScoreTable, monkeypatch: pytest.MonkeyPatch
+    config: StudyConfig, stored: FeatureTable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     storage = optuna.storages.InMemoryStorage()
     study = open_study(config, "random", storage, None)
@@ -129,12 +129,14 @@ def test_a_repetition_queued_before_the_kill_is_not_queued_twice(
     assert states == [TrialState.FAIL] + [TrialState.COMPLETE] * 3
 
 
-def test_a_finished_study_is_left_alone(config: StudyConfig, stored: ScoreTable) -> None:
+def test_a_finished_study_is_left_alone(config: StudyConfig, stored: FeatureTable) -> None:
     storage = optuna.storages.InMemoryStorage()
     assert run(config, "dog", 5, stored, storage) == run(config, "dog", 3, stored, storage)
 
 
-def test_another_configuration_is_refused_by_name(config: StudyConfig, stored: ScoreTable) -> None:
+def test_another_configuration_is_refused_by_name(
+    config: StudyConfig, stored: FeatureTable
+) -> None:
     storage = optuna.storages.InMemoryStorage()
     run(config, "dog", 2, stored, storage)
     with pytest.raises(InputError, match=r"study rough8/dog: seed: 7 .* allowed: 1, with which"):
@@ -146,19 +148,19 @@ def test_another_configuration_is_refused_by_name(config: StudyConfig, stored: S
     assert len(run(config, "random", 2, stored, storage)) == 2  # another study
 
 
-def test_another_programs_study_is_refused(config: StudyConfig, stored: ScoreTable) -> None:
+def test_another_programs_study_is_refused(config: StudyConfig, stored: FeatureTable) -> None:
     storage = optuna.storages.InMemoryStorage()
     optuna.create_study(storage=storage, study_name="rough8/dog").ask()
     with pytest.raises(InputError, match="study: 'rough8/dog'"):
         run(config, "dog", 2, stored, storage)
 
 
-def test_more_trials_than_rows_are_refused(config: StudyConfig, stored: ScoreTable) -> None:
+def test_more_trials_than_rows_are_refused(config: StudyConfig, stored: FeatureTable) -> None:
     with pytest.raises(InputError, match=r"trials: 201 .* at most 200"):
         run(config, "dog", 201, stored, optuna.storages.InMemoryStorage())
 
 
-def test_the_samplers_start_apart(config: StudyConfig, stored: ScoreTable) -> None:
+def test_the_samplers_start_apart(config: StudyConfig, stored: FeatureTable) -> None:
     starts = {
         (arm, seed): run(
             replace(config, seed=seed), arm, 2, stored, optuna.storages.InMemoryStorage()
@@ -169,7 +171,7 @@ def test_the_samplers_start_apart(config: StudyConfig, stored: ScoreTable) -> No
     assert len(set(starts.values())) == len(starts)
 
 
-def test_what_a_study_says(config: StudyConfig, stored: ScoreTable) -> None:
+def test_what_a_study_says(config: StudyConfig, stored: FeatureTable) -> None:
     lines = []
     study = run_study(
         config,

@@ -1,0 +1,90 @@
+"""Columns of a table, checked: parameters become numbers with a distribution, features a matrix."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
+
+from taichi_nmm.errors import InputError
+
+Floats = NDArray[np.float64]
+
+
+def parameter_column(
+    name: str, values: ArrayLike, length: int, given: BaseDistribution | None
+) -> tuple[Floats, BaseDistribution]:
+    """A parameter's column as numbers [n] (categorical: indices), and its distribution.
+
+    Args:
+        name: of the parameter.
+        values: [n], without gaps.
+        length: n.
+        given: its distribution; None: floats, integers or choices, as the values are.
+    """
+    column = np.asarray(values)
+    if column.ndim != 1 or not len(column):
+        raise InputError(f"table.{name}.shape", column.shape, "[n], n at least 1")
+    if len(column) != length:
+        raise InputError(f"table.{name}.shape", column.shape, f"({length},), as the features")
+    if isinstance(given, CategoricalDistribution):
+        return _choices(name, column, given)
+    if given is None and column.dtype.kind not in "iuf":
+        return _choices(name, column, None)
+    numbers = _finite(name, column)
+    return numbers, given or _numeric(column.dtype.kind, numbers)
+
+
+def feature_matrix(features: ArrayLike, names: Sequence[str] | None) -> Floats:
+    """Features as [n, k]; what is not finite is NaN."""
+    try:
+        matrix = np.array(features, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("table.features", type(features).__name__, "numbers, [n, k]") from None
+    matrix = matrix[:, None] if matrix.ndim == 1 else matrix
+    if matrix.ndim != 2 or not matrix.size:
+        raise InputError("table.features.shape", matrix.shape, "[n, k], n and k at least 1")
+    if names is not None and len(names) != matrix.shape[1]:
+        raise InputError("table.feature_names", list(names), f"{matrix.shape[1]} names")
+    matrix[~np.isfinite(matrix)] = np.nan
+    return matrix
+
+
+def _numeric(kind: str, numbers: Floats) -> BaseDistribution:
+    low, high = float(numbers.min()), float(numbers.max())
+    if kind in "iu":
+        return IntDistribution(int(low), int(high))
+    return FloatDistribution(low, high)
+
+
+def _finite(name: str, column: NDArray[Any]) -> Floats:
+    try:
+        numbers = column.astype(np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"table.{name}", str(column[0]), "numbers") from None
+    bad = np.flatnonzero(~np.isfinite(numbers))
+    if len(bad):
+        raise InputError(f"table.{name}[{bad[0]}]", float(numbers[bad[0]]), "a finite number")
+    return numbers + 0.0  # no negative zero: rows are told apart by their bits
+
+
+def _choices(
+    name: str, column: NDArray[Any], given: CategoricalDistribution | None
+) -> tuple[Floats, CategoricalDistribution]:
+    """Indices of choices: those given, or the values in the order in which they appear."""
+    listed = column.tolist()
+    missing = [i for i, v in enumerate(listed) if v is None or v != v]
+    if missing and given is None:
+        raise InputError(f"table.{name}[{missing[0]}]", listed[missing[0]], "a value")
+    choices = tuple(dict.fromkeys(listed)) if given is None else given.choices
+    index = {choice: float(place) for place, choice in enumerate(choices)}
+    for row, value in enumerate(listed):
+        if value not in index:
+            raise InputError(f"table.{name}[{row}]", value, f"one of {choices}")
+    return np.array([index[value] for value in listed]), given or CategoricalDistribution(choices)

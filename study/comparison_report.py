@@ -1,0 +1,237 @@
+"""The comparison of samplers as a Markdown table, a plot and plain values, with its bars."""
+
+import os
+import platform
+from dataclasses import asdict, dataclass
+from datetime import date
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.commit import commit, writable
+from study.peers import ARMS
+from study.regret import Summary, mean_of, median_of, ratio_of_means, simple_regret
+
+Floats = NDArray[np.float64]
+Costs = dict[tuple[str, str], Floats]
+
+PACKAGES = ("numpy", "scipy", "scikit-learn", "optuna", "cmaes", "torch", "greenlet")
+PLAIN = ("euclidean", "euclidean-rows")
+# Of the alternating arm's mean regret over a plain process's.
+RATIO_BARS = {"misleading": 1.2, "useless": 1.1}
+
+# Okabe & Ito: our arms in colour and unbroken, peers dashed, controls grey and dotted.
+OUR_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#000000")
+PEER_COLOURS = ("#8A9099", "#56B4E9", "#A0522D", "#6A3D9A")
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A figure beside what it must be."""
+
+    what: str
+    measured: Summary
+    at_most: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the figure itself (not the end of its interval) is low enough."""
+        return self.measured.value <= self.at_most
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """Everything that the runs say.
+
+    Attributes:
+        regret: of each problem and arm, [seeds, trials].
+        checkpoints: half of the trials, and all of them.
+        bars: that the problems and arms at hand allow to check.
+    """
+
+    regret: Costs
+    checkpoints: tuple[int, int]
+    bars: tuple[Bar, ...]
+
+    @classmethod
+    def of(cls, costs: Costs) -> "Report":
+        """The report of costs, [seeds, trials] for each (problem, arm)."""
+        regret = {key: simple_regret(values) for key, values in costs.items()}
+        trials = next(iter(costs.values())).shape[1]
+        checkpoints = (trials // 2, trials)
+        return cls(regret, checkpoints, tuple(_bars(regret, checkpoints)))
+
+    @property
+    def problems(self) -> list[str]:
+        """The problems, in the order they were run."""
+        return list(dict.fromkeys(problem for problem, _ in self.regret))
+
+    def arms(self, problem: str) -> list[str]:
+        """The arms run on a problem."""
+        return [arm for found, arm in self.regret if found == problem]
+
+    def at(self, problem: str, arm: str, trial: int) -> Floats:
+        """Regret of each seed after so many trials, [seeds]."""
+        return np.asarray(self.regret[problem, arm][:, trial - 1])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for programs."""
+        return {
+            "machine": machine(),
+            "versions": versions(),
+            "seeds": len(next(iter(self.regret.values()))),
+            "regret": [
+                {"problem": problem, "arm": arm, "trial": trial, "mean": asdict(mean),
+                 "median": asdict(median)}
+                for problem in self.problems
+                for arm in self.arms(problem)
+                for trial in self.checkpoints
+                for mean, median in [self._statistics(problem, arm, trial)]
+            ],
+            "bars": [{**asdict(bar), "holds": bar.holds} for bar in self.bars],
+        }  # fmt: skip
+
+    def markdown(self, command: str) -> str:
+        """The whole document."""
+        seeds = len(next(iter(self.regret.values())))
+        lines = [
+            "# Samplers on synthetic problems in 16 dimensions",
+            "",
+            f"Written by `{command}` on {date.today()}: {machine()}; {versions()}.",
+            f"Simple regret, mean and median of {seeds} instances, with bootstrapped 95 %"
+            " intervals. The problems are defined in `study/synthetic.py`.",
+            "",
+            "![Mean simple regret against trials](sampler-comparison.png)",
+        ]
+        for problem in self.problems:
+            lines += ["", f"## {problem}", "", *self._table(problem)]
+        if self.bars:
+            lines += [
+                "",
+                "## Bars",
+                "",
+                "| what | measured | at most | holds |",
+                "|---|---|---|---|",
+            ]
+            lines += [_bar_row(bar) for bar in self.bars]
+        return "\n".join(lines) + "\n"
+
+    def _statistics(self, problem: str, arm: str, trial: int) -> tuple[Summary, Summary]:
+        regret = self.at(problem, arm, trial)
+        return mean_of(regret), median_of(regret)
+
+    def _table(self, problem: str) -> list[str]:
+        half, full = self.checkpoints
+        head = " | ".join(f"{what} after {n}" for n in (half, full) for what in ("mean", "median"))
+        lines = [f"| sampler | chooses from | {head} |", "|---|---|---|---|---|---|"]
+        for arm in self.arms(problem):
+            cells = [
+                _cell(summary)
+                for trial in self.checkpoints
+                for summary in self._statistics(problem, arm, trial)
+            ]
+            lines.append(f"| {ARMS[arm].label} | {ARMS[arm].sees} | {' | '.join(cells)} |")
+        return lines
+
+
+def write(folder: Path, report: Report, text: str) -> None:
+    """Write `sampler-comparison.md` and `.png` into a folder."""
+    path = folder / "sampler-comparison.md"
+    with writable(path):
+        folder.mkdir(parents=True, exist_ok=True)
+    _plot(folder / "sampler-comparison.png", report)
+    commit_text(path, text)
+
+
+def commit_text(path: Path, text: str) -> None:
+    """Write a document whole, or not at all."""
+
+    def fill(temporary: Path) -> None:
+        temporary.write_text(text, encoding="utf-8")
+
+    def check(temporary: Path) -> None:
+        if temporary.read_text(encoding="utf-8") != text:
+            raise OSError("the document was not written whole")
+
+    commit(path, fill, check)
+
+
+def machine() -> str:
+    """What the runs were made on, in words."""
+    return f"{os.cpu_count()} cores, {platform.system()} {platform.machine()}"
+
+
+def versions() -> str:
+    """Python and the packages that decide the figures."""
+    found = [f"Python {platform.python_version()}"]
+    for package in PACKAGES:
+        try:
+            found.append(f"{package} {version(package)}")
+        except PackageNotFoundError:
+            found.append(f"no {package}")
+    return ", ".join(found)
+
+
+def _bars(regret: Costs, checkpoints: tuple[int, int]) -> list[Bar]:
+    half, full = (trial - 1 for trial in checkpoints)
+    bars = []
+    for (problem, arm), theirs in regret.items():
+        if (
+            problem == "informative"
+            and ARMS[arm].kind == "peer"
+            and ("informative", "feature") in regret
+        ):
+            ratio = ratio_of_means(regret[problem, "feature"][:, half], theirs[:, full])
+            what = f"{problem}: feature after {half + 1} / {ARMS[arm].label} after {full + 1}"
+            bars.append(Bar(what, ratio, 1.0))
+        if problem in RATIO_BARS and arm in PLAIN and (problem, "alternate") in regret:
+            ratio = ratio_of_means(regret[problem, "alternate"][:, full], theirs[:, full])
+            what = f"{problem}: alternation / {ARMS[arm].label}, after {full + 1}"
+            bars.append(Bar(what, ratio, RATIO_BARS[problem]))
+    return bars
+
+
+def _cell(summary: Summary) -> str:
+    return f"{summary.value:.0f} ({summary.low:.0f} to {summary.high:.0f})"
+
+
+def _bar_row(bar: Bar) -> str:
+    measured = f"{bar.measured.value:.2f} ({bar.measured.low:.2f} to {bar.measured.high:.2f})"
+    return f"| {bar.what} | {measured} | {bar.at_most:g} | {'yes' if bar.holds else '**no**'} |"
+
+
+def _plot(path: Path, report: Report) -> None:
+    """Mean regret against trials, a panel a problem."""
+    from study.pictures import style
+
+    problems = report.problems
+    figure = style.new_figure(4.2 * len(problems) + 2.2, 3.8)
+    for place, problem in enumerate(problems):
+        axes = figure.add_subplot(1, len(problems), place + 1)
+        style.tidy(axes)
+        for arm in report.arms(problem):
+            mean = report.regret[problem, arm].mean(axis=0)
+            axes.plot(np.arange(1, len(mean) + 1), mean, label=ARMS[arm].label, **_line(arm))
+        axes.set_title(problem, fontsize=style.TITLE_PT, loc="left")
+        axes.set_xlabel("trials", fontsize=style.TEXT_PT)
+        axes.set_ylabel("mean simple regret", fontsize=style.TEXT_PT)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    right = 1.0 - 2.0 / figure.get_figwidth()
+    figure.legend(handles, labels, loc="center left", bbox_to_anchor=(right, 0.5),
+                  fontsize=style.SMALL_PT, frameon=False)  # fmt: skip
+    figure.tight_layout(rect=(0, 0, right, 1))
+    style.save_png(figure, path)
+
+
+def _line(arm: str) -> dict[str, Any]:
+    kind = ARMS[arm].kind
+    alike = [name for name in ARMS if ARMS[name].kind == kind]
+    place = alike.index(arm)
+    if kind == "ours":
+        return {"color": OUR_COLOURS[place % len(OUR_COLOURS)], "linewidth": 1.8}
+    if kind == "peer":
+        return {"color": PEER_COLOURS[place], "linestyle": "--", "linewidth": 1.3}
+    return {"color": "#8A9099", "linestyle": (0, (1, 1 + 2 * place)), "linewidth": 1.3}

@@ -1,0 +1,246 @@
+"""Tables of candidates: rows of parameters, and the features that say which rows are alike.
+
+A table is all that a sampler knows of a problem before its first trial: n parameter sets, and for
+each k numbers computed beforehand (by a simulator, a model, an expert). Nothing here knows what the
+parameters or the features mean.
+"""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
+
+from study.columns import feature_matrix, parameter_column
+from study.rows import Rows
+from study.space import Space
+from taichi_nmm.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas
+
+Bounds = Mapping[str, tuple[float, float]]
+
+
+class FeatureTable:
+    """n candidate rows: d parameters and k features each. Make one by a `from_` method.
+
+    What becomes of imperfect columns (each with one warning when the table is made):
+
+    - a row with a feature that is not finite is kept out of the proposals;
+    - a feature without a finite value, or with one value only, says nothing and weighs nothing;
+    - of rows with equal parameters, the first counts.
+
+    A table read from a file keeps the path and a SHA-256: pickled, it carries these alone, and
+    reads the file again where it is used. A table made of arrays carries its arrays.
+
+    Attributes:
+        digest: SHA-256 of names, parameters and features.
+        source: the file or folder that it was read from; None for arrays.
+    """
+
+    def __init__(self, rows: Rows, reload: "Callable[[], Rows] | None", source: Path | None):
+        """Use `from_parquet`, `from_arrays` or `from_dataframe`."""
+        self._rows: Rows | None = rows
+        self._reload = reload
+        self.source = source
+        self.digest = rows.digest()
+        _warn_of(rows)
+
+    @classmethod
+    def from_parquet(
+        cls,
+        path: str | Path,
+        *,
+        features: Sequence[str],
+        parameters: Sequence[str] | None = None,
+        space: Mapping[str, BaseDistribution] | None = None,
+        bounds: Bounds | None = None,
+    ) -> "FeatureTable":
+        """Columns of a Parquet file, or of a folder of Parquet files.
+
+        Args:
+            path: a file; a folder of files; or a store of this project (folder, shard or merged
+                file), whose parameters and bounds are known and need not be given.
+            features: columns to compare rows by, k of them.
+            parameters: columns that the study will suggest, d of them; None: `path` is a store.
+            space: distributions of some or all parameters; by default those of `from_arrays`.
+            bounds: as in `from_arrays`.
+
+        Raises:
+            InputError: no such file or column, or what `from_arrays` refuses.
+        """
+        from study.parquet import ParquetColumns
+
+        reload = ParquetColumns(
+            Path(path).absolute(),
+            tuple(features),
+            None if parameters is None else tuple(parameters),
+            None if space is None else dict(space),
+            None if bounds is None else dict(bounds),
+        )
+        return cls(reload(), reload, reload.path)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        parameters: Mapping[str, ArrayLike],
+        features: ArrayLike,
+        feature_names: Sequence[str] | None = None,
+        *,
+        bounds: Bounds | None = None,
+        space: Mapping[str, BaseDistribution] | None = None,
+    ) -> "FeatureTable":
+        """Columns of parameters by name, each [n], and features [n, k] or, for one, [n].
+
+        Args:
+            parameters: columns without gaps. Floats are suggested by `suggest_float`, integers by
+                `suggest_int`, anything else by `suggest_categorical`, unless `space` says
+                otherwise.
+            features: higher or lower, better or worse, of any scale: only likeness counts, unless
+                a linear mean or a prior is asked for.
+            feature_names: k names; by default feature_0, feature_1, ...
+            bounds: (low, high) of numeric parameters; by default those of the columns.
+            space: distributions of parameters, where columns do not say enough: a logarithmic
+                scale, a step, choices.
+
+        Raises:
+            InputError: naming the column and row that cannot be used: lengths that differ, values
+                missing, a row outside the bounds or the distribution, a name that is not there.
+        """
+        return cls(make_rows(parameters, features, feature_names, bounds, space), None, None)
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        frame: "pandas.DataFrame",
+        *,
+        parameters: Sequence[str],
+        features: Sequence[str],
+        bounds: Bounds | None = None,
+        space: Mapping[str, BaseDistribution] | None = None,
+    ) -> "FeatureTable":
+        """Named columns of a pandas data frame; otherwise as `from_arrays`."""
+        for name in [*parameters, *features]:
+            if name not in frame.columns:
+                known = ", ".join(str(column) for column in frame.columns)
+                raise InputError("column", name, f"one of {known}")
+        columns = {name: frame[name].to_numpy() for name in parameters}
+        stacked = [feature_matrix(frame[name].to_numpy(), (name,)) for name in features]
+        matrix = np.hstack(stacked) if stacked else np.empty((len(frame), 0))
+        return cls.from_arrays(columns, matrix, features, bounds=bounds, space=space)
+
+    @property
+    def rows(self) -> Rows:
+        """The content, read again from the file where this process has not got it."""
+        if self._rows is None:
+            assert self._reload is not None  # only tables of a file are pickled without content
+            rows = self._reload()
+            if rows.digest() != self.digest:
+                raise InputError("store", str(self.source), "the store this table was made from")
+            self._rows = rows
+        return self._rows
+
+    def __len__(self) -> int:
+        """Number of rows, n."""
+        return len(self.rows)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the content, where it can be read again."""
+        state = self.__dict__.copy()
+        if self._reload is not None:
+            state["_rows"] = None
+        return state
+
+
+def make_rows(
+    parameters: Mapping[str, ArrayLike],
+    features: ArrayLike,
+    feature_names: Sequence[str] | None,
+    bounds: Bounds | None,
+    space: Mapping[str, BaseDistribution] | None,
+) -> Rows:
+    """Check columns and put them together."""
+    if not parameters:
+        raise InputError("table.parameters", "none", "at least one column")
+    _require_known("table.bounds", bounds, parameters)
+    _require_known("table.space", space, parameters)
+    matrix = feature_matrix(features, feature_names)
+    names = tuple(feature_names or (f"feature_{i}" for i in range(matrix.shape[1])))
+    raw = np.empty((len(matrix), len(parameters)))
+    distributions: dict[str, BaseDistribution] = {}
+    for column, (name, values) in enumerate(parameters.items()):
+        given = None if space is None else space.get(name)
+        numbers, distribution = parameter_column(name, values, len(matrix), given)
+        if bounds is not None and name in bounds and given is None:
+            distribution = _widened(name, distribution, bounds[name])
+        raw[:, column] = numbers
+        distributions[name] = distribution
+    rows = Rows(Space.of(distributions), raw, names, matrix)
+    _require_inside(rows)
+    return rows
+
+
+def _require_known(
+    field: str, given: Mapping[str, Any] | None, parameters: Mapping[str, Any]
+) -> None:
+    for name in given or ():
+        if name not in parameters:
+            raise InputError(field, name, f"one of {', '.join(sorted(parameters))}")
+
+
+def _widened(
+    name: str, distribution: BaseDistribution, bounds: tuple[float, float]
+) -> BaseDistribution:
+    """The distribution of a column with the bounds asked for."""
+    if isinstance(distribution, CategoricalDistribution):
+        raise InputError(f"table.bounds.{name}", bounds, "none: the parameter is categorical")
+    low, high = bounds
+    if not low <= high:
+        raise InputError(f"table.bounds.{name}", bounds, "(low, high), low <= high")
+    return type(distribution)(low, high)  # type: ignore[call-arg]
+
+
+def _require_inside(rows: Rows) -> None:
+    """Refuse rows that their own distribution does not hold."""
+    for column, (name, distribution) in enumerate(rows.space.as_dict().items()):
+        if isinstance(distribution, CategoricalDistribution):
+            continue
+        values = rows.parameters[:, column]
+        low, high = distribution.low, distribution.high  # type: ignore[attr-defined]
+        outside = np.flatnonzero(~((low <= values) & (values <= high)))
+        if len(outside):
+            row = int(outside[0])
+            raise InputError(f"table.{name}[{row}]", float(values[row]), f"{low:g} to {high:g}")
+        if isinstance(distribution, FloatDistribution) and distribution.step is None:
+            continue
+        row_off_grid = _first_off_grid(rows, column)
+        if row_off_grid is not None:
+            value = float(values[row_off_grid])
+            raise InputError(f"table.{name}[{row_off_grid}]", value, f"a value of {distribution}")
+
+
+def _first_off_grid(rows: Rows, column: int) -> int | None:
+    """The first row that lies between the steps of its parameter."""
+    distribution = rows.space.distributions[column]
+    low, step = distribution.low, distribution.step  # type: ignore[attr-defined]
+    steps = (rows.parameters[:, column] - low) / step
+    off = np.flatnonzero(np.abs(steps - np.round(steps)) > 1e-8)
+    return int(off[0]) if len(off) else None
+
+
+def _warn_of(rows: Rows) -> None:
+    """Say once what the table leaves out."""
+    said = []
+    if rows.incomplete:
+        said.append(f"{rows.incomplete} rows with a feature that is not finite are not proposed")
+    if rows.duplicates:
+        said.append(f"{rows.duplicates} rows repeat the parameters of another and are not proposed")
+    if rows.empty_features:
+        names = ", ".join(rows.empty_features)
+        said.append(f"features without information are ignored: {names}")
+    if said:
+        warnings.warn(f"FeatureTable: {'; '.join(said)}.", UserWarning, stacklevel=4)

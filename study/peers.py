@@ -1,0 +1,110 @@
+"""Samplers side by side on a synthetic problem: ours, Optuna's, and controls without a model."""
+
+import importlib.util
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import optuna
+from numpy.typing import NDArray
+from optuna.exceptions import ExperimentalWarning
+from optuna.samplers import BaseSampler, CmaEsSampler, GPSampler, RandomSampler, TPESampler
+
+from study.feature_sampler import FeatureKernelSampler
+from study.feature_table import FeatureTable
+from study.synthetic import NAMES, Problem
+
+Floats = NDArray[np.float64]
+
+OFF_GRID = 256  # perturbations a trial, of the arm that may leave the table
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A way of choosing trials.
+
+    Attributes:
+        label: for tables and plots.
+        sees: what it may choose from, and what it is told beside the costs.
+        kind: "ours", "peer" or "control".
+        uses_feature: runs differ between features of one cost.
+        sampler: for a problem; None for the controls that need no study.
+    """
+
+    label: str
+    sees: str
+    kind: str
+    uses_feature: bool = False
+    sampler: Callable[[Problem], BaseSampler] | None = None
+
+
+def torch_is_installed() -> bool:
+    """Whether GPSampler can run: it needs PyTorch, which this project does not."""
+    return importlib.util.find_spec("torch") is not None
+
+
+def run(arm: str, problem: Problem, trials: int) -> Floats:
+    """Costs of the trials of one run in their order, [trials]; the problem's seed decides all."""
+    chosen = ARMS[arm]
+    if chosen.sampler is None:
+        rows = problem.rows()
+        return problem.cost(rows[_CONTROL_ORDERS[arm](problem, rows)[:trials]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExperimentalWarning)
+        study = optuna.create_study(sampler=chosen.sampler(problem))
+    study.optimize(problem.objective, n_trials=trials)
+    return np.array([trial.values[0] for trial in study.get_trials(deepcopy=False)])
+
+
+def _table(problem: Problem) -> FeatureTable:
+    rows = problem.rows()
+    columns = dict(zip(NAMES, rows.T, strict=True))
+    return FeatureTable.from_arrays(columns, problem.features(rows), space=problem.distributions())
+
+
+def _ours(kernel: str) -> Callable[[Problem], BaseSampler]:
+    """Our sampler over the rows of the table."""
+    return lambda problem: FeatureKernelSampler(_table(problem), seed=problem.seed, kernel=kernel)
+
+
+def _euclidean(problem: Problem) -> BaseSampler:
+    return FeatureKernelSampler(None, seed=problem.seed, space=problem.distributions())
+
+
+def _off_grid(problem: Problem) -> BaseSampler:
+    return FeatureKernelSampler(
+        _table(problem), seed=problem.seed, feature_function=problem.features, off_grid=OFF_GRID
+    )
+
+
+def _random_rows(problem: Problem, rows: Floats) -> NDArray[np.int64]:
+    return np.random.default_rng(problem.seed).permutation(len(rows))
+
+
+def _score_first(problem: Problem, rows: Floats) -> NDArray[np.int64]:
+    return np.argsort(problem.features(rows)[:, 0], kind="stable")
+
+
+_SPACE = "the space"
+_ROWS = "4,096 rows"
+_ROWS_AND_FEATURE = "4,096 rows and their feature"
+_ROWS_AND_MORE = "4,096 rows, points near the best of them, the feature of each"
+
+ARMS = {
+    "random": Arm("RandomSampler", _SPACE, "peer", sampler=lambda p: RandomSampler(seed=p.seed)),
+    "tpe": Arm("TPESampler", _SPACE, "peer", sampler=lambda p: TPESampler(seed=p.seed)),
+    "gp": Arm("GPSampler", _SPACE, "peer", sampler=lambda p: GPSampler(seed=p.seed)),
+    "cmaes": Arm("CmaEsSampler", _SPACE, "peer", sampler=lambda p: CmaEsSampler(seed=p.seed)),
+    "random-rows": Arm("random rows", _ROWS, "control"),
+    "score-first": Arm("least feature first", _ROWS_AND_FEATURE, "control", uses_feature=True),
+    "euclidean": Arm("ours, Euclidean", _SPACE, "ours", sampler=_euclidean),
+    "euclidean-rows": Arm("ours, Euclidean, rows", _ROWS, "ours", sampler=_ours("euclidean")),
+    "feature": Arm("ours, feature", _ROWS_AND_FEATURE, "ours", True, _ours("rbf")),
+    "alternate": Arm("ours, alternation", _ROWS_AND_FEATURE, "ours", True, _ours("alternate")),
+    "sum": Arm("ours, sum", _ROWS_AND_FEATURE, "ours", True, _ours("sum")),
+    "product": Arm("ours, product", _ROWS_AND_FEATURE, "ours", True, _ours("product")),
+    "off-grid": Arm("ours, off the table", _ROWS_AND_MORE, "ours", True, _off_grid),
+}  # fmt: skip
+
+_CONTROL_ORDERS = {"random-rows": _random_rows, "score-first": _score_first}

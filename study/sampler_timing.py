@@ -1,0 +1,159 @@
+"""How long one proposal takes and how much memory it holds, measured in this process."""
+
+import statistics
+import time
+import warnings
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+from numpy.typing import NDArray
+from optuna.distributions import FloatDistribution
+from optuna.exceptions import ExperimentalWarning
+from optuna.samplers import BaseSampler, GPSampler
+
+from study.feature_sampler import FeatureKernelSampler
+from study.feature_table import FeatureTable
+from study.history import ROW_ATTRIBUTE
+
+Floats = NDArray[np.float64]
+
+DIMENSION = 16
+NAMES = tuple(f"p{number:02d}" for number in range(DIMENSION))
+SEED = 16
+NOISE = 0.3  # of the cost, in standard deviations of what the features explain
+WARM_UP = 1  # proposals that are not counted: the first one loads libraries
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is measured.
+
+    Attributes:
+        sampler: "ours" or "gp" (Optuna's GPSampler, in the box of the table).
+        rows: of the table.
+        features: of a row.
+        observations: finished trials before the first proposal.
+        repeats: proposals, after one that is not counted.
+        kept: hyper-parameters are those fitted to `observations` trials; else fitted anew.
+    """
+
+    sampler: str
+    rows: int
+    features: int
+    observations: int
+    repeats: int
+    kept: bool = False
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Seconds of each proposal; MiB by which the process grew from before the table was made.
+
+    On a busy machine a proposal waits for the processor; `cpu_seconds` leaves the waiting out.
+    """
+
+    case: Case
+    seconds: tuple[float, ...]
+    cpu_seconds: tuple[float, ...]
+    grown_mib: float | None
+    peak_grown_mib: float | None
+
+    @property
+    def median_ms(self) -> float:
+        """Median time of a proposal."""
+        return 1e3 * statistics.median(self.seconds)
+
+    @property
+    def median_cpu_ms(self) -> float:
+        """Median processor time of a proposal."""
+        return 1e3 * statistics.median(self.cpu_seconds)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        medians = {"median_ms": self.median_ms, "median_cpu_ms": self.median_cpu_ms}
+        return {**asdict(self), **medians}
+
+
+def measure(case: Case) -> Measured:
+    """Propose `repeats` times; each proposal sees one finished trial more than the one before."""
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    before_mib = _memory_mib("VmRSS")
+    study = _prepare(case)
+    spent = [_propose(study, case.features) for _ in range(WARM_UP + case.repeats)][WARM_UP:]
+    seconds, cpu_seconds = zip(*spent, strict=True)
+    after_mib, peak_mib = _memory_mib("VmRSS"), _memory_mib("VmHWM")
+    kept, most = _less(after_mib, before_mib), _less(peak_mib, before_mib)
+    return Measured(case, seconds, cpu_seconds, kept, most)
+
+
+def _prepare(case: Case) -> optuna.Study:
+    """A study with the sampler and with `observations` finished trials."""
+    rng = np.random.default_rng(SEED)
+    points = rng.uniform(size=(case.rows, DIMENSION))
+    features = _features(points, case.features)
+    seen = rng.choice(case.rows, case.observations, replace=False)
+    costs = features[seen].sum(axis=1) + NOISE * rng.standard_normal(case.observations)
+    trials = [_finished(points, row, cost) for row, cost in zip(seen, costs, strict=True)]
+    study = optuna.create_study(sampler=_sampler(case, points, features))
+    study.add_trials(trials)
+    return study
+
+
+def _features(points: Floats, k: int) -> Floats:
+    """k smooth numbers of each point, of about unit variance, [n, k]."""
+    directions = np.random.default_rng(SEED).standard_normal((DIMENSION, k))
+    return np.asarray(np.sqrt(2.0) * np.sin(2.0 * points @ directions))
+
+
+def _sampler(case: Case, points: Floats, features: Floats) -> BaseSampler:
+    if case.sampler == "gp":
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            return GPSampler(seed=SEED)
+    space = {name: FloatDistribution(0.0, 1.0) for name in NAMES}
+    columns = dict(zip(NAMES, points.T, strict=True))
+    table = FeatureTable.from_arrays(columns, features, space=space)
+    kernel = "rbf" if case.features == 1 else "rbf_ard"
+    refit_every = case.observations if case.kept else 1
+    return FeatureKernelSampler(table, seed=SEED, kernel=kernel, refit_every=refit_every)
+
+
+def _finished(points: Floats, row: int, cost: float) -> optuna.trial.FrozenTrial:
+    """A trial of a row, with the note that the sampler leaves in those that it proposes."""
+    return optuna.create_trial(
+        params=dict(zip(NAMES, points[row].tolist(), strict=True)),
+        distributions={name: FloatDistribution(0.0, 1.0) for name in NAMES},
+        user_attrs={ROW_ATTRIBUTE: int(row)},
+        value=float(cost),
+    )
+
+
+def _propose(study: optuna.Study, features: int) -> tuple[float, float]:
+    """Seconds and processor's seconds from asking for a trial to its last parameter.
+
+    Then the trial finishes.
+    """
+    began, cpu_began = time.perf_counter(), time.process_time()
+    trial = study.ask()
+    point = [trial.suggest_float(name, 0.0, 1.0) for name in NAMES]
+    spent = (time.perf_counter() - began, time.process_time() - cpu_began)
+    study.tell(trial, float(_features(np.array([point]), features).sum()))
+    return spent
+
+
+def _memory_mib(field: str) -> float | None:
+    """Resident memory of this process (VmRSS) or the most it ever was (VmHWM); None off Linux."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        return None
+    for line in status.read_text(encoding="ascii").splitlines():
+        if line.startswith(f"{field}:"):
+            return int(line.split()[1]) / 1024
+    return None
+
+
+def _less(after: float | None, before: float | None) -> float | None:
+    return None if after is None or before is None else after - before

@@ -1,0 +1,208 @@
+"""Proposals from a whole space: points anywhere, and near the best trials."""
+
+from typing import Any
+
+import numpy as np
+import optuna
+from numpy.typing import NDArray
+from optuna.distributions import BaseDistribution
+from optuna.samplers import BaseSampler
+from optuna.search_space import intersection_search_space
+from optuna.trial import FrozenTrial
+
+from study.acquisition import argmax_random_tie, fading_log_weight
+from study.candidates import anywhere, nearby, not_among
+from study.draws import Purpose, turn
+from study.feature_function import Features, call_features
+from study.history import FEATURES_ATTRIBUTE, OFF_TABLE, History, read_history
+from study.options import Options
+from study.points import Points
+from study.prior import FeaturePrior
+from study.rows import Scale
+from study.source import Candidate, Source, gumbel_choice, missing_in, one_thread, set_attributes
+from study.space import Space
+from taichi_nmm.errors import InputError
+
+Floats = NDArray[np.float64]
+
+INCUMBENTS = 5  # best trials that points are near to
+LOCAL_SHARE = 4  # one point near them for so many anywhere
+REFINEMENTS = 3  # rounds of points near the best candidates, where features cost nothing
+
+
+class SpaceSource(Source):
+    """Points of a space, with features by a function or without."""
+
+    def __init__(
+        self, function: Features | None, options: Options, seed: int, independent: BaseSampler
+    ) -> None:
+        super().__init__(options, seed, independent)
+        if function is None:
+            _refuse_features(options)
+        self.function = function
+
+    def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
+        """What was declared, or what all finished trials share."""
+        space = self.options.space
+        if space is None:
+            space = intersection_search_space(study.get_trials(deepcopy=False))
+        if self.function is not None:
+            return dict(space)  # it wants all its columns
+        return {name: d for name, d in space.items() if not d.single()}
+
+    def propose(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """The parameters of one point."""
+        if not search_space:
+            return {}
+        misfit = self._misfit(study, trial, search_space)
+        if misfit is not None:
+            self.misfit(misfit)
+            return self.draw(study, trial, search_space)
+        space = Space.of(search_space)
+        try:
+            with one_thread():
+                candidate = self._choose(study, trial, space)
+        except InputError as error:  # of the feature function
+            self.misfit(error)
+            return self.draw(study, trial, search_space)
+        if len(candidate.features):
+            notes = {FEATURES_ATTRIBUTE: candidate.features.tolist()}
+            set_attributes(study, trial, notes)
+        return space.values(candidate.parameters)
+
+    def propose_one(
+        self, study: optuna.Study, trial: FrozenTrial, name: str, distribution: BaseDistribution
+    ) -> Any:
+        """Independent; a declared parameter comes here if its range is not the declared one."""
+        declared = (self.options.space or {}).get(name)
+        if declared is not None:
+            allowed = f"the range declared in `space`: {declared}"
+            self.misfit(InputError(name, str(distribution), allowed))
+        return self.independent.sample_independent(study, trial, name, distribution)
+
+    def _misfit(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> InputError | None:
+        """What is wrong with a declared space."""
+        declared = self.options.space
+        if declared is None:
+            return None
+        for name, distribution in declared.items():
+            if name not in search_space and (self.function is not None):
+                allowed = "a parameter left free: the feature function wants all of them"
+                return InputError(name, f"fixed, of {distribution}", allowed)
+        names = [name for name in search_space if name in declared]
+        ours = None if self.function is None else FEATURES_ATTRIBUTE  # nothing is noted without
+        return missing_in(names, study, trial, ours)
+
+    def _choose(self, study: optuna.Study, trial: FrozenTrial, space: Space) -> Candidate:
+        own_turn = turn(study, trial)
+        history = read_history(study, trial, space)
+        if len(history.cost) < self.options.n_startup_trials:
+            return self._startup(space, own_turn)
+        if self.function is None:
+            return self._best_point(space, history, own_turn)
+        return self._best_featured(space, history, own_turn)
+
+    def _startup(self, space: Space, own_turn: int) -> Candidate:
+        """A point at random, the likelier the better the prior thinks of it."""
+        rng = self.rng(Purpose.STARTUP_POINT, own_turn)
+        if self.function is None:
+            return Candidate(OFF_TABLE, anywhere(space, 1, rng)[0], np.empty(0))
+        count = 1 if self.options.prior is None else self.options.n_candidates
+        points = anywhere(space, count, rng)
+        features = call_features(self.function, points)
+        weight = self._log_weight(features, 0)
+        best = 0 if weight is None else gumbel_choice(weight, rng)
+        return Candidate(OFF_TABLE, points[best], features[best])
+
+    def _best_point(self, space: Space, history: History, own_turn: int) -> Candidate:
+        """The best of points anywhere and near the incumbents, then of points near those."""
+        rng = self.rng(Purpose.CANDIDATES, own_turn)
+        taken = np.vstack([history.parameters, history.running])
+        seen, running = _bare(space, history.parameters), _bare(space, history.running)
+        model = self.model("euclidean", len(space), history, seen, running)
+        points = self._candidates(space, history, rng)
+        utility = model.utility(_bare(space, points), not_among(points, taken), None, rng)
+        for _ in range(REFINEMENTS):
+            best = np.argsort(-utility, kind="stable")[:INCUMBENTS]
+            near = nearby(space, points[best], self.options.n_candidates // LOCAL_SHARE, rng)
+            points = np.vstack([points[best], near])
+            utility = model.utility(_bare(space, points), not_among(points, taken), None, rng)
+        best_one = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
+        return Candidate(OFF_TABLE, points[best_one], np.empty(0))
+
+    def _best_featured(self, space: Space, history: History, own_turn: int) -> Candidate:
+        """The best of points anywhere and near the incumbents, their features by one call."""
+        rng = self.rng(Purpose.CANDIDATES, own_turn)
+        points = self._candidates(space, history, rng)
+        features, known, running = self._features(points, history)
+        scale = Scale.of(features)
+        simulated = Points(scale.standard(known), space.unit(history.parameters))
+        mismatch, seen = self.correction(history, simulated, scale, len(space))
+        candidates = Points(scale.standard(features), space.unit(points))
+        elsewhere = Points(scale.standard(running), space.unit(history.running))
+        if mismatch is not None:
+            candidates, elsewhere = mismatch.corrected(candidates), mismatch.corrected(elsewhere)
+        model = self.model(self.kernel(own_turn), len(space), history, seen, elsewhere)
+        taken = np.vstack([history.parameters, history.running])
+        offered = not_among(points, taken) & np.isfinite(features).all(axis=1)
+        if not offered.any():
+            offered = np.asarray(np.isfinite(features).all(axis=1))
+        weight = self._log_weight(features, len(history.cost))
+        utility = model.utility(candidates, offered, weight, rng)
+        best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
+        return Candidate(OFF_TABLE, points[best], features[best])
+
+    def _candidates(self, space: Space, history: History, rng: np.random.Generator) -> Floats:
+        """Points anywhere, and near the best trials, [m, d]."""
+        incumbents = history.parameters[np.argsort(history.cost, kind="stable")[:INCUMBENTS]]
+        count = self.options.n_candidates
+        local = max(count // LOCAL_SHARE, self.options.off_grid, 1)
+        return np.vstack([anywhere(space, count, rng), nearby(space, incumbents, local, rng)])
+
+    def _features(self, points: Floats, history: History) -> tuple[Floats, Floats, Floats]:
+        """Of candidates, of finished trials (noted in them, or computed), of running ones."""
+        assert self.function is not None  # or there are none
+        noted = [trial.user_attrs.get(FEATURES_ATTRIBUTE) for trial in history.trials]
+        missing = np.array([not isinstance(values, list) for values in noted], dtype=bool)
+        batch = np.vstack([points, history.running, history.parameters[missing]])
+        features = call_features(self.function, batch)
+        width, m, r = features.shape[1], len(points), len(history.running)
+        known = np.empty((len(noted), width))
+        known[missing] = features[m + r :]
+        for place, values in enumerate(noted):
+            if not isinstance(values, list):
+                continue
+            if len(values) != width:
+                number = history.trials[place].number
+                raise InputError(f"features of trial {number}", len(values), f"{width} numbers")
+            known[place] = values
+        return features[:m], known, features[m : m + r]
+
+    def _log_weight(self, features: Floats, trials: int) -> Floats | None:
+        if self.options.prior is None:
+            return None
+        names = tuple(f"feature_{column}" for column in range(features.shape[1]))
+        rank = FeaturePrior.of(self.options.prior, names, features).rank(features)
+        return fading_log_weight(rank, self.options.prior_weight, trials)
+
+
+def _bare(space: Space, points: Floats) -> Points:
+    """Points without features."""
+    return Points(np.empty((len(points), 0)), space.unit(points))
+
+
+def _refuse_features(options: Options) -> None:
+    """Options that mean nothing where there are no features."""
+    if options.uses_features:
+        raise InputError("kernel", options.kernel, "euclidean, with a constant mean: no features")
+    for name in ("prior", "mismatch"):
+        if getattr(options, name) is not None:
+            raise InputError(name, getattr(options, name), "none without features")
+    if options.off_grid:
+        raise InputError(
+            "off_grid", options.off_grid, "0: points are off any grid without features"
+        )

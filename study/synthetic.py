@@ -1,0 +1,178 @@
+"""Synthetic problems in 16 dimensions: a rugged cost, and a feature of known worth.
+
+A problem is a cost and one feature of a parameter set. The cost is a sum of 16 terms of a textbook
+function, each at least zero, so that the least cost is known: it is zero.
+
+| problem | cost | feature |
+|---|---|---|
+| informative | Schwefel | a cheap simulation: all but 3 of the 16 terms |
+| misleading | Rastrigin | the same, folded at its best tenth: the best rows look mediocre |
+| useless | Rastrigin | a rapid wave along a random direction, unrelated to the cost |
+| informative-bowl | Rastrigin | as in informative |
+
+Schwefel's function has no trend towards its optimum: 60 trials teach a model of the 16 parameters
+little. Rastrigin's is a bowl with ripples, so they teach it much; a feature that is not worth
+anything must not take that away.
+
+Each seed is another instance: Schwefel's is mirrored in random parameters, Rastrigin's is shifted
+and rotated at random. Nothing here knows of a sampler.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import optuna
+from numpy.typing import NDArray
+from optuna.distributions import BaseDistribution, FloatDistribution
+from scipy.stats import ortho_group, qmc
+
+from taichi_nmm.errors import InputError
+
+Floats = NDArray[np.float64]
+Function = Callable[[Floats], Floats]
+
+DIMENSION = 16
+NAMES = tuple(f"p{number:02d}" for number in range(DIMENSION))
+PROBLEMS = ("informative", "misleading", "useless", "informative-bowl")
+SOBOL_BITS = 12  # 4,096 rows in a table
+
+# Schwefel 1981: sum of 418.98... - x sin sqrt|x|; the constant makes the least value zero.
+SCHWEFEL_HALF_WIDTH = 500.0
+SCHWEFEL_OPTIMUM = 420.968746359982
+SCHWEFEL_CONSTANT = SCHWEFEL_OPTIMUM * float(np.sin(np.sqrt(SCHWEFEL_OPTIMUM)))
+
+# Rastrigin 1974: sum of u^2 + 10 (1 - cos 2 pi u).
+RASTRIGIN_HALF_WIDTH = 5.12
+RASTRIGIN_RIPPLE = 10.0
+
+TERMS_MISSED = 3  # by the cheap simulation: it explains 13/16 of the cost's variance
+FOLDED_SHARE = 0.1  # of the space, the best by the cheap simulation
+WAVES = 50.0  # across the width of the box
+
+
+class _Draw(IntEnum):
+    """What a random draw is for: the spawn key beside the seed."""
+
+    COST = 0
+    TABLE = 1
+    FEATURE = 2
+    FOLD = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A cost to minimise over a box, and a feature of every point of it.
+
+    Attributes:
+        name: one of `PROBLEMS`.
+        landscape: "schwefel" or "rastrigin".
+        seed: of the instance.
+        half_width: every parameter lies in [-half_width, half_width].
+        terms: of the cost, [n, 16] -> [n, 16], each at least 0.
+        feature: [n, 16] -> [n].
+    """
+
+    name: str
+    landscape: str
+    seed: int
+    half_width: float
+    terms: Function
+    feature: Function
+
+    def cost(self, points: Floats) -> Floats:
+        """Cost of points [n, 16], [n]; the least possible is 0, so it is the regret as well."""
+        return np.asarray(self.terms(points).sum(axis=1))
+
+    def features(self, points: Floats) -> Floats:
+        """Feature of points [n, 16] in the order of `NAMES`, [n, 1]."""
+        return self.feature(points)[:, None]
+
+    def distributions(self) -> dict[str, BaseDistribution]:
+        """The box, as Optuna has it."""
+        return {name: FloatDistribution(-self.half_width, self.half_width) for name in NAMES}
+
+    def rows(self, bits: int = SOBOL_BITS) -> Floats:
+        """2^bits scrambled Sobol points of the box, [2^bits, 16]: the rows of a table."""
+        return _sobol(self.half_width, bits, _rng(self.seed, _Draw.TABLE))
+
+    def objective(self, trial: optuna.Trial) -> float:
+        """The cost of a trial that suggests all 16 parameters."""
+        point = [trial.suggest_float(name, -self.half_width, self.half_width) for name in NAMES]
+        return float(self.cost(np.array([point]))[0])
+
+
+def problem(name: str, seed: int) -> Problem:
+    """An instance of a problem.
+
+    Raises:
+        InputError: no such problem.
+    """
+    if name not in PROBLEMS:
+        raise InputError("problem", name, f"one of {', '.join(PROBLEMS)}")
+    landscape = "schwefel" if name == "informative" else "rastrigin"
+    rng = _rng(seed, _Draw.COST)
+    if landscape == "schwefel":
+        half_width, terms = SCHWEFEL_HALF_WIDTH, _schwefel(rng)
+    else:
+        half_width, terms = RASTRIGIN_HALF_WIDTH, _rastrigin(rng)
+    return Problem(
+        name, landscape, seed, half_width, terms, _feature(name, seed, half_width, terms)
+    )
+
+
+def _schwefel(rng: np.random.Generator) -> Function:
+    """Schwefel's terms, mirrored in some of the parameters."""
+    sign = rng.choice([-1.0, 1.0], DIMENSION)
+
+    def terms(points: Floats) -> Floats:
+        x = sign * points
+        return np.asarray(SCHWEFEL_CONSTANT - x * np.sin(np.sqrt(np.abs(x))))
+
+    return terms
+
+
+def _rastrigin(rng: np.random.Generator) -> Function:
+    """Rastrigin's terms about a point of the box's inner half, in turned coordinates."""
+    optimum = rng.uniform(-0.5, 0.5, DIMENSION) * RASTRIGIN_HALF_WIDTH
+    rotation = ortho_group.rvs(DIMENSION, random_state=rng)
+
+    def terms(points: Floats) -> Floats:
+        u = (points - optimum) @ rotation
+        return np.asarray(u**2 + RASTRIGIN_RIPPLE * (1.0 - np.cos(2.0 * np.pi * u)))
+
+    return terms
+
+
+def _feature(name: str, seed: int, half_width: float, terms: Function) -> Function:
+    rng = _rng(seed, _Draw.FEATURE)
+    if name == "useless":
+        return _wave(rng, half_width)
+    cheap = _cheap_simulation(rng, terms)
+    if name != "misleading":
+        return cheap
+    space = _sobol(half_width, SOBOL_BITS, _rng(seed, _Draw.FOLD))
+    fold = float(np.quantile(cheap(space), FOLDED_SHARE))
+    return lambda points: np.abs(cheap(points) - fold)
+
+
+def _cheap_simulation(rng: np.random.Generator, terms: Function) -> Function:
+    """The sum of all but a few terms."""
+    known = rng.permutation(DIMENSION)[TERMS_MISSED:]
+    return lambda points: np.asarray(terms(points)[:, known].sum(axis=1))
+
+
+def _wave(rng: np.random.Generator, half_width: float) -> Function:
+    direction = rng.standard_normal(DIMENSION)
+    direction *= np.pi * WAVES / (half_width * np.linalg.norm(direction))
+    return lambda points: np.sin(points @ direction)
+
+
+def _sobol(half_width: float, bits: int, rng: np.random.Generator) -> Floats:
+    unit = qmc.Sobol(DIMENSION, rng=rng).random_base2(bits)
+    return np.asarray(half_width * (2.0 * unit - 1.0))
+
+
+def _rng(seed: int, draw: _Draw) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(draw),)))

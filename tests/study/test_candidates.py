@@ -1,0 +1,99 @@
+"""Points over a space and near others, and the forms of a space."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
+
+from study.candidates import anywhere, nearby, not_among
+from study.space import Space, same_kind
+
+DISTRIBUTIONS: dict[str, BaseDistribution] = {
+    "plain": FloatDistribution(-2.0, 3.0),
+    "log": FloatDistribution(1e-5, 10.0, log=True),
+    "step": FloatDistribution(-1.0, 1.0, step=0.25),
+    "int": IntDistribution(3, 9),
+    "int_step": IntDistribution(0, 10, step=2),
+    "int_log": IntDistribution(1, 1000, log=True),
+    "choice": CategoricalDistribution(["x", "y", "z"]),
+    "single": FloatDistribution(4.0, 4.0),
+}
+SPACE = Space.of(DISTRIBUTIONS)
+
+
+def inside(points: np.ndarray) -> bool:
+    values = [SPACE.values(point) for point in points]
+    return all(
+        distribution._contains(distribution.to_internal_repr(value[name]))
+        for value in values
+        for name, distribution in DISTRIBUTIONS.items()
+    )
+
+
+def test_points_anywhere_are_values_of_their_distributions() -> None:
+    points = anywhere(SPACE, 500, np.random.default_rng(0))
+    assert inside(points)
+    assert_allclose(np.median(points[:, 1]), 1e-2, rtol=0.5)  # evenly over decades
+    assert set(points[:, 3]) == set(range(3, 10))
+    assert_allclose(np.bincount(points[:, 6].astype(int)) / 500, 1 / 3, atol=0.07)
+
+
+def test_points_near_others_are_near_and_inside() -> None:
+    rng = np.random.default_rng(0)
+    centre = anywhere(SPACE, 1, rng)
+    points = nearby(SPACE, centre, 800, rng)
+    assert inside(points)
+    distance = np.linalg.norm(SPACE.unit(points) - SPACE.unit(centre), axis=1)
+    others = np.linalg.norm(SPACE.unit(anywhere(SPACE, 800, rng)) - SPACE.unit(centre), axis=1)
+    assert np.median(distance) < 0.3 * np.median(others)
+    assert np.mean(distance > 0) > 0.8
+    unmoved = np.mean(points[:, 0] == nearby(SPACE, centre, 1, rng)[0, 0])
+    assert 0.0 <= unmoved < 1.0
+
+
+def test_values_are_of_pythons_own_types() -> None:
+    values = SPACE.values(anywhere(SPACE, 1, np.random.default_rng(0))[0])
+    expected = [float, float, float, int, int, int, str, float]
+    assert [type(value) for value in values.values()] == expected
+
+
+def test_rows_and_values_are_each_others_inverse() -> None:
+    points = anywhere(SPACE, 50, np.random.default_rng(1))
+    assert_allclose(SPACE.rows([SPACE.values(point) for point in points]), points)
+    assert_allclose(SPACE.from_fractions(SPACE.fractions(points)), points, rtol=1e-9)
+
+
+def test_the_unit_cube_has_ranges_of_one_and_choices_one_apart() -> None:
+    low = {"plain": -2.0, "log": 1e-5, "choice": "x"}
+    high = {"plain": 3.0, "log": 10.0, "choice": "z"}
+    space = Space.of({name: DISTRIBUTIONS[name] for name in low})
+    a, b = space.unit(space.rows([low, high]))
+    assert_allclose(np.abs(a - b)[:2], 1.0)
+    assert_allclose(np.linalg.norm((a - b)[2:]), 1.0)
+    outside = space.unit(space.rows([high | {"plain": 99.0}]))
+    assert_allclose(outside[0, 0], 1.0)
+
+
+def test_taken_points_are_left_out_unless_nothing_is_left() -> None:
+    points = np.array([[0.0, 1.0], [2.0, 3.0]])
+    assert not_among(points, points[:1]).tolist() == [False, True]
+    assert not_among(points, points).tolist() == [True, True]
+    assert not_among(points, np.empty((0, 2))).all()
+
+
+@pytest.mark.parametrize(
+    ("other", "same"),
+    [
+        (FloatDistribution(0, 1), True),
+        (FloatDistribution(1, 2, log=True), False),
+        (IntDistribution(0, 1), False),
+    ],
+)
+def test_kinds_are_optunas(other: BaseDistribution, same: bool) -> None:
+    assert same_kind(DISTRIBUTIONS["plain"], other) is same
+    assert not same_kind(DISTRIBUTIONS["choice"], CategoricalDistribution(["x"]))

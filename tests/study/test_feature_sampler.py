@@ -1,0 +1,280 @@
+"""The general sampler's contract with Optuna, in all its forms, and what its options are worth."""
+
+import multiprocessing
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+from numpy.typing import NDArray
+from optuna.distributions import FloatDistribution
+from optuna.trial import TrialState
+
+from storage.studies import open_studies
+from study import FeatureKernelSampler, FeatureTable
+from study.options import ACQUISITIONS, COST_TRANSFORMS, KERNELS, MEANS
+
+ROOT = Path(__file__).parents[2]
+SPACE = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
+
+
+def bowl(trial: optuna.Trial) -> float:
+    return trial.suggest_float("a", -1, 1) ** 2 + 0.01 * trial.suggest_float("b", 0, 5)
+
+
+def features(params: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.column_stack([np.abs(params[:, 0]), params[:, 1] - 2.0])
+
+
+def small_table() -> FeatureTable:
+    rng = np.random.default_rng(0)
+    params = np.column_stack([rng.uniform(-1, 1, 80), rng.uniform(0, 5, 80)])
+    columns = {"a": params[:, 0], "b": params[:, 1]}
+    bounds = {"a": (-1, 1), "b": (0, 5)}
+    return FeatureTable.from_arrays(columns, features(params), ["size", "side"], bounds=bounds)
+
+
+FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
+    "table": lambda: FeatureKernelSampler(small_table(), seed=1),
+    "off_grid": lambda: FeatureKernelSampler(
+        small_table(), seed=1, off_grid=30, feature_function=features
+    ),
+    "mixed": lambda: FeatureKernelSampler(
+        small_table(), seed=1, kernel="alternate", mean="linear", prior="-size", refit_every=3
+    ),
+    "callable": lambda: FeatureKernelSampler(features, seed=1, n_candidates=200),
+    "plain": lambda: FeatureKernelSampler(seed=1, n_candidates=200),
+}
+
+
+def parameters_of(study: optuna.Study) -> list[dict[str, Any]]:
+    trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    return [trial.params for trial in trials]
+
+
+def run(form: str, trials: int = 9) -> list[dict[str, Any]]:
+    study = optuna.create_study(sampler=FORMS[form]())
+    study.optimize(bowl, n_trials=trials)
+    return parameters_of(study)
+
+
+def run_elsewhere(queue: "multiprocessing.Queue[dict[str, Any]]") -> None:
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    queue.put({form: run(form) for form in FORMS})
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_same_seed_proposes_the_same_also_after_reseeding(form: str) -> None:
+    study = optuna.create_study(sampler=FORMS[form]())
+    study.sampler.reseed_rng()
+    study.optimize(bowl, n_trials=9)
+    assert parameters_of(study) == run(form)
+
+
+def test_a_spawned_process_proposes_the_same() -> None:
+    context = multiprocessing.get_context("spawn")
+    queue = context.Queue()
+    process = context.Process(target=run_elsewhere, args=(queue,))
+    process.start()
+    there = queue.get(timeout=100)
+    process.join()
+    assert there == {form: run(form) for form in FORMS}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_state_is_in_the_trials(form: str) -> None:
+    pieces = optuna.create_study()
+    for _ in range(9):  # a new sampler, pickled besides, for each trial
+        pieces.sampler = pickle.loads(pickle.dumps(FORMS[form]()))
+        pieces.optimize(bowl, n_trials=1)
+    assert parameters_of(pieces) == run(form)
+
+
+SCRIPT = """
+import sys, time, optuna
+optuna.logging.set_verbosity(optuna.logging.ERROR)
+from storage.studies import open_studies
+from tests.study.test_feature_sampler import FORMS, bowl
+url, form, total = sys.argv[1], sys.argv[2], int(sys.argv[3])
+study = optuna.create_study(
+    study_name="s", storage=open_studies(url), sampler=FORMS[form](), load_if_exists=True
+)
+while len(study.trials) < total:
+    study.optimize(bowl, n_trials=1)
+    print(len(study.trials), flush=True)
+    time.sleep(0.3)
+"""
+
+
+@pytest.mark.parametrize("form", ["mixed", "off_grid"])
+def test_killed_between_trials_and_resumed(form: str, tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path / 'studies.db'}"
+    command = [sys.executable, "-c", SCRIPT, url, form, "9"]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.strip() == "5":  # it sleeps now
+                os.kill(process.pid, signal.SIGKILL)
+                break
+    assert process.returncode == -signal.SIGKILL
+    study = optuna.load_study(study_name="s", storage=open_studies(url), sampler=FORMS[form]())
+    done = len(study.trials)
+    study.optimize(bowl, n_trials=9 - done)
+    assert parameters_of(study) == run(form)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("mean", MEANS)
+def test_every_kernel_and_mean_finds_good_rows(kernel: str, mean: str) -> None:
+    sampler = FeatureKernelSampler(small_table(), seed=3, kernel=kernel, mean=mean)
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(bowl, n_trials=16)
+    assert study.best_value < 0.03
+
+
+@pytest.mark.parametrize("acquisition", ACQUISITIONS)
+@pytest.mark.parametrize("transform", COST_TRANSFORMS)
+@pytest.mark.parametrize("direction", ["minimize", "maximize"])
+def test_every_acquisition_and_transform_finds_good_rows(
+    acquisition: str, transform: str, direction: str
+) -> None:
+    sampler = FeatureKernelSampler(
+        small_table(), seed=3, acquisition=acquisition, cost_transform=transform
+    )
+    study = optuna.create_study(sampler=sampler, direction=direction)
+    sign = 1.0 if direction == "minimize" else -1.0
+    study.optimize(lambda trial: sign * bowl(trial), n_trials=16)
+    assert sign * study.best_value < 0.04
+
+
+@pytest.mark.parametrize("form", ["callable", "plain"])
+def test_points_of_a_space_become_good(form: str) -> None:
+    sampler = FeatureKernelSampler(features if form == "callable" else None, seed=0)
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(bowl, n_trials=20)
+    assert study.best_value < 0.01
+    noted = [trial.user_attrs.get("features") for trial in study.trials[1:]]
+    assert all((values is not None) == (form == "callable") for values in noted)
+
+
+def test_points_off_the_table_beat_its_best_row() -> None:
+    table = small_table()
+    best_row = (table.rows.parameters[:, 0] ** 2 + 0.01 * table.rows.parameters[:, 1]).min()
+    calls: list[int] = []
+
+    def counted(params: NDArray[np.float64]) -> NDArray[np.float64]:
+        calls.append(len(params))
+        return features(params)
+
+    sampler = FeatureKernelSampler(
+        table, seed=0, kernel="sum", off_grid=100, feature_function=counted
+    )
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(bowl, n_trials=25)
+    assert study.best_value < best_row
+    assert calls == [100] * 22  # once a trial after the start
+    off = [t for t in study.trials if t.user_attrs["row"] == -1]
+    assert off and all(len(trial.user_attrs["features"]) == 2 for trial in off)
+
+
+def test_a_prior_decides_first_and_fades() -> None:
+    table = small_table()
+    size = np.sort(table.rows.features[:, 0])
+    sampler = FeatureKernelSampler(table, seed=0, prior="-size", prior_weight=30.0)
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(lambda trial: -bowl(trial), n_trials=40)  # the prior is wrong
+    first = [abs(trial.params["a"]) for trial in study.trials[:3]]
+    assert max(first) <= size[25]
+    assert max(abs(trial.params["a"]) for trial in study.trials) >= size[-3]
+
+
+def test_enqueued_points_are_learned_from_where_their_features_are_known() -> None:
+    study = optuna.create_study(
+        sampler=FeatureKernelSampler(small_table(), seed=0, feature_function=features)
+    )
+    study.enqueue_trial({"a": 0.001, "b": 0.1})
+    study.optimize(bowl, n_trials=5)
+    assert len({trial.user_attrs.get("row") for trial in study.trials}) == 5
+
+
+def test_kept_constants_are_those_of_the_last_refit() -> None:
+    study = optuna.create_study(sampler=FeatureKernelSampler(small_table(), seed=0, refit_every=5))
+    fits = study.sampler._source.constants.known  # type: ignore[attr-defined]
+    study.optimize(bowl, n_trials=15)
+    assert len(fits) == 4  # of 3 (then 4), 5 and 10 trials
+
+
+def test_a_thousand_trials_are_no_trouble() -> None:
+    rng = np.random.default_rng(0)
+    table = FeatureTable.from_arrays({"a": rng.uniform(size=3000)}, rng.normal(size=(3000, 3)))
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=0, kernel="rbf_ard"))
+    space = {"a": FloatDistribution(0, 1)}
+    for row in range(1000):
+        params = table.rows.as_parameters(row)
+        value = float(table.rows.features[row].sum())
+        study.add_trial(optuna.create_trial(params=params, distributions=space, value=value))
+    start = time.perf_counter()
+    study.ask(table.rows.space.as_dict())
+    assert time.perf_counter() - start < 5.0  # a second on an idle machine
+
+
+def test_a_million_rows_work() -> None:
+    rng = np.random.default_rng(0)
+    columns = {f"x{i}": rng.uniform(size=1_000_000) for i in range(2)}
+    table = FeatureTable.from_arrays(columns, rng.normal(size=1_000_000))
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=0))
+    study.optimize(lambda t: t.suggest_float("x0", 0, 1) + t.suggest_float("x1", 0, 1), n_trials=5)
+    assert len({trial.user_attrs["row"] for trial in study.trials}) == 5
+
+
+MEMORY = """
+import numpy as np, optuna
+from study import FeatureKernelSampler, FeatureTable
+import study.table_source, study.space_source
+optuna.logging.set_verbosity(optuna.logging.ERROR)
+def resident(): return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6
+def peak():
+    lines = open("/proc/self/status").read().splitlines()
+    return int(next(l for l in lines if l.startswith("VmHWM")).split()[1]) / 1e3
+rng = np.random.default_rng(0)
+columns = {f"x{i}": rng.uniform(size=100_000) for i in range(16)}
+features = rng.normal(size=(100_000, 5))
+before = resident()
+table = FeatureTable.from_arrays(columns, features)
+study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=0, kernel="sum"))
+study.optimize(lambda t: sum(t.suggest_float(n, 0, 1) for n in columns), n_trials=8)
+print(peak() - before)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc on this system")
+def test_a_hundred_thousand_rows_take_little_memory() -> None:
+    command = [sys.executable, "-c", MEMORY]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
+    assert float(done.stdout) < 200.0
+
+
+def test_importing_the_package_is_light() -> None:
+    code = (
+        "import sys, study; print({'taichi', 'matplotlib', 'torch', 'sklearn', 'optuna'} "
+        "& set(sys.modules)); study.FeatureTable; study.FeatureKernelSampler; "
+        "print({'taichi', 'matplotlib', 'torch'} & set(sys.modules)); print(sorted(dir(study))[:3])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.stdout.splitlines()[:2] == ["set()", "set()"]
+    assert "DoGSampler" in done.stdout
+
+
+def test_the_package_has_no_other_names() -> None:
+    import study
+
+    with pytest.raises(AttributeError, match="no attribute 'Sampler'"):
+        _ = study.Sampler

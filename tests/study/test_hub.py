@@ -1,0 +1,104 @@
+"""The OptunaHub package loads from disk, as from the registry, and its examples run."""
+
+import importlib
+import os
+import pickle
+import re
+import runpy
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import optuna
+import pytest
+import yaml
+
+import study
+
+ROOT = Path(__file__).parents[2]
+REGISTRY = ROOT / "study" / "hub" / "package"
+PACKAGE = REGISTRY / "samplers" / "feature_kernel"
+
+
+@pytest.fixture(scope="module")
+def optunahub() -> ModuleType:
+    os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")  # nothing is cloned: git may be missing
+    return importlib.import_module("optunahub")
+
+
+def load(optunahub: ModuleType) -> ModuleType:
+    module = optunahub.load_local_module("samplers/feature_kernel", registry_root=str(REGISTRY))
+    assert isinstance(module, ModuleType)
+    return module
+
+
+def test_it_loads_the_one_sampler_there_is(optunahub: ModuleType) -> None:
+    module = load(optunahub)
+    assert module.__name__ == "optunahub_registry.package.samplers.feature_kernel"
+    for name in module.__all__:
+        assert getattr(module, name) is getattr(study, name)
+
+
+def test_its_example_finds_a_good_throw(
+    optunahub: ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runpy.run_path(str(PACKAGE / "example.py"), run_name="__main__")
+    line = capsys.readouterr().out
+    miss = re.match(r"best miss (\d+\.\d\d) m with \{'pull_m': .*, 'angle_deg': .*\}", line)
+    assert miss is not None, line
+    assert float(miss[1]) < 0.5  # 20 throws of a catapult that reaches 60 m
+
+
+def test_the_readmes_example_runs(
+    optunahub: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the local registry in the place of the one on the net."""
+    (code,) = re.findall(r"```python\n(.*?)```", (PACKAGE / "README.md").read_text(), re.DOTALL)
+    monkeypatch.setattr(optunahub, "load_module", lambda name: load(optunahub))
+    names: dict[str, object] = {}
+    exec(compile(code, "README.md", "exec"), names)
+    found = names["study"]
+    assert isinstance(found, optuna.Study)
+    assert len(found.trials) == 15
+    assert abs(found.best_params["x"] - 1.0) < 0.5
+    assert capsys.readouterr().out.startswith("{'x': ")
+
+
+def test_a_sampler_of_the_package_unpickles_where_the_hub_was_never_loaded(
+    optunahub: ModuleType,
+) -> None:
+    module = load(optunahub)
+    table = module.FeatureTable.from_arrays({"x": [0.0, 1.0, 2.0]}, [[0.0], [1.0], [4.0]])
+    data = pickle.dumps(module.FeatureKernelSampler(table, seed=1))
+    assert b"optunahub" not in data
+    assert type(pickle.loads(data)) is study.FeatureKernelSampler
+
+
+def test_without_taichi_nmm_the_error_says_what_to_install(
+    optunahub: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "study", None)  # as if it were not there
+    with pytest.raises(ImportError, match=r"needs taichi-nmm: install it as its README says"):
+        load(optunahub)
+
+
+def test_the_front_matter_is_what_the_registry_asks_for() -> None:
+    _, header, _ = (PACKAGE / "README.md").read_text().split("---\n", maxsplit=2)
+    front = yaml.load(header, Loader=yaml.BaseLoader)  # every value must be a string
+    assert set(front) == {"author", "title", "description", "tags", "optuna_versions", "license"}
+    assert "sampler" in front["tags"]
+    assert optuna.__version__ in front["optuna_versions"]
+    assert front["license"] == "MIT License"
+
+
+def test_the_package_has_the_registrys_files_and_no_data() -> None:
+    files = {path.name for path in PACKAGE.iterdir() if path.name != "__pycache__"}
+    assert files == {"README.md", "LICENSE", "__init__.py", "example.py"}
+    assert (PACKAGE / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
+
+
+def test_the_readme_writes_no_names_that_do_not_exist(optunahub: ModuleType) -> None:
+    text = (PACKAGE / "README.md").read_text()
+    module = load(optunahub)
+    for owner, method in re.findall(r"`(FeatureTable)\.(\w+)", text):
+        assert callable(getattr(getattr(module, owner), method))

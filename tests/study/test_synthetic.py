@@ -1,0 +1,146 @@
+"""The synthetic problems: known optima, and features that are worth what they are said to be."""
+
+import numpy as np
+import optuna
+import pytest
+from scipy.stats import spearmanr
+
+from study import synthetic
+from study.synthetic import DIMENSION, NAMES, PROBLEMS, Floats, Problem, problem
+from taichi_nmm.errors import InputError
+
+SEEDS = range(5)
+
+
+def best_rows(costs: Floats, share: float = 0.02) -> np.ndarray:
+    return np.argsort(costs)[: round(share * len(costs))]
+
+
+def worth(made: Problem) -> float:
+    """Rank correlation of feature and cost over the table."""
+    rows = made.rows()
+    return float(spearmanr(made.features(rows)[:, 0], made.cost(rows)).statistic)
+
+
+def optimum(made: Problem) -> Floats:
+    """Where the cost is least, found in other ways than by the module's own formulas."""
+    if made.landscape == "schwefel":
+        at = np.full(DIMENSION, 420.9687)
+        signs = np.where(
+            [made.cost(at * flipped(i))[0] < made.cost(at[None])[0] for i in range(DIMENSION)],
+            -1,
+            1,
+        )
+        return np.asarray(at * signs)
+    # Rastrigin is even about its optimum, and its ripple averages out far from it: the gradient of
+    # the quadratic part through many points gives the centre.
+    points = made.rows()
+    squares = np.column_stack([points**2, points, np.ones(len(points))])
+    fit = np.linalg.lstsq(squares, made.cost(points), rcond=None)[0]
+    return np.asarray(-fit[DIMENSION:-1] / (2 * fit[:DIMENSION]))
+
+
+def flipped(number: int) -> Floats:
+    signs = np.ones((1, DIMENSION))
+    signs[0, number] = -1
+    return signs
+
+
+def test_the_least_cost_of_schwefel_is_zero_at_the_textbook_point() -> None:
+    made = problem("informative", 3)
+    assert made.cost(optimum(made)[None])[0] == pytest.approx(0.0, abs=1e-3)
+    assert made.cost(made.rows()).min() > 1000.0
+
+
+def test_the_bowl_of_rastrigin_lies_in_the_inner_half() -> None:
+    made = problem("useless", 3)
+    centre = optimum(made)
+    assert np.abs(centre).max() < 0.75 * made.half_width
+    near = made.cost(centre[None])[0]
+    assert near < np.quantile(made.cost(made.rows()), 0.01)
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_no_term_is_negative_and_costs_are_their_sums(name: str) -> None:
+    made = problem(name, 0)
+    rows = made.rows(8)
+    terms = made.terms(rows)
+    assert terms.shape == rows.shape
+    assert terms.min() >= -1e-9
+    np.testing.assert_allclose(made.cost(rows), terms.sum(axis=1))
+
+
+def test_schwefel_at_the_origin_is_its_textbook_value() -> None:
+    made = problem("informative", 0)
+    assert made.cost(np.zeros((1, DIMENSION)))[0] == pytest.approx(418.9829 * DIMENSION, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_informative_features_rank_rows_nearly_as_their_costs(seed: int) -> None:
+    assert 0.75 < worth(problem("informative", seed)) < 0.97
+    assert 0.75 < worth(problem("informative-bowl", seed)) < 0.97
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_useless_feature_says_nothing(seed: int) -> None:
+    made = problem("useless", seed)
+    assert abs(worth(made)) < 0.06
+    rows = made.rows()
+    feature = made.features(rows)
+    explained = np.corrcoef(np.hstack([rows, rows**2, feature]), rowvar=False)[-1, :-1]
+    assert np.abs(explained).max() < 0.08
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_misleading_feature_is_right_of_most_rows_and_wrong_of_the_best(seed: int) -> None:
+    made = problem("misleading", seed)
+    rows = made.rows()
+    costs, feature = made.cost(rows), made.features(rows)[:, 0]
+    assert worth(made) > 0.7
+    promising = np.argsort(feature)[:60]
+    rng = np.random.default_rng(seed)
+    at_random = [costs[rng.permutation(len(rows))[:60]].min() for _ in range(100)]
+    # Following it is no better than drawing rows at random; the true order would find the best.
+    assert costs[promising].min() > np.quantile(at_random, 0.1)
+    assert not set(best_rows(costs, 0.002)) & set(promising)
+
+
+def test_an_instance_is_decided_by_its_seed() -> None:
+    for name in PROBLEMS:
+        first, again, other = problem(name, 1), problem(name, 1), problem(name, 2)
+        rows = first.rows(6)
+        np.testing.assert_array_equal(rows, again.rows(6))
+        np.testing.assert_array_equal(first.cost(rows), again.cost(rows))
+        np.testing.assert_array_equal(first.features(rows), again.features(rows))
+        assert not np.array_equal(rows, other.rows(6))
+        assert not np.array_equal(first.features(rows), other.features(rows))
+
+
+def test_problems_of_one_landscape_share_cost_and_rows() -> None:
+    misleading, useless = problem("misleading", 4), problem("useless", 4)
+    rows = misleading.rows(6)
+    np.testing.assert_array_equal(rows, useless.rows(6))
+    np.testing.assert_array_equal(misleading.cost(rows), useless.cost(rows))
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_rows_fill_the_box_that_the_study_suggests(name: str) -> None:
+    made = problem(name, 0)
+    rows = made.rows()
+    assert rows.shape == (2**synthetic.SOBOL_BITS, DIMENSION)
+    assert np.abs(rows).max() <= made.half_width
+    assert np.abs(rows.mean(axis=0)).max() < 0.01 * made.half_width
+    assert tuple(made.distributions()) == NAMES
+    assert made.features(rows).shape == (len(rows), 1)
+
+
+def test_a_trial_costs_what_its_point_costs() -> None:
+    made = problem("useless", 0)
+    point = made.rows(4)[7]
+    trial = optuna.trial.FixedTrial(dict(zip(NAMES, point.tolist(), strict=True)))
+    assert made.objective(trial) == made.cost(point[None])[0]  # type: ignore[arg-type]
+
+
+def test_an_unknown_problem_is_named() -> None:
+    with pytest.raises(InputError, match=r"problem.*informative"):
+        problem("hard", 0)

@@ -1,0 +1,108 @@
+"""Several processes on one study: no row is proposed twice, and nothing is lost."""
+
+import multiprocessing
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import optuna
+import pytest
+from optuna.storages import BaseStorage, JournalStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
+
+from storage.studies import open_studies
+from study import DoGSampler, FeatureKernelSampler, FeatureTable
+from study.claims import withdraw_or_keep
+
+TRIALS = 400
+ROWS = 430  # hardly more than trials: the end of the table is fought for
+
+
+def small_table() -> FeatureTable:
+    rng = np.random.default_rng(0)
+    columns = {"a": rng.uniform(size=ROWS), "b": rng.uniform(size=ROWS)}
+    return FeatureTable.from_arrays(columns, np.round(columns["a"], 1))  # ten scores: many ties
+
+
+def open_storage(kind: str, folder: Path) -> BaseStorage:
+    if kind == "journal":
+        return JournalStorage(JournalFileBackend(str(folder / "journal.log")))
+    return open_studies(f"sqlite:///{folder / 'studies.db'}")  # WAL
+
+
+def cost(trial: optuna.Trial) -> float:
+    return trial.suggest_float("a", 0, 1) + trial.suggest_float("b", 0, 1)
+
+
+def work(kind: str, folder: Path, trials: int) -> None:
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    sampler = DoGSampler(small_table(), seed=1, refit_every=50)
+    study = optuna.load_study(study_name="s", storage=open_storage(kind, folder), sampler=sampler)
+    study.optimize(cost, n_trials=trials)
+
+
+@pytest.mark.parametrize(("kind", "workers"), [("journal", 4), ("sqlite", 2), ("sqlite", 4)])
+def test_no_row_is_proposed_twice(kind: str, workers: int, tmp_path: Path) -> None:
+    trials = TRIALS if workers == 4 and kind == "sqlite" else TRIALS // 4
+    optuna.create_study(study_name="s", storage=open_storage(kind, tmp_path))
+    context = multiprocessing.get_context("spawn")
+    processes = [
+        context.Process(target=work, args=(kind, tmp_path, trials // workers))
+        for _ in range(workers)
+    ]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join(timeout=200)
+    assert [process.exitcode for process in processes] == [0] * workers
+    study = optuna.load_study(study_name="s", storage=open_storage(kind, tmp_path))
+    assert all(trial.state is TrialState.COMPLETE for trial in study.trials)
+    rows = Counter(trial.user_attrs["row"] for trial in study.trials)
+    assert len(rows) == sum(rows.values()) == trials
+    table = small_table().rows
+    assert all(t.params == table.as_parameters(t.user_attrs["row"]) for t in study.trials)
+
+
+def test_of_two_that_want_one_row_the_later_gives_way() -> None:
+    table = small_table()
+    study = optuna.create_study(sampler=DoGSampler(table, seed=0))
+    first, second = study.ask(), study.ask()
+    first.set_user_attr("row", 7)
+    withdrawn: set[int] = set()
+    assert withdraw_or_keep(study, study.trials[first.number], 7, withdrawn)
+    second.set_user_attr("row", 7)
+    assert not withdraw_or_keep(study, study.trials[second.number], 7, withdrawn)
+    assert withdrawn == {7}
+
+
+def test_threads_share_a_sampler() -> None:
+    table = small_table()
+    study = optuna.create_study(sampler=DoGSampler(table, seed=0, refit_every=20))
+
+    def slow(trial: optuna.Trial) -> float:
+        time.sleep(0.002)
+        return cost(trial)
+
+    study.optimize(slow, n_trials=60, n_jobs=4)
+    rows = [trial.user_attrs["row"] for trial in study.trials]
+    assert len(set(rows)) == 60
+
+
+@pytest.mark.parametrize("conditioned", [True, False])
+def test_running_trials_are_conditioned_on(
+    conditioned: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With nothing learned from those that run, all workers crowd around one score."""
+    if not conditioned:
+        monkeypatch.setattr("study.model.believe", lambda posterior, x, y: posterior)
+    a = np.linspace(0, 1, 400)
+    table = FeatureTable.from_arrays({"a": a}, a)
+    space = table.rows.space.as_dict()
+    sampler = FeatureKernelSampler(table, seed=0, acquisition="ucb", exploration=3.0)
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(lambda t: (t.suggest_float("a", 0, 1) - 0.5) ** 2, n_trials=4)
+    asked = [study.ask(space).params["a"] for _ in range(6)]
+    assert bool(np.ptp(asked) > 0.15) is conditioned
+    assert len(set(asked)) == 6

@@ -1,0 +1,105 @@
+"""The timing command on small tables: what it measures, writes and refuses."""
+
+import json
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from study.sampler_timing import Case, Measured, measure
+
+ROOT = Path(__file__).resolve().parents[2]
+SMALL = ("--rows", "2000", "--observations", "12", "--repeats", "3", "--sweep", "5,30")
+
+
+def time_sampler(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "tools/time_sampler.py", *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def report() -> dict[str, Any]:
+    done = time_sampler(*SMALL, "--large-rows", "50000", "--json")
+    assert done.returncode == 0, done.stderr
+    parsed: dict[str, Any] = json.loads(done.stdout)
+    return parsed
+
+
+def test_every_case_is_measured(report: dict[str, Any]) -> None:
+    cases = [(row["case"]["features"], row["case"]["kept"]) for row in report["proposals"]]
+    assert cases == [(1, False), (1, True), (5, False), (5, True)]
+    assert [row["case"]["observations"] for row in report["sweep"]] == [5, 30]
+    for row in [*report["proposals"], *report["sweep"]]:
+        assert len(row["seconds"]) == 3
+        assert 0.1 < row["median_ms"] < 10_000
+        assert row["median_ms"] == pytest.approx(1e3 * sorted(row["seconds"])[1])
+        assert 0.1 < row["median_cpu_ms"] < 10_000
+
+
+def test_keeping_hyper_parameters_saves_time(report: dict[str, Any]) -> None:
+    _, _, anew, kept = (row["median_ms"] for row in report["proposals"])
+    assert kept < anew
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read on Linux only")
+def test_memory_grows_at_least_by_the_table(report: dict[str, Any]) -> None:
+    table_mib = 50_000 * (16 + 5) * 8 / 2**20
+    large = report["large"]
+    assert large["case"]["rows"] == 50_000
+    assert table_mib < large["peak_grown_mib"] < 1000
+
+
+def test_a_proposal_is_made_in_a_study_of_the_observations_asked_for() -> None:
+    measured = measure(Case("ours", rows=300, features=2, observations=9, repeats=2))
+    assert len(measured.seconds) == 2
+    assert measured.median_ms > 0.0
+
+
+def fake(features: int, ms: float, kept: bool = False, observations: int = 100) -> Measured:
+    case = Case("ours", 100_000, features, observations, 1, kept)
+    return Measured(case, (ms / 1e3,), (ms / 2e3,), 50.0, 150.0)
+
+
+def document(tmp_path: Path, peer: Measured | None) -> str:
+    tool = runpy.run_path(str(ROOT / "tools" / "time_sampler.py"))
+    proposals = [fake(1, 30.0), fake(1, 5.0, True), fake(5, 170.0), fake(5, 6.0, True)]
+    sweep = [fake(1, 8.0, observations=10), fake(1, 900.0, observations=1000)]
+    timings = tool["Timings"](proposals, peer, sweep, fake(5, 400.0))
+    options = type("Options", (), {"repeats": 1, "observations": 100, "rows": 100_000})
+    tool["plot"](timings, tmp_path / "plot.png")
+    assert (tmp_path / "plot.png").stat().st_size > 5_000
+    return str(tool["markdown"](timings, options))
+
+
+def test_the_document_says_which_bars_hold(tmp_path: Path) -> None:
+    text = document(tmp_path, fake(0, 120.0))
+    assert "| 1 feature, hyper-parameters fitted anew | 30 ms | 30 to 30 ms | 15 ms |" in text
+    assert "at most 40 ms: holds" in text
+    assert "at most 150 ms: **missed**" in text
+    assert "| 1,000 | 900 ms | 450 ms | at most 1000 ms: holds |" in text
+    assert "at least 5 x ours: 4.0 x, **missed**" in text
+    assert "at most 191 MiB: holds" in text
+
+
+def test_the_document_says_that_gpsampler_was_not_measured(tmp_path: Path) -> None:
+    assert "| GPSampler | not measured: no PyTorch | | | |" in document(tmp_path, None)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        (("--sweep", "10,x"), "sweep"),
+        (("--sweep", "0,10"), "sweep"),
+        (("--repeats", "0"), "repeats"),
+        (("--rows", "500"), "rows"),
+    ],
+)
+def test_bad_arguments_are_one_line_and_exit_code_2(arguments: tuple[str, ...], field: str) -> None:
+    done = time_sampler(*arguments)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith(f"error: {field}: ")
+    assert len(done.stderr.splitlines()) == 1
