@@ -7,16 +7,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from study.dog_sampler import DoGSampler
-    from study.feature_sampler import FeatureKernelSampler
-    from study.feature_table import FeatureTable
+    from study.sampler.dog_sampler import DoGSampler
+    from study.sampler.feature_sampler import FeatureKernelSampler
+    from study.sampler.feature_table import FeatureTable
 
 __all__ = ["DoGSampler", "FeatureKernelSampler", "FeatureTable"]
 
 _MODULES = {
-    "DoGSampler": "study.dog_sampler",
-    "FeatureKernelSampler": "study.feature_sampler",
-    "FeatureTable": "study.feature_table",
+    "DoGSampler": "study.sampler.dog_sampler",
+    "FeatureKernelSampler": "study.sampler.feature_sampler",
+    "FeatureTable": "study.sampler.feature_table",
 }
 
 

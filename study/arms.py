@@ -9,10 +9,10 @@ from optuna.samplers import BaseSampler, CmaEsSampler
 from optuna.trial import FrozenTrial
 
 from study.config import StudyConfig
-from study.dog_sampler import DoGSampler
 from study.draws import Purpose, generator, seed_32bit
-from study.feature_table import FeatureTable
-from study.random_sampler import ReproducibleRandomSampler
+from study.sampler.dog_sampler import DoGSampler
+from study.sampler.feature_table import FeatureTable
+from study.sampler.random_sampler import ReproducibleRandomSampler
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS, lower_bounds, upper_bounds
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from study.draws import Purpose, stream
-from study.feature_sampler import STARTUP_TRIALS
+from study.sampler.feature_sampler import STARTUP_TRIALS
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table, read_bodies, read_settings, read_terrain, read_toml
 from taichi_nmm.errors import InputError

@@ -9,9 +9,9 @@ from typing import Any
 import optuna
 from optuna.trial import FrozenTrial
 
-from study.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from study.objective import trial_gains
 from study.runner import finished
+from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import COMPLETED, END_REASONS
 

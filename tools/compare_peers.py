@@ -31,7 +31,7 @@ import optuna
 from tqdm import tqdm
 
 from storage.commit import commit_json
-from study import comparison_report, peers, synthetic
+from study.benchmarks import comparison_report, peers, synthetic
 from study.command import run_command
 from taichi_nmm.errors import InputError
 

@@ -22,9 +22,9 @@ from storage.specification import read_specification
 from storage.studies import only_run, open_studies, storage_errors
 from study.command import run_command
 from study.config import StudyConfig, read_study_config
-from study.feature_table import FeatureTable
 from study.objective import simulate_gains, trial_gains
 from study.runner import run_study, study_name
+from study.sampler.feature_table import FeatureTable
 from study.summary import best_gains, dashboard_command, progress_line, study_line
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.config import read_toml

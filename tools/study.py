@@ -21,8 +21,8 @@ from storage.studies import only_run, open_studies, storage_errors, studies_path
 from study.arms import ARMS
 from study.command import run_command
 from study.config import StudyConfig, read_study_config
-from study.feature_table import FeatureTable
 from study.runner import check_trials, run_study, study_name
+from study.sampler.feature_table import FeatureTable
 from study.summary import best_gains, progress_line, summary, summary_text
 from taichi_nmm.settings import ARCHITECTURES, Settings
 

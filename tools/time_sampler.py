@@ -25,9 +25,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tqdm import tqdm
 
 from storage.commit import writable
-from study import comparison_report, peers, sampler_timing
+from study.benchmarks import comparison_report, peers, sampler_timing
+from study.benchmarks.sampler_timing import Case, Measured
 from study.command import run_command
-from study.sampler_timing import Case, Measured
 from taichi_nmm.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from study.acquisition import (
+from study.sampler.acquisition import (
     argmax_random_tie,
     confidence_bound,
     expected_improvement,

@@ -10,8 +10,8 @@ from optuna.distributions import (
     IntDistribution,
 )
 
-from study.candidates import anywhere, nearby, not_among
-from study.space import Space, same_kind
+from study.sampler.candidates import anywhere, nearby, not_among
+from study.sampler.space import Space, same_kind
 
 DISTRIBUTIONS: dict[str, BaseDistribution] = {
     "plain": FloatDistribution(-2.0, 3.0),

@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 from scipy.stats import norm
 
 from study import FeatureKernelSampler, FeatureTable
-from study.evidence import read_limits
-from study.feasibility import log_kept
+from study.sampler.evidence import read_limits
+from study.sampler.feasibility import log_kept
 
 
 def test_the_probability_is_the_normal_one() -> None:

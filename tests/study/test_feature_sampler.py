@@ -20,7 +20,7 @@ from optuna.trial import TrialState
 
 from storage.studies import open_studies
 from study import FeatureKernelSampler, FeatureTable
-from study.options import ACQUISITIONS, COST_TRANSFORMS, KERNELS, MEANS
+from study.sampler.options import ACQUISITIONS, COST_TRANSFORMS, KERNELS, MEANS
 
 ROOT = Path(__file__).parents[2]
 SPACE = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
@@ -238,7 +238,7 @@ def test_a_million_rows_work() -> None:
 MEMORY = """
 import numpy as np, optuna
 from study import FeatureKernelSampler, FeatureTable
-import study.table_source, study.space_source
+import study.sampler.table_source, study.sampler.space_source
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 def resident(): return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6
 def peak():

@@ -12,9 +12,9 @@ from optuna.trial import TrialState
 
 from study import FeatureTable
 from study.draws import Purpose, generator, turn
-from study.history import read_history
-from study.random_sampler import ReproducibleRandomSampler
-from study.transforms import clip_infinities
+from study.sampler.history import read_history
+from study.sampler.random_sampler import ReproducibleRandomSampler
+from study.sampler.transforms import clip_infinities
 
 
 def kill(study: optuna.Study, number: int) -> None:

@@ -8,11 +8,11 @@ from sklearn.base import clone
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF
 
-from study.gaussian_process import condition, learn
-from study.kernels import Layout, feature_only, new_term
-from study.options import KERNELS
-from study.points import Points
-from study.terms import Slice
+from study.sampler.gaussian_process import condition, learn
+from study.sampler.kernels import Layout, feature_only, new_term
+from study.sampler.options import KERNELS
+from study.sampler.points import Points
+from study.sampler.terms import Slice
 
 LAYOUT = Layout(features=2, coordinates=3, parameters=3)
 FORMS = [(k, m) for k in KERNELS if k != "alternate" for m in ("constant", "linear")]

@@ -5,8 +5,8 @@ import optuna
 from numpy.testing import assert_allclose
 
 from study import FeatureKernelSampler, FeatureTable
-from study.mismatch import Mismatch, read_shown
-from study.points import Points
+from study.sampler.mismatch import Mismatch, read_shown
+from study.sampler.points import Points
 
 
 def points(count: int, seed: int) -> Points:

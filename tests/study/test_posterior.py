@@ -5,13 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 from sklearn.gaussian_process import GaussianProcessRegressor
 
-from study.gaussian_process import LIKELIHOOD_TRIALS, believe, condition, learn
-from study.kernels import Layout, new_term
-from study.one_dimension import predict_distinct
-from study.options import KERNELS
-from study.points import Points
-from study.posterior import BLOCK, Posterior
-from study.terms import Term
+from study.sampler.gaussian_process import LIKELIHOOD_TRIALS, believe, condition, learn
+from study.sampler.kernels import Layout, new_term
+from study.sampler.one_dimension import predict_distinct
+from study.sampler.options import KERNELS
+from study.sampler.points import Points
+from study.sampler.posterior import BLOCK, Posterior
+from study.sampler.terms import Term
 
 FORMS = [
     (kernel, mean) for kernel in KERNELS if kernel != "alternate" for mean in ("constant", "linear")

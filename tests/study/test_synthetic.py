@@ -5,8 +5,8 @@ import optuna
 import pytest
 from scipy.stats import spearmanr
 
-from study import synthetic
-from study.synthetic import DIMENSION, NAMES, PROBLEMS, Floats, Problem, problem
+from study.benchmarks import synthetic
+from study.benchmarks.synthetic import DIMENSION, NAMES, PROBLEMS, Floats, Problem, problem
 from taichi_nmm.errors import InputError
 
 SEEDS = range(5)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from study.transforms import transformed
+from study.sampler.transforms import transformed
 
 CLIFF = np.array([-1.0, 0.0, 2.0, 1e6, 2.0])
 

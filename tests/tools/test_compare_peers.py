@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study import comparison_report, peers, regret, synthetic
+from study.benchmarks import comparison_report, peers, regret, synthetic
 
 ROOT = Path(__file__).resolve().parents[2]
 ARMS = "random,random-rows,score-first,euclidean-rows,feature,alternate"

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from study.sampler_timing import Case, Measured, measure
+from study.benchmarks.sampler_timing import Case, Measured, measure
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = ("--rows", "2000", "--observations", "12", "--repeats", "3", "--sweep", "5,30")

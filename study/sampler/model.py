@@ -6,17 +6,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from study import acquisition
-from study.evidence import Evidence
-from study.feasibility import log_all_kept
-from study.gaussian_process import believe, condition, learn
-from study.kernels import Layout, feature_only, new_term
-from study.one_dimension import Shared
-from study.options import Options
-from study.points import Points
-from study.posterior import Posterior
-from study.terms import Term
-from study.transforms import transformed
+from study.sampler import acquisition
+from study.sampler.evidence import Evidence
+from study.sampler.feasibility import log_all_kept
+from study.sampler.gaussian_process import believe, condition, learn
+from study.sampler.kernels import Layout, feature_only, new_term
+from study.sampler.one_dimension import Shared
+from study.sampler.options import Options
+from study.sampler.points import Points
+from study.sampler.posterior import Posterior
+from study.sampler.terms import Term
+from study.sampler.transforms import transformed
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

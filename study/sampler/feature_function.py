@@ -16,7 +16,7 @@ def call_features(function: Features, points: Floats, width: int | None = None) 
 
     Args:
         function: of the user.
-        points: as rows of `study.space`.
+        points: as rows of `study.sampler.space`.
         width: k, where it is known.
 
     Raises:

@@ -10,17 +10,24 @@ from optuna.samplers import BaseSampler
 from optuna.search_space import intersection_search_space
 from optuna.trial import FrozenTrial
 
-from study.acquisition import argmax_random_tie, fading_log_weight
-from study.candidates import anywhere, nearby, not_among
 from study.draws import Purpose, turn
-from study.feature_function import Features, call_features
-from study.history import FEATURES_ATTRIBUTE, OFF_TABLE, History, read_history
-from study.options import Options
-from study.points import Points
-from study.prior import FeaturePrior
-from study.rows import Scale
-from study.source import Candidate, Source, gumbel_choice, missing_in, one_thread, set_attributes
-from study.space import Space
+from study.sampler.acquisition import argmax_random_tie, fading_log_weight
+from study.sampler.candidates import anywhere, nearby, not_among
+from study.sampler.feature_function import Features, call_features
+from study.sampler.history import FEATURES_ATTRIBUTE, OFF_TABLE, History, read_history
+from study.sampler.options import Options
+from study.sampler.points import Points
+from study.sampler.prior import FeaturePrior
+from study.sampler.rows import Scale
+from study.sampler.source import (
+    Candidate,
+    Source,
+    gumbel_choice,
+    missing_in,
+    one_thread,
+    set_attributes,
+)
+from study.sampler.space import Space
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -9,8 +9,8 @@ the score phi of each having been computed beforehand, on a grid from which cand
 
 from typing import Any
 
-from study.feature_sampler import FeatureKernelSampler
-from study.feature_table import FeatureTable
+from study.sampler.feature_sampler import FeatureKernelSampler
+from study.sampler.feature_table import FeatureTable
 
 
 class DoGSampler(FeatureKernelSampler):

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.trial import FrozenTrial
 
-from study.options import CONSTRAINTS
-from study.points import Points
-from study.transforms import clip_infinities
+from study.sampler.options import CONSTRAINTS
+from study.sampler.points import Points
+from study.sampler.transforms import clip_infinities
 
 Floats = NDArray[np.float64]
 

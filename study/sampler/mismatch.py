@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.trial import FrozenTrial
 
-from study.gaussian_process import condition, learn
-from study.kernels import Layout, mismatch_term
-from study.points import Points
-from study.posterior import Posterior
+from study.sampler.gaussian_process import condition, learn
+from study.sampler.kernels import Layout, mismatch_term
+from study.sampler.points import Points
+from study.sampler.posterior import Posterior
 
 Floats = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
 from storage.store import open_store
-from study.feature_table import make_rows
-from study.rows import Rows
+from study.sampler.feature_table import make_rows
+from study.sampler.rows import Rows
 from taichi_nmm.errors import InputError
 
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.gaussian_process.kernels import Kernel, Product, Sum
 
-from study.points import Points
-from study.posterior import Posterior
-from study.terms import Slice
+from study.sampler.points import Points
+from study.sampler.posterior import Posterior
+from study.sampler.terms import Slice
 
 Floats = NDArray[np.float64]
 

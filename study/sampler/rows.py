@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.distributions import CategoricalDistribution
 
-from study.points import Points
-from study.space import Space
+from study.sampler.points import Points
+from study.sampler.space import Space
 
 Floats = NDArray[np.float64]
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Knuth's multiplicative hashing

@@ -8,7 +8,7 @@ row; if both write before either reads, both do. Nobody waits.
 import optuna
 from optuna.trial import FrozenTrial
 
-from study.history import ROW_ATTRIBUTE
+from study.sampler.history import ROW_ATTRIBUTE
 
 
 def withdraw_or_keep(

@@ -8,7 +8,7 @@ from math import log
 
 from sklearn.gaussian_process.kernels import DotProduct
 
-from study.terms import ConstantKernel, Prior, Slice, Term
+from study.sampler.terms import ConstantKernel, Prior, Slice, Term
 
 SLOPE_VARIANCE = 0.3
 SLOPE_BOUNDS = (1e-4, 1e2)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
 
-from study.columns import feature_matrix, parameter_column
-from study.rows import Rows
-from study.space import Space
+from study.sampler.columns import feature_matrix, parameter_column
+from study.sampler.rows import Rows
+from study.sampler.space import Space
 from taichi_nmm.errors import InputError
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class FeatureTable:
         Raises:
             InputError: no such file or column, or what `from_arrays` refuses.
         """
-        from study.parquet import ParquetColumns
+        from study.sampler.parquet import ParquetColumns
 
         reload = ParquetColumns(
             Path(path).absolute(),

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
-from study.rows import Rows
-from study.space import Space
-from study.transforms import clip_infinities
+from study.sampler.rows import Rows
+from study.sampler.space import Space
+from study.sampler.transforms import clip_infinities
 
 Floats = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from scipy.optimize import minimize
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 
-from study.posterior import Posterior
-from study.terms import Term
+from study.sampler.posterior import Posterior
+from study.sampler.terms import Term
 
 Floats = NDArray[np.float64]
 Objective = Callable[[Floats], tuple[float, Floats]]

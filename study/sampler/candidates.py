@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.distributions import CategoricalDistribution
 
-from study.space import Space
+from study.sampler.space import Space
 
 Floats = NDArray[np.float64]
 

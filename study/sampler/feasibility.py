@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from study.points import Points
-from study.posterior import Posterior
+from study.sampler.points import Points
+from study.sampler.posterior import Posterior
 
 Floats = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 A Gaussian process of cost over features (of a table's rows, or of any point by a function), over
 the parameters themselves, or over both, says what each candidate may cost; an acquisition function
-chooses among them. This file is the sampler's contract with Optuna and nothing else: `proposal`
+chooses among them. This file is the sampler's contract with Optuna and nothing else: `source`
 makes the choice, `history` reads the study.
 """
 
@@ -16,10 +16,10 @@ from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
-from study.feature_table import FeatureTable
-from study.options import Options
-from study.random_sampler import ReproducibleRandomSampler, new_seed
-from study.source import new_source
+from study.sampler.feature_table import FeatureTable
+from study.sampler.options import Options
+from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
+from study.sampler.source import new_source
 
 Features = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -42,8 +42,8 @@ class FeatureKernelSampler(BaseSampler):
         r^2 = sum_j (phi_j(x) - phi_j(x'))^2 / l_j^2
 
     over standardised features phi [k], over parameters in the unit cube, or both. s, l and the
-    noise maximise the marginal likelihood times a prior (`study.kernels`). Trials running elsewhere
-    are conditioned on as if they had shown what is expected of them.
+    noise maximise the marginal likelihood times a prior (`study.sampler.kernels`). Trials running
+    elsewhere are conditioned on as if they had shown what is expected of them.
 
     What it promises: everything is recomputed from the study's trials, and each draw is seeded by
     the seed and the trial, so a resumed study or another process proposes the same. FAIL and PRUNED

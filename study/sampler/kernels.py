@@ -29,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.gaussian_process.kernels import Kernel
 
-from study.means import linear_mean
-from study.terms import RBF, ConstantKernel, Matern, Prior, Slice, Term, WhiteKernel
+from study.sampler.means import linear_mean
+from study.sampler.terms import RBF, ConstantKernel, Matern, Prior, Slice, Term, WhiteKernel
 
 Floats = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ class Layout:
 
 
 def new_term(kernel: str, mean: str, layout: Layout) -> Term:
-    """The whole covariance by its names in `study.options`, before learning.
+    """The whole covariance by its names in `study.sampler.options`, before learning.
 
     Args:
         kernel: one of `options.KERNELS` but "alternate", which is two of them by turns.

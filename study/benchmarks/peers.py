@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, CmaEsSampler, GPSampler, RandomSampler, TPESampler
 
-from study.feature_sampler import FeatureKernelSampler
-from study.feature_table import FeatureTable
-from study.synthetic import NAMES, Problem
+from study.benchmarks.synthetic import NAMES, Problem
+from study.sampler.feature_sampler import FeatureKernelSampler
+from study.sampler.feature_table import FeatureTable
 
 Floats = NDArray[np.float64]
 

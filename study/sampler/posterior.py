@@ -37,8 +37,8 @@ from sklearn.gaussian_process.kernels import (
     WhiteKernel,
 )
 
-from study.points import Points
-from study.terms import Slice
+from study.sampler.points import Points
+from study.sampler.terms import Slice
 
 Floats = NDArray[np.float64]
 AnyFloats = NDArray[Any]

@@ -15,14 +15,14 @@ from optuna.distributions import (
 from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
-from study.acquisition import argmax_random_tie, fading_log_weight
-from study.candidates import nearby
-from study.claims import withdraw_or_keep
 from study.draws import Purpose, turn
-from study.feature_function import Features, call_features
-from study.feature_table import FeatureTable
-from study.fit import first_misfit, proves_fit
-from study.history import (
+from study.sampler.acquisition import argmax_random_tie, fading_log_weight
+from study.sampler.candidates import nearby
+from study.sampler.claims import withdraw_or_keep
+from study.sampler.feature_function import Features, call_features
+from study.sampler.feature_table import FeatureTable
+from study.sampler.fit import first_misfit, proves_fit
+from study.sampler.history import (
     FEATURES_ATTRIBUTE,
     OFF_TABLE,
     ROW_ATTRIBUTE,
@@ -31,13 +31,13 @@ from study.history import (
     read_history,
     row_of,
 )
-from study.model import Model
-from study.options import Options
-from study.points import Points
-from study.prior import FeaturePrior
-from study.rows import Rows
-from study.source import Candidate, Source, gumbel_choice, one_thread, set_attributes
-from study.space import same_kind
+from study.sampler.model import Model
+from study.sampler.options import Options
+from study.sampler.points import Points
+from study.sampler.prior import FeaturePrior
+from study.sampler.rows import Rows
+from study.sampler.source import Candidate, Source, gumbel_choice, one_thread, set_attributes
+from study.sampler.space import same_kind
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -5,9 +5,9 @@ import optuna
 from optuna.distributions import BaseDistribution, CategoricalDistribution
 from optuna.trial import FrozenTrial, TrialState
 
-from study.history import ROW_ATTRIBUTE
-from study.rows import Rows
-from study.space import same_kind
+from study.sampler.history import ROW_ATTRIBUTE
+from study.sampler.rows import Rows
+from study.sampler.space import same_kind
 from taichi_nmm.errors import InputError
 
 

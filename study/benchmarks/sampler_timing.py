@@ -14,9 +14,9 @@ from optuna.distributions import FloatDistribution
 from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, GPSampler
 
-from study.feature_sampler import FeatureKernelSampler
-from study.feature_table import FeatureTable
-from study.history import ROW_ATTRIBUTE
+from study.sampler.feature_sampler import FeatureKernelSampler
+from study.sampler.feature_table import FeatureTable
+from study.sampler.history import ROW_ATTRIBUTE
 
 Floats = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from storage.commit import commit, writable
-from study.peers import ARMS
-from study.regret import Summary, mean_of, median_of, ratio_of_means, simple_regret
+from study.benchmarks.peers import ARMS
+from study.benchmarks.regret import Summary, mean_of, median_of, ratio_of_means, simple_regret
 
 Floats = NDArray[np.float64]
 Costs = dict[tuple[str, str], Floats]
@@ -102,7 +102,7 @@ class Report:
             "",
             f"Written by `{command}` on {date.today()}: {machine()}; {versions()}.",
             f"Simple regret, mean and median of {seeds} instances, with bootstrapped 95 %"
-            " intervals. The problems are defined in `study/synthetic.py`.",
+            " intervals. The problems are defined in `study/benchmarks/synthetic.py`.",
             "",
             "![Mean simple regret against trials](sampler-comparison.png)",
         ]

@@ -17,16 +17,16 @@ from optuna.trial import FrozenTrial
 from threadpoolctl import ThreadpoolController
 
 from study.draws import Purpose, generator
-from study.evidence import Evidence, read_limits
-from study.feature_function import Features
-from study.feature_table import FeatureTable
-from study.history import History
-from study.kernels import feature_only
-from study.mismatch import Mismatch, read_shown
-from study.model import Constants, Model
-from study.options import Options
-from study.points import Points
-from study.rows import Scale
+from study.sampler.evidence import Evidence, read_limits
+from study.sampler.feature_function import Features
+from study.sampler.feature_table import FeatureTable
+from study.sampler.history import History
+from study.sampler.kernels import feature_only
+from study.sampler.mismatch import Mismatch, read_shown
+from study.sampler.model import Constants, Model
+from study.sampler.options import Options
+from study.sampler.points import Points
+from study.sampler.rows import Scale
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -199,8 +199,8 @@ def new_source(
     independent: BaseSampler,
 ) -> Source:
     """The source for what the sampler was given."""
-    from study.space_source import SpaceSource
-    from study.table_source import TableSource
+    from study.sampler.space_source import SpaceSource
+    from study.sampler.table_source import TableSource
 
     if isinstance(features, FeatureTable):
         return TableSource(features, function, options, seed, independent)
