@@ -128,6 +128,9 @@ CASES: dict[str, Callable[[], object]] = {
         sampler(lambda params: params * np.nan, space=SPACE)
     ),
     "… the independent sampler takes over": lambda: run(sampler(strict=False)),
+    "… is left out: no finished trial reports it (…)": lambda: run(
+        sampler(mismatch="misspelt", n_startup_trials=1), trials=3
+    ),
     "trials whose parameters are no row of the table are ignored: …": (
         run_after_a_point_off_the_table
     ),
