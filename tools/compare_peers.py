@@ -166,13 +166,11 @@ def read(file: Path) -> dict[str, Any]:
 @cache
 def code_of(arm: str) -> str:
     """Fingerprint of what decides an arm's runs: the problems, and the sampler."""
+    sources = [ROOT / "study" / "benchmarks" / "synthetic.py"]
     if peers.ARMS[arm].kind == "ours":
-        reporting = ("regret.py", "peers.py", "comparison_report.py", "sampler_timing.py")
-        sources = sorted((ROOT / "study").glob("*.py"))
-        sources = [file for file in sources if file.name not in reporting]
+        sources += [ROOT / "study" / "draws.py", *sorted((ROOT / "study" / "sampler").glob("*.py"))]
         packages = ["numpy", "scipy", "optuna", "scikit-learn"]
     else:
-        sources = [ROOT / "study" / "synthetic.py"]
         packages = ["numpy", "scipy", "optuna", "cmaes", "torch"]
     digest = hashlib.sha256()
     for file in sources:
