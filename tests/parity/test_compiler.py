@@ -34,41 +34,44 @@ def request_() -> Any:
     return gains, bodies, grounds, np.arange(WALKERS) % len(grounds)
 
 
-def compiled(request: Any, step_s: float) -> NDArray[np.float64]:
-    """Rows of every walker after 0.5 s, [n, WALKER_ROWS]."""
+def start(request: Any, step_s: float) -> tuple[Settings, Any, Any]:
+    """Settings, the checked batch and its packs at time zero."""
     from taichi_nmm import backend, simulator
     from taichi_nmm.walkers import check_batch
 
     settings = Settings(precision="float64", arch="cpu", physics_step_s=step_s)
-    gains, bodies, grounds, index = request
-    batch = check_batch(gains, bodies, grounds, index, None)
+    batch = check_batch(*request, None)
     backend.start(settings)
-    packs = simulator.start_packs(batch)
+    return settings, batch, simulator.start_packs(batch)
+
+
+def walker_rows(packs: Any) -> NDArray[np.float64]:
+    """Rows of every walker, [n, WALKER_ROWS]."""
+    return np.array(packs.rows.transpose(0, 2, 1).reshape(-1, packs.rows.shape[1])[:WALKERS])
+
+
+def compiled(request: Any, step_s: float) -> NDArray[np.float64]:
+    """Rows of every walker after 0.5 s, [n, WALKER_ROWS]."""
+    from taichi_nmm import simulator
+
+    settings, batch, packs = start(request, step_s)
     simulator.launcher(batch, settings)(packs, 0, TICKS)
-    return packs.rows.transpose(0, 2, 1).reshape(-1, packs.rows.shape[1])[:WALKERS].copy()
+    return walker_rows(packs)
 
 
 def interpreted(request: Any, step_s: float) -> NDArray[np.float64]:
     """The same by NumPy."""
-    from taichi_nmm import backend, simulator
     from taichi_nmm.batch import FIRST_DELAY, FIRST_EVENT, FIRST_FIBRE, FIRST_SUM
     from taichi_nmm.constants import constant_rows
     from taichi_nmm.muscle import ACTIVATION_TIME_S, muscle_table
     from taichi_nmm.reflexes import LOAD_FILTER_S
     from taichi_nmm.rows import Work
-    from taichi_nmm.walkers import check_batch
 
-    settings = Settings(precision="float64", arch="cpu", physics_step_s=step_s)
-    gains, bodies, grounds, index = request
-    batch = check_batch(gains, bodies, grounds, index, None)
-    backend.start(settings)
-    packs = simulator.start_packs(batch)
-    start = packs.rows.transpose(0, 2, 1).reshape(-1, packs.rows.shape[1])[:WALKERS]
-    blocks = np.split(
-        np.ascontiguousarray(start.T), [FIRST_FIBRE, FIRST_DELAY, FIRST_EVENT, FIRST_SUM]
-    )
+    settings, batch, packs = start(request, step_s)
+    firsts = [FIRST_FIBRE, FIRST_DELAY, FIRST_EVENT, FIRST_SUM]
+    blocks = np.split(np.ascontiguousarray(walker_rows(packs).T), firsts)
     const = constant_rows(batch.gains, batch.low_level, batch.bodies).T
-    heights = np.array([ground.height_m for ground in grounds])
+    heights = np.array([ground.height_m for ground in batch.terrains])
     work = np.zeros((Work.count, WALKERS))
     walker = interpreted_walker()
     with np.errstate(all="ignore"):
@@ -76,7 +79,8 @@ def interpreted(request: Any, step_s: float) -> NDArray[np.float64]:
             walker.step(
                 tick, settings.substeps, step_s, settings.contact_relaxation_speed_mps,
                 1.0 - np.exp(-step_s / ACTIVATION_TIME_S), 1.0 - np.exp(-step_s / LOAD_FILTER_S),
-                AllLanes(WALKERS), np.asarray(index), heights, muscle_table(), *blocks, const, work,
+                AllLanes(WALKERS), batch.terrain_index, heights, muscle_table(),
+                *blocks, const, work,
             )  # fmt: skip
     return np.vstack(blocks).T
 
