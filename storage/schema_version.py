@@ -1,0 +1,36 @@
+"""The schema of Optuna's database that `storage.bulk` knows how to write."""
+
+import sqlalchemy as sql
+from optuna.storages import RDBStorage
+
+from taichi_nmm.errors import InputError
+
+SCHEMA_VERSION = 12  # Optuna 3.0 to 5.0, with the column types of revision v3.2.0.a and later
+TABLES = (
+    "studies", "study_directions", "study_user_attributes", "study_system_attributes", "trials",
+    "trial_values", "trial_params", "trial_user_attributes", "trial_system_attributes",
+    "version_info",
+)  # fmt: skip
+
+
+def known_tables(storage: RDBStorage) -> dict[str, sql.Table]:
+    """The database's tables by name, as they are there.
+
+    Raises:
+        InputError: the schema is of another version of Optuna.
+    """
+    metadata = sql.MetaData()
+    metadata.reflect(storage.engine, only=lambda name, _: name in TABLES)
+    version = metadata.tables.get("version_info")
+    if version is None or len(metadata.tables) < len(TABLES):
+        raise _refusal("an unknown schema")
+    with storage.engine.connect() as connection:
+        found = connection.execute(sql.select(version.c.schema_version)).scalar()
+    if found != SCHEMA_VERSION:
+        raise _refusal(f"schema {found}")
+    return dict(metadata.tables)
+
+
+def _refusal(found: str) -> InputError:
+    allowed = f"a database with Optuna's schema {SCHEMA_VERSION} (Optuna 5.0 makes such)"
+    return InputError("storage", found, allowed)
