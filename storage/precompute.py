@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from storage.folder import StoreFolder
-from storage.schema import ROBUST_EVALUATED
+from storage.schema import evaluated_name
 from storage.scoring import score_shard
 from storage.specification import Specification
 from storage.store import open_store
@@ -30,7 +30,7 @@ class Summary:
         shards: in the store.
         alive_at_horizon: points that completed the base setting.
         alive_fraction: the same, over all points.
-        robust_evaluated: points run on the robust settings; None in a store without them.
+        evaluated: points run on the settings of each family, by its name.
         wall_s: of computing and writing, compilation included.
         walkers_per_s: points computed over `wall_s`.
         specification_hash: SHA-256 of what the store was to hold.
@@ -42,7 +42,7 @@ class Summary:
     shards: int
     alive_at_horizon: int
     alive_fraction: float
-    robust_evaluated: int | None
+    evaluated: dict[str, int]
     wall_s: float
     walkers_per_s: float
     specification_hash: str
@@ -90,9 +90,8 @@ def _fill(folder: StoreFolder, missing: list[int], done: int, progress: Progress
 def _summary(specification: Specification, path: Path, computed: int, wall_s: float) -> Summary:
     store = open_store(path)
     alive = np.count_nonzero(store.numpy(["end_reason"])["end_reason"] == END_REASONS[COMPLETED])
-    evaluated = None
-    if specification.robust is not None:
-        evaluated = int(store.numpy([ROBUST_EVALUATED])[ROBUST_EVALUATED].sum())
+    names = {family.name: evaluated_name(family.name) for family in specification.families}
+    run = store.numpy(names.values())
     return Summary(
         path=str(path),
         points=specification.samples,
@@ -100,7 +99,7 @@ def _summary(specification: Specification, path: Path, computed: int, wall_s: fl
         shards=specification.shard_count,
         alive_at_horizon=int(alive),
         alive_fraction=float(alive / specification.samples),
-        robust_evaluated=evaluated,
+        evaluated={family: int(run[name].sum()) for family, name in names.items()},
         wall_s=round(wall_s, 3),
         walkers_per_s=round(computed / wall_s, 1) if computed else 0.0,
         specification_hash=specification.hash,

@@ -1,6 +1,6 @@
 """The columns of a store: their names, their Arrow types, and a shard's table made of them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import pyarrow as pa
@@ -9,28 +9,40 @@ from numpy.typing import NDArray
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
 
-ROBUST_EVALUATED = "robust_evaluated"
 SCORE_UNITS = ("mps",)  # units that end the name of a score component
 
 _ARROW_TYPES = {"f8": pa.float64(), "i4": pa.int32()}
 
 
-def robust_names(component: str) -> tuple[str, str]:
-    """Columns of a component's mean and spread; a unit stays last (robust_m5_sum_mean_mps)."""
+def evaluated_name(family: str) -> str:
+    """Column that says whether a point was run on the settings of a family."""
+    return f"{family}_evaluated"
+
+
+def family_names(family: str, component: str) -> tuple[str, str]:
+    """Columns of a component's mean and spread over a family of settings.
+
+    A unit stays last: robust_m5_sum_mean_mps.
+    """
     stem, _, unit = component.rpartition("_")
     if unit not in SCORE_UNITS:
-        return f"robust_{component}_mean", f"robust_{component}_sd"
-    return f"robust_{stem}_mean_{unit}", f"robust_{stem}_sd_{unit}"
+        return f"{family}_{component}_mean", f"{family}_{component}_sd"
+    return f"{family}_{stem}_mean_{unit}", f"{family}_{stem}_sd_{unit}"
 
 
-def arrow_schema(robust: bool) -> pa.Schema:
-    """The schema of a shard, with the robust columns or without."""
-    fields = [("row", pa.int64()), *((name, pa.float64()) for name in GAIN_NAMES)]
+def arrow_schema(searched: Iterable[str] = (), families: Iterable[str] = ()) -> pa.Schema:
+    """The schema of a shard.
+
+    Args:
+        searched: names of the parameters searched besides the 16 gains.
+        families: names of the families of settings.
+    """
+    fields = [("row", pa.int64()), *((name, pa.float64()) for name in (*GAIN_NAMES, *searched))]
     fields += list(_result_fields())
-    if robust:
-        fields.append((ROBUST_EVALUATED, pa.bool_()))
+    for family in families:
+        fields.append((evaluated_name(family), pa.bool_()))
         for component, _ in SCORE_FIELDS:
-            fields += [(name, pa.float64()) for name in robust_names(component)]
+            fields += [(name, pa.float64()) for name in family_names(family, component)]
     return pa.schema([pa.field(name, kind, nullable=False) for name, kind in fields])
 
 
@@ -40,26 +52,29 @@ def columns_of(schema: pa.Schema) -> list[str]:
 
 
 def shard_table(
+    schema: pa.Schema,
     first_row: int,
-    gains: NDArray[np.float64],
+    names: Sequence[str],
+    points: NDArray[np.float64],
     rows: NDArray[np.void],
-    robust: dict[str, NDArray[np.generic]] | None,
+    families: dict[str, NDArray[np.generic]],
 ) -> pa.Table:
     """The table of one shard.
 
     Args:
+        schema: of the store.
         first_row: number of its first point in the whole store.
-        gains: [n, 16].
+        names: of the parameters, [16 + k].
+        points: [n, 16 + k].
         rows: `RESULT_DTYPE`, [n].
-        robust: the robust columns by name, [n] each; None where the store has none.
+        families: the columns of all families of settings by name, [n] each.
     """
-    columns = {"row": np.arange(first_row, first_row + len(gains))}
-    columns |= dict(zip(GAIN_NAMES, gains.T, strict=True))
+    columns = {"row": np.arange(first_row, first_row + len(points))}
+    columns |= dict(zip(names, points.T, strict=True))
     columns |= {name: rows[name] for name in RESULT_DTYPE.names or ()}
     columns["end_reason"] = np.array(END_REASONS)[rows["end_reason"]]
-    schema = arrow_schema(robust is not None)
     arrays = [
-        pa.array(np.ascontiguousarray((columns | (robust or {}))[field.name]), field.type)
+        pa.array(np.ascontiguousarray((columns | families)[field.name]), field.type)
         for field in schema
     ]
     return pa.Table.from_arrays(arrays, schema=schema)

@@ -2,20 +2,24 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from storage.schema import ROBUST_EVALUATED, robust_names, shard_table
+from storage.families import Family
+from storage.points import split_points
+from storage.schema import evaluated_name, family_names, shard_table
 from storage.sobol import sobol_gains
-from storage.specification import Robust, Specification
-from taichi_nmm.result import SCORE_FIELDS
-from taichi_nmm.settings import Settings
+from storage.specification import Specification
+from taichi_nmm.result import SCORE_FIELDS, Result
 
 Report = Callable[[float], None]
 """Called with the fraction of the shard that is done."""
+
+TYPICAL_ALIVE = 0.1  # of random points, at the age from which families run them
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,70 +32,101 @@ class ScoredShard:
 
 def score_shard(specification: Specification, number: int, report: Report) -> ScoredShard:
     """Simulate the points of shard `number`, which depends on no other shard."""
-    import taichi_nmm  # here, so that reading a store never loads the simulator
-
     first, count = specification.shard_range(number)
-    gains = sobol_gains(specification.seed, first, count)
-    robust = specification.robust
-    share = 1.0 if robust is None else 0.5  # of the progress; the two parts take about as long
-    flat = taichi_nmm.simulate(
-        gains,
+    parameters, families = specification.parameters, specification.families
+    points = sobol_gains(specification.seed, first, count, parameters)
+    parts = progress_parts(specification, report)
+    base = _simulate(
+        specification,
+        points,
+        parts[0],
         duration_s=specification.duration_s,
         bodies=specification.body,
         terrains=specification.terrain,
-        settings=specification.settings,
-        progress=lambda now_s, _: report(share * now_s / specification.duration_s),
     )
-    columns = None
-    if robust is not None:
-        alive = flat.rows["duration_s"] >= robust.min_survival_s
-        columns = score_robust(
-            gains,
-            alive,
-            robust,
-            specification.settings,
-            lambda done: report(share + (1.0 - share) * done),
-        )
-    return ScoredShard(shard_table(first, gains, flat.rows, columns), dict(flat.metadata))
+    columns: dict[str, NDArray[Any]] = {}
+    for family, part in zip(families, parts[1:], strict=True):
+        alive = base.rows["duration_s"] >= family.min_survival_s
+        columns |= score_family(specification, family, points, alive, part)
+        part(1.0)
+    names = [parameter.name for parameter in parameters]
+    table = shard_table(specification.schema, first, names, points, base.rows, columns)
+    return ScoredShard(table, dict(base.metadata))
 
 
-def score_robust(
-    gains: NDArray[np.float64],
+def score_family(
+    specification: Specification,
+    family: Family,
+    points: NDArray[np.float64],
     alive: NDArray[np.bool_],
-    robust: Robust,
-    settings: Settings,
     report: Report,
 ) -> dict[str, NDArray[Any]]:
-    """Mean and spread over the robust settings of every score component.
+    """Mean and spread of every score component over the settings of a family.
 
     Args:
-        gains: [n, 16].
+        specification: the store that the family belongs to.
+        family: one of its families.
+        points: [n, 16 + k].
         alive: the points to run, [n]; the others get zeros.
+        report: called with the fraction of this family that is done.
 
     Returns:
         Columns by name, [n] each.
     """
-    import taichi_nmm
-
-    columns: dict[str, NDArray[Any]] = {ROBUST_EVALUATED: alive}
-    names = [robust_names(component) for component, _ in SCORE_FIELDS]
-    columns |= {name: np.zeros(len(gains)) for pair in names for name in pair}
-    points, count = np.flatnonzero(alive), len(robust.terrains)
-    if not len(points):
+    columns: dict[str, NDArray[Any]] = {evaluated_name(family.name): alive}
+    names = [family_names(family.name, component) for component, _ in SCORE_FIELDS]
+    columns |= {name: np.zeros(len(points)) for pair in names for name in pair}
+    chosen, count = np.flatnonzero(alive), len(family.terrains)
+    if not len(chosen):
         return columns
-    setting = np.tile(np.arange(count), len(points))
-    result = taichi_nmm.simulate(
-        np.repeat(gains[points], count, axis=0),
-        duration_s=robust.horizon_s,
-        bodies=robust.bodies.take(setting),
-        terrains=robust.terrains,
+    setting = np.tile(np.arange(count), len(chosen))
+    result = _simulate(
+        specification,
+        np.repeat(points[chosen], count, axis=0),
+        report,
+        duration_s=family.horizon_s,
+        bodies=family.bodies.take(setting),
+        terrains=family.terrains,
         terrain_index=setting,
-        settings=settings,
-        progress=lambda now_s, _: report(now_s / robust.horizon_s),
     )
-    rows = result.rows.reshape(len(points), count)
+    rows = result.rows.reshape(len(chosen), count)
     for (component, _), (mean, spread) in zip(SCORE_FIELDS, names, strict=True):
         values = rows[component].astype(np.float64)
-        columns[mean][points] = values.mean(axis=1)
-        columns[spread][points] = values.std(axis=1)
+        columns[mean][chosen] = values.mean(axis=1)
+        columns[spread][chosen] = values.std(axis=1)
     return columns
+
+
+def progress_parts(specification: Specification, report: Report) -> list[Report]:
+    """`report` cut into one for the base setting and one a family, in proportion to their work."""
+    work = [specification.duration_s]
+    work += [TYPICAL_ALIVE * family.walk_s for family in specification.families]
+    ends = np.cumsum([0.0, *work]) / sum(work)
+    ends[-1] = 1.0
+
+    def part(start: float, end: float) -> Report:
+        return lambda done: report(start + (end - start) * min(done, 1.0))
+
+    return [part(float(start), float(end)) for start, end in pairwise(ends)]
+
+
+def _simulate(
+    specification: Specification,
+    points: NDArray[np.float64],
+    report: Report,
+    duration_s: float,
+    **options: Any,
+) -> Result:
+    """Walk the points; low-level gains that are not searched are the simulator's own."""
+    import taichi_nmm  # here, so that reading a store never loads the simulator
+
+    gains, low_level = split_points(points, specification.searched)
+    if specification.searched:
+        options["low_level_gains"] = low_level
+    return taichi_nmm.simulate(
+        gains,
+        duration_s=duration_s,
+        settings=specification.settings,
+        progress=lambda now_s, _: report(now_s / duration_s),
+        **options,
+    )

@@ -3,47 +3,35 @@
 Architecture and threads are not part of it, so a store begun on one machine is finished on another.
 """
 
-import copy
-import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+import pyarrow as pa
 
+from storage.digests import body_document, terrain_document
 from storage.document import FORMAT, document_hash
+from storage.families import (
+    LONGEST_DURATION_S,
+    ROBUST,
+    SHORTEST_DURATION_S,
+    Family,
+    read_bodies,
+    read_families,
+)
+from storage.points import searched_parameters
 from storage.schema import arrow_schema, columns_of
-from storage.seeds import BODY, ROBUST_BODY, ROBUST_TERRAIN, TERRAIN, seed_sequence
+from storage.seeds import BODY, TERRAIN, seed_sequence
 from storage.sobol import LARGEST_SEQUENCE
 from taichi_nmm import __version__
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table, read_settings, read_terrain
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
+from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
 
 SHARD_ROWS = 4096  # seconds of work on two cores, and a few MB
-SHORTEST_DURATION_S, LONGEST_DURATION_S = 0.1, 1000.0
-LARGEST_DISTURBANCE = 0.9
-LARGEST_SETTING_COUNT = 64
-DIGEST_DECIMALS = 9  # nanometres: below what another machine's last bit can change
-
-
-@dataclass(frozen=True, eq=False)
-class Robust:
-    """Disturbed settings that every point alive at `min_survival_s` is run on, for `horizon_s`.
-
-    Setting k is body k on terrain k; all points share the settings.
-    """
-
-    min_survival_s: float
-    horizon_s: float
-    seed: int
-    disturbance: float
-    bodies: Bodies
-    terrains: tuple[Terrain, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +47,8 @@ class Specification:
         disturbance: largest relative disturbance that `body` was drawn with.
         body: one body.
         terrain: one ground.
-        robust: further settings for the points that survive, or None.
+        families: further settings for the points that survive.
+        searched: low-level gains that are part of the points, after the 16 gains.
     """
 
     samples: int
@@ -70,7 +59,19 @@ class Specification:
     disturbance: float
     body: Bodies
     terrain: Terrain
-    robust: Robust | None
+    families: tuple[Family, ...] = ()
+    searched: tuple[Parameter, ...] = ()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What a point consists of, [16 + k]."""
+        return (*GAINS, *self.searched)
+
+    @property
+    def schema(self) -> pa.Schema:
+        """The columns of every shard."""
+        searched = [parameter.name for parameter in self.searched]
+        return arrow_schema(searched, [family.name for family in self.families])
 
     @property
     def shard_count(self) -> int:
@@ -92,25 +93,36 @@ class Specification:
             "shard_rows": self.shard_rows,
             "seed": self.seed,
             "gains": {
-                gain.name: {"low": float(gain.low), "high": float(gain.high)} for gain in GAINS
+                gain.name: {"low": float(gain.low), "high": float(gain.high)}
+                for gain in self.parameters
             },
-            "low_level_gains": {gain.name: float(gain.default) for gain in LOW_LEVEL_GAINS},
+            "low_level_gains": {
+                gain.name: float(gain.default)
+                for gain in LOW_LEVEL_GAINS
+                if gain not in self.searched
+            },
             "simulation": {
                 "duration_s": self.duration_s,
                 "physics_step_s": self.settings.physics_step_s,
                 "contact_relaxation_speed_mps": self.settings.contact_relaxation_speed_mps,
                 "precision": self.settings.precision,
             },
-            "terrain": _terrain_document((self.terrain,)),
-            "body": _body_document(self.disturbance, self.body),
-            "robust": None if self.robust is None else _robust_document(self.robust),
-            "columns": columns_of(arrow_schema(self.robust is not None)),
+            "terrain": terrain_document((self.terrain,)),
+            "body": body_document(self.disturbance, self.body),
+            **self._family_documents(),
+            "columns": columns_of(self.schema),
         }
 
     @cached_property
     def hash(self) -> str:
         """SHA-256 of the document."""
         return document_hash(self.document)
+
+    def _family_documents(self) -> dict[str, Any]:
+        """The key "families" is newer than many stores, so it appears only where it is needed."""
+        documents = {family.name: family.document for family in self.families}
+        robust = documents.pop(ROBUST, None)
+        return {"robust": robust} | ({"families": documents} if documents else {})
 
 
 def read_specification(
@@ -129,8 +141,9 @@ def read_specification(
     settings = read_settings(simulation, arch)
     simulation.done()
     terrain = read_terrain(table.table("terrain"), seed_sequence(seed, TERRAIN))
-    disturbance, body = _read_bodies(table.table("body"), seed, BODY, 1)
-    robust = _read_robust(table.table("robust"), duration_s)
+    disturbance, body = read_bodies(table.table("body"), seed, BODY, 1)
+    families = read_families(table, duration_s)
+    searched = searched_parameters(_names(table, "searched"))
     table.done()
     return Specification(
         samples=_checked_samples(configured if samples is None else samples),
@@ -141,7 +154,8 @@ def read_specification(
         disturbance=disturbance,
         body=body,
         terrain=terrain,
-        robust=robust,
+        families=families,
+        searched=searched,
     )
 
 
@@ -151,59 +165,9 @@ def _checked_samples(samples: int) -> int:
     return samples
 
 
-def _read_robust(table: Table, duration_s: float) -> Robust | None:
-    """The table [robust]; without `settings` (or with 0) there is no robust score."""
-    count = table.integer("settings", 0, 0, LARGEST_SETTING_COUNT)
-    if count == 0:
-        table.done()
-        return None
-    seed = table.integer("seed", 0)
-    disturbance, bodies = _read_bodies(table.table("body"), seed, ROBUST_BODY, count)
-    terrain = table.table("terrain")
-    robust = Robust(
-        min_survival_s=table.number("min_survival_s", 3.0, 0.0, duration_s),
-        horizon_s=table.number("horizon_s", 8.0, SHORTEST_DURATION_S, LONGEST_DURATION_S),
-        seed=seed,
-        disturbance=disturbance,
-        bodies=bodies,
-        terrains=tuple(
-            read_terrain(copy.deepcopy(terrain), seed_sequence(seed, ROBUST_TERRAIN, index))
-            for index in range(count)
-        ),
-    )
-    table.done()
-    return robust
-
-
-def _read_bodies(table: Table, seed: int, purpose: int, count: int) -> tuple[float, Bodies]:
-    """The table [body]: the largest disturbance, and `count` bodies drawn with it."""
-    disturbance = table.number("disturbance", 0.0, 0.0, LARGEST_DISTURBANCE)
-    table.done()
-    seeds = [seed_sequence(seed, purpose, index) for index in range(count)]
-    return disturbance, Bodies.disturbed(seeds, disturbance)
-
-
-def _robust_document(robust: Robust) -> dict[str, Any]:
-    return {
-        "settings": len(robust.bodies),
-        "min_survival_s": robust.min_survival_s,
-        "horizon_s": robust.horizon_s,
-        "seed": robust.seed,
-        "terrain": _terrain_document(robust.terrains),
-        "body": _body_document(robust.disturbance, robust.bodies),
-    }
-
-
-def _terrain_document(terrains: tuple[Terrain, ...]) -> dict[str, str]:
-    heights = np.array([terrain.height_m for terrain in terrains])
-    return {"name": terrains[0].name, "sha256": _digest(heights)}
-
-
-def _body_document(disturbance: float, bodies: Bodies) -> dict[str, Any]:
-    numbers = np.stack([bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m])
-    return {"disturbance": disturbance, "sha256": _digest(numbers)}
-
-
-def _digest(values: NDArray[np.float64]) -> str:
-    """SHA-256 of an array's numbers, rounded; adding zero turns -0.0 into 0.0."""
-    return hashlib.sha256((np.round(values, DIGEST_DECIMALS) + 0.0).tobytes()).hexdigest()
+def _names(table: Table, key: str) -> list[str]:
+    """An array of strings; empty where it is missing."""
+    value = table._take(key, [])
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise InputError(table.path(key), value, "an array of strings")
+    return value

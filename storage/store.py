@@ -14,7 +14,7 @@ from storage.manifest import Manifest
 from storage.schema import columns_of
 from storage.shard import file_hash, read_columns, read_footer, write_table
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, GAINS
+from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
 
 if TYPE_CHECKING:
     import pandas
@@ -68,15 +68,27 @@ class Store:
             raise InputError("pandas", "missing", allowed) from None
         return self.table(columns).to_pandas()
 
+    @property
+    def gain_names(self) -> tuple[str, ...]:
+        """The searched parameters, [16 + k]: the 16 gains, and the low-level gains among them."""
+        return tuple(self.specification["gains"])
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Names of the families of settings: "robust" first."""
+        robust = () if self.specification.get("robust") is None else ("robust",)
+        return (*robust, *self.specification.get("families", {}))
+
     def gains(self) -> NDArray[np.float64]:
-        """The points, [n, 16]."""
-        table = self.table(GAIN_NAMES)
-        return np.column_stack([table[name].to_numpy() for name in GAIN_NAMES])
+        """The points, [n, 16 + k], in the order of `gain_names`."""
+        table = self.table(self.gain_names)
+        return np.column_stack([table[name].to_numpy() for name in self.gain_names])
 
     def require_bounds(self) -> None:
-        """Refuse a store whose points were drawn from other bounds than those of `GAINS`."""
+        """Refuse a store whose points were drawn from other bounds than those of this version."""
         stored = self.specification["gains"]
-        current = {gain.name: {"low": gain.low, "high": gain.high} for gain in GAINS}
+        searched = [gain for gain in LOW_LEVEL_GAINS if gain.name in stored]
+        current = {gain.name: {"low": gain.low, "high": gain.high} for gain in (*GAINS, *searched)}
         for name in dict.fromkeys([*current, *stored]):
             if stored.get(name) != current.get(name):
                 allowed = f"{current.get(name)}, the bounds of this version; compute a new store"

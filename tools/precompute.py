@@ -77,11 +77,13 @@ def text(summary: Summary) -> str:
         f" ({summary.points_computed} computed now)",
         f"alive       {summary.alive_at_horizon} at the horizon"
         f" ({100 * summary.alive_fraction:.2f} %)",
+        *(
+            f"{name:<11} {count} points on its disturbed settings"
+            for name, count in summary.evaluated.items()
+        ),
         f"speed       {summary.walkers_per_s:.0f} walkers/s over {summary.wall_s:.1f} s",
         f"store       {summary.path}",
     ]
-    if summary.robust_evaluated is not None:
-        lines.insert(2, f"robust      {summary.robust_evaluated} points on the disturbed settings")
     return "\n".join(lines)
 
 

@@ -28,6 +28,8 @@ def simulate(gains: Any, **options: Any) -> Result:
     slopes = [terrain.height_m.std() for terrain in np.atleast_1d(np.array(terrains, dtype=object))]
     mass = bodies.mass_kg.sum(axis=1) / 80.0
     fitness = unit * mass - 0.001 * np.array(slopes)[index]
+    if "low_level_gains" in options:
+        fitness = fitness + 0.1 * options["low_level_gains"][:, -1]  # theta_ref
     rows = np.zeros(len(gains), RESULT_DTYPE)
     for number, name in enumerate(RESULT_DTYPE.names or ()):
         rows[name] = 10.0 * np.sin(number + 7.0 * fitness) ** 2
@@ -49,19 +51,24 @@ def flip_a_bit(file: Path) -> None:
 
 
 def configuration(**changes: Any) -> dict[str, Any]:
-    """A small store's configuration; `robust=True` adds six settings."""
+    """A small store's configuration; `robust=True` adds six settings on rough ground."""
     robust = changes.pop("robust", False)
     data: dict[str, Any] = {"samples": 50, "shard_rows": 8, "seed": 7} | changes
     if robust:
-        data["robust"] = {
-            "settings": 6,
-            "min_survival_s": 3.0,
-            "horizon_s": 8.0,
-            "seed": 8,
-            "terrain": {"kind": "rough", "amplitude_m": 0.08},
-            "body": {"disturbance": 0.15},
-        }
+        data["robust"] = family(kind="rough", amplitude_m=0.08)
     return data
+
+
+def family(settings: int = 6, seed: int = 8, **terrain: Any) -> dict[str, Any]:
+    """The table of a family of settings."""
+    return {
+        "settings": settings,
+        "min_survival_s": 3.0,
+        "horizon_s": 8.0,
+        "seed": seed,
+        "terrain": terrain,
+        "body": {"disturbance": 0.15},
+    }
 
 
 def specification(**changes: Any) -> Specification:

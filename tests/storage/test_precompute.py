@@ -50,7 +50,7 @@ def test_summary_counts(tmp_path: Path) -> None:
     assert first.points == first.points_computed == len(rows) == 50
     assert first.alive_at_horizon == rows["end_reason"].to_pylist().count("completed")
     assert first.alive_fraction == first.alive_at_horizon / 50
-    assert first.robust_evaluated == sum(rows["robust_evaluated"].to_pylist())
+    assert first.evaluated == {"robust": sum(rows["robust_evaluated"].to_pylist())}
     again = fill(tmp_path / "store", robust=True)
     assert (again.points_computed, again.walkers_per_s) == (0, 0.0)
     assert again.alive_at_horizon == first.alive_at_horizon

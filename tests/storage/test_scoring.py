@@ -1,6 +1,6 @@
 import numpy as np
 
-from storage.schema import columns_of, robust_names
+from storage.schema import columns_of, family_names
 from storage.scoring import score_shard
 from storage.sobol import sobol_gains
 from taichi_nmm.parameters import GAIN_NAMES
@@ -13,8 +13,8 @@ def report(_: float) -> None:
 
 
 def test_names_of_robust_columns_end_with_the_unit() -> None:
-    assert robust_names("m5_sum_mps") == ("robust_m5_sum_mean_mps", "robust_m5_sum_sd_mps")
-    assert robust_names("phi_printed") == ("robust_phi_printed_mean", "robust_phi_printed_sd")
+    assert family_names("robust", "m5_sum_mps") == ("robust_m5_sum_mean_mps", "robust_m5_sum_sd_mps")
+    assert family_names("robust", "phi_printed") == ("robust_phi_printed_mean", "robust_phi_printed_sd")
 
 
 def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
@@ -32,8 +32,7 @@ def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
 
 def test_robust_columns_are_mean_and_spread_over_the_settings() -> None:
     specification = fake.specification(robust=True)
-    robust = specification.robust
-    assert robust is not None
+    (robust,) = specification.families
     table = score_shard(specification, 0, report).table
     evaluated = table["robust_evaluated"].to_numpy()
     assert 0 < evaluated.sum() < len(evaluated)
@@ -51,7 +50,7 @@ def test_robust_columns_are_mean_and_spread_over_the_settings() -> None:
     ]
     for component, _ in SCORE_FIELDS:
         values = np.array([run[component] for run in runs], dtype=float)
-        mean, spread = (table[name][point].as_py() for name in robust_names(component))
+        mean, spread = (table[name][point].as_py() for name in family_names("robust", component))
         np.testing.assert_allclose([mean, spread], [values.mean(), values.std()], rtol=1e-12)
 
 
@@ -59,13 +58,13 @@ def test_points_that_were_not_evaluated_hold_zero() -> None:
     table = score_shard(fake.specification(robust=True), 0, report).table
     skipped = ~table["robust_evaluated"].to_numpy()
     for component, _ in SCORE_FIELDS:
-        for name in robust_names(component):
+        for name in family_names("robust", component):
             assert not table[name].to_numpy()[skipped].any()
 
 
 def test_a_shard_without_survivors_needs_no_robust_run() -> None:
     specification = fake.specification(robust=True, samples=8, simulation={"duration_s": 60.0})
-    object.__setattr__(specification.robust, "min_survival_s", 60.0)
+    object.__setattr__(specification.families[0], "min_survival_s", 60.0)
     table = score_shard(specification, 0, report).table
     assert not table["robust_evaluated"].to_numpy().any()
 

@@ -24,17 +24,15 @@ def test_shards_cover_the_samples_once() -> None:
 
 def test_shipped_configs_are_valid() -> None:
     flat = read_specification(read_toml(CONFIGS / "store.toml"))
-    assert (flat.duration_s, flat.robust, flat.terrain.name) == (5.0, None, "flat")
-    robust = read_specification(read_toml(CONFIGS / "store-robust.toml")).robust
-    assert robust is not None
+    assert (flat.duration_s, flat.families, flat.terrain.name) == (5.0, (), "flat")
+    (robust,) = read_specification(read_toml(CONFIGS / "store-robust.toml")).families
     assert len(robust.bodies) == len(robust.terrains) == 6
     assert (robust.min_survival_s, robust.horizon_s, robust.disturbance) == (3.0, 8.0, 0.15)
 
 
 def test_robust_settings_differ_from_each_other_and_come_from_the_seed() -> None:
-    robust = specification(robust=True).robust
-    again = specification(robust=True).robust
-    assert robust is not None and again is not None
+    (robust,) = specification(robust=True).families
+    (again,) = specification(robust=True).families
     assert len(np.unique(robust.bodies.mass_kg[:, 0])) == 6
     assert len({terrain.height_m.tobytes() for terrain in robust.terrains}) == 6
     assert np.array_equal(robust.bodies.com_m, again.bodies.com_m)

@@ -124,7 +124,7 @@ def test_text_says_what_was_done_and_where(
     code, out, progress = command("--config", config)
     assert code == 0
     assert "96 in 12 shards (96 computed now)" in out
-    assert "points on the disturbed settings" in out
+    assert "points on its disturbed settings" in out
     assert str(Path("out", "store")) in out  # named after the configuration
     assert "walker/s" in progress and "96/96" in progress
     assert (tmp_path / "out" / "store" / "manifest.json").is_file()

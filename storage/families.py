@@ -1,0 +1,125 @@
+"""Families of settings: disturbed bodies on other grounds that the surviving points also walk."""
+
+import copy
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from storage.digests import body_document, terrain_document
+from storage.schema import arrow_schema
+from storage.seeds import ROBUST_BODY, ROBUST_TERRAIN, seed_sequence
+from taichi_nmm.body import Bodies
+from taichi_nmm.config import Table, read_terrain
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import LOW_LEVEL_NAMES
+from taichi_nmm.terrain import Terrain
+
+ROBUST = "robust"  # the family that has a table of its own
+NAME_PATTERN = r"[a-z][a-z0-9_]*"
+LARGEST_SETTING_COUNT = 64
+LARGEST_DISTURBANCE = 0.9
+SHORTEST_DURATION_S, LONGEST_DURATION_S = 0.1, 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """Settings that every point alive at `min_survival_s` is run on, for `horizon_s`.
+
+    Setting k is body k on terrain k; all points share the settings.
+
+    Attributes:
+        name: what its columns begin with.
+        min_survival_s: how long a point must live on the base setting.
+        horizon_s: of every setting.
+        seed: of the bodies, and of the terrains where they are drawn.
+        disturbance: largest relative disturbance that `bodies` were drawn with.
+        bodies: one a setting.
+        terrains: one a setting.
+    """
+
+    name: str
+    min_survival_s: float
+    horizon_s: float
+    seed: int
+    disturbance: float
+    bodies: Bodies
+    terrains: tuple[Terrain, ...]
+
+    @property
+    def walk_s(self) -> float:
+        """Seconds that a point walks on all settings, if it never falls."""
+        return len(self.terrains) * self.horizon_s
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """All of it but the name as JSON values."""
+        return {
+            "settings": len(self.bodies),
+            "min_survival_s": self.min_survival_s,
+            "horizon_s": self.horizon_s,
+            "seed": self.seed,
+            "terrain": terrain_document(self.terrains),
+            "body": body_document(self.disturbance, self.bodies),
+        }
+
+
+def read_families(table: Table, duration_s: float) -> tuple[Family, ...]:
+    """The tables [robust] and [families.<name>] of a store: robust first, the others by name.
+
+    Args:
+        table: the store's top table.
+        duration_s: horizon of the base setting.
+
+    Raises:
+        InputError: a name that cannot begin columns, or a setting out of range.
+    """
+    robust = table.table(ROBUST)
+    count = robust.integer("settings", 0, 0, LARGEST_SETTING_COUNT)
+    families = [_read_family(ROBUST, robust, count, duration_s)] if count else []
+    robust.done()
+    others = table.table("families")
+    for name in sorted(others._data):
+        _check_name(name)
+        family = others.table(name)
+        count = family.integer("settings", low=1, high=LARGEST_SETTING_COUNT)
+        families.append(_read_family(name, family, count, duration_s))
+        family.done()
+    return tuple(families)
+
+
+def _check_name(name: str) -> None:
+    """Refuse a name whose columns could be taken for others."""
+    allowed = "lower-case letters, digits and '_', first a letter"
+    if not re.fullmatch(NAME_PATTERN, name):
+        raise InputError("families", name, allowed)
+    if name == ROBUST:
+        raise InputError("families", name, "another name; this family is the table [robust]")
+    for column in (*arrow_schema().names, *LOW_LEVEL_NAMES):
+        if f"{column}_".startswith(f"{name}_"):
+            raise InputError("families", name, f"a name that does not begin a column's ({column})")
+
+
+def _read_family(name: str, table: Table, count: int, duration_s: float) -> Family:
+    seed = table.integer("seed", 0)
+    disturbance, bodies = read_bodies(table.table("body"), seed, ROBUST_BODY, count)
+    terrain = table.table("terrain")
+    return Family(
+        name=name,
+        min_survival_s=table.number("min_survival_s", 3.0, 0.0, duration_s),
+        horizon_s=table.number("horizon_s", 8.0, SHORTEST_DURATION_S, LONGEST_DURATION_S),
+        seed=seed,
+        disturbance=disturbance,
+        bodies=bodies,
+        terrains=tuple(
+            read_terrain(copy.deepcopy(terrain), seed_sequence(seed, ROBUST_TERRAIN, index))
+            for index in range(count)
+        ),
+    )
+
+
+def read_bodies(table: Table, seed: int, purpose: int, count: int) -> tuple[float, Bodies]:
+    """The table [body]: the largest disturbance, and `count` bodies drawn with it."""
+    disturbance = table.number("disturbance", 0.0, 0.0, LARGEST_DISTURBANCE)
+    table.done()
+    seeds = [seed_sequence(seed, purpose, index) for index in range(count)]
+    return disturbance, Bodies.disturbed(seeds, disturbance)
