@@ -2,6 +2,7 @@
 
 import os
 import sqlite3
+import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -31,8 +32,26 @@ def test_sqlite_writes_ahead_and_waits_less(tmp_path: Path) -> None:
     "url", ["studies.db", "postgresql://host/db", "sqlite:///", "sqlite://", "sqlite:///a?mode=ro"]
 )
 def test_other_urls_are_refused(url: str) -> None:
-    with pytest.raises(InputError, match="sqlite:///FILE"):
+    with pytest.raises(InputError, match=r"sqlite:///FILE or postgresql\+psycopg://"):
         open_studies(url)
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["mysql://me:secret@host/db", "postgresql://me:secret@host/db",
+     "postgresql+psycopg://me:secret@host", "postgresql+psycopg://me:secret@host:port/db"],
+)  # fmt: skip
+def test_a_refused_url_does_not_show_its_password(url: str) -> None:
+    with pytest.raises(InputError, match="storage: ") as caught:
+        open_studies(url)
+    assert "secret" not in str(caught.value)
+
+
+def test_a_missing_driver_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "psycopg", None)
+    with pytest.raises(InputError, match=r"pip install 'taichi-nmm\[postgres\]'") as caught:
+        open_studies("postgresql+psycopg://me:secret@host/db")
+    assert "secret" not in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_folder_is_refused(tmp_path: Path) -> None:

@@ -1,0 +1,104 @@
+"""Study databases on a PostgreSQL server, which many machines share."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import sqlalchemy as sql
+from optuna.storages import RDBStorage
+from sqlalchemy.exc import NoSuchModuleError, SQLAlchemyError
+
+from taichi_nmm.errors import InputError
+
+URL_PREFIX = "postgresql+psycopg://"
+URL_FORM = f"{URL_PREFIX}USER:PASSWORD@HOST:PORT/DATABASE"
+CONNECT_TIMEOUT_S = 10
+OPTUNA_TABLE = "studies"
+# A server that was restarted between two checkpoints is noticed by the first, cheap question.
+ENGINE_OPTIONS: dict[str, Any] = {
+    "connect_args": {"connect_timeout": CONNECT_TIMEOUT_S},
+    "pool_pre_ping": True,
+}
+
+
+def is_postgresql(url: str) -> bool:
+    """Whether the URL names a PostgreSQL database."""
+    return url.startswith(URL_PREFIX)
+
+
+def without_password(url: str) -> str:
+    """The URL as it may be shown.
+
+    Raises:
+        InputError: not a URL of a PostgreSQL database.
+    """
+    try:
+        parts = sql.make_url(url)
+    except (SQLAlchemyError, ValueError):
+        parts = None
+    if parts is None or not parts.database:
+        # What cannot be read may hold a password anywhere.
+        raise InputError("storage", f"{URL_PREFIX}...", URL_FORM)
+    return parts.render_as_string(hide_password=True)
+
+
+def open_database(url: str) -> RDBStorage:
+    """The study database of this URL; its tables are made where the database is empty.
+
+    Raises:
+        InputError: no driver, no server, no such database, somebody else's, or an Optuna schema of
+            another version.
+    """
+    shown = without_password(url)
+    _claim(url, shown)
+    try:
+        return RDBStorage(url, engine_kwargs=dict(ENGINE_OPTIONS))
+    except (SQLAlchemyError, RuntimeError) as error:
+        raise unusable(shown, error) from None
+
+
+def _claim(url: str, shown: str) -> None:
+    """See that a server answers, and that its database is Optuna's or empty."""
+    engine = _engine(url, shown)
+    try:
+        tables = sql.inspect(engine).get_table_names()
+    except SQLAlchemyError as error:
+        raise unusable(shown, error) from None
+    finally:
+        engine.dispose()
+    if tables and OPTUNA_TABLE not in tables:
+        raise InputError("storage", shown, "an Optuna database, or an empty one")
+
+
+@contextmanager
+def locked(url: str, study_name: str) -> Iterator[bool]:
+    """Hold an advisory lock of the server on a study's name; yields whether it was free.
+
+    The server gives the lock back when the connection ends, however this process ends.
+    """
+    shown = without_password(url)
+    engine = _engine(url, shown)
+    try:
+        question = "SELECT pg_try_advisory_lock(hashtextextended(:name, 0))"
+        with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+            free = connection.execute(sql.text(question), {"name": study_name}).scalar()
+            yield bool(free)
+    except SQLAlchemyError as error:
+        raise unusable(shown, error) from None
+    finally:
+        engine.dispose()  # closes the connection, and so gives the lock back
+
+
+def unusable(shown: str, error: Exception) -> InputError:
+    """What a database said about itself, in one line for its user."""
+    cause = error.__cause__ or error
+    reason = str(getattr(cause, "orig", cause)).strip().splitlines()[0]
+    return InputError("storage", shown, f"a study database that can be written ({reason})")
+
+
+def _engine(url: str, shown: str) -> sql.Engine:
+    try:
+        return sql.create_engine(url, **ENGINE_OPTIONS)
+    except (ImportError, NoSuchModuleError):
+        allowed = "an environment with its driver: pip install 'taichi-nmm[postgres]'"
+        raise InputError("storage", shown, allowed) from None

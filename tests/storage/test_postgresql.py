@@ -1,0 +1,213 @@
+"""Study databases on a real PostgreSQL server, which the tests start themselves."""
+
+import getpass
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+
+import optuna
+import pytest
+import sqlalchemy as sql
+
+from storage.bulk import FinishedStudy, attach, trial_counts, write_studies
+from storage.studies import only_run, open_studies, storage_errors
+from taichi_nmm.errors import InputError
+from tests.storage.test_bulk import STUDY, TRIALS
+
+START_TIMEOUT_S = 30.0
+UNPRIVILEGED = "nobody"  # PostgreSQL refuses to run as root
+
+
+def find_programs() -> Path | None:
+    """Folder of initdb and postgres: Debian keeps them out of the PATH."""
+    debian = sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
+    on_path = shutil.which("initdb")
+    folders = [*([Path(on_path).parent] if on_path else []), *debian]
+    return next((folder for folder in folders if (folder / "postgres").exists()), None)
+
+
+class Server:
+    """A server that listens on a socket file in a folder of its own."""
+
+    def __init__(self, folder: Path, programs: Path) -> None:
+        self.folder, self._programs = folder, programs
+        self._user = UNPRIVILEGED if os.geteuid() == 0 else None
+        if self._user:
+            shutil.chown(folder, self._user)
+        self.owner = self._user or getpass.getuser()
+        self._numbers = count()
+        subprocess.run(
+            [programs / "initdb", "-D", folder / "data", "-A", "trust", "--no-sync"],
+            user=self._user, cwd=folder, check=True, capture_output=True,
+        )  # fmt: skip
+        self.start()
+
+    def start(self) -> None:
+        options = ["-k", str(self.folder), "-c", "listen_addresses=", "-c", "fsync=off"]
+        self._process = subprocess.Popen(
+            [self._programs / "postgres", "-D", self.folder / "data", *options],
+            user=self._user, cwd=self.folder, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while not self._answers():
+            assert time.monotonic() < deadline, "the server did not start"
+            time.sleep(0.05)
+
+    def stop(self) -> None:
+        self._process.send_signal(signal.SIGINT)  # fast: sends its clients away
+        self._process.wait(START_TIMEOUT_S)
+
+    def url(self, database: str) -> str:
+        return f"postgresql+psycopg://{self.owner}:secret@/{database}?host={self.folder}"
+
+    def new_database(self) -> str:
+        name = f"studies{next(self._numbers)}"
+        with self._engine().connect() as connection:
+            connection.execution_options(isolation_level="AUTOCOMMIT")
+            connection.execute(sql.text(f"CREATE DATABASE {name}"))
+        return self.url(name)
+
+    def _engine(self) -> sql.Engine:
+        return sql.create_engine(self.url("postgres"), poolclass=sql.NullPool)
+
+    def _answers(self) -> bool:
+        assert self._process.poll() is None, "the server did not start"
+        try:
+            self._engine().connect().close()
+        except sql.exc.OperationalError:
+            return False
+        return True
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    pytest.importorskip("psycopg", reason="no psycopg: pip install 'taichi-nmm[postgres]'")
+    programs = find_programs()
+    if programs is None:
+        pytest.skip("no PostgreSQL server here: apt-get install postgresql")
+    # Not pytest's folder: other users may not enter it, and a socket's path has 107 characters.
+    folder = Path(tempfile.mkdtemp(prefix="nmm-pg-"))
+    try:
+        server = Server(folder, programs)
+        yield server
+        server.stop()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture
+def url(server: Server) -> str:
+    return server.new_database()
+
+
+def load(storage: optuna.storages.RDBStorage, name: str) -> optuna.Study:
+    return optuna.load_study(study_name=name, storage=storage)
+
+
+def test_trials_in_bulk_equal_optunas_own(url: str) -> None:
+    storage = open_studies(url)
+    theirs = optuna.create_study(storage=storage, study_name="theirs")
+    for trial in TRIALS:
+        theirs.add_trial(trial)
+    assert write_studies(storage, [STUDY]) == len(TRIALS)
+    assert write_studies(storage, [STUDY]) == 0
+    for mine, other in zip(load(storage, STUDY.name).trials, theirs.trials, strict=True):
+        other._trial_id = mine._trial_id
+        assert mine == other
+
+
+def test_studies_and_trials_go_on_in_optunas_way(url: str) -> None:
+    """The server's sequences of keys have moved on with the rows."""
+    storage = open_studies(url)
+    write_studies(storage, [STUDY])
+    study = load(open_studies(url), STUDY.name)
+    study.optimize(lambda trial: trial.suggest_float("gain", 0.1, 8.0), n_trials=2)
+    study.set_user_attr("seen", True)
+    other = optuna.create_study(storage=storage, study_name="other")
+    other.tell(other.ask({"gain": TRIALS[0].distributions["gain"]}), 1.0)
+    assert write_studies(storage, [replace(STUDY, trials=TRIALS[:1], first=7)]) == 1
+    assert trial_counts(storage) == {STUDY.name: 8, "other": 1}
+    assert [trial.number for trial in load(storage, STUDY.name).trials] == list(range(8))
+
+
+def test_finished_trials_get_attributes(url: str) -> None:
+    storage = open_studies(url)
+    write_studies(storage, [STUDY])
+    assert attach(storage, [(STUDY.name, 3, "artifacts:1", "{}")]) == 1
+    assert attach(storage, [(STUDY.name, 3, "artifacts:1", "{}")]) == 0
+    assert load(storage, STUDY.name).trials[3].system_attrs["artifacts:1"] == "{}"
+
+
+def test_a_failure_leaves_nothing_half_written(url: str) -> None:
+    storage = open_studies(url)
+    gap = FinishedStudy("gap", TRIALS, first=9)
+    with pytest.raises(ValueError, match="none can be number 9"):
+        write_studies(storage, [STUDY, gap])
+    assert trial_counts(storage) == {}
+
+
+def test_one_run_of_a_study_at_a_time(url: str) -> None:
+    with only_run(url, "rough8/dog"):
+        with (
+            pytest.raises(InputError, match=r"study: 'rough8/dog' .* another process"),
+            only_run(url, "rough8/dog"),
+        ):
+            pass
+        with only_run(url, "rough8/random"):
+            pass
+    with only_run(url, "rough8/dog"):
+        pass
+
+
+def refusal(url: str) -> str:
+    with pytest.raises(InputError) as caught:
+        open_studies(url)
+    text = str(caught.value)
+    assert text.startswith("storage: ") and "\n" not in text and "secret" not in text
+    return text
+
+
+def test_a_server_that_is_not_there(server: Server) -> None:
+    assert "refused" in refusal("postgresql+psycopg://me:secret@127.0.0.1:1/db")
+
+
+def test_a_database_that_is_not_there(server: Server) -> None:
+    assert '"nowhere" does not exist' in refusal(server.url("nowhere"))
+
+
+def test_somebody_elses_database_is_left_alone(url: str) -> None:
+    engine = sql.create_engine(url)
+    with engine.begin() as connection:
+        connection.execute(sql.text("CREATE TABLE birds (name TEXT)"))
+    assert "an Optuna database, or an empty one" in refusal(url)
+    assert sql.inspect(engine).get_table_names() == ["birds"]
+    engine.dispose()
+
+
+@pytest.mark.parametrize("revision", ["v2.6.0.a", "v99.0.0"])
+def test_a_database_of_another_optuna(url: str, revision: str) -> None:
+    storage = open_studies(url)
+    with storage.engine.begin() as connection:
+        connection.execute(sql.text(f"UPDATE alembic_version SET version_num = '{revision}'"))
+    storage.engine.dispose()
+    assert "no longer compatible" in refusal(url)
+
+
+def test_a_server_that_goes_away_and_comes_back(server: Server, url: str) -> None:
+    storage = open_studies(url)
+    study = optuna.create_study(storage=storage, study_name="a")
+    server.stop()
+    with pytest.raises(InputError, match="storage: ") as caught, storage_errors(url):
+        study.set_user_attr("key", 1)
+    assert "\n" not in str(caught.value) and "secret" not in str(caught.value)
+    server.start()
+    with storage_errors(url):
+        study.set_user_attr("key", 2)
+    assert study.user_attrs == {"key": 2}
