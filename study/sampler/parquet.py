@@ -38,7 +38,7 @@ class ParquetColumns:
         return make_rows(columns, matrix, self.features, self.bounds, self.space)
 
     def _of_store(self) -> Rows:
-        """A store knows its parameters and their bounds."""
+        """A store knows its parameters, those beside the 16 gains too, and their bounds."""
         store = open_store(self.path)
         store.require_bounds()
         ranges = store.specification["gains"]

@@ -10,9 +10,13 @@ import pytest
 from numpy.testing import assert_allclose
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
+import taichi_nmm
+from storage import open_store
+from storage.precompute import precompute
 from study import FeatureTable
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, GAINS
+from taichi_nmm.parameters import GAIN_NAMES, GAINS, LOW_LEVEL_GAINS
+from tests.storage import fake
 from tests.study import fake_walker
 
 TWO = {"a": [0.0, 1.0], "b": [5.0, 6.0]}
@@ -101,6 +105,26 @@ def test_a_store_gives_its_parameters_and_bounds(store: Path) -> None:
     assert rows.names == GAIN_NAMES
     assert_allclose(rows.features[:, 0], 50 * fake_walker.quality(rows.parameters), rtol=1e-6)
     assert rows.space.distributions == tuple(FloatDistribution(g.low, g.high) for g in GAINS)
+
+
+def test_a_store_of_more_parameters_gives_them_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
+    up = fake.family(settings=2, kind="ramp")
+    precompute(fake.specification(searched=["theta_ref"], families={"up": up}), tmp_path / "store")
+    table = FeatureTable.from_parquet(
+        tmp_path / "store", features=["up_survived_fraction_mean", "phi_printed"]
+    )
+    rows = table.rows
+    theta_ref = LOW_LEVEL_GAINS[-1]
+    assert rows.names == (*GAIN_NAMES, "theta_ref")
+    assert rows.space.distributions[-1] == FloatDistribution(theta_ref.low, theta_ref.high)
+    assert np.array_equal(rows.parameters, open_store(tmp_path / "store").gains())
+    assert rows.find(rows.as_parameters(11)) == 11
+    assert rows.as_parameters(11)["theta_ref"] == rows.parameters[11, 16]
+    with pytest.raises(InputError, match="theta_ref"):
+        FeatureTable.from_parquet(tmp_path / "store", features=["theta_ref"])
 
 
 def test_a_stored_table_pickles_without_its_rows(store: Path) -> None:

@@ -26,6 +26,11 @@ CONFIG = """
 samples = 96
 shard_rows = 8
 seed = 7
+searched = ["theta_ref"]
+[families.up]
+settings = 2
+[families.up.terrain]
+kind = "ramp"
 """
 SHARDS = 12
 WAIT_S = 60.0
@@ -228,7 +233,7 @@ def test_two_launchers_on_one_folder(
     config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
 ) -> None:
     out = tmp_path / "store"
-    first = start(config, out, delay_s=0.3)
+    first = start(config, out, delay_s=0.15)
     wait_for_shards(first, out, 1)
     code, _, error = run(config, out)
     assert code == 2 and error.startswith("error: out: ") and "no other process" in error

@@ -1,0 +1,254 @@
+"""Stores over families of settings: their columns, numbers, names and what they leave as it was."""
+
+import tomllib
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import taichi_nmm
+from storage import open_store
+from storage.document import difference, document_hash
+from storage.precompute import precompute
+from storage.schema import family_names
+from storage.scoring import progress_parts, score_shard
+from storage.sobol import sobol_gains
+from storage.specification import Specification, read_specification
+from taichi_nmm.config import Table, read_toml
+from taichi_nmm.errors import InputError
+from taichi_nmm.result import RESULT_DTYPE, SCORE_FIELDS
+from tests.storage import fake
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+RAMPS = {
+    "up": fake.family(settings=2, kind="ramp", segment_m=1.0),
+    "down": fake.family(settings=2, seed=9, kind="ramp", segment_m=1.0, direction="down"),
+}
+ROBUST_DOCUMENT_HASH = "e62d67c3e6b80aa6aceb94e5a54bbdbf4963e8c84ca7509b7cb6c63d16e840f1"
+
+
+def ignore(_: float) -> None:
+    pass
+
+
+def families(**changes: object) -> Specification:
+    return fake.specification(families=RAMPS, **changes)
+
+
+def test_every_family_has_columns_of_its_own() -> None:
+    document = families(robust=True).document
+    names = [column.partition(":")[0] for column in document["columns"]]
+    assert len(set(names)) == len(names) == 1 + 16 + len(RESULT_DTYPE) + 3 * 31
+    starts = [names.index(f"{family}_evaluated") for family in ("robust", "down", "up")]
+    assert starts == [names.index("robust_evaluated") + 31 * number for number in range(3)]
+    assert names[-2:] == list(family_names("up", "phi_corrected"))
+    assert "up_m5_sum_mean_mps" in names and "down_survived_fraction_sd" in names
+
+
+def test_the_document_lists_other_families_beside_the_robust_one() -> None:
+    document = families(robust=True).document
+    robust = fake.specification(robust=True).document
+    assert document["robust"] == robust["robust"] and "families" not in robust
+    assert list(document["families"]) == ["down", "up"]
+    assert document["families"]["up"]["terrain"]["name"] == "ramp up 4 % per 1 m"
+    assert families().document["robust"] is None
+    found = difference(families().document, fake.specification().document)
+    assert found is not None and found[0] == "families"
+
+
+def test_the_order_of_the_tables_does_not_matter() -> None:
+    turned = dict(reversed(RAMPS.items()))
+    assert fake.specification(families=turned).hash == families().hash
+
+
+def test_documents_of_stores_without_other_families_are_what_they_were() -> None:
+    """A store that was begun before families were known must be finished after."""
+    stored = open_store(Path(__file__).parents[1] / "assets" / "store-v1").specification
+    old = {"samples": 20, "shard_rows": 12, "seed": 1}
+    now = read_specification(Table(old)).document
+    assert document_hash(now | {"code_version": "0.1.0"}) == document_hash(stored)
+    robust = dict(fake.specification(robust=True).document)
+    del robust["code_version"]
+    assert document_hash(robust) == ROBUST_DOCUMENT_HASH
+
+
+def test_family_columns_are_mean_and_spread_over_its_settings() -> None:
+    specification = families()
+    table = score_shard(specification, 0, ignore).table
+    points = sobol_gains(specification.seed, 0, 8)
+    alive = table["duration_s"].to_numpy() >= 3.0
+    assert 0 < alive.sum() < 8
+    for family in specification.families:
+        assert np.array_equal(table[f"{family.name}_evaluated"].to_numpy(), alive)
+        runs = [
+            fake.simulate(
+                points,
+                bodies=family.bodies.take([setting] * 8),
+                terrains=family.terrains[setting],
+                duration_s=family.horizon_s,
+                progress=lambda now_s, active: None,
+            ).rows
+            for setting in range(2)
+        ]
+        for component, _ in SCORE_FIELDS:
+            values = np.array([run[component] for run in runs], dtype=float)
+            for name, expected in zip(
+                family_names(family.name, component),
+                (values.mean(axis=0), values.std(axis=0)),
+                strict=True,
+            ):
+                np.testing.assert_allclose(table[name].to_numpy(), alive * expected, rtol=1e-12)
+    ups, downs = (table[f"{name}_phi_printed_mean"].to_numpy()[alive] for name in ("up", "down"))
+    assert not np.any(ups == downs)  # their bodies differ
+
+
+def test_numbers_of_a_store_are_those_of_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the real simulator: 17 parameters, and a family called as a user would call it."""
+    monkeypatch.delitem(vars(taichi_nmm), "simulate")
+    up = RAMPS["up"] | {"min_survival_s": 1.0, "horizon_s": 2.0}
+    specification = fake.specification(
+        samples=32,
+        shard_rows=32,
+        simulation={"duration_s": 2.0, "arch": "cpu"},
+        searched=["theta_ref"],
+        families={"up": up},
+    )
+    table = score_shard(specification, 0, ignore).table
+    points = sobol_gains(specification.seed, 0, 32, specification.parameters)
+    low_level = np.tile([gain.default for gain in taichi_nmm.LOW_LEVEL_GAINS], (32, 1))
+    low_level[:, 7] = points[:, 16]
+    (family,) = specification.families
+    runs = [
+        taichi_nmm.simulate(
+            points[:, :16],
+            duration_s=2.0,
+            bodies=family.bodies.take([setting] * 32),
+            terrains=family.terrains[setting],
+            low_level_gains=low_level,
+            settings=specification.settings,
+        ).rows
+        for setting in range(2)
+    ]
+    evaluated = table["up_evaluated"].to_numpy()
+    assert 0 < evaluated.sum() < 32
+    for component in ("survived_fraction", "step_count", "phi_printed", "m1_mean"):
+        mean, spread = family_names("up", component)
+        values = np.array([run[component] for run in runs], dtype=float)[:, evaluated]
+        assert values.any()
+        assert np.array_equal(table[mean].to_numpy()[evaluated], values.mean(axis=0))
+        assert np.array_equal(table[spread].to_numpy()[evaluated], values.std(axis=0))
+
+
+def test_each_family_draws_from_its_own_seed() -> None:
+    same, other = fake.family(seed=8, kind="rough"), fake.family(seed=9, kind="rough")
+    store = fake.specification(families={"a": same, "b": other, "c": same})
+    a, b, c = store.families
+    assert np.array_equal(a.terrains[3].height_m, c.terrains[3].height_m)
+    assert np.array_equal(a.bodies.mass_kg, c.bodies.mass_kg)
+    assert not np.array_equal(a.terrains[3].height_m, b.terrains[3].height_m)
+    assert not np.any(a.bodies.mass_kg == b.bodies.mass_kg)
+
+
+def test_families_of_different_survivors() -> None:
+    strict = RAMPS["up"] | {"min_survival_s": 4.5}
+    store = fake.specification(families={"up": strict, "down": RAMPS["down"]})
+    table = score_shard(store, 0, ignore).table
+    up, down = (table[f"{name}_evaluated"].to_numpy() for name in ("up", "down"))
+    assert np.array_equal(up, table["duration_s"].to_numpy() >= 4.5)
+    assert up.sum() < down.sum() and np.all(down[up])
+
+
+def test_progress_is_shared_by_work_and_rises_to_one() -> None:
+    store = families(robust=True)
+    seen: list[float] = []
+    parts = progress_parts(store, seen.append)
+    for part in parts:
+        part(1.0)
+    base, robust, down, up = (end - start for start, end in pairwise([0.0, *seen]))
+    assert down == pytest.approx(up) and robust == pytest.approx(3 * up)  # six settings, not two
+    assert 0.3 < base < 0.5 and seen[-1] == 1.0
+    seen.clear()
+    score_shard(store, 0, seen.append)
+    assert seen == sorted(seen) and seen[-1] == 1.0
+
+
+def test_an_opened_store_knows_its_families(tmp_path: Path) -> None:
+    summary = precompute(families(robust=True), tmp_path / "store")
+    store = open_store(tmp_path / "store", verify=True)
+    assert store.families == ("robust", "down", "up")
+    assert list(summary.evaluated) == ["robust", "down", "up"]
+    for family, count in summary.evaluated.items():
+        name = f"{family}_evaluated"
+        assert count == store.numpy([name])[name].sum() > 0
+    assert precompute(fake.specification(), tmp_path / "plain").evaluated == {}
+    assert open_store(tmp_path / "plain").families == ()
+
+
+def test_an_interrupt_within_a_family_loses_its_shard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def interrupted(*args: object, **options: object) -> taichi_nmm.Result:
+        calls.append(1)
+        if len(calls) == 6:  # the last family of the second shard
+            raise KeyboardInterrupt
+        return fake.simulate(*args, **options)
+
+    with monkeypatch.context() as context:
+        context.setitem(vars(taichi_nmm), "simulate", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            precompute(families(), tmp_path / "store")
+    assert precompute(families(), tmp_path / "store").points_computed == 50 - 8
+    precompute(families(), tmp_path / "other")
+    for file in (tmp_path / "other").iterdir():
+        assert file.read_bytes() == (tmp_path / "store" / file.name).read_bytes()
+
+
+def test_another_family_in_the_folder_is_refused_by_name(tmp_path: Path) -> None:
+    precompute(families(), tmp_path / "store")
+    for changed, field in (
+        ({"up": RAMPS["up"]}, "families.down"),
+        (RAMPS | {"up": RAMPS["up"] | {"horizon_s": 7.0}}, "families.up.horizon_s"),
+    ):
+        with pytest.raises(InputError) as caught:
+            precompute(fake.specification(families=changed), tmp_path / "store")
+        assert caught.value.field == field
+
+
+def test_shipped_controls() -> None:
+    (mild,) = read_specification(read_toml(CONFIGS / "store-mild.toml")).families
+    assert (mild.name, mild.disturbance, len(mild.bodies)) == ("robust", 0.075, 6)
+    ramps = read_specification(read_toml(CONFIGS / "store-ramps.toml"))
+    assert [family.name for family in ramps.families] == ["down", "up"]
+    for family, sign in zip(ramps.families, (-1, 1), strict=True):
+        slopes = np.diff(family.terrains[0].height_m) / 0.05 * sign
+        assert slopes.max() == pytest.approx(0.10) and slopes.min() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        ("[families]\nup = 3", "families.up"),
+        ("[families.up]\nhorizon_s = 3.0", "families.up.settings"),
+        ("[families.up]\nsettings = 0", "families.up.settings"),
+        ("[families.up]\nsettings = 2\nslope = 1", "families.up.slope"),
+        ("[families.up]\nsettings = 2\nmin_survival_s = 6", "families.up.min_survival_s"),
+        ("[families.up]\nsettings = 2\nterrain = {kind = 'r'}", "families.up.terrain.kind"),
+        ("[families.Up]\nsettings = 2", "families"),
+        ("[families.2up]\nsettings = 2", "families"),
+        ("[families.'up-hill']\nsettings = 2", "families"),
+        ("[families.'']\nsettings = 2", "families"),
+        ("[families.\"up\\n\"]\nsettings = 2", "families"),
+        ("[families.robust]\nsettings = 2", "families"),
+        ("[families.m1]\nsettings = 2", "families"),
+        ("[families.row]\nsettings = 2", "families"),
+        ("[families.theta]\nsettings = 2", "families"),
+        ("families = 3", "families"),
+    ],
+)  # fmt: skip
+def test_bad_families_name_the_field(text: str, field: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_specification(Table(tomllib.loads(f"samples = 5\n{text}")))
+    assert caught.value.field == field and "\n" not in str(caught.value)

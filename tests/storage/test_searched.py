@@ -1,0 +1,125 @@
+"""Stores whose points have low-level gains beside the 16 gains."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import storage.store
+import taichi_nmm
+from storage import merge, open_store
+from storage.document import difference
+from storage.points import searched_parameters, split_points
+from storage.precompute import precompute
+from storage.scoring import score_shard
+from storage.sobol import sobol_gains
+from storage.specification import read_specification
+from taichi_nmm.config import Table
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES, GAINS, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES
+from tests.storage import fake
+
+THETA_REF = LOW_LEVEL_GAINS[-1]
+POINT_3 = [
+    5.53585406,
+    1.44055244,
+    1.84605681,
+]  # of the sequence 7, row 16, before there were groups
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    precompute(fake.specification(searched=["theta_ref"], robust=True), tmp_path / "store")
+    return tmp_path / "store"
+
+
+def test_points_have_a_column_more(folder: Path) -> None:
+    store = open_store(folder, verify=True)
+    assert store.gain_names == (*GAIN_NAMES, "theta_ref")
+    assert store.columns[:19] == ("row", *GAIN_NAMES, "theta_ref", "duration_s")
+    points = store.gains()
+    assert np.array_equal(points, sobol_gains(7, 0, 50, (*GAINS, THETA_REF)))
+    assert points.shape == (50, 17)
+    angles = points[:, 16]
+    assert THETA_REF.low <= angles.min() < 0 < np.deg2rad(25) < angles.max() <= THETA_REF.high
+    merged = merge(folder, folder.with_name("merged.parquet"))
+    assert np.array_equal(merged.gains(), points)
+
+
+def test_seventeen_dimensions_are_filled_evenly() -> None:
+    group = (*GAINS, THETA_REF)
+    points = sobol_gains(3, 0, 256, group)
+    unit = (points[:, 16] - THETA_REF.low) / (THETA_REF.high - THETA_REF.low)
+    assert np.histogram(unit, bins=16, range=(0, 1))[0].tolist() == [16] * 16
+    assert np.array_equal(sobol_gains(3, 100, 7, group), points[100:107])
+
+
+def test_points_of_plain_stores_are_what_they_were() -> None:
+    np.testing.assert_allclose(sobol_gains(7, 16, 1)[0, :3], POINT_3, rtol=1e-8)
+    plain = fake.specification()
+    assert plain.parameters == GAINS
+    assert fake.specification(searched=[]).hash == plain.hash
+
+
+def test_the_document_says_what_is_searched_and_what_is_fixed() -> None:
+    document = fake.specification(searched=["theta_ref"]).document
+    assert list(document["gains"]) == [*GAIN_NAMES, "theta_ref"]
+    assert document["gains"]["theta_ref"] == {"low": THETA_REF.low, "high": THETA_REF.high}
+    assert list(document["low_level_gains"]) == list(LOW_LEVEL_NAMES[:-1])
+    found = difference(fake.specification().document, document)
+    assert found is not None and found[0] == "gains.theta_ref"
+
+
+def test_order_in_the_configuration_does_not_matter() -> None:
+    one = fake.specification(searched=["theta_ref", "k_oe"])
+    assert one.hash == fake.specification(searched=["k_oe", "theta_ref"]).hash
+    assert [parameter.name for parameter in one.searched] == ["k_oe", "theta_ref"]
+
+
+def test_the_simulator_gets_each_walkers_low_level_gains(monkeypatch: pytest.MonkeyPatch) -> None:
+    specification = fake.specification(searched=["theta_ref"], robust=True)
+    angles = []
+
+    def spy(gains: np.ndarray, **options: object) -> object:
+        assert gains.shape[1] == 16
+        angles.append(options["low_level_gains"][:, 7])
+        return fake.simulate(gains, **options)
+
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", spy)
+    table = score_shard(specification, 0, lambda _: None).table
+    expected, evaluated = (table[name].to_numpy() for name in ("theta_ref", "robust_evaluated"))
+    assert np.array_equal(angles[0], expected)
+    assert np.array_equal(angles[1], np.repeat(expected[evaluated], 6))
+
+
+def test_points_are_split_into_gains_and_low_level_gains() -> None:
+    searched = searched_parameters(["theta_ref", "k_flex"])
+    points = np.arange(36.0).reshape(2, 18)
+    gains, low_level = split_points(points, searched)
+    assert np.array_equal(gains, points[:, :16])
+    assert low_level[:, 1].tolist() == [16.0, 34.0] and low_level[:, 7].tolist() == [17.0, 35.0]
+    defaults = [parameter.default for parameter in LOW_LEVEL_GAINS]
+    assert low_level[1, [0, 2, 3, 4, 5, 6]].tolist() == [defaults[i] for i in (0, 2, 3, 4, 5, 6)]
+    gains, low_level = split_points(points[:, :16], ())
+    assert np.array_equal(low_level, [defaults, defaults])
+
+
+def test_other_bounds_of_a_searched_parameter_are_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = open_store(folder)
+    store.require_bounds()
+    monkeypatch.setattr(storage.store, "LOW_LEVEL_GAINS", LOW_LEVEL_GAINS[:-1])
+    with pytest.raises(InputError) as caught:
+        store.require_bounds()
+    assert caught.value.field == "store.gains.theta_ref"
+
+
+@pytest.mark.parametrize(
+    "searched",
+    [["theta"], ["K_GAS"], ["theta_ref", "theta_ref"], "theta_ref", [3], [["theta_ref"]], 1],
+)
+def test_bad_lists_of_parameters(searched: object) -> None:
+    with pytest.raises(InputError) as caught:
+        read_specification(Table({"samples": 5, "searched": searched}))
+    assert caught.value.field == "searched" and "\n" not in str(caught.value)
