@@ -13,8 +13,14 @@ def report(_: float) -> None:
 
 
 def test_names_of_robust_columns_end_with_the_unit() -> None:
-    assert family_names("robust", "m5_sum_mps") == ("robust_m5_sum_mean_mps", "robust_m5_sum_sd_mps")
-    assert family_names("robust", "phi_printed") == ("robust_phi_printed_mean", "robust_phi_printed_sd")
+    assert family_names("robust", "m5_sum_mps") == (
+        "robust_m5_sum_mean_mps",
+        "robust_m5_sum_sd_mps",
+    )
+    assert family_names("robust", "phi_printed") == (
+        "robust_phi_printed_mean",
+        "robust_phi_printed_sd",
+    )
 
 
 def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
