@@ -1,0 +1,1 @@
+"""Experiments: many samplers on the same bodies and grounds, in lock-step, resumable."""

@@ -1,0 +1,168 @@
+"""The arms of the comparisons: what each is, what its store saw, and how its sampler is made."""
+
+import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from optuna.samplers import BaseSampler, TPESampler
+
+from study.comparison import cmaes, controls
+from study.comparison.off_grid import store_features
+from study.comparison.stores import store_path
+from study.comparison.task import Task
+from study.draws import Purpose, seed_32bit
+from study.sampler.feature_sampler import FeatureKernelSampler
+from study.sampler.random_sampler import ReproducibleRandomSampler
+from taichi_nmm.errors import InputError
+
+NOTHING = "nothing but its own trials"
+SAW = {
+    "": NOTHING,
+    "flat": "level ground, undisturbed body",
+    "robust": "level ground; rough ground of 8 cm under bodies disturbed by 15 %",
+    "mild": "level ground; rough ground of 4 cm under bodies disturbed by 7.5 %",
+    "ramps": "level ground; ramps of up to 10 % under bodies disturbed by 15 %",
+    "diverse": "level ground; several families of grounds under disturbed bodies",
+}  # by store key
+
+DETERMINANTS = (
+    "m1_mean", "m2_mean", "m3_mean", "m4_mean", "m5_mean_mps", "survived_fraction",
+)  # fmt: skip
+PRINTED = ("phi_printed",)
+ROBUST = ("robust_survived_fraction_mean",)
+OFF_GRID = 32  # points a trial that are simulated beside the store's
+PAPER = {"kernel": "rbf", "mean": "constant", "acquisition": "ei"}  # of the paper's method
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A way of choosing trials.
+
+    Attributes:
+        name: of the arm.
+        summary: in a line.
+        new_sampler: makes one.
+        store: key of the store that it reads, in the configuration's [stores]; "" for none.
+        features: columns of that store.
+        fresh: its sampler is made anew for each trial, since the library keeps a state in it.
+        replayed: the library keeps a state in the trials, which a resumed study must repeat.
+        needs: a package that is not among this project's own; "" for none.
+        off_grid: simulates points that are no rows of its store.
+    """
+
+    name: str
+    summary: str
+    new_sampler: Callable[[Task], BaseSampler]
+    store: str = ""
+    features: tuple[str, ...] = ()
+    fresh: bool = False
+    replayed: bool = False
+    needs: str = ""
+    off_grid: bool = False
+
+    @property
+    def saw(self) -> str:
+        """Which settings its store saw."""
+        return SAW.get(self.store, f"the store {self.store}")
+
+
+def find_arm(name: str) -> Arm:
+    """The arm of that name.
+
+    Raises:
+        InputError: there is none.
+    """
+    if name not in ARMS:
+        raise InputError("arm", name, f"one of {', '.join(ARMS)}")
+    return ARMS[name]
+
+
+def check_installed(arm: Arm) -> None:
+    """Refuse an arm whose library is not there."""
+    if arm.needs and importlib.util.find_spec(arm.needs) is None:
+        allowed = f"an environment with {arm.needs}: pip install {arm.needs}"
+        raise InputError("arm", arm.name, allowed)
+
+
+def _random(task: Task) -> BaseSampler:
+    return ReproducibleRandomSampler(seed=task.seed)
+
+
+def _euclidean(task: Task) -> BaseSampler:
+    return FeatureKernelSampler(None, seed=task.seed, space=task.experiment.space)
+
+
+def _tpe(task: Task) -> BaseSampler:
+    return TPESampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn))
+
+
+def _gp_optuna(task: Task) -> BaseSampler:
+    from optuna.samplers import GPSampler
+
+    return GPSampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn))
+
+
+def _off_grid(task: Task) -> BaseSampler:
+    experiment = task.experiment
+    function = store_features(
+        store_path(experiment, task.store), task.features, experiment.searched
+    )
+    return FeatureKernelSampler(
+        task.table, seed=task.seed, feature_function=function, off_grid=OFF_GRID, **PAPER
+    )
+
+
+def _table_arm(
+    name: str, summary: str, store: str, features: tuple[str, ...], **options: Any
+) -> Arm:
+    """Our sampler over a store's rows, `options` being those of `FeatureKernelSampler`."""
+
+    def new_sampler(task: Task) -> BaseSampler:
+        return FeatureKernelSampler(task.table, seed=task.seed, **options)
+
+    return Arm(name, summary, new_sampler, store, features)
+
+
+def _ordered_arm(name: str, summary: str, store: str, features: tuple[str, ...]) -> Arm:
+    """The rows of a store in the order of its features: the first, ties by the second, then row."""
+    return Arm(name, summary, controls.score_first, store, features)
+
+
+_ALL = (
+    Arm("random", "uniform random", _random),
+    Arm("cmaes-cold", "CMA-ES from a random mean", cmaes.cold, fresh=True, replayed=True),
+    Arm("cmaes-warm", "CMA-ES from one of the 100 best rows", cmaes.warm, "flat", PRINTED),
+    Arm(
+        "cmaes-source", "CMA-ES from the best rows' distribution", cmaes.source, "flat", PRINTED,
+        fresh=True, replayed=True,
+    ),
+    Arm("bo-euclidean", "Bayesian optimisation over the gains, ours", _euclidean),
+    Arm("gp-optuna", "Optuna's GPSampler", _gp_optuna, fresh=True, needs="torch"),
+    Arm("tpe", "Optuna's TPESampler", _tpe, fresh=True),
+    _table_arm("dog", "the paper's method: kernel over the score", "flat", PRINTED, **PAPER),
+    _table_arm(
+        "dog-kd", "kernel over the determinants", "flat", DETERMINANTS,
+        **PAPER | {"kernel": "rbf_ard"},
+    ),
+    _table_arm("dog-robust", "kernel over the robust score", "robust", ROBUST, **PAPER),
+    Arm(
+        "dog-off-grid", "as dog, and points near the best rows", _off_grid, "flat", PRINTED,
+        off_grid=True,
+    ),
+    _ordered_arm("score-first", "best score first", "robust", (*ROBUST, "phi_corrected")),
+    Arm(
+        "score-top", "random among the 100 best scores", controls.score_top, "robust",
+        (*ROBUST, "phi_corrected"),
+    ),
+    _table_arm(
+        "ei-prior", "Euclidean expected improvement times a prior from the score", "robust", ROBUST,
+        kernel="euclidean", prior=ROBUST[0],
+    ),
+    _table_arm(
+        "best", "the best that we found", "robust", ROBUST, n_startup_trials=1, mean="linear",
+        prior=ROBUST[0],
+    ),
+)  # fmt: skip
+
+ARMS: dict[str, Arm] = {arm.name: arm for arm in _ALL}

@@ -1,0 +1,175 @@
+"""CMA-ES, three ways to start it: from nowhere, from a good row, from many good rows."""
+
+import warnings
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import optuna
+from numpy.typing import NDArray
+from optuna.distributions import BaseDistribution
+from optuna.exceptions import ExperimentalWarning
+from optuna.samplers import BaseSampler, CmaEsSampler
+from optuna.trial import FrozenTrial, TrialState
+
+from study.comparison.controls import score_order
+from study.comparison.task import Task
+from study.draws import Purpose, generator, seed_32bit
+from study.sampler.feature_table import FeatureTable
+from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
+from study.sampler.random_sampler import ReproducibleRandomSampler
+from study.sampler.source import set_attributes
+from study.sampler.space import Space
+from taichi_nmm.errors import InputError
+
+Floats = NDArray[np.float64]
+
+SIGMA_COLD = 0.2  # of each range
+SIGMA_WARM = 0.1
+START_ROWS = 100  # best rows by score, of which a warm start takes one
+SOURCE_ROWS = 1000  # Optuna's warm start takes the best tenth of them
+
+
+def cold(task: Task) -> BaseSampler:
+    """Optuna's CMA-ES from a random mean; trial 0 is random.
+
+    It keeps its state in the trials; a new object with a seed of its own for each trial makes it
+    draw alike after a restart.
+    """
+    space = Space.of(task.experiment.space)
+    fractions = generator(task.seed, Purpose.CMAES_MEAN).random((1, len(space)))
+    start = space.values(space.from_fractions(fractions)[0])
+    with warnings.catch_warnings():
+        # `source_trials`, which is to replace x0 and sigma0, fixes sigma at a tenth.
+        warnings.simplefilter("ignore", FutureWarning)
+        return CmaEsSampler(x0=start, sigma0=SIGMA_COLD, **_common(task))
+
+
+def source(task: Task) -> BaseSampler:
+    """Optuna's CMA-ES from the distribution of the best rows; trial 0 is random."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExperimentalWarning)
+        return CmaEsSampler(source_trials=_source_trials(task.table), **_common(task))
+
+
+def _common(task: Task) -> dict[str, Any]:
+    return {
+        "independent_sampler": ReproducibleRandomSampler(seed=task.seed),
+        "warn_independent_sampling": False,
+        "seed": seed_32bit(task.seed, Purpose.CMAES, task.turn),
+    }
+
+
+@lru_cache(maxsize=8)
+def _source_trials(table: FeatureTable) -> list[FrozenTrial]:
+    """The best rows as finished trials; the score is what they are worth."""
+    rows, order = table.rows, score_order(table)[:SOURCE_ROWS]
+    distributions = rows.space.as_dict()
+    return [
+        optuna.create_trial(
+            params=rows.as_parameters(row),
+            distributions=distributions,
+            value=-float(rows.features[row, 0]),
+        )
+        for row in order.tolist()
+    ]
+
+
+def warm(task: Task) -> BaseSampler:
+    """pycma from one of the best rows, drawn for the run."""
+    best = score_order(task.table)[:START_ROWS]
+    row = int(generator(task.seed, Purpose.STARTUP_ROW).choice(best))
+    return WarmCmaEsSampler(task.table, row, SIGMA_WARM, task.seed)
+
+
+class WarmCmaEsSampler(BaseSampler):
+    """pycma in the unit cube: trial 0 is the start point, the generations follow.
+
+    The state is that of pycma's object, which is rebuilt from the study's trials where this sampler
+    has not seen them: a resumed study goes on as it would have.
+
+    Args:
+        table: of candidates.
+        row: that is the start.
+        sigma: of each range.
+        seed: of all draws.
+    """
+
+    def __init__(self, table: FeatureTable, row: int, sigma: float, seed: int) -> None:
+        """The start; pycma is loaded when it is first asked."""
+        self._table = table
+        self._row = row
+        self._sigma = sigma
+        self._seed = seed
+        self._independent = ReproducibleRandomSampler(seed=seed)
+        self._strategy: Any = None
+        self._asked: list[Floats] = []  # the generation that is being handed out
+        self._generation = 0
+
+    def infer_relative_search_space(
+        self, study: optuna.Study, trial: FrozenTrial
+    ) -> dict[str, BaseDistribution]:
+        """The table's parameters."""
+        return self._table.rows.space.as_dict()
+
+    def sample_relative(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """The start point, or the next of the generation."""
+        rows = self._table.rows
+        finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+        if not finished:
+            score = float(rows.features[self._row, 0])
+            set_attributes(study, trial, {ROW_ATTRIBUTE: self._row, SCORE_ATTRIBUTE: score})
+            return rows.as_parameters(self._row)
+        return self._values(self._next(finished[1:]))
+
+    def sample_independent(
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        param_name: str,
+        param_distribution: BaseDistribution,
+    ) -> Any:
+        """Uniform, for parameters that the table does not have."""
+        return self._independent.sample_independent(study, trial, param_name, param_distribution)
+
+    def _next(self, finished: list[FrozenTrial]) -> Floats:
+        """The point after these trials (the start point is not among them), in the unit cube."""
+        if self._strategy is None:
+            self._strategy = self._new_strategy()
+            self._asked = self._strategy.ask()
+        size = self._strategy.popsize
+        while len(finished) >= size * (self._generation + 1):
+            told = finished[size * self._generation : size * (self._generation + 1)]
+            for point, trial in zip(self._asked, told, strict=True):
+                self._require_asked(point, trial)
+            self._strategy.tell(self._asked, [trial.values[0] for trial in told])
+            self._asked = self._strategy.ask()
+            self._generation += 1
+        return self._asked[len(finished) - size * self._generation]
+
+    def _new_strategy(self) -> Any:
+        import cma
+
+        rows = self._table.rows
+        start = rows.space.fractions(rows.parameters[self._row : self._row + 1])[0]
+        rng = generator(self._seed, Purpose.CMAES)
+        options = {
+            "bounds": [0.0, 1.0],
+            "verbose": -9,
+            "seed": np.nan,  # pycma's own seed is NumPy's global one, which all studies share
+            "randn": lambda *shape: rng.standard_normal(shape),
+        }
+        return cma.CMAEvolutionStrategy(start, self._sigma, options)
+
+    def _values(self, point: Floats) -> dict[str, Any]:
+        space = self._table.rows.space
+        return space.values(space.from_fractions(point[None])[0])
+
+    def _require_asked(self, point: Floats, trial: FrozenTrial) -> None:
+        """Refuse trials that this sampler has not proposed."""
+        for name, value in self._values(point).items():
+            if trial.params[name] != value:
+                allowed = f"{value!r}, which pycma asks there"
+                raise InputError(f"trial {trial.number}: {name}", trial.params[name], allowed)

@@ -1,0 +1,142 @@
+"""A comparison from its configuration to its table, as the command `tools/compare.py` runs it."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pyarrow as pa
+
+from storage.shard import read_columns
+from study.comparison.check import check_arms
+from study.comparison.experiment import Experiment
+from study.comparison.folder import TIMES_NAME, ExperimentFolder
+from study.comparison.identity import document, machine
+from study.comparison.lockstep import Lockstep, Progress
+from study.comparison.summary import ArmSummary, summaries
+from taichi_nmm.errors import InputError
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a user asks for; None is what the configuration says.
+
+    Attributes:
+        out: folder of the experiment.
+        arms: names.
+        runs: at least 1.
+        trials: at least 1, of each arm in each run, in total.
+        workers: processes that hold the studies.
+    """
+
+    out: Path
+    arms: tuple[str, ...] | None
+    runs: int | None
+    trials: int | None
+    workers: int
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a comparison has to say at its end.
+
+    Attributes:
+        trials: the table of results: all arms of the folder.
+        arms: a summary each.
+        computed: trials of this session.
+        wall_s: of this session.
+    """
+
+    trials: pa.Table
+    arms: list[ArmSummary]
+    computed: int
+    wall_s: float
+
+
+def compare(
+    experiment: Experiment, request: Request, report: Callable[[Progress], None]
+) -> Outcome:
+    """Run an experiment, or what is missing of it, and write its tables.
+
+    Raises:
+        InputError: see `check_arms`, `ExperimentFolder.claim` and `Lockstep.run`.
+        KeyboardInterrupt: finished trials are kept.
+    """
+    runs = _positive("runs", request.runs, experiment.runs)
+    trials = _positive("trials", request.trials, experiment.trials)
+    _positive("workers", request.workers, 1)
+    arms = check_arms(experiment, request.arms or experiment.arms, trials)
+    _require_machine(experiment)
+    identity = document(experiment, arms)
+    with ExperimentFolder.claim(request.out, identity) as folder:
+        session = _Session(folder)
+        studies = [(arm.name, run) for run in range(runs) for arm in arms]
+        lockstep = Lockstep(experiment, studies, folder, session.note)
+        session.begin(lockstep.finished)
+        lockstep.run(trials, request.workers, session.watched(report))
+        session.note()
+        results = folder.write_results()
+        times = read_columns(folder.path / TIMES_NAME)
+        return Outcome(results, summaries(results, times), session.computed, session.wall_s)
+
+
+class _Session:
+    """When this process began, and what it has done: a line of run.json."""
+
+    def __init__(self, folder: ExperimentFolder) -> None:
+        self._folder = folder
+        self._started = datetime.now(UTC).isoformat(timespec="seconds")
+        self._began_s = time.monotonic()
+        self._before = 0
+        self._now = 0
+
+    @property
+    def computed(self) -> int:
+        """Trials of this session."""
+        return self._now - self._before
+
+    @property
+    def wall_s(self) -> float:
+        """Since it began."""
+        return time.monotonic() - self._began_s
+
+    def begin(self, finished: int) -> None:
+        """Trials that were there."""
+        self._before = self._now = finished
+
+    def watched(self, report: Callable[[Progress], None]) -> Callable[[Progress], None]:
+        """`report`, and count what it is told."""
+
+        def both(progress: Progress) -> None:
+            self._now = progress.trials
+            report(progress)
+
+        return both
+
+    def note(self) -> None:
+        """Write it down; a session that computed nothing leaves no line."""
+        if self.computed:
+            self._folder.note_session(
+                {
+                    "started": self._started,
+                    "trials": self.computed,
+                    "wall_s": round(self.wall_s, 1),
+                    "machine": machine(),
+                }
+            )
+
+
+def _positive(name: str, value: int | None, default: int) -> int:
+    chosen = default if value is None else value
+    if chosen < 1:
+        raise InputError(name, chosen, "1 or more")
+    return chosen
+
+
+def _require_machine(experiment: Experiment) -> None:
+    """Refuse a GPU that is not there before any file is touched."""
+    if experiment.settings.arch in ("cuda", "vulkan"):
+        from taichi_nmm import backend
+
+        backend.start(experiment.settings)

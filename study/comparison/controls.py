@@ -1,0 +1,87 @@
+"""Controls without a model: the order that a score gives is all they know."""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import optuna
+from numpy.typing import NDArray
+from optuna.distributions import BaseDistribution
+from optuna.samplers import BaseSampler
+from optuna.trial import FrozenTrial
+
+from study.comparison.task import Task
+from study.draws import Purpose, generator, turn
+from study.sampler.feature_table import FeatureTable
+from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
+from study.sampler.random_sampler import ReproducibleRandomSampler
+from study.sampler.source import set_attributes
+
+Order = NDArray[np.int64]
+
+TOP_ROWS = 100  # that "among the top" means
+
+
+class RankedSampler(BaseSampler):
+    """Rows of a table in an order that was fixed beforehand: trial t is row `order[t]`.
+
+    Args:
+        table: of candidates.
+        order: rows, best first, at least as many as there are trials.
+    """
+
+    def __init__(self, table: FeatureTable, order: Order) -> None:
+        """Nothing is computed."""
+        self._table = table
+        self._order = order
+        self._independent = ReproducibleRandomSampler(seed=0)
+
+    def infer_relative_search_space(
+        self, study: optuna.Study, trial: FrozenTrial
+    ) -> dict[str, BaseDistribution]:
+        """The table's parameters."""
+        return self._table.rows.space.as_dict()
+
+    def sample_relative(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """The trial's row."""
+        row = int(self._order[turn(study, trial)])
+        score = float(self._table.rows.features[row, 0])
+        set_attributes(study, trial, {ROW_ATTRIBUTE: row, SCORE_ATTRIBUTE: score})
+        return self._table.rows.as_parameters(row)
+
+    def sample_independent(
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        param_name: str,
+        param_distribution: BaseDistribution,
+    ) -> Any:
+        """Uniform, for parameters that the table does not have."""
+        return self._independent.sample_independent(study, trial, param_name, param_distribution)
+
+
+@lru_cache(maxsize=32)
+def score_order(table: FeatureTable) -> Order:
+    """Rows by the first feature, descending; ties by the second, and so on, then by row, [m].
+
+    Unknown features come last; rows that repeat the parameters of another are left out.
+    """
+    rows = table.rows
+    known = np.where(np.isfinite(rows.features), rows.features, -np.inf)
+    order = np.lexsort((np.arange(len(rows)), *(-known).T[::-1]))
+    return order[rows.offered[order]]
+
+
+def score_first(task: Task) -> BaseSampler:
+    """The best score first."""
+    return RankedSampler(task.table, score_order(task.table))
+
+
+def score_top(task: Task) -> BaseSampler:
+    """The top rows in a random order, then the rest in the order of the score."""
+    order = score_order(task.table)
+    rng = generator(task.seed, Purpose.STARTUP_ROW)
+    shuffled = np.concatenate([rng.permutation(order[:TOP_ROWS]), order[TOP_ROWS:]])
+    return RankedSampler(task.table, shuffled)

@@ -1,0 +1,185 @@
+"""The folder of an experiment. The folder is the state; this class knows every file in it.
+
+experiment.json         written first: what is compared on what, with which stores and versions
+arms/NAME.parquet       all finished trials of an arm, rewritten whole at each checkpoint
+trials.parquet          written last: all arms
+proposal_times.parquet  written last: what the samplers took, which no two runs agree upon
+run.json                when, on what machine, and how long
+.lock                   held by the one process that writes
+"""
+
+import fcntl
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
+from storage.document import difference
+from storage.shard import FOOTER_KEY, first_line, read_columns, write_table
+from study.comparison.results import RESULT_SCHEMA, STATE_SCHEMA, TIME_COLUMNS, in_order
+from taichi_nmm.errors import InputError
+
+EXPERIMENT_NAME = "experiment.json"
+RESULTS_NAME = "trials.parquet"
+TIMES_NAME = "proposal_times.parquet"
+RUN_NAME = "run.json"
+ARMS_NAME = "arms"
+LOCK_NAME = ".lock"
+STORES = "stores"  # of the document: digests, of those that some arm has read
+
+Document = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class ExperimentFolder:
+    """A folder being filled; made by `claim`, which gives one process the right to write.
+
+    Attributes:
+        path: of the folder.
+        document: what is compared on what.
+    """
+
+    path: Path
+    document: Document
+
+    @staticmethod
+    @contextmanager
+    def claim(path: Path, document: Document) -> Iterator["ExperimentFolder"]:
+        """Hold the folder: new, or begun with the same document (stores may be added).
+
+        Raises:
+            InputError: in use by another process, of something else, of another document, or not
+                writable.
+        """
+        _refuse_foreign(path)
+        with writable(path):
+            (path / ARMS_NAME).mkdir(parents=True, exist_ok=True)
+            lock = (path / LOCK_NAME).open("a")  # never removed: another process may hold it
+        with lock:
+            try:
+                fcntl.flock(lock.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                allowed = "a folder that no other process is filling at this moment"
+                raise InputError("out", str(path), allowed) from None
+            with writable(path):
+                for file in [*path.glob(f".*{TEMPORARY_SUFFIX}"), *path.glob("arms/.*.tmp")]:
+                    file.unlink()
+            yield ExperimentFolder(path, _agree(path / EXPERIMENT_NAME, document))
+
+    def arms(self) -> list[str]:
+        """Arms that have finished trials here."""
+        return sorted(file.stem for file in (self.path / ARMS_NAME).glob("*.parquet"))
+
+    def read_arm(self, name: str) -> pa.Table:
+        """The finished trials of an arm, by run and trial; empty for one that is new.
+
+        Raises:
+            InputError: a damaged file, one of something else, or one with a gap.
+        """
+        path = self._arm(name)
+        if not path.exists():
+            return STATE_SCHEMA.empty_table()
+        table = read_columns(path)
+        if not table.schema.equals(STATE_SCHEMA) or set(table["arm"].to_pylist()) - {name}:
+            raise InputError("out", str(path), f"finished trials of {name}, in this version's form")
+        _require_complete(table, path)
+        return table
+
+    def write_arm(self, name: str, table: pa.Table) -> None:
+        """Commit the finished trials of an arm."""
+        write_table(self._arm(name), table, self.document)
+
+    def write_results(self) -> pa.Table:
+        """Commit the tables of all arms that have trials here, and return the results."""
+        state = in_order([STATE_SCHEMA.empty_table(), *map(self.read_arm, self.arms())])
+        results = state.select(RESULT_SCHEMA.names)
+        write_table(self.path / RESULTS_NAME, results, self.document)
+        write_table(self.path / TIMES_NAME, state.select(TIME_COLUMNS), self.document)
+        return results
+
+    def note_session(self, session: Document) -> None:
+        """Add a session to run.json, or replace the last one if that began at the same time."""
+        path = self.path / RUN_NAME
+        try:
+            sessions = json.loads(path.read_text(encoding="utf-8"))["sessions"]
+        except (OSError, ValueError, KeyError, TypeError):
+            sessions = []
+        if sessions and sessions[-1].get("started") == session["started"]:
+            sessions.pop()
+        commit_json(path, {"sessions": [*sessions, session]})
+
+    def _arm(self, name: str) -> Path:
+        return self.path / ARMS_NAME / f"{name}.parquet"
+
+
+def read_results(path: str | Path) -> tuple[pa.Table, Document]:
+    """The table trials.parquet of a folder, and the document in its footer.
+
+    Raises:
+        InputError: missing, damaged, or not of this project.
+    """
+    file = Path(path) / RESULTS_NAME
+    if not file.exists():
+        raise InputError("results", str(path), f"an experiment's folder: it has a {RESULTS_NAME}")
+    try:
+        document = json.loads((pq.read_schema(file).metadata or {})[FOOTER_KEY])
+    except (OSError, pa.ArrowException, KeyError, ValueError) as error:
+        raise InputError(
+            "results", str(file), f"an undamaged table ({first_line(error)})"
+        ) from None
+    return read_columns(file), document
+
+
+def _require_complete(table: pa.Table, path: Path) -> None:
+    """Refuse a table whose runs do not have the trials 0, 1, ... without a gap."""
+    run, trial = table["run"].to_numpy(), table["trial"].to_numpy()
+    first = np.ones(len(run), dtype=bool)
+    first[1:] = run[1:] != run[:-1]
+    sound = trial[first] == 0, np.diff(trial)[~first[1:]] == 1, np.diff(run) >= 0
+    if not all(part.all() for part in sound):
+        raise InputError("out", str(path), "every run's trials in their order, without a gap")
+
+
+def _refuse_foreign(path: Path) -> None:
+    """Refuse a folder that holds something, but no experiment."""
+    if path.exists() and not path.is_dir():
+        raise InputError("out", str(path), "a folder")
+    with writable(path):
+        names = {file.name for file in path.iterdir()} if path.is_dir() else set()
+    foreign = sorted(name for name in names if not name.startswith(".") and name != ARMS_NAME)
+    if foreign and EXPERIMENT_NAME not in names:
+        allowed = f"an empty folder or an experiment's (this has {foreign[0]})"
+        raise InputError("out", str(path), allowed)
+
+
+def _agree(path: Path, document: Document) -> Document:
+    """Write the document into a new folder; in an old one, see that it is the same.
+
+    Stores that only now are read are added to it.
+    """
+    if not path.exists():
+        commit_json(path, document)
+        return document
+    try:
+        known = json.loads(path.read_text(encoding="utf-8"))
+        stores = known[STORES] | document[STORES]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError("out", str(path), "a readable experiment; or another --out") from None
+    # Digests of stores that this call does not need are as they are.
+    ours = document | {STORES: dict(sorted((known[STORES] | document[STORES]).items()))}
+    there = known | {STORES: dict(sorted((document[STORES] | known[STORES]).items()))}
+    found = difference(ours, there)
+    if found:
+        name, here, other = found
+        allowed = f"{other!r}, as {path} says; or another --out"
+        raise InputError(name or "experiment", here, allowed)
+    if len(stores) > len(known[STORES]):
+        commit_json(path, ours)
+    return ours

@@ -1,0 +1,74 @@
+"""Features of points off the store's grid: simulated as the store's rows were.
+
+One process simulates one batch at a time on one thread of the processor: many processes do it side
+by side.
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.store import open_store
+from study.comparison.simulation import low_level_gains
+from taichi_nmm.body import Bodies
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAINS
+from taichi_nmm.result import RESULT_DTYPE
+from taichi_nmm.settings import Settings
+
+Floats = NDArray[np.float64]
+
+
+class StoreFeatures:
+    """The features that a store's base setting gives to any gains.
+
+    Args:
+        path: of the store, whose base setting is level ground and the undisturbed body.
+        features: columns of the base setting.
+        searched: low-level gains after the 16.
+
+    Raises:
+        InputError: another base setting, or a feature that is not of it.
+    """
+
+    def __init__(self, path: Path, features: tuple[str, ...], searched: tuple[str, ...]) -> None:
+        """Read the store's settings; nothing is simulated yet."""
+        known = RESULT_DTYPE.names or ()
+        for name in features:
+            if name not in known:
+                raise InputError("feature", name, f"one of {', '.join(known)}")
+        specification = open_store(path).specification
+        ground = specification["terrain"]["name"]
+        disturbance = specification["body"]["disturbance"]
+        if ground != "flat" or disturbance != 0.0:
+            allowed = "a store whose base setting is level ground and the undisturbed body"
+            raise InputError("store", str(path), allowed)
+        self._features = features
+        self._searched = searched
+        simulation = dict(specification["simulation"])
+        self._duration_s = float(simulation.pop("duration_s"))
+        self._settings = replace(Settings(**simulation), arch="cpu", threads=1)
+
+    def __call__(self, gains: Floats) -> Floats:
+        """Features [n, k] of gains [n, 16 + s]."""
+        import taichi_nmm
+
+        result = taichi_nmm.simulate(
+            gains[:, : len(GAINS)],
+            duration_s=self._duration_s,
+            bodies=Bodies.nominal(),
+            low_level_gains=low_level_gains(self._searched, gains[:, len(GAINS) :]),
+            settings=self._settings,
+        )
+        return np.column_stack([result[name].astype(np.float64) for name in self._features])
+
+
+@lru_cache(maxsize=8)
+def store_features(
+    path: Path, features: tuple[str, ...], searched: tuple[str, ...]
+) -> StoreFeatures:
+    """One a process: its simulator is started once."""
+    return StoreFeatures(path, features, searched)

@@ -1,0 +1,89 @@
+"""The results' columns, and the tables of finished trials that are made of them.
+
+The state of an arm has two columns more than the results: how long its sampler took, and what the
+sampler noted in the trial, from which a stopped study is set up again.
+"""
+
+import json
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from study.comparison.experiment import Experiment
+from study.comparison.outcome import walked
+from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS
+from taichi_nmm.result import END_REASONS, SCORE_FIELDS
+
+Floats = NDArray[np.float64]
+
+OUTCOMES = ("duration_s", "distance_m", "mean_speed_mps", "cost_of_transport_jpkgpm")
+THETA_REF = next(parameter for parameter in LOW_LEVEL_GAINS if parameter.name == "theta_ref")
+PROPOSAL_TIME = "proposal_s"
+NOTES = "notes"
+ARROW_TYPES = {"f8": pa.float64(), "i4": pa.int32()}
+
+_COLUMNS: tuple[tuple[str, pa.DataType], ...] = (
+    ("experiment", pa.string()),
+    ("arm", pa.string()),
+    ("run", pa.int32()),
+    ("trial", pa.int32()),
+    *((name, pa.float64()) for name in GAIN_NAMES),
+    (THETA_REF.name, pa.float64()),
+    ("row", pa.int64()),
+    ("cost", pa.float64()),
+    ("best_cost", pa.float64()),
+    ("walked", pa.bool_()),
+    *((name, pa.float64()) for name in OUTCOMES),
+    ("end_reason", pa.string()),
+    *((name, ARROW_TYPES[kind]) for name, kind in SCORE_FIELDS),
+)
+
+
+def _schema(columns: tuple[tuple[str, pa.DataType], ...]) -> pa.Schema:
+    return pa.schema([pa.field(name, kind, nullable=False) for name, kind in columns])
+
+
+RESULT_SCHEMA = _schema(_COLUMNS)
+STATE_SCHEMA = _schema((*_COLUMNS, (PROPOSAL_TIME, pa.float64()), (NOTES, pa.string())))
+TIME_COLUMNS = ("arm", "run", "trial", PROPOSAL_TIME)
+
+
+def state_table(experiment: Experiment, columns: dict[str, Any], gains: Floats) -> pa.Table:
+    """Finished trials as a table of `STATE_SCHEMA`.
+
+    Args:
+        experiment: of the trials.
+        columns: arm, run, trial, row, cost, best_cost, proposal_s, notes (dictionaries), each [n],
+            and rows: what the simulator returned, [n].
+        gains: the searched parameters, [n, 16 + k].
+    """
+    rows: NDArray[np.void] = columns["rows"]
+    arrays: dict[str, Any] = {name: values for name, values in columns.items() if name != "rows"}
+    arrays["experiment"] = [experiment.name] * len(gains)
+    arrays[THETA_REF.name] = np.full(len(gains), THETA_REF.default)
+    arrays |= dict(zip(experiment.names, gains.T, strict=True))
+    arrays |= {name: rows[name] for name in (*OUTCOMES, *(name for name, _ in SCORE_FIELDS))}
+    arrays["end_reason"] = np.array(END_REASONS)[rows["end_reason"]]
+    arrays["walked"] = walked(rows)
+    arrays[NOTES] = [json.dumps(notes) for notes in columns[NOTES]]
+    made = [pa.array(_contiguous(arrays[field.name]), field.type) for field in STATE_SCHEMA]
+    return pa.Table.from_arrays(made, schema=STATE_SCHEMA)
+
+
+def _contiguous(values: Any) -> Any:
+    return values if isinstance(values, list) else np.ascontiguousarray(values)
+
+
+def in_order(tables: list[pa.Table], keys: tuple[str, ...] = ("arm", "run", "trial")) -> pa.Table:
+    """Tables of one schema as one, sorted."""
+    joined = pa.concat_tables(tables)
+    order = joined.sort_by([(key, "ascending") for key in keys])
+    return order.combine_chunks()
+
+
+def gains_of(experiment: Experiment, table: pa.Table) -> Floats:
+    """The searched parameters of a table's trials, [n, 16 + k]."""
+    columns = [table[name].to_numpy() for name in experiment.names]
+    return np.column_stack(columns).astype(np.float64)

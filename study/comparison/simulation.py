@@ -1,0 +1,71 @@
+"""Trials of an experiment as one batch: each on the body and the ground of its run."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import taichi_nmm
+from study.comparison.experiment import Experiment
+from taichi_nmm.body import Bodies
+from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES
+from taichi_nmm.result import Result
+
+
+def simulate_trials(
+    experiment: Experiment,
+    runs: ArrayLike,
+    gains: NDArray[np.float64],
+    record: bool | Sequence[int] = False,
+    *,
+    duration_s: float | None = None,
+    record_rate_hz: float = 100.0,
+) -> Result:
+    """Simulate n trials at once.
+
+    Args:
+        experiment: whose bodies, grounds and settings.
+        runs: of each trial, [n].
+        gains: the searched parameters of each, [n, 16 + k], in the order of `experiment.names`.
+        record: rows whose trajectory is wanted; True: all of them.
+        duration_s: of a trial; None is the experiment's.
+        record_rate_hz: samples a second of the trajectories.
+
+    Raises:
+        InputError: what `taichi_nmm.simulate` refuses.
+    """
+    different, index = np.unique(np.asarray(runs, dtype=np.int64), return_inverse=True)
+    bodies = [experiment.body(int(run)) for run in different]
+    rows = range(len(gains)) if record is True else record or ()
+    return taichi_nmm.simulate(
+        gains[:, : len(GAINS)],
+        duration_s=experiment.duration_s if duration_s is None else duration_s,
+        bodies=_stacked(bodies).take(index),
+        terrains=[experiment.terrain(int(run)) for run in different],
+        terrain_index=index.astype(np.int32),
+        low_level_gains=low_level_gains(experiment.searched, gains[:, len(GAINS) :]),
+        settings=experiment.settings,
+        record=tuple(rows),
+        record_rate_hz=record_rate_hz,
+    )
+
+
+def low_level_gains(
+    searched: Sequence[str], values: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """All low-level gains of n trials, [n, 8], given the searched ones [n, k]; None without any."""
+    if not len(searched):
+        return None
+    gains = np.tile([parameter.default for parameter in LOW_LEVEL_GAINS], (len(values), 1))
+    for column, name in enumerate(searched):
+        gains[:, LOW_LEVEL_NAMES.index(name)] = values[:, column]
+    return gains
+
+
+def _stacked(bodies: Sequence[Bodies]) -> Bodies:
+    """Several batches of bodies as one."""
+    return Bodies(
+        np.vstack([body.mass_kg for body in bodies]),
+        np.vstack([body.inertia_kgm2 for body in bodies]),
+        np.vstack([body.com_m for body in bodies]),
+    )

@@ -1,0 +1,72 @@
+"""The stores that an experiment's arms read: checked before the work, read once a process."""
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from storage.manifest import Manifest
+from storage.shard import file_hash
+from storage.store import Store, open_store
+from study.comparison.experiment import Experiment
+from study.sampler.feature_table import FeatureTable
+from taichi_nmm.errors import InputError
+
+
+@dataclass
+class Tables:
+    """Tables of candidates, each read when first asked for and kept."""
+
+    experiment: Experiment
+    _known: dict[tuple[str, tuple[str, ...]], FeatureTable] = field(default_factory=dict)
+
+    def get(self, store: str, features: tuple[str, ...]) -> FeatureTable:
+        """The rows of a store with some features."""
+        key = (store, features)
+        if key not in self._known:
+            path = store_path(self.experiment, store)
+            self._known[key] = FeatureTable.from_parquet(path, features=features)
+        return self._known[key]
+
+
+def store_path(experiment: Experiment, store: str) -> Path:
+    """Where the store of that name is.
+
+    Raises:
+        InputError: the configuration does not say.
+    """
+    if store not in experiment.stores:
+        known = ", ".join(experiment.stores) or "none"
+        allowed = f"a folder in the configuration's [stores], which has {known}"
+        raise InputError(f"stores.{store}", "missing", allowed)
+    return experiment.stores[store]
+
+
+def check_store(experiment: Experiment, store: str, features: tuple[str, ...]) -> Store:
+    """Open a store, and see that it has the experiment's parameters and these features.
+
+    Raises:
+        InputError: no such store, not a finished store, other parameters or bounds, or no such
+            column.
+    """
+    opened = open_store(store_path(experiment, store))
+    field = f"stores.{store}"
+    searched = tuple(opened.specification["gains"])
+    if set(searched) != set(experiment.names):
+        more = [name for name in searched if name not in experiment.names]
+        less = [name for name in experiment.names if name not in searched]
+        found = f"{opened.path} {'with' if more else 'without'} {(more or less)[0]}"
+        allowed = f"a store of what the experiment searches: 16 gains {list(experiment.searched)}"
+        raise InputError(field, found, allowed)
+    opened.require_bounds()
+    for name in features:
+        if name not in opened.columns:
+            raise InputError(field, str(opened.path), f"a store with the column {name}")
+    return opened
+
+
+def store_digest(path: Path) -> str:
+    """SHA-256 of what a store holds: of its manifest's hashes, or of the one file that it is."""
+    if not path.is_dir():
+        return file_hash(path)
+    hashes = Manifest.read(path).hashes
+    return hashlib.sha256("\n".join(hashes.values()).encode()).hexdigest()

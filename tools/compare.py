@@ -1,0 +1,105 @@
+"""Compare samplers on the walker: the same bodies and grounds for each, all going on in lock-step.
+
+    python tools/compare.py --config configs/rough8-smooth.toml --arms dog,random --runs 10
+
+writes trials.parquet and proposal_times.parquet to the folder --out. Stop it when you like; the
+same command goes on where it stopped, and more arms, runs or trials can be asked for later. Exit
+codes: 0, 2 bad input, 130 interrupted.
+"""
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+# The repository comes before tools/, where study.py would hide the package of its name.
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tqdm import tqdm
+
+from study.command import run_command
+from study.comparison.command import Outcome, Request, compare
+from study.comparison.experiment import read_experiment
+from study.comparison.lockstep import Progress
+from study.comparison.summary import as_documents, as_text
+from taichi_nmm.settings import ARCHITECTURES
+
+
+class ProgressBar:
+    """Trials a second, the time left, and the studies with a walker, on standard error."""
+
+    def __init__(self) -> None:
+        """Not shown yet."""
+        self._bar: tqdm[None] | None = None
+
+    def show(self, progress: Progress) -> None:
+        """Move on; the first call tells what was there."""
+        if self._bar is None:
+            self._bar = tqdm(
+                total=progress.total, initial=progress.trials, unit="trial", smoothing=0.05
+            )
+        walkers = f"{progress.walkers} of {progress.studies} studies with a walker"
+        self._bar.set_postfix_str(walkers, refresh=False)
+        self._bar.update(progress.trials - self._bar.n)
+
+    def close(self) -> None:
+        """Leave the line."""
+        if self._bar is not None:
+            self._bar.close()
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--config", required=True, help="TOML, such as configs/rough8-smooth.toml")
+    parser.add_argument("--arms", metavar="A,B,C", help="default: the config's")
+    parser.add_argument("--runs", type=int, metavar="N", help="default: the config's")
+    parser.add_argument(
+        "--trials", type=int, metavar="N", help="a run, in total; default: the config's"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/compare/NAME")
+    parser.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count() or 1, metavar="N",
+        help="processes of the samplers (%(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--no-artifacts", action="store_true", help="no pictures, no movies")
+    parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    return parser.parse_args()
+
+
+def main() -> None:
+    args = parse()
+    experiment = read_experiment(args.config, args.arch)
+    out = args.out or Path("out") / "compare" / experiment.name
+    arms = tuple(args.arms.split(",")) if args.arms is not None else None
+    request = Request(out, arms, args.runs, args.trials, args.workers)
+    bar = ProgressBar()
+    try:
+        outcome = compare(experiment, request, bar.show)
+    finally:
+        bar.close()
+    print(json.dumps(report(outcome, out)) if args.json else text(outcome, out))
+
+
+def report(outcome: Outcome, out: Path) -> dict[str, Any]:
+    """For programs: one object of plain values."""
+    return {
+        "out": str(out),
+        "trials": len(outcome.trials),
+        "trials_computed": outcome.computed,
+        "wall_s": outcome.wall_s,
+        "arms": as_documents(outcome.arms),
+    }
+
+
+def text(outcome: Outcome, out: Path) -> str:
+    """The same for people."""
+    done = f"{len(outcome.trials)} trials ({outcome.computed} now, in {outcome.wall_s:.0f} s)"
+    return f"{as_text(outcome.arms)}\n{done}: {out / 'trials.parquet'}"
+
+
+if __name__ == "__main__":
+    run_command(main)
