@@ -56,6 +56,17 @@ def trial_counts(storage: RDBStorage) -> dict[str, int]:
         return {name: count for name, count in connection.execute(counts)}
 
 
+def study_attributes(storage: RDBStorage, key: str) -> dict[str, Any]:
+    """The value of a user attribute in each study that has it, by the study's name."""
+    tables = known_tables(storage)
+    studies, attributes = tables["studies"], tables["study_user_attributes"]
+    query = sql.select(studies.c.study_name, attributes.c.value_json).where(
+        studies.c.study_id == attributes.c.study_id, attributes.c.key == key
+    )
+    with storage.engine.connect() as connection:
+        return {name: json.loads(value) for name, value in connection.execute(query)}
+
+
 def write_studies(storage: RDBStorage, studies: Iterable[FinishedStudy]) -> int:
     """Make the studies that are not there, and add the trials that they do not have yet.
 

@@ -1,0 +1,57 @@
+"""An experiment and a table of its results as the engine would write it, without simulating."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from study.comparison.experiment import Experiment
+from study.comparison.results import RESULT_SCHEMA
+from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
+from taichi_nmm.settings import Settings
+
+ARMS = ("dog", "random")
+
+
+def experiment(**changes: Any) -> Experiment:
+    """Rough ground, disturbed bodies, two runs of three trials."""
+    fields: dict[str, Any] = {
+        "name": "tiny", "seed": 7, "runs": 2, "trials": 3, "arms": ARMS, "searched": (),
+        "cost": "smooth", "duration_s": 2.0, "settings": Settings(arch="cpu"), "disturbance": 0.1,
+        "ground": {"kind": "rough", "amplitude_m": 0.02}, "stores": {},
+    }  # fmt: skip
+    return Experiment(**(fields | changes))
+
+
+def results(of: Experiment, runs: int = 2, trials: int = 3, arms: Sequence[str] = ARMS) -> pa.Table:
+    """Rows of the results table, in its order; the numbers follow from their places."""
+    rows = [
+        _row(of, arm, run, trial) for arm in sorted(arms) for run in range(runs)
+        for trial in range(trials)
+    ]  # fmt: skip
+    numbers = dict.fromkeys(RESULT_SCHEMA.names, 0)  # of what no test looks at
+    return pa.Table.from_pylist([numbers | row for row in rows], schema=RESULT_SCHEMA)
+
+
+def _row(of: Experiment, arm: str, run: int, trial: int) -> dict[str, Any]:
+    rng = np.random.default_rng([len(arm), run, trial])
+    names = [gain.name for gain in GAINS]
+    gains = {gain.name: float(rng.uniform(gain.low, gain.high)) for gain in GAINS}
+    costs = [_cost(arm, run, before) for before in range(trial + 1)]
+    (theta_ref,) = (gain.default for gain in LOW_LEVEL_GAINS if gain.name == "theta_ref")
+    walked = costs[-1] < 100
+    return {
+        "experiment": of.name, "arm": arm, "run": run, "trial": trial,
+        **{name: gains[name] for name in names},
+        "theta_ref": theta_ref + 0.01 * trial if "theta_ref" in of.searched else theta_ref,
+        "row": 10 * run + trial, "cost": costs[-1], "best_cost": min(costs), "walked": walked,
+        "duration_s": 2.0, "distance_m": 1.0 + trial, "mean_speed_mps": 0.5,
+        "cost_of_transport_jpkgpm": 4.0, "end_reason": "completed" if walked else "fell",
+        "survived_fraction": 0.5, "step_count": 3, "phi_printed": 1.5, "phi_corrected": 2.5,
+    }  # fmt: skip
+
+
+def _cost(arm: str, run: int, trial: int) -> float:
+    """The arm dog gets below 100, and so walks, at trial 1 of run 0 only."""
+    return 90.0 if (arm, run, trial) == ("dog", 0, 1) else 300.0 - 10 * ((trial + run) % 3)
