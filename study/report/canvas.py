@@ -1,0 +1,136 @@
+"""What all of the report's figures share: trial axes, labels at the ends of lines, PNG and SVG."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from storage.commit import commit
+from study.pictures import style
+from study.report.appearance import Look
+
+LABEL_PT = 8.0
+LABEL_SPACING_PT = 10.0
+LABEL_OFFSET_PT = 16.0
+TICKS = (1, 3, 10, 30, 100, 300, 1000)
+SVG = {"svg.hashsalt": "taichi-nmm", "svg.fonttype": "path"}  # the same file each time
+
+
+@dataclass(frozen=True)
+class End:
+    """Where a line ends, and what to write there.
+
+    Attributes:
+        y: its end.
+        look: of its arm.
+        text: the label.
+        rank: of lines that end at one place, the higher is written above.
+    """
+
+    y: float
+    look: Look
+    text: str
+    rank: int
+
+
+def trial_axis(axes: Axes, trials: int) -> None:
+    """A logarithmic axis of trials from 1: what happens in the first ten is what counts."""
+    axes.set_xscale("log")
+    axes.set_xlim(1.0 / 1.06, trials * 1.04)
+    axes.xaxis.set_major_locator(FixedLocator(trial_ticks(trials)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.set_xlabel("trials", fontsize=style.TEXT_PT, color=style.INK)
+
+
+def headline(figure: Figure, left_in: float, title: str, remark: str) -> None:
+    """A title and a line below it that says how to read the figure."""
+    wide, high = figure.get_figwidth(), figure.get_figheight()
+    for text, down_in, size in ((title, 0.24, style.TITLE_PT), (remark, 0.45, style.SMALL_PT)):
+        figure.text(
+            left_in / wide, 1.0 - down_in / high, text, fontsize=size, color=style.INK, va="center"
+        )
+
+
+def trial_ticks(trials: int) -> list[float]:
+    """1, 3, 10, ..., and the last trial, less those too near to it."""
+    return [float(tick) for tick in TICKS if tick * 1.3 < trials] + [float(trials)]
+
+
+def marked(trials: int, place: int) -> list[int]:
+    """Trials, from 0, at which a line has its marker: spread on the axis, apart for each arm."""
+    spread = np.geomspace(1.0, trials, 6) * 1.13 ** (place % 4)
+    return sorted({round(float(at)) - 1 for at in spread if at <= trials})
+
+
+def label_ends(axes: Axes, ends: Sequence[End], x: float) -> None:
+    """Write the labels right of the lines that end at `x`, moved apart where they would overlap."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    figure.canvas.draw()
+    point = figure.dpi / 72.0
+    order = sorted(range(len(ends)), key=lambda index: (ends[index].y, ends[index].rank))
+    pixels = np.array([axes.transData.transform((x, ends[index].y))[1] for index in order])
+    low, high = axes.get_window_extent().y0, axes.get_window_extent().y1
+    places = spread_out(np.clip(pixels, low, high), LABEL_SPACING_PT * point, low, high)
+    for index, own, place in zip(order, pixels, places, strict=True):
+        end = ends[index]
+        axes.annotate(
+            end.text,
+            xy=(x, end.y),
+            xytext=(LABEL_OFFSET_PT, (place - own) / point),
+            textcoords="offset points",
+            fontsize=LABEL_PT,
+            fontweight="bold" if end.look.front else "normal",
+            color=end.look.text,
+            va="center",
+            annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-", "color": end.look.colour, "linewidth": 0.6,
+                "shrinkA": 0.0, "shrinkB": 2.0, "relpos": (0.0, 0.5),
+            },
+        )  # fmt: skip
+
+
+def spread_out(places: Sequence[float], apart: float, low: float, high: float) -> list[float]:
+    """Ascending places moved as little as it takes to be `apart`, within low and high if they fit.
+
+    Places that push each other form a group about the mean of where they want to be.
+    """
+    span = apart * (len(places) - 1)
+    high = max(high, low + span)
+    groups: list[tuple[float, int]] = []  # mean of where the group's first would be, members
+    for place in places:
+        mean, size = float(place), 1
+        while groups and groups[-1][0] + groups[-1][1] * apart > mean:
+            before, count = groups.pop()
+            mean = (before * count + (mean - count * apart) * size) / (count + size)
+            size += count
+        groups.append((mean, size))
+    spread = [mean + apart * step for mean, size in groups for step in range(size)]
+    count = len(spread)
+    for index, place in enumerate(spread):  # into the frame, from both ends
+        spread[index] = max(place, low + apart * index)
+    return [min(place, high - apart * (count - 1 - index)) for index, place in enumerate(spread)]
+
+
+def save(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write the figure as NAME.png and NAME.svg, each whole or not at all."""
+    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
+
+    def write(temporary: Path) -> None:
+        with mpl.rc_context(SVG):
+            figure.savefig(temporary, format="svg", metadata={"Date": None})
+
+    def check(temporary: Path) -> None:
+        if not temporary.read_text(encoding="utf-8").rstrip().endswith("</svg>"):
+            raise OSError("the picture was not written whole")
+
+    style.save_png(figure, png)
+    commit(svg, write, check)
+    return [png, svg]

@@ -1,0 +1,187 @@
+"""The report of an experiment as Markdown: what each arm saw, what it reached, and the tests."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from study.comparison.arms import ARMS
+from study.report.appearance import LABELS, PAPER
+from study.report.numbers import ArmNumbers, Comparison, Numbers
+from study.report.results import Results
+from study.report.statistics import RESAMPLES, Interval
+
+UNKNOWN = "not recorded"
+METHOD = f"""\
+A trial walks if it lasts to its end at 0.3 m/s or more; trials are counted from 1. Runs are the \
+unit of all statistics: an arm's trials in one run are one sample. Intervals are 95 %: Wilson's \
+score interval for proportions; for medians the percentile bootstrap over runs ({RESAMPLES:,} \
+resamples from a fixed `SeedSequence`). A run without a walker counts as later than every trial, \
+so that a median "> T" says that no more than half of the runs had one within T trials."""
+TESTS = """\
+Two-sided tests on pairs of runs, each a body and a ground that both arms met: Wilcoxon's \
+signed-rank test of the best costs, McNemar's exact test of having a walker. `n` is the number of \
+pairs, and of those that differ, on which a test rests. p is Holm's, adjusted over all arms of the \
+table, the unadjusted in brackets. Below 0 the arm is better."""
+
+
+def report_text(results: Results, numbers: Numbers, optimum: float | None) -> str:
+    """The document; figures are linked by their names beside it."""
+    parts = [
+        f"# {results.name}",
+        _state(results),
+        _facts(results, optimum),
+        "## What the arms reached",
+        METHOD,
+        _reached(numbers),
+        "## Best cost",
+        _costs(numbers, results.cost),
+        *_tests(numbers),
+        "## What the arms saw before their first trial",
+        _saw(numbers),
+        "## Figures",
+        *(f"![{words}]({name}.png)" for name, words in FIGURES.items()),
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+FIGURES = {
+    "best-cost": "Best cost so far against trials",
+    "walkers": "Share of runs with a walker against trials",
+    "first-walker": "Trials to the first walker, a dot a run",
+}
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table; all columns but the first are aligned right."""
+    rule = ["---", *["---:"] * (len(header) - 1)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *rows))
+
+
+def count_text(value: float, trials: int) -> str:
+    """A trial, or that it is later than all trials."""
+    return f"{value:g}" if np.isfinite(value) else f"> {trials}"
+
+
+def share_text(share: Interval) -> str:
+    """A proportion with its interval, in per cent."""
+    return f"{share.value:.0%} ({share.low:.0%} to {share.high:.0%})".replace("%", " %")
+
+
+def first_walker_text(arm: ArmNumbers) -> str:
+    """The median trial with its interval."""
+    low, high = (
+        count_text(end, arm.trials) for end in (arm.first_walker.low, arm.first_walker.high)
+    )
+    return f"{count_text(arm.first_walker.value, arm.trials)} ({low} to {high})"
+
+
+def p_text(p: float) -> str:
+    """A p-value, to two digits."""
+    return "< 1e-4" if p < 1e-4 else f"{p:.2g}"
+
+
+def label(arm: str) -> str:
+    """The name that the command knows, and what a reader calls it."""
+    return f"{arm}" if LABELS.get(arm, arm) == arm else f"{arm} ({LABELS[arm]})"
+
+
+def _state(results: Results) -> str:
+    if results.complete:
+        return f"{len(results.arms)} arms, {results.runs} runs of {results.trials} trials each."
+    behind = [
+        f"{name} {len(arm.runs)} x {arm.trials}"
+        for name, arm in results.arms.items()
+        if arm.found < results.runs * results.trials
+    ]
+    return (
+        f"**Unfinished: {results.found:,} of {results.planned:,} trials are there.** Figures are "
+        "of the trials that all runs of an arm have (runs x trials; the most: "
+        f"{results.runs} x {results.trials}): {', '.join(behind)}."
+    )
+
+
+def _facts(results: Results, optimum: float | None) -> str:
+    """What is known of how the runs were made, a line a fact."""
+    facts = {key: _fact(results, key) for key in FACTS}
+    if optimum is not None:
+        facts["estimated optimum"] = f"{optimum:.4g} (level ground, undisturbed body)"
+    return "\n".join(f"- {key}: {value}" for key, value in facts.items() if value != UNKNOWN)
+
+
+FACTS = ("date", "machine", "versions", "command", "wall time", "cost", "duration_s", "seed")
+
+
+def _fact(results: Results, key: str) -> str:
+    if key == "cost":
+        return results.cost
+    value: Any = results.facts.get(key.replace(" ", "_"), results.facts.get(key))
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {item}" for name, item in value.items())
+    return UNKNOWN if value is None else str(value)
+
+
+def _reached(numbers: Numbers) -> str:
+    limits = list(max((arm.within for arm in numbers.arms), key=len))
+    header = ["arm", "runs", "runs with a walker", "first walker, median trial"]
+    rows = [
+        [
+            label(arm.arm), str(arm.runs), f"{arm.walkers}: {share_text(arm.share)}",
+            first_walker_text(arm), *(str(arm.within.get(limit, "-")) for limit in limits),
+        ]
+        for arm in numbers.arms
+    ]  # fmt: skip
+    return table([*header, *(f"within {limit}" for limit in limits)], rows)
+
+
+def _costs(numbers: Numbers, cost: str) -> str:
+    after = list(max((arm.cost_after for arm in numbers.arms), key=len))
+    if not after:
+        return ""
+    header = ["arm", *(f"median best {cost} cost after {trials}" for trials in after)]
+    rows = [
+        [label(arm.arm), *(_interval(arm.cost_after.get(trials)) for trials in after)]
+        for arm in numbers.arms
+    ]
+    return table(header, rows)
+
+
+def _tests(numbers: Numbers) -> list[str]:
+    if not numbers.comparisons:
+        return []
+    after = max(each.after for each in numbers.comparisons)
+    header = [
+        "arm", "n", f"best cost after {after} less {PAPER}'s, median", "Wilcoxon p",
+        "n walkers", "McNemar p",
+    ]  # fmt: skip
+    rows = [_test_row(each, after) for each in numbers.comparisons]
+    return [f"## Against the paper's method (`{PAPER}`)", TESTS, table(header, rows)]
+
+
+def _test_row(each: Comparison, after: int) -> list[str]:
+    remark = "" if each.after == after else f" (after {each.after})"
+    return [
+        label(each.arm),
+        f"{each.cost.pairs}, {each.cost.unequal} differ",
+        f"{_interval(each.difference, '+.3g')}{remark}",
+        f"{p_text(each.cost_p_holm)} ({p_text(each.cost.p)})",
+        f"{each.walkers.pairs}, {each.walkers.unequal} differ",
+        f"{p_text(each.walkers_p_holm)} ({p_text(each.walkers.p)})",
+    ]
+
+
+def _saw(numbers: Numbers) -> str:
+    rows = [
+        [label(each.arm), ARMS[each.arm].summary, ARMS[each.arm].saw]
+        if each.arm in ARMS
+        else [label(each.arm), UNKNOWN, UNKNOWN]
+        for each in numbers.arms
+    ]
+    return table(["arm", "what it is", "what its store saw"], rows).replace("---:", "---")
+
+
+def _interval(interval: Interval | None, form: str = ".3g") -> str:
+    if interval is None:
+        return "-"
+    value, low, high = (format(x, form) for x in (interval.value, interval.low, interval.high))
+    return f"{value} ({low} to {high})"

@@ -1,0 +1,30 @@
+"""The estimated optimum that a figure shows: of tools/optimum.py, for the same cost."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from study.report.results import Results, read_document
+from taichi_nmm.errors import InputError
+
+OPTIMUM_NAME = "optimum.json"
+
+
+def find_optimum(results: Results, given: Sequence[Path]) -> float | None:
+    """The best cost of the first document of the experiment's cost: given, or in its folder.
+
+    Raises:
+        InputError: a document that was given is missing, or none of tools/optimum.py.
+    """
+    for path in given:
+        if not path.is_file():
+            raise InputError("optimum", str(path), f"an {OPTIMUM_NAME} that exists")
+    for path in (*given, results.folder / OPTIMUM_NAME):
+        document = read_document(path)
+        if not document:
+            continue
+        cost, best = document.get("cost"), document.get("best_cost")
+        if not isinstance(cost, str) or isinstance(best, bool) or not isinstance(best, int | float):
+            raise InputError("optimum", str(path), "a document of tools/optimum.py")
+        if cost == results.cost:
+            return float(best)
+    return None

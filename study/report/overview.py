@@ -1,0 +1,53 @@
+"""Several experiments side by side: one table, one document for programs."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from study.report.appearance import BEST, LABELS, PAPER, family
+from study.report.markdown import count_text, table
+from study.report.numbers import ArmNumbers, Numbers, numbers
+from study.report.results import read_results
+
+FAMILIES = ("peer", "control", "ours")
+
+
+def report_tables(folders: Iterable[str | Path]) -> str:
+    """Experiments in rows, arms in columns: runs with a walker, median trial of the first.
+
+    Args:
+        folders: of comparisons, each as `read_results` takes it.
+
+    Raises:
+        InputError: what `read_results` refuses.
+    """
+    return overview_text([numbers(read_results(folder)) for folder in folders])
+
+
+def overview_text(experiments: Sequence[Numbers]) -> str:
+    """The same of numbers that are known already."""
+    arms = _columns(experiments)
+    rows = []
+    for each in experiments:
+        by_name = {arm.arm: arm for arm in each.arms}
+        rows.append([each.experiment, *(_cell(by_name.get(arm)) for arm in arms)])
+    header = ["experiment", *(LABELS.get(arm, arm) for arm in arms)]
+    remark = (
+        "Runs with a walker, and the median trial of the first (`> T`: no more than half of the "
+        "runs had one in T trials)."
+    )
+    return f"{table(header, rows)}\n\n{remark}\n"
+
+
+def _columns(experiments: Sequence[Numbers]) -> list[str]:
+    """All arms: the paper's, our best, then peers, controls and others of ours."""
+    known = dict.fromkeys(arm.arm for each in experiments for arm in each.arms)
+    first = [arm for arm in (PAPER, BEST) if arm in known]
+    rest = [arm for kind in FAMILIES for arm in sorted(known) if family(arm) == kind]
+    return first + [arm for arm in rest if arm not in first]
+
+
+def _cell(arm: ArmNumbers | None) -> str:
+    if arm is None:
+        return ""
+    median = count_text(arm.first_walker.value, arm.trials)
+    return f"{arm.share.value:.0%}, {median}".replace("%", " %")

@@ -1,0 +1,211 @@
+"""What a comparison left in its folder, as arrays of runs and trials."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES
+
+TRIALS_NAME = "trials.parquet"
+ARMS_NAME = "arms"
+DOCUMENTS = ("experiment.json", "run.json")
+
+COLUMNS = ("experiment", "arm", "run", "trial", "cost", "best_cost", "walked")
+NAMES = ("experiment", "arm")
+GAIN_COLUMNS = (*GAIN_NAMES, "theta_ref")
+LARGEST_SMOOTH_COST = 20.0  # the smooth cost is below 1.4 unless a walker races; a fall is 300
+
+
+@dataclass(frozen=True, eq=False)
+class ArmRuns:
+    """The runs of one arm, as far as all of them have come: r runs of t trials.
+
+    Attributes:
+        arm: its name.
+        runs: their numbers, ascending, [r].
+        best: the best cost so far, [r, t].
+        walks: whether a trial walked, bool [r, t].
+        found: trials in the table; r t of them are in the arrays.
+    """
+
+    arm: str
+    runs: NDArray[np.int64]
+    best: NDArray[np.float64]
+    walks: NDArray[np.bool_]
+    found: int
+
+    @property
+    def trials(self) -> int:
+        """Trials that every run has, t."""
+        return self.best.shape[1]
+
+    @cached_property
+    def first_walker(self) -> NDArray[np.float64]:
+        """The trial that was the first to walk, counted from 1; infinite where none did, [r]."""
+        any_walks = self.walks.any(axis=1)
+        return np.where(any_walks, self.walks.argmax(axis=1) + 1.0, np.inf)
+
+    @cached_property
+    def has_walker(self) -> NDArray[np.bool_]:
+        """Whether a run has a walker after so many trials, [r, t]."""
+        return np.asarray(np.logical_or.accumulate(self.walks, axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """One experiment.
+
+    Attributes:
+        folder: where it lies.
+        name: of the experiment.
+        cost: "smooth" or "walking".
+        arms: by name, in the order of the table.
+        facts: of experiment.json and run.json; empty where there are none.
+    """
+
+    folder: Path
+    name: str
+    cost: str
+    arms: dict[str, ArmRuns]
+    facts: dict[str, Any]
+
+    @property
+    def runs(self) -> int:
+        """The most runs that an arm has."""
+        return max(len(arm.runs) for arm in self.arms.values())
+
+    @property
+    def trials(self) -> int:
+        """The most trials that all runs of an arm have."""
+        return max(arm.trials for arm in self.arms.values())
+
+    @property
+    def found(self) -> int:
+        """Trials in the table."""
+        return sum(arm.found for arm in self.arms.values())
+
+    @property
+    def planned(self) -> int:
+        """Trials that the table would have if every arm had as many runs and trials as the most."""
+        return len(self.arms) * self.runs * self.trials
+
+    @property
+    def complete(self) -> bool:
+        """Whether no arm lags behind another."""
+        return self.found == self.planned
+
+
+def read_results(folder: str | Path) -> Results:
+    """Read the folder of a comparison, finished or not.
+
+    Of each arm the table or its checkpoint counts, whichever has more trials.
+
+    Raises:
+        InputError: no such folder, no trials in it, a table that cannot be read, or one without a
+            column that is needed.
+    """
+    folder = Path(folder)
+    tables = _tables(folder)
+    arms = {}
+    for table in tables:
+        for arm, rows in _by_arm(table).items():
+            if arm not in arms or len(arms[arm]) < len(rows):
+                arms[arm] = rows
+    if not arms:
+        raise InputError("folder", str(folder), f"the output of tools/compare.py: {TRIALS_NAME}")
+    runs = {arm: _arm_runs(folder, arm, rows) for arm, rows in arms.items()}
+    facts = {
+        key: value for name in DOCUMENTS for key, value in read_document(folder / name).items()
+    }
+    first = next(iter(arms.values()))
+    return Results(folder, first["experiment"][0].as_py(), _cost(facts, runs), runs, facts)
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """A JSON object; empty where there is no such file.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    try:
+        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise InputError(path.name, str(path), f"a readable JSON object ({error})") from None
+    return document
+
+
+def read_trials(path: Path, columns: Sequence[str]) -> pa.Table:
+    """Columns of a table of trials.
+
+    Raises:
+        InputError: not readable, or a column is missing.
+    """
+    try:
+        known = pq.read_schema(path).names
+        for name in columns:
+            if name not in known:
+                raise InputError(f"{path.name}: column", name, f"one of {', '.join(known)}")
+        return pq.read_table(path, columns=list(columns))
+    except (OSError, pa.ArrowInvalid) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(path.name, str(path), f"a readable table of trials ({reason})") from None
+
+
+def table_files(folder: Path) -> list[Path]:
+    """The final table of a folder, then the checkpoints of its arms: those that there are."""
+    if not folder.is_dir():
+        raise InputError("folder", str(folder), "the output folder of tools/compare.py")
+    final = folder / TRIALS_NAME
+    checkpoints = sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))
+    return ([final] if final.exists() else []) + checkpoints
+
+
+def _tables(folder: Path) -> list[pa.Table]:
+    return [read_trials(path, COLUMNS) for path in table_files(folder)]
+
+
+def _by_arm(table: pa.Table) -> dict[str, pa.Table]:
+    """The rows of each arm, in the order of the runs and trials."""
+    ordered = table.sort_by([("arm", "ascending"), ("run", "ascending"), ("trial", "ascending")])
+    arms, starts = np.unique(ordered["arm"].to_numpy(), return_index=True)
+    ends = [*starts[1:], len(ordered)]
+    return {
+        str(arm): ordered.slice(start, end - start)
+        for arm, start, end in zip(arms, starts, ends, strict=True)
+    }
+
+
+def _arm_runs(folder: Path, arm: str, table: pa.Table) -> ArmRuns:
+    runs, counts = np.unique(table["run"].to_numpy(), return_counts=True)
+    trial = table["trial"].to_numpy()
+    if not np.array_equal(trial, np.concatenate([np.arange(count) for count in counts])):
+        raise InputError(str(folder), f"arm {arm}", "trials 0, 1, 2, ... of each run, each once")
+    shared = trial < counts.min()
+
+    def square(name: str) -> NDArray[Any]:
+        column: NDArray[Any] = table[name].to_numpy()
+        return column[shared].reshape(len(runs), -1)
+
+    return ArmRuns(
+        arm, runs.astype(np.int64), square("best_cost"), square("walked").astype(bool), len(table)
+    )
+
+
+def _cost(facts: dict[str, Any], arms: dict[str, ArmRuns]) -> str:
+    """The cost's name, as configured; where that is not known, as its size tells."""
+    configured = facts.get("objective", {}).get("cost")
+    if configured is not None:
+        return str(configured)
+    largest = max(float(arm.best[:, 0].max()) for arm in arms.values())
+    return "smooth" if largest < LARGEST_SMOOTH_COST else "walking"

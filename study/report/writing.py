@@ -1,0 +1,64 @@
+"""Everything that a report consists of, written into its folder."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from storage.commit import commit_json, writable
+from study.benchmarks.comparison_report import commit_text
+from study.report.curves import write_best_cost, write_walkers
+from study.report.dots import write_first_walker
+from study.report.markdown import report_text
+from study.report.numbers import Numbers, numbers
+from study.report.overview import overview_text
+from study.report.results import Results
+
+REPORT_NAME = "report"
+
+
+def write_report(results: Results, optimum: float | None, folder: Path | None = None) -> Numbers:
+    """Write report.md, summary.json and the figures of one experiment.
+
+    Args:
+        results: of the experiment.
+        optimum: the estimated optimum of its cost, where it is known.
+        folder: by default `report` in the experiment's own.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    folder = _made(folder or results.folder / REPORT_NAME)
+    found = numbers(results)
+    write_best_cost(folder, results, optimum)
+    write_walkers(folder, results)
+    write_first_walker(folder, results)
+    commit_json(
+        folder / "summary.json",
+        {
+            "complete": results.complete,
+            "trials_found": results.found,
+            "trials_planned": results.planned,
+            "cost": results.cost,
+            "optimum": optimum,
+            **found.as_dict(),
+        },
+    )
+    commit_text(folder / "report.md", report_text(results, found, optimum))
+    return found
+
+
+def write_overview(folder: Path, experiments: Sequence[Numbers]) -> None:
+    """Write overview.md and overview.json of several experiments.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    _made(folder)
+    commit_json(folder / "overview.json", {"experiments": [each.as_dict() for each in experiments]})
+    text = f"# {len(experiments)} experiments\n\n{overview_text(experiments)}"
+    commit_text(folder / "overview.md", text)
+
+
+def _made(folder: Path) -> Path:
+    with writable(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder

@@ -1,0 +1,93 @@
+"""A comparison's folder with made-up trials of realistic shape: 70,000 rows in a second."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from taichi_nmm.parameters import GAINS
+from taichi_nmm.result import SCORE_FIELDS
+
+# Of each arm: how likely a trial walks at first, and how much likelier with every trial.
+ARMS = {
+    "random": (0.007, 0.0),
+    "cmaes-cold": (0.005, 0.0004),
+    "cmaes-warm": (0.02, 0.0006),
+    "cmaes-source": (0.01, 0.0006),
+    "bo-euclidean": (0.006, 0.0003),
+    "gp-optuna": (0.006, 0.0004),
+    "tpe": (0.006, 0.0005),
+    "dog": (0.02, 0.002),
+    "dog-kd": (0.015, 0.003),
+    "dog-robust": (0.3, 0.01),
+    "score-first": (0.6, 0.0),
+    "score-top": (0.4, 0.0),
+    "ei-prior": (0.3, 0.005),
+    "best": (0.75, 0.005),
+}
+
+
+def columns(
+    arms: dict[str, tuple[float, float]], runs: int, trials: int, cost: str, seed: int = 0
+) -> dict[str, NDArray[Any]]:
+    """The columns of trials.parquet, sorted by arm, run, trial."""
+    rng = np.random.default_rng(seed)
+    n = len(arms) * runs * trials
+    arm = np.repeat(sorted(arms), runs * trials)
+    run = np.tile(np.repeat(np.arange(runs, dtype=np.int32), trials), len(arms))
+    trial = np.tile(np.arange(trials, dtype=np.int32), len(arms) * runs)
+    luck = rng.uniform(0.3, 1.7, runs)[run]  # of the run, shared by its arms
+    first, slope = np.array([arms[name] for name in arm]).T
+    completed = rng.random(n) < luck * np.minimum(first + slope * trial, 0.9)
+    speed = np.where(completed, rng.uniform(0.6, 1.5, n), rng.uniform(0.0, 1.5, n))
+    duration = np.where(completed, 100.0, rng.exponential(3.0, n) + 0.6)
+    distance = speed * duration
+    transport = rng.uniform(4.0, 9.0, n)
+    smooth = 1 / (1 + duration) + 0.3 / (1 + distance) + 0.01 * abs(speed - 1.3)
+    walking = np.where(completed, 100 * abs(speed - 1.3) + transport, 300 - distance)
+    value = smooth if cost == "smooth" else walking
+    best = np.minimum.accumulate(value.reshape(-1, trials), axis=1).ravel()
+    gains = {gain.name: rng.uniform(gain.low, gain.high, n) for gain in GAINS}
+    scores = {
+        name: np.zeros(n, np.int32 if dtype == "i4" else np.float64) for name, dtype in SCORE_FIELDS
+    }
+    return {
+        "experiment": np.full(n, "made-up"),
+        "arm": arm,
+        "run": run,
+        "trial": trial,
+        **gains,
+        "theta_ref": np.full(n, 0.1),
+        "row": np.full(n, -1, np.int64),
+        "cost": value,
+        "best_cost": best,
+        "walked": completed,
+        "duration_s": duration,
+        "distance_m": distance,
+        "mean_speed_mps": speed,
+        "cost_of_transport_jpkgpm": transport,
+        "end_reason": np.where(completed, "completed", "fell"),
+        **scores,
+    }
+
+
+def write(
+    folder: Path,
+    arms: dict[str, tuple[float, float]] = ARMS,
+    runs: int = 50,
+    trials: int = 100,
+    cost: str = "smooth",
+    name: str = "made-up",
+) -> Path:
+    """Such a folder: trials.parquet and experiment.json."""
+    folder.mkdir(parents=True, exist_ok=True)
+    made = columns(arms, runs, trials, cost)
+    made["experiment"] = np.full(len(made["arm"]), name)
+    pq.write_table(pa.table(made), folder / "trials.parquet")
+    document = {"name": name, "seed": 1, "objective": {"cost": cost}}
+    (folder / "experiment.json").write_text(json.dumps(document))
+    return folder

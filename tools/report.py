@@ -1,0 +1,54 @@
+"""Figures and tables of one or several comparisons.
+
+    python tools/report.py out/compare/rough8-smooth
+    python tools/report.py out/compare/* --out out/overview --optimum out/optimum/optimum.json
+
+Each folder gets a folder `report`; of several, the overview goes to --out. An unfinished comparison
+is reported as far as it is, and says so. Exit codes: 0, 2 bad input, 130 interrupted.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+# The repository comes before tools/, where study.py would hide the package of its name.
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from study.command import run_command
+from study.report.optimum import find_optimum
+from study.report.results import read_results
+from study.report.writing import REPORT_NAME, write_overview, write_report
+from taichi_nmm.errors import InputError
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="of tools/compare.py")
+    parser.add_argument("--out", type=Path, help="for the overview of several folders")
+    parser.add_argument(
+        "--optimum", type=Path, action="append", default=[],
+        help="optimum.json of tools/optimum.py, drawn as a line; may be repeated, a cost each",
+    )  # fmt: skip
+    return parser.parse_args()
+
+
+def main() -> None:
+    args = parse()
+    if args.out is not None and len(args.folders) == 1:
+        raise InputError(
+            "out", str(args.out), f"two folders or more; of one, it is DIR/{REPORT_NAME}"
+        )
+    everything = [read_results(folder) for folder in args.folders]
+    optima = [find_optimum(results, args.optimum) for results in everything]
+    found = []
+    for results, optimum in zip(everything, optima, strict=True):
+        found.append(write_report(results, optimum))
+        state = "" if results.complete else f" ({results.found:,} of {results.planned:,} trials)"
+        print(f"{results.folder / REPORT_NAME}: {results.name}{state}", flush=True)
+    if args.out is not None:
+        write_overview(args.out, found)
+        print(f"{args.out}: overview of {len(found)} experiments")
+
+
+if __name__ == "__main__":
+    run_command(main)
