@@ -88,7 +88,7 @@ def test_the_summary_compares_the_arms(url: str) -> None:
     attributes = summary._storage.get_study_system_attrs(summary._study_id)
     traces = json.loads(get_plotly_graph_objects(attributes)["best-cost"])["data"]
     assert [trace["name"] for trace in traces] == ["dog", "random"]
-    assert traces[0]["x"] == [1, 2, 3] and traces[0]["y"] == [295.0, 190.0, 185.0]
+    assert traces[0]["x"] == [1, 2, 3] and traces[0]["y"] == [295.0, 185.0, 185.0]
 
 
 def test_a_long_note_and_a_long_figure_come_back_whole(url: str) -> None:
