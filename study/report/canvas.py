@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -18,7 +19,10 @@ LABEL_PT = 8.0
 LABEL_SPACING_PT = 10.0
 LABEL_OFFSET_PT = 16.0
 TICKS = (1, 3, 10, 30, 100, 300, 1000)
-SVG = {"svg.hashsalt": "taichi-nmm", "svg.fonttype": "path"}  # the same file each time
+SVG: dict[Any, Any] = {
+    "svg.hashsalt": "taichi-nmm",
+    "svg.fonttype": "path",
+}  # the same file each time
 
 
 @dataclass(frozen=True)

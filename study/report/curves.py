@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -43,7 +44,7 @@ def write_best_cost(folder: Path, results: Results, optimum: float | None) -> li
         _cost_axis(axes, results, optimum)
         if panel:
             axes.set_ylabel("")
-        ends = _draw_arms(axes, results, lambda arm, of=curve: of(arm.best), "{:.3g}", up=1)
+        ends = _draw_arms(axes, results, _best_cost(curve), "{:.3g}", up=1)
         axes.set_title(title, fontsize=style.TEXT_PT, loc="left", color=style.INK)
         label_ends(axes, ends, results.trials)
     title = f"{results.name}: best {results.cost} cost so far"
@@ -64,6 +65,10 @@ def write_walkers(folder: Path, results: Results) -> list[Path]:
     title = f"{results.name}: runs that have found a walker"
     headline(figure, LEFT_IN, title, f"{IN_FRONT} Wilson intervals")
     return save(figure, folder, "walkers")
+
+
+def _best_cost(curve: Callable[[Floats], Curve]) -> Callable[[ArmRuns], Curve]:
+    return lambda arm: curve(arm.best)
 
 
 def _walker_share(arm: ArmRuns) -> Curve:
@@ -113,8 +118,8 @@ def _cost_axis(axes: Axes, results: Results, optimum: float | None) -> None:
         _level(axes, optimum, f"estimated optimum {optimum:.3g}", (0, (8, 2, 1, 2)))
 
 
-def _level(axes: Axes, y: float, text: str, dash: object) -> None:
-    axes.axhline(y, color=style.INK, linewidth=0.8, linestyle=dash, zorder=2.0)  # type: ignore[arg-type]
+def _level(axes: Axes, y: float, text: str, dash: Any) -> None:
+    axes.axhline(y, color=style.INK, linewidth=0.8, linestyle=dash, zorder=2.0)
     axes.annotate(
         text, xy=(0.0, y), xycoords=("axes fraction", "data"), xytext=(4, 2.5),
         textcoords="offset points", fontsize=style.SMALL_PT, color=style.INK,

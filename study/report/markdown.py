@@ -122,7 +122,7 @@ def _fact(results: Results, key: str) -> str:
 
 
 def _reached(numbers: Numbers) -> str:
-    limits = list(max((arm.within for arm in numbers.arms), key=len))
+    limits = sorted({limit for arm in numbers.arms for limit in arm.within})
     header = ["arm", "runs", "runs with a walker", "first walker, median trial"]
     rows = [
         [
@@ -135,7 +135,7 @@ def _reached(numbers: Numbers) -> str:
 
 
 def _costs(numbers: Numbers, cost: str) -> str:
-    after = list(max((arm.cost_after for arm in numbers.arms), key=len))
+    after = sorted({trials for arm in numbers.arms for trials in arm.cost_after})
     if not after:
         return ""
     header = ["arm", *(f"median best {cost} cost after {trials}" for trials in after)]

@@ -46,7 +46,7 @@ class ArmRuns:
     @property
     def trials(self) -> int:
         """Trials that every run has, t."""
-        return self.best.shape[1]
+        return int(self.best.shape[1])
 
     @cached_property
     def first_walker(self) -> NDArray[np.float64]:
@@ -115,7 +115,7 @@ def read_results(folder: str | Path) -> Results:
     """
     folder = Path(folder)
     tables = _tables(folder)
-    arms = {}
+    arms: dict[str, pa.Table] = {}
     for table in tables:
         for arm, rows in _by_arm(table).items():
             if arm not in arms or len(arms[arm]) < len(rows):
@@ -194,8 +194,7 @@ def _arm_runs(folder: Path, arm: str, table: pa.Table) -> ArmRuns:
     shared = trial < counts.min()
 
     def square(name: str) -> NDArray[Any]:
-        column: NDArray[Any] = table[name].to_numpy()
-        return column[shared].reshape(len(runs), -1)
+        return np.asarray(table[name].to_numpy()[shared].reshape(len(runs), -1))
 
     return ArmRuns(
         arm, runs.astype(np.int64), square("best_cost"), square("walked").astype(bool), len(table)

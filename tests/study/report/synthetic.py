@@ -42,7 +42,8 @@ def columns(
     trial = np.tile(np.arange(trials, dtype=np.int32), len(arms) * runs)
     luck = rng.uniform(0.3, 1.7, runs)[run]  # of the run, shared by its arms
     first, slope = np.array([arms[name] for name in arm]).T
-    completed = rng.random(n) < luck * np.minimum(first + slope * trial, 0.9)
+    chance = luck * np.minimum(first + slope * trial, 0.9)
+    completed = (rng.random(n) < chance) | (first >= 1.0)
     speed = np.where(completed, rng.uniform(0.6, 1.5, n), rng.uniform(0.0, 1.5, n))
     duration = np.where(completed, 100.0, rng.exponential(3.0, n) + 0.6)
     distance = speed * duration

@@ -1,0 +1,89 @@
+"""Figures: labels that do not overlap, dots that are all there, files that are whole."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.text import Annotation
+
+from study.pictures import style
+from study.report import canvas, curves, dots
+from study.report.appearance import Look
+from study.report.canvas import End, label_ends, spread_out, trial_axis
+from study.report.results import Results, read_results
+from tests.study.report import synthetic
+
+
+def test_places_move_no_more_than_they_must() -> None:
+    assert spread_out([0.0, 10.0, 20.0], 5.0, 0.0, 100.0) == [0.0, 10.0, 20.0]
+    assert spread_out([10.0, 10.0], 4.0, 0.0, 100.0) == [8.0, 12.0]
+    assert spread_out([0.0, 0.0, 0.0], 4.0, 0.0, 100.0) == [0.0, 4.0, 8.0]
+    assert spread_out([99.0, 100.0], 4.0, 0.0, 100.0) == [96.0, 100.0]
+    assert spread_out([], 4.0, 0.0, 1.0) == []
+
+
+def test_places_that_do_not_fit_stay_apart_all_the_same() -> None:
+    places = spread_out(np.linspace(0.0, 10.0, 14).tolist(), 4.0, 0.0, 10.0)
+    assert np.diff(places).min() >= 4.0 - 1e-9
+
+
+def test_labels_of_lines_with_one_end_do_not_overlap() -> None:
+    figure = style.new_figure(6.0, 4.0)
+    axes = figure.add_axes((0.1, 0.1, 0.6, 0.8))
+    trial_axis(axes, 100)
+    look = Look("x", "#000000", "#000000", "solid", "o", False)
+    label_ends(axes, [End(1.0, look, f"arm {rank}", rank) for rank in range(14)], 100.0)
+    figure.canvas.draw()
+    labels = [text for text in axes.texts if isinstance(text, Annotation)]
+    assert len(labels) == 14
+    boxes = sorted((label.get_window_extent().y0, label.get_text()) for label in labels)
+    assert [text for _, text in boxes] == [f"arm {rank}" for rank in range(14)]
+    assert np.diff([y for y, _ in boxes]).min() >= canvas.LABEL_SPACING_PT * figure.dpi / 72 - 0.5
+
+
+def test_every_run_has_a_dot_of_its_own() -> None:
+    places = np.sort(np.random.default_rng(1).choice([0.0, 0.15, 0.151, 0.8], 50))
+    x, y = dots.piles(places)
+    assert len({(round(a, 4), round(b, 4)) for a, b in zip(x, y, strict=True)}) == 50
+    assert np.abs(y).max() < 0.5
+    assert np.abs(x - places).max() < 0.1
+    none = dots.piles(np.empty(0))
+    assert len(none[0]) == len(none[1]) == 0
+
+
+@pytest.mark.parametrize("cost", ["smooth", "walking"])
+def test_all_figures_are_written_twice_alike(tmp_path: Path, cost: str) -> None:
+    arms = {"dog": (0.1, 0.01), "random": (0.0, 0.0), "best": (0.9, 0.0)}
+    results = read_results(synthetic.write(tmp_path / "data", arms, 6, 12, cost))
+    names = []
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        folder.mkdir()
+        files = curves.write_best_cost(folder, results, 0.01 if cost == "smooth" else 5.0)
+        files += curves.write_walkers(folder, results)
+        files += dots.write_first_walker(folder, results)
+        names = [file.name for file in files]
+        assert sorted(names) == sorted(file.name for file in folder.iterdir())
+    assert len(names) == 6
+    for name in names:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_labels_stay_within_the_figure(results: Results, tmp_path: Path) -> None:
+    """Names and numbers of all arms of a real comparison fit right of the lines."""
+    seen = []
+
+    def keep(figure: object, *_: object) -> list[Path]:
+        seen.append(figure)
+        return []
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(curves, "save", keep)
+        patch.setattr(dots, "save", keep)
+        curves.write_walkers(tmp_path, results)
+        dots.write_first_walker(tmp_path, results)
+    for figure in seen:
+        width = figure.bbox.width  # type: ignore[attr-defined]
+        for axes in figure.axes:  # type: ignore[attr-defined]
+            for text in axes.texts:
+                box = text.get_window_extent()
+                assert box.x0 >= 0 and box.x1 <= width, text.get_text()
