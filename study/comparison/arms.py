@@ -32,7 +32,11 @@ DETERMINANTS = (
 PRINTED = ("phi_printed",)
 ROBUST = ("robust_survived_fraction_mean",)
 OFF_GRID = 32  # points a trial that are simulated beside the store's
-PAPER = {"kernel": "rbf", "mean": "constant", "acquisition": "ei"}  # of the paper's method
+PAPER: dict[str, Any] = {
+    "kernel": "rbf",
+    "mean": "constant",
+    "acquisition": "ei",
+}  # of the paper's method
 
 
 @dataclass(frozen=True)

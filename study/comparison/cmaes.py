@@ -147,7 +147,7 @@ class WarmCmaEsSampler(BaseSampler):
             self._strategy.tell(self._asked, [trial.values[0] for trial in told])
             self._asked = self._strategy.ask()
             self._generation += 1
-        return self._asked[len(finished) - size * self._generation]
+        return np.asarray(self._asked[len(finished) - size * self._generation])
 
     def _new_strategy(self) -> Any:
         import cma

@@ -19,7 +19,7 @@ from taichi_nmm.errors import InputError
 
 # For the processes that are started: their BLAS reads it when NumPy is imported.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-JOIN_S = 5.0
+JOIN_S = 3.0  # of a worker in the middle of a proposal
 
 
 class Pool:
@@ -74,10 +74,11 @@ class Pool:
     def close(self) -> None:
         """End the processes: what they hold is in the main process's tables."""
         for pipe in self._pipes:
-            pipe.close()
+            pipe.close()  # a worker that hears of it ends in order
         for process in self._processes:
-            process.terminate()
             process.join(JOIN_S)
+            process.terminate()
+            process.join()
 
     def propose(self) -> Proposals:
         """The next trial of every study that has not all its trials."""

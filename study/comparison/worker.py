@@ -32,7 +32,8 @@ def work(
         try:
             if what == "start":
                 group = StudyGroup(experiment, studies, trials)
-                answer: tuple[str, Any] = "done", group.restore(known)
+                group.restore(known)
+                answer: tuple[str, Any] = "done", None
             else:
                 answer = "done", getattr(group, what)(*arguments)
         except InputError as error:
