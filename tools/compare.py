@@ -17,6 +17,7 @@ from typing import Any
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import optuna
 from tqdm import tqdm
 
 from study.command import run_command
@@ -72,10 +73,11 @@ def parse() -> argparse.Namespace:
 
 def main() -> None:
     args = parse()
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
     experiment = read_experiment(args.config, args.arch)
     out = args.out or Path("out") / "compare" / experiment.name
     arms = tuple(args.arms.split(",")) if args.arms is not None else None
-    request = Request(out, arms, args.runs, args.trials, args.workers)
+    request = Request(out, args.storage, arms, args.runs, args.trials, args.workers)
     bar = ProgressBar()
     try:
         outcome = compare(experiment, request, bar.show)
@@ -88,6 +90,7 @@ def report(outcome: Outcome, out: Path) -> dict[str, Any]:
     """For programs: one object of plain values."""
     return {
         "out": str(out),
+        "storage": outcome.storage,
         "trials": len(outcome.trials),
         "trials_computed": outcome.computed,
         "wall_s": outcome.wall_s,
@@ -98,7 +101,7 @@ def report(outcome: Outcome, out: Path) -> dict[str, Any]:
 def text(outcome: Outcome, out: Path) -> str:
     """The same for people."""
     done = f"{len(outcome.trials)} trials ({outcome.computed} now, in {outcome.wall_s:.0f} s)"
-    return f"{as_text(outcome.arms)}\n{done}: {out / 'trials.parquet'}"
+    return f"{as_text(outcome.arms)}\n{done}: {out / 'trials.parquet'}\ndatabase: {outcome.storage}"
 
 
 if __name__ == "__main__":

@@ -9,13 +9,18 @@ from pathlib import Path
 import pyarrow as pa
 
 from storage.shard import read_columns
+from storage.studies import URL_PREFIX
 from study.comparison.check import check_arms
+from study.comparison.database import check_database, export
 from study.comparison.experiment import Experiment
 from study.comparison.folder import TIMES_NAME, ExperimentFolder
 from study.comparison.identity import document, machine
 from study.comparison.lockstep import Lockstep, Progress
 from study.comparison.summary import ArmSummary, summaries
 from taichi_nmm.errors import InputError
+
+DATABASE_NAME = "studies.db"
+EXPORT_S = 60.0  # between two renewals of the study database
 
 
 @dataclass(frozen=True)
@@ -24,6 +29,7 @@ class Request:
 
     Attributes:
         out: folder of the experiment.
+        storage: URL of the study database; None is a file in the folder.
         arms: names.
         runs: at least 1.
         trials: at least 1, of each arm in each run, in total.
@@ -31,6 +37,7 @@ class Request:
     """
 
     out: Path
+    storage: str | None
     arms: tuple[str, ...] | None
     runs: int | None
     trials: int | None
@@ -43,12 +50,14 @@ class Outcome:
 
     Attributes:
         trials: the table of results: all arms of the folder.
+        storage: URL of the study database.
         arms: a summary each.
         computed: trials of this session.
         wall_s: of this session.
     """
 
     trials: pa.Table
+    storage: str
     arms: list[ArmSummary]
     computed: int
     wall_s: float
@@ -70,26 +79,34 @@ def compare(
     _require_machine(experiment)
     identity = document(experiment, arms)
     with ExperimentFolder.claim(request.out, identity) as folder:
-        session = _Session(folder)
+        url = request.storage or f"{URL_PREFIX}{folder.path / DATABASE_NAME}"
+        check_database(experiment, url)
         studies = [(arm.name, run) for run in range(runs) for arm in arms]
-        lockstep = Lockstep(experiment, studies, folder, session.note)
-        session.begin(lockstep.finished)
+        lockstep = Lockstep(experiment, studies, folder)
+        session = _Session(experiment, folder, url, lockstep)
+        lockstep.checkpointed = session.checkpointed
         lockstep.run(trials, request.workers, session.watched(report))
-        session.note()
         results = folder.write_results()
+        export(experiment, results, url, final=True)
+        session.note()
         times = read_columns(folder.path / TIMES_NAME)
-        return Outcome(results, summaries(results, times), session.computed, session.wall_s)
+        found = summaries(results, times)
+        return Outcome(results, url, found, session.computed, session.wall_s)
 
 
 class _Session:
-    """When this process began, and what it has done: a line of run.json."""
+    """What this process does beside the trials: a line of run.json, and the study database."""
 
-    def __init__(self, folder: ExperimentFolder) -> None:
+    def __init__(
+        self, experiment: Experiment, folder: ExperimentFolder, url: str, lockstep: Lockstep
+    ) -> None:
+        self._experiment = experiment
         self._folder = folder
+        self._url = url
+        self._lockstep = lockstep
         self._started = datetime.now(UTC).isoformat(timespec="seconds")
-        self._began_s = time.monotonic()
-        self._before = 0
-        self._now = 0
+        self._began_s = self._exported_s = time.monotonic()
+        self._before = self._now = lockstep.finished
 
     @property
     def computed(self) -> int:
@@ -101,10 +118,6 @@ class _Session:
         """Since it began."""
         return time.monotonic() - self._began_s
 
-    def begin(self, finished: int) -> None:
-        """Trials that were there."""
-        self._before = self._now = finished
-
     def watched(self, report: Callable[[Progress], None]) -> Callable[[Progress], None]:
         """`report`, and count what it is told."""
 
@@ -114,8 +127,15 @@ class _Session:
 
         return both
 
+    def checkpointed(self) -> None:
+        """Called after each checkpoint: the database follows, less often."""
+        self.note()
+        if time.monotonic() - self._exported_s >= EXPORT_S:
+            export(self._experiment, self._lockstep.results(), self._url, final=False)
+            self._exported_s = time.monotonic()
+
     def note(self) -> None:
-        """Write it down; a session that computed nothing leaves no line."""
+        """Write the line; a session that computed nothing leaves none."""
         if self.computed:
             self._folder.note_session(
                 {

@@ -12,7 +12,7 @@ from study.comparison.folder import ExperimentFolder
 from study.comparison.group import Key, Proposals
 from study.comparison.outcome import costs, finite
 from study.comparison.pool import Pool
-from study.comparison.results import STATE_SCHEMA, in_order, state_table
+from study.comparison.results import RESULT_SCHEMA, STATE_SCHEMA, in_order, state_table
 from study.comparison.simulation import simulate_trials
 
 CHECKPOINT_S = 20.0
@@ -70,6 +70,11 @@ class Lockstep:
     def finished(self) -> int:
         """Trials of all studies."""
         return int(self._done.sum())
+
+    def results(self) -> pa.Table:
+        """Finished trials of the session's arms, `RESULT_SCHEMA`."""
+        tables = [table for tables in self._tables.values() for table in tables]
+        return in_order([STATE_SCHEMA.empty_table(), *tables]).select(RESULT_SCHEMA.names)
 
     def run(self, trials: int, workers: int, report: Callable[[Progress], None]) -> None:
         """Go on until every study has `trials` trials; finished rounds are kept whatever happens.
