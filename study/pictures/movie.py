@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import IO
 
 from storage.commit import commit
-from study.pictures.scene import FRAME_RATE_HZ, SIZE_PX, frames
+from study.pictures.scene import LARGE, Film, frames
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
@@ -37,6 +37,9 @@ def write_movie(
     terrain: Terrain,
     seconds: float = 8.0,
     title: str = "",
+    *,
+    film: Film = LARGE,
+    program: str | None = None,
 ) -> Path:
     """Film the last `seconds` of a walk in real time, with the forces of the ground.
 
@@ -46,27 +49,30 @@ def write_movie(
         terrain: the ground it walked on.
         seconds: how much of the walk's end is shown.
         title: one line in the corner.
+        film: its size, rate and quality.
+        program: what `find_ffmpeg` found; looked for if not given.
 
     Raises:
         InputError: no ffmpeg that works, or the file cannot be written.
     """
     path = Path(path)
-    program = find_ffmpeg()
+    encoder = program or find_ffmpeg()
 
     def write(temporary: Path) -> None:
-        _encode(program, frames(trajectory, terrain, seconds, title), temporary)
+        _encode(encoder, frames(trajectory, terrain, seconds, title, film), temporary, film)
 
     commit(path, write, _check)
     return path
 
 
-def _encode(program: str, pictures: Iterator[bytes], path: Path) -> None:
-    width, height = SIZE_PX
+def _encode(program: str, pictures: Iterator[bytes], path: Path, film: Film) -> None:
+    width, height = film.size_px
     command = [
         program, "-y", "-loglevel", "error",
-        "-f", "rawvideo", "-pix_fmt", "rgba", "-s", f"{width}x{height}",
-        "-r", str(FRAME_RATE_HZ), "-i", "-",
-        "-an", "-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p",
+        "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
+        "-r", str(film.rate_hz), "-i", "-",
+        "-an", "-c:v", "libx264", "-crf", str(film.quality), "-preset", film.effort,
+        "-pix_fmt", "yuv420p",
         "-movflags", "+faststart", "-f", "mp4", str(path),
     ]  # fmt: skip
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)

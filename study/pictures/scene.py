@@ -1,94 +1,208 @@
 """The frames of a film: a camera that follows the walker over its ground."""
 
 from collections.abc import Iterator
-from typing import Any
+from dataclasses import dataclass
 
+import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.text import Text
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw
 
 from study.pictures import style
-from study.pictures.skeleton import leg
-from study.pictures.stick_figure import GROUND_LAYER, StickFigure, activation_bar, draw_ground
+from study.pictures.canvas import Canvas, font
+from study.pictures.skeleton import HEAD_RADIUS_M, Leg, leg, muscle_outlines, trunk
+from study.pictures.stick_figure import (
+    FOOT_WIDTH_M,
+    LEFT,
+    RIGHT,
+    SHANK_WIDTH_M,
+    THIGH_WIDTH_M,
+    TRUNK_WIDTH_M,
+)
 from study.pictures.window import at_times, finite, last_seconds
-from taichi_nmm.result import Trajectory
-from taichi_nmm.terrain import GRID_SPACING_M, Terrain
+from taichi_nmm.result import MUSCLES, Trajectory
+from taichi_nmm.terrain import Terrain
 
 Array = NDArray[np.float64]
 
-FRAME_RATE_HZ = 30
-DPI = 100
-SIZE_PX = (1280, 640)  # even numbers: yuv420p halves both
+FULL_WIDTH_PX = 1280  # at which the sizes of text and lines are given
 VIEW_WIDTH_M = 4.4
-VIEW_HEIGHT_M = VIEW_WIDTH_M * SIZE_PX[1] / SIZE_PX[0]
 BELOW_GROUND_M = 0.30
 AHEAD = 0.45  # where the walker is in the picture, from the left
 HEIGHT_TRACKING_S = 0.5  # the camera follows the ground's rise as slowly as this
 FORCE_M_PER_N = 0.6 / 785.0  # one body weight of 80 kg is 0.6 m long
+FORCE_WIDTH_M = 0.014
+JOINT_RADIUS_M = 0.007
 PRESSURE_SHIFT_M = 0.05  # heel above ball by half of it: all the force is at the ball
 FORCE_SMOOTHING_S = 0.03  # impacts of a few milliseconds would only flicker
+KEY = "blue: force of the ground"
+SMALLEST_TEXT_PX = 9  # of a film a quarter of the full size
 
 
-def frames(trajectory: Trajectory, terrain: Terrain, seconds: float, title: str) -> Iterator[bytes]:
-    """RGBA frames of the last `seconds` in real time, each of `SIZE_PX`."""
-    trajectory = finite(trajectory)
+@dataclass(frozen=True)
+class Film:
+    """How a film is made.
+
+    Attributes:
+        size_px: of a frame; even numbers: yuv420p halves both.
+        rate_hz: frames a second.
+        effort: of the encoder, a preset of x264.
+        quality: of the encoder, its constant rate factor; lower is better.
+    """
+
+    size_px: tuple[int, int]
+    rate_hz: int
+    effort: str
+    quality: int
+
+
+LARGE = Film((1280, 640), 30, "medium", 20)
+SMALL = Film((640, 320), 20, "veryfast", 26)  # a second of one core for 8 s of walking, 0.2 MB
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What the frames show, [frames, ...]: time, pose, activations, forces, the camera's ground."""
+
+    time_s: Array
+    q: Array
+    activation: Array
+    force_n: Array
+    level_m: Array
+
+
+def frames(
+    trajectory: Trajectory,
+    terrain: Terrain,
+    seconds: float,
+    title: str,
+    film: Film = LARGE,
+) -> Iterator[bytes]:
+    """RGB frames of the last `seconds` in real time."""
+    motion = _motion(finite(trajectory), terrain, seconds, film.rate_hz)
+    scene = Scene(motion, terrain, title, film.size_px)
+    for number in range(len(motion.time_s)):
+        yield scene.picture(number)
+
+
+def _motion(trajectory: Trajectory, terrain: Terrain, seconds: float, rate_hz: int) -> Motion:
     start_s, end_s = last_seconds(trajectory, seconds)
-    times_s = np.arange(start_s, end_s + 1e-9, 1.0 / FRAME_RATE_HZ)
+    times_s = np.arange(start_s, end_s + 1e-9, 1.0 / rate_hz)
     q = at_times(trajectory, trajectory.q, times_s)
-    activation = at_times(trajectory, trajectory.activation, times_s)
-    force = at_times(trajectory, _smooth_force(trajectory), times_s)
-    level = _camera_level(terrain.height(q[:, 0]))
-    scene = Scene(terrain, title, (q[:, 0].min(), q[:, 0].max()))
-    for number, time_s in enumerate(times_s):
-        scene.look_at(q[number, 0], level[number])
-        scene.pose(q[number], activation[number], force[number], float(time_s))
-        yield scene.picture()
+    return Motion(
+        time_s=times_s,
+        q=q,
+        activation=at_times(trajectory, trajectory.activation, times_s),
+        force_n=at_times(trajectory, _smooth_force(trajectory), times_s),
+        level_m=_camera_level(terrain.height(q[:, 0]), rate_hz),
+    )
 
 
 class Scene:
-    """The artists of a film; moved from frame to frame."""
+    """Draws the frames of one film."""
 
-    def __init__(self, terrain: Terrain, title: str, walked_m: tuple[float, float]) -> None:
-        """A scene for a walker whose hip stays between the two `walked_m`."""
-        width, height = SIZE_PX
-        self._drawing = figure = style.new_figure(width / DPI, height / DPI, DPI)
-        self._axes = axes = figure.add_axes((0, 0, 1, 1))
-        axes.set_axis_off()
-        self._labels = _draw_whole_ground(axes, terrain, walked_m)
-        self.look_at(walked_m[0], 0.0)
-        self._figure = StickFigure(axes)
-        self._forces = LineCollection(
-            [], colors=style.MODEL, linewidths=3.0, capstyle="round", alpha=0.85, zorder=6.0
-        )
-        axes.add_collection(self._forces, autolim=False)
-        text: dict[str, Any] = {"transform": axes.transAxes, "va": "top", "color": style.INK}
-        axes.text(0.015, 0.97, title, fontsize=13, **text)
-        self._clock = axes.text(0.015, 0.91, "", fontsize=13, **text)
-        axes.text(0.015, 0.85, "blue: force of the ground", fontsize=11, **text)
-        activation_bar(figure.add_axes((0.935, 0.45, 0.012, 0.4)), self._figure, size_pt=10.0)
+    def __init__(
+        self, motion: Motion, terrain: Terrain, title: str, size_px: tuple[int, int]
+    ) -> None:
+        """A scene of a motion over a ground."""
+        self._motion, self._terrain, self._title, self._size_px = motion, terrain, title, size_px
+        self._unit_px = size_px[0] / FULL_WIDTH_PX
+        self._outlines = [muscle_outlines(motion.q, side) for side in (LEFT, RIGHT)]
+        colours = matplotlib.colormaps[style.ACTIVATION_MAP](motion.activation, bytes=True)
+        self._colours = [[tuple(map(int, c[:3])) for c in frame] for frame in colours]
+        self._bar = self._activation_bar()
 
-    def look_at(self, x_m: float, ground_m: float) -> None:
-        """Point the camera at a walker whose hip is at x."""
-        left, bottom = x_m - AHEAD * VIEW_WIDTH_M, ground_m - BELOW_GROUND_M
-        self._axes.set(xlim=(left, left + VIEW_WIDTH_M), ylim=(bottom, bottom + VIEW_HEIGHT_M))
-        for label in self._labels:  # text is the slow part of a frame
-            label.set_visible(left < label.get_position()[0] < left + VIEW_WIDTH_M)
-
-    def pose(self, q: Array, activation: Array, force_n: Array, time_s: float) -> None:
-        """Move the walker; force_n [4] is left x, left z, right x, right z."""
-        self._figure.pose(q, activation)
-        segments = []
-        for side in range(2):
+    def picture(self, number: int) -> bytes:
+        """Frame `number` as RGB bytes."""
+        motion = self._motion
+        q = motion.q[number]
+        left_m = q[0] - AHEAD * VIEW_WIDTH_M
+        bottom_m = motion.level_m[number] - BELOW_GROUND_M
+        canvas = Canvas(self._size_px, left_m, bottom_m, VIEW_WIDTH_M)
+        self._draw_walker(canvas, number)
+        for side in (LEFT, RIGHT):
             foot = _pressure_point(q, side)
-            segments.append([foot, foot + FORCE_M_PER_N * force_n[2 * side : 2 * side + 2]])
-        self._forces.set_segments(segments)
-        self._clock.set_text(f"{time_s:6.2f} s   {q[0]:7.2f} m")
+            force = FORCE_M_PER_N * motion.force_n[number, 2 * side : 2 * side + 2]
+            if np.hypot(*force) > FORCE_WIDTH_M:
+                canvas.capsule(foot, foot + force, FORCE_WIDTH_M, style.MODEL)
+        metres = self._draw_ground(canvas, left_m, bottom_m)
+        canvas.finish()
+        self._write(canvas, number, metres)
+        canvas.picture.paste(self._bar, (round(0.9 * self._size_px[0]), 0), self._bar)
+        return canvas.picture.tobytes()
 
-    def picture(self) -> bytes:
-        """The frame as RGBA bytes."""
-        return style.rgba(self._drawing)
+    def _draw_walker(self, canvas: Canvas, number: int) -> None:
+        q = self._motion.q[number]
+        near, far = leg(q, LEFT), leg(q, RIGHT)
+        shoulder, head = trunk(q)
+        _draw_bones(canvas, far, style.FAR_LIMB)
+        self._draw_muscles(canvas, number, RIGHT, style.FAINT)
+        canvas.capsule(near.hip, shoulder, TRUNK_WIDTH_M, style.NEAR_LIMB)
+        canvas.disc(head, HEAD_RADIUS_M, style.NEAR_LIMB)
+        _draw_bones(canvas, near, style.NEAR_LIMB)
+        self._draw_muscles(canvas, number, LEFT, style.INK)
+        for joint in (near.hip, near.knee, near.ankle):
+            canvas.disc(joint, JOINT_RADIUS_M, style.INK)
+
+    def _draw_muscles(self, canvas: Canvas, number: int, side: int, edge: str) -> None:
+        colours = self._colours[number][len(MUSCLES) * side :]
+        for outlines, colour in zip(self._outlines[side], colours, strict=False):
+            canvas.polygon(outlines[number], colour, edge)
+
+    def _draw_ground(self, canvas: Canvas, left_m: float, bottom_m: float) -> list[int]:
+        """The ground with a mark at every metre; returns the metres that are in the picture."""
+        x = np.linspace(left_m, left_m + VIEW_WIDTH_M, self._size_px[0] // 2)
+        profile = np.stack([x, self._terrain.height(x)], axis=1)
+        corners = np.array([[x[-1], bottom_m], [x[0], bottom_m]])
+        canvas.polygon(np.concatenate([profile, corners]), style.GROUND)
+        canvas.line(profile, style.INK, 1.4 * self._unit_px)
+        metres = list(range(int(np.ceil(left_m)), int(x[-1]) + 1))
+        for metre in metres:
+            top = float(self._terrain.height(metre))
+            mark = np.array([[metre, top - 0.05], [metre, top]])
+            canvas.line(mark, style.INK, 1.4 * self._unit_px)
+        return metres
+
+    def _write(self, canvas: Canvas, number: int, metres: list[int]) -> None:
+        time_s, x_m = self._motion.time_s[number], self._motion.q[number, 0]
+        left = 0.015 * self._size_px[0]
+        lines = (self._title, 18), (f"{time_s:6.2f} s   {x_m:7.2f} m", 18), (KEY, 15)
+        for line, (text, size) in enumerate(lines):
+            at = (left, (0.03 + 0.06 * line) * self._size_px[1])
+            canvas.text(at, text, self._text_px(size), style.INK, "la")
+        for metre in metres:
+            at = canvas.place(metre, float(self._terrain.height(metre)) - 0.08)
+            canvas.text(at, f"{metre} m", self._text_px(15), style.INK, "ma")
+
+    def _text_px(self, size_px: int) -> int:
+        return max(round(size_px * self._unit_px), SMALLEST_TEXT_PX)
+
+    def _activation_bar(self) -> Image.Image:
+        """The key to the muscles' colours, the tenth of the picture at its right."""
+        width, height = round(0.1 * self._size_px[0]), self._size_px[1]
+        bar = Image.new("RGBA", (width, height))
+        draw = ImageDraw.Draw(bar)
+        low, high, size = 0.55 * height, 0.15 * height, self._text_px(14)
+        colours = matplotlib.colormaps[style.ACTIVATION_MAP]
+        for y in range(round(high), round(low)):
+            red, green, blue, _ = colours((low - y) / (low - high), bytes=True)
+            line = [0.35 * width, y, 0.47 * width, y]
+            draw.line(line, fill=(int(red), int(green), int(blue)))
+        for value in (0.0, 0.5, 1.0):
+            at = (0.52 * width, low + value * (high - low))
+            draw.text(at, f"{value:.1f}", fill=style.INK, font=font(size), anchor="lm")
+        words = Image.new("RGBA", (height, size * 2))
+        ImageDraw.Draw(words).text(
+            (0.65 * height, 0), "muscle activation (1)", style.INK, font(size), "ma"
+        )
+        bar.alpha_composite(words.rotate(90, expand=True), (width - 2 * size, 0))
+        return bar
+
+
+def _draw_bones(canvas: Canvas, joints: Leg, colour: str) -> None:
+    canvas.capsule(joints.hip, joints.knee, THIGH_WIDTH_M, colour)
+    canvas.capsule(joints.knee, joints.ankle, SHANK_WIDTH_M, colour)
+    canvas.capsule(joints.heel, joints.ball, FOOT_WIDTH_M, colour)
 
 
 def _pressure_point(q: Array, side: int) -> Array:
@@ -98,26 +212,10 @@ def _pressure_point(q: Array, side: int) -> Array:
     return np.asarray(joints.heel + share * (joints.ball - joints.heel))
 
 
-def _draw_whole_ground(axes: Axes, terrain: Terrain, walked_m: tuple[float, float]) -> list[Text]:
-    """The ground with a mark at every metre; returns the marks' labels."""
-    labels = []
-    low, high = walked_m[0] - VIEW_WIDTH_M, walked_m[1] + VIEW_WIDTH_M
-    x = np.arange(low, high, GRID_SPACING_M / 2)
-    height = terrain.height(x)
-    draw_ground(axes, x, height, height.min() - VIEW_HEIGHT_M)
-    for metre in range(int(np.ceil(low)), int(high) + 1):
-        ground = float(terrain.height(metre))
-        mark: dict[str, Any] = {"color": style.INK, "zorder": GROUND_LAYER + 1}
-        axes.plot([metre, metre], [ground - 0.05, ground], linewidth=1.0, **mark)
-        label: dict[str, Any] = {"ha": "center", "va": "top", "fontsize": 11}
-        labels.append(axes.text(metre, ground - 0.08, f"{metre} m", **label, **mark))
-    return labels
-
-
-def _camera_level(ground_m: Array) -> Array:
+def _camera_level(ground_m: Array, rate_hz: int) -> Array:
     """The ground's height at each frame, smoothed for a calm camera."""
     level = ground_m.copy()
-    blend = 1.0 / (FRAME_RATE_HZ * HEIGHT_TRACKING_S)
+    blend = 1.0 / (rate_hz * HEIGHT_TRACKING_S)
     for number in range(1, len(level)):
         level[number] = level[number - 1] + blend * (level[number] - level[number - 1])
     return level

@@ -80,14 +80,14 @@ def trunk(q: Array) -> tuple[Array, Array]:
 
 
 def muscle_outlines(q: Array, side: int) -> list[Array]:
-    """Closed outlines of the seven muscles of a leg in one pose q [9], order of `MUSCLES`."""
+    """Closed outlines of the seven muscles of a leg in poses q [..., 9], order of `MUSCLES`."""
     frames = _frames(q, side)
     return [_belly(_path(frames, name), BELLY_M[name]) for name in MUSCLES]
 
 
 def _frames(q: Array, side: int) -> list[tuple[Array, Array, Array]]:
-    """Origin, axis and front of HAT, thigh, shank and foot in one pose."""
-    angles = [q[column] for column in LEG_COLUMNS[side]]
+    """Origin, axis and front of HAT, thigh, shank and foot, each [..., 2]."""
+    angles = [q[..., column] for column in LEG_COLUMNS[side]]
     joints = leg(q, side)
     axes = [-down(angles[HAT]), down(angles[THIGH]), down(angles[SHANK]), forward(angles[FOOT])]
     fronts = [forward(angle) for angle in angles[:FOOT]] + [-down(angles[FOOT])]
@@ -95,23 +95,24 @@ def _frames(q: Array, side: int) -> list[tuple[Array, Array, Array]]:
 
 
 def _path(frames: list[tuple[Array, Array, Array]], name: str) -> Array:
-    """A smooth line from origin to insertion that bends towards the middle point."""
+    """A smooth line from origin to insertion that bends towards the middle point, [..., k, 2]."""
     points = []
     for segment, along, ahead in MUSCLE_PATHS[name]:
         origin, axis, front = frames[segment]
-        points.append(origin + along * axis + ahead * front)
+        points.append((origin + along * axis + ahead * front)[..., None, :])
     start, middle, end = points
     s = np.linspace(0.0, 1.0, PATH_POINTS)[:, None]
     control = 2.0 * middle - 0.5 * (start + end)  # the curve passes through the middle point
     control = 0.5 * (control + middle)  # bend less than that: a belly, not a bow
-    return (1 - s) ** 2 * start + 2 * s * (1 - s) * control + s**2 * end
+    return np.asarray((1 - s) ** 2 * start + 2 * s * (1 - s) * control + s**2 * end)
 
 
 def _belly(path: Array, half_thickness: float) -> Array:
-    """Outline of a spindle round a path [k, 2]."""
-    tangent = np.gradient(path, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
-    s = np.linspace(0.0, 1.0, len(path))
+    """Outline of a spindle round a path [..., k, 2]."""
+    tangent = np.gradient(path, axis=-2)
+    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
+    normal = np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1)
+    s = np.linspace(0.0, 1.0, path.shape[-2])
     thickness = half_thickness * (0.12 + 0.88 * np.sin(np.pi * s) ** 1.3)[:, None]
-    return np.vstack([path + thickness * normal, (path - thickness * normal)[::-1]])
+    there, back = path + thickness * normal, (path - thickness * normal)[..., ::-1, :]
+    return np.concatenate([there, back], axis=-2)

@@ -30,7 +30,11 @@ LEVEL_M = 0.01  # ground that varies by less is level
 
 
 def write_strip(
-    path: str | Path, trajectory: Trajectory, terrain: Terrain, title: str = ""
+    path: str | Path,
+    trajectory: Trajectory,
+    terrain: Terrain,
+    title: str = "",
+    dpi: int = style.PNG_DPI,
 ) -> Path:
     """Draw the last metres of a walk as poses at their places, muscles coloured by activation.
 
@@ -42,6 +46,7 @@ def write_strip(
         trajectory: of at least one sample; about 50 samples a second or more.
         terrain: the ground it walked on.
         title: one line, such as the name of the gait and how it ended.
+        dpi: pixels an inch; half of them take half the time.
 
     Raises:
         InputError: the file cannot be written.
@@ -52,7 +57,7 @@ def write_strip(
     q = at_times(trajectory, trajectory.q, poses_s)
     low_x, high_x, low_z, high_z = _frame(q, terrain)
     figure, axes, bar, profile = _layout(
-        high_x - low_x, high_z - low_z, _uneven(trajectory, terrain)
+        high_x - low_x, high_z - low_z, _uneven(trajectory, terrain), dpi
     )
     axes.set(xlim=(low_x, high_x), ylim=(low_z, high_z))
     _draw_poses(axes, bar, trajectory, poses_s)
@@ -89,14 +94,14 @@ def _uneven(trajectory: Trajectory, terrain: Terrain) -> bool:
 
 
 def _layout(
-    width_m: float, height_m: float, with_profile: bool
+    width_m: float, height_m: float, with_profile: bool, dpi: int
 ) -> tuple[Figure, Axes, Axes, Axes | None]:
     """Figure, axes of the poses, of the colour bar, and of the profile if one is wanted."""
     strip_in = height_m * SCALE_IN_PER_M
     profile_in = 1.25 if with_profile else 0.0
     width_in = width_m * SCALE_IN_PER_M + 1.6
     height_in = strip_in + profile_in + 1.05
-    figure = style.new_figure(width_in, height_in)
+    figure = style.new_figure(width_in, height_in, dpi)
 
     def box(left: float, bottom: float, width: float, height: float) -> Axes:
         return figure.add_axes(

@@ -4,7 +4,6 @@ Figures are made with Matplotlib's object-oriented interface; its global state i
 """
 
 from pathlib import Path
-from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -35,13 +34,6 @@ def new_figure(width_in: float, height_in: float, dpi: int = PNG_DPI) -> Figure:
     figure = Figure(figsize=(width_in, height_in), dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
-
-
-def rgba(figure: Figure) -> bytes:
-    """The figure drawn, as rows of red, green, blue and opacity."""
-    canvas: Any = FigureCanvasAgg(figure)
-    canvas.draw()
-    return bytes(canvas.buffer_rgba())
 
 
 def tidy(axes: Axes) -> None:

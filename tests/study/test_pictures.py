@@ -3,6 +3,7 @@
 import re
 import stat
 import subprocess
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from matplotlib.image import imread
 
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
+from study.pictures.canvas import Canvas, capsule
 from study.pictures.gait_cycle import SIZE_IN, subtitle
 from study.pictures.human_ranges import (
     DORSIFLEXION_DEG,
@@ -22,7 +24,7 @@ from study.pictures.human_ranges import (
     VERTICAL_FORCE_BW,
     HumanRange,
 )
-from study.pictures.scene import FRAME_RATE_HZ, SIZE_PX
+from study.pictures.scene import LARGE, SMALL, frames
 from study.pictures.skeleton import leg, muscle_outlines, trunk
 from study.pictures.strides import PERCENT, left_strides
 from study.pictures.style import PNG_DPI
@@ -195,7 +197,7 @@ def test_movie_is_h264_that_every_player_shows(movie: Path) -> None:
         [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(movie)], capture_output=True, text=True
     ).stderr
     assert re.search(r"Video: h264 .*yuv420p", probe)
-    assert f"{SIZE_PX[0]}x{SIZE_PX[1]}" in probe and f"{FRAME_RATE_HZ} fps" in probe
+    assert f"{LARGE.size_px[0]}x{LARGE.size_px[1]}" in probe and f"{LARGE.rate_hz} fps" in probe
     content = movie.read_bytes()
     assert content.index(b"moov") < content.index(b"mdat")  # plays before it is loaded whole
 
@@ -206,8 +208,63 @@ def test_movie_shows_the_walk(movie: Path, tmp_path: Path) -> None:
         [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(movie), "-frames:v", "1", str(frame)],
         capture_output=True, check=True,
     )  # fmt: skip
-    assert imread(frame).shape[:2] == SIZE_PX[::-1]
+    assert imread(frame).shape[:2] == LARGE.size_px[::-1]
     assert shows_something(frame)
+
+
+def test_a_small_film_is_small_and_quick(tmp_path: Path) -> None:
+    """0.5 s of drawing on one core of 2026 for 8 s of walking; ten times that is allowed."""
+    before = time.process_time()
+    path = write_movie(tmp_path / "small.mp4", WALK, rough(1), 8.0, "a title", film=SMALL)
+    assert time.process_time() - before < 5.0
+    assert path.stat().st_size < 400_000
+
+
+def picture(film, title: str = "", walk=WALK) -> np.ndarray:
+    """The last frame of a film, [height, width, 3]."""
+    *_, last = frames(walk, flat(), 0.2, title, film)
+    width, height = film.size_px
+    return np.frombuffer(last, np.uint8).reshape(height, width, 3)
+
+
+@pytest.mark.parametrize("film", [LARGE, SMALL])
+def test_the_walker_stands_on_the_ground_in_the_middle_of_the_frame(film) -> None:
+    frame = picture(film)
+    width, height = film.size_px
+    ground = np.all(frame == (0xCF, 0xC8, 0xBC), axis=-1)
+    assert ground[int(0.9 * height), int(0.03 * width)] and not ground[: int(0.8 * height)].any()
+    shown = np.any(frame[int(0.3 * height) : int(0.8 * height), : int(0.88 * width)] < 250, axis=-1)
+    columns = np.flatnonzero(shown.any(axis=0)) / width
+    assert 0.25 < columns.min() < 0.45 < columns.max() < 0.65
+
+
+def test_active_muscles_are_darker() -> None:
+    def darkness(activation: float) -> float:
+        walk = replace(WALK, activation=np.full_like(WALK.activation, activation))
+        return 255.0 - float(picture(SMALL, walk=walk).mean())
+
+    assert darkness(0.0) < darkness(0.5) < darkness(1.0)
+
+
+def test_a_title_is_written() -> None:
+    corner = np.s_[:40, :200]
+    assert (picture(SMALL, "dog")[corner] != picture(SMALL, "random")[corner]).any()
+
+
+def test_shapes_are_drawn_to_scale() -> None:
+    canvas = Canvas((200, 100), left_m=10.0, bottom_m=-1.0, width_m=4.0)
+    canvas.polygon(np.array([[11.0, -0.5], [13.0, -0.5], [13.0, 0.5], [11.0, 0.5]]), "#000000")
+    canvas.finish()
+    black = np.asarray(canvas.picture)[..., 0] < 128
+    assert black.sum() == pytest.approx(100 * 50, rel=0.03)
+    assert black[26:74, 51:149].all() and not black[:24].any() and not black[:, :49].any()
+    assert canvas.place(11.0, 0.5) == pytest.approx((50.0, 25.0))
+
+
+def test_a_capsule_has_its_width_and_round_ends() -> None:
+    outline = capsule(np.array([0.0, 0.0]), np.array([0.0, 2.0]), 0.5)
+    np.testing.assert_allclose(outline.min(axis=0), [-0.25, -0.25], atol=1e-12)
+    np.testing.assert_allclose(outline.max(axis=0), [0.25, 2.25], atol=1e-12)
 
 
 # What can go wrong
