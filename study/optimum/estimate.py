@@ -1,0 +1,148 @@
+"""The estimate from its configuration to its document, as tools/optimum.py runs it."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from study.comparison import lockstep as comparison
+from study.comparison.check import check_arms
+from study.comparison.command import Request, compare
+from study.comparison.identity import machine
+from study.optimum.config import OptimumConfig
+from study.optimum.folder import DOG_NAME, RUNS, OptimumFolder
+from study.optimum.lockstep import CmaesRuns, Progress
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES
+
+METHODS = ("cmaes", "dog")
+TRIALS_DONE = "all trials"
+
+
+@dataclass(frozen=True)
+class Reports:
+    """Who is told of progress.
+
+    Attributes:
+        dog: of the sampler's trials.
+        cmaes: of the generations.
+    """
+
+    dog: Callable[[comparison.Progress], None]
+    cmaes: Callable[[Progress], None]
+
+
+def estimate(
+    config: OptimumConfig, out: Path, runs: int | None, workers: int, reports: Reports
+) -> dict[str, Any]:
+    """Run both methods, or what is missing of them, and write the result.
+
+    Args:
+        config: of the estimate.
+        out: its folder.
+        runs: of each method; None is what the configuration says. A later call may ask for more.
+        workers: processes of the determinants-of-gait sampler.
+        reports: who is told.
+
+    Returns:
+        The document of optimum.json.
+
+    Raises:
+        InputError: see `check_arms`, `OptimumFolder.claim`, `compare` and `CmaesRuns`.
+        KeyboardInterrupt: what is finished is kept.
+    """
+    experiment = config.experiment
+    count = experiment.runs if runs is None else runs
+    for name, value in (("runs", count), ("workers", workers)):
+        if value < 1:
+            raise InputError(name, value, "1 or more")
+    check_arms(experiment, experiment.arms, experiment.trials)
+    began_s = time.monotonic()
+    with OptimumFolder.claim(out, config.document()) as folder:
+        request = Request(
+            out=out / DOG_NAME,
+            storage=None,
+            arms=experiment.arms,
+            runs=count,
+            trials=None,
+            workers=workers,
+        )
+        dog = compare(experiment, request, reports.dog).trials
+        cmaes = CmaesRuns(config, count, folder)
+        tried = cmaes.run(reports.cmaes)
+        parts = [
+            _best_of_runs("cmaes", tried, cmaes.stops()),
+            _best_of_runs("dog", dog, [TRIALS_DONE] * count),
+        ]
+        table = pa.concat_tables(parts)
+        folder.write_runs(table)
+        document = result(config, table) | {
+            "date": datetime.now(UTC).isoformat(timespec="seconds"),
+            "wall_s": round(time.monotonic() - began_s, 1),  # of the session that ended it
+            "machine": machine(),
+        }
+        folder.write_optimum(document)
+        return document
+
+
+def result(config: OptimumConfig, runs: pa.Table) -> dict[str, Any]:
+    """The best of all, and how each method's runs are distributed."""
+    best = runs.slice(int(np.argmin(runs["cost"].to_numpy())), 1).to_pylist()[0]
+    return {
+        "cost": config.experiment.cost,
+        "best_cost": best["cost"],
+        "method": best["method"],
+        "run": best["run"],
+        "gains": {name: best[name] for name in GAIN_NAMES},
+        "outcome": {
+            name: value
+            for name, value in best.items()
+            if name not in (*GAIN_NAMES, "method", "run", "cost", "evaluations", "stop")
+        },
+        "methods": {method: _distribution(runs, method) for method in METHODS},
+        "config": config.document()
+        | {
+            "dog": {"trials": config.experiment.trials},
+            "max_generations": config.cmaes.max_generations,
+        },
+    }
+
+
+def _best_of_runs(method: str, tried: pa.Table, stops: list[str]) -> pa.Table:
+    """The cheapest point of each run, the first of equals, in the form of `RUNS`."""
+    run, cost = tried["run"].to_numpy(), tried["cost"].to_numpy()
+    own = [np.flatnonzero(run == number) for number in range(len(stops))]
+    best = tried.take(pa.array([rows[np.argmin(cost[rows])] for rows in own], pa.int64()))
+    added = {
+        "method": [method] * len(own),
+        "evaluations": [len(rows) for rows in own],
+        "stop": stops,
+    }
+    columns = [
+        pa.array(added[each.name], each.type)
+        if each.name in added
+        else best[each.name].combine_chunks()
+        for each in RUNS
+    ]
+    return pa.Table.from_arrays(columns, schema=RUNS)
+
+
+def _distribution(runs: pa.Table, method: str) -> dict[str, Any]:
+    own = [row for row in runs.to_pylist() if row["method"] == method]
+    cost = np.array([row["cost"] for row in own])
+    stops = [row["stop"] for row in own]
+    quartiles = np.quantile(cost, [0.25, 0.5, 0.75])
+    return {
+        "runs": len(own),
+        "runs_that_walk": sum(row["walked"] for row in own),
+        "evaluations": sum(row["evaluations"] for row in own),
+        "best": float(cost.min()),
+        "quartiles": [float(value) for value in quartiles],
+        "worst": float(cost.max()),
+        "stops": {stop: stops.count(stop) for stop in sorted(set(stops))},
+    }

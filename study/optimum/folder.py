@@ -1,0 +1,136 @@
+"""The folder of an estimate. The folder is the state; this class knows every file in it.
+
+search.json           written first: what is estimated, with which versions
+evaluations.parquet   every point that CMA-ES tried, rewritten whole at each checkpoint
+dog/                  the comparison's folder of the determinants-of-gait sampler
+runs.parquet          written at the end: the best of every run of both
+optimum.json          written last: the best of all
+.lock                 held by the one process that writes
+"""
+
+import fcntl
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
+from storage.document import difference
+from storage.shard import read_columns, write_table
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES
+
+SEARCH_NAME = "search.json"
+EVALUATIONS_NAME = "evaluations.parquet"
+DOG_NAME = "dog"
+RUNS_NAME = "runs.parquet"
+OPTIMUM_NAME = "optimum.json"
+LOCK_NAME = ".lock"
+
+OUTCOMES = ("duration_s", "distance_m", "mean_speed_mps", "cost_of_transport_jpkgpm")
+_TRIED = [
+    *((name, pa.float64()) for name in (*GAIN_NAMES, "cost")),
+    ("walked", pa.bool_()),
+    *((name, pa.float64()) for name in OUTCOMES),
+]
+
+
+def _schema(*first: tuple[str, pa.DataType]) -> pa.Schema:
+    columns = [*first, *_TRIED]
+    return pa.schema([pa.field(name, kind, nullable=False) for name, kind in columns])
+
+
+EVALUATIONS = _schema(("run", pa.int32()), ("generation", pa.int32()), ("member", pa.int32()))
+RUNS = _schema(
+    ("method", pa.string()), ("run", pa.int32()), ("evaluations", pa.int64()), ("stop", pa.string())
+)
+
+
+@dataclass(frozen=True)
+class OptimumFolder:
+    """A folder being filled; made by `claim`, which gives one process the right to write."""
+
+    path: Path
+    document: dict[str, Any]
+
+    @staticmethod
+    @contextmanager
+    def claim(path: Path, document: dict[str, Any]) -> Iterator["OptimumFolder"]:
+        """Hold the folder: new, or begun with the same document.
+
+        Raises:
+            InputError: in use by another process, of something else, of another document, or not
+                writable.
+        """
+        _refuse_foreign(path)
+        with writable(path):
+            path.mkdir(parents=True, exist_ok=True)
+            lock = (path / LOCK_NAME).open("a")  # never removed: another process may hold it
+        with lock:
+            try:
+                fcntl.flock(lock.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                allowed = "a folder that no other process is filling at this moment"
+                raise InputError("out", str(path), allowed) from None
+            with writable(path):
+                for file in path.glob(f".*{TEMPORARY_SUFFIX}"):
+                    file.unlink()
+            _agree(path / SEARCH_NAME, document)
+            yield OptimumFolder(path, document)
+
+    def read_evaluations(self) -> pa.Table:
+        """What CMA-ES has tried, by run, generation and member.
+
+        Raises:
+            InputError: a damaged file, or one of something else.
+        """
+        path = self.path / EVALUATIONS_NAME
+        if not path.exists():
+            return EVALUATIONS.empty_table()
+        table = read_columns(path)
+        if not table.schema.equals(EVALUATIONS):
+            raise InputError("out", str(path), "points that CMA-ES tried, in this version's form")
+        return table
+
+    def write_evaluations(self, table: pa.Table) -> None:
+        """Commit them."""
+        write_table(self.path / EVALUATIONS_NAME, table, self.document)
+
+    def write_runs(self, table: pa.Table) -> None:
+        """Commit the best of every run."""
+        write_table(self.path / RUNS_NAME, table, self.document)
+
+    def write_optimum(self, document: dict[str, Any]) -> Path:
+        """Commit the result."""
+        commit_json(self.path / OPTIMUM_NAME, document)
+        return self.path / OPTIMUM_NAME
+
+
+def _refuse_foreign(path: Path) -> None:
+    if path.exists() and not path.is_dir():
+        raise InputError("out", str(path), "a folder")
+    with writable(path):
+        names = {file.name for file in path.iterdir()} if path.is_dir() else set()
+    foreign = sorted(name for name in names if not name.startswith("."))
+    if foreign and SEARCH_NAME not in names:
+        allowed = f"an empty folder or one of this command (this has {foreign[0]})"
+        raise InputError("out", str(path), allowed)
+
+
+def _agree(path: Path, document: dict[str, Any]) -> None:
+    """Write the document into a new folder; in an old one, see that it is the same."""
+    if not path.exists():
+        commit_json(path, document)
+        return
+    try:
+        known = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise InputError("out", str(path), "a readable document; or another --out") from None
+    found = difference(document, known)
+    if found:
+        name, here, there = found
+        raise InputError(name or "search", here, f"{there!r}, as {path} says; or another --out")
