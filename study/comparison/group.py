@@ -80,7 +80,9 @@ class OneStudy:
             for name, distribution in self._experiment.space.items()
         ]
         self._asked = trial
-        return gains, dict(trial.user_attrs)
+        # Not the trial's own: it does not hear of what samplers write into the storage.
+        noted = self._study.get_trials(deepcopy=False)[trial.number].user_attrs
+        return gains, dict(noted)
 
     def tell(self, cost: float, shown: dict[str, Any]) -> None:
         """What became of the trial that was asked for."""

@@ -1,0 +1,123 @@
+"""Every arm proposes within the bounds, always the same, and goes on after a restart."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study.comparison import arms, cmaes
+from study.comparison.arms import ARMS, find_arm
+from study.comparison.controls import TOP_ROWS, score_order
+from study.comparison.seeds import sampler_seed
+from study.comparison.stores import Tables
+from study.comparison.task import Task
+from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
+from tests.study.comparison import fake
+from tests.study.comparison.conftest import Comparisons
+
+OTHER_STORES = {"mild", "ramps", "diverse"}
+RUNNABLE = [a.name for a in ARMS.values() if not a.needs and a.store not in OTHER_STORES]
+
+
+@pytest.mark.parametrize("arm", RUNNABLE)
+def test_an_arm_stays_in_bounds_and_goes_on_after_a_restart(
+    arm: str, comparisons: Comparisons
+) -> None:
+    comparisons.run("whole", arms=(arm,), runs=2, trials=15)
+    comparisons.run("parts", arms=(arm,), runs=2, trials=2)
+    comparisons.run("parts", arms=(arm,), runs=2, trials=14)
+    comparisons.run("parts", arms=(arm,), runs=2, trials=15)
+    assert comparisons.content("parts") == comparisons.content("whole")
+    frame = comparisons.table("whole").to_pandas()
+    gains = frame[list(GAIN_NAMES)].to_numpy()
+    assert ((gains >= lower_bounds()) & (gains <= upper_bounds())).all()
+    for run in range(2):
+        assert len(np.unique(gains[frame.run == run], axis=0)) == 15
+    if not arm.startswith("score-first"):
+        assert not np.array_equal(gains[frame.run == 0], gains[frame.run == 1])
+
+
+def test_seeds_differ_by_experiment_arm_and_run() -> None:
+    keys = [(seed, arm, run) for seed in (1, 2) for arm in ("dog", "random") for run in (0, 1)]
+    assert len({sampler_seed(*key) for key in keys}) == len(keys)
+    assert sampler_seed(1, "dog", 0) == sampler_seed(1, "dog", 0)
+
+
+def task(folder: Path, arm: str, run: int = 0) -> Task:
+    experiment = fake.experiment(folder)
+    found = find_arm(arm)
+    seed = sampler_seed(experiment.seed, arm, run)
+    return Task(experiment, seed, 0, Tables(experiment), found.store, found.features)
+
+
+def test_score_first_goes_down_the_score_ties_by_the_second_then_by_row(
+    comparisons: Comparisons,
+) -> None:
+    comparisons.run("out", arms=("score-first",), runs=2, trials=30)
+    frame = comparisons.table("out").to_pandas()
+    rows = frame.row[frame.run == 0].to_numpy()
+    np.testing.assert_array_equal(rows, frame.row[frame.run == 1])
+    table = task(comparisons.folder, "score-first").table
+    features = np.column_stack([table.rows.features, -np.arange(len(table))])
+    expected = sorted(range(len(table)), key=lambda row: tuple(-features[row]))
+    np.testing.assert_array_equal(rows, expected[:30])
+
+
+def test_score_top_takes_the_top_rows_in_another_order(comparisons: Comparisons) -> None:
+    comparisons.run("out", arms=("score-top",), runs=2, trials=110)
+    frame = comparisons.table("out").to_pandas()
+    order = score_order(task(comparisons.folder, "score-top").table)
+    for run in range(2):
+        rows = frame.row[frame.run == run].to_numpy()
+        assert set(rows[:TOP_ROWS]) == set(order[:TOP_ROWS])
+        assert list(rows[:TOP_ROWS]) != list(order[:TOP_ROWS])
+        np.testing.assert_array_equal(rows[TOP_ROWS:], order[TOP_ROWS:110])
+
+
+def test_warm_cmaes_evaluates_its_start_a_row_of_the_top(
+    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cmaes, "START_ROWS", 5)
+    comparisons.run("out", arms=("cmaes-warm",), runs=6, trials=2)
+    frame = comparisons.table("out").to_pandas()
+    starts = frame.row[frame.trial == 0].tolist()
+    assert set(starts) <= set(score_order(task(comparisons.folder, "cmaes-warm").table)[:5])
+    assert len(set(starts)) > 1
+    assert (frame.row[frame.trial == 1] == -1).all()
+
+
+def test_warm_cmaes_moves_towards_better_costs(comparisons: Comparisons) -> None:
+    comparisons.run("out", arms=("cmaes-warm",), runs=3, trials=100)
+    frame = comparisons.table("out").to_pandas()
+    early = frame.cost[frame.trial.between(1, 12)].mean()
+    assert frame.cost[frame.trial >= 85].mean() < early
+
+
+def test_a_sampler_that_is_new_every_trial_does_not_need_one_process(
+    comparisons: Comparisons,
+) -> None:
+    for arm in ("cmaes-cold", "tpe"):
+        assert ARMS[arm].fresh
+    for arm in ("dog", "cmaes-warm"):
+        assert not ARMS[arm].fresh
+
+
+def test_arms_say_what_their_stores_saw() -> None:
+    for arm in ARMS.values():
+        assert arm.summary
+        assert arm.saw == (arms.NOTHING if not arm.store else arms.SAW[arm.store])
+        assert bool(arm.store) == bool(arm.features)
+
+
+def test_samplers_see_that_a_trial_fell_and_what_it_showed(comparisons: Comparisons) -> None:
+    from study.comparison.group import StudyGroup
+
+    group = StudyGroup(comparisons.experiment, {0: ("dog", 0)}, 2)
+    proposals = group.propose()
+    rows = fake.simulate(proposals.gains).rows
+    rows["phi_printed"] = 17.0
+    group.tell(np.array([1.0]), rows)
+    (study,) = group._studies.values()
+    attributes = study._study.trials[0].user_attrs
+    assert attributes["fell"] == bool(rows["end_reason"][0] != 0)
+    assert attributes["shown"] == [17.0]
