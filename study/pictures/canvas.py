@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 Array = NDArray[np.float64]
-Colour = str | tuple[int, int, int]
+Colour = str | tuple[int, ...]
 
 SMOOTHING = 2  # shapes are drawn this much larger
 ARC = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 9)

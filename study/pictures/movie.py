@@ -72,7 +72,7 @@ def _encode(program: str, pictures: Iterator[bytes], path: Path, film: Film) -> 
         "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
         "-r", str(film.rate_hz), "-i", "-",
         "-an", "-c:v", "libx264", "-crf", str(film.quality), "-preset", film.effort,
-        "-pix_fmt", "yuv420p",
+        "-threads", str(film.threads), "-pix_fmt", "yuv420p",
         "-movflags", "+faststart", "-f", "mp4", str(path),
     ]  # fmt: skip
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)

@@ -48,16 +48,18 @@ class Film:
         rate_hz: frames a second.
         effort: of the encoder, a preset of x264.
         quality: of the encoder, its constant rate factor; lower is better.
+        threads: of the encoder; 0 is what it likes.
     """
 
     size_px: tuple[int, int]
     rate_hz: int
     effort: str
     quality: int
+    threads: int
 
 
-LARGE = Film((1280, 640), 30, "medium", 20)
-SMALL = Film((640, 320), 20, "veryfast", 26)  # a second of one core for 8 s of walking, 0.2 MB
+LARGE = Film((1280, 640), 30, "medium", 20, threads=0)
+SMALL = Film((640, 320), 20, "veryfast", 26, threads=1)  # a second of one core for 8 s of walking, 0.2 MB
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,172 @@
+"""A picture and a film of the best trial of each study, where the dashboard looks for them.
+
+The trials are simulated once more, recorded, many at a time; processes draw them. Trials of several
+arms that are equal share their files. A file that is there is whole, and is not made again.
+"""
+
+import json
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from storage.bulk import attach
+from storage.commit import TEMPORARY_SUFFIX, writable
+from storage.studies import open_studies, storage_errors
+from study.comparison.database import fingerprint, study_name
+from study.comparison.drawing import FILM, STRIP, Task, drawers
+from study.comparison.experiment import Experiment
+from study.comparison.results import gains_of
+from study.comparison.simulation import simulate_trials
+from study.pictures import find_ffmpeg
+
+ARTIFACTS_NAME = "artifacts"
+RECORDED_S = 12.0  # from the start of the trial
+RECORD_RATE_HZ = 50.0
+WALKS_PER_BATCH = 64  # 1.5 MB each while they are recorded
+NAMESPACE = uuid.UUID("6f1d2b3c-5d0e-4b57-9a52-0f4a7f6f3b11")
+KINDS = {STRIP: ("strip.png", "image/png"), FILM: ("film.mp4", "video/mp4")}
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """A body, a ground and gains; the best trial of one study or of several.
+
+    Attributes:
+        run: whose body and ground.
+        gains: the searched parameters, [16 + k].
+        title: what became of it.
+        trials: name of the study and number of the trial, of each.
+    """
+
+    run: int
+    gains: NDArray[np.float64]
+    title: str
+    trials: tuple[tuple[str, int], ...]
+
+
+def make_artifacts(
+    experiment: Experiment,
+    trials: pa.Table,
+    url: str,
+    out: Path,
+    progress: Progress | None = None,
+    workers: int | None = None,
+) -> None:
+    """Draw the best trial of each study and attach picture and film to it.
+
+    Args:
+        experiment: whose results.
+        trials: rows of the results table, exported to the database before.
+        url: of the study database.
+        out: folder of the experiment; the files go to its folder artifacts.
+        progress: called with the number of walks that are done, and of all.
+        workers: processes that draw; None is one a core, 1 is none beside this one.
+
+    Raises:
+        InputError: no ffmpeg that works (before anything is drawn), or no place to write.
+    """
+    program = find_ffmpeg()
+    folder = out / ARTIFACTS_NAME
+    with writable(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for leftover in folder.glob(f".*{TEMPORARY_SUFFIX}"):
+            leftover.unlink()
+    walks = best_walks(experiment, trials)
+    done = [
+        walk for walk in walks if all(path.exists() for path in _paths(experiment, walk, folder))
+    ]
+    _attach(experiment, done, url)
+    missing = [walk for walk in walks if walk not in done]
+    with drawers(workers, len(missing)) as draw:
+        for first in range(0, len(missing), WALKS_PER_BATCH):
+            if progress is not None:
+                progress(len(walks) - len(missing) + first, len(walks))
+            batch = missing[first : first + WALKS_PER_BATCH]
+            drawn = draw(_tasks(experiment, batch, folder, program))
+            _attach(
+                experiment,
+                [walk for walk, is_drawn in zip(batch, drawn, strict=True) if is_drawn],
+                url,
+            )
+    if progress is not None:
+        progress(len(walks), len(walks))
+
+
+def best_walks(experiment: Experiment, trials: pa.Table) -> list[Walk]:
+    """The best trial of each study, the first of equals; equal ones of several arms once."""
+    order = [(name, "ascending") for name in ("arm", "run", "cost", "trial")]
+    table = trials.sort_by(order)
+    arm, run = table["arm"].to_pylist(), table["run"].to_pylist()
+    first = [n for n in range(len(table)) if n == 0 or (arm[n], run[n]) != (arm[n - 1], run[n - 1])]
+    best = table.take(first)
+    found: dict[tuple[int, bytes], Walk] = {}
+    for gains, row in zip(gains_of(experiment, best), best.to_pylist(), strict=True):
+        trial = (study_name(experiment.name, row["arm"], row["run"]), row["trial"])
+        key = (row["run"], gains.tobytes())
+        others = found[key].trials if key in found else ()
+        found[key] = Walk(row["run"], gains, _title(experiment, row), (*others, trial))
+    return list(found.values())
+
+
+def _title(experiment: Experiment, row: dict[str, Any]) -> str:
+    how = "walked" if row["end_reason"] == "completed" else f"{row['end_reason']} after"
+    return (
+        f"{experiment.name}, run {row['run']}: {how} {row['duration_s']:.1f} s,"
+        f" {row['distance_m']:.1f} m at {row['mean_speed_mps']:.2f} m/s"
+    )
+
+
+def _artifact_id(experiment: Experiment, walk: Walk, kind: str) -> str:
+    """The same walk has the same files, whichever call makes them."""
+    name = f"{fingerprint(experiment)}/{walk.run}/{walk.gains.tobytes().hex()}/{kind}"
+    return str(uuid.uuid5(NAMESPACE, name))
+
+
+def _paths(experiment: Experiment, walk: Walk, folder: Path) -> list[Path]:
+    return [folder / _artifact_id(experiment, walk, kind) for kind in KINDS]
+
+
+def _tasks(
+    experiment: Experiment, walks: Sequence[Walk], folder: Path, program: str
+) -> Iterator[Task]:
+    """Simulate the walks together; each is then a picture and a film to draw."""
+    result = simulate_trials(
+        experiment,
+        [walk.run for walk in walks],
+        np.array([walk.gains for walk in walks]),
+        record=True,
+        duration_s=min(RECORDED_S, experiment.duration_s),
+        record_rate_hz=RECORD_RATE_HZ,
+    )
+    for walk, trajectory in zip(walks, result.trajectories, strict=True):
+        strip, film = _paths(experiment, walk, folder)
+        yield Task(trajectory, experiment.terrain(walk.run), walk.title, strip, film, program)
+
+
+def _attach(experiment: Experiment, walks: Sequence[Walk], url: str) -> None:
+    """Register the files with the trials, as `optuna.artifacts.upload_artifact` would."""
+    notes = []
+    for walk in walks:
+        for kind, (filename, mimetype) in KINDS.items():
+            identity = _artifact_id(experiment, walk, kind)
+            meta = {"artifact_id": identity, "filename": filename, "mimetype": mimetype}
+            value = json.dumps(meta | {"encoding": None})
+            notes += [
+                (study, number, f"artifacts:{identity}", value) for study, number in walk.trials
+            ]
+    if not notes:
+        return
+    storage = open_studies(url)
+    try:
+        with storage_errors(url):
+            attach(storage, notes)
+    finally:
+        storage.engine.dispose()

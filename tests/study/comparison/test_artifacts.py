@@ -1,0 +1,264 @@
+"""Pictures and films of the best trials, as Optuna and its dashboard find them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import pyarrow as pa
+import pytest
+from optuna.artifacts import FileSystemArtifactStore, get_all_artifact_meta, upload_artifact
+
+from storage.studies import open_studies
+from study.comparison import artifacts, drawing
+from study.comparison.artifacts import best_walks, make_artifacts
+from study.comparison.database import export
+from study.comparison.results import gains_of
+from study.pictures import movie
+from taichi_nmm.errors import InputError
+from taichi_nmm.result import Result
+from tests.study import synthetic_gait
+from tests.study.comparison.fake_results import experiment, results
+
+TINY = experiment()
+GLIMPSE = synthetic_gait.walk(0.3, 50.0)
+STUDIES = ("tiny/dog/run-000", "tiny/dog/run-001", "tiny/random/run-000", "tiny/random/run-001")
+
+
+class Simulations:
+    """Stands for the simulator, and remembers what it was asked for."""
+
+    def __init__(self) -> None:
+        self.runs: list[list[int]] = []
+        self.gains: list[np.ndarray] = []
+        self.options: list[dict[str, Any]] = []
+
+    def __call__(self, of: Any, runs: list[int], gains: np.ndarray, **options: Any) -> Result:
+        self.runs.append(list(runs))
+        self.gains.append(gains)
+        self.options.append(options)
+        return Result(np.zeros(0), (GLIMPSE,) * len(runs))
+
+
+@pytest.fixture
+def simulations(monkeypatch: pytest.MonkeyPatch) -> Simulations:
+    fake = Simulations()
+    monkeypatch.setattr(artifacts, "simulate_trials", fake)
+    return fake
+
+
+@pytest.fixture
+def url(tmp_path: Path) -> str:
+    return f"sqlite:///{tmp_path}/studies.db"
+
+
+def make(table: pa.Table, url: str, out: Path, workers: int = 1) -> list[tuple[int, int]]:
+    told: list[tuple[int, int]] = []
+    export(TINY, table, url, final=True)
+    make_artifacts(TINY, table, url, out, lambda *done: told.append(done), workers)
+    return told
+
+
+def found(url: str, name: str, number: int) -> dict[str, Any]:
+    """The artifacts of a trial by file name, as Optuna lists them."""
+    study = optuna.load_study(study_name=name, storage=open_studies(url))
+    metas = get_all_artifact_meta(study.trials[number], storage=study._storage)
+    assert len({meta.filename for meta in metas}) == len(metas)
+    return {meta.filename: meta for meta in metas}
+
+
+def test_the_best_trial_of_each_study_gets_picture_and_film(
+    tmp_path: Path, url: str, simulations: Simulations
+) -> None:
+    assert make(results(TINY), url, tmp_path) == [(0, 4), (4, 4)]
+    store = FileSystemArtifactStore(tmp_path / "artifacts")
+    for name in STUDIES:
+        best = optuna.load_study(study_name=name, storage=open_studies(url)).best_trial.number
+        metas = found(url, name, best)
+        assert {key: meta.mimetype for key, meta in metas.items()} == {
+            "strip.png": "image/png", "film.mp4": "video/mp4",
+        }  # fmt: skip
+        with store.open_reader(metas["strip.png"].artifact_id) as file:
+            assert file.read(4) == b"\x89PNG"
+        with store.open_reader(metas["film.mp4"].artifact_id) as file:
+            assert file.read(12)[4:8] == b"ftyp"
+        assert not found(url, name, (best + 1) % 3)
+    assert len(list((tmp_path / "artifacts").iterdir())) == 8
+
+
+def test_they_are_registered_as_optuna_does(
+    tmp_path: Path, url: str, simulations: Simulations
+) -> None:
+    make(results(TINY), url, tmp_path)
+    study = optuna.load_study(study_name=STUDIES[0], storage=open_studies(url))
+    (tmp_path / "strip.png").touch()
+    trial = study.ask()
+    store = FileSystemArtifactStore(tmp_path)
+    upload_artifact(
+        artifact_store=store, file_path=str(tmp_path / "strip.png"), study_or_trial=trial
+    )
+    (theirs,) = study.trials[trial.number].system_attrs.values()
+    (ours,) = [value for value in study.best_trial.system_attrs.values() if "png" in value]
+    assert isinstance(ours, str) and isinstance(theirs, str)
+    drop = {"artifact_id": ""}
+    assert list(json.loads(ours)) == list(json.loads(theirs))
+    assert json.loads(ours) | drop == json.loads(theirs) | drop
+    (key,) = [key for key, value in study.best_trial.system_attrs.items() if value == ours]
+    assert key == f"artifacts:{json.loads(ours)['artifact_id']}"
+
+
+def test_the_best_is_the_first_of_the_cheapest_and_equal_ones_are_shared() -> None:
+    walks = best_walks(TINY, results(TINY))
+    assert [walk.run for walk in walks] == [0, 1, 0, 1]
+    assert walks[0].trials == (("tiny/dog/run-000", 1),)
+    random = results(TINY, arms=("abc", "two"))  # whose gains are equal, as their names are long
+    walks = best_walks(TINY, random)
+    assert [walk.trials for walk in walks] == [
+        (("tiny/abc/run-000", 2), ("tiny/two/run-000", 2)),
+        (("tiny/abc/run-001", 1), ("tiny/two/run-001", 1)),
+    ]
+    rows = random.to_pylist()
+    row = next(n for n, row in enumerate(rows) if row["run"] == 1 and row["trial"] == 1)
+    np.testing.assert_array_equal(walks[1].gains, gains_of(TINY, random)[row])
+    assert walks[1].title == "tiny, run 1: fell after 2.0 s, 2.0 m at 0.50 m/s"
+
+
+def test_shared_files_are_drawn_once(tmp_path: Path, url: str, simulations: Simulations) -> None:
+    make(results(TINY, arms=("abc", "two")), url, tmp_path)
+    assert len(list((tmp_path / "artifacts").iterdir())) == 4
+    assert found(url, "tiny/abc/run-001", 1) == found(url, "tiny/two/run-001", 1) != {}
+
+
+def test_all_are_simulated_together_from_the_start(
+    tmp_path: Path, url: str, simulations: Simulations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(artifacts, "WALKS_PER_BATCH", 3)
+    table = results(TINY)
+    assert make(table, url, tmp_path) == [(0, 4), (3, 4), (4, 4)]
+    assert simulations.runs == [[0, 1, 0], [1]]
+    walks = best_walks(TINY, table)
+    np.testing.assert_array_equal(
+        np.vstack(simulations.gains), np.array([walk.gains for walk in walks])
+    )
+    assert all(options["record"] is True for options in simulations.options)
+    assert all(options["duration_s"] == TINY.duration_s for options in simulations.options)
+
+
+def test_what_is_there_is_kept_and_what_is_missing_is_made(
+    tmp_path: Path, url: str, simulations: Simulations
+) -> None:
+    table = results(TINY)
+    make(table, url, tmp_path)
+    files = sorted((tmp_path / "artifacts").iterdir())
+    times = {file: file.stat().st_mtime_ns for file in files}
+    files[0].unlink()
+    (tmp_path / "artifacts" / ".x.1.tmp").touch()  # of a call that was killed
+    assert make(table, url, tmp_path) == [(3, 4), (4, 4)]
+    assert simulations.runs[1:] == [[simulations.runs[1][0]]]
+    assert sorted((tmp_path / "artifacts").iterdir()) == files
+    assert {file: file.stat().st_mtime_ns for file in files[1:]} == {
+        file: times[file] for file in files[1:]
+    }
+    assert make(table, url, tmp_path) == [(4, 4)] and len(simulations.runs) == 2
+    another = f"sqlite:///{tmp_path}/another.db"  # a new database, the files as they are
+    assert make(table, another, tmp_path) == [(4, 4)]
+    assert set(found(another, STUDIES[0], 1)) == {"strip.png", "film.mp4"}
+
+
+def test_a_walker_that_diverged_at_once_has_no_picture(
+    tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost = synthetic_gait.walk(0.1)
+    lost.q[:] = np.nan
+
+    def simulate(of: Any, runs: list[int], gains: np.ndarray, **options: Any) -> Result:
+        return Result(np.zeros(0), (lost, GLIMPSE, GLIMPSE, GLIMPSE))
+
+    monkeypatch.setattr(artifacts, "simulate_trials", simulate)
+    make(results(TINY), url, tmp_path)
+    assert not found(url, STUDIES[0], 1) and found(url, STUDIES[1], 1)
+
+
+def test_several_processes_draw_the_same_files(
+    tmp_path: Path, url: str, simulations: Simulations
+) -> None:
+    make(results(TINY), url, tmp_path / "one")
+    make(results(TINY), url, tmp_path / "two", workers=2)
+    one, two = (sorted((tmp_path / name / "artifacts").iterdir()) for name in ("one", "two"))
+    assert [file.name for file in one] == [file.name for file in two]
+    assert [file.read_bytes() for file in one] == [file.read_bytes() for file in two]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_process_that_cannot_write_says_so_in_one_line(tmp_path: Path, workers: int) -> None:
+    task = drawing.Task(GLIMPSE, TINY.terrain(0), "", tmp_path / "no" / "s", tmp_path / "f", "")
+    with (
+        pytest.raises(InputError, match=r"out: .* a place that can be written") as caught,
+        drawing.drawers(workers, 2) as draw,
+    ):
+        draw([task, task])
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_ffmpeg_is_told_before_anything_is_drawn(
+    tmp_path: Path, url: str, simulations: Simulations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
+    with pytest.raises(InputError, match=r"ffmpeg: .* a working ffmpeg"):
+        make(results(TINY), url, tmp_path)
+    assert not simulations.runs and not (tmp_path / "artifacts").exists()
+    assert movie.FIXING  # one line names what to install
+
+
+KILLED = """
+import multiprocessing, threading, time
+import study.comparison.drawing as drawing
+if __name__ == "__main__":
+    drawing._draw = time.sleep
+    with drawing.drawers(2, 2) as draw:
+        threading.Thread(target=draw, args=([60, 60],), daemon=True).start()
+        while len(multiprocessing.active_children()) < 2:
+            time.sleep(0.01)
+        print(*(child.pid for child in multiprocessing.active_children()), flush=True)
+        time.sleep(60)
+"""
+
+
+def test_a_kill_leaves_no_process_behind(tmp_path: Path) -> None:
+    script = tmp_path / "killed.py"
+    script.write_text(KILLED)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(
+        [sys.executable, str(script)], env=environment, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        children = [int(word) for word in process.stdout.readline().split()]
+        process.send_signal(signal.SIGKILL)
+    assert len(children) == 2
+    deadline = time.monotonic() + 30
+    while any(alive(child) for child in children):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def alive(process: int) -> bool:
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def test_the_real_simulator_repeats_the_trial(tmp_path: Path, url: str) -> None:
+    table = results(TINY, arms=("dog",), runs=1)
+    (walk,) = best_walks(TINY, table)
+    (task,) = artifacts._tasks(TINY, [walk], tmp_path, "ffmpeg")
+    assert np.isfinite(task.trajectory.q).all() and len(task.trajectory.time_s) > 5
+    assert task.trajectory.time_s[1] - task.trajectory.time_s[0] == pytest.approx(0.02)
+    assert task.terrain is TINY.terrain(0)
