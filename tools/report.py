@@ -4,7 +4,8 @@
     python tools/report.py out/compare/* --out out/overview --optimum out/optimum/optimum.json
 
 Each folder gets a folder `report`; of several, the overview goes to --out. An unfinished comparison
-is reported as far as it is, and says so. Exit codes: 0, 2 bad input, 130 interrupted.
+is reported as far as it is, and says so. Two walks are simulated again to be drawn, where the
+experiment's configuration is found (--configs). Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
 import argparse
@@ -15,6 +16,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from study.command import run_command
+from study.report.before_after import before_and_after, find_experiment
 from study.report.optimum import find_optimum
 from study.report.results import read_results
 from study.report.writing import REPORT_NAME, write_overview, write_report
@@ -29,6 +31,11 @@ def parse() -> argparse.Namespace:
         "--optimum", type=Path, action="append", default=[],
         help="optimum.json of tools/optimum.py, drawn as a line; may be repeated, a cost each",
     )  # fmt: skip
+    parser.add_argument(
+        "--configs", type=Path, default=Path("configs"), metavar="FOLDER",
+        help="with the experiments' configurations, NAME.toml (%(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--no-strips", action="store_true", help="simulate and draw no walks")
     return parser.parse_args()
 
 
@@ -40,9 +47,13 @@ def main() -> None:
         )
     everything = [read_results(folder) for folder in args.folders]
     optima = [find_optimum(results, args.optimum) for results in everything]
+    experiments = [
+        None if args.no_strips else find_experiment(results, args.configs) for results in everything
+    ]
     found = []
-    for results, optimum in zip(everything, optima, strict=True):
-        found.append(write_report(results, optimum))
+    for results, optimum, experiment in zip(everything, optima, experiments, strict=True):
+        pair = None if experiment is None else before_and_after(results, experiment)
+        found.append(write_report(results, optimum, pair))
         state = "" if results.complete else f" ({results.found:,} of {results.planned:,} trials)"
         print(f"{results.folder / REPORT_NAME}: {results.name}{state}", flush=True)
     if args.out is not None:

@@ -1,12 +1,12 @@
 """The report of an experiment as Markdown: what each arm saw, what it reached, and the tests."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from study.comparison.arms import ARMS
 from study.report.appearance import LABELS, PAPER
+from study.report.facts import facts
 from study.report.numbers import ArmNumbers, Comparison, Numbers
 from study.report.results import Results
 from study.report.statistics import RESAMPLES, Interval
@@ -24,9 +24,19 @@ signed-rank test of the best costs, McNemar's exact test of having a walker. `n`
 pairs, and of those that differ, on which a test rests. p is Holm's, adjusted over all arms of the \
 table, the unadjusted in brackets. Below 0 the arm is better."""
 
+PROPOSAL = "The last column is the median time in ms that the sampler took to propose a trial."
 
-def report_text(results: Results, numbers: Numbers, optimum: float | None) -> str:
-    """The document; figures are linked by their names beside it."""
+
+def report_text(results: Results, numbers: Numbers, optimum: float | None, strips: str = "") -> str:
+    """The document; figures are linked by their names beside it.
+
+    Args:
+        results: of the experiment.
+        numbers: of the same.
+        optimum: the estimated optimum, where it is known.
+        strips: what the figure of stick figures shows; "" where there is none.
+    """
+    figures = FIGURES | ({"strips": strips} if strips else {})
     parts = [
         f"# {results.name}",
         _state(results),
@@ -36,11 +46,12 @@ def report_text(results: Results, numbers: Numbers, optimum: float | None) -> st
         _reached(numbers),
         "## Best cost",
         _costs(numbers, results.cost),
+        PROPOSAL if any(arm.proposal_ms is not None for arm in numbers.arms) else "",
         *_tests(numbers),
         "## What the arms saw before their first trial",
         _saw(numbers),
         "## Figures",
-        *(f"![{words}]({name}.png)" for name, words in FIGURES.items()),
+        *(f"![{words}]({name}.png)" for name, words in figures.items()),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -103,22 +114,10 @@ def _state(results: Results) -> str:
 
 def _facts(results: Results, optimum: float | None) -> str:
     """What is known of how the runs were made, a line a fact."""
-    facts = {key: _fact(results, key) for key in FACTS}
+    known = facts(results)
     if optimum is not None:
-        facts["estimated optimum"] = f"{optimum:.4g} (level ground, undisturbed body)"
-    return "\n".join(f"- {key}: {value}" for key, value in facts.items() if value != UNKNOWN)
-
-
-FACTS = ("date", "machine", "versions", "command", "wall time", "cost", "duration_s", "seed")
-
-
-def _fact(results: Results, key: str) -> str:
-    if key == "cost":
-        return results.cost
-    value: Any = results.facts.get(key.replace(" ", "_"), results.facts.get(key))
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {item}" for name, item in value.items())
-    return UNKNOWN if value is None else str(value)
+        known["estimated optimum"] = f"{optimum:.4g} (level ground, undisturbed body)"
+    return "\n".join(f"- {key}: {value}" for key, value in known.items())
 
 
 def _reached(numbers: Numbers) -> str:
@@ -138,11 +137,14 @@ def _costs(numbers: Numbers, cost: str) -> str:
     after = sorted({trials for arm in numbers.arms for trials in arm.cost_after})
     if not after:
         return ""
-    header = ["arm", *(f"median best {cost} cost after {trials}" for trials in after)]
+    header = ["arm", *(f"median best {cost} cost after {trials}" for trials in after), "ms"]
     rows = [
-        [label(arm.arm), *(_interval(arm.cost_after.get(trials)) for trials in after)]
+        [
+            label(arm.arm), *(_interval(arm.cost_after.get(trials)) for trials in after),
+            "-" if arm.proposal_ms is None else f"{arm.proposal_ms:.3g}",
+        ]
         for arm in numbers.arms
-    ]
+    ]  # fmt: skip
     return table(header, rows)
 
 

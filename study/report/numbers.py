@@ -28,6 +28,7 @@ class ArmNumbers:
         first_walker: median trial of the first walker; infinite where most runs have none.
         within: runs with a walker within so many trials, as far as the trials go.
         cost_after: median best cost after so many trials, as far as the trials go.
+        proposal_ms: median time that the sampler took for a trial; None where it is not known.
     """
 
     arm: str
@@ -39,6 +40,7 @@ class ArmNumbers:
     first_walker: Interval
     within: dict[int, int]
     cost_after: dict[int, Interval]
+    proposal_ms: float | None
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,7 @@ def _arm_numbers(arm: ArmRuns) -> ArmNumbers:
         first_walker=median(arm.first_walker),
         within={k: int(arm.has_walker[:, k - 1].sum()) for k in WITHIN if k <= arm.trials},
         cost_after={k: median(arm.best[:, k - 1]) for k in COST_AFTER if k <= arm.trials},
+        proposal_ms=arm.proposal_ms,
     )
 
 

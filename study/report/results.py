@@ -16,6 +16,7 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 
 TRIALS_NAME = "trials.parquet"
+TIMES_NAME = "proposal_times.parquet"
 ARMS_NAME = "arms"
 DOCUMENTS = ("experiment.json", "run.json")
 
@@ -35,6 +36,7 @@ class ArmRuns:
         best: the best cost so far, [r, t].
         walks: whether a trial walked, bool [r, t].
         found: trials in the table; r t of them are in the arrays.
+        proposal_ms: median time that the sampler took for a trial; None where it is not known.
     """
 
     arm: str
@@ -42,6 +44,7 @@ class ArmRuns:
     best: NDArray[np.float64]
     walks: NDArray[np.bool_]
     found: int
+    proposal_ms: float | None = None
 
     @property
     def trials(self) -> int:
@@ -122,7 +125,8 @@ def read_results(folder: str | Path) -> Results:
                 arms[arm] = rows
     if not arms:
         raise InputError("folder", str(folder), f"the output of tools/compare.py: {TRIALS_NAME}")
-    runs = {arm: _arm_runs(folder, arm, rows) for arm, rows in arms.items()}
+    times = _proposal_times(folder)
+    runs = {arm: _arm_runs(folder, arm, rows, times.get(arm)) for arm, rows in arms.items()}
     facts = {
         key: value for name in DOCUMENTS for key, value in read_document(folder / name).items()
     }
@@ -186,7 +190,7 @@ def _by_arm(table: pa.Table) -> dict[str, pa.Table]:
     }
 
 
-def _arm_runs(folder: Path, arm: str, table: pa.Table) -> ArmRuns:
+def _arm_runs(folder: Path, arm: str, table: pa.Table, proposal_ms: float | None) -> ArmRuns:
     runs, counts = np.unique(table["run"].to_numpy(), return_counts=True)
     trial = table["trial"].to_numpy()
     if not np.array_equal(trial, np.concatenate([np.arange(count) for count in counts])):
@@ -197,8 +201,23 @@ def _arm_runs(folder: Path, arm: str, table: pa.Table) -> ArmRuns:
         return np.asarray(table[name].to_numpy()[shared].reshape(len(runs), -1))
 
     return ArmRuns(
-        arm, runs.astype(np.int64), square("best_cost"), square("walked").astype(bool), len(table)
+        arm=arm,
+        runs=runs.astype(np.int64),
+        best=square("best_cost"),
+        walks=square("walked").astype(bool),
+        found=len(table),
+        proposal_ms=proposal_ms,
     )
+
+
+def _proposal_times(folder: Path) -> dict[str, float]:
+    """Median milliseconds of each arm, where the folder has them."""
+    path = folder / TIMES_NAME
+    if not path.exists():
+        return {}
+    table = read_trials(path, ("arm", "proposal_s"))
+    arm, seconds = table["arm"].to_numpy(), table["proposal_s"].to_numpy()
+    return {str(name): 1e3 * float(np.median(seconds[arm == name])) for name in np.unique(arm)}
 
 
 def _cost(facts: dict[str, Any], arms: dict[str, ArmRuns]) -> str:

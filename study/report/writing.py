@@ -5,22 +5,30 @@ from pathlib import Path
 
 from storage.commit import commit_json, writable
 from study.benchmarks.comparison_report import commit_text
+from study.report.before_after import Pair
 from study.report.curves import write_best_cost, write_walkers
 from study.report.dots import write_first_walker
 from study.report.markdown import report_text
 from study.report.numbers import Numbers, numbers
 from study.report.overview import overview_text
 from study.report.results import Results
+from study.report.strips import write_strips
 
 REPORT_NAME = "report"
 
 
-def write_report(results: Results, optimum: float | None, folder: Path | None = None) -> Numbers:
+def write_report(
+    results: Results,
+    optimum: float | None,
+    pair: Pair | None = None,
+    folder: Path | None = None,
+) -> Numbers:
     """Write report.md, summary.json and the figures of one experiment.
 
     Args:
         results: of the experiment.
         optimum: the estimated optimum of its cost, where it is known.
+        pair: two walks to show before and after.
         folder: by default `report` in the experiment's own.
 
     Raises:
@@ -31,6 +39,8 @@ def write_report(results: Results, optimum: float | None, folder: Path | None = 
     write_best_cost(folder, results, optimum)
     write_walkers(folder, results)
     write_first_walker(folder, results)
+    if pair is not None:
+        write_strips(folder, results.name, pair)
     commit_json(
         folder / "summary.json",
         {
@@ -42,7 +52,7 @@ def write_report(results: Results, optimum: float | None, folder: Path | None = 
             **found.as_dict(),
         },
     )
-    commit_text(folder / "report.md", report_text(results, found, optimum))
+    commit_text(folder / "report.md", report_text(results, found, optimum, _strips(pair)))
     return found
 
 
@@ -56,6 +66,10 @@ def write_overview(folder: Path, experiments: Sequence[Numbers]) -> None:
     commit_json(folder / "overview.json", {"experiments": [each.as_dict() for each in experiments]})
     text = f"# {len(experiments)} experiments\n\n{overview_text(experiments)}"
     commit_text(folder / "overview.md", text)
+
+
+def _strips(pair: Pair | None) -> str:
+    return "" if pair is None else f"{pair.before.title}. {pair.after.title}. Run {pair.run}."
 
 
 def _made(folder: Path) -> Path:

@@ -129,5 +129,5 @@ def test_one_table_of_several_experiments(tmp_path: Path) -> None:
 
 def test_a_single_arm_of_a_single_run_is_reported(tmp_path: Path) -> None:
     results = experiment(arm("random", [np.inf], trials=2))
-    write_report(results, None, tmp_path)
+    write_report(results, None, folder=tmp_path)
     assert "0: 0 % (0 % to 79 %)" in (tmp_path / "report.md").read_text()

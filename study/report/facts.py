@@ -1,0 +1,48 @@
+"""How the runs of an experiment were made, as far as its folder says: date, machine, versions."""
+
+from typing import Any
+
+from study.report.results import Results
+
+SECONDS_A_MINUTE = 60.0
+
+
+def facts(results: Results) -> dict[str, str]:
+    """A line a fact; what the folder does not say is left out."""
+    sessions = results.facts.get("sessions", [])
+    simulation = results.facts.get("simulation", {})
+    found = {
+        "date": _days(sessions),
+        "machine": "; ".join(dict.fromkeys(_words(each.get("machine")) for each in sessions)),
+        "wall time": _wall_time(sessions),
+        "versions": _words(results.facts.get("versions")),
+        "cost": results.cost,
+        "a trial": f"{simulation['duration_s']:g} s" if "duration_s" in simulation else "",
+        "simulation": _words({k: v for k, v in simulation.items() if k != "duration_s"}),
+        "body": _words(results.facts.get("body")),
+        "terrain": str(results.facts.get("terrain", {}).get("name", "")),
+        "searched beside the 16 gains": ", ".join(results.facts.get("searched", [])),
+        "seed": str(results.facts.get("seed", "")),
+    }
+    return {name: value for name, value in found.items() if value}
+
+
+def _days(sessions: list[dict[str, Any]]) -> str:
+    """The first and the last day on which it ran."""
+    days = sorted({str(each["started"])[:10] for each in sessions if "started" in each})
+    return " to ".join(dict.fromkeys([days[0], days[-1]])) if days else ""
+
+
+def _wall_time(sessions: list[dict[str, Any]]) -> str:
+    """Of all sessions together, pictures and films not included."""
+    if not sessions:
+        return ""
+    seconds = sum(float(each.get("wall_s", 0.0)) for each in sessions)
+    trials = sum(int(each.get("trials", 0)) for each in sessions)
+    times = f" in {len(sessions)} sessions" if len(sessions) > 1 else ""
+    return f"{seconds / SECONDS_A_MINUTE:.1f} min for {trials:,} trials{times}"
+
+
+def _words(values: dict[str, Any] | None) -> str:
+    """Names and values in a line."""
+    return ", ".join(f"{name} {value}" for name, value in (values or {}).items())
