@@ -1,4 +1,4 @@
-"""The experiment's loop: what is shared between arms, and that nothing is lost or computed twice."""
+"""The loop: what arms share, and that nothing is lost or computed twice."""
 
 import json
 

@@ -1,0 +1,21 @@
+"""tools/compare.py with the simulator replaced, and a checkpoint a round: for processes to kill."""
+
+import os
+import runpy
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+import taichi_nmm
+from study.comparison import command, lockstep
+from tests.study.comparison import fake
+
+if __name__ == "__main__":
+    vars(taichi_nmm)["simulate"] = fake.simulate
+    lockstep.CHECKPOINT_S = 0.0
+    command.EXPORT_S = 1e9
+    if os.environ.get("FAKE_POOL"):
+        vars(lockstep)["Pool"] = fake.LocalPool
+    runpy.run_path(str(ROOT / "tools" / "compare.py"), run_name="__main__")

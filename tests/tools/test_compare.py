@@ -1,0 +1,203 @@
+"""tools/compare.py as its users meet it: output, exit codes, kill -9, Ctrl-C."""
+
+import json
+import os
+import runpy
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import pyarrow.parquet as pq
+import pytest
+
+import taichi_nmm
+from study.comparison import lockstep
+from taichi_nmm.result import Result
+from tests.study.comparison import fake
+
+ROOT = Path(__file__).parents[2]
+PROGRAM = [sys.executable, str(ROOT / "tests" / "tools" / "fake_compare.py")]
+
+
+class Command:
+    """The command in a folder of its own, in this process or in another."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.folder = folder
+        self.monkeypatch = monkeypatch
+        self.config = fake.write_config(folder)
+
+    def arguments(self, *flags: str, **changes: str | int) -> list[str]:
+        options = {"config": str(self.config), "out": str(self.folder / "out")} | changes
+        words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+        return ["--no-artifacts", *words, *flags]
+
+    def run(self, *flags: str, **changes: str | int) -> int:
+        """Exit code of the command."""
+        arguments = ["compare.py", *self.arguments(*flags, **changes)]
+        self.monkeypatch.setattr(sys, "argv", arguments)
+        try:
+            runpy.run_path(str(ROOT / "tools" / "compare.py"), run_name="__main__")
+        except SystemExit as end:
+            return int(end.code or 0)
+        return 0
+
+    def start(self, local: bool, **changes: str | int) -> subprocess.Popen[bytes]:
+        """The command in a process of its own, a tenth of a second a round."""
+        environment = os.environ | {"FAKE_ROUND_S": "0.1", "FAKE_POOL": "1" if local else ""}
+        return subprocess.Popen(
+            [*PROGRAM, *self.arguments(**changes)],
+            env=environment,
+            stderr=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+    def rows(self, out: str = "out") -> int:
+        """Finished trials on the disk."""
+        files = (self.folder / out / "arms").glob("*.parquet")
+        return sum(pq.read_metadata(file).num_rows for file in files)
+
+    def wait_for_more(self, process: subprocess.Popen[bytes], out: str = "out") -> None:
+        """Until the process has written a round."""
+        before, deadline_s = self.rows(out), time.monotonic() + 60.0
+        while self.rows(out) == before:
+            assert process.poll() is None and time.monotonic() < deadline_s
+            time.sleep(0.02)
+
+
+@pytest.fixture
+def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
+    monkeypatch.setattr(lockstep, "Pool", fake.LocalPool)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    return Command(tmp_path, monkeypatch)
+
+
+def test_json_is_one_object(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.run("--json", trials=3) == 0
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    assert found["trials"] == found["trials_computed"] == 27
+    assert [arm["arm"] for arm in found["arms"]] == ["dog", "random", "score-first"]
+    assert "studies with a walker" in err
+    names = optuna.get_all_study_names(found["storage"])
+    assert "toy/dog/run-002" in names
+
+
+def test_the_table_is_for_people(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.run(trials=3, arms="dog,random", runs=1) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[1:3]] == ["dog", "random"]
+    assert lines[3].startswith("6 trials (6 now")
+
+
+def test_a_session_is_noted(command: Command) -> None:
+    assert command.run(trials=1) == 0
+    assert command.run(trials=1) == 0  # nothing to do: no session
+    assert command.run(trials=2) == 0
+    sessions = json.loads((command.folder / "out" / "run.json").read_text())["sessions"]
+    assert [session["trials"] for session in sessions] == [9, 9]
+    assert sessions[0]["machine"]["cores"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"config": "nowhere.toml"}, "config: 'nowhere.toml'"),
+        ({"arms": "dog,cat"}, "arm: 'cat'"),
+        ({"runs": 0}, "runs: 0"),
+        ({"trials": 0}, "trials: 0"),
+        ({"storage": "oracle://host/db"}, "storage: 'oracle://host/db'"),
+        ({"arch": "cuda"}, "simulation.arch: 'cuda'"),
+    ],
+)
+def test_bad_input_is_one_line(
+    changes: dict[str, Any],
+    message: str,
+    command: Command,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from study.comparison import command as comparison
+    from taichi_nmm.errors import InputError
+
+    def require_machine(experiment: Any) -> None:
+        if experiment.settings.arch == "cuda":
+            raise InputError("simulation.arch", "cuda", "an architecture of this machine")
+
+    monkeypatch.setattr(comparison, "_require_machine", require_machine)
+    assert command.run(**changes) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith(f"error: {message}")
+
+
+def test_ctrl_c_keeps_finished_rounds(
+    command: Command, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rounds = iter(range(100))
+
+    def interrupted(*arguments: Any, **options: Any) -> Result:
+        if next(rounds) == 4:
+            raise KeyboardInterrupt
+        return fake.simulate(*arguments, **options)
+
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", interrupted)
+    assert command.run() == 130
+    assert "the same command resumes" in capsys.readouterr().err
+    assert command.rows() == 4 * 9
+
+
+def test_ctrl_c_ends_all_processes(command: Command) -> None:
+    process = command.start(local=False, trials=100, workers=2)
+    command.wait_for_more(process)
+    os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to the workers as well
+    assert process.wait(30) == 130
+    assert process.stderr is not None
+    said = process.stderr.read().decode()
+    assert "the same command resumes" in said
+    assert "Traceback" not in said
+    assert members(process.pid) == []
+
+
+def test_killed_and_resumed_is_the_same_table(command: Command) -> None:
+    arms = {"arms": "random,dog,score-first,cmaes-cold,cmaes-warm", "trials": 14}
+    rng = np.random.default_rng(0)
+    for turn in range(4):
+        local = turn < 3
+        process = command.start(local=local, **arms)
+        command.wait_for_more(process)
+        time.sleep(rng.uniform(0.0, 0.25))
+        process.kill()
+        process.wait()
+        assert process.stderr is not None
+        process.stderr.close()
+        deadline_s = time.monotonic() + 10.0
+        while members(process.pid) and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        assert members(process.pid) == []  # workers end with the main process
+    kept = command.rows()
+    assert 0 < kept < 14 * 15
+    assert command.run(**arms) == 0
+    assert command.run(**arms | {"out": str(command.folder / "whole")}) == 0
+    parts, whole = (command.folder / name / "trials.parquet" for name in ("out", "whole"))
+    assert parts.read_bytes() == whole.read_bytes()
+
+
+def members(group: int) -> list[int]:
+    """Processes of a group that still run."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (entry / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[2]) == group and fields[0] != "Z":
+            found.append(int(entry.name))
+    return found
