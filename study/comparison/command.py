@@ -104,7 +104,7 @@ class _Session:
         self._folder = folder
         self._url = url
         self._lockstep = lockstep
-        self._started = datetime.now(UTC).isoformat(timespec="seconds")
+        self._started = datetime.now(UTC).isoformat(timespec="milliseconds")
         self._began_s = self._exported_s = time.monotonic()
         self._before = self._now = lockstep.finished
 

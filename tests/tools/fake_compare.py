@@ -5,8 +5,7 @@ import runpy
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import taichi_nmm
 from study.comparison import command, lockstep
@@ -18,4 +17,5 @@ if __name__ == "__main__":
     command.EXPORT_S = 1e9
     if os.environ.get("FAKE_POOL"):
         vars(lockstep)["Pool"] = fake.LocalPool
-    runpy.run_path(str(ROOT / "tools" / "compare.py"), run_name="__main__")
+    root = Path(__file__).resolve().parents[2]
+    runpy.run_path(str(root / "tools" / "compare.py"), run_name="__main__")

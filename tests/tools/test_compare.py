@@ -169,8 +169,7 @@ def test_ctrl_c_ends_all_processes(command: Command) -> None:
 def test_killed_and_resumed_is_the_same_table(command: Command) -> None:
     arms = {"arms": "random,dog,score-first,cmaes-cold,cmaes-warm", "trials": 14}
     rng = np.random.default_rng(0)
-    for turn in range(4):
-        local = turn < 3
+    for local in (True, True, False):
         process = command.start(local=local, **arms)
         command.wait_for_more(process)
         time.sleep(rng.uniform(0.0, 0.25))

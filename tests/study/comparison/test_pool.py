@@ -41,9 +41,11 @@ def test_two_workers_then_one_give_the_same_table_as_none(
 
 def test_an_error_in_a_worker_is_one_line_here(comparisons: Comparisons) -> None:
     (comparisons.folder / "store" / "manifest.json").unlink()
-    with pytest.raises(InputError, match="a finished store"):
-        with Pool(comparisons.experiment, [("dog", 0)], 3, {}, 1) as made:
-            made.propose()
+    with (
+        pytest.raises(InputError, match="a finished store"),
+        Pool(comparisons.experiment, [("dog", 0)], 3, {}, 1) as made,
+    ):
+        made.propose()
 
 
 def test_a_worker_that_is_killed_is_one_line_here(comparisons: Comparisons) -> None:
