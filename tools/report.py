@@ -16,11 +16,14 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from study.command import run_command
+from study.comparison.experiment import Experiment
 from study.report.before_after import before_and_after, find_experiment
 from study.report.optimum import find_optimum
-from study.report.results import read_results
+from study.report.results import Results, read_results
 from study.report.writing import REPORT_NAME, write_overview, write_report
 from taichi_nmm.errors import InputError
+
+CONFIGS = Path("configs")
 
 
 def parse() -> argparse.Namespace:
@@ -32,11 +35,22 @@ def parse() -> argparse.Namespace:
         help="optimum.json of tools/optimum.py, drawn as a line; may be repeated, a cost each",
     )  # fmt: skip
     parser.add_argument(
-        "--configs", type=Path, default=Path("configs"), metavar="FOLDER",
-        help="with the experiments' configurations, NAME.toml (%(default)s)",
+        "--configs", type=Path, metavar="FOLDER",
+        help="with the experiments' configurations, NAME.toml (configs)",
     )  # fmt: skip
     parser.add_argument("--no-strips", action="store_true", help="simulate and draw no walks")
     return parser.parse_args()
+
+
+def experiment_of(results: Results, configs: Path | None) -> Experiment | None:
+    """Its configuration; where nobody said which, one that is another's only costs the strips."""
+    try:
+        return find_experiment(results, configs or CONFIGS)
+    except InputError as error:
+        if configs is not None:
+            raise
+        print(f"{results.name}: no strips ({error})", file=sys.stderr)
+        return None
 
 
 def main() -> None:
@@ -48,7 +62,7 @@ def main() -> None:
     everything = [read_results(folder) for folder in args.folders]
     optima = [find_optimum(results, args.optimum) for results in everything]
     experiments = [
-        None if args.no_strips else find_experiment(results, args.configs) for results in everything
+        None if args.no_strips else experiment_of(results, args.configs) for results in everything
     ]
     found = []
     for results, optimum, experiment in zip(everything, optima, experiments, strict=True):

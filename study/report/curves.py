@@ -113,7 +113,7 @@ def _cost_axis(axes: Axes, results: Results, optimum: float | None) -> None:
         axes.yaxis.set_minor_locator(NullLocator())
     else:
         axes.set_ylim(0.0, 315.0)
-        _level(axes, WALKS_BELOW, "walks to the end", "--")
+        _level(axes, WALKS_BELOW, "below: walks to the end", "--")
     if optimum is not None:
         _level(axes, optimum, f"estimated optimum {optimum:.3g}", (0, (8, 2, 1, 2)))
 
@@ -123,6 +123,7 @@ def _level(axes: Axes, y: float, text: str, dash: Any) -> None:
     axes.annotate(
         text, xy=(0.0, y), xycoords=("axes fraction", "data"), xytext=(4, 2.5),
         textcoords="offset points", fontsize=style.SMALL_PT, color=style.INK,
+        bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.8}, zorder=6,
     )  # fmt: skip
 
 

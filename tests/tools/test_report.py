@@ -83,6 +83,19 @@ def test_the_optimum_of_the_same_cost_is_drawn(
     assert "estimated optimum: 0.011" in (folder / "report" / "report.md").read_text()
 
 
+def test_a_configuration_that_is_anothers_costs_the_strips(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)  # its configs/rough8.toml is a study's, not a comparison's
+    folder = write(tmp_path / "rough8")
+    assert report(monkeypatch, folder) == 0
+    assert "rough8: no strips (" in capsys.readouterr().err
+    assert not (folder / "report" / "strips.png").exists()
+    assert report(monkeypatch, folder, "--configs", "configs") == 2
+    assert report(monkeypatch, folder, "--no-strips") == 0
+    assert capsys.readouterr().err.count("\n") == 1  # of the refusal
+
+
 def test_bad_input_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -91,16 +104,20 @@ def test_bad_input_is_one_line(
     broken.write_text(json.dumps({"best": 1}))
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("")
+    configs = tmp_path / "configs"
+    configs.mkdir()
+    (configs / "rough8.toml").write_text('name = "rough8"\nseed = 1\n[terrain]\nsteepness = 3\n')
     cases: list[tuple[tuple[object, ...], str]] = [
         ((tmp_path / "nowhere",), "folder"),
         ((tmp_path / "empty",), "folder"),
         ((folder, "--optimum", tmp_path / "none.json"), "optimum"),
         ((folder, "--optimum", broken), "optimum"),
         ((folder, "--out", tmp_path / "all"), "out"),
-        ((folder, folder, "--out", tmp_path / "file"), "out"),
+        ((folder, folder, "--out", tmp_path / "file", "--no-strips"), "out"),
+        ((folder, "--configs", configs), "terrain.steepness"),
     ]
     for arguments, field in cases:
         assert report(monkeypatch, *arguments) == 2
         lines = capsys.readouterr().err.strip().splitlines()
-        assert len(lines) == 1 and lines[0].startswith(f"error: {field}: ")
+        assert len(lines) == 1 and lines[0].startswith(f"error: {field}: "), lines
     assert not (tmp_path / "all").exists()

@@ -122,3 +122,12 @@ def test_facts_of_the_run_are_kept(tmp_path: Path) -> None:
     (folder / "run.json").write_text(json.dumps({"machine": "two cores"}))
     facts = read_results(folder).facts
     assert facts["machine"] == "two cores" and facts["seed"] == 1
+
+
+def test_proposal_times_are_medians_of_each_arm(tmp_path: Path) -> None:
+    folder = small(tmp_path)
+    assert read_results(folder).arms["dog"].proposal_ms is None
+    times = {"arm": ["dog", "dog", "dog", "random"], "proposal_s": [0.01, 0.02, 0.9, 0.001]}
+    pq.write_table(pa.table(times), folder / "proposal_times.parquet")
+    arms = read_results(folder).arms
+    assert (arms["dog"].proposal_ms, arms["random"].proposal_ms) == (20.0, 1.0)
