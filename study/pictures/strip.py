@@ -38,7 +38,7 @@ def write_strip(
 ) -> Path:
     """Draw the last metres of a walk as poses at their places, muscles coloured by activation.
 
-    Below, where the ground is not level, its profile over the whole walk. A walker that fell is
+    Below, where the ground is not level, its profile from the first sample on. A walker that fell is
     shown falling.
 
     Args:
@@ -145,7 +145,7 @@ def _draw_ghosts(axes: Axes, trajectory: Trajectory, start_s: float, end_s: floa
 def _draw_profile(
     axes: Axes, trajectory: Trajectory, terrain: Terrain, shown_m: tuple[float, float]
 ) -> None:
-    """The ground of the whole walk, with the part above marked."""
+    """The ground of all that was recorded, with the part above marked."""
     style.tidy(axes)
     x = np.linspace(trajectory.q[0, 0], trajectory.q[:, 0].max() + 1.0, 4000)
     height = terrain.height(x)
@@ -153,5 +153,5 @@ def _draw_profile(
     draw_ground(axes, x, height, height.min() - margin)
     axes.axvspan(*shown_m, color=style.MODEL, alpha=0.18, linewidth=0, zorder=3)
     axes.set(xlim=(x[0], x[-1]), ylim=(height.min() - margin, height.max() + margin))
-    axes.set_xlabel("whole walk: distance (m)", fontsize=style.TEXT_PT, color=style.INK)
+    axes.set_xlabel("from the start: distance (m)", fontsize=style.TEXT_PT, color=style.INK)
     axes.set_ylabel("ground (m)", fontsize=style.TEXT_PT, color=style.INK)
