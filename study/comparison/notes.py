@@ -53,11 +53,14 @@ def summary_note(name: str, trials: pa.Table, final: bool) -> str:
     return "\n".join(
         [
             f"# {name}",
-            f"{len(trials)} trials ({state}). A walker lasts to the end at 0.3 m/s or more.",
+            f"{len(trials)} trials ({state}).",
             "",
-            "| arm | runs | with a walker | median trials to the first | median best cost |",
+            "| arm | runs | walked | first walker | best cost |",
             "|---|--:|--:|--:|--:|",
             *rows,
+            "",
+            "walked: runs with a walker, which lasts to the end at 0.3 m/s or more. first walker:"
+            " trials to it, median over runs. best cost: median over runs.",
             "",
             f"The studies are `{name}/<arm>/run-NNN`; run r has the same body and ground in every"
             " arm. The best trial of each shows its picture and film.",
