@@ -25,7 +25,7 @@ def report_tables(folders: Iterable[str | Path]) -> str:
 
 def overview_text(experiments: Sequence[Numbers]) -> str:
     """The same of numbers that are known already."""
-    arms = _columns(experiments)
+    arms = arms_of(experiments)
     rows = []
     for each in experiments:
         by_name = {arm.arm: arm for arm in each.arms}
@@ -38,7 +38,7 @@ def overview_text(experiments: Sequence[Numbers]) -> str:
     return f"{table(header, rows)}\n\n{remark}\n"
 
 
-def _columns(experiments: Sequence[Numbers]) -> list[str]:
+def arms_of(experiments: Sequence[Numbers]) -> list[str]:
     """All arms: the paper's, our best, then peers, controls and others of ours."""
     known = dict.fromkeys(arm.arm for each in experiments for arm in each.arms)
     first = [arm for arm in (PAPER, BEST) if arm in known]

@@ -8,6 +8,7 @@ from study.benchmarks.comparison_report import commit_text
 from study.report.before_after import Pair
 from study.report.curves import write_best_cost, write_walkers
 from study.report.dots import write_first_walker
+from study.report.grid import write_grid
 from study.report.markdown import report_text
 from study.report.numbers import Numbers, numbers
 from study.report.overview import overview_text
@@ -57,14 +58,18 @@ def write_report(
 
 
 def write_overview(folder: Path, experiments: Sequence[Numbers]) -> None:
-    """Write overview.md and overview.json of several experiments.
+    """Write overview.md, overview.json and a figure of several experiments.
 
     Raises:
         InputError: the folder cannot be written.
     """
     _made(folder)
     commit_json(folder / "overview.json", {"experiments": [each.as_dict() for each in experiments]})
-    text = f"# {len(experiments)} experiments\n\n{overview_text(experiments)}"
+    write_grid(folder, experiments)
+    text = (
+        f"# {len(experiments)} experiments\n\n{overview_text(experiments)}\n"
+        "![Runs with a walker](overview.png)\n"
+    )
     commit_text(folder / "overview.md", text)
 
 
