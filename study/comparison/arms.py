@@ -8,6 +8,7 @@ from typing import Any
 from optuna.samplers import BaseSampler, TPESampler
 
 from study.comparison import cmaes, controls
+from study.comparison.features import Feature, Survival, name_of
 from study.comparison.off_grid import store_features
 from study.comparison.stores import store_path
 from study.comparison.task import Task
@@ -23,20 +24,38 @@ SAW = {
     "robust": "level ground; rough ground of 8 cm under bodies disturbed by 15 %",
     "mild": "level ground; rough ground of 4 cm under bodies disturbed by 7.5 %",
     "ramps": "level ground; ramps of up to 10 % under bodies disturbed by 15 %",
-    "diverse": "level ground; several families of grounds under disturbed bodies",
+    "diverse": "level ground; rough ground, blocks, ramps and stairs under disturbed bodies",
 }  # by store key
 
 DETERMINANTS = (
     "m1_mean", "m2_mean", "m3_mean", "m4_mean", "m5_mean_mps", "survived_fraction",
 )  # fmt: skip
 PRINTED = ("phi_printed",)
-ROBUST = ("robust_survived_fraction_mean",)
+SURVIVAL = Survival()  # over all disturbed settings that the store has
+ROBUST = (SURVIVAL,)
+FAMILIES = ("rough", "blocks", "up", "down", "stairs_up", "stairs_down")  # of the diverse store
+KINDS = {
+    "rough": ("rough", "blocks"),
+    "ramps": ("up", "down"),
+    "stairs": ("stairs_up", "stairs_down"),
+}  # families that are relatives
+TIES = "phi_corrected"
+SPEED = "mean_speed_mps"
 OFF_GRID = 32  # points a trial that are simulated beside the store's
 PAPER: dict[str, Any] = {
     "kernel": "rbf",
     "mean": "constant",
     "acquisition": "ei",
 }  # of the paper's method
+BEST: dict[str, Any] = {
+    "kernel": "rbf",
+    "mean": "linear",
+    "acquisition": "log_ei",
+    "prior": SURVIVAL.name,
+    "prior_weight": 3000.0,
+    "cost_transform": "log",
+    "n_startup_trials": 1,
+}  # chosen on the tuning seeds: docs/results.md
 
 
 @dataclass(frozen=True)
@@ -48,7 +67,8 @@ class Arm:
         summary: in a line.
         new_sampler: makes one.
         store: key of the store that it reads, in the configuration's [stores]; "" for none.
-        features: columns of that store.
+        features: columns of that store, or what is computed of several.
+        seen: which settings its store saw, where the key does not say enough.
         fresh: its sampler is made anew for each trial, since the library keeps a state in it.
         replayed: the library keeps a state in the trials, which a resumed study must repeat.
         needs: a package that is not among this project's own; "" for none.
@@ -59,16 +79,22 @@ class Arm:
     summary: str
     new_sampler: Callable[[Task], BaseSampler]
     store: str = ""
-    features: tuple[str, ...] = ()
+    features: tuple[Feature, ...] = ()
+    seen: str = ""
     fresh: bool = False
     replayed: bool = False
     needs: str = ""
     off_grid: bool = False
 
     @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the features."""
+        return tuple(name_of(feature) for feature in self.features)
+
+    @property
     def saw(self) -> str:
         """Which settings its store saw."""
-        return SAW.get(self.store, f"the store {self.store}")
+        return self.seen or SAW.get(self.store, f"the store {self.store}")
 
 
 def find_arm(name: str) -> Arm:
@@ -109,26 +135,50 @@ def _gp_optuna(task: Task) -> BaseSampler:
 
 def _off_grid(task: Task) -> BaseSampler:
     experiment = task.experiment
-    function = store_features(
-        store_path(experiment, task.store), task.features, experiment.searched
-    )
+    function = store_features(store_path(experiment, task.store), task.columns, experiment.searched)
     return FeatureKernelSampler(
         task.table, seed=task.seed, feature_function=function, off_grid=OFF_GRID, **PAPER
     )
 
 
 def _table_arm(
-    name: str, summary: str, store: str, features: tuple[str, ...], **options: Any
+    name: str,
+    summary: str,
+    store: str,
+    features: tuple[Feature, ...],
+    seen: str = "",
+    **options: Any,
 ) -> Arm:
     """Our sampler over a store's rows, `options` being those of `FeatureKernelSampler`."""
 
     def new_sampler(task: Task) -> BaseSampler:
         return FeatureKernelSampler(task.table, seed=task.seed, **options)
 
-    return Arm(name, summary, new_sampler, store, features)
+    return Arm(name, summary, new_sampler, store, features, seen)
 
 
-def _ordered_arm(name: str, summary: str, store: str, features: tuple[str, ...]) -> Arm:
+def _paper_arm(name: str, summary: str, store: str, families: tuple[str, ...]) -> Arm:
+    """The paper's kernel over another score: the mean survival of some families."""
+    return _table_arm(name, summary, store, (Survival(families),), **PAPER)
+
+
+def _best_arm(
+    name: str, summary: str, store: str, families: tuple[str, ...], seen: str = ""
+) -> Arm:
+    """The survival of each family, their mean as a trend and a prior, and the speed."""
+    each = (Survival((family,), family) for family in families)
+    return _table_arm(name, summary, store, (Survival(families), *each, SPEED), seen, **BEST)
+
+
+def _best_without(kind: str) -> Arm:
+    """The best arm, blind to the families of one kind of ground."""
+    families = tuple(family for family in FAMILIES if family not in KINDS[kind])
+    seen = f"level ground; under disturbed bodies: {', '.join(families)} (of the diverse store)"
+    summary = f"best, having seen no {kind}"
+    return _best_arm(f"best-without-{kind}", summary, "diverse", families, seen)
+
+
+def _ordered_arm(name: str, summary: str, store: str, features: tuple[Feature, ...]) -> Arm:
     """The rows of a store in the order of its features: the first, ties by the second, then row."""
     return Arm(name, summary, controls.score_first, store, features)
 
@@ -161,12 +211,21 @@ _ALL = (
     ),
     _table_arm(
         "ei-prior", "Euclidean expected improvement times a prior from the score", "robust", ROBUST,
-        kernel="euclidean", prior=ROBUST[0],
+        kernel="euclidean", prior=SURVIVAL.name,
     ),
-    _table_arm(
-        "best", "the best that we found", "robust", ROBUST, n_startup_trials=1, mean="linear",
-        prior=ROBUST[0],
+    _paper_arm("dog-mild", "as dog, on the score of milder settings", "mild", ("robust",)),
+    _paper_arm("dog-ramps", "as dog, on the score of another family", "ramps", ("up", "down")),
+    _paper_arm("dog-diverse", "as dog, on the mean score of all families", "diverse", FAMILIES),
+    _ordered_arm("score-first-flat", "best printed score first", "flat", (*PRINTED, TIES)),
+    _ordered_arm(
+        "score-first-diverse", "best mean score of all families first", "diverse",
+        (Survival(FAMILIES), TIES),
     ),
+    _best_arm("best", "the best that we found", "diverse", FAMILIES),
+    _best_arm("best-robust", "best, on rough ground only", "robust", ("robust",)),
+    _best_arm("best-mild", "best, on milder settings", "mild", ("robust",)),
+    _best_arm("best-ramps", "best, on another family", "ramps", ("up", "down")),
+    *(_best_without(kind) for kind in KINDS),
 )  # fmt: skip
 
 ARMS: dict[str, Arm] = {arm.name: arm for arm in _ALL}

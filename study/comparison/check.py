@@ -29,5 +29,5 @@ def check_arms(experiment: Experiment, names: Sequence[str], trials: int) -> tup
             raise InputError("trials", trials, allowed)
         if arm.off_grid:
             path = store_path(experiment, arm.store)
-            store_features(path, arm.features, experiment.searched)
+            store_features(path, arm.columns, experiment.searched)
     return arms

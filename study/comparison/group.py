@@ -189,7 +189,7 @@ class StudyGroup:
         with one_thread():
             for place, study in enumerate(self._asked):
                 shown: dict[str, Any] = {FELL_ATTRIBUTE: bool(down[place])}
-                features = study.arm.features
+                features = study.arm.columns
                 if _are_shown(features, outcomes.dtype.names or ()):
                     row = outcomes[place]
                     shown[SHOWN_ATTRIBUTE] = [float(row[name]) for name in features]
@@ -202,8 +202,8 @@ def shown_of(arm: Arm, table: pa.Table) -> list[dict[str, Any]]:
     shown: list[dict[str, Any]] = [
         {FELL_ATTRIBUTE: reason != completed} for reason in table["end_reason"].to_pylist()
     ]
-    if _are_shown(arm.features, table.column_names):
-        columns = [table[name].to_numpy().astype(np.float64) for name in arm.features]
+    if _are_shown(arm.columns, table.column_names):
+        columns = [table[name].to_numpy().astype(np.float64) for name in arm.columns]
         for place, values in enumerate(np.column_stack(columns).tolist()):
             shown[place][SHOWN_ATTRIBUTE] = values
     return shown

@@ -4,10 +4,13 @@ import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from storage.manifest import Manifest
 from storage.shard import file_hash
 from storage.store import Store, open_store
 from study.comparison.experiment import Experiment
+from study.comparison.features import Feature, check_feature, feature_values, name_of
 from study.sampler.feature_table import FeatureTable
 from taichi_nmm.errors import InputError
 
@@ -17,15 +20,21 @@ class Tables:
     """Tables of candidates, each read when first asked for and kept."""
 
     experiment: Experiment
-    _known: dict[tuple[str, tuple[str, ...]], FeatureTable] = field(default_factory=dict)
+    _known: dict[tuple[Path, tuple[Feature, ...]], FeatureTable] = field(default_factory=dict)
 
-    def get(self, store: str, features: tuple[str, ...]) -> FeatureTable:
+    def get(self, store: str, features: tuple[Feature, ...]) -> FeatureTable:
         """The rows of a store with some features."""
-        key = (store, features)
-        if key not in self._known:
-            path = store_path(self.experiment, store)
-            self._known[key] = FeatureTable.from_parquet(path, features=features)
-        return self._known[key]
+        path = store_path(self.experiment, store)
+        if (path, features) not in self._known:
+            opened = open_store(path)
+            stored = opened.table(self.experiment.names)
+            self._known[path, features] = FeatureTable.from_arrays(
+                {name: stored[name].to_numpy() for name in self.experiment.names},
+                np.column_stack([feature_values(feature, opened) for feature in features]),
+                [name_of(feature) for feature in features],
+                space=self.experiment.space,
+            )
+        return self._known[path, features]
 
 
 def store_path(experiment: Experiment, store: str) -> Path:
@@ -41,7 +50,7 @@ def store_path(experiment: Experiment, store: str) -> Path:
     return experiment.stores[store]
 
 
-def check_store(experiment: Experiment, store: str, features: tuple[str, ...]) -> Store:
+def check_store(experiment: Experiment, store: str, features: tuple[Feature, ...]) -> Store:
     """Open a store, and see that it has the experiment's parameters and these features.
 
     Raises:
@@ -58,9 +67,8 @@ def check_store(experiment: Experiment, store: str, features: tuple[str, ...]) -
         allowed = f"a store of what the experiment searches: 16 gains {list(experiment.searched)}"
         raise InputError(field, found, allowed)
     opened.require_bounds()
-    for name in features:
-        if name not in opened.columns:
-            raise InputError(field, str(opened.path), f"a store with the column {name}")
+    for feature in features:
+        check_feature(feature, opened)
     return opened
 
 

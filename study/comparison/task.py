@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from study.comparison.experiment import Experiment
+from study.comparison.features import Feature, name_of
 from study.comparison.stores import Tables
 from study.sampler.feature_table import FeatureTable
 
@@ -25,9 +26,14 @@ class Task:
     turn: int
     tables: Tables
     store: str
-    features: tuple[str, ...]
+    features: tuple[Feature, ...]
 
     @property
     def table(self) -> FeatureTable:
         """The arm's candidates and features."""
         return self.tables.get(self.store, self.features)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the features."""
+        return tuple(name_of(feature) for feature in self.features)

@@ -1,0 +1,69 @@
+"""Features of a store's rows: its columns, and what is computed of several of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.store import Store
+from taichi_nmm.errors import InputError
+
+Floats = NDArray[np.float64]
+
+COLUMN_END = "_survived_fraction_mean"
+
+
+@dataclass(frozen=True)
+class Survival:
+    """The share of the time that a row survives in the settings of a store's families, on average.
+
+    Attributes:
+        families: names of families of settings; () are all that the store has.
+        name: of the feature.
+    """
+
+    families: tuple[str, ...] = ()
+    name: str = "survival"
+
+    def columns(self, store: Store) -> tuple[str, ...]:
+        """Columns that are averaged.
+
+        Raises:
+            InputError: the store has no such family, or none at all.
+        """
+        ends = (name for name in store.columns if name.endswith(COLUMN_END))
+        known = tuple(name.removesuffix(COLUMN_END) for name in ends)
+        for family in self.families or known or ("robust",):
+            if family not in known:
+                allowed = f"a store with the column {family}{COLUMN_END}"
+                raise InputError("store", str(store.path), allowed)
+        return tuple(f"{family}{COLUMN_END}" for family in self.families or known)
+
+
+Feature = str | Survival
+"""A column's name, or what is computed of several."""
+
+
+def name_of(feature: Feature) -> str:
+    """What a feature is called in tables and in `prior`."""
+    return feature if isinstance(feature, str) else feature.name
+
+
+def check_feature(feature: Feature, store: Store) -> None:
+    """Refuse a store that does not have what a feature is made of.
+
+    Raises:
+        InputError: naming the store and the column.
+    """
+    if not isinstance(feature, str):
+        feature.columns(store)
+    elif feature not in store.columns:
+        raise InputError("store", str(store.path), f"a store with the column {feature}")
+
+
+def feature_values(feature: Feature, store: Store) -> Floats:
+    """The feature of every row, [n]."""
+    columns = (feature,) if isinstance(feature, str) else feature.columns(store)
+    table = store.table(columns)
+    stacked = np.array([table[name].to_numpy() for name in columns], dtype=np.float64)
+    return np.asarray(stacked.mean(axis=0))
