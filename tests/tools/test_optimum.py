@@ -2,6 +2,7 @@
 
 import json
 import runpy
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -180,7 +181,7 @@ def test_stopped_and_resumed_is_bit_equal(command: Command) -> None:
     whole, parts = command.folder / "whole", command.folder / "parts"
     config = command.config(generations=40)
     assert command.run("--config", config, "--out", whole) == 0
-    for calls in (2, 7, 12):  # in the sampler's trials, then in the generations
+    for calls in (2, 9):  # in the sampler's trials, then in the generations
         command.patch.setitem(vars(taichi_nmm), "simulate", stopping_after(calls))
         assert command.run("--config", config, "--out", parts) == 130
         assert not (parts / "optimum.json").exists()
@@ -270,21 +271,30 @@ def test_two_processes_do_not_share_a_folder(
     assert "no other process" in capsys.readouterr().err
 
 
-def test_checkpoints_are_written_on_the_way(
+def test_what_a_kill_leaves_behind_goes_on_to_the_same_end(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A process killed in the third generation leaves the checkpoint of the second."""
     monkeypatch.setattr(lockstep, "CHECKPOINT_S", 0.0)
-    seen = []
+    seen: list[int] = []
+    killed = command.folder / "killed"
     config, out = command.config(generations=3), command.folder / "out"
 
     def simulate_and_look(gains: Any, **options: Any) -> Result:
         path = out / "evaluations.parquet"
         seen.append(pq.read_metadata(path).num_rows if path.exists() else 0)
+        if seen[-1] == 72:
+            shutil.copytree(out, killed)
+            (killed / ".evaluations.parquet.1.tmp").write_bytes(b"half")
         return simulate(gains, **options)
 
     command.patch.setitem(vars(taichi_nmm), "simulate", simulate_and_look)
     assert command.run("--config", config, "--out", out) == 0
     assert seen == [0] * 4 + [0, 36, 72]  # four trials, three generations
+    command.patch.setitem(vars(taichi_nmm), "simulate", simulate)
+    assert command.run("--config", config, "--out", killed) == 0
+    assert files(killed) == files(out)
+    assert not list(killed.glob(".*.tmp"))
 
 
 @pytest.mark.parametrize("cost", ["smooth", "walking"])
