@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from storage.precompute import precompute
 from storage.specification import read_specification
+from study.comparison.arms import FAMILIES
 from study.comparison.experiment import Experiment, read_experiment
 from study.comparison.group import Key, Proposals, StudyGroup
 from taichi_nmm.body import Bodies
@@ -72,13 +73,14 @@ def simulate(gains: Any, **options: Any) -> Result:
 
 def write_store(path: Path, **changes: Any) -> None:
     """A store of fake scores; `taichi_nmm.simulate` must be the fake."""
-    robust = {
-        "settings": 2,
+    settings = {
+        "settings": 1,
         "min_survival_s": 1.0,
         "terrain": {"kind": "rough", "amplitude_m": 0.08},
         "body": {"disturbance": 0.15},
     }
-    data = {"samples": STORE_ROWS, "seed": 3, "robust": robust} | changes
+    families = {name: settings | {"seed": seed} for seed, name in enumerate(FAMILIES)}
+    data = {"samples": STORE_ROWS, "seed": 3, "robust": settings, "families": families} | changes
     precompute(read_specification(Table(data)), path)
 
 
@@ -100,6 +102,9 @@ kind = "rough"
 [stores]
 flat = "{store}"
 robust = "{store}"
+mild = "{store}"
+ramps = "{store}"
+diverse = "{store}"
 """
 
 

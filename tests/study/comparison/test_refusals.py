@@ -96,7 +96,7 @@ def test_another_store_in_the_folder(comparisons: Comparisons) -> None:
         ('arms = ["random"', 'arms = ["dog"', "arms: .* each once"),
         ('kind = "rough"', 'kind = "rough"\nhills = 3', "terrain.hills: 3"),
         ('name = "toy"', 'name = "../toy"', "name: '../toy'"),
-        ("[stores]", "[stores]\nmild = 3", "stores.mild: 3"),
+        ("[stores]", "[stores]\nlost = 3", "stores.lost: 3"),
         ("[objective]", "[objektive]", "objektive"),
         ('cost = "smooth"', 'cost = "rough"', "objective.cost: 'rough'"),
     ],
@@ -110,7 +110,7 @@ def test_configurations(old: str, new: str, message: str, comparisons: Compariso
     ("new", "message"),
     [
         ('flat = "nowhere"', "nowhere"),
-        ('plane = "nowhere"', "stores.flat: 'missing' .* which has plane, robust"),
+        ('plane = "nowhere"', "stores.flat: 'missing' .* which has plane, robust, mild"),
     ],
 )
 def test_a_store_that_is_not_there(new: str, message: str, comparisons: Comparisons) -> None:
@@ -121,7 +121,7 @@ def test_a_store_that_is_not_there(new: str, message: str, comparisons: Comparis
 
 
 def test_a_store_without_a_feature(comparisons: Comparisons) -> None:
-    fake.write_store(comparisons.folder / "plain", robust={})
+    fake.write_store(comparisons.folder / "plain", robust={}, families={})
     line = f'robust = "{comparisons.folder}/'
     config = edited(comparisons, f'{line}store"', f'{line}plain"')
     with pytest.raises(InputError, match=r"plain.*robust_survived_fraction_mean"):
