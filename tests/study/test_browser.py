@@ -1,0 +1,163 @@
+"""The dashboard as a person sees it: a headless Chromium on a small experiment.
+
+Screenshots go to the folder that NMM_SCREENSHOTS names, if it is set.
+"""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from study.comparison import artifacts
+from study.comparison.artifacts import make_artifacts
+from study.comparison.database import export
+from taichi_nmm.result import Result
+from tests.study import synthetic_gait
+from tests.study.comparison.fake_results import experiment, results
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = (
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+PATIENCE_MS = 30_000  # a busy machine draws slowly
+SCREENSHOTS = "NMM_SCREENSHOTS"
+BARS = ".js-plotly-plot .scatterlayer .trace"  # a curve or a cloud of points of plotly
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An experiment of two arms and two runs, with pictures, of a walk that was never simulated."""
+    out = tmp_path_factory.mktemp("browser") / "tiny"
+    tiny, url = experiment(), f"sqlite:///{out}/studies.db"
+    table = results(tiny)
+    walk = synthetic_gait.walk(2.0, 50.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            artifacts,
+            "simulate_trials",
+            lambda of, runs, *_, **__: Result(np.zeros(0), (walk,) * len(runs)),
+        )
+        export(tiny, table, url, final=True)
+        make_artifacts(tiny, table, url, out, workers=1)
+    return out
+
+
+@pytest.fixture(scope="module")
+def address(folder: Path) -> Iterator[str]:
+    """Of the command's server."""
+    command = [sys.executable, REPOSITORY / "tools" / "dashboard.py", folder, "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        lines = dict(process.stdout.readline().split(maxsplit=1) for _ in range(3))
+        yield lines["dashboard"].split()[0].removesuffix("/dashboard")
+        process.send_signal(signal.SIGINT)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A page of a browser without a window, which fails on errors of the page's scripts."""
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="no playwright: pip install 'taichi-nmm[test]'"
+    )
+    program = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    if program is None:
+        pytest.skip("no Chromium here: apt-get install chromium")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=program, args=FLAGS, headless=True)
+        page = browser.new_page(viewport={"width": 1200, "height": 1240})
+        page.set_default_timeout(PATIENCE_MS)
+        broken: list[str] = []
+        page.on("pageerror", lambda error: broken.append(str(error)))
+        yield page
+        browser.close()
+        assert not broken
+
+
+@pytest.fixture(scope="module")
+def studies(address: str) -> dict[str, int]:
+    """Ids of the studies by name."""
+    with urllib.request.urlopen(f"{address}/api/studies", timeout=30) as answer:
+        listed = json.load(answer)["study_summaries"]
+    return {study["study_name"]: study["study_id"] for study in listed}
+
+
+def save(page: Any, name: str) -> None:
+    if os.environ.get(SCREENSHOTS):
+        page.screenshot(path=Path(os.environ[SCREENSHOTS]) / f"{name}.png")
+
+
+def curves(page: Any, count: int) -> None:
+    """Wait until plots with so many curves in all are drawn."""
+    page.wait_for_function(f"document.querySelectorAll('{BARS}').length >= {count}")
+
+
+def test_the_list_shows_the_studies(page: Any, address: str) -> None:
+    page.goto(f"{address}/dashboard")
+    for name in ("tiny/dog/run-000", "tiny/random/run-001", "tiny/summary"):
+        page.get_by_text(name).first.wait_for()
+    save(page, "list")
+    page.get_by_placeholder("Search study").fill("random")
+    page.get_by_text("tiny/dog/run-000").wait_for(state="detached")
+    assert page.get_by_text("tiny/random/run-001").is_visible()
+
+
+def test_a_studys_history_draws(page: Any, address: str, studies: dict[str, int]) -> None:
+    page.goto(f"{address}/dashboard/studies/{studies['tiny/dog/run-000']}")
+    page.get_by_text("History").filter(visible=True).first.wait_for()
+    curves(page, 2)  # the trials and the best so far
+    points = page.locator(f"{BARS} path.point")
+    points.first.wait_for(state="attached")
+    assert points.count() >= 3
+    save(page, "history")
+
+
+def test_the_best_trial_shows_picture_and_film(
+    page: Any, address: str, studies: dict[str, int]
+) -> None:
+    page.goto(f"{address}/dashboard/studies/{studies['tiny/dog/run-000']}/trials?numbers=1")
+    page.get_by_text("Best Trial").first.wait_for()
+    page.get_by_text("strip.png").wait_for()
+    page.get_by_text("film.mp4").wait_for()
+    page.wait_for_function("document.querySelector('img[src*=artifacts]')?.naturalWidth > 500")
+    page.wait_for_function("document.querySelector('video')?.readyState >= 2")  # has a frame
+    film = page.evaluate("(v => [v.videoWidth, v.duration])(document.querySelector('video'))")
+    assert film[0] == 640 and 1.5 < film[1] < 2.5
+    page.evaluate("document.querySelector('video').currentTime = 1.0")
+    page.wait_for_function("!document.querySelector('video').seeking")
+    save(page, "trial")
+
+
+def test_the_compare_page_draws_two_arms(page: Any, address: str, studies: dict[str, int]) -> None:
+    names = ("tiny/dog/run-000", "tiny/random/run-000")
+    chosen = ",".join(str(studies[name]) for name in names)
+    page.goto(f"{address}/dashboard/compare-studies?ids={chosen}")
+    for name in names:
+        page.get_by_text(f"Best Value of {name}").first.wait_for()
+    curves(page, 4 + 2)  # trials and best so far of each; their distributions
+    save(page, "compare")
+
+
+def test_the_summary_shows_table_and_figure(
+    page: Any, address: str, studies: dict[str, int]
+) -> None:
+    page.goto(f"{address}/dashboard/studies/{studies['tiny/summary']}/note")
+    row = page.locator("tr", has_text="dog")
+    row.wait_for()
+    assert row.inner_text().split("\t") == ["dog", "2", "1 (50 %)", "> 3", "185"]
+    save(page, "note")
+    page.goto(f"{address}/dashboard/studies/{studies['tiny/summary']}")
+    figure = page.get_by_text("best cost so far, median over runs")
+    figure.scroll_into_view_if_needed()
+    curves(page, 2)
+    save(page, "figure")
