@@ -4,7 +4,7 @@
 
 runs CMA-ES until convergence and the determinants-of-gait sampler, and writes optimum.json and
 runs.parquet to the folder --out. Stop it when you like; the same command goes on where it stopped,
-and more runs can be asked for later. Exit codes: 0, 2 bad input, 130 interrupted.
+and more runs or generations can be asked for later. Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
 import argparse
@@ -30,6 +30,10 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--config", required=True, help="such as configs/optimum-smooth.toml")
     parser.add_argument("--runs", type=int, metavar="N", help="default: the config's")
+    parser.add_argument(
+        "--max-generations", type=int, metavar="N",
+        help="where a run of CMA-ES is cut; default: the config's. More can be asked for later",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/optimum/NAME")
     parser.add_argument(
         "--workers", type=int, default=os.cpu_count() or 1, metavar="N",
@@ -42,7 +46,7 @@ def parse() -> argparse.Namespace:
 
 def main() -> None:
     args = parse()
-    config = read_optimum_config(args.config, args.arch)
+    config = read_optimum_config(args.config, args.arch, args.max_generations)
     out = args.out or Path("out") / "optimum" / config.experiment.name
     document = estimate(config, out, args.runs, args.workers, Reports(show_dog, show_cmaes))
     print(json.dumps(document) if args.json else text(document, out))

@@ -1,7 +1,7 @@
 """The configuration of an estimate of the optimum."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from taichi_nmm.errors import InputError
 LEVEL = {"kind": "flat"}
 PACKAGES = ("taichi", "cma", "numpy")
 LARGEST_POPULATION = 10_000
+MOST_GENERATIONS = 100_000
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,10 @@ class OptimumConfig:
         }
 
 
-def read_optimum_config(path: str | Path, arch: str | None = None) -> OptimumConfig:
-    """Read and check a configuration; `arch` overrides the file's.
+def read_optimum_config(
+    path: str | Path, arch: str | None = None, max_generations: int | None = None
+) -> OptimumConfig:
+    """Read and check a configuration; `arch` and `max_generations` override the file's.
 
     Raises:
         InputError: an unknown key, a wrong type, or a value out of range.
@@ -102,8 +105,13 @@ def read_optimum_config(path: str | Path, arch: str | None = None) -> OptimumCon
         sigma=cmaes.number("sigma", 0.3, 1e-6, 1.0),
         population=cmaes.integer("population", 0, 0, LARGEST_POPULATION),
         tolerance=cmaes.number("tolerance", 1e-11, 0.0, 100.0),
-        max_generations=cmaes.integer("max_generations", 200, 1, 100_000),
+        max_generations=cmaes.integer("max_generations", 400, 1, MOST_GENERATIONS),
     )
+    if max_generations is not None:
+        if not 1 <= max_generations <= MOST_GENERATIONS:
+            allowed = f"a whole number from 1 to {MOST_GENERATIONS}"
+            raise InputError("max-generations", max_generations, allowed)
+        options = replace(options, max_generations=max_generations)
     if options.population in (1, 2):
         raise InputError(
             "cmaes.population", options.population, "0 for the library's, or 3 or more"

@@ -194,9 +194,9 @@ def test_more_runs_and_generations_can_be_asked_for_later(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
     at_once, later = command.folder / "at-once", command.folder / "later"
-    few, many = command.config(generations=5), command.config(generations=9)
+    many = command.config(generations=9)
     assert command.run("--config", many, "--out", at_once) == 0
-    assert command.run("--config", few, "--out", later, "--runs", 1) == 0
+    assert command.run("--config", many, "--out", later, "--runs", 1, "--max-generations", 5) == 0
     assert "1 by max_generations" in capsys.readouterr().out
     assert command.run("--config", many, "--out", later) == 0
     assert files(later) == files(at_once)
@@ -222,6 +222,7 @@ def test_bad_input_is_one_line_and_nothing_is_made(
         ("config", ("--config", command.folder / "none.toml", "--out", out)),
         ("runs", ("--config", config, "--out", out, "--runs", 0)),
         ("out", ("--config", config, "--out", foreign)),
+        ("max-generations", ("--config", config, "--out", out, "--max-generations", 0)),
     ]
     for number, (field, (old, new)) in enumerate(variants.items()):
         path = command.folder / f"bad-{number}.toml"
