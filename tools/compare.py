@@ -37,18 +37,27 @@ class ProgressBar:
 
     def show(self, progress: Progress) -> None:
         """Move on; the first call tells what was there."""
-        if self._bar is None:
-            self._bar = tqdm(
-                total=progress.total, initial=progress.trials, unit="trial", smoothing=0.05
-            )
+        self._move("trial", progress.trials, progress.total)
         walkers = f"{progress.walkers} of {progress.studies} studies with a walker"
-        self._bar.set_postfix_str(walkers, refresh=False)
-        self._bar.update(progress.trials - self._bar.n)
+        if self._bar is not None:
+            self._bar.set_postfix_str(walkers)
+
+    def draw(self, done: int, total: int) -> None:
+        """The same of pictures, on a line of its own."""
+        self._move("picture", done, total)
 
     def close(self) -> None:
         """Leave the line."""
         if self._bar is not None:
             self._bar.close()
+        self._bar = None
+
+    def _move(self, unit: str, done: int, total: int) -> None:
+        if self._bar is not None and self._bar.unit != unit:
+            self.close()
+        if self._bar is None:
+            self._bar = tqdm(total=total, initial=done, unit=unit, smoothing=0.05)
+        self._bar.update(done - self._bar.n)
 
 
 def parse() -> argparse.Namespace:
@@ -77,10 +86,12 @@ def main() -> None:
     experiment = read_experiment(args.config, args.arch)
     out = args.out or Path("out") / "compare" / experiment.name
     arms = tuple(args.arms.split(",")) if args.arms is not None else None
-    request = Request(out, args.storage, arms, args.runs, args.trials, args.workers)
+    request = Request(
+        out, args.storage, arms, args.runs, args.trials, args.workers, not args.no_artifacts
+    )
     bar = ProgressBar()
     try:
-        outcome = compare(experiment, request, bar.show)
+        outcome = compare(experiment, request, bar.show, bar.draw)
     finally:
         bar.close()
     print(json.dumps(report(outcome, out)) if args.json else text(outcome, out))

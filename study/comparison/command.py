@@ -10,6 +10,7 @@ import pyarrow as pa
 
 from storage.shard import read_columns
 from storage.studies import URL_PREFIX
+from study.comparison.artifacts import make_artifacts
 from study.comparison.check import check_arms
 from study.comparison.database import check_database, export
 from study.comparison.experiment import Experiment
@@ -17,6 +18,7 @@ from study.comparison.folder import TIMES_NAME, ExperimentFolder
 from study.comparison.identity import document, machine
 from study.comparison.lockstep import Lockstep, Progress
 from study.comparison.summary import ArmSummary, summaries
+from study.pictures import find_ffmpeg
 from taichi_nmm.errors import InputError
 
 DATABASE_NAME = "studies.db"
@@ -34,6 +36,7 @@ class Request:
         runs: at least 1.
         trials: at least 1, of each arm in each run, in total.
         workers: processes that hold the studies.
+        artifacts: whether the best trial of each study gets its picture and film.
     """
 
     out: Path
@@ -42,6 +45,7 @@ class Request:
     runs: int | None
     trials: int | None
     workers: int
+    artifacts: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +68,22 @@ class Outcome:
 
 
 def compare(
-    experiment: Experiment, request: Request, report: Callable[[Progress], None]
+    experiment: Experiment,
+    request: Request,
+    report: Callable[[Progress], None],
+    drawn: Callable[[int, int], None] | None = None,
 ) -> Outcome:
     """Run an experiment, or what is missing of it, and write its tables.
 
+    Args:
+        experiment: what is compared on what.
+        request: how much of it, and where to.
+        report: called after each round of trials.
+        drawn: called with the number of walks that have their pictures, and of all.
+
     Raises:
-        InputError: see `check_arms`, `ExperimentFolder.claim` and `Lockstep.run`.
+        InputError: see `check_arms`, `ExperimentFolder.claim` and `Lockstep.run`; or there is no
+            ffmpeg for the artifacts.
         KeyboardInterrupt: finished trials are kept.
     """
     runs = _positive("runs", request.runs, experiment.runs)
@@ -77,6 +91,8 @@ def compare(
     _positive("workers", request.workers, 1)
     arms = check_arms(experiment, request.arms or experiment.arms, trials)
     _require_machine(experiment)
+    if request.artifacts:
+        find_ffmpeg()
     identity = document(experiment, arms)
     with ExperimentFolder.claim(request.out, identity) as folder:
         url = request.storage or f"{URL_PREFIX}{folder.path / DATABASE_NAME}"
@@ -89,6 +105,8 @@ def compare(
         results = folder.write_results()
         export(experiment, results, url, final=True)
         session.note()
+        if request.artifacts:
+            make_artifacts(experiment, results, url, folder.path, drawn, request.workers)
         times = read_columns(folder.path / TIMES_NAME)
         found = summaries(results, times)
         return Outcome(results, url, found, session.computed, session.wall_s)

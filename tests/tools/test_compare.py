@@ -138,6 +138,19 @@ def test_bad_input_is_one_line(
     assert lines[0].startswith(f"error: {message}")
 
 
+def test_a_missing_ffmpeg_is_refused_before_the_work(
+    command: Command, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
+    arguments = [word for word in command.arguments() if word != "--no-artifacts"]
+    monkeypatch.setattr(command, "arguments", lambda *_, **__: arguments)
+    assert command.run() == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("error: ffmpeg: ")
+    assert not (command.folder / "out").exists()
+
+
 def test_ctrl_c_keeps_finished_rounds(
     command: Command, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

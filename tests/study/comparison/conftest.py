@@ -33,6 +33,7 @@ class Comparisons:
         """Run it, or what is missing of it."""
         options: dict[str, Any] = {
             "storage": None, "arms": None, "runs": None, "trials": None, "workers": 2,
+            "artifacts": False,
         }  # fmt: skip
         made = Request(self.folder / out, **(options | request))
         return compare(experiment or self.experiment, made, lambda progress: None)
