@@ -86,16 +86,18 @@ def write_studies(storage: RDBStorage, studies: Iterable[FinishedStudy]) -> int:
     return added
 
 
-def attach(storage: RDBStorage, notes: Iterable[tuple[str, int, str, Any]]) -> int:
+def attach(
+    storage: RDBStorage, attributes: Iterable[tuple[str, int, str, Any]]
+) -> set[tuple[str, int]]:
     """Add system attributes to finished trials, which Optuna itself does not let anyone do.
 
     A key that the trial has already is left as it is.
 
     Args:
         storage: of the trials.
-        notes: name of the study, number of the trial, key, plain value.
+        attributes: name of the study, number of the trial, key, plain value.
 
-    Returns how many were added.
+    Returns which trials got something: name of the study, number.
 
     Raises:
         InputError: a database of another Optuna version.
@@ -103,9 +105,9 @@ def attach(storage: RDBStorage, notes: Iterable[tuple[str, int, str, Any]]) -> i
     """
     tables = known_tables(storage)
     studies, trials = tables["studies"], tables["trials"]
-    attributes = tables["trial_system_attributes"]
+    table = tables["trial_system_attributes"]
     joined = sql.join(trials, studies, trials.c.study_id == studies.c.study_id)
-    wanted = list(notes)
+    wanted = list(attributes)
     with storage.engine.begin() as connection:
         _lock(connection, studies, [name for name, *_ in wanted])
         query = sql.select(studies.c.study_name, trials.c.number, trials.c.trial_id)
@@ -114,16 +116,15 @@ def attach(storage: RDBStorage, notes: Iterable[tuple[str, int, str, Any]]) -> i
             trials.c.number.in_({number for _, number, *_ in wanted}),
         )
         ids = {(name, number): trial_id for name, number, trial_id in connection.execute(query)}
-        known = sql.select(attributes.c.trial_id, attributes.c.key)
-        known = known.where(attributes.c.trial_id.in_(ids.values()))
+        known = sql.select(table.c.trial_id, table.c.key).where(table.c.trial_id.in_(ids.values()))
         there = {(trial_id, key) for trial_id, key in connection.execute(known)}
+        new = [item for item in wanted if (ids[item[0], item[1]], item[2]) not in there]
         rows = [
             {"trial_id": ids[name, number], "key": key, "value_json": json.dumps(value)}
-            for name, number, key, value in wanted
-            if (ids[name, number], key) not in there
+            for name, number, key, value in new
         ]
-        _insert(connection, attributes, rows)
-    return len(rows)
+        _insert(connection, table, rows)
+    return {(name, number) for name, number, *_ in new}
 
 
 def _batches(studies: Iterable[FinishedStudy]) -> Iterator[list[FinishedStudy]]:

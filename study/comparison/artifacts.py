@@ -12,8 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import optuna
 import pyarrow as pa
 from numpy.typing import NDArray
+from optuna.storages import RDBStorage
+from optuna_dashboard import save_note
+from optuna_dashboard.artifact import get_artifact_path
 
 from storage.bulk import attach
 from storage.commit import TEMPORARY_SUFFIX, writable
@@ -153,20 +157,30 @@ def _tasks(
 
 def _attach(experiment: Experiment, walks: Sequence[Walk], url: str) -> None:
     """Register the files with the trials, as `optuna.artifacts.upload_artifact` would."""
-    notes = []
+    attributes = []
     for walk in walks:
         for kind, (filename, mimetype) in KINDS.items():
             identity = _artifact_id(experiment, walk, kind)
             meta = {"artifact_id": identity, "filename": filename, "mimetype": mimetype}
             value = json.dumps(meta | {"encoding": None})
-            notes += [
-                (study, number, f"artifacts:{identity}", value) for study, number in walk.trials
-            ]
-    if not notes:
+            attributes += [(*trial, f"artifacts:{identity}", value) for trial in walk.trials]
+    if not attributes:
         return
     storage = open_studies(url)
     try:
         with storage_errors(url):
-            attach(storage, notes)
+            new = attach(storage, attributes)
+            for walk in walks:
+                strip = _artifact_id(experiment, walk, STRIP)
+                for trial in new.intersection(walk.trials):
+                    _note(storage, *trial, walk.title, strip)
     finally:
         storage.engine.dispose()
+
+
+def _note(storage: RDBStorage, study_name: str, number: int, title: str, strip: str) -> None:
+    """What the trial's page says: how it went, and the picture in full width."""
+    study = optuna.load_study(study_name=study_name, storage=storage)
+    trial_id = storage.get_trial_id_from_study_id_trial_number(study._study_id, number)
+    trial = optuna.trial.Trial(study, trial_id)
+    save_note(trial, f"{title}\n\n![strip of stick figures]({get_artifact_path(trial, strip)})")

@@ -147,8 +147,9 @@ def test_many_trials_take_several_transactions(storage, monkeypatch: pytest.Monk
 def test_a_finished_trial_gets_attributes_once(storage) -> None:
     write_studies(storage, [STUDY, replace(STUDY, name="other")])
     notes = [(STUDY.name, 2, "artifacts:1", "{}"), ("other", 0, "artifacts:2", {"a": [1]})]
-    assert attach(storage, notes) == 2
-    assert attach(storage, [*notes, (STUDY.name, 2, "artifacts:3", "new")]) == 1
+    assert attach(storage, notes) == {(STUDY.name, 2), ("other", 0)}
+    assert attach(storage, notes) == set()
+    assert attach(storage, [*notes, (STUDY.name, 2, "artifacts:3", "new")]) == {(STUDY.name, 2)}
     attributes = load(storage, STUDY.name).trials[2].system_attrs
     assert attributes == {"claims": [2, "x"], "artifacts:1": "{}", "artifacts:3": "new"}
     assert load(storage, "other").trials[0].system_attrs["artifacts:2"] == {"a": [1]}

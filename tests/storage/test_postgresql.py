@@ -140,8 +140,8 @@ def test_studies_and_trials_go_on_in_optunas_way(url: str) -> None:
 def test_finished_trials_get_attributes(url: str) -> None:
     storage = open_studies(url)
     write_studies(storage, [STUDY])
-    assert attach(storage, [(STUDY.name, 3, "artifacts:1", "{}")]) == 1
-    assert attach(storage, [(STUDY.name, 3, "artifacts:1", "{}")]) == 0
+    assert attach(storage, [(STUDY.name, 3, "artifacts:1", "{}")]) == {(STUDY.name, 3)}
+    assert attach(storage, [(STUDY.name, 3, "artifacts:1", "{}")]) == set()
     assert load(storage, STUDY.name).trials[3].system_attrs["artifacts:1"] == "{}"
 
 

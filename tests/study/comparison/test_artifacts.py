@@ -14,6 +14,7 @@ import optuna
 import pyarrow as pa
 import pytest
 from optuna.artifacts import FileSystemArtifactStore, get_all_artifact_meta, upload_artifact
+from optuna_dashboard import get_note
 
 from storage.studies import open_studies
 from study.comparison import artifacts, drawing
@@ -111,6 +112,16 @@ def test_they_are_registered_as_optuna_does(
     assert json.loads(ours) | drop == json.loads(theirs) | drop
     (key,) = [key for key, value in study.best_trial.system_attrs.items() if value == ours]
     assert key == f"artifacts:{json.loads(ours)['artifact_id']}"
+
+
+def test_a_note_shows_the_picture(tmp_path: Path, url: str, simulations: Simulations) -> None:
+    make(results(TINY), url, tmp_path)
+    study = optuna.load_study(study_name=STUDIES[0], storage=open_studies(url))
+    note = get_note(optuna.trial.Trial(study, study.best_trial._trial_id))
+    identity = found(url, STUDIES[0], study.best_trial.number)["strip.png"].artifact_id
+    path = f"/artifacts/{study._study_id}/{study.best_trial._trial_id}/{identity}"
+    assert note.startswith("tiny, run 0: walked 2.0 s, 2.0 m at 0.50 m/s\n")
+    assert note.endswith(f"({path})")
 
 
 def test_the_best_is_the_first_of_the_cheapest_and_equal_ones_are_shared() -> None:
