@@ -71,6 +71,7 @@ def estimate(
             runs=count,
             trials=None,
             workers=workers,
+            artifacts=False,
         )
         dog = compare(experiment, request, reports.dog).trials
         cmaes = CmaesRuns(config, count, folder)
