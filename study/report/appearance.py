@@ -32,7 +32,18 @@ LABELS = {
     "score-first": "best score first",
     "score-top": "random in top 100",
     "ei-prior": "plain BO, score prior",
+    "dog-mild": "DoG, mild score",
+    "dog-ramps": "DoG, ramps' score",
+    "dog-diverse": "DoG, diverse score",
+    "score-first-flat": "best printed score first",
+    "score-first-diverse": "best diverse score first",
     "best": "best combination",
+    "best-robust": "best, rough store",
+    "best-mild": "best, mild store",
+    "best-ramps": "best, ramps' store",
+    "best-without-rough": "best, no rough seen",
+    "best-without-ramps": "best, no ramps seen",
+    "best-without-stairs": "best, no stairs seen",
 }
 
 FRONT = {"paper": "#0072B2", "best": "#D55E00", "peer": "#000000"}
@@ -94,10 +105,12 @@ def best_peer(arms: Iterable[ArmRuns]) -> str | None:
 def looks(arms: dict[str, ArmRuns]) -> dict[str, Look]:
     """The look of each arm, in the order given."""
     front = {PAPER: "paper", BEST: "best", best_peer(arms.values()): "peer"}
-    found = {}
-    for place, arm in enumerate(arms):
-        label, marker = LABELS.get(arm, arm), MARKERS[place % len(MARKERS)]
+    found: dict[str, Look] = {}
+    members = dict.fromkeys(BACK, 0)  # a marker for each of a family
+    for arm in arms:
         role, kind = front.get(arm), family(arm)
+        label, marker = LABELS.get(arm, arm), MARKERS[members[kind] % len(MARKERS)]
+        members[kind] += 1
         if role is not None:
             found[arm] = Look(label, FRONT[role], FRONT[role], FRONT_DASH[role], marker, True)
         else:

@@ -17,6 +17,7 @@ from study.report.appearance import Look
 
 LABEL_PT = 8.0
 LABEL_SPACING_PT = 10.0
+POINTS_AN_INCH = 72.0
 LABEL_OFFSET_PT = 16.0
 TICKS = (1, 3, 10, 30, 100, 300, 1000)
 SVG: dict[Any, Any] = {
@@ -77,7 +78,7 @@ def label_ends(axes: Axes, ends: Sequence[End], x: float) -> None:
     figure = axes.get_figure(root=True)
     assert figure is not None
     figure.canvas.draw()
-    point = figure.dpi / 72.0
+    point = figure.dpi / POINTS_AN_INCH
     order = sorted(range(len(ends)), key=lambda index: (ends[index].y, ends[index].rank))
     pixels = np.array([axes.transData.transform((x, ends[index].y))[1] for index in order])
     low, high = axes.get_window_extent().y0, axes.get_window_extent().y1

@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 
 from study.pictures import style
 from study.report.appearance import Look, by_rank, looks
-from study.report.canvas import End, headline, label_ends, marked, save, trial_axis
+from study.report.canvas import (
+    LABEL_SPACING_PT,
+    POINTS_AN_INCH,
+    End,
+    headline,
+    label_ends,
+    marked,
+    save,
+    trial_axis,
+)
 from study.report.results import ArmRuns, Results
 from study.report.statistics import mean_curve, median_curve, wilson
 
@@ -23,7 +32,8 @@ PANEL_IN = 3.9
 WIDE_PANEL_IN = 5.6
 LABELS_IN = 2.05
 LEFT_IN = 0.75
-HEIGHT_IN = 4.6
+HEIGHT_IN = 4.6  # of up to 20 arms: more labels need more
+MARGINS_IN = 1.3
 WALKS_BELOW = 100.0  # the walking cost of a walker that goes on to the end
 IN_FRONT = "bold: the paper's method, our best, the best peer; their bands are 95 %"
 
@@ -36,7 +46,7 @@ def write_best_cost(folder: Path, results: Results, optimum: float | None) -> li
         results: of one experiment.
         optimum: the estimated optimum of this cost, drawn as a line.
     """
-    figure = style.new_figure(2.0 * (PANEL_IN + LABELS_IN) + LEFT_IN, HEIGHT_IN)
+    figure = style.new_figure(2.0 * (PANEL_IN + LABELS_IN) + LEFT_IN, _height_in(results))
     for panel, (title, curve) in enumerate(
         (("median over runs", median_curve), ("mean over runs", mean_curve))
     ):
@@ -54,7 +64,7 @@ def write_best_cost(folder: Path, results: Results, optimum: float | None) -> li
 
 def write_walkers(folder: Path, results: Results) -> list[Path]:
     """Share of runs with a walker against trials, with Wilson's intervals, as walkers.png, .svg."""
-    figure = style.new_figure(WIDE_PANEL_IN + LABELS_IN + LEFT_IN, HEIGHT_IN)
+    figure = style.new_figure(WIDE_PANEL_IN + LABELS_IN + LEFT_IN, _height_in(results))
     axes = _panel(figure, 0, WIDE_PANEL_IN)
     trial_axis(axes, results.trials)
     axes.set_ylim(-0.02, 1.02)
@@ -127,10 +137,15 @@ def _level(axes: Axes, y: float, text: str, dash: Any) -> None:
     )  # fmt: skip
 
 
+def _height_in(results: Results) -> float:
+    """High enough for a label an arm."""
+    return max(HEIGHT_IN, MARGINS_IN + len(results.arms) * LABEL_SPACING_PT / POINTS_AN_INCH)
+
+
 def _panel(figure: Figure, number: int, width_in: float = PANEL_IN) -> Axes:
     """Axes with room for labels on their right, at a fixed size whatever the labels."""
     wide, high = figure.get_figwidth(), figure.get_figheight()
     left = LEFT_IN + number * (PANEL_IN + LABELS_IN)
-    axes = figure.add_axes((left / wide, 0.5 / high, width_in / wide, (high - 1.3) / high))
+    axes = figure.add_axes((left / wide, 0.5 / high, width_in / wide, (high - MARGINS_IN) / high))
     style.tidy(axes)
     return axes

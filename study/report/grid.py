@@ -16,8 +16,7 @@ from study.report.overview import arms_of
 CELL_IN = (0.72, 0.46)
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 1.75, 0.95, 1.95, 0.2
 SHADES = "Blues"
-DARKEST = 0.85  # of the map, so that words on it can be read
-WHITE_FROM = 0.78  # of the runs: words are white on cells as dark as that
+DARKEST = 0.62  # of the map, so that words on it can be read, in a grey print too
 FRONT_OF = {PAPER: FRONT["paper"], BEST: FRONT["best"]}
 
 
@@ -55,12 +54,11 @@ def write_grid(folder: Path, experiments: Sequence[Numbers]) -> list[Path]:
 
 
 def _write_cell(axes: Axes, row: int, column: int, arm: ArmNumbers, best: bool) -> None:
-    dark = arm.share.value >= WHITE_FROM
     words = f"{arm.share.value:.0%}".replace("%", " %")
     axes.text(
         column, row, f"{words}\n{count_text(arm.first_walker.value, arm.trials)}",
         ha="center", va="center", fontsize=style.SMALL_PT, linespacing=1.15,
-        color="white" if dark else style.INK, fontweight="bold" if best else "normal",
+        color=style.INK, fontweight="bold" if best else "normal",
     )  # fmt: skip
 
 

@@ -82,6 +82,7 @@ def test_labels_stay_within_the_figure(results: Results, tmp_path: Path) -> None
         patch.setattr(curves, "save", keep)
         patch.setattr(dots, "save", keep)
         curves.write_walkers(tmp_path, results)
+        curves.write_best_cost(tmp_path, results, 0.01)
         dots.write_first_walker(tmp_path, results)
     for figure in seen:
         width = figure.bbox.width  # type: ignore[attr-defined]

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from study.comparison.arms import ARMS
 from study.report.appearance import LABELS, best_peer, by_rank, family, looks
 from study.report.markdown import report_text
 from study.report.numbers import numbers
@@ -80,7 +81,14 @@ def test_families() -> None:
     assert family("best-mild") == family("dog") == "ours"
 
 
-def test_looks_tell_all_arms_apart_and_three_stand_in_front(results: Results) -> None:
+def test_looks_tell_all_known_arms_apart(results: Results) -> None:
+    found = looks({name: arm(name, [1, 2]) for name in ARMS})
+    assert len({(look.colour, look.marker) for look in found.values()}) == len(ARMS)
+    assert len({look.label for look in found.values()}) == len(ARMS)
+    assert all(look.label == LABELS.get(name) or name == "random" for name, look in found.items())
+
+
+def test_looks_tell_arms_apart_and_three_stand_in_front(results: Results) -> None:
     found = looks(results.arms)
     assert {name for name, look in found.items() if look.front} == {"dog", "best", "cmaes-warm"}
     assert len({(look.colour, look.marker) for look in found.values()}) == len(found)
