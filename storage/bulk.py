@@ -19,6 +19,7 @@ from optuna.storages import RDBStorage
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial
 
+from storage.postgresql import copy_rows
 from storage.schema_version import known_tables
 
 TRIALS_PER_TRANSACTION = 2000  # 30 rows each: some 20 MB of memory, half a second
@@ -219,7 +220,9 @@ def _trial_ids(
 
 
 def _insert(connection: sql.Connection, table: sql.Table, rows: Rows) -> None:
-    if rows:
+    if rows and connection.dialect.name == "postgresql":
+        copy_rows(connection, table, rows)
+    elif rows:
         connection.execute(sql.insert(table), rows)
 
 

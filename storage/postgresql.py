@@ -1,12 +1,12 @@
 """Study databases on a PostgreSQL server, which many machines share."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import sqlalchemy as sql
 from optuna.storages import RDBStorage
-from sqlalchemy.exc import NoSuchModuleError, SQLAlchemyError
+from sqlalchemy.exc import DBAPIError, NoSuchModuleError, SQLAlchemyError
 
 from taichi_nmm.errors import InputError
 
@@ -87,6 +87,24 @@ def locked(url: str, study_name: str) -> Iterator[bool]:
         raise unusable(shown, error) from None
     finally:
         engine.dispose()  # closes the connection, and so gives the lock back
+
+
+def copy_rows(connection: sql.Connection, table: sql.Table, rows: Sequence[dict[str, Any]]) -> None:
+    """Insert rows of the same columns by COPY, within the connection's transaction.
+
+    Twice as fast as INSERT; columns that are not given take their defaults, keys from sequences
+    too.
+    """
+    preparer = connection.dialect.identifier_preparer
+    columns = ", ".join(preparer.quote(name) for name in rows[0])
+    command = f"COPY {preparer.format_table(table)} ({columns}) FROM STDIN"
+    driver: Any = connection.connection.driver_connection
+    try:
+        with driver.cursor() as cursor, cursor.copy(command) as copy:
+            for row in rows:
+                copy.write_row(tuple(row.values()))
+    except connection.dialect.loaded_dbapi.Error as error:
+        raise DBAPIError(command, None, error) from error
 
 
 def unusable(shown: str, error: Exception) -> InputError:

@@ -153,6 +153,15 @@ def test_a_failure_leaves_nothing_half_written(url: str) -> None:
     assert trial_counts(storage) == {}
 
 
+def test_what_the_server_refuses_is_told_in_one_line(url: str) -> None:
+    storage = open_studies(url)
+    too_long = replace(STUDY, name="x" * 600)
+    with pytest.raises(InputError, match=r"storage: .*too long") as caught, storage_errors(url):
+        write_studies(storage, [STUDY, too_long])
+    assert "\n" not in str(caught.value) and "secret" not in str(caught.value)
+    assert trial_counts(storage) == {}
+
+
 def test_one_run_of_a_study_at_a_time(url: str) -> None:
     with only_run(url, "rough8/dog"):
         with (
