@@ -30,7 +30,7 @@ Curve = tuple[Floats, Floats, Floats]
 
 PANEL_IN = 3.9
 WIDE_PANEL_IN = 5.6
-LABELS_IN = 2.05
+LABELS_IN = 2.3
 LEFT_IN = 0.75
 HEIGHT_IN = 4.6  # of up to 20 arms: more labels need more
 MARGINS_IN = 1.3

@@ -44,6 +44,7 @@ def report_text(results: Results, numbers: Numbers, optimum: float | None, strip
         "## What the arms reached",
         METHOD,
         _reached(numbers),
+        _peer(numbers),
         "## Best cost",
         _costs(numbers, results.cost),
         PROPOSAL if any(arm.proposal_ms is not None for arm in numbers.arms) else "",
@@ -131,6 +132,17 @@ def _reached(numbers: Numbers) -> str:
         for arm in numbers.arms
     ]  # fmt: skip
     return table([*header, *(f"within {limit}" for limit in limits)], rows)
+
+
+def _peer(numbers: Numbers) -> str:
+    """Which of the peers the figures put in front."""
+    if numbers.peer is None:
+        return ""
+    peer = next(arm for arm in numbers.arms if arm.arm == numbers.peer)
+    return (
+        f"Best of the peers (most runs with a walker, then the earliest): {label(peer.arm)}, "
+        f"median trial {first_walker_text(peer)}."
+    )
 
 
 def _costs(numbers: Numbers, cost: str) -> str:

@@ -103,6 +103,7 @@ def test_the_document_says_what_was_counted_and_how(results: Results) -> None:
     assert f"| 50 | {count}: " in rows[0] and "> 100" in rows[0]
     assert "bootstrap" in text and "Wilson" in text and "Holm" in text and "SeedSequence" in text
     assert "estimated optimum: 0.01" in text
+    assert "Best of the peers (most runs with a walker, then the earliest): cmaes-warm" in text
     assert text.count("50, 50 differ") >= 10  # no p without its n
     for name in synthetic.ARMS:
         label = LABELS.get(name, name)
