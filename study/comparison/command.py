@@ -101,7 +101,10 @@ def compare(
         lockstep = Lockstep(experiment, studies, folder)
         session = _Session(experiment, folder, url, lockstep)
         lockstep.checkpointed = session.checkpointed
-        lockstep.run(trials, request.workers, session.watched(report))
+        try:
+            lockstep.run(trials, request.workers, session.watched(report))
+        finally:
+            session.note()
         results = folder.write_results()
         export(experiment, results, url, final=True)
         session.note()
@@ -147,7 +150,6 @@ class _Session:
 
     def checkpointed(self) -> None:
         """Called after each checkpoint: the database follows, less often."""
-        self.note()
         if time.monotonic() - self._exported_s >= EXPORT_S:
             export(self._experiment, self._lockstep.results(), self._url, final=False)
             self._exported_s = time.monotonic()

@@ -45,7 +45,7 @@ class Lockstep:
         experiment: what is compared on what.
         studies: arm and run of each.
         folder: where finished trials go.
-        checkpointed: called after each checkpoint.
+        checkpointed: called after each checkpoint on the way.
     """
 
     experiment: Experiment
@@ -100,6 +100,7 @@ class Lockstep:
                     report(self._progress(total, number))
                     if time.monotonic() - written_s >= CHECKPOINT_S:
                         self.checkpoint()
+                        self.checkpointed()
                         written_s = time.monotonic()
             finally:
                 self.checkpoint()
@@ -110,9 +111,7 @@ class Lockstep:
             table = in_order([STATE_SCHEMA.empty_table(), *self._tables[arm]])
             self._tables[arm] = [table]
             self.folder.write_arm(arm, table)
-        changed, self._new = bool(self._new), set()
-        if changed:
-            self.checkpointed()
+        self._new.clear()
 
     def _round(self, pool: Pool, asked: Proposals, number: np.ndarray) -> None:
         """Simulate one trial of each study, write it down, tell."""
