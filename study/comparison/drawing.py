@@ -20,6 +20,7 @@ from taichi_nmm.terrain import Terrain
 STRIP, FILM = "strip", "film"
 STRIP_DPI = 100
 FILM_S = 8.0
+TASKS_PER_PROCESS = 4  # to start one takes about as long as to draw these
 
 Draw = Callable[[Iterable["Task"]], list[bool]]
 
@@ -42,12 +43,12 @@ def drawers(workers: int | None, tasks: int) -> Iterator[Draw]:
 
     Args:
         workers: processes; None is one a core, 1 draws in this process.
-        tasks: how many will come; no more processes than these are started.
+        tasks: how many will come; for a few no process is started.
 
     Raises:
         InputError: a file cannot be written, or the encoder failed.
     """
-    count = min(workers or os.cpu_count() or 1, tasks)
+    count = min(workers or os.cpu_count() or 1, tasks // TASKS_PER_PROCESS)
     if count <= 1:
         yield lambda batch: [_answer(_draw(task)) for task in batch]
         return

@@ -199,10 +199,11 @@ def test_a_walker_that_diverged_at_once_has_no_picture(
 def test_several_processes_draw_the_same_files(
     tmp_path: Path, url: str, simulations: Simulations
 ) -> None:
-    make(results(TINY), url, tmp_path / "one")
-    make(results(TINY), url, tmp_path / "two", workers=2)
+    table = results(TINY, runs=8, arms=("dog",))
+    make(table, url, tmp_path / "one")
+    make(table, url, tmp_path / "two", workers=2)
     one, two = (sorted((tmp_path / name / "artifacts").iterdir()) for name in ("one", "two"))
-    assert [file.name for file in one] == [file.name for file in two]
+    assert len(one) == 16 and [file.name for file in one] == [file.name for file in two]
     assert [file.read_bytes() for file in one] == [file.read_bytes() for file in two]
 
 
@@ -211,7 +212,7 @@ def test_a_process_that_cannot_write_says_so_in_one_line(tmp_path: Path, workers
     task = drawing.Task(GLIMPSE, TINY.terrain(0), "", tmp_path / "no" / "s", tmp_path / "f", "")
     with (
         pytest.raises(InputError, match=r"out: .* a place that can be written") as caught,
-        drawing.drawers(workers, 2) as draw,
+        drawing.drawers(workers, 8) as draw,
     ):
         draw([task, task])
     assert "\n" not in str(caught.value)
@@ -232,7 +233,7 @@ import multiprocessing, threading, time
 import study.comparison.drawing as drawing
 if __name__ == "__main__":
     drawing._draw = time.sleep
-    with drawing.drawers(2, 2) as draw:
+    with drawing.drawers(2, 8) as draw:
         threading.Thread(target=draw, args=([60, 60],), daemon=True).start()
         while len(multiprocessing.active_children()) < 2:
             time.sleep(0.01)
