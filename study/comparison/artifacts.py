@@ -8,6 +8,7 @@ import json
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -89,19 +90,18 @@ def make_artifacts(
     ]
     _attach(experiment, done, url)
     missing = [walk for walk in walks if walk not in done]
+    finished = len(done)
+    tell = progress or (lambda finished, of: None)
+    tell(finished, len(walks))
     with drawers(workers, len(missing)) as draw:
         for first in range(0, len(missing), WALKS_PER_BATCH):
-            if progress is not None:
-                progress(len(walks) - len(missing) + first, len(walks))
             batch = missing[first : first + WALKS_PER_BATCH]
-            drawn = draw(_tasks(experiment, batch, folder, program))
-            _attach(
-                experiment,
-                [walk for walk, is_drawn in zip(batch, drawn, strict=True) if is_drawn],
-                url,
-            )
-    if progress is not None:
-        progress(len(walks), len(walks))
+            drawn = []
+            for is_drawn in draw(_tasks(experiment, batch, folder, program)):
+                drawn.append(is_drawn)
+                finished += 1
+                tell(finished, len(walks))
+            _attach(experiment, list(compress(batch, drawn)), url)
 
 
 def best_walks(experiment: Experiment, trials: pa.Table) -> list[Walk]:

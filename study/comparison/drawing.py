@@ -22,7 +22,7 @@ STRIP_DPI = 100
 FILM_S = 8.0
 TASKS_PER_PROCESS = 4  # to start one takes about as long as to draw these
 
-Draw = Callable[[Iterable["Task"]], list[bool]]
+Draw = Callable[[Iterable["Task"]], Iterator[bool]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Task:
 
 @contextmanager
 def drawers(workers: int | None, tasks: int) -> Iterator[Draw]:
-    """A function that draws tasks, and says of each whether there was anything to draw.
+    """A function that draws tasks, and says of each, when it is done, whether there was a picture.
 
     Args:
         workers: processes; None is one a core, 1 draws in this process.
@@ -50,13 +50,13 @@ def drawers(workers: int | None, tasks: int) -> Iterator[Draw]:
     """
     count = min(workers or os.cpu_count() or 1, tasks // TASKS_PER_PROCESS)
     if count <= 1:
-        yield lambda batch: [_answer(_draw(task)) for task in batch]
+        yield lambda batch: (_answer(_draw(task)) for task in batch)
         return
     # Not forked: the simulator's threads would not survive it.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_follow_parent)
     try:
-        yield lambda batch: [_answer(refusal) for refusal in pool.map(_draw, batch)]
+        yield lambda batch: map(_answer, pool.map(_draw, batch))
     finally:
         pool.shutdown(cancel_futures=True)
 
