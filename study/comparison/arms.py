@@ -1,14 +1,14 @@
 """The arms of the comparisons: what each is, what its store saw, and how its sampler is made."""
 
 import importlib.util
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from optuna.samplers import BaseSampler, TPESampler
 
 from study.comparison import cmaes, controls
-from study.comparison.features import Feature, Survival, name_of
+from study.comparison.features import Feature, Survival, definition_of, name_of
 from study.comparison.off_grid import store_features
 from study.comparison.stores import store_path
 from study.comparison.task import Task
@@ -42,11 +42,9 @@ KINDS = {
 TIES = "phi_corrected"
 SPEED = "mean_speed_mps"
 OFF_GRID = 32  # points a trial that are simulated beside the store's
-PAPER: dict[str, Any] = {
-    "kernel": "rbf",
-    "mean": "constant",
-    "acquisition": "ei",
-}  # of the paper's method
+# The paper's method.
+PAPER: dict[str, Any] = {"kernel": "rbf", "mean": "constant", "acquisition": "ei"}
+# Chosen on the tuning seeds: docs/results.md.
 BEST: dict[str, Any] = {
     "kernel": "rbf",
     "mean": "linear",
@@ -55,7 +53,7 @@ BEST: dict[str, Any] = {
     "prior_weight": 3000.0,
     "cost_transform": "log",
     "n_startup_trials": 1,
-}  # chosen on the tuning seeds: docs/results.md
+}
 
 
 @dataclass(frozen=True)
@@ -73,6 +71,7 @@ class Arm:
         replayed: the library keeps a state in the trials, which a resumed study must repeat.
         needs: a package that is not among this project's own; "" for none.
         off_grid: simulates points that are no rows of its store.
+        options: what else decides what it proposes.
     """
 
     name: str
@@ -85,11 +84,18 @@ class Arm:
     replayed: bool = False
     needs: str = ""
     off_grid: bool = False
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the features."""
         return tuple(name_of(feature) for feature in self.features)
+
+    @property
+    def definition(self) -> dict[str, Any]:
+        """What decides what it proposes, as JSON values: trials of two definitions must not mix."""
+        features = [definition_of(feature) for feature in self.features]
+        return {"store": self.store, "features": features, "options": dict(self.options)}
 
     @property
     def saw(self) -> str:
@@ -154,7 +160,7 @@ def _table_arm(
     def new_sampler(task: Task) -> BaseSampler:
         return FeatureKernelSampler(task.table, seed=task.seed, **options)
 
-    return Arm(name, summary, new_sampler, store, features, seen)
+    return Arm(name, summary, new_sampler, store, features, seen, options=options)
 
 
 def _paper_arm(name: str, summary: str, store: str, families: tuple[str, ...]) -> Arm:
@@ -185,11 +191,17 @@ def _ordered_arm(name: str, summary: str, store: str, features: tuple[Feature, .
 
 _ALL = (
     Arm("random", "uniform random", _random),
-    Arm("cmaes-cold", "CMA-ES from a random mean", cmaes.cold, fresh=True, replayed=True),
-    Arm("cmaes-warm", "CMA-ES from one of the 100 best rows", cmaes.warm, "flat", PRINTED),
+    Arm(
+        "cmaes-cold", "CMA-ES from a random mean", cmaes.cold, fresh=True, replayed=True,
+        options={"sigma": cmaes.SIGMA_COLD},
+    ),
+    Arm(
+        "cmaes-warm", "CMA-ES from one of the 100 best rows", cmaes.warm, "flat", PRINTED,
+        options={"sigma": cmaes.SIGMA_WARM, "rows": cmaes.START_ROWS},
+    ),
     Arm(
         "cmaes-source", "CMA-ES from the best rows' distribution", cmaes.source, "flat", PRINTED,
-        fresh=True, replayed=True,
+        fresh=True, replayed=True, options={"rows": cmaes.SOURCE_ROWS},
     ),
     Arm("bo-euclidean", "Bayesian optimisation over the gains, ours", _euclidean),
     Arm("gp-optuna", "Optuna's GPSampler", _gp_optuna, fresh=True, needs="torch"),
@@ -202,12 +214,12 @@ _ALL = (
     _table_arm("dog-robust", "kernel over the robust score", "robust", ROBUST, **PAPER),
     Arm(
         "dog-off-grid", "as dog, and points near the best rows", _off_grid, "flat", PRINTED,
-        off_grid=True,
+        off_grid=True, options=PAPER | {"off_grid": OFF_GRID},
     ),
-    _ordered_arm("score-first", "best score first", "robust", (*ROBUST, "phi_corrected")),
+    _ordered_arm("score-first", "best score first", "robust", (*ROBUST, TIES)),
     Arm(
         "score-top", "random among the 100 best scores", controls.score_top, "robust",
-        (*ROBUST, "phi_corrected"),
+        (*ROBUST, TIES), options={"rows": controls.TOP_ROWS},
     ),
     _table_arm(
         "ei-prior", "Euclidean expected improvement times a prior from the score", "robust", ROBUST,

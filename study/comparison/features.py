@@ -49,6 +49,13 @@ def name_of(feature: Feature) -> str:
     return feature if isinstance(feature, str) else feature.name
 
 
+def definition_of(feature: Feature) -> str | list[str]:
+    """What a feature is, as JSON values."""
+    if isinstance(feature, str):
+        return feature
+    return [feature.name, *(feature.families or ("all families",))]
+
+
 def check_feature(feature: Feature, store: Store) -> None:
     """Refuse a store that does not have what a feature is made of.
 

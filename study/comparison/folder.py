@@ -32,7 +32,7 @@ TIMES_NAME = "proposal_times.parquet"
 RUN_NAME = "run.json"
 ARMS_NAME = "arms"
 LOCK_NAME = ".lock"
-STORES = "stores"  # of the document: digests, of those that some arm has read
+GROWING = ("arms", "stores")  # parts of the document that calls add to
 
 Document = dict[str, Any]
 
@@ -52,7 +52,7 @@ class ExperimentFolder:
     @staticmethod
     @contextmanager
     def claim(path: Path, document: Document) -> Iterator["ExperimentFolder"]:
-        """Hold the folder: new, or begun with the same document (stores may be added).
+        """Hold the folder: new, or begun with the same document (arms and stores may be added).
 
         Raises:
             InputError: in use by another process, of something else, of another document, or not
@@ -162,24 +162,23 @@ def _refuse_foreign(path: Path) -> None:
 def _agree(path: Path, document: Document) -> Document:
     """Write the document into a new folder; in an old one, see that it is the same.
 
-    Stores that only now are read are added to it.
+    Arms and stores that are new are added to it.
     """
     if not path.exists():
         commit_json(path, document)
         return document
     try:
         known = json.loads(path.read_text(encoding="utf-8"))
-        stores = known[STORES] | document[STORES]
+        ours = document | {key: known[key] | document[key] for key in GROWING}
+        there = known | {key: document[key] | known[key] for key in GROWING}
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError("out", str(path), "a readable experiment; or another --out") from None
-    # Digests of stores that this call does not need are as they are.
-    ours = document | {STORES: dict(sorted((known[STORES] | document[STORES]).items()))}
-    there = known | {STORES: dict(sorted((document[STORES] | known[STORES]).items()))}
     found = difference(ours, there)
     if found:
         name, here, other = found
         allowed = f"{other!r}, as {path} says; or another --out"
         raise InputError(name or "experiment", here, allowed)
-    if len(stores) > len(known[STORES]):
-        commit_json(path, ours)
-    return ours
+    grown = ours | {key: dict(sorted(ours[key].items())) for key in GROWING}
+    if grown != known:
+        commit_json(path, grown)
+    return grown

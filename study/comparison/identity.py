@@ -20,13 +20,15 @@ DIGEST_DECIMALS = 9  # nanometres: below what another machine's last bit can cha
 
 
 def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
-    """What is compared on what. Runs, trials and arms may grow, so they are no part of it.
+    """What is compared on what. Runs and trials may grow, so they are no part of it.
 
-    Nor is the architecture: what was begun on one machine may go on on another.
+    Arms and stores are those of one call; the folder gathers them. The architecture is no part of
+    it either: what was begun on one machine may go on on another.
     """
     simulation = experiment.settings
     ground = experiment.terrain(0)
-    stores = sorted({arm.store for arm in arms if arm.store})
+    by_name = sorted(arms, key=lambda arm: arm.name)
+    stores = sorted({arm.store for arm in by_name if arm.store})
     return {
         "format": FORMAT,
         "versions": {"taichi-nmm": __version__} | {name: version(name) for name in PACKAGES},
@@ -43,6 +45,7 @@ def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
         "body": {"disturbance": experiment.disturbance},
         "terrain": {"name": ground.name, "sha256": _digest(ground.height_m)},
         "parameters": {p.name: [float(p.low), float(p.high)] for p in experiment.parameters},
+        "arms": {arm.name: arm.definition for arm in by_name},
         "stores": {key: store_digest(store_path(experiment, key)) for key in stores},
     }
 

@@ -70,6 +70,8 @@ def test_the_footer_is_the_experiment(comparisons: Comparisons) -> None:
     assert footer == written
     assert written["name"] == "toy"
     assert set(written["stores"]) == {"flat", "robust"}
+    assert set(written["arms"]) == {"random", "dog", "score-first"}
+    assert written["arms"]["dog"]["options"]["acquisition"] == "ei"
     assert "optuna" in written["versions"]
 
 
@@ -124,7 +126,7 @@ def test_checkpoints_are_written_on_the_way(
     studies = [("dog", 0), ("dog", 1)]
     from study.comparison.folder import ExperimentFolder
 
-    with ExperimentFolder.claim(comparisons.folder / "out", {"stores": {}}) as folder:
+    with ExperimentFolder.claim(comparisons.folder / "out", {"arms": {}, "stores": {}}) as folder:
         lockstep.Lockstep(comparisons.experiment, studies, folder).run(4, 1, watch)
     assert seen == [0, 0, 2, 4, 6]  # reported before the checkpoint of its round
 

@@ -1,6 +1,7 @@
 """What a comparison refuses, in one line, before anything is computed."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,16 @@ def test_another_store_in_the_folder(comparisons: Comparisons) -> None:
         comparisons.run("out", experiment=read_experiment(config), arms=("dog",), trials=2)
     # An arm that does not read it may still be added.
     comparisons.run("out", experiment=read_experiment(config), arms=("random",), trials=2)
+
+
+def test_another_definition_of_an_arm_in_the_folder(
+    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    comparisons.run("out", arms=("dog",), trials=1)
+    changed = replace(arms.ARMS["dog"], options={"acquisition": "ucb"})
+    monkeypatch.setitem(arms.ARMS, "dog", changed)
+    with pytest.raises(InputError, match=r"arms\.dog\.options.*another --out"):
+        comparisons.run("out", arms=("dog",), trials=2)
 
 
 @pytest.mark.parametrize(
