@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,24 @@ def url(tmp_path: Path) -> str:
     return f"sqlite:///{tmp_path}/studies.db"
 
 
+@dataclass(frozen=True)
+class Made:
+    """A finished experiment with its pictures, to look at only."""
+
+    folder: Path
+    url: str
+    told: list[tuple[int, int]]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    folder = tmp_path_factory.mktemp("made")
+    url = f"sqlite:///{folder}/studies.db"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(artifacts, "simulate_trials", Simulations())
+        return Made(folder, url, make(results(TINY), url, folder))
+
+
 def make(table: pa.Table, url: str, out: Path, workers: int = 1) -> list[tuple[int, int]]:
     told: list[tuple[int, int]] = []
     export(TINY, table, url, final=True)
@@ -74,11 +93,9 @@ def found(url: str, name: str, number: int) -> dict[str, Any]:
     return {meta.filename: meta for meta in metas}
 
 
-def test_the_best_trial_of_each_study_gets_picture_and_film(
-    tmp_path: Path, url: str, simulations: Simulations
-) -> None:
-    assert make(results(TINY), url, tmp_path) == [(done, 4) for done in range(5)]
-    store = FileSystemArtifactStore(tmp_path / "artifacts")
+def test_the_best_trial_of_each_study_gets_picture_and_film(made: Made) -> None:
+    assert made.told == [(done, 4) for done in range(5)]
+    store, url = FileSystemArtifactStore(made.folder / "artifacts"), made.url
     for name in STUDIES:
         best = optuna.load_study(study_name=name, storage=open_studies(url)).best_trial.number
         metas = found(url, name, best)
@@ -90,14 +107,11 @@ def test_the_best_trial_of_each_study_gets_picture_and_film(
         with store.open_reader(metas["film.mp4"].artifact_id) as file:
             assert file.read(12)[4:8] == b"ftyp"
         assert not found(url, name, (best + 1) % 3)
-    assert len(list((tmp_path / "artifacts").iterdir())) == 8
+    assert len(list((made.folder / "artifacts").iterdir())) == 8
 
 
-def test_they_are_registered_as_optuna_does(
-    tmp_path: Path, url: str, simulations: Simulations
-) -> None:
-    make(results(TINY), url, tmp_path)
-    study = optuna.load_study(study_name=STUDIES[0], storage=open_studies(url))
+def test_they_are_registered_as_optuna_does(made: Made, tmp_path: Path) -> None:
+    study = optuna.load_study(study_name=STUDIES[0], storage=open_studies(made.url))
     (tmp_path / "strip.png").touch()
     trial = study.ask()
     store = FileSystemArtifactStore(tmp_path)
@@ -114,11 +128,10 @@ def test_they_are_registered_as_optuna_does(
     assert key == f"artifacts:{json.loads(ours)['artifact_id']}"
 
 
-def test_a_note_shows_the_picture(tmp_path: Path, url: str, simulations: Simulations) -> None:
-    make(results(TINY), url, tmp_path)
-    study = optuna.load_study(study_name=STUDIES[0], storage=open_studies(url))
+def test_a_note_shows_the_picture(made: Made) -> None:
+    study = optuna.load_study(study_name=STUDIES[0], storage=open_studies(made.url))
     note = get_note(optuna.trial.Trial(study, study.best_trial._trial_id))
-    identity = found(url, STUDIES[0], study.best_trial.number)["strip.png"].artifact_id
+    identity = found(made.url, STUDIES[0], study.best_trial.number)["strip.png"].artifact_id
     path = f"/artifacts/{study._study_id}/{study.best_trial._trial_id}/{identity}"
     assert note.startswith("tiny, run 0: walked 2.0 s, 2.0 m at 0.50 m/s\n")
     assert note.endswith(f"({path})")
@@ -199,7 +212,7 @@ def test_a_walker_that_diverged_at_once_has_no_picture(
 def test_several_processes_draw_the_same_files(
     tmp_path: Path, url: str, simulations: Simulations
 ) -> None:
-    table = results(TINY, runs=8, arms=("dog",))
+    table = results(TINY, runs=8, arms=("dog",))  # as many as make two processes worth it
     make(table, url, tmp_path / "one")
     make(table, url, tmp_path / "two", workers=2)
     one, two = (sorted((tmp_path / name / "artifacts").iterdir()) for name in ("one", "two"))
