@@ -59,7 +59,7 @@ class Film:
 
 
 LARGE = Film((1280, 640), 30, "medium", 20, threads=0)
-SMALL = Film((640, 320), 20, "veryfast", 26, threads=1)  # a second of one core for 8 s of walking, 0.2 MB
+SMALL = Film((640, 320), 20, "veryfast", 26, threads=1)  # 8 s: 0.2 MB, a second of one core
 
 
 @dataclass(frozen=True, eq=False)

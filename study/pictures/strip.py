@@ -38,8 +38,8 @@ def write_strip(
 ) -> Path:
     """Draw the last metres of a walk as poses at their places, muscles coloured by activation.
 
-    Below, where the ground is not level, its profile from the first sample on. A walker that fell is
-    shown falling.
+    Below, where the ground is not level, its profile from the first sample on. A walker that fell
+    is shown falling.
 
     Args:
         path: of the PNG.
