@@ -8,6 +8,8 @@ import pyarrow as pa
 
 from study.comparison.arms import ARMS
 
+_READ = ("run", "trial", "walked", "best_cost")
+
 
 @dataclass(frozen=True)
 class ArmSummary:
@@ -51,9 +53,6 @@ def summaries(trials: pa.Table, times: pa.Table) -> list[ArmSummary]:
         part = {column: values[mine] for column, values in columns.items()}
         found.append(_summary(name, part, float(seconds[mine].mean())))
     return found
-
-
-_READ = ("run", "trial", "walked", "best_cost")
 
 
 def _summary(name: str, columns: dict[str, Any], proposal_s: float) -> ArmSummary:
