@@ -37,10 +37,8 @@ class ProgressBar:
 
     def show(self, progress: Progress) -> None:
         """Move on; the first call tells what was there."""
-        self._move("trial", progress.trials, progress.total)
         walkers = f"{progress.walkers} of {progress.studies} studies with a walker"
-        if self._bar is not None:
-            self._bar.set_postfix_str(walkers)
+        self._move("trial", progress.trials, progress.total, walkers)
 
     def draw(self, done: int, total: int) -> None:
         """The same of pictures, on a line of its own."""
@@ -52,11 +50,12 @@ class ProgressBar:
             self._bar.close()
         self._bar = None
 
-    def _move(self, unit: str, done: int, total: int) -> None:
+    def _move(self, unit: str, done: int, total: int, note: str = "") -> None:
         if self._bar is not None and self._bar.unit != unit:
             self.close()
         if self._bar is None:
             self._bar = tqdm(total=total, initial=done, unit=unit, smoothing=0.05)
+        self._bar.set_postfix_str(note, refresh=False)
         self._bar.update(done - self._bar.n)
 
 

@@ -150,6 +150,7 @@ class _Session:
 
     def checkpointed(self) -> None:
         """Called after each checkpoint: the database follows, less often."""
+        self.note()
         if time.monotonic() - self._exported_s >= EXPORT_S:
             export(self._experiment, self._lockstep.results(), self._url, final=False)
             self._exported_s = time.monotonic()

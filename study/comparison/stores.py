@@ -64,7 +64,7 @@ def check_store(experiment: Experiment, store: str, features: tuple[Feature, ...
         more = [name for name in searched if name not in experiment.names]
         less = [name for name in experiment.names if name not in searched]
         found = f"{opened.path} {'with' if more else 'without'} {(more or less)[0]}"
-        allowed = f"a store of what the experiment searches: 16 gains {list(experiment.searched)}"
+        allowed = f"a store of {' and '.join(('the 16 gains', *experiment.searched))}"
         raise InputError(field, found, allowed)
     opened.require_bounds()
     for feature in features:
