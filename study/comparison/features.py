@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from storage.schema import evaluated_name
 from storage.store import Store
 from taichi_nmm.errors import InputError
 
@@ -20,10 +21,12 @@ class Survival:
     Attributes:
         families: names of families of settings; () are all that the store has.
         name: of the feature.
+        survivors: rows that no family ran (they fell on level ground) are left out.
     """
 
     families: tuple[str, ...] = ()
     name: str = "survival"
+    survivors: bool = False
 
     def columns(self, store: Store) -> tuple[str, ...]:
         """Columns that are averaged.
@@ -53,7 +56,8 @@ def definition_of(feature: Feature) -> str | list[str]:
     """What a feature is, as JSON values."""
     if isinstance(feature, str):
         return feature
-    return [feature.name, *(feature.families or ("all families",))]
+    families = feature.families or ("all families",)
+    return [feature.name, *families, *(["survivors only"] if feature.survivors else [])]
 
 
 def check_feature(feature: Feature, store: Store) -> None:
@@ -69,8 +73,17 @@ def check_feature(feature: Feature, store: Store) -> None:
 
 
 def feature_values(feature: Feature, store: Store) -> Floats:
-    """The feature of every row, [n]."""
+    """The feature of every row, NaN where the row is left out, [n]."""
     columns = (feature,) if isinstance(feature, str) else feature.columns(store)
-    table = store.table(columns)
-    stacked = np.array([table[name].to_numpy() for name in columns], dtype=np.float64)
-    return np.asarray(stacked.mean(axis=0))
+    values = _columns(store, columns).mean(axis=0)
+    if isinstance(feature, Survival) and feature.survivors:
+        families = (name.removesuffix(COLUMN_END) for name in columns)
+        ran = _columns(store, tuple(evaluated_name(family) for family in families)).any(axis=0)
+        values[~ran] = np.nan
+    return np.asarray(values)
+
+
+def _columns(store: Store, names: tuple[str, ...]) -> Floats:
+    """Columns as rows of numbers, [k, n]."""
+    table = store.table(names)
+    return np.array([table[name].to_numpy() for name in names], dtype=np.float64)

@@ -19,9 +19,19 @@ from tests.study.comparison import fake
 from tests.study.comparison.conftest import Comparisons
 
 RUNNABLE = [arm.name for arm in ARMS.values() if not arm.needs]
+ON_OTHER_STORES = ("best-", "dog-mild", "dog-ramps", "dog-diverse", "score-first-")
+DIFFERENT = [name for name in RUNNABLE if not name.startswith(ON_OTHER_STORES)]
 
 
-@pytest.mark.parametrize("arm", RUNNABLE)
+def test_all_arms_go_on_after_a_restart_together(comparisons: Comparisons) -> None:
+    for out, steps in (("parts", (2, 5)), ("whole", (5,))):
+        for trials in steps:
+            comparisons.run(out, arms=tuple(RUNNABLE), runs=1, trials=trials)
+    assert comparisons.content("parts") == comparisons.content("whole")
+    assert len(comparisons.table("whole")) == 5 * len(RUNNABLE)
+
+
+@pytest.mark.parametrize("arm", DIFFERENT)
 def test_an_arm_stays_in_bounds_and_goes_on_after_a_restart(
     arm: str, comparisons: Comparisons
 ) -> None:
