@@ -140,9 +140,9 @@ class Model:
         """Numbers of the candidates whose posterior is computed."""
         trials = len(self.evidence.cost) + len(self.evidence.running)
         most = max(int(WORK / trials**2), THOMPSON_CANDIDATES)
-        if self.one_dimensional or len(points) <= most:
-            return np.arange(len(points))
         free = np.flatnonzero(offered)
+        if self.one_dimensional or (len(points) <= most and len(free) > len(points) // 2):
+            return np.arange(len(points))  # leaving out a few would cost a copy of the others
         return free if len(free) <= most else np.sort(rng.choice(free, most, replace=False))
 
     def _values(self, points: Points) -> tuple[Floats, Floats]:
