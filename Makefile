@@ -1,4 +1,5 @@
 # make quickstart   a walker found on rough ground, from a fresh clone, in minutes
+# make compare      the paper's first experiment: stores, all samplers, figures; resumes where it was stopped
 # make test         all tests
 # make lint         style and types, as CI checks them
 # make hooks        run the lint before every commit
@@ -8,10 +9,16 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: quickstart test lint hooks
+.PHONY: quickstart compare test lint hooks
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
+
+compare: .venv/installed
+	$(BIN)/python tools/precompute.py --config configs/store.toml
+	$(BIN)/python tools/precompute.py --config configs/store-diverse.toml
+	$(BIN)/python tools/compare.py --config configs/rough8-smooth.toml
+	$(BIN)/python tools/report.py out/compare/rough8-smooth
 
 test: .venv/installed
 	$(BIN)/python -m pytest
