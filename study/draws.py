@@ -29,6 +29,7 @@ class Purpose(IntEnum):
     OFF_GRID = 9
     OFF_GRID_UTILITY = 10
     STARTUP_POINT = 11
+    SAMPLER = 12
 
 
 def stream(seed: int, purpose: Purpose, *key: int) -> np.random.SeedSequence:
@@ -44,6 +45,11 @@ def generator(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:
 def seed_32bit(seed: int, purpose: Purpose, *key: int) -> int:
     """The seed of one draw for libraries that take 32 bits."""
     return int(stream(seed, purpose, *key).generate_state(1)[0])
+
+
+def seed_64bit(seed: int, purpose: Purpose, *key: int) -> int:
+    """The seed of one draw as a number of 64 bits, from which other draws follow."""
+    return int(stream(seed, purpose, *key).generate_state(1, np.uint64)[0])
 
 
 def name_key(name: str) -> int:

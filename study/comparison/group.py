@@ -18,9 +18,9 @@ from study.comparison.arms import Arm, find_arm
 from study.comparison.experiment import Experiment
 from study.comparison.outcome import fell
 from study.comparison.results import NOTES, gains_of
-from study.comparison.seeds import sampler_seed
 from study.comparison.stores import Tables
 from study.comparison.task import Task
+from study.draws import Purpose, name_key, seed_64bit
 from study.sampler.history import OFF_TABLE, ROW_ATTRIBUTE
 from study.sampler.source import one_thread
 from taichi_nmm.errors import InputError
@@ -54,6 +54,11 @@ class Proposals:
         """Of the arm's store, OFF_TABLE where it is none, [n]."""
         rows = [notes.get(ROW_ATTRIBUTE, OFF_TABLE) for notes in self.notes]
         return np.array(rows, dtype=np.int64)
+
+
+def sampler_seed(experiment_seed: int, arm: str, run: int) -> int:
+    """The seed of a study's sampler: it depends on experiment, arm and run, and nothing else."""
+    return seed_64bit(experiment_seed, Purpose.SAMPLER, name_key(arm), run)
 
 
 class OneStudy:
