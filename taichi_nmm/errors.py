@@ -12,3 +12,7 @@ class InputError(ValueError):
         self.value = value
         self.allowed = allowed
         super().__init__(f"{field}: {value!r} cannot be used; allowed: {allowed}")
+
+    def __reduce__(self) -> tuple[type, tuple[str, object, str]]:
+        """What it is made of again, so that it can pass from one process to another."""
+        return type(self), (self.field, self.value, self.allowed)

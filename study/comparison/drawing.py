@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from study.pictures import SMALL, write_movie, write_strip
-from taichi_nmm.errors import InputError
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
 
@@ -50,13 +49,13 @@ def drawers(workers: int | None, tasks: int) -> Iterator[Draw]:
     """
     count = min(workers or os.cpu_count() or 1, tasks // TASKS_PER_PROCESS)
     if count <= 1:
-        yield lambda batch: (_answer(_draw(task)) for task in batch)
+        yield lambda batch: map(_draw, batch)
         return
     # Not forked: the simulator's threads would not survive it.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_follow_parent)
     try:
-        yield lambda batch: map(_answer, pool.map(_draw, batch))
+        yield lambda batch: pool.map(_draw, batch)
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -74,23 +73,13 @@ def _follow_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _draw(task: Task) -> tuple[bool, tuple[str, object, str] | None]:
-    """Whether it was drawn, and what the user has to be told if not."""
+def _draw(task: Task) -> bool:
+    """Whether there was anything to draw: a walk that diverged before its first sample has none."""
     if not np.isfinite(task.trajectory.q).all(axis=1).any():
-        return False, None  # it diverged before the first sample
+        return False
     walk = (task.trajectory, task.terrain)
-    try:
-        if not task.strip.exists():
-            write_strip(task.strip, *walk, task.title, STRIP_DPI)
-        if not task.film.exists():
-            write_movie(task.film, *walk, FILM_S, task.title, film=SMALL, program=task.program)
-    except InputError as error:
-        return False, (error.field, error.value, error.allowed)
-    return True, None
-
-
-def _answer(outcome: tuple[bool, tuple[str, object, str] | None]) -> bool:
-    drawn, refusal = outcome
-    if refusal is not None:
-        raise InputError(*refusal)
-    return drawn
+    if not task.strip.exists():
+        write_strip(task.strip, *walk, task.title, STRIP_DPI)
+    if not task.film.exists():
+        write_movie(task.film, *walk, FILM_S, task.title, film=SMALL, program=task.program)
+    return True

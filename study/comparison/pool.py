@@ -124,7 +124,7 @@ def _answer(pipe: Connection) -> Any:
     except (EOFError, ConnectionResetError):
         raise _lost() from None
     if kind == "input":
-        raise InputError(*result)
+        raise result
     if kind == "failed":
         raise RuntimeError(f"in a worker process:\n{result}")
     return result

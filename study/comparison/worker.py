@@ -1,7 +1,7 @@
 """A process that holds a share of the studies; the main process asks, simulates, and tells it.
 
-Messages are pairs: what, and with what. Each is answered by ("done", result), ("input", the parts
-of an `InputError`) or ("failed", a traceback).
+Messages are pairs: what, and with what. Each is answered by ("done", result), ("input", an
+`InputError`) or ("failed", a traceback).
 """
 
 import traceback
@@ -37,7 +37,7 @@ def work(
             else:
                 answer = "done", getattr(group, what)(*arguments)
         except InputError as error:
-            answer = "input", (error.field, error.value, error.allowed)
+            answer = "input", error
         except Exception:
             answer = "failed", traceback.format_exc()
         try:

@@ -1,6 +1,7 @@
 """Worker processes: what they compute does not depend on how many there are."""
 
 import os
+import pickle
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -46,6 +47,13 @@ def test_an_error_in_a_worker_is_one_line_here(comparisons: Comparisons) -> None
         Pool(comparisons.experiment, [("dog", 0)], 3, {}, 1) as made,
     ):
         made.propose()
+
+
+def test_an_input_error_passes_between_processes_whole() -> None:
+    error = InputError("trials", 0, "1 or more")
+    copy = pickle.loads(pickle.dumps(error))
+    assert (copy.field, copy.value, copy.allowed) == ("trials", 0, "1 or more")
+    assert str(copy) == str(error)
 
 
 def test_a_worker_that_is_killed_is_one_line_here(comparisons: Comparisons) -> None:
