@@ -78,7 +78,7 @@ def read_families(table: Table, duration_s: float) -> tuple[Family, ...]:
     families = [_read_family(ROBUST, robust, count, duration_s)] if count else []
     robust.done()
     others = table.table("families")
-    for name in sorted(others._data):
+    for name in sorted(others.unread):
         _check_name(name)
         family = others.table(name)
         count = family.integer("settings", low=1, high=LARGEST_SETTING_COUNT)

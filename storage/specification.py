@@ -143,7 +143,7 @@ def read_specification(
     terrain = read_terrain(table.table("terrain"), seed_sequence(seed, TERRAIN))
     disturbance, body = read_bodies(table.table("body"), seed, BODY, 1)
     families = read_families(table, duration_s)
-    searched = searched_parameters(_names(table, "searched"))
+    searched = searched_parameters(table.texts("searched"))
     table.done()
     return Specification(
         samples=_checked_samples(configured if samples is None else samples),
@@ -163,11 +163,3 @@ def _checked_samples(samples: int) -> int:
     if not 1 <= samples <= LARGEST_SEQUENCE:
         raise InputError("samples", samples, f"a whole number from 1 to {LARGEST_SEQUENCE}")
     return samples
-
-
-def _names(table: Table, key: str) -> list[str]:
-    """An array of strings; empty where it is missing."""
-    value = table._take(key, [])
-    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
-        raise InputError(table.path(key), value, "an array of strings")
-    return value

@@ -49,6 +49,11 @@ def open_studies(url: str) -> RDBStorage:
     return storage
 
 
+def public_url(url: str) -> str:
+    """The URL without a password, so that it may be printed."""
+    return postgresql.without_password(url) if postgresql.is_postgresql(url) else url
+
+
 def shown_url(url: str) -> str:
     """What a study database is called in messages: its file, or its URL without a password.
 

@@ -9,6 +9,7 @@ from typing import Any
 import optuna
 from optuna.trial import FrozenTrial
 
+from storage.studies import public_url
 from study.objective import trial_gains
 from study.runner import finished
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
@@ -56,8 +57,8 @@ def summary(study: optuna.Study, url: str, gains: Path) -> dict[str, Any]:
         "score": best.user_attrs.get(SCORE_ATTRIBUTE),
         **{name: best.user_attrs[name] for name in OUTCOMES},
         "gains": str(gains),
-        "storage": url,
-        "dashboard": dashboard_command(url),
+        "storage": public_url(url),
+        "dashboard": dashboard_command(public_url(url)),
     }
 
 
@@ -67,8 +68,8 @@ def summary_text(study: optuna.Study, url: str, gains: Path) -> str:
         (
             study_line(study),
             f"gains:     {gains}",
-            f"database:  {url}",
-            f"dashboard: {dashboard_command(url)}",
+            f"database:  {public_url(url)}",
+            f"dashboard: {dashboard_command(public_url(url))}",
         )
     )
 

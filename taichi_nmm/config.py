@@ -68,6 +68,17 @@ class Table:
             raise InputError(self.path(key), value, "true or false")
         return value
 
+    def texts(self, key: str, choices: tuple[str, ...] = ()) -> tuple[str, ...]:
+        """An array of strings, each once, of `choices` where they are given; empty if missing."""
+        values = self._take(key, [])
+        allowed = f"a list of {', '.join(choices) or 'names'}, each once"
+        if not isinstance(values, list) or len({str(value) for value in values}) != len(values):
+            raise InputError(self.path(key), values, allowed)
+        for value in values:
+            if not isinstance(value, str) or (choices and value not in choices):
+                raise InputError(self.path(key), value, allowed)
+        return tuple(values)
+
     def table(self, key: str) -> "Table":
         """A sub-table; empty where it is missing."""
         value = self._take(key, {})
@@ -81,6 +92,11 @@ class Table:
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise InputError(self.path(key), value, "an array of tables")
         return [Table(item, f"{self.path(key)}[{index}]") for index, item in enumerate(value)]
+
+    @property
+    def unread(self) -> dict[str, Any]:
+        """What nothing has read yet, by key, as it is written."""
+        return dict(self._data)
 
     def done(self) -> None:
         """Refuse keys that nothing has read."""

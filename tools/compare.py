@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import optuna
 from tqdm import tqdm
 
+from storage.studies import public_url
 from study.command import run_command
 from study.comparison.command import Outcome, Request, compare
 from study.comparison.experiment import read_experiment
@@ -67,7 +68,13 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--trials", type=int, metavar="N", help="a run, in total; default: the config's"
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/compare/NAME")
+    parser.add_argument(
+        "--seed", type=int, metavar="N",
+        help="other bodies, grounds and samplers than the config's, for tuning on them",
+    )  # fmt: skip
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="default: out/compare/NAME or NAME-seed-N"
+    )
     parser.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
     parser.add_argument(
         "--workers", type=int, default=os.cpu_count() or 1, metavar="N",
@@ -82,8 +89,9 @@ def parse() -> argparse.Namespace:
 def main() -> None:
     args = parse()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    experiment = read_experiment(args.config, args.arch)
-    out = args.out or Path("out") / "compare" / experiment.name
+    experiment = read_experiment(args.config, args.arch, args.seed)
+    name = experiment.name if args.seed is None else f"{experiment.name}-seed-{args.seed}"
+    out = args.out or Path("out") / "compare" / name
     arms = tuple(args.arms.split(",")) if args.arms is not None else None
     request = Request(
         out, args.storage, arms, args.runs, args.trials, args.workers, not args.no_artifacts
@@ -100,7 +108,7 @@ def report(outcome: Outcome, out: Path) -> dict[str, Any]:
     """For programs: one object of plain values."""
     return {
         "out": str(out),
-        "storage": outcome.storage,
+        "storage": public_url(outcome.storage),
         "trials": len(outcome.trials),
         "trials_computed": outcome.computed,
         "wall_s": outcome.wall_s,
@@ -111,7 +119,8 @@ def report(outcome: Outcome, out: Path) -> dict[str, Any]:
 def text(outcome: Outcome, out: Path) -> str:
     """The same for people."""
     done = f"{len(outcome.trials)} trials ({outcome.computed} now, in {outcome.wall_s:.0f} s)"
-    return f"{as_text(outcome.arms)}\n{done}: {out / 'trials.parquet'}\ndatabase: {outcome.storage}"
+    database = public_url(outcome.storage)
+    return f"{as_text(outcome.arms)}\n{done}: {out / 'trials.parquet'}\ndatabase: {database}"
 
 
 if __name__ == "__main__":

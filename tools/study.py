@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import optuna
 
 from storage.commit import commit_json, writable
-from storage.studies import only_run, open_studies, storage_errors, studies_path
+from storage.studies import only_run, open_studies, shown_url, storage_errors
 from study.arms import ARMS
 from study.command import run_command
 from study.config import StudyConfig, read_study_config
@@ -32,7 +32,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--config", required=True, help="TOML, such as configs/rough8.toml")
     parser.add_argument("--sampler", choices=ARMS, required=True)
     parser.add_argument("--trials", type=int, default=30, help="in total (%(default)s)")
-    parser.add_argument("--storage", required=True, help="sqlite:///FILE")
+    parser.add_argument("--storage", required=True, help="sqlite:///FILE, or of PostgreSQL")
     parser.add_argument("--store", help="scores for the dog sampler; default: the config's")
     parser.add_argument("--out", type=Path, help="for the best gains; default: out/NAME")
     parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
@@ -58,7 +58,7 @@ def main() -> None:
     args = parse()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     config = read_study_config(args.config, args.arch)
-    studies_path(args.storage)
+    shown_url(args.storage)  # refuses what is no such URL
     table = read_table(args, config)
     check_trials(args.trials, table)
     require_arch(config.settings)

@@ -1,7 +1,6 @@
 """An experiment: the bodies, the grounds and the cost that every arm of a comparison shares."""
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -92,34 +91,33 @@ def _terrain(experiment: Experiment, run: int) -> Terrain:
     return read_terrain(table, stream(experiment.seed, Purpose.TERRAIN, run))
 
 
-def read_experiment(path: str | Path, arch: str | None = None) -> Experiment:
-    """Read and check an experiment's TOML; `arch` overrides the file's.
+def read_experiment(
+    path: str | Path, arch: str | None = None, seed: int | None = None
+) -> Experiment:
+    """Read and check an experiment's TOML; `arch` and `seed` override the file's.
 
     Which arms there are, and what their stores hold, is checked by `study.comparison.check`.
 
     Raises:
         InputError: an unknown key, a wrong type, or a value out of range.
     """
-    read_toml(path)  # refuses what cannot be read
-    data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    arms = _names(data, "arms", None)
-    searched = _names(data, "searched", SEARCHABLE)
-    ground, stores = _ground(data), _stores(data)
-    table = Table(data)
+    table = read_toml(path)
     simulation, objective, body = (table.table(key) for key in ("simulation", "objective", "body"))
+    stores = table.table("stores")
+    configured = table.integer("seed")
     experiment = Experiment(
         name=_name(table),
-        seed=table.integer("seed"),
+        seed=configured if seed is None else Table({"seed": seed}).integer("seed"),
         runs=table.integer("runs", 50, 1, MOST_RUNS),
         trials=table.integer("trials", 100, 1, MOST_TRIALS),
-        arms=arms,
-        searched=searched,
+        arms=table.texts("arms"),
+        searched=table.texts("searched", SEARCHABLE),
         cost=objective.text("cost", "smooth", COSTS),
         duration_s=simulation.number("duration_s", 100.0, 1.0, LARGEST_DURATION_S),
         settings=read_settings(simulation, arch),
         disturbance=body.number("disturbance", 0.0, 0.0, 0.9),
-        ground=ground,
-        stores=stores,
+        ground=table.table("terrain").unread,
+        stores={key: Path(stores.text(key)) for key in stores.unread},
     )
     for part in (objective, simulation, body, table):
         part.done()
@@ -132,32 +130,3 @@ def _name(table: Table) -> str:
     if not re.fullmatch(NAME_PATTERN, name):
         raise InputError("name", name, "letters, digits, '.', '_' and '-', first a letter or digit")
     return name
-
-
-def _names(data: dict[str, Any], key: str, known: tuple[str, ...] | None) -> tuple[str, ...]:
-    """A list of different words; those of `known`, where it is given."""
-    words = data.pop(key, [])
-    allowed = f"a list of {'names' if known is None else ', '.join(known)}, each once"
-    if not isinstance(words, list) or len({str(word) for word in words}) != len(words):
-        raise InputError(key, words, allowed)
-    for word in words:
-        if not isinstance(word, str) or (known is not None and word not in known):
-            raise InputError(key, word, allowed)
-    return tuple(words)
-
-
-def _ground(data: dict[str, Any]) -> dict[str, Any]:
-    """The table [terrain], as it is written."""
-    ground = data.pop("terrain", {})
-    if not isinstance(ground, dict):
-        raise InputError("terrain", ground, "a table")
-    return ground
-
-
-def _stores(data: dict[str, Any]) -> dict[str, Path]:
-    """The table [stores]: a folder by name."""
-    stores = data.pop("stores", {})
-    if not isinstance(stores, dict):
-        raise InputError("stores", stores, "a table of folders by name")
-    table = Table(stores, "stores")
-    return {key: Path(table.text(key)) for key in stores}

@@ -53,8 +53,8 @@ def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
 def machine() -> dict[str, Any]:
     """What the trials were run on."""
     return {
-        "system": platform.platform(),
-        "processor": platform.processor() or platform.machine(),
+        "system": platform.system(),
+        "processor": platform.machine(),
         "cores": os.cpu_count(),
         "python": platform.python_version(),
     }

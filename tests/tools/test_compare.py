@@ -97,6 +97,33 @@ def test_the_table_is_for_people(command: Command, capsys: pytest.CaptureFixture
     assert lines[3].startswith("6 trials (6 now")
 
 
+def test_another_seed_has_a_folder_of_its_own(command: Command) -> None:
+    command.monkeypatch.chdir(command.folder)
+    options = command.arguments("--seed", "7", trials=1, arms="random")
+    place = options.index("--out")
+    del options[place : place + 2]
+    command.monkeypatch.setattr(command, "arguments", lambda *_, **__: options)
+    assert command.run() == 0
+    out = Path("out") / "compare" / "toy-seed-7"
+    assert json.loads((out / "experiment.json").read_text())["seed"] == 7
+    assert pq.read_metadata(out / "trials.parquet").num_rows == 3
+
+
+def test_a_password_is_not_printed(
+    command: Command, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from study.comparison import command as comparison
+
+    monkeypatch.setattr(comparison, "check_database", lambda *_: None)
+    monkeypatch.setattr(comparison, "export", lambda *_, **__: None)
+    url = "postgresql+psycopg://me:secret@host/walker"
+    for flags in ((), ("--json",)):
+        assert command.run(*flags, trials=1, arms="random", storage=url) == 0
+    said = capsys.readouterr()
+    assert "secret" not in said.out + said.err
+    assert said.out.count("postgresql+psycopg://me:***@host/walker") == 2
+
+
 def test_a_session_is_noted(command: Command) -> None:
     assert command.run(trials=1) == 0
     assert command.run(trials=1) == 0  # nothing to do: no session
@@ -113,6 +140,7 @@ def test_a_session_is_noted(command: Command) -> None:
         ({"arms": "dog,cat"}, "arm: 'cat'"),
         ({"runs": 0}, "runs: 0"),
         ({"trials": 0}, "trials: 0"),
+        ({"seed": -1}, "seed: -1"),
         ({"storage": "oracle://host/db"}, "storage: 'oracle://host/db'"),
         ({"arch": "cuda"}, "simulation.arch: 'cuda'"),
     ],

@@ -115,6 +115,7 @@ def no_gpu(settings: Settings) -> None:
         ({"trials": 0}, "trials: 0"),
         ({"trials": 1000}, "trials: 1000 .* at most 200"),
         ({"storage": "postgresql://host/db"}, "storage: 'postgresql://host/db' .* sqlite:///FILE"),
+        ({"storage": "postgresql+psycopg://me:secret@host"}, "storage: 'postgresql.psycopg://...'"),
         ({"store": "nowhere"}, "nowhere"),
         ({"arch": "cuda"}, "simulation.arch: 'cuda'"),
     ],
@@ -133,6 +134,16 @@ def test_bad_input_is_one_line_and_no_file(
     assert len(lines) == 1
     assert re.match(f"error: .*{message}", lines[0])
     assert [path.name for path in command.folder.iterdir()] == ["store"]
+
+
+def test_a_server_that_does_not_answer_is_one_line_without_its_password(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = "postgresql+psycopg://me:secret@127.0.0.1:1/walker"
+    assert command.run(storage=url) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith("error: storage: 'postgresql+psycopg://me:***@127.0.0.1:1/walker'")
+    assert "secret" not in line
 
 
 def test_a_store_of_other_bounds_is_refused(
