@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from study.command import run_command
 from study.comparison.experiment import Experiment
-from study.report.before_after import before_and_after, find_experiment
+from study.report.before_after import before_and_after, find_experiment, known_stores
 from study.report.optimum import find_optimum
 from study.report.results import Results, read_results
 from study.report.writing import REPORT_NAME, write_overview, write_report
@@ -42,14 +42,15 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def experiment_of(results: Results, configs: Path | None) -> Experiment | None:
+def experiment_of(results: Results, configs: Path | None, strips: bool) -> Experiment | None:
     """Its configuration; where nobody said which, one that is another's only costs the strips."""
     try:
         return find_experiment(results, configs or CONFIGS)
     except InputError as error:
         if configs is not None:
             raise
-        print(f"{results.name}: no strips ({error})", file=sys.stderr)
+        if strips:
+            print(f"{results.name}: no strips ({error})", file=sys.stderr)
         return None
 
 
@@ -61,13 +62,13 @@ def main() -> None:
         )
     everything = [read_results(folder) for folder in args.folders]
     optima = [find_optimum(results, args.optimum) for results in everything]
-    experiments = [
-        None if args.no_strips else experiment_of(results, args.configs) for results in everything
-    ]
+    strips = not args.no_strips
+    experiments = [experiment_of(results, args.configs, strips) for results in everything]
     found = []
     for results, optimum, experiment in zip(everything, optima, experiments, strict=True):
-        pair = None if experiment is None else before_and_after(results, experiment)
-        found.append(write_report(results, optimum, pair))
+        pair = before_and_after(results, experiment) if experiment and strips else None
+        stores = known_stores(results, experiment) if experiment else {}
+        found.append(write_report(results, optimum, pair, stores=stores))
         state = "" if results.complete else f" ({results.found:,} of {results.planned:,} trials)"
         print(f"{results.folder / REPORT_NAME}: {results.name}{state}", flush=True)
     if args.out is not None:

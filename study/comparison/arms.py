@@ -1,4 +1,4 @@
-"""The arms of the comparisons: what each is, what its store saw, and how its sampler is made."""
+"""The arms of the comparisons: what each is, what it reads, and how its sampler is made."""
 
 import importlib.util
 from collections.abc import Callable, Mapping
@@ -16,16 +16,6 @@ from study.draws import Purpose, seed_32bit
 from study.sampler.feature_sampler import FeatureKernelSampler
 from study.sampler.random_sampler import ReproducibleRandomSampler
 from taichi_nmm.errors import InputError
-
-NOTHING = "nothing but its own trials"
-SAW = {
-    "": NOTHING,
-    "flat": "level ground, undisturbed body",
-    "robust": "level ground; rough ground of 8 cm under bodies disturbed by 15 %",
-    "mild": "level ground; rough ground of 4 cm under bodies disturbed by 7.5 %",
-    "ramps": "level ground; ramps of up to 10 % under bodies disturbed by 15 %",
-    "diverse": "level ground; rough ground, blocks and ramps under disturbed bodies",
-}  # by store key
 
 DETERMINANTS = (
     "m1_mean", "m2_mean", "m3_mean", "m4_mean", "m5_mean_mps", "survived_fraction",
@@ -63,7 +53,6 @@ class Arm:
         new_sampler: makes one.
         store: key of the store that it reads, in the configuration's [stores]; "" for none.
         features: columns of that store, or what is computed of several.
-        seen: which settings its store saw, where the key does not say enough.
         fresh: its sampler is made anew for each trial, since the library keeps a state in it.
         replayed: the library keeps a state in the trials, which a resumed study must repeat.
         needs: a package that is not among this project's own; "" for none.
@@ -76,7 +65,6 @@ class Arm:
     new_sampler: Callable[[Task], BaseSampler]
     store: str = ""
     features: tuple[Feature, ...] = ()
-    seen: str = ""
     fresh: bool = False
     replayed: bool = False
     needs: str = ""
@@ -93,11 +81,6 @@ class Arm:
         """What decides what it proposes, as JSON values: trials of two definitions must not mix."""
         features = [definition_of(feature) for feature in self.features]
         return {"store": self.store, "features": features, "options": dict(self.options)}
-
-    @property
-    def saw(self) -> str:
-        """Which settings its store saw."""
-        return self.seen or SAW.get(self.store, f"the store {self.store}")
 
 
 def find_arm(name: str) -> Arm:
@@ -149,7 +132,6 @@ def _table_arm(
     summary: str,
     store: str,
     features: tuple[Feature, ...],
-    seen: str = "",
     **options: Any,
 ) -> Arm:
     """Our sampler over a store's rows, `options` being those of `FeatureKernelSampler`."""
@@ -157,7 +139,7 @@ def _table_arm(
     def new_sampler(task: Task) -> BaseSampler:
         return FeatureKernelSampler(task.table, seed=task.seed, **options)
 
-    return Arm(name, summary, new_sampler, store, features, seen, options=options)
+    return Arm(name, summary, new_sampler, store, features, options=options)
 
 
 def _paper_arm(name: str, summary: str, store: str, families: tuple[str, ...]) -> Arm:
@@ -165,21 +147,18 @@ def _paper_arm(name: str, summary: str, store: str, families: tuple[str, ...]) -
     return _table_arm(name, summary, store, (Survival(families),), **PAPER)
 
 
-def _best_arm(
-    name: str, summary: str, store: str, families: tuple[str, ...], seen: str = ""
-) -> Arm:
+def _best_arm(name: str, summary: str, store: str, families: tuple[str, ...]) -> Arm:
     """Likeness by the survival of each family and the speed; their mean is also a prior."""
     each = (Survival((family,), family) for family in families)
     mean = Survival(families, survivors=True)
-    return _table_arm(name, summary, store, (mean, *each, SPEED), seen, **BEST)
+    return _table_arm(name, summary, store, (mean, *each, SPEED), **BEST)
 
 
 def _best_without(kind: str) -> Arm:
     """The best arm, blind to the families of one kind of ground."""
     families = tuple(family for family in FAMILIES if family not in KINDS[kind])
-    seen = f"level ground; under disturbed bodies: {', '.join(families)} (of the diverse store)"
     summary = f"best, having seen no {kind}"
-    return _best_arm(f"best-without-{kind}", summary, "diverse", families, seen)
+    return _best_arm(f"best-without-{kind}", summary, "diverse", families)
 
 
 def _ordered_arm(name: str, summary: str, store: str, features: tuple[Feature, ...]) -> Arm:

@@ -111,7 +111,7 @@ def compare(
         if request.artifacts:
             make_artifacts(experiment, results, url, folder.path, drawn, request.workers)
         times = read_columns(folder.path / TIMES_NAME)
-        found = summaries(results, times)
+        found = summaries(results, times, experiment.stores)
         return Outcome(results, url, found, session.computed, session.wall_s)
 
 

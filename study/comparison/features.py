@@ -28,8 +28,8 @@ class Survival:
     name: str = "survival"
     survivors: bool = False
 
-    def columns(self, store: Store) -> tuple[str, ...]:
-        """Columns that are averaged.
+    def families_of(self, store: Store) -> tuple[str, ...]:
+        """Families that are averaged.
 
         Raises:
             InputError: the store has no such family, or none at all.
@@ -40,7 +40,7 @@ class Survival:
             if family not in known:
                 allowed = f"a store with the column {family}{COLUMN_END}"
                 raise InputError("store", str(store.path), allowed)
-        return tuple(f"{family}{COLUMN_END}" for family in self.families or known)
+        return self.families or known
 
 
 Feature = str | Survival
@@ -67,23 +67,24 @@ def check_feature(feature: Feature, store: Store) -> None:
         InputError: naming the store and the column.
     """
     if not isinstance(feature, str):
-        feature.columns(store)
+        feature.families_of(store)
     elif feature not in store.columns:
         raise InputError("store", str(store.path), f"a store with the column {feature}")
 
 
 def feature_values(feature: Feature, store: Store) -> Floats:
     """The feature of every row, NaN where the row is left out, [n]."""
-    columns = (feature,) if isinstance(feature, str) else feature.columns(store)
-    values = _columns(store, columns).mean(axis=0)
-    if isinstance(feature, Survival) and feature.survivors:
-        families = (name.removesuffix(COLUMN_END) for name in columns)
-        ran = _columns(store, tuple(evaluated_name(family) for family in families)).any(axis=0)
+    if isinstance(feature, str):
+        return np.asarray(_columns(store, [feature])[0])
+    families = feature.families_of(store)
+    values = _columns(store, [f"{family}{COLUMN_END}" for family in families]).mean(axis=0)
+    if feature.survivors:
+        ran = _columns(store, [evaluated_name(family) for family in families]).any(axis=0)
         values[~ran] = np.nan
     return np.asarray(values)
 
 
-def _columns(store: Store, names: tuple[str, ...]) -> Floats:
+def _columns(store: Store, names: list[str]) -> Floats:
     """Columns as rows of numbers, [k, n]."""
     table = store.table(names)
     return np.array([table[name].to_numpy() for name in names], dtype=np.float64)

@@ -1,12 +1,15 @@
 """What a comparison says at its end: a line an arm."""
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from study.comparison.arms import ARMS
+from study.comparison.saw import saw
 
 _READ = ("run", "trial", "walked", "best_cost")
 
@@ -37,12 +40,13 @@ class ArmSummary:
     proposal_ms: float
 
 
-def summaries(trials: pa.Table, times: pa.Table) -> list[ArmSummary]:
+def summaries(trials: pa.Table, times: pa.Table, stores: Mapping[str, Path]) -> list[ArmSummary]:
     """Of each arm of a table of results, in the order of their names.
 
     Args:
         trials: `RESULT_SCHEMA`, sorted by arm, run and trial.
         times: proposal times, in the same order.
+        stores: folders of the experiment's, by key.
     """
     arm = trials["arm"].to_numpy(zero_copy_only=False)
     columns = {name: trials[name].to_numpy(zero_copy_only=False) for name in _READ}
@@ -51,11 +55,12 @@ def summaries(trials: pa.Table, times: pa.Table) -> list[ArmSummary]:
     for name in dict.fromkeys(arm.tolist()):
         mine = arm == name
         part = {column: values[mine] for column, values in columns.items()}
-        found.append(_summary(name, part, float(seconds[mine].mean())))
+        seen = saw(ARMS[name], stores) if name in ARMS else ""
+        found.append(_summary(name, seen, part, float(seconds[mine].mean())))
     return found
 
 
-def _summary(name: str, columns: dict[str, Any], proposal_s: float) -> ArmSummary:
+def _summary(name: str, seen: str, columns: dict[str, Any], proposal_s: float) -> ArmSummary:
     runs, last = np.unique(columns["run"][::-1], return_index=True)
     best = columns["best_cost"][::-1][last]  # sorted by trial: the first from behind is the last
     first = np.full(len(runs), np.inf)
@@ -65,7 +70,7 @@ def _summary(name: str, columns: dict[str, Any], proposal_s: float) -> ArmSummar
     median = float(np.sort(first)[(len(first) - 1) // 2 : len(first) // 2 + 1].mean())
     return ArmSummary(
         arm=name,
-        saw=ARMS[name].saw if name in ARMS else "",
+        saw=seen,
         runs=len(runs),
         trials=len(columns["run"]),
         walkers=int(np.isfinite(first).sum()),

@@ -3,6 +3,7 @@
 Both are simulated again, on the body and the ground of their run, to be drawn.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from storage.document import difference
 from study.comparison.experiment import Experiment, read_experiment
 from study.comparison.identity import document
 from study.comparison.simulation import simulate_trials
+from study.comparison.stores import store_digest
 from study.report.appearance import BEST, LABELS, PAPER, by_rank
 from study.report.results import Results, read_trials, table_files
 from taichi_nmm.errors import InputError
@@ -84,6 +86,17 @@ def find_experiment(results: Results, configs: Path) -> Experiment | None:
         allowed = f"{then!r}, with which {results.folder} was made; or another --configs"
         raise InputError(f"{path.name}: {name}", now, allowed)
     return experiment
+
+
+def known_stores(results: Results, experiment: Experiment) -> dict[str, Path]:
+    """The stores of the experiment that still are what the results were made with, by key."""
+    digests = results.facts.get("stores", {})
+    known = {}
+    for key, path in experiment.stores.items():
+        with suppress(InputError, OSError):  # not there, or damaged
+            if key in digests and store_digest(path) == digests[key]:
+                known[key] = path
+    return known
 
 
 def before_and_after(results: Results, experiment: Experiment) -> Pair | None:

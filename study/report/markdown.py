@@ -1,16 +1,20 @@
 """The report of an experiment as Markdown: what each arm saw, what it reached, and the tests."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from study.comparison.arms import ARMS
+from study.comparison.saw import saw
 from study.report.appearance import LABELS, PAPER
 from study.report.facts import facts
 from study.report.numbers import ArmNumbers, Comparison, Numbers
 from study.report.results import Results
 from study.report.statistics import RESAMPLES, Interval
 
+NO_STORES: Mapping[str, Path] = MappingProxyType({})
 UNKNOWN = "not recorded"
 METHOD = f"""\
 A trial walks if it lasts to its end at 0.3 m/s or more; trials are counted from 1. Runs are the \
@@ -27,7 +31,13 @@ table, the unadjusted in brackets. Below 0 the arm is better."""
 PROPOSAL = "The last column is the median time in ms that the sampler took to propose a trial."
 
 
-def report_text(results: Results, numbers: Numbers, optimum: float | None, strips: str = "") -> str:
+def report_text(
+    results: Results,
+    numbers: Numbers,
+    optimum: float | None,
+    strips: str = "",
+    stores: Mapping[str, Path] = NO_STORES,
+) -> str:
     """The document; figures are linked by their names beside it.
 
     Args:
@@ -35,6 +45,7 @@ def report_text(results: Results, numbers: Numbers, optimum: float | None, strip
         numbers: of the same.
         optimum: the estimated optimum, where it is known.
         strips: what the figure of stick figures shows; "" where there is none.
+        stores: folders of the stores that the arms read, by key, where they are known.
     """
     figures = FIGURES | ({"strips": strips} if strips else {})
     parts = [
@@ -50,7 +61,7 @@ def report_text(results: Results, numbers: Numbers, optimum: float | None, strip
         PROPOSAL if any(arm.proposal_ms is not None for arm in numbers.arms) else "",
         *_tests(numbers),
         "## What the arms saw before their first trial",
-        _saw(numbers),
+        _saw(numbers, stores),
         "## Figures",
         *(f"![{words}]({name}.png)" for name, words in figures.items()),
     ]
@@ -184,9 +195,9 @@ def _test_row(each: Comparison, after: int) -> list[str]:
     ]
 
 
-def _saw(numbers: Numbers) -> str:
+def _saw(numbers: Numbers, stores: Mapping[str, Path]) -> str:
     rows = [
-        [label(each.arm), ARMS[each.arm].summary, ARMS[each.arm].saw]
+        [label(each.arm), ARMS[each.arm].summary, saw(ARMS[each.arm], stores)]
         if each.arm in ARMS
         else [label(each.arm), UNKNOWN, UNKNOWN]
         for each in numbers.arms

@@ -1,6 +1,6 @@
 """Everything that a report consists of, written into its folder."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from storage.commit import commit_json, writable
@@ -9,7 +9,7 @@ from study.report.before_after import Pair
 from study.report.curves import write_best_cost, write_walkers
 from study.report.dots import write_first_walker
 from study.report.grid import write_grid
-from study.report.markdown import report_text
+from study.report.markdown import NO_STORES, report_text
 from study.report.numbers import Numbers, numbers
 from study.report.overview import overview_text
 from study.report.results import Results
@@ -23,6 +23,7 @@ def write_report(
     optimum: float | None,
     pair: Pair | None = None,
     folder: Path | None = None,
+    stores: Mapping[str, Path] = NO_STORES,
 ) -> Numbers:
     """Write report.md, summary.json and the figures of one experiment.
 
@@ -31,6 +32,7 @@ def write_report(
         optimum: the estimated optimum of its cost, where it is known.
         pair: two walks to show before and after.
         folder: by default `report` in the experiment's own.
+        stores: folders of the stores that its arms read, by key, where they are known.
 
     Raises:
         InputError: the folder cannot be written.
@@ -53,7 +55,8 @@ def write_report(
             **found.as_dict(),
         },
     )
-    commit_text(folder / "report.md", report_text(results, found, optimum, _strips(pair)))
+    text = report_text(results, found, optimum, _strips(pair), stores)
+    commit_text(folder / "report.md", text)
     return found
 
 

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from storage.store import open_store
-from study.comparison import arms, cmaes
-from study.comparison.arms import ARMS, find_arm
+from study.comparison import cmaes
+from study.comparison.arms import ARMS, FAMILIES, find_arm
 from study.comparison.controls import TOP_ROWS, score_order
 from study.comparison.features import Survival, check_feature, feature_values
 from study.comparison.group import StudyGroup, sampler_seed
+from study.comparison.saw import NOTHING, saw
 from study.comparison.stores import Tables
 from study.comparison.task import Task
 from taichi_nmm.errors import InputError
@@ -114,12 +115,20 @@ def test_a_sampler_that_is_new_every_trial_does_not_need_one_process(
         assert not ARMS[arm].fresh
 
 
-def test_arms_say_what_their_stores_saw() -> None:
+def test_arms_say_what_their_stores_saw(comparisons: Comparisons) -> None:
+    stores = comparisons.experiment.stores
     for arm in ARMS.values():
         assert arm.summary
-        assert (arm.saw == arms.NOTHING) == (not arm.store)
-        assert arm.saw in (arm.seen, arms.SAW[arm.store])
         assert bool(arm.store) == bool(arm.features)
+        for known in (stores, {}):
+            assert (saw(arm, known) == NOTHING) == (not arm.store)
+    level = "undisturbed body: level ground"
+    assert saw(ARMS["dog"], stores) == level
+    rough = "rough +-0.08 m every 1 m"
+    assert saw(ARMS["best-robust"], stores) == f"{level}; bodies disturbed by 15 %: {rough}"
+    # The toy's stores are one, and "robust" reads every family of it.
+    assert saw(ARMS["score-first"], stores).count(rough) == 1 + len(FAMILIES)
+    assert saw(ARMS["best-without-ramps"], {}).endswith("families: rough, blocks")
 
 
 def test_samplers_see_that_a_trial_fell_and_what_it_showed(comparisons: Comparisons) -> None:

@@ -185,4 +185,4 @@ def test_the_summary_counts_first_walkers(comparisons: Comparisons) -> None:
         first = walkers.reindex(range(3), fill_value=np.inf).median()
         assert one.first_walker == (first if np.isfinite(first) else None)
     times = pq.read_table(comparisons.folder / "out" / "proposal_times.parquet")
-    assert summaries(comparisons.table("out"), times) == outcome.arms
+    assert summaries(comparisons.table("out"), times, comparisons.experiment.stores) == outcome.arms

@@ -12,7 +12,15 @@ import pytest
 import taichi_nmm
 from study.comparison.experiment import Experiment, read_experiment
 from study.comparison.identity import document
-from study.report.before_after import Pair, Shown, before_and_after, choose, find_experiment
+from study.comparison.stores import store_digest
+from study.report.before_after import (
+    Pair,
+    Shown,
+    before_and_after,
+    choose,
+    find_experiment,
+    known_stores,
+)
 from study.report.facts import facts
 from study.report.results import Results, read_results
 from study.report.strips import write_strips
@@ -159,3 +167,14 @@ def test_facts_of_several_sessions(tmp_path: Path) -> None:
     assert found["machine"] == "system Linux, cores 2"
     (folder / "run.json").unlink()
     assert "date" not in facts(read_results(folder))
+
+
+def test_a_store_that_is_not_what_the_results_were_made_with_is_not_known(tmp_path: Path) -> None:
+    paths = {name: tmp_path / f"{name}.parquet" for name in ("flat", "mild", "ramps")}
+    for name in ("flat", "mild"):
+        paths[name].write_text(name)
+    digests = {key: store_digest(paths["flat"]) for key in paths}
+    results = replace(write(tmp_path / "tiny", {"dog": [[5]]}), facts={"stores": digests})
+    made = replace(experiment(tmp_path / "configs"), stores=paths)
+    assert known_stores(results, made) == {"flat": paths["flat"]}
+    assert known_stores(replace(results, facts={}), made) == {}
