@@ -1,6 +1,7 @@
 """The stores that an experiment's arms read: checked before the work, read once a process."""
 
 import hashlib
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,12 +29,15 @@ class Tables:
         if (path, features) not in self._known:
             opened = open_store(path)
             stored = opened.table(self.experiment.names)
-            self._known[path, features] = FeatureTable.from_arrays(
-                {name: stored[name].to_numpy() for name in self.experiment.names},
-                np.column_stack([feature_values(feature, opened) for feature in features]),
-                [name_of(feature) for feature in features],
-                space=self.experiment.space,
-            )
+            with warnings.catch_warnings():
+                # Rows are left out on purpose; stores themselves have no gaps.
+                warnings.filterwarnings("ignore", ".* not finite are not proposed", UserWarning)
+                self._known[path, features] = FeatureTable.from_arrays(
+                    {name: stored[name].to_numpy() for name in self.experiment.names},
+                    np.column_stack([feature_values(feature, opened) for feature in features]),
+                    [name_of(feature) for feature in features],
+                    space=self.experiment.space,
+                )
         return self._known[path, features]
 
 

@@ -20,7 +20,9 @@ from optuna.trial import TrialState
 
 from storage.studies import open_studies
 from study import FeatureKernelSampler, FeatureTable
+from study.sampler.model import Model
 from study.sampler.options import ACQUISITIONS, COST_TRANSFORMS, KERNELS, MEANS
+from study.sampler.points import Points
 
 ROOT = Path(__file__).parents[2]
 SPACE = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
@@ -194,6 +196,40 @@ def test_a_prior_decides_first_and_fades() -> None:
     first = [abs(trial.params["a"]) for trial in study.trials[:3]]
     assert max(first) <= size[25]
     assert max(abs(trial.params["a"]) for trial in study.trials) >= size[-3]
+
+
+@pytest.mark.filterwarnings("ignore:FeatureTable")
+@pytest.mark.parametrize("acquisition", ["ei", "log_ei", "ucb"])
+def test_rows_left_out_are_not_looked_at_and_change_no_choice(
+    acquisition: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(0)
+    columns = {"a": rng.uniform(-1, 1, 300), "b": rng.uniform(0, 5, 300)}
+    values = features(np.column_stack(list(columns.values())))
+    values[100:, 0] = np.nan
+    table = FeatureTable.from_arrays(columns, values, ["size", "side"])
+    looked: list[int] = []
+    looked_at = Model._looked_at
+
+    def counted(model: Model, points: Points, offered: Any, rng: Any) -> Any:
+        some = looked_at(model, points, offered, rng)
+        looked.append(len(some))
+        return some
+
+    def proposed() -> list[dict[str, Any]]:
+        sampler = FeatureKernelSampler(
+            table, seed=3, kernel="rbf_ard", acquisition=acquisition, prior="-size"
+        )
+        study = optuna.create_study(sampler=sampler)
+        study.optimize(bowl, n_trials=12)
+        return parameters_of(study)
+
+    monkeypatch.setattr(Model, "_looked_at", counted)
+    some = proposed()
+    assert max(looked) <= 100
+    monkeypatch.setattr(Model, "_looked_at", lambda model, points, *_: np.arange(len(points)))
+    assert some == proposed()
+    assert {params["a"] for params in some} <= set(columns["a"][:100])
 
 
 def test_enqueued_points_are_learned_from_where_their_features_are_known() -> None:

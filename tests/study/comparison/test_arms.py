@@ -5,16 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage.store import open_store
 from study.comparison import cmaes
 from study.comparison.arms import ARMS, FAMILIES, find_arm
 from study.comparison.controls import TOP_ROWS, score_order
-from study.comparison.features import Survival, check_feature, feature_values
 from study.comparison.group import StudyGroup, sampler_seed
 from study.comparison.saw import NOTHING, saw
 from study.comparison.stores import Tables
 from study.comparison.task import Task
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from tests.study.comparison import fake
 from tests.study.comparison.conftest import Comparisons
@@ -141,18 +138,3 @@ def test_samplers_see_that_a_trial_fell_and_what_it_showed(comparisons: Comparis
     attributes = study._study.trials[0].user_attrs
     assert attributes["fell"] == bool(rows["end_reason"][0] != 0)
     assert attributes["shown"] == [17.0]
-
-
-def test_survival_is_the_mean_over_the_families_of_a_store(
-    fake_walker: None, tmp_path: Path
-) -> None:
-    family = {"settings": 2, "min_survival_s": 1.0, "body": {"disturbance": 0.15}}
-    fake.write_store(tmp_path / "store", robust={}, families={"up": family, "down": family})
-    store = open_store(tmp_path / "store")
-    up, down = (
-        store.table()[f"{name}_survived_fraction_mean"].to_numpy() for name in ("up", "down")
-    )
-    np.testing.assert_allclose(feature_values(Survival(), store), (up + down) / 2)
-    np.testing.assert_array_equal(feature_values(Survival(("up",)), store), up)
-    with pytest.raises(InputError, match="robust_survived_fraction_mean"):
-        check_feature(Survival(("robust",)), store)

@@ -1,0 +1,96 @@
+"""Features of a store's rows, and what the arms make of them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from storage.store import Store, open_store
+from study.comparison.arms import ARMS, BEST, FAMILIES, KINDS
+from study.comparison.features import Survival, check_feature, feature_values
+from study.comparison.stores import Tables
+from taichi_nmm.errors import InputError
+from tests.study.comparison import fake
+from tests.study.comparison.conftest import Comparisons
+
+# A third of the fake's points falls sooner.
+STRICT = {"settings": 1, "min_survival_s": 2.8, "body": {"disturbance": 0.15}}
+
+
+def write(folder: Path, families: tuple[str, ...]) -> Store:
+    fake.write_store(folder, robust={}, families=dict.fromkeys(families, STRICT))
+    return open_store(folder)
+
+
+def test_survival_is_the_mean_over_the_families_of_a_store(
+    fake_walker: None, tmp_path: Path
+) -> None:
+    store = write(tmp_path / "store", ("up", "down"))
+    up, down = (
+        store.table()[f"{name}_survived_fraction_mean"].to_numpy() for name in ("up", "down")
+    )
+    np.testing.assert_allclose(feature_values(Survival(), store), (up + down) / 2)
+    np.testing.assert_array_equal(feature_values(Survival(("up",)), store), up)
+
+
+@pytest.mark.filterwarnings("error:FeatureTable")
+def test_rows_that_no_family_ran_are_left_out(comparisons: Comparisons) -> None:
+    store = write(comparisons.folder / "strict", FAMILIES)
+    ran = store.table()["rough_evaluated"].to_numpy()
+    assert 30 < ran.sum() < len(store) - 30
+    survivors = replace(Survival(FAMILIES), survivors=True)
+    everyone = feature_values(Survival(FAMILIES), store)
+    np.testing.assert_array_equal(feature_values(survivors, store), np.where(ran, everyone, np.nan))
+    stores = dict.fromkeys(comparisons.experiment.stores, store.path)
+    experiment = replace(comparisons.experiment, stores=stores)
+    table = Tables(experiment).get("diverse", ARMS["best"].features)
+    np.testing.assert_array_equal(table.rows.offered, ran)
+    comparisons.run("out", experiment=experiment, arms=("best",), runs=2, trials=20)
+    assert ran[comparisons.table("out")["row"].to_numpy()].all()
+
+
+@pytest.mark.parametrize(
+    ("feature", "column"),
+    [
+        (Survival(), "robust_survived_fraction_mean"),
+        (Survival(("up", "rough")), "rough_survived_fraction_mean"),
+        (Survival(("rough",), survivors=True), "rough_survived_fraction_mean"),
+        ("phi_reprinted", "phi_reprinted"),
+    ],
+)
+def test_a_store_without_what_a_feature_needs(
+    feature: str | Survival, column: str, fake_walker: None, tmp_path: Path
+) -> None:
+    store = write(tmp_path / "store", () if feature == Survival() else ("up",))
+    check_feature("mean_speed_mps", store)
+    assert feature_values("mean_speed_mps", store).shape == (len(store),)
+    with pytest.raises(InputError) as caught:
+        check_feature(feature, store)
+    assert str(caught.value).endswith(f"a store with the column {column}")
+    assert "\n" not in str(caught.value)
+
+
+def test_the_best_arm_is_what_its_definition_says() -> None:
+    definition = ARMS["best"].definition
+    assert definition["options"] == BEST
+    assert definition["features"] == [
+        ["survival", *FAMILIES, "survivors only"],
+        *([name, name] for name in FAMILIES),
+        "mean_speed_mps",
+    ]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_best_arm_without_a_kind_of_ground_reads_nothing_of_it(kind: str) -> None:
+    arm = ARMS[f"best-without-{kind}"]
+    read = {name for each in arm.features if isinstance(each, Survival) for name in each.families}
+    assert read == set(FAMILIES) - set(KINDS[kind])
+    assert arm.definition["options"] == BEST
+
+
+def test_best_arms_on_other_stores_differ_in_what_they_read_only() -> None:
+    read = {"best": "diverse", "best-robust": "robust", "best-mild": "mild", "best-ramps": "ramps"}
+    for name, store in read.items():
+        assert ARMS[name].store == store
+        assert ARMS[name].definition["options"] == BEST
