@@ -35,15 +35,22 @@ def commit(path: Path, write: Callable[[Path], None], check: Callable[[Path], No
             temporary.unlink(missing_ok=True)
 
 
-def commit_json(path: Path, document: dict[str, Any]) -> None:
-    """Make a JSON file."""
-    text = json.dumps(document, indent=2) + "\n"
+def commit_text(path: Path, text: str) -> None:
+    """Make a text file."""
+
+    def write(temporary: Path) -> None:
+        temporary.write_text(text, encoding="utf-8")
 
     def check(temporary: Path) -> None:
-        if json.loads(temporary.read_text(encoding="utf-8")) != document:
+        if temporary.read_text(encoding="utf-8") != text:
             raise OSError("what was read back differs from what was written")
 
-    commit(path, lambda temporary: _write_text(temporary, text), check)
+    commit(path, write, check)
+
+
+def commit_json(path: Path, document: dict[str, Any]) -> None:
+    """Make a JSON file."""
+    commit_text(path, json.dumps(document, indent=2) + "\n")
 
 
 @contextmanager
@@ -54,10 +61,6 @@ def writable(path: Path) -> Iterator[None]:
     except OSError as error:
         allowed = f"a place that can be written, with space left ({error.strerror or error})"
         raise InputError("out", str(path), allowed) from None
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 def _sync(path: Path) -> None:

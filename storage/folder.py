@@ -6,7 +6,6 @@ manifest.json        written last: SHA-256 of every shard
 .lock                held by the one process that writes
 """
 
-import fcntl
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +15,8 @@ from typing import Any
 
 import pyarrow as pa
 
-from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
+from storage.claim import claimed, remove
+from storage.commit import commit_json
 from storage.document import FORMAT, difference
 from storage.manifest import MANIFEST_NAME, Manifest
 from storage.schema import columns_of
@@ -26,7 +26,6 @@ from taichi_nmm.errors import InputError
 
 SPECIFICATION_NAME = "specification.json"
 SHARD_PATTERN = "part-*.parquet"
-LOCK_NAME = ".lock"
 
 
 @dataclass(frozen=True)
@@ -45,15 +44,9 @@ class StoreFolder:
             InputError: in use by another process, not a store, a store of another specification,
                 or not writable.
         """
-        _refuse_foreign(path)
-        with writable(path):
-            path.mkdir(parents=True, exist_ok=True)
-            lock = (path / LOCK_NAME).open("a")  # never removed: another process may hold it
-        with lock:
-            _lock(lock.fileno(), path)
-            _remove(path, f".*{TEMPORARY_SUFFIX}")
+        with claimed(path, SPECIFICATION_NAME, "a store"):
             if fresh:
-                _remove(path, MANIFEST_NAME, SHARD_PATTERN, SPECIFICATION_NAME)
+                remove(path, MANIFEST_NAME, SHARD_PATTERN, SPECIFICATION_NAME)
             _agree(path / SPECIFICATION_NAME, specification)
             yield StoreFolder(path, specification)
 
@@ -65,7 +58,7 @@ class StoreFolder:
 
     def write_shard(self, number: int, table: pa.Table, computed_by: dict[str, Any]) -> None:
         """Commit one shard; `computed_by` names code, engine and architecture."""
-        _remove(self.path, MANIFEST_NAME)  # it would speak of the shard that this one replaces
+        remove(self.path, MANIFEST_NAME)  # it would speak of the shard that this one replaces
         footer = self._expected_footer(number) | {
             **computed_by,
             "seed": self.specification.seed,
@@ -106,36 +99,6 @@ class StoreFolder:
             return Manifest.read(self.path).hashes
         except InputError:
             return {}
-
-
-def _refuse_foreign(path: Path) -> None:
-    """Refuse a folder that holds something, but no store: shards would overwrite its files."""
-    if path.exists() and not path.is_dir():
-        raise InputError("out", str(path), "a folder")
-    with writable(path):
-        names = {file.name for file in path.iterdir()} if path.is_dir() else set()
-    foreign = sorted(name for name in names if name != LOCK_NAME and not _is_temporary(name))
-    if foreign and SPECIFICATION_NAME not in names:
-        raise InputError("out", str(path), f"an empty folder or a store (this has {foreign[0]})")
-
-
-def _is_temporary(name: str) -> bool:
-    return name.startswith(".") and name.endswith(TEMPORARY_SUFFIX)
-
-
-def _lock(descriptor: int, path: Path) -> None:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        allowed = "a folder that no other process is filling at this moment"
-        raise InputError("out", str(path), allowed) from None
-
-
-def _remove(path: Path, *patterns: str) -> None:
-    with writable(path):
-        for pattern in patterns:
-            for file in path.glob(pattern):
-                file.unlink()
 
 
 def _agree(path: Path, specification: Specification) -> None:

@@ -69,7 +69,7 @@ class StudyConfig:
 def read_study_config(path: str | Path, arch: str | None = None) -> StudyConfig:
     """Read and check a study's TOML; `arch` overrides the file's."""
     table = read_toml(path)
-    name, seed = _name(table), table.integer("seed")
+    name, seed = read_name(table), table.integer("seed")
     objective, simulation = table.table("objective"), table.table("simulation")
     dog = table.table("dog")
     config = StudyConfig(
@@ -89,7 +89,8 @@ def read_study_config(path: str | Path, arch: str | None = None) -> StudyConfig:
     return config
 
 
-def _name(table: Table) -> str:
+def read_name(table: Table) -> str:
+    """The key "name", which becomes a part of studies' and folders' names."""
     name = table.text("name")
     if not re.fullmatch(NAME_PATTERN, name):
         raise InputError("name", name, "letters, digits, '.', '_' and '-', first a letter or digit")

@@ -25,11 +25,10 @@ from optuna.artifacts import FileSystemArtifactStore
 from storage.studies import URL_PREFIX as SQLITE
 from storage.studies import open_studies, shown_url, studies_path
 from study.command import run_command
+from study.comparison.folder import ARTIFACTS_NAME, DATABASE_NAME
 from taichi_nmm.errors import InputError
 
 EXPERIMENTS = Path("out") / "compare"
-DATABASE_NAME = "studies.db"
-ARTIFACTS_NAME = "artifacts"
 HOST = "127.0.0.1"  # the dashboard asks nobody who they are
 
 

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from tqdm import tqdm
 
-from storage.commit import writable
+from storage.commit import commit_text, writable
 from study.benchmarks import comparison_report, peers, sampler_timing
 from study.benchmarks.sampler_timing import Case, Measured
 from study.command import run_command
@@ -73,7 +73,7 @@ def main() -> None:
     with writable(options.out):
         options.out.mkdir(parents=True, exist_ok=True)
     plot(timings, options.out / "sampler-timing.png")
-    comparison_report.commit_text(options.out / "sampler-timing.md", text)
+    commit_text(options.out / "sampler-timing.md", text)
     print(text)
 
 

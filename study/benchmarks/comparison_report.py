@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.commit import commit, writable
+from storage.commit import commit_text, writable
 from study.benchmarks.peers import ARMS
 from study.benchmarks.regret import Summary, mean_of, median_of, ratio_of_means, simple_regret
 
@@ -144,19 +144,6 @@ def write(folder: Path, report: Report, text: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     _plot(folder / "sampler-comparison.png", report)
     commit_text(path, text)
-
-
-def commit_text(path: Path, text: str) -> None:
-    """Write a document whole, or not at all."""
-
-    def fill(temporary: Path) -> None:
-        temporary.write_text(text, encoding="utf-8")
-
-    def check(temporary: Path) -> None:
-        if temporary.read_text(encoding="utf-8") != text:
-            raise OSError("the document was not written whole")
-
-    commit(path, fill, check)
 
 
 def machine() -> str:

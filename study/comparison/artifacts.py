@@ -26,11 +26,11 @@ from storage.studies import open_studies, storage_errors
 from study.comparison.database import fingerprint, study_name
 from study.comparison.drawing import FILM, STRIP, Task, drawers
 from study.comparison.experiment import Experiment
+from study.comparison.folder import ARTIFACTS_NAME
 from study.comparison.results import gains_of
 from study.comparison.simulation import simulate_trials
 from study.pictures import find_ffmpeg
 
-ARTIFACTS_NAME = "artifacts"
 RECORDED_S = 12.0  # from the start of the trial
 RECORD_RATE_HZ = 50.0
 WALKS_PER_BATCH = 64  # 1.5 MB each while they are recorded

@@ -14,14 +14,13 @@ from study.comparison.artifacts import make_artifacts
 from study.comparison.check import check_arms
 from study.comparison.database import check_database, export
 from study.comparison.experiment import Experiment
-from study.comparison.folder import TIMES_NAME, ExperimentFolder
+from study.comparison.folder import DATABASE_NAME, TIMES_NAME, ExperimentFolder
 from study.comparison.identity import document, machine
 from study.comparison.lockstep import Lockstep, Progress
 from study.comparison.summary import ArmSummary, summaries
 from study.pictures import find_ffmpeg
 from taichi_nmm.errors import InputError
 
-DATABASE_NAME = "studies.db"
 EXPORT_S = 60.0  # between two renewals of the study database
 
 

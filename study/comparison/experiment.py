@@ -1,6 +1,5 @@
 """An experiment: the bodies, the grounds and the cost that every arm of a comparison shares."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -9,11 +8,10 @@ from typing import Any
 
 from optuna.distributions import FloatDistribution
 
-from study.config import COSTS, LARGEST_DURATION_S, NAME_PATTERN
+from study.config import COSTS, LARGEST_DURATION_S, read_name
 from study.draws import Purpose, stream
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table, read_settings, read_terrain, read_toml
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
@@ -106,7 +104,7 @@ def read_experiment(
     stores = table.table("stores")
     configured = table.integer("seed")
     experiment = Experiment(
-        name=_name(table),
+        name=read_name(table),
         seed=configured if seed is None else Table({"seed": seed}).integer("seed"),
         runs=table.integer("runs", 50, 1, MOST_RUNS),
         trials=table.integer("trials", 100, 1, MOST_TRIALS),
@@ -123,10 +121,3 @@ def read_experiment(
         part.done()
     experiment.terrain(0)  # reads every key of [terrain]
     return experiment
-
-
-def _name(table: Table) -> str:
-    name = table.text("name")
-    if not re.fullmatch(NAME_PATTERN, name):
-        raise InputError("name", name, "letters, digits, '.', '_' and '-', first a letter or digit")
-    return name

@@ -5,10 +5,11 @@ arms/NAME.parquet       all finished trials of an arm, rewritten whole at each c
 trials.parquet          written last: all arms
 proposal_times.parquet  written last: what the samplers took, which no two runs agree upon
 run.json                when, on what machine, and how long
+studies.db              the study database, where no other is asked for
+artifacts/              pictures and films of each study's best trial
 .lock                   held by the one process that writes
 """
 
-import fcntl
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,11 +19,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from storage.claim import claimed, remove
 from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
 from storage.document import difference
-from storage.shard import FOOTER_KEY, first_line, read_columns, write_table
+from storage.shard import read_columns, write_table
 from study.comparison.results import RESULT_SCHEMA, STATE_SCHEMA, TIME_COLUMNS, in_order
 from taichi_nmm.errors import InputError
 
@@ -31,7 +32,8 @@ RESULTS_NAME = "trials.parquet"
 TIMES_NAME = "proposal_times.parquet"
 RUN_NAME = "run.json"
 ARMS_NAME = "arms"
-LOCK_NAME = ".lock"
+DATABASE_NAME = "studies.db"
+ARTIFACTS_NAME = "artifacts"
 GROWING = ("arms", "stores")  # parts of the document that calls add to
 
 Document = dict[str, Any]
@@ -58,20 +60,12 @@ class ExperimentFolder:
             InputError: in use by another process, of something else, of another document, or not
                 writable.
         """
-        _refuse_foreign(path)
-        with writable(path):
-            (path / ARMS_NAME).mkdir(parents=True, exist_ok=True)
-            lock = (path / LOCK_NAME).open("a")  # never removed: another process may hold it
-        with lock:
-            try:
-                fcntl.flock(lock.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                allowed = "a folder that no other process is filling at this moment"
-                raise InputError("out", str(path), allowed) from None
+        with claimed(path, EXPERIMENT_NAME, "an experiment's"):
+            agreed = _agree(path / EXPERIMENT_NAME, document)
             with writable(path):
-                for file in [*path.glob(f".*{TEMPORARY_SUFFIX}"), *path.glob("arms/.*.tmp")]:
-                    file.unlink()
-            yield ExperimentFolder(path, _agree(path / EXPERIMENT_NAME, document))
+                (path / ARMS_NAME).mkdir(exist_ok=True)
+            remove(path / ARMS_NAME, f".*{TEMPORARY_SUFFIX}")
+            yield ExperimentFolder(path, agreed)
 
     def arms(self) -> list[str]:
         """Arms that have finished trials here."""
@@ -119,24 +113,6 @@ class ExperimentFolder:
         return self.path / ARMS_NAME / f"{name}.parquet"
 
 
-def read_results(path: str | Path) -> tuple[pa.Table, Document]:
-    """The table trials.parquet of a folder, and the document in its footer.
-
-    Raises:
-        InputError: missing, damaged, or not of this project.
-    """
-    file = Path(path) / RESULTS_NAME
-    if not file.exists():
-        raise InputError("results", str(path), f"an experiment's folder: it has a {RESULTS_NAME}")
-    try:
-        document = json.loads((pq.read_schema(file).metadata or {})[FOOTER_KEY])
-    except (OSError, pa.ArrowException, KeyError, ValueError) as error:
-        raise InputError(
-            "results", str(file), f"an undamaged table ({first_line(error)})"
-        ) from None
-    return read_columns(file), document
-
-
 def _require_complete(table: pa.Table, path: Path) -> None:
     """Refuse a table whose runs do not have the trials 0, 1, ... without a gap."""
     run, trial = table["run"].to_numpy(), table["trial"].to_numpy()
@@ -145,18 +121,6 @@ def _require_complete(table: pa.Table, path: Path) -> None:
     sound = trial[first] == 0, np.diff(trial)[~first[1:]] == 1, np.diff(run) >= 0
     if not all(part.all() for part in sound):
         raise InputError("out", str(path), "every run's trials in their order, without a gap")
-
-
-def _refuse_foreign(path: Path) -> None:
-    """Refuse a folder that holds something, but no experiment."""
-    if path.exists() and not path.is_dir():
-        raise InputError("out", str(path), "a folder")
-    with writable(path):
-        names = {file.name for file in path.iterdir()} if path.is_dir() else set()
-    foreign = sorted(name for name in names if not name.startswith(".") and name != ARMS_NAME)
-    if foreign and EXPERIMENT_NAME not in names:
-        allowed = f"an empty folder or an experiment's (this has {foreign[0]})"
-        raise InputError("out", str(path), allowed)
 
 
 def _agree(path: Path, document: Document) -> Document:

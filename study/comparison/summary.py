@@ -9,9 +9,8 @@ import numpy as np
 import pyarrow as pa
 
 from study.comparison.arms import ARMS
+from study.comparison.notes import ArmCurves, arm_curves
 from study.comparison.saw import saw
-
-_READ = ("run", "trial", "walked", "best_cost")
 
 
 @dataclass(frozen=True)
@@ -44,38 +43,28 @@ def summaries(trials: pa.Table, times: pa.Table, stores: Mapping[str, Path]) -> 
     """Of each arm of a table of results, in the order of their names.
 
     Args:
-        trials: `RESULT_SCHEMA`, sorted by arm, run and trial.
-        times: proposal times, in the same order.
+        trials: `RESULT_SCHEMA`.
+        times: proposal times.
         stores: folders of the experiment's, by key.
     """
-    arm = trials["arm"].to_numpy(zero_copy_only=False)
-    columns = {name: trials[name].to_numpy(zero_copy_only=False) for name in _READ}
-    seconds = times["proposal_s"].to_numpy()
-    found = []
-    for name in dict.fromkeys(arm.tolist()):
-        mine = arm == name
-        part = {column: values[mine] for column, values in columns.items()}
-        seen = saw(ARMS[name], stores) if name in ARMS else ""
-        found.append(_summary(name, seen, part, float(seconds[mine].mean())))
-    return found
+    arm, seconds = np.asarray(times["arm"]), np.asarray(times["proposal_s"])
+    return [
+        _summary(curves, stores, float(seconds[arm == curves.arm].mean()))
+        for curves in arm_curves(trials)
+    ]
 
 
-def _summary(name: str, seen: str, columns: dict[str, Any], proposal_s: float) -> ArmSummary:
-    runs, last = np.unique(columns["run"][::-1], return_index=True)
-    best = columns["best_cost"][::-1][last]  # sorted by trial: the first from behind is the last
-    first = np.full(len(runs), np.inf)
-    walked = columns["walked"].astype(bool)
-    place = np.searchsorted(runs, columns["run"][walked])
-    np.minimum.at(first, place, columns["trial"][walked] + 1.0)
-    median = float(np.sort(first)[(len(first) - 1) // 2 : len(first) // 2 + 1].mean())
+def _summary(curves: ArmCurves, stores: Mapping[str, Path], proposal_s: float) -> ArmSummary:
+    first = curves.first_walker
+    median = float(np.median(first))
     return ArmSummary(
-        arm=name,
-        saw=seen,
-        runs=len(runs),
-        trials=len(columns["run"]),
+        arm=curves.arm,
+        saw=saw(ARMS[curves.arm], stores) if curves.arm in ARMS else "",
+        runs=len(first),
+        trials=int(np.isfinite(curves.best_cost).sum()),
         walkers=int(np.isfinite(first).sum()),
         first_walker=median if np.isfinite(median) else None,
-        best_cost=float(np.median(best)),
+        best_cost=float(np.median(np.nanmin(curves.best_cost, axis=1))),
         proposal_ms=1e3 * proposal_s,
     )
 

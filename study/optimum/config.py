@@ -1,6 +1,5 @@
 """The configuration of an estimate of the optimum."""
 
-import re
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Any
 
 from storage.document import FORMAT
 from study.comparison.experiment import MOST_RUNS, MOST_TRIALS, Experiment
-from study.config import COSTS, LARGEST_DURATION_S, NAME_PATTERN
+from study.config import COSTS, LARGEST_DURATION_S, read_name
 from taichi_nmm import __version__
 from taichi_nmm.config import read_settings, read_toml
 from taichi_nmm.errors import InputError
@@ -84,11 +83,8 @@ def read_optimum_config(
     table = read_toml(path)
     objective, simulation = table.table("objective"), table.table("simulation")
     cmaes, dog = table.table("cmaes"), table.table("dog")
-    name = table.text("name")
-    if not re.fullmatch(NAME_PATTERN, name):
-        raise InputError("name", name, "letters, digits, '.', '_' and '-', first a letter or digit")
     experiment = Experiment(
-        name=name,
+        name=read_name(table),
         seed=table.integer("seed"),
         runs=table.integer("runs", 50, 1, MOST_RUNS),
         trials=dog.integer("trials", 100, 1, MOST_TRIALS),

@@ -8,7 +8,6 @@ optimum.json          written last: the best of all
 .lock                 held by the one process that writes
 """
 
-import fcntl
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +17,8 @@ from typing import Any
 
 import pyarrow as pa
 
-from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
+from storage.claim import claimed
+from storage.commit import commit_json
 from storage.document import difference
 from storage.shard import read_columns, write_table
 from taichi_nmm.errors import InputError
@@ -29,7 +29,6 @@ EVALUATIONS_NAME = "evaluations.parquet"
 DOG_NAME = "dog"
 RUNS_NAME = "runs.parquet"
 OPTIMUM_NAME = "optimum.json"
-LOCK_NAME = ".lock"
 
 OUTCOMES = ("duration_s", "distance_m", "mean_speed_mps", "cost_of_transport_jpkgpm")
 _TRIED = [
@@ -66,19 +65,7 @@ class OptimumFolder:
             InputError: in use by another process, of something else, of another document, or not
                 writable.
         """
-        _refuse_foreign(path)
-        with writable(path):
-            path.mkdir(parents=True, exist_ok=True)
-            lock = (path / LOCK_NAME).open("a")  # never removed: another process may hold it
-        with lock:
-            try:
-                fcntl.flock(lock.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                allowed = "a folder that no other process is filling at this moment"
-                raise InputError("out", str(path), allowed) from None
-            with writable(path):
-                for file in path.glob(f".*{TEMPORARY_SUFFIX}"):
-                    file.unlink()
+        with claimed(path, SEARCH_NAME, "one of this command"):
             _agree(path / SEARCH_NAME, document)
             yield OptimumFolder(path, document)
 
@@ -108,17 +95,6 @@ class OptimumFolder:
         """Commit the result."""
         commit_json(self.path / OPTIMUM_NAME, document)
         return self.path / OPTIMUM_NAME
-
-
-def _refuse_foreign(path: Path) -> None:
-    if path.exists() and not path.is_dir():
-        raise InputError("out", str(path), "a folder")
-    with writable(path):
-        names = {file.name for file in path.iterdir()} if path.is_dir() else set()
-    foreign = sorted(name for name in names if not name.startswith("."))
-    if foreign and SEARCH_NAME not in names:
-        allowed = f"an empty folder or one of this command (this has {foreign[0]})"
-        raise InputError("out", str(path), allowed)
 
 
 def _agree(path: Path, document: dict[str, Any]) -> None:

@@ -43,7 +43,6 @@ LABELS = {
     "best-ramps": "best, ramps' store",
     "best-without-rough": "best, no rough seen",
     "best-without-ramps": "best, no ramps seen",
-    "best-without-stairs": "best, no stairs seen",
 }
 
 FRONT = {"paper": "#0072B2", "best": "#D55E00", "peer": "#000000"}

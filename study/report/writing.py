@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from storage.commit import commit_json, writable
-from study.benchmarks.comparison_report import commit_text
+from storage.commit import commit_json, commit_text, writable
 from study.report.before_after import Pair
 from study.report.curves import write_best_cost, write_walkers
 from study.report.dots import write_first_walker

@@ -9,7 +9,7 @@ import pytest
 
 from study.comparison import arms
 from study.comparison.experiment import read_experiment
-from study.comparison.folder import ExperimentFolder, read_results
+from study.comparison.folder import ExperimentFolder
 from taichi_nmm.errors import InputError
 from tests.study.comparison import fake
 from tests.study.comparison.conftest import Comparisons
@@ -187,11 +187,3 @@ def _document(comparisons: Comparisons) -> dict[str, Any]:
     text = (comparisons.folder / "other" / "experiment.json").read_text()
     document: dict[str, Any] = json.loads(text)
     return document
-
-
-def test_results_that_are_not_there(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"trials\.parquet"):
-        read_results(tmp_path)
-    (tmp_path / "trials.parquet").write_bytes(b"PAR1")
-    with pytest.raises(InputError, match="undamaged"):
-        read_results(tmp_path)
