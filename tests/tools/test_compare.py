@@ -210,7 +210,7 @@ def test_ctrl_c_ends_all_processes(command: Command) -> None:
 def test_killed_and_resumed_is_the_same_table(command: Command) -> None:
     arms = {"arms": "random,dog,score-first,cmaes-cold,cmaes-warm", "trials": 14}
     rng = np.random.default_rng(0)
-    for local in (True, True, False):
+    for local in (True, False):
         process = command.start(local=local, **arms)
         command.wait_for_more(process)
         time.sleep(rng.uniform(0.0, 0.25))

@@ -14,6 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
+from study.comparison import command as comparison_command
+from study.comparison import lockstep as comparison
 from study.optimum import lockstep
 from study.optimum.config import CmaesOptions, read_optimum_config
 from study.optimum.search import CUT, Search
@@ -21,6 +23,7 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 from tests.study import fake_walker
+from tests.study.comparison import fake
 
 ROOT = Path(__file__).resolve().parents[2]
 OPTIONS = CmaesOptions(sigma=0.3, population=0, tolerance=1e-3, max_generations=300)
@@ -90,6 +93,10 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     fake_walker.write_store(tmp_path / "store")
     monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate)
+    # Processes and the database are the comparison's; the last test has them.
+    monkeypatch.setattr(comparison, "Pool", fake.LocalPool)
+    monkeypatch.setattr(comparison_command, "check_database", lambda *_: None)
+    monkeypatch.setattr(comparison_command, "export", lambda *_, **__: None)
     return Command(tmp_path, monkeypatch)
 
 
