@@ -1,10 +1,13 @@
 """Study databases on a real PostgreSQL server, which the tests start themselves."""
 
 import getpass
+import json
 import os
+import runpy
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -16,10 +19,14 @@ import optuna
 import pytest
 import sqlalchemy as sql
 
+import taichi_nmm
 from storage.bulk import FinishedStudy, attach, trial_counts, write_studies
 from storage.studies import only_run, open_studies, storage_errors
 from taichi_nmm.errors import InputError
 from tests.storage.test_bulk import STUDY, TRIALS
+from tests.study import fake_walker
+
+ROOT = Path(__file__).resolve().parents[2]
 
 START_TIMEOUT_S = 30.0
 UNPRIVILEGED = "nobody"  # PostgreSQL refuses to run as root
@@ -173,6 +180,22 @@ def test_one_run_of_a_study_at_a_time(url: str) -> None:
             pass
     with only_run(url, "rough8/dog"):
         pass
+
+
+def test_the_command_of_one_study_runs_and_resumes(
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    words = ["--config", ROOT / "configs" / "rough8.toml", "--sampler", "random", "--json"]
+    for trials in (2, 3):
+        more = ["--storage", url, "--trials", trials, "--out", tmp_path]
+        monkeypatch.setattr(sys, "argv", ["study.py", *map(str, words + more)])
+        runpy.run_path(str(ROOT / "tools" / "study.py"), run_name="__main__")
+        said = capsys.readouterr()
+        assert json.loads(said.out)["trials"] == trials
+        assert "secret" not in said.out + said.err and "***" in said.out
+    assert [trial.number for trial in load(open_studies(url), "rough8/random").trials] == [0, 1, 2]
 
 
 def refusal(url: str) -> str:

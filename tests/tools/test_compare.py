@@ -208,7 +208,7 @@ def test_ctrl_c_ends_all_processes(command: Command) -> None:
 
 
 def test_killed_and_resumed_is_the_same_table(command: Command) -> None:
-    arms = {"arms": "random,dog,score-first,cmaes-cold,cmaes-warm", "trials": 14}
+    arms = {"arms": "random,dog,score-first,cmaes-cold,cmaes-warm", "trials": 14, "workers": 2}
     rng = np.random.default_rng(0)
     for local in (True, False):
         process = command.start(local=local, **arms)
