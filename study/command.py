@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable
 
 from taichi_nmm.errors import InputError
+from taichi_nmm.settings import Settings
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
@@ -23,3 +24,15 @@ def run_command(main: Callable[[], None]) -> None:
     except KeyboardInterrupt:
         print("interrupted: finished work is kept; the same command resumes", file=sys.stderr)
         sys.exit(EXIT_INTERRUPTED)
+
+
+def require_arch(settings: Settings) -> None:
+    """Refuse a GPU that is not there, before any file is touched.
+
+    Raises:
+        InputError: naming the architecture.
+    """
+    if settings.arch in ("cuda", "vulkan"):
+        from taichi_nmm import backend
+
+        backend.start(settings)

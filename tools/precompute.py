@@ -16,8 +16,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tqdm import tqdm
 
 from storage.precompute import Summary, precompute
-from storage.specification import Specification, read_specification
-from study.command import run_command
+from storage.specification import read_specification
+from study.command import require_arch, run_command
 from taichi_nmm.config import read_toml
 from taichi_nmm.settings import ARCHITECTURES
 
@@ -45,7 +45,7 @@ class ProgressBar:
 def main() -> None:
     options = parse()
     specification = read_specification(read_toml(options.config), options.samples, options.arch)
-    require_arch(specification)
+    require_arch(specification.settings)
     out = options.out or Path("out") / options.config.stem
     with closing(ProgressBar(specification.samples)) as bar:
         summary = precompute(specification, out, options.fresh, bar.show)
@@ -61,14 +61,6 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--fresh", action="store_true", help="start over")
     parser.add_argument("--json", action="store_true", help="print the summary as one object")
     return parser.parse_args()
-
-
-def require_arch(specification: Specification) -> None:
-    """Refuse a GPU that is not there before any file is touched."""
-    if specification.settings.arch in ("cuda", "vulkan"):
-        from taichi_nmm import backend
-
-        backend.start(specification.settings)
 
 
 def text(summary: Summary) -> str:

@@ -19,12 +19,12 @@ import optuna
 from storage.commit import commit_json, writable
 from storage.studies import only_run, open_studies, shown_url, storage_errors
 from study.arms import ARMS
-from study.command import run_command
+from study.command import require_arch, run_command
 from study.config import StudyConfig, read_study_config
 from study.runner import check_trials, run_study, study_name
 from study.sampler.feature_table import FeatureTable
 from study.summary import best_gains, progress_line, summary, summary_text
-from taichi_nmm.settings import ARCHITECTURES, Settings
+from taichi_nmm.settings import ARCHITECTURES
 
 
 def parse() -> argparse.Namespace:
@@ -44,14 +44,6 @@ def read_table(args: argparse.Namespace, config: StudyConfig) -> FeatureTable | 
     if args.sampler != "dog":
         return None
     return FeatureTable.from_parquet(args.store or config.store, features=[config.score])
-
-
-def require_arch(settings: Settings) -> None:
-    """Refuse a GPU that is not there before any file is touched."""
-    if settings.arch in ("cuda", "vulkan"):
-        from taichi_nmm import backend
-
-        backend.start(settings)
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ import pyarrow as pa
 
 from storage.shard import read_columns
 from storage.studies import URL_PREFIX
+from study.command import require_arch
 from study.comparison.artifacts import make_artifacts
 from study.comparison.check import check_arms
 from study.comparison.database import check_database, export
@@ -89,7 +90,7 @@ def compare(
     trials = _positive("trials", request.trials, experiment.trials)
     _positive("workers", request.workers, 1)
     arms = check_arms(experiment, request.arms or experiment.arms, trials)
-    _require_machine(experiment)
+    require_arch(experiment.settings)
     if request.artifacts:
         find_ffmpeg()
     identity = document(experiment, arms)
@@ -172,11 +173,3 @@ def _positive(name: str, value: int | None, default: int) -> int:
     if chosen < 1:
         raise InputError(name, chosen, "1 or more")
     return chosen
-
-
-def _require_machine(experiment: Experiment) -> None:
-    """Refuse a GPU that is not there before any file is touched."""
-    if experiment.settings.arch in ("cuda", "vulkan"):
-        from taichi_nmm import backend
-
-        backend.start(experiment.settings)

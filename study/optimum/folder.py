@@ -21,6 +21,7 @@ from storage.claim import claimed
 from storage.commit import commit_json
 from storage.document import difference
 from storage.shard import read_columns, write_table
+from study.comparison.results import OUTCOMES
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 
@@ -30,7 +31,6 @@ DOG_NAME = "dog"
 RUNS_NAME = "runs.parquet"
 OPTIMUM_NAME = "optimum.json"
 
-OUTCOMES = ("duration_s", "distance_m", "mean_speed_mps", "cost_of_transport_jpkgpm")
 _TRIED = [
     *((name, pa.float64()) for name in (*GAIN_NAMES, "cost")),
     ("walked", pa.bool_()),

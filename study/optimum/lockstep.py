@@ -9,9 +9,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from study.comparison.outcome import costs, finite, walked
+from study.comparison.results import OUTCOMES
 from study.comparison.simulation import simulate_trials
 from study.optimum.config import OptimumConfig
-from study.optimum.folder import EVALUATIONS, OUTCOMES, OptimumFolder
+from study.optimum.folder import EVALUATIONS, OptimumFolder
 from study.optimum.search import Search
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES

@@ -3,10 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from study.optimum.folder import OPTIMUM_NAME
 from study.report.results import Results, read_document
 from taichi_nmm.errors import InputError
-
-OPTIMUM_NAME = "optimum.json"
 
 
 def find_optimum(results: Results, given: Sequence[Path]) -> float | None:

@@ -12,17 +12,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from study.comparison.folder import (
+    ARMS_NAME,
+    EXPERIMENT_NAME,
+    RESULTS_NAME,
+    RUN_NAME,
+    TIMES_NAME,
+)
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES
 
-TRIALS_NAME = "trials.parquet"
-TIMES_NAME = "proposal_times.parquet"
-ARMS_NAME = "arms"
-DOCUMENTS = ("experiment.json", "run.json")
+DOCUMENTS = (EXPERIMENT_NAME, RUN_NAME)
 
 COLUMNS = ("experiment", "arm", "run", "trial", "cost", "best_cost", "walked")
-NAMES = ("experiment", "arm")
-GAIN_COLUMNS = (*GAIN_NAMES, "theta_ref")
 LARGEST_SMOOTH_COST = 20.0  # the smooth cost is below 1.4 unless a walker races; a fall is 300
 
 
@@ -124,7 +125,7 @@ def read_results(folder: str | Path) -> Results:
             if arm not in arms or len(arms[arm]) < len(rows):
                 arms[arm] = rows
     if not arms:
-        raise InputError("folder", str(folder), f"the output of tools/compare.py: {TRIALS_NAME}")
+        raise InputError("folder", str(folder), f"the output of tools/compare.py: {RESULTS_NAME}")
     times = _proposal_times(folder)
     runs = {arm: _arm_runs(folder, arm, rows, times.get(arm)) for arm, rows in arms.items()}
     facts = {
@@ -170,7 +171,7 @@ def table_files(folder: Path) -> list[Path]:
     """The final table of a folder, then the checkpoints of its arms: those that there are."""
     if not folder.is_dir():
         raise InputError("folder", str(folder), "the output folder of tools/compare.py")
-    final = folder / TRIALS_NAME
+    final = folder / RESULTS_NAME
     checkpoints = sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))
     return ([final] if final.exists() else []) + checkpoints
 

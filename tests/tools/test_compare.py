@@ -155,11 +155,11 @@ def test_bad_input_is_one_line(
     from study.comparison import command as comparison
     from taichi_nmm.errors import InputError
 
-    def require_machine(experiment: Any) -> None:
-        if experiment.settings.arch == "cuda":
+    def require_arch(settings: Any) -> None:
+        if settings.arch == "cuda":
             raise InputError("simulation.arch", "cuda", "an architecture of this machine")
 
-    monkeypatch.setattr(comparison, "_require_machine", require_machine)
+    monkeypatch.setattr(comparison, "require_arch", require_arch)
     assert command.run(**changes) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
