@@ -31,7 +31,7 @@ SPEED = "mean_speed_mps"
 OFF_GRID = 32  # points a trial that are simulated beside the store's
 # The paper's method.
 PAPER: dict[str, Any] = {"kernel": "rbf", "mean": "constant", "acquisition": "ei"}
-# Chosen on the tuning seeds: docs/results.md.
+# Chosen on tuning seeds: docs/comparison.md.
 BEST: dict[str, Any] = {
     "kernel": "rbf_ard",
     "mean": "constant",

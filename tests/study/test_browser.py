@@ -6,7 +6,6 @@ Screenshots go to the folder that NMM_SCREENSHOTS names, if it is set.
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import urllib.request
@@ -63,7 +62,7 @@ def address(folder: Path) -> Iterator[str]:
         assert process.stdout is not None
         lines = dict(process.stdout.readline().split(maxsplit=1) for _ in range(3))
         yield lines["dashboard"].split()[0].removesuffix("/dashboard")
-        process.send_signal(signal.SIGINT)
+        process.terminate()
 
 
 @pytest.fixture(scope="module")
