@@ -131,9 +131,8 @@ def _cost_axis(axes: Axes, results: Results, optimum: float | None) -> None:
 def _level(axes: Axes, y: float, text: str, dash: Any) -> None:
     axes.axhline(y, color=style.INK, linewidth=0.8, linestyle=dash, zorder=2.0)
     axes.annotate(
-        text, xy=(0.0, y), xycoords=("axes fraction", "data"), xytext=(4, 2.5),
-        textcoords="offset points", fontsize=style.SMALL_PT, color=style.INK,
-        bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.8}, zorder=6,
+        text, xy=(0.0, y), xycoords=("axes fraction", "data"), xytext=(4, -2), va="top",
+        textcoords="offset points", fontsize=style.SMALL_PT, color=style.INK, zorder=2.0,
     )  # fmt: skip
 
 
