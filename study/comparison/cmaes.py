@@ -12,13 +12,11 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, CmaEsSampler
 from optuna.trial import FrozenTrial, TrialState
 
-from study.comparison.controls import score_order
+from study.comparison.controls import RowSampler, score_order
 from study.comparison.task import Task
 from study.draws import Purpose, generator, seed_32bit
 from study.sampler.feature_table import FeatureTable
-from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from study.sampler.random_sampler import ReproducibleRandomSampler
-from study.sampler.source import set_attributes
 from study.sampler.space import Space
 from taichi_nmm.errors import InputError
 
@@ -82,7 +80,7 @@ def warm(task: Task) -> BaseSampler:
     return WarmCmaEsSampler(task.table, row, SIGMA_WARM, task.seed)
 
 
-class WarmCmaEsSampler(BaseSampler):
+class WarmCmaEsSampler(RowSampler):
     """pycma in the unit cube: trial 0 is the start point, the generations follow.
 
     The state is that of pycma's object, which is rebuilt from the study's trials where this sampler
@@ -97,42 +95,22 @@ class WarmCmaEsSampler(BaseSampler):
 
     def __init__(self, table: FeatureTable, row: int, sigma: float, seed: int) -> None:
         """The start; pycma is loaded when it is first asked."""
-        self._table = table
+        super().__init__(table, seed)
         self._row = row
         self._sigma = sigma
         self._seed = seed
-        self._independent = ReproducibleRandomSampler(seed=seed)
         self._strategy: Any = None
         self._asked: list[Floats] = []  # the generation that is being handed out
         self._generation = 0
-
-    def infer_relative_search_space(
-        self, study: optuna.Study, trial: FrozenTrial
-    ) -> dict[str, BaseDistribution]:
-        """The table's parameters."""
-        return self._table.rows.space.as_dict()
 
     def sample_relative(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
         """The start point, or the next of the generation."""
-        rows = self._table.rows
         finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
         if not finished:
-            score = float(rows.features[self._row, 0])
-            set_attributes(study, trial, {ROW_ATTRIBUTE: self._row, SCORE_ATTRIBUTE: score})
-            return rows.as_parameters(self._row)
+            return self.take(study, trial, self._row)
         return self._values(self._next(finished[1:]))
-
-    def sample_independent(
-        self,
-        study: optuna.Study,
-        trial: FrozenTrial,
-        param_name: str,
-        param_distribution: BaseDistribution,
-    ) -> Any:
-        """Uniform, for parameters that the table does not have."""
-        return self._independent.sample_independent(study, trial, param_name, param_distribution)
 
     def _next(self, finished: list[FrozenTrial]) -> Floats:
         """The point after these trials (the start point is not among them), in the unit cube."""

@@ -1,5 +1,6 @@
 """Controls without a model: the order that a score gives is all they know."""
 
+from abc import ABC
 from functools import lru_cache
 from typing import Any
 
@@ -22,34 +23,19 @@ Order = NDArray[np.int64]
 TOP_ROWS = 100  # that "among the top" means
 
 
-class RankedSampler(BaseSampler):
-    """Rows of a table in an order that was fixed beforehand: trial t is row `order[t]`.
+class RowSampler(BaseSampler, ABC):
+    """What proposes all parameters of a table at once; others, which it has not, are uniform."""
 
-    Args:
-        table: of candidates.
-        order: rows, best first, at least as many as there are trials.
-    """
-
-    def __init__(self, table: FeatureTable, order: Order) -> None:
+    def __init__(self, table: FeatureTable, seed: int) -> None:
         """Nothing is computed."""
         self._table = table
-        self._order = order
-        self._independent = ReproducibleRandomSampler(seed=0)
+        self._independent = ReproducibleRandomSampler(seed=seed)
 
     def infer_relative_search_space(
         self, study: optuna.Study, trial: FrozenTrial
     ) -> dict[str, BaseDistribution]:
         """The table's parameters."""
         return self._table.rows.space.as_dict()
-
-    def sample_relative(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
-    ) -> dict[str, Any]:
-        """The trial's row."""
-        row = int(self._order[turn(study, trial)])
-        score = float(self._table.rows.features[row, 0])
-        set_attributes(study, trial, {ROW_ATTRIBUTE: row, SCORE_ATTRIBUTE: score})
-        return self._table.rows.as_parameters(row)
 
     def sample_independent(
         self,
@@ -60,6 +46,32 @@ class RankedSampler(BaseSampler):
     ) -> Any:
         """Uniform, for parameters that the table does not have."""
         return self._independent.sample_independent(study, trial, param_name, param_distribution)
+
+    def take(self, study: optuna.Study, trial: FrozenTrial, row: int) -> dict[str, Any]:
+        """The parameters of a row, which is noted in the trial."""
+        score = float(self._table.rows.features[row, 0])
+        set_attributes(study, trial, {ROW_ATTRIBUTE: row, SCORE_ATTRIBUTE: score})
+        return self._table.rows.as_parameters(row)
+
+
+class RankedSampler(RowSampler):
+    """Rows of a table in an order that was fixed beforehand: trial t is row `order[t]`.
+
+    Args:
+        table: of candidates.
+        order: rows, best first, at least as many as there are trials.
+    """
+
+    def __init__(self, table: FeatureTable, order: Order) -> None:
+        """Nothing is computed."""
+        super().__init__(table, seed=0)
+        self._order = order
+
+    def sample_relative(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """The trial's row."""
+        return self.take(study, trial, int(self._order[turn(study, trial)]))
 
 
 @lru_cache(maxsize=32)

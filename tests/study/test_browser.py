@@ -146,6 +146,7 @@ def test_the_compare_page_draws_two_arms(page: Any, address: str, studies: dict[
     for name in names:
         page.get_by_text(f"Best Value of {name}").first.wait_for()
     curves(page, 4 + 2)  # trials and best so far of each; their distributions
+    assert all(page.get_by_text(f"Best Value of {name}").first.is_visible() for name in names)
     save(page, "compare")
 
 
