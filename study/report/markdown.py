@@ -91,6 +91,11 @@ def share_text(share: Interval) -> str:
     return f"{share.value:.0%} ({share.low:.0%} to {share.high:.0%})".replace("%", " %")
 
 
+def share_range(share: Interval) -> str:
+    """The interval of a proportion alone, in per cent."""
+    return f"{100 * share.low:.0f} to {100 * share.high:.0f} %"
+
+
 def first_walker_text(arm: ArmNumbers) -> str:
     """The median trial with its interval."""
     low, high = (

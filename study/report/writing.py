@@ -5,6 +5,7 @@ from pathlib import Path
 
 from storage.commit import commit_json, commit_text, writable
 from study.report.before_after import Pair
+from study.report.condensed import condensed_table
 from study.report.curves import write_best_cost, write_walkers
 from study.report.dots import write_first_walker
 from study.report.grid import write_grid
@@ -71,7 +72,7 @@ def write_overview(folder: Path, experiments: Sequence[Numbers]) -> None:
     text = (
         f"# {len(experiments)} experiments\n\n{overview_text(experiments)}\n"
         "![Runs with a walker](overview.png)\n"
-    )
+    ) + "".join(f"\n## {each.experiment}\n\n{condensed_table(each)}\n" for each in experiments)
     commit_text(folder / "overview.md", text)
 
 

@@ -65,6 +65,7 @@ def test_several_folders_share_an_overview(tmp_path: Path, monkeypatch: pytest.M
     assert report(monkeypatch, *folders, "--out", tmp_path / "all") == 0
     text = (tmp_path / "all" / "overview.md").read_text()
     assert "| one |" in text and "| two |" in text
+    assert "\n## one\n" in text and "\n## two\n" in text
     assert (tmp_path / "all" / "overview.png").stat().st_size > 5_000
     assert (tmp_path / "all" / "overview.svg").exists()
     known = json.loads((tmp_path / "all" / "overview.json").read_text())
