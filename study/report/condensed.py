@@ -1,7 +1,7 @@
 """An experiment as one table: an arm a row, what it reached and how it fares beside the paper's."""
 
 from study.report.appearance import PAPER
-from study.report.markdown import count_text, first_walker_text, p_text, share_range, table
+from study.report.markdown import first_walker_text, p_text, share_range, table
 from study.report.numbers import COMPARED_AFTER, ArmNumbers, Comparison, Numbers
 
 SHOWN_WITHIN = (1, 3, 10, 30, 60)  # trials
