@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 
 from storage.schema import evaluated_name
 from storage.store import Store
@@ -43,49 +42,6 @@ class Survival:
                 raise InputError("store", str(store.path), allowed)
         return self.families or known
 
-    @property
-    def definition(self) -> list[str]:
-        """What it is, as JSON values."""
-        remarks = ["survivors only"] if self.survivors else []
-        return [self.name, *(self.families or ("all families",)), *remarks]
-
-    def values(self, store: Store) -> Floats:
-        """The feature of every row, NaN where the row is left out, [n]."""
-        families = self.families_of(store)
-        ran = _columns(store, [evaluated_name(family) for family in families]).any(axis=0)
-        shares = _columns(store, [f"{family}{COLUMN_END}" for family in families])
-        values = np.full(len(store), np.nan)
-        kept = ran | (not self.survivors)
-        values[kept] = self.combined(shares[:, kept])
-        return values
-
-    def combined(self, shares: Floats) -> Floats:
-        """One number a row out of the shares in each family [k, n], [n]."""
-        return np.asarray(shares.mean(axis=0))
-
-
-@dataclass(frozen=True)
-class Placing(Survival):
-    """Where a row stands among a store's rows: minus the mean logarithm of its place by survival.
-
-    A family counts by the order that it gives, so one that most rows survive weighs no more than
-    one that few do; and for the logarithm the difference between the first and the tenth place is
-    that between the hundredth and the thousandth. Places that are shared are averaged.
-    """
-
-    name: str = "placing"
-    survivors: bool = True
-
-    @property
-    def definition(self) -> list[str]:
-        """What it is, as JSON values."""
-        return [*super().definition, "places"]
-
-    def combined(self, shares: Floats) -> Floats:
-        """Minus the mean logarithm of the places in each family [k, n], [n]."""
-        places = rankdata(-shares, method="average", axis=1)
-        return np.asarray(-np.log(places).mean(axis=0))
-
 
 Feature = str | Survival
 """A column's name, or what is computed of several."""
@@ -98,7 +54,10 @@ def name_of(feature: Feature) -> str:
 
 def definition_of(feature: Feature) -> str | list[str]:
     """What a feature is, as JSON values."""
-    return feature if isinstance(feature, str) else feature.definition
+    if isinstance(feature, str):
+        return feature
+    families = feature.families or ("all families",)
+    return [feature.name, *families, *(["survivors only"] if feature.survivors else [])]
 
 
 def check_feature(feature: Feature, store: Store) -> None:
@@ -117,7 +76,12 @@ def feature_values(feature: Feature, store: Store) -> Floats:
     """The feature of every row, NaN where the row is left out, [n]."""
     if isinstance(feature, str):
         return np.asarray(_columns(store, [feature])[0])
-    return feature.values(store)
+    families = feature.families_of(store)
+    values = _columns(store, [f"{family}{COLUMN_END}" for family in families]).mean(axis=0)
+    if feature.survivors:
+        ran = _columns(store, [evaluated_name(family) for family in families]).any(axis=0)
+        values[~ran] = np.nan
+    return np.asarray(values)
 
 
 def _columns(store: Store, names: list[str]) -> Floats:

@@ -8,7 +8,7 @@ import pytest
 
 from storage.store import Store, open_store
 from study.comparison.arms import ARMS, BEST, FAMILIES, KINDS
-from study.comparison.features import Placing, Survival, check_feature, feature_values
+from study.comparison.features import Survival, check_feature, feature_values
 from study.comparison.stores import Tables
 from taichi_nmm.errors import InputError
 from tests.study.comparison import fake
@@ -48,33 +48,6 @@ def test_rows_that_no_family_ran_are_left_out(comparisons: Comparisons) -> None:
     np.testing.assert_array_equal(table.rows.offered, ran)
     comparisons.run("out", experiment=experiment, arms=("best",), runs=2, trials=20)
     assert ran[comparisons.table("out")["row"].to_numpy()].all()
-
-
-def test_placing_is_the_geometric_mean_of_places_among_the_rows_that_ran(
-    fake_walker: None, tmp_path: Path
-) -> None:
-    store = write(tmp_path / "store", ("up", "down"))
-    ran = store.table()["up_evaluated"].to_numpy()
-    assert 30 < ran.sum() < len(store) - 30
-    places = []
-    for name in ("up", "down"):
-        shares = store.table()[f"{name}_survived_fraction_mean"].to_numpy()[ran]
-        better = (shares[None, :] > shares[:, None]).sum(axis=1)
-        equal = (shares[None, :] == shares[:, None]).sum(axis=1)
-        places.append(better + (equal + 1) / 2)
-    expected = np.full(len(store), np.nan)
-    expected[ran] = -np.log(np.sqrt(places[0] * places[1]))
-    np.testing.assert_allclose(feature_values(Placing(("up", "down")), store), expected)
-
-
-def test_placing_depends_on_the_order_in_each_family_only() -> None:
-    shares = np.random.default_rng(4).random((2, 50))
-    squeezed = np.stack([shares[0] ** 9, 0.5 + 0.1 * shares[1]])
-    placing = Placing(("up", "down"))
-    np.testing.assert_array_equal(placing.combined(shares), placing.combined(squeezed))
-    first_of_one = np.argmax(shares[0])
-    ordinary = np.argsort(shares.mean(axis=0))[25]
-    assert placing.combined(shares)[first_of_one] > placing.combined(shares)[ordinary]
 
 
 @pytest.mark.parametrize(
