@@ -207,11 +207,11 @@ def test_ctrl_c_ends_all_processes(command: Command) -> None:
     assert members(process.pid) == []
 
 
-def test_killed_and_resumed_is_the_same_table(command: Command) -> None:
-    arms = {"arms": "random,dog,score-first,cmaes-cold,cmaes-warm", "trials": 14, "workers": 2}
+def test_killed_ten_times_and_resumed_is_the_same_table(command: Command) -> None:
+    arms = {"arms": "random,dog,score-first,cmaes-cold,cmaes-warm", "trials": 30, "workers": 2}
     rng = np.random.default_rng(0)
-    for local in (True, False):
-        process = command.start(local=local, **arms)
+    for number in range(10):
+        process = command.start(local=number % 5 > 0, **arms)
         command.wait_for_more(process)
         time.sleep(rng.uniform(0.0, 0.25))
         process.kill()
@@ -223,7 +223,7 @@ def test_killed_and_resumed_is_the_same_table(command: Command) -> None:
             time.sleep(0.05)
         assert members(process.pid) == []  # workers end with the main process
     kept = command.rows()
-    assert 0 < kept < 14 * 15
+    assert 0 < kept < 30 * 15
     assert command.run(**arms) == 0
     assert command.run(**arms | {"out": str(command.folder / "whole")}) == 0
     parts, whole = (command.folder / name / "trials.parquet" for name in ("out", "whole"))
