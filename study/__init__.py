@@ -10,13 +10,22 @@ if TYPE_CHECKING:
     from study.sampler.dog_sampler import DoGSampler
     from study.sampler.feature_sampler import FeatureKernelSampler
     from study.sampler.feature_table import FeatureTable
+    from study.survival import SurvivalSampler, survival_table
 
-__all__ = ["DoGSampler", "FeatureKernelSampler", "FeatureTable"]
+__all__ = [
+    "DoGSampler",
+    "FeatureKernelSampler",
+    "FeatureTable",
+    "SurvivalSampler",
+    "survival_table",
+]
 
 _MODULES = {
     "DoGSampler": "study.sampler.dog_sampler",
     "FeatureKernelSampler": "study.sampler.feature_sampler",
     "FeatureTable": "study.sampler.feature_table",
+    "SurvivalSampler": "study.survival",
+    "survival_table": "study.survival",
 }
 
 

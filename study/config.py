@@ -17,6 +17,7 @@ from taichi_nmm.terrain import Terrain
 
 COSTS = ("smooth", "walking")
 LARGEST_DURATION_S = 1000.0
+SURVIVAL_STORE = "out/store-diverse"
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 
 
@@ -35,6 +36,7 @@ class StudyConfig:
         store: folder of scores for the DoG sampler.
         score: the store's column that it compares rows by.
         startup_trials: rows at random before its first fit.
+        survival_store: folder of scores for the best sampler.
     """
 
     name: str
@@ -47,6 +49,7 @@ class StudyConfig:
     store: Path
     score: str
     startup_trials: int
+    survival_store: Path
 
     def identity(self) -> dict[str, str | int | float]:
         """What decides a trial's value, in short: body and ground by digest.
@@ -71,7 +74,7 @@ def read_study_config(path: str | Path, arch: str | None = None) -> StudyConfig:
     table = read_toml(path)
     name, seed = read_name(table), table.integer("seed")
     objective, simulation = table.table("objective"), table.table("simulation")
-    dog = table.table("dog")
+    dog, best = table.table("dog"), table.table("best")
     config = StudyConfig(
         name=name,
         seed=seed,
@@ -83,8 +86,9 @@ def read_study_config(path: str | Path, arch: str | None = None) -> StudyConfig:
         store=Path(dog.text("store")),
         score=dog.text("score", "phi_printed"),
         startup_trials=dog.integer("startup_trials", STARTUP_TRIALS, low=1, high=1000),
+        survival_store=Path(best.text("store", SURVIVAL_STORE)),
     )
-    for part in (objective, simulation, dog, table):
+    for part in (objective, simulation, dog, best, table):
         part.done()
     return config
 

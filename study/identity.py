@@ -36,6 +36,8 @@ def check_identity(
 
 def _identity(config: StudyConfig, arm: str, table: FeatureTable | None) -> dict[str, Any]:
     identity: dict[str, Any] = config.identity()
+    if arm == "best" and table is not None:
+        identity |= {"best.store": table.digest[:16]}
     if arm == "dog" and table is not None:
         identity |= {
             "dog.store": table.digest[:16],

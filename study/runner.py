@@ -37,7 +37,7 @@ def run_study(
         arm: one of `study.arms.ARMS`.
         trials: the total, not the number to add.
         storage: of Optuna.
-        table: rows for the DoG sampler.
+        table: rows for the samplers that choose among rows.
         report: called after each finished trial.
 
     Raises:
@@ -56,11 +56,11 @@ def run_study(
 
 
 def check_trials(trials: int, table: FeatureTable | None) -> None:
-    """Refuse a number of trials that cannot be run; the DoG sampler never takes a row twice."""
+    """Refuse a number of trials that cannot be run; no row is ever taken twice."""
     if trials < 1:
         raise InputError("trials", trials, "1 or more")
-    if table is not None and trials > len(table):
-        raise InputError("trials", trials, f"at most {len(table)}, the rows of the store")
+    if table is not None and trials > (rows := int(table.rows.offered.sum())):
+        raise InputError("trials", trials, f"at most {rows}, the rows of the store")
 
 
 def open_study(

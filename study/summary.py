@@ -34,8 +34,9 @@ def study_line(study: optuna.Study) -> str:
     best, walkers = study.best_trial, _walkers(study)
     row = ""
     if ROW_ATTRIBUTE in best.user_attrs:
-        attributes = best.user_attrs
-        row = f" (row {attributes[ROW_ATTRIBUTE]}, score {attributes[SCORE_ATTRIBUTE]:.1f})"
+        score = best.user_attrs.get(SCORE_ATTRIBUTE)  # where rows are compared by one number
+        scored = "" if score is None else f", score {score:.1f}"
+        row = f" (row {best.user_attrs[ROW_ATTRIBUTE]}{scored})"
     first = f", the first in trial {walkers[0]}" if walkers else ""
     return (
         f"{study.study_name}: {len(walkers)} of {len(finished(study))} trials to the end{first}; "

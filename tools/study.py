@@ -18,11 +18,10 @@ import optuna
 
 from storage.commit import commit_json, writable
 from storage.studies import only_run, open_studies, shown_url, storage_errors
-from study.arms import ARMS
+from study.arms import ARMS, read_table
 from study.command import require_arch, run_command
-from study.config import StudyConfig, read_study_config
+from study.config import read_study_config
 from study.runner import check_trials, run_study, study_name
-from study.sampler.feature_table import FeatureTable
 from study.summary import best_gains, progress_line, summary, summary_text
 from taichi_nmm.settings import ARCHITECTURES
 
@@ -33,17 +32,11 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--sampler", choices=ARMS, required=True)
     parser.add_argument("--trials", type=int, default=30, help="in total (%(default)s)")
     parser.add_argument("--storage", required=True, help="sqlite:///FILE, or of PostgreSQL")
-    parser.add_argument("--store", help="scores for the dog sampler; default: the config's")
+    parser.add_argument("--store", help="scores, for dog and best; default: the config's")
     parser.add_argument("--out", type=Path, help="for the best gains; default: out/NAME")
     parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     return parser.parse_args()
-
-
-def read_table(args: argparse.Namespace, config: StudyConfig) -> FeatureTable | None:
-    if args.sampler != "dog":
-        return None
-    return FeatureTable.from_parquet(args.store or config.store, features=[config.score])
 
 
 def main() -> None:
@@ -51,7 +44,7 @@ def main() -> None:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     config = read_study_config(args.config, args.arch)
     shown_url(args.storage)  # refuses what is no such URL
-    table = read_table(args, config)
+    table = read_table(args.sampler, config, args.store)
     check_trials(args.trials, table)
     require_arch(config.settings)
     gains = (args.out or Path("out") / config.name) / f"{args.sampler}-best.json"

@@ -8,13 +8,15 @@ from typing import Any
 from optuna.samplers import BaseSampler, TPESampler
 
 from study.comparison import cmaes, controls
-from study.comparison.features import Feature, Survival, definition_of, name_of
 from study.comparison.off_grid import store_features
 from study.comparison.stores import store_path
 from study.comparison.task import Task
 from study.draws import Purpose, seed_32bit
+from study.features import Feature, Survival, definition_of, name_of
 from study.sampler.feature_sampler import FeatureKernelSampler
 from study.sampler.random_sampler import ReproducibleRandomSampler
+from study.survival import FAMILIES, survival_features
+from study.survival import OPTIONS as BEST
 from taichi_nmm.errors import InputError
 
 DETERMINANTS = (
@@ -23,24 +25,11 @@ DETERMINANTS = (
 PRINTED = ("phi_printed",)
 SURVIVAL = Survival()  # over all disturbed settings that the store has
 ROBUST = (SURVIVAL,)
-# Of the diverse store. Its stairs are left out: what stands still survives them.
-FAMILIES = ("rough", "blocks", "up", "down")
 KINDS = {"rough": ("rough", "blocks"), "ramps": ("up", "down")}  # families that are relatives
 TIES = "phi_corrected"
-SPEED = "mean_speed_mps"
 OFF_GRID = 32  # points a trial that are simulated beside the store's
 # The paper's method.
 PAPER: dict[str, Any] = {"kernel": "rbf", "mean": "constant", "acquisition": "ei"}
-# Chosen on tuning seeds: docs/comparison.md.
-BEST: dict[str, Any] = {
-    "kernel": "rbf_ard",
-    "mean": "constant",
-    "acquisition": "log_ei",
-    "prior": SURVIVAL.name,
-    "prior_weight": 200.0,
-    "cost_transform": "log",
-    "n_startup_trials": 1,
-}
 
 
 @dataclass(frozen=True)
@@ -149,9 +138,7 @@ def _paper_arm(name: str, summary: str, store: str, families: tuple[str, ...]) -
 
 def _best_arm(name: str, summary: str, store: str, families: tuple[str, ...]) -> Arm:
     """Likeness by the survival of each family and the speed; their mean is also a prior."""
-    each = (Survival((family,), family) for family in families)
-    mean = Survival(families, survivors=True)
-    return _table_arm(name, summary, store, (mean, *each, SPEED), **BEST)
+    return _table_arm(name, summary, store, survival_features(families), **BEST)
 
 
 def _best_without(kind: str) -> Arm:

@@ -6,7 +6,7 @@ from typing import Any
 
 from storage.store import Store, open_store
 from study.comparison.arms import Arm
-from study.comparison.features import Survival
+from study.features import Survival
 from taichi_nmm.errors import InputError
 
 NOTHING = "nothing but its own trials"

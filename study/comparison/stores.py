@@ -1,17 +1,14 @@
 """The stores that an experiment's arms read: checked before the work, read once a process."""
 
 import hashlib
-import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
-
-import numpy as np
 
 from storage.manifest import Manifest
 from storage.shard import file_hash
 from storage.store import Store, open_store
 from study.comparison.experiment import Experiment
-from study.comparison.features import Feature, check_feature, feature_values, name_of
+from study.features import Feature, check_feature, feature_table
 from study.sampler.feature_table import FeatureTable
 from taichi_nmm.errors import InputError
 
@@ -27,17 +24,9 @@ class Tables:
         """The rows of a store with some features."""
         path = store_path(self.experiment, store)
         if (path, features) not in self._known:
-            opened = open_store(path)
-            stored = opened.table(self.experiment.names)
-            with warnings.catch_warnings():
-                # Rows are left out on purpose; stores themselves have no gaps.
-                warnings.filterwarnings("ignore", ".* not finite are not proposed", UserWarning)
-                self._known[path, features] = FeatureTable.from_arrays(
-                    {name: stored[name].to_numpy() for name in self.experiment.names},
-                    np.column_stack([feature_values(feature, opened) for feature in features]),
-                    [name_of(feature) for feature in features],
-                    space=self.experiment.space,
-                )
+            self._known[path, features] = feature_table(
+                open_store(path), features, self.experiment.names, space=self.experiment.space
+            )
         return self._known[path, features]
 
 

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from study.comparison.experiment import Experiment
-from study.comparison.features import Feature, name_of
 from study.comparison.stores import Tables
+from study.features import Feature, name_of
 from study.sampler.feature_table import FeatureTable
 
 

@@ -20,12 +20,15 @@ from optuna.trial import TrialState
 
 import taichi_nmm
 from storage import studies
+from storage.store import open_store
 from storage.studies import only_run
+from study.survival import FAMILIES
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS
 from taichi_nmm.result import Result
 from taichi_nmm.settings import Settings
 from tests.study import fake_walker
+from tests.study.comparison import fake
 
 ROOT = Path(__file__).parents[2]
 ROUGH8 = ROOT / "configs" / "rough8.toml"
@@ -102,6 +105,56 @@ def test_trials_are_a_total(command: Command, capsys: pytest.CaptureFixture[str]
 def test_random_needs_no_store(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
     assert command.run(sampler="random", store="nowhere") == 0
     assert "rough8/random: " in capsys.readouterr().out
+
+
+@pytest.fixture
+def families(command: Command, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A store with the families that the best sampler reads; a third of its rows fell too soon."""
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
+    strict = {"settings": 1, "min_survival_s": 2.8, "body": {"disturbance": 0.15}}
+    path = command.folder / "families"
+    fake.write_store(path, families=dict.fromkeys(FAMILIES, strict))
+    return path
+
+
+def test_the_best_sampler_proposes_rows_that_walked(command: Command, families: Path) -> None:
+    assert command.run(sampler="best", store=str(families), trials=5) == 0
+    assert command.run(sampler="best", store=str(families), trials=8) == 0
+    study = optuna.load_study(study_name="rough8/best", storage=command.url())
+    rows = [trial.user_attrs["row"] for trial in study.trials]
+    assert len(set(rows)) == 8
+    walked = open_store(families).table()["rough_evaluated"].to_numpy()
+    assert walked[rows].all() and not walked.all()
+
+
+def test_the_best_samplers_study_keeps_to_its_store(
+    command: Command, families: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.run(sampler="best", store=str(families), trials=2) == 0
+    fake.write_store(command.folder / "other", samples=120)
+    assert command.run(sampler="best", store=str(command.folder / "other"), trials=4) == 2
+    assert "study rough8/best: best.store" in capsys.readouterr().err
+
+
+def test_the_best_sampler_needs_families(
+    command: Command, families: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.run(sampler="best") == 2
+    assert "a store with the column rough_survived_fraction_mean" in capsys.readouterr().err
+    walked = int(open_store(families).table()["rough_evaluated"].to_numpy().sum())
+    assert command.run(sampler="best", store=str(families), trials=walked + 1) == 2
+    assert f"at most {walked}, the rows of the store" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("sampler", ["dog", "best"])
+def test_a_store_of_more_than_the_gains_is_refused(
+    command: Command, families: Path, sampler: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = command.folder / "torso"
+    fake.write_store(path, searched=["theta_ref"])
+    assert command.run(sampler=sampler, store=str(path)) == 2
+    message = "a store of the 16 gains alone, without theta_ref"
+    assert capsys.readouterr().err.strip().endswith(message)
 
 
 def no_gpu(settings: Settings) -> None:

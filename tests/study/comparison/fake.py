@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from storage.precompute import precompute
 from storage.specification import read_specification
-from study.comparison.arms import FAMILIES
 from study.comparison.experiment import Experiment, read_experiment
 from study.comparison.group import Key, Proposals, StudyGroup
+from study.survival import FAMILIES
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table
 from taichi_nmm.parameters import gain_rows, lower_bounds, upper_bounds

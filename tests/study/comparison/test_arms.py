@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from study.comparison import cmaes
-from study.comparison.arms import ARMS, FAMILIES, find_arm
+from study.comparison.arms import ARMS, find_arm
 from study.comparison.controls import TOP_ROWS, score_order
 from study.comparison.group import StudyGroup, sampler_seed
 from study.comparison.saw import NOTHING, saw
 from study.comparison.stores import Tables
 from study.comparison.task import Task
+from study.survival import FAMILIES
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from tests.study.comparison import fake
 from tests.study.comparison.conftest import Comparisons

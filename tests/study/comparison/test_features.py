@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from storage.store import Store, open_store
-from study.comparison.arms import ARMS, BEST, FAMILIES, KINDS
-from study.comparison.features import Survival, check_feature, feature_values
+from study.comparison.arms import ARMS, KINDS
 from study.comparison.stores import Tables
+from study.features import Survival, check_feature, feature_values
+from study.survival import FAMILIES
+from study.survival import OPTIONS as BEST
 from taichi_nmm.errors import InputError
 from tests.study.comparison import fake
 from tests.study.comparison.conftest import Comparisons

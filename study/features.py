@@ -1,12 +1,16 @@
 """Features of a store's rows: its columns, and what is computed of several of them."""
 
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from storage.schema import evaluated_name
 from storage.store import Store
+from study.sampler.feature_table import FeatureTable
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -82,6 +86,29 @@ def feature_values(feature: Feature, store: Store) -> Floats:
         ran = _columns(store, [evaluated_name(family) for family in families]).any(axis=0)
         values[~ran] = np.nan
     return np.asarray(values)
+
+
+def feature_table(
+    store: Store, features: Sequence[Feature], parameters: Sequence[str], **ranges: Any
+) -> FeatureTable:
+    """The rows of a store as candidates; those that a feature leaves out are not proposed.
+
+    Args:
+        store: whose rows.
+        features: to compare them by.
+        parameters: columns that studies suggest.
+        **ranges: `bounds` or `space` of `FeatureTable.from_arrays`.
+    """
+    columns = store.table(parameters)
+    with warnings.catch_warnings():
+        # Rows are left out on purpose; stores themselves have no gaps.
+        warnings.filterwarnings("ignore", ".* not finite are not proposed", UserWarning)
+        return FeatureTable.from_arrays(
+            {name: columns[name].to_numpy() for name in parameters},
+            np.column_stack([feature_values(feature, store) for feature in features]),
+            [name_of(feature) for feature in features],
+            **ranges,
+        )
 
 
 def _columns(store: Store, names: list[str]) -> Floats:

@@ -1,0 +1,72 @@
+"""The sampler that did best in the comparisons: gaits are alike that survive the same grounds.
+
+What a gait survives was computed beforehand, on several families of disturbed bodies and uneven
+grounds (`configs/store-diverse.toml`); docs/comparison.md says how all of this was chosen.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from storage.store import open_store
+from study.features import Feature, Survival, check_feature, feature_table
+from study.sampler.feature_sampler import FeatureKernelSampler
+from study.sampler.feature_table import FeatureTable
+
+# Of the families that a store may have: what nearly stands survives stairs, which says little.
+FAMILIES = ("rough", "blocks", "up", "down")
+SPEED = "mean_speed_mps"  # on the base setting
+MEAN = Survival().name  # the feature that is also the prior
+OPTIONS: dict[str, Any] = {
+    "kernel": "rbf_ard",
+    "mean": "constant",
+    "acquisition": "log_ei",
+    "prior": MEAN,
+    "prior_weight": 200.0,
+    "cost_transform": "log",
+    "n_startup_trials": 1,
+}
+
+
+def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ...]:
+    """Mean survival of these families, survival of each, and the speed on the base setting.
+
+    Rows that fell on the base setting have none of them.
+    """
+    each = (Survival((family,), family) for family in families)
+    return (Survival(families, survivors=True), *each, SPEED)
+
+
+def survival_table(path: str | Path, families: tuple[str, ...] = FAMILIES) -> FeatureTable:
+    """The rows of a store with what `SurvivalSampler` compares them by.
+
+    Args:
+        path: of a store with these families; rows that fell on its base setting are not proposed.
+        families: names of families of settings.
+
+    Raises:
+        InputError: no store, or one without these families or with other bounds.
+    """
+    store = open_store(path)
+    store.require_bounds()
+    features = survival_features(families)
+    for feature in features:
+        check_feature(feature, store)
+    ranges = store.specification["gains"]
+    bounds = {name: (ends["low"], ends["high"]) for name, ends in ranges.items()}
+    return feature_table(store, features, store.gain_names, bounds=bounds)
+
+
+class SurvivalSampler(FeatureKernelSampler):
+    """A length scale a feature, log expected improvement of the log cost, a prior by mean survival.
+
+    Costs must be positive, and there is to be one to minimise.
+
+    Args:
+        table: of `survival_table`, or any with a feature "survival" whose high values are good.
+        seed: of all draws; None takes one from the machine's entropy.
+        **options: of `FeatureKernelSampler`, for what is to differ.
+    """
+
+    def __init__(self, table: FeatureTable, *, seed: int | None = None, **options: Any) -> None:
+        """As `FeatureKernelSampler`, with other defaults."""
+        super().__init__(table, seed=seed, **OPTIONS | options)

@@ -1,0 +1,68 @@
+"""The sampler that did best, outside the comparisons."""
+
+from pathlib import Path
+
+import numpy as np
+import optuna
+import pytest
+
+import study
+import taichi_nmm
+from storage.store import open_store
+from study.comparison.arms import ARMS
+from study.comparison.stores import Tables
+from study.comparison.task import Task
+from study.survival import FAMILIES, OPTIONS, SurvivalSampler, survival_table
+from taichi_nmm.errors import InputError
+from tests.study.comparison import fake
+
+
+@pytest.fixture
+def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
+    fake.write_store(tmp_path / "store")
+    return tmp_path / "store"
+
+
+def proposals(sampler: optuna.samplers.BaseSampler, count: int) -> list[int]:
+    """Rows that it proposes, when the cost of a trial is a formula of its gains."""
+    made = optuna.create_study(sampler=sampler)
+    for _ in range(count):
+        trial = made.ask(fixed_distributions=sampler.infer_relative_search_space(made, None))  # type: ignore[arg-type]
+        gains = np.array([list(trial.params.values())])
+        made.tell(trial, float(1.0 - fake.quality(gains[:, :16])[0]))
+    return [trial.user_attrs["row"] for trial in made.trials]
+
+
+def test_it_proposes_what_the_arm_of_the_comparisons_does(store: Path, tmp_path: Path) -> None:
+    experiment = fake.experiment(tmp_path)
+    arm = ARMS["best"]
+    task = Task(experiment, 11, 0, Tables(experiment), arm.store, arm.features)
+    ours = SurvivalSampler(survival_table(experiment.stores["diverse"]), seed=11)
+    assert proposals(ours, 12) == proposals(arm.new_sampler(task), 12)
+    assert arm.definition["options"] == OPTIONS
+
+
+def test_rows_and_features_are_the_stores(store: Path) -> None:
+    table, rows = survival_table(store), open_store(store).table()
+    means = [rows[f"{name}_survived_fraction_mean"].to_numpy() for name in FAMILIES]
+    ran = rows["rough_evaluated"].to_numpy()
+    np.testing.assert_allclose(table.rows.features[ran, 0], np.mean(means, axis=0)[ran])
+    np.testing.assert_allclose(table.rows.features[ran, 5], rows["mean_speed_mps"].to_numpy()[ran])
+    np.testing.assert_array_equal(table.rows.offered, ran)
+
+
+def test_options_may_differ(store: Path) -> None:
+    table = survival_table(store, ("up", "down"))
+    assert len(proposals(SurvivalSampler(table, seed=1, prior_weight=1.0, kernel="rbf"), 3)) == 3
+
+
+def test_a_store_without_families_is_one_line(store: Path, tmp_path: Path) -> None:
+    fake.write_store(tmp_path / "plain", families={})
+    with pytest.raises(InputError, match="a store with the column rough_survived_fraction_mean"):
+        survival_table(tmp_path / "plain")
+
+
+def test_it_is_public() -> None:
+    assert study.SurvivalSampler is SurvivalSampler
+    assert study.survival_table is survival_table
