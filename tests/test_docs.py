@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
+import taichi_nmm
 from taichi_nmm.config import read_toml
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
+from tests.study.comparison import fake
 
 ROOT = Path(__file__).resolve().parent.parent
 TOOLS = sorted(
@@ -63,9 +65,13 @@ def test_the_readmes_simulation_runs() -> None:
     assert "completed" in done.stdout and "(10000, 6)" in done.stdout
 
 
-def test_the_readmes_study_and_the_stores_page_run_on_a_small_store(tmp_path: Path) -> None:
+def test_the_readmes_study_and_the_stores_page_run_on_small_stores(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "store").symlink_to(ROOT / "tests" / "assets" / "store-v1")
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
+    fake.write_store(tmp_path / "out" / "store-diverse")
     blocks = [python_blocks(ROOT / "README.md")[1], python_blocks(ROOT / "docs" / "store.md")[0]]
     for code in blocks:
         done = subprocess.run(
