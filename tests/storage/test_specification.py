@@ -27,7 +27,7 @@ def test_shipped_configs_are_valid() -> None:
     assert (flat.duration_s, flat.families, flat.terrain.name) == (5.0, (), "flat")
     (robust,) = read_specification(read_toml(CONFIGS / "store-robust.toml")).families
     assert len(robust.bodies) == len(robust.terrains) == 6
-    assert (robust.min_survival_s, robust.horizon_s, robust.disturbance) == (3.0, 8.0, 0.15)
+    assert (robust.min_survival_s, robust.horizon_s, robust.disturbance) == (3.0, 20.0, 0.15)
 
 
 def test_robust_settings_differ_from_each_other_and_come_from_the_seed() -> None:

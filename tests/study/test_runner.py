@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import optuna
 import pytest
 from optuna.trial import FrozenTrial, TrialState
@@ -40,8 +41,18 @@ def run(
     stored: FeatureTable,
     storage: optuna.storages.BaseStorage,
 ) -> list[FrozenTrial]:
-    table = stored if arm == "dog" else None
-    return finished(run_study(config, arm, trials, storage, table))
+    return finished(run_study(config, arm, trials, storage, candidates(arm, stored)))
+
+
+def candidates(arm: str, stored: FeatureTable) -> FeatureTable | None:
+    """What an arm chooses among: the store's rows, compared by as many numbers as it wants."""
+    if arm != "best":
+        return stored if arm == "dog" else None
+    rows = stored.rows
+    space = rows.space.as_dict()
+    columns = {name: rows.parameters[:, column] for column, name in enumerate(space)}
+    features = np.column_stack([rows.features[:, 0], rows.parameters[:, 0]])
+    return FeatureTable.from_arrays(columns, features, ["survival", "speed"], space=space)
 
 
 @pytest.mark.parametrize("arm", ARMS)
@@ -56,7 +67,8 @@ def test_trials_say_what_happened(config: StudyConfig, stored: FeatureTable, arm
         assert attributes["distance_m"] == pytest.approx(
             attributes["duration_s"] * attributes["mean_speed_mps"]
         )
-        assert ("row" in attributes) == ("score" in attributes) == (arm == "dog")
+        assert ("row" in attributes) == (arm in ("dog", "best"))
+        assert ("score" in attributes) == (arm == "dog")
 
 
 def test_the_cost_is_the_configured_one(config: StudyConfig, fake_simulator: None) -> None:
