@@ -89,7 +89,7 @@ def read_setting(path: str | Path, duration_s: float | None, arch: str | None) -
         terrain=read_terrain(table.table("terrain"), stream(seed, Purpose.TERRAIN)),
     )
     simulation.done()
-    for of_studies in ("objective", "dog"):
+    for of_studies in ("objective", "dog", "best"):
         table.table(of_studies)
     table.text("name", "")
     table.done()

@@ -149,6 +149,14 @@ def test_config_that_cannot_be_used(refused: Refused, tmp_path: Path, text: str,
     assert says in refused("--config", str(path))
 
 
+def test_the_line_that_the_quickstart_prints_is_taken(tmp_path: Path) -> None:
+    config = str(REPOSITORY / "configs" / "rough8.toml")
+    gains = gains_file(tmp_path, FALLS)
+    where = ("--out", str(tmp_path / "out"), "--duration", "2", "--movie-seconds", "0.3")
+    done = run("--gains", gains, "--config", config, *where)
+    assert done.returncode == 0, done.stderr
+
+
 def test_folder_that_cannot_be_written(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     assert "out: " in refused("--out", str(tmp_path / "file" / "below"))
