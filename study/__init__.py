@@ -7,9 +7,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from study.feature_table import FeatureTable
     from study.sampler.dog_sampler import DoGSampler
     from study.sampler.feature_sampler import FeatureKernelSampler
-    from study.sampler.feature_table import FeatureTable
     from study.survival import SurvivalSampler, survival_table
 
 __all__ = [
@@ -23,7 +23,7 @@ __all__ = [
 _MODULES = {
     "DoGSampler": "study.sampler.dog_sampler",
     "FeatureKernelSampler": "study.sampler.feature_sampler",
-    "FeatureTable": "study.sampler.feature_table",
+    "FeatureTable": "study.feature_table",
     "SurvivalSampler": "study.survival",
     "survival_table": "study.survival",
 }

@@ -10,8 +10,8 @@ from optuna.trial import FrozenTrial
 
 from study.config import StudyConfig
 from study.draws import Purpose, generator, seed_32bit
+from study.feature_table import FeatureTable
 from study.sampler.dog_sampler import DoGSampler
-from study.sampler.feature_table import FeatureTable
 from study.sampler.random_sampler import ReproducibleRandomSampler
 from study.survival import SurvivalSampler, survival_table
 from taichi_nmm.errors import InputError

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from storage.schema import evaluated_name
 from storage.store import Store
-from study.sampler.feature_table import FeatureTable
+from study.feature_table import FeatureTable
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -5,7 +5,7 @@ from typing import Any
 import optuna
 
 from study.config import StudyConfig
-from study.sampler.feature_table import FeatureTable
+from study.feature_table import FeatureTable
 from taichi_nmm.errors import InputError
 
 IDENTITY_ATTRIBUTE = "config"

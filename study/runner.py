@@ -10,9 +10,9 @@ from optuna.trial import FrozenTrial, TrialState
 
 from study.arms import new_sampler
 from study.config import StudyConfig
+from study.feature_table import FeatureTable
 from study.identity import check_identity
 from study.objective import WalkObjective
-from study.sampler.feature_table import FeatureTable
 from taichi_nmm.errors import InputError
 
 Report = Callable[[optuna.Study, FrozenTrial], None]

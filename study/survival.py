@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from storage.store import open_store
+from study.feature_table import FeatureTable
 from study.features import Feature, Survival, check_feature, feature_table
 from study.sampler.feature_sampler import FeatureKernelSampler
-from study.sampler.feature_table import FeatureTable
 
 # Of the families that a store may have: what nearly stands survives stairs, which says little.
 FAMILIES = ("rough", "blocks", "up", "down")

@@ -13,18 +13,18 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import optuna
+from storage.studies import only_run, open_studies, storage_errors
 from tqdm import tqdm
 
 import taichi_nmm
 from storage.commit import commit_json
 from storage.precompute import precompute
 from storage.specification import read_specification
-from storage.studies import only_run, open_studies, storage_errors
 from study.command import run_command
 from study.config import StudyConfig, read_study_config
+from study.feature_table import FeatureTable
 from study.objective import simulate_gains, trial_gains
 from study.runner import run_study, study_name
-from study.sampler.feature_table import FeatureTable
 from study.summary import best_gains, dashboard_command, progress_line, study_line
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.config import read_toml

@@ -12,8 +12,8 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, CmaEsSampler, GPSampler, RandomSampler, TPESampler
 
 from study.benchmarks.synthetic import NAMES, Problem
+from study.sampler.candidate_table import CandidateTable
 from study.sampler.feature_sampler import FeatureKernelSampler
-from study.sampler.feature_table import FeatureTable
 
 Floats = NDArray[np.float64]
 
@@ -57,10 +57,12 @@ def run(arm: str, problem: Problem, trials: int) -> Floats:
     return np.array([trial.values[0] for trial in study.get_trials(deepcopy=False)])
 
 
-def _table(problem: Problem) -> FeatureTable:
+def _table(problem: Problem) -> CandidateTable:
     rows = problem.rows()
     columns = dict(zip(NAMES, rows.T, strict=True))
-    return FeatureTable.from_arrays(columns, problem.features(rows), space=problem.distributions())
+    return CandidateTable.from_arrays(
+        columns, problem.features(rows), space=problem.distributions()
+    )
 
 
 def _ours(kernel: str) -> Callable[[Problem], BaseSampler]:

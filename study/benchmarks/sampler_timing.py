@@ -14,8 +14,8 @@ from optuna.distributions import FloatDistribution
 from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, GPSampler
 
+from study.sampler.candidate_table import CandidateTable
 from study.sampler.feature_sampler import FeatureKernelSampler
-from study.sampler.feature_table import FeatureTable
 from study.sampler.history import ROW_ATTRIBUTE
 
 Floats = NDArray[np.float64]
@@ -115,7 +115,7 @@ def _sampler(case: Case, points: Floats, features: Floats) -> BaseSampler:
             return GPSampler(seed=SEED)
     space = {name: FloatDistribution(0.0, 1.0) for name in NAMES}
     columns = dict(zip(NAMES, points.T, strict=True))
-    table = FeatureTable.from_arrays(columns, features, space=space)
+    table = CandidateTable.from_arrays(columns, features, space=space)
     kernel = "rbf" if case.features == 1 else "rbf_ard"
     refit_every = case.observations if case.kept else 1
     return FeatureKernelSampler(table, seed=SEED, kernel=kernel, refit_every=refit_every)

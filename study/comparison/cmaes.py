@@ -15,7 +15,7 @@ from optuna.trial import FrozenTrial, TrialState
 from study.comparison.controls import RowSampler, score_order
 from study.comparison.task import Task
 from study.draws import Purpose, generator, seed_32bit
-from study.sampler.feature_table import FeatureTable
+from study.feature_table import FeatureTable
 from study.sampler.random_sampler import ReproducibleRandomSampler
 from study.sampler.space import Space
 from taichi_nmm.errors import InputError

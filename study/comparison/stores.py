@@ -8,8 +8,8 @@ from storage.manifest import Manifest
 from storage.shard import file_hash
 from storage.store import Store, open_store
 from study.comparison.experiment import Experiment
+from study.feature_table import FeatureTable
 from study.features import Feature, check_feature, feature_table
-from study.sampler.feature_table import FeatureTable
 from taichi_nmm.errors import InputError
 
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from study.comparison.experiment import Experiment
 from study.comparison.stores import Tables
+from study.feature_table import FeatureTable
 from study.features import Feature, name_of
-from study.sampler.feature_table import FeatureTable
 
 
 @dataclass(frozen=True, eq=False)

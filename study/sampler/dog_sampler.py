@@ -9,8 +9,8 @@ the score phi of each having been computed beforehand, on a grid from which cand
 
 from typing import Any
 
+from study.sampler.candidate_table import CandidateTable
 from study.sampler.feature_sampler import FeatureKernelSampler
-from study.sampler.feature_table import FeatureTable
 
 
 class DoGSampler(FeatureKernelSampler):
@@ -24,7 +24,7 @@ class DoGSampler(FeatureKernelSampler):
         **options: of `FeatureKernelSampler`, for what differs from the paper.
     """
 
-    def __init__(self, table: FeatureTable, *, seed: int | None = None, **options: Any) -> None:
+    def __init__(self, table: CandidateTable, *, seed: int | None = None, **options: Any) -> None:
         """As `FeatureKernelSampler`, with other defaults."""
         paper = {"kernel": "rbf", "mean": "constant", "acquisition": "ei"}
         super().__init__(table, seed=seed, **paper | options)

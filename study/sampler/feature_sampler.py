@@ -16,7 +16,7 @@ from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
-from study.sampler.feature_table import FeatureTable
+from study.sampler.candidate_table import CandidateTable
 from study.sampler.options import Options
 from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
 from study.sampler.source import new_source
@@ -31,8 +31,9 @@ class FeatureKernelSampler(BaseSampler):
 
     Three forms, by `features`:
 
-    - a `FeatureTable`: a trial is a row of the table that no trial has taken, named by the user
-      attribute `row`; with `feature_function` and `off_grid`, also a point near the best rows;
+    - a `CandidateTable` (`study.FeatureTable` is one): a trial is a row of the table that no trial
+      has taken, named by the user attribute `row`; with `feature_function` and `off_grid`, also a
+      point near the best rows;
     - a function, params [n, d] -> features [n, k]: a trial is any point of the space;
     - None: a Gaussian process over the parameters themselves, the usual baseline.
 
@@ -103,7 +104,7 @@ class FeatureKernelSampler(BaseSampler):
 
     def __init__(
         self,
-        features: FeatureTable | Features | None = None,
+        features: CandidateTable | Features | None = None,
         *,
         seed: int | None = None,
         n_startup_trials: int = STARTUP_TRIALS,

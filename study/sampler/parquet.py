@@ -10,47 +10,60 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
-from storage.store import open_store
-from study.sampler.feature_table import make_rows
+from study.sampler.checked_rows import Bounds, make_rows
 from study.sampler.rows import Rows
 from taichi_nmm.errors import InputError
 
 
 @dataclass(frozen=True)
 class ParquetColumns:
-    """Where a table was read from: calling it reads it (again)."""
+    """Where a table was read from: calling it reads it (again).
+
+    Attributes:
+        path: a file, or a folder of them.
+        features: k columns.
+        parameters: d columns.
+        space: distributions of some parameters.
+        bounds: (low, high) of some parameters.
+    """
 
     path: Path
     features: tuple[str, ...]
-    parameters: tuple[str, ...] | None
+    parameters: tuple[str, ...]
     space: Mapping[str, BaseDistribution] | None
-    bounds: Mapping[str, tuple[float, float]] | None
+    bounds: Bounds | None
 
     def __call__(self) -> Rows:
         """Read the columns, and check them."""
-        if not self.features:
-            raise InputError("features", "none", "at least one column")
-        if self.parameters is None:
-            return self._of_store()
+        require_features(self.features)
         table = _read(self.path, (*self.parameters, *self.features))
-        columns = {name: _numpy(table, name) for name in self.parameters}
-        matrix = _matrix(table, self.features)
-        return make_rows(columns, matrix, self.features, self.bounds, self.space)
+        return arrow_rows(table, self.parameters, self.features, self.bounds, self.space)
 
-    def _of_store(self) -> Rows:
-        """A store knows its parameters, those beside the 16 gains too, and their bounds."""
-        store = open_store(self.path)
-        store.require_bounds()
-        ranges = store.specification["gains"]
-        bounds = {name: (ends["low"], ends["high"]) for name, ends in ranges.items()}
-        others = [name for name in store.columns if name not in bounds]
-        for name in self.features:
-            if name not in others:
-                raise InputError("score", name, f"one of {', '.join(others)}")
-        table = store.table((*bounds, *self.features))
-        columns = {name: _numpy(table, name) for name in bounds}
-        matrix = _matrix(table, self.features)
-        return make_rows(columns, matrix, self.features, self.bounds or bounds, self.space)
+
+def require_features(features: Sequence[str]) -> None:
+    """Refuse to read a table that says nothing of its rows."""
+    if not features:
+        raise InputError("features", "none", "at least one column")
+
+
+def arrow_rows(
+    table: pa.Table,
+    parameters: Sequence[str],
+    features: Sequence[str],
+    bounds: Bounds | None,
+    space: Mapping[str, BaseDistribution] | None,
+) -> Rows:
+    """The n rows of an Arrow table, checked as `make_rows` does.
+
+    Args:
+        table: that has all columns named here, and may have others.
+        parameters: names of d columns.
+        features: names of k columns of numbers.
+        bounds: as of `make_rows`.
+        space: as of `make_rows`.
+    """
+    columns = {name: _numpy(table, name) for name in parameters}
+    return make_rows(columns, _matrix(table, features), features, bounds, space)
 
 
 def _read(path: Path, names: Sequence[str]) -> pa.Table:
@@ -72,11 +85,13 @@ def _read(path: Path, names: Sequence[str]) -> pa.Table:
 
 
 def _numpy(table: pa.Table, name: str) -> NDArray[np.generic]:
+    """One column, [n]."""
     values: NDArray[np.generic] = table[name].to_numpy()
     return values
 
 
 def _matrix(table: pa.Table, features: Sequence[str]) -> NDArray[np.float64]:
+    """Columns of numbers side by side, [n, k]."""
     matrix = np.empty((len(table), len(features)))
     for column, name in enumerate(features):
         try:

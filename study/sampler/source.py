@@ -17,9 +17,9 @@ from optuna.trial import FrozenTrial
 from threadpoolctl import ThreadpoolController
 
 from study.draws import Purpose, generator
+from study.sampler.candidate_table import CandidateTable
 from study.sampler.evidence import Evidence, read_limits
 from study.sampler.feature_function import Features
-from study.sampler.feature_table import FeatureTable
 from study.sampler.history import History
 from study.sampler.kernels import feature_only
 from study.sampler.mismatch import Mismatch, read_shown
@@ -192,7 +192,7 @@ def missing_in(
 
 
 def new_source(
-    features: FeatureTable | Features | None,
+    features: CandidateTable | Features | None,
     function: Features | None,
     options: Options,
     seed: int,
@@ -202,12 +202,14 @@ def new_source(
     from study.sampler.space_source import SpaceSource
     from study.sampler.table_source import TableSource
 
-    if isinstance(features, FeatureTable):
+    if isinstance(features, CandidateTable):
         return TableSource(features, function, options, seed, independent)
     if function is not None:
         raise InputError(
             "feature_function", "given", "none: only a table needs it beside `features`"
         )
     if features is not None and not callable(features):
-        raise InputError("features", type(features).__name__, "a FeatureTable, a function, or None")
+        raise InputError(
+            "features", type(features).__name__, "a FeatureTable, a function, or None"
+        )
     return SpaceSource(features, options, seed, independent)

@@ -17,10 +17,10 @@ from optuna.trial import FrozenTrial, TrialState
 
 from study.draws import Purpose, turn
 from study.sampler.acquisition import argmax_random_tie, fading_log_weight
+from study.sampler.candidate_table import CandidateTable
 from study.sampler.candidates import nearby
 from study.sampler.claims import withdraw_or_keep
 from study.sampler.feature_function import Features, call_features
-from study.sampler.feature_table import FeatureTable
 from study.sampler.fit import first_misfit, proves_fit
 from study.sampler.history import (
     FEATURES_ATTRIBUTE,
@@ -57,7 +57,7 @@ class TableSource(Source):
 
     def __init__(
         self,
-        table: FeatureTable,
+        table: CandidateTable,
         function: Features | None,
         options: Options,
         seed: int,

@@ -8,24 +8,22 @@ parameters or the features mean.
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
+from optuna.distributions import BaseDistribution
 
-from study.sampler.columns import feature_matrix, parameter_column
+from study.sampler.checked_rows import Bounds, make_rows
+from study.sampler.columns import feature_matrix
 from study.sampler.rows import Rows
-from study.sampler.space import Space
 from taichi_nmm.errors import InputError
 
 if TYPE_CHECKING:
     import pandas
 
-Bounds = Mapping[str, tuple[float, float]]
 
-
-class FeatureTable:
+class CandidateTable:
     """n candidate rows: d parameters and k features each. Make one by a `from_` method.
 
     What becomes of imperfect columns (each with one warning when the table is made):
@@ -42,13 +40,13 @@ class FeatureTable:
         source: the file or folder that it was read from; None for arrays.
     """
 
-    def __init__(self, rows: Rows, reload: "Callable[[], Rows] | None", source: Path | None):
+    def __init__(self, rows: Rows, reload: Callable[[], Rows] | None, source: Path | None):
         """Use `from_parquet`, `from_arrays` or `from_dataframe`."""
         self._rows: Rows | None = rows
         self._reload = reload
         self.source = source
         self.digest = rows.digest()
-        _warn_of(rows)
+        _warn_of(rows, type(self).__name__)
 
     @classmethod
     def from_parquet(
@@ -56,29 +54,28 @@ class FeatureTable:
         path: str | Path,
         *,
         features: Sequence[str],
-        parameters: Sequence[str] | None = None,
+        parameters: Sequence[str],
         space: Mapping[str, BaseDistribution] | None = None,
         bounds: Bounds | None = None,
-    ) -> "FeatureTable":
+    ) -> Self:
         """Columns of a Parquet file, or of a folder of Parquet files.
 
         Args:
-            path: a file; a folder of files; or a store of this project (folder, shard or merged
-                file), whose parameters and bounds are known and need not be given.
+            path: a file, or a folder of files, read in the order of their names.
             features: columns to compare rows by, k of them.
-            parameters: columns that the study will suggest, d of them; None: `path` is a store.
+            parameters: columns that the study will suggest, d of them.
             space: distributions of some or all parameters; by default those of `from_arrays`.
             bounds: as in `from_arrays`.
 
         Raises:
             InputError: no such file or column, or what `from_arrays` refuses.
         """
-        from study.sampler.parquet import ParquetColumns
+        from study.sampler.parquet import ParquetColumns  # PyArrow is slow to load
 
         reload = ParquetColumns(
             Path(path).absolute(),
             tuple(features),
-            None if parameters is None else tuple(parameters),
+            tuple(parameters),
             None if space is None else dict(space),
             None if bounds is None else dict(bounds),
         )
@@ -93,7 +90,7 @@ class FeatureTable:
         *,
         bounds: Bounds | None = None,
         space: Mapping[str, BaseDistribution] | None = None,
-    ) -> "FeatureTable":
+    ) -> Self:
         """Columns of parameters by name, each [n], and features [n, k] or, for one, [n].
 
         Args:
@@ -122,7 +119,7 @@ class FeatureTable:
         features: Sequence[str],
         bounds: Bounds | None = None,
         space: Mapping[str, BaseDistribution] | None = None,
-    ) -> "FeatureTable":
+    ) -> Self:
         """Named columns of a pandas data frame; otherwise as `from_arrays`."""
         for name in [*parameters, *features]:
             if name not in frame.columns:
@@ -156,83 +153,7 @@ class FeatureTable:
         return state
 
 
-def make_rows(
-    parameters: Mapping[str, ArrayLike],
-    features: ArrayLike,
-    feature_names: Sequence[str] | None,
-    bounds: Bounds | None,
-    space: Mapping[str, BaseDistribution] | None,
-) -> Rows:
-    """Check columns and put them together."""
-    if not parameters:
-        raise InputError("table.parameters", "none", "at least one column")
-    _require_known("table.bounds", bounds, parameters)
-    _require_known("table.space", space, parameters)
-    matrix = feature_matrix(features, feature_names)
-    names = tuple(feature_names or (f"feature_{i}" for i in range(matrix.shape[1])))
-    raw = np.empty((len(matrix), len(parameters)))
-    distributions: dict[str, BaseDistribution] = {}
-    for column, (name, values) in enumerate(parameters.items()):
-        given = None if space is None else space.get(name)
-        numbers, distribution = parameter_column(name, values, len(matrix), given)
-        if bounds is not None and name in bounds and given is None:
-            distribution = _widened(name, distribution, bounds[name])
-        raw[:, column] = numbers
-        distributions[name] = distribution
-    rows = Rows(Space.of(distributions), raw, names, matrix)
-    _require_inside(rows)
-    return rows
-
-
-def _require_known(
-    field: str, given: Mapping[str, Any] | None, parameters: Mapping[str, Any]
-) -> None:
-    for name in given or ():
-        if name not in parameters:
-            raise InputError(field, name, f"one of {', '.join(sorted(parameters))}")
-
-
-def _widened(
-    name: str, distribution: BaseDistribution, bounds: tuple[float, float]
-) -> BaseDistribution:
-    """The distribution of a column with the bounds asked for."""
-    if isinstance(distribution, CategoricalDistribution):
-        raise InputError(f"table.bounds.{name}", bounds, "none: the parameter is categorical")
-    low, high = bounds
-    if not low <= high:
-        raise InputError(f"table.bounds.{name}", bounds, "(low, high), low <= high")
-    return type(distribution)(low, high)  # type: ignore[call-arg]
-
-
-def _require_inside(rows: Rows) -> None:
-    """Refuse rows that their own distribution does not hold."""
-    for column, (name, distribution) in enumerate(rows.space.as_dict().items()):
-        if isinstance(distribution, CategoricalDistribution):
-            continue
-        values = rows.parameters[:, column]
-        low, high = distribution.low, distribution.high  # type: ignore[attr-defined]
-        outside = np.flatnonzero(~((low <= values) & (values <= high)))
-        if len(outside):
-            row = int(outside[0])
-            raise InputError(f"table.{name}[{row}]", float(values[row]), f"{low:g} to {high:g}")
-        if isinstance(distribution, FloatDistribution) and distribution.step is None:
-            continue
-        row_off_grid = _first_off_grid(rows, column)
-        if row_off_grid is not None:
-            value = float(values[row_off_grid])
-            raise InputError(f"table.{name}[{row_off_grid}]", value, f"a value of {distribution}")
-
-
-def _first_off_grid(rows: Rows, column: int) -> int | None:
-    """The first row that lies between the steps of its parameter."""
-    distribution = rows.space.distributions[column]
-    low, step = distribution.low, distribution.step  # type: ignore[attr-defined]
-    steps = (rows.parameters[:, column] - low) / step
-    off = np.flatnonzero(np.abs(steps - np.round(steps)) > 1e-8)
-    return int(off[0]) if len(off) else None
-
-
-def _warn_of(rows: Rows) -> None:
+def _warn_of(rows: Rows, table: str) -> None:
     """Say once what the table leaves out."""
     said = []
     if rows.incomplete:
@@ -243,4 +164,4 @@ def _warn_of(rows: Rows) -> None:
         names = ", ".join(rows.empty_features)
         said.append(f"features without information are ignored: {names}")
     if said:
-        warnings.warn(f"FeatureTable: {'; '.join(said)}.", UserWarning, stacklevel=4)
+        warnings.warn(f"{table}: {'; '.join(said)}.", UserWarning, stacklevel=4)

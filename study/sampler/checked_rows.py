@@ -1,0 +1,102 @@
+"""The columns of a table made rows: checked one by one, then against bounds and distributions."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
+
+from study.sampler.columns import feature_matrix, parameter_column
+from study.sampler.rows import Rows
+from study.sampler.space import Space
+from taichi_nmm.errors import InputError
+
+Bounds = Mapping[str, tuple[float, float]]
+
+
+def make_rows(
+    parameters: Mapping[str, ArrayLike],
+    features: ArrayLike,
+    feature_names: Sequence[str] | None,
+    bounds: Bounds | None,
+    space: Mapping[str, BaseDistribution] | None,
+) -> Rows:
+    """n rows of d parameters and k features.
+
+    Args:
+        parameters: d columns by name, [n] each.
+        features: [n, k], or [n] for one.
+        feature_names: k names; None: feature_0, feature_1, ...
+        bounds: (low, high) of some numeric parameters, by name.
+        space: distributions of some parameters, by name.
+
+    Raises:
+        InputError: naming the column and row that cannot be used.
+    """
+    if not parameters:
+        raise InputError("table.parameters", "none", "at least one column")
+    _require_known("table.bounds", bounds, parameters)
+    _require_known("table.space", space, parameters)
+    matrix = feature_matrix(features, feature_names)
+    names = tuple(feature_names or (f"feature_{i}" for i in range(matrix.shape[1])))
+    raw = np.empty((len(matrix), len(parameters)))
+    distributions: dict[str, BaseDistribution] = {}
+    for column, (name, values) in enumerate(parameters.items()):
+        given = None if space is None else space.get(name)
+        numbers, distribution = parameter_column(name, values, len(matrix), given)
+        if bounds is not None and name in bounds and given is None:
+            distribution = _widened(name, distribution, bounds[name])
+        raw[:, column] = numbers
+        distributions[name] = distribution
+    rows = Rows(Space.of(distributions), raw, names, matrix)
+    _require_inside(rows)
+    return rows
+
+
+def _require_known(
+    field: str, given: Mapping[str, Any] | None, parameters: Mapping[str, Any]
+) -> None:
+    for name in given or ():
+        if name not in parameters:
+            raise InputError(field, name, f"one of {', '.join(sorted(parameters))}")
+
+
+def _widened(
+    name: str, distribution: BaseDistribution, bounds: tuple[float, float]
+) -> BaseDistribution:
+    """The distribution of a column with the bounds asked for."""
+    if isinstance(distribution, CategoricalDistribution):
+        raise InputError(f"table.bounds.{name}", bounds, "none: the parameter is categorical")
+    low, high = bounds
+    if not low <= high:
+        raise InputError(f"table.bounds.{name}", bounds, "(low, high), low <= high")
+    return type(distribution)(low, high)  # type: ignore[call-arg]
+
+
+def _require_inside(rows: Rows) -> None:
+    """Refuse rows that their own distribution does not hold."""
+    for column, (name, distribution) in enumerate(rows.space.as_dict().items()):
+        if isinstance(distribution, CategoricalDistribution):
+            continue
+        values = rows.parameters[:, column]
+        low, high = distribution.low, distribution.high  # type: ignore[attr-defined]
+        outside = np.flatnonzero(~((low <= values) & (values <= high)))
+        if len(outside):
+            row = int(outside[0])
+            raise InputError(f"table.{name}[{row}]", float(values[row]), f"{low:g} to {high:g}")
+        if isinstance(distribution, FloatDistribution) and distribution.step is None:
+            continue
+        row_off_grid = _first_off_grid(rows, column)
+        if row_off_grid is not None:
+            value = float(values[row_off_grid])
+            raise InputError(f"table.{name}[{row_off_grid}]", value, f"a value of {distribution}")
+
+
+def _first_off_grid(rows: Rows, column: int) -> int | None:
+    """The first row that lies between the steps of its parameter."""
+    distribution = rows.space.distributions[column]
+    low, step = distribution.low, distribution.step  # type: ignore[attr-defined]
+    steps = (rows.parameters[:, column] - low) / step
+    off = np.flatnonzero(np.abs(steps - np.round(steps)) > 1e-8)
+    return int(off[0]) if len(off) else None
