@@ -1,8 +1,12 @@
-"""A specification as JSON values: hashed, compared, and the format's version."""
+"""What a folder holds, as JSON values: hashed, compared, agreed upon; and the format's version."""
 
 import hashlib
 import json
+from pathlib import Path
 from typing import Any
+
+from storage.commit import commit_json
+from taichi_nmm.errors import InputError
 
 FORMAT = 1  # of specification.json, manifest.json and the footers
 
@@ -24,3 +28,39 @@ def difference(document: Any, other: Any, name: str = "") -> tuple[str, Any, Any
         if found:
             return found
     return None
+
+
+def agree(
+    path: Path, document: dict[str, Any], *, growing: tuple[str, ...] = (), remedy: str
+) -> dict[str, Any]:
+    """Write the document into a new folder; in an old one, see that it is the same.
+
+    Args:
+        path: the document's file.
+        document: what this call is to fill the folder with.
+        growing: dictionaries of the document to which calls add; where missing in the file, empty.
+        remedy: what helps whom this refuses, for messages: "another --out".
+
+    Returns:
+        The document with all that calls have added; it is in the file.
+
+    Raises:
+        InputError: the file cannot be read, says something else, or cannot be written.
+    """
+    if not path.exists():
+        commit_json(path, document)
+        return document
+    try:
+        known = json.loads(path.read_text(encoding="utf-8"))
+        ours = document | {key: known.get(key, {}) | document[key] for key in growing}
+        theirs = known | {key: document[key] | known.get(key, {}) for key in growing}
+    except (OSError, ValueError, AttributeError, TypeError):
+        raise InputError("out", str(path), f"a readable {path.stem}; or {remedy}") from None
+    found = difference(ours, theirs)
+    if found:
+        name, here, there = found
+        raise InputError(name or path.stem, here, f"{there!r}, as {path} says; or {remedy}")
+    grown = ours | {key: dict(sorted(ours[key].items())) for key in growing}
+    if growing and grown != known:
+        commit_json(path, grown)
+    return grown

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from storage.folder import StoreFolder
 from storage.schema import evaluated_name
 from storage.scoring import score_shard
 from storage.specification import Specification
 from storage.store import open_store
+from storage.store_folder import StoreFolder
 from taichi_nmm import __version__
 from taichi_nmm.result import COMPLETED, END_REASONS
 

@@ -10,8 +10,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from storage.families import Family
-from storage.points import split_points
 from storage.schema import evaluated_name, family_names, shard_table
+from storage.searched import split_points
 from storage.sobol import sobol_gains
 from storage.specification import Specification
 from taichi_nmm.result import SCORE_FIELDS, Result

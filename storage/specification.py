@@ -19,8 +19,8 @@ from storage.families import (
     read_bodies,
     read_families,
 )
-from storage.points import searched_parameters
 from storage.schema import arrow_schema, columns_of
+from storage.searched import searched_parameters
 from storage.seeds import BODY, TERRAIN, seed_sequence
 from storage.sobol import LARGEST_SEQUENCE
 from taichi_nmm import __version__

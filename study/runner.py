@@ -29,8 +29,8 @@ def run_study(
     """Run the study name/arm until it has `trials` finished trials, and return it.
 
     Finished means COMPLETE. Trials found running are taken for dead (the caller sees to it that no
-    other process runs this study: `storage.studies.only_run`); they are marked failed and run
-    again, with the same parameters, before anything else.
+    other process runs this study: `storage.databases.studies.only_run`); they are marked failed and
+    run again, with the same parameters, before anything else.
 
     Args:
         config: what the study is about.

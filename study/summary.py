@@ -9,7 +9,7 @@ from typing import Any
 import optuna
 from optuna.trial import FrozenTrial
 
-from storage.studies import public_url
+from storage.databases.studies import public_url
 from study.objective import trial_gains
 from study.runner import finished
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import optuna
 from tqdm import tqdm
 
-from storage.studies import public_url
+from storage.databases.studies import public_url
 from study.command import run_command
 from study.comparison.command import Outcome, Request, compare
 from study.comparison.experiment import read_experiment

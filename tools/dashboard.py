@@ -22,8 +22,8 @@ import optuna
 import optuna_dashboard
 from optuna.artifacts import FileSystemArtifactStore
 
-from storage.studies import URL_PREFIX as SQLITE
-from storage.studies import open_studies, shown_url, studies_path
+from storage.databases.studies import URL_PREFIX as SQLITE
+from storage.databases.studies import open_studies, shown_url, studies_path
 from study.command import run_command
 from study.comparison.folder import ARTIFACTS_NAME, DATABASE_NAME
 from taichi_nmm.errors import InputError

@@ -13,11 +13,11 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import optuna
-from storage.studies import only_run, open_studies, storage_errors
 from tqdm import tqdm
 
 import taichi_nmm
 from storage.commit import commit_json
+from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.command import run_command

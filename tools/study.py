@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import optuna
 
 from storage.commit import commit_json, writable
-from storage.studies import only_run, open_studies, shown_url, storage_errors
+from storage.databases.studies import only_run, open_studies, shown_url, storage_errors
 from study.arms import ARMS, read_table
 from study.command import require_arch, run_command
 from study.config import read_study_config

@@ -20,9 +20,9 @@ from optuna.storages import RDBStorage
 from optuna_dashboard import save_note
 from optuna_dashboard.artifact import get_artifact_path
 
-from storage.bulk import attach
 from storage.commit import TEMPORARY_SUFFIX, writable
-from storage.studies import open_studies, storage_errors
+from storage.databases.bulk import attach
+from storage.databases.studies import open_studies, storage_errors
 from study.comparison.database import fingerprint, study_name
 from study.comparison.drawing import FILM, STRIP, Task, drawers
 from study.comparison.experiment import Experiment

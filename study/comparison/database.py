@@ -13,8 +13,8 @@ from optuna.storages import RDBStorage
 from optuna.trial import FrozenTrial, create_trial
 from optuna_dashboard import save_note, save_plotly_graph_object
 
-from storage.bulk import FinishedStudy, study_attributes, trial_counts, write_studies
-from storage.studies import open_studies, shown_url, storage_errors
+from storage.databases.bulk import FinishedStudy, study_attributes, trial_counts, write_studies
+from storage.databases.studies import open_studies, shown_url, storage_errors
 from study.comparison.experiment import Experiment
 from study.comparison.notes import BestCostFigure, summary_note
 from taichi_nmm.errors import InputError

@@ -8,9 +8,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
-from storage.folder import StoreFolder
 from storage.precompute import Summary, precompute
 from storage.shard import FOOTER_KEY, read_columns
+from storage.store_folder import StoreFolder
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import Result
 from tests.storage import fake

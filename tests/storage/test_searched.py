@@ -9,9 +9,9 @@ import storage.store
 import taichi_nmm
 from storage import merge, open_store
 from storage.document import difference
-from storage.points import searched_parameters, split_points
 from storage.precompute import precompute
 from storage.scoring import score_shard
+from storage.searched import searched_parameters, split_points
 from storage.sobol import sobol_gains
 from storage.specification import read_specification
 from taichi_nmm.config import Table

@@ -15,7 +15,7 @@ import optuna
 import optuna_dashboard
 import pytest
 
-from storage.studies import open_studies
+from storage.databases.studies import open_studies
 from study import FeatureKernelSampler, FeatureTable
 
 TRIALS = 12

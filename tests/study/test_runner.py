@@ -9,7 +9,7 @@ import pytest
 from optuna.trial import FrozenTrial, TrialState
 
 import taichi_nmm
-from storage.studies import open_studies
+from storage.databases.studies import open_studies
 from study import FeatureTable
 from study.arms import ARMS, new_sampler
 from study.config import StudyConfig, read_study_config

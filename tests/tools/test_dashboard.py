@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from storage.bulk import FinishedStudy, attach, write_studies
-from storage.studies import open_studies
+from storage.databases.bulk import FinishedStudy, attach, write_studies
+from storage.databases.studies import open_studies
 from study.command import run_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -28,7 +28,7 @@ PICTURE = "12345678-0000-0000-0000-000000000000"
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as an experiment leaves it: a database of two studies, one with a picture."""
-    from tests.storage.test_bulk import STUDY, TRIALS
+    from tests.storage.databases.test_bulk import STUDY, TRIALS
 
     folder = tmp_path_factory.mktemp("made") / "out" / "compare" / "tiny"
     storage = open_studies(f"sqlite:///{folder}/studies.db")

@@ -19,9 +19,9 @@ import pytest
 from optuna.trial import TrialState
 
 import taichi_nmm
-from storage import studies
+from storage.databases import studies
+from storage.databases.studies import only_run
 from storage.store import open_store
-from storage.studies import only_run
 from study.survival import FAMILIES
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS

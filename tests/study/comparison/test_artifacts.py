@@ -17,7 +17,7 @@ import pytest
 from optuna.artifacts import FileSystemArtifactStore, get_all_artifact_meta, upload_artifact
 from optuna_dashboard import get_note
 
-from storage.studies import open_studies
+from storage.databases.studies import open_studies
 from study.comparison import artifacts, drawing
 from study.comparison.artifacts import best_walks, make_artifacts
 from study.comparison.database import export

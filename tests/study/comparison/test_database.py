@@ -12,8 +12,8 @@ import pytest
 from optuna_dashboard import get_note
 from optuna_dashboard._custom_plot_data import get_plotly_graph_objects
 
-from storage.bulk import trial_counts
-from storage.studies import open_studies
+from storage.databases.bulk import trial_counts
+from storage.databases.studies import open_studies
 from study.comparison.database import check_database, export, fingerprint, study_name
 from study.comparison.notes import BestCostFigure, arm_curves, summary_note
 from taichi_nmm.errors import InputError

@@ -17,9 +17,9 @@ import pytest
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
-from storage import bulk
-from storage.bulk import FinishedStudy, attach, trial_counts, write_studies
-from storage.studies import open_studies
+from storage.databases import bulk
+from storage.databases.bulk import FinishedStudy, attach, trial_counts, write_studies
+from storage.databases.studies import open_studies
 from taichi_nmm.errors import InputError
 
 DISTRIBUTIONS = {
@@ -178,9 +178,9 @@ def test_a_missing_table_is_refused(tmp_path: Path, storage) -> None:
 KILLED = """
 import sys
 from dataclasses import replace
-from storage import bulk
-from storage.studies import open_studies
-from tests.storage.test_bulk import STUDY
+from storage.databases import bulk
+from storage.databases.studies import open_studies
+from tests.storage.databases.test_bulk import STUDY
 bulk.TRIALS_PER_TRANSACTION = 12
 storage = open_studies(sys.argv[1])
 print("writing", flush=True)

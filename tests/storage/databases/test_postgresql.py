@@ -20,13 +20,13 @@ import pytest
 import sqlalchemy as sql
 
 import taichi_nmm
-from storage.bulk import FinishedStudy, attach, trial_counts, write_studies
-from storage.studies import only_run, open_studies, storage_errors
+from storage.databases.bulk import FinishedStudy, attach, trial_counts, write_studies
+from storage.databases.studies import only_run, open_studies, storage_errors
 from taichi_nmm.errors import InputError
-from tests.storage.test_bulk import STUDY, TRIALS
+from tests.storage.databases.test_bulk import STUDY, TRIALS
 from tests.study import fake_walker
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 START_TIMEOUT_S = 30.0
 UNPRIVILEGED = "nobody"  # PostgreSQL refuses to run as root

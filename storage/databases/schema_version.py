@@ -1,4 +1,4 @@
-"""The schema of Optuna's database that `storage.bulk` knows how to write."""
+"""The schema of Optuna's database that `storage.databases.bulk` knows how to write."""
 
 import sqlalchemy as sql
 from optuna.storages import RDBStorage

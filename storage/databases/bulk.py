@@ -19,8 +19,8 @@ from optuna.storages import RDBStorage
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial
 
-from storage.postgresql import copy_rows
-from storage.schema_version import known_tables
+from storage.databases.postgresql import copy_rows
+from storage.databases.schema_version import known_tables
 
 TRIALS_PER_TRANSACTION = 2000  # 30 rows each: some 20 MB of memory, half a second
 

@@ -17,8 +17,8 @@ from optuna.storages import RDBStorage
 from sqlalchemy import event
 from sqlalchemy.exc import SQLAlchemyError
 
-from storage import postgresql
-from storage.postgresql import unusable
+from storage.databases import postgresql
+from storage.databases.postgresql import unusable
 from taichi_nmm.errors import InputError
 
 URL_PREFIX = "sqlite:///"

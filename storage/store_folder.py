@@ -6,7 +6,6 @@ manifest.json        written last: SHA-256 of every shard
 .lock                held by the one process that writes
 """
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,8 +15,7 @@ from typing import Any
 import pyarrow as pa
 
 from storage.claim import claimed, remove
-from storage.commit import commit_json
-from storage.document import FORMAT, difference
+from storage.document import FORMAT, agree
 from storage.manifest import MANIFEST_NAME, Manifest
 from storage.schema import columns_of
 from storage.shard import file_hash, read_columns, read_footer, shard_name, write_table
@@ -26,6 +24,7 @@ from taichi_nmm.errors import InputError
 
 SPECIFICATION_NAME = "specification.json"
 SHARD_PATTERN = "part-*.parquet"
+REMEDY = "another --out; or --fresh, which starts over"
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class StoreFolder:
         with claimed(path, SPECIFICATION_NAME, "a store"):
             if fresh:
                 remove(path, MANIFEST_NAME, SHARD_PATTERN, SPECIFICATION_NAME)
-            _agree(path / SPECIFICATION_NAME, specification)
+            agree(path / SPECIFICATION_NAME, specification.document, remedy=REMEDY)
             yield StoreFolder(path, specification)
 
     def missing(self) -> list[int]:
@@ -99,19 +98,3 @@ class StoreFolder:
             return Manifest.read(self.path).hashes
         except InputError:
             return {}
-
-
-def _agree(path: Path, specification: Specification) -> None:
-    """Write the specification into a new folder; in an old one, see that it is the same."""
-    if not path.exists():
-        commit_json(path, specification.document)
-        return
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise InputError("out", str(path), "a readable specification; or --fresh") from None
-    found = difference(specification.document, document)
-    if found:
-        name, here, there = found
-        hint = f"as {path} says; or another --out; or --fresh, which starts over"
-        raise InputError(name or "specification", here, f"{there!r}, {hint}")

@@ -9,8 +9,8 @@ from pathlib import Path
 import optuna
 import pytest
 
-from storage import studies
-from storage.studies import only_run, open_studies, storage_errors
+from storage.databases import studies
+from storage.databases.studies import only_run, open_studies, storage_errors
 from taichi_nmm.errors import InputError
 
 

@@ -1,0 +1,1 @@
+"""Tests of Optuna's study databases."""
