@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from optuna.distributions import FloatDistribution
 from optuna.trial import TrialState
 
-from storage.studies import open_studies
+from storage.databases.studies import open_studies
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.model import Model
 from study.sampler.options import ACQUISITIONS, COST_TRANSFORMS, KERNELS, MEANS
 from study.sampler.points import Points
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SPACE = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
 
 
@@ -103,8 +103,8 @@ def test_the_state_is_in_the_trials(form: str) -> None:
 SCRIPT = """
 import sys, time, optuna
 optuna.logging.set_verbosity(optuna.logging.ERROR)
-from storage.studies import open_studies
-from tests.study.test_feature_sampler import FORMS, bowl
+from storage.databases.studies import open_studies
+from tests.study.sampler.test_feature_sampler import FORMS, bowl
 url, form, total = sys.argv[1], sys.argv[2], int(sys.argv[3])
 study = optuna.create_study(
     study_name="s", storage=open_studies(url), sampler=FORMS[form](), load_if_exists=True

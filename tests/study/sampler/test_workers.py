@@ -12,7 +12,7 @@ from optuna.storages import BaseStorage, JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
-from storage.studies import open_studies
+from storage.databases.studies import open_studies
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
 from study.sampler.claims import withdraw_or_keep
 

@@ -18,7 +18,7 @@ from study import DoGSampler, FeatureTable
 from study.sampler.table_source import TableExhaustedError
 from taichi_nmm.errors import InputError
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 ROOMY = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
 
 

@@ -15,7 +15,7 @@ from optuna.samplers import BaseSampler, PartialFixedSampler
 
 from study import FeatureKernelSampler, FeatureTable
 
-PAGE = Path(__file__).parents[2] / "docs" / "sampler.md"
+PAGE = Path(__file__).parents[3] / "docs" / "sampler.md"
 EXPLAINED = re.findall(
     r"^\| (?:warning )?`([^`]+)`", PAGE.read_text().split("## What it says")[1], re.M
 )
