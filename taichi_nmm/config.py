@@ -6,19 +6,18 @@
 import math
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taichi_nmm import terrain as terrains
 from taichi_nmm.body import Bodies
 from taichi_nmm.errors import InputError
-from taichi_nmm.settings import CONTACT_RELAXATION_SPEED_MPS, Settings
-from taichi_nmm.terrain import Terrain
+from taichi_nmm.settings import Settings
+
+if TYPE_CHECKING:
+    from taichi_nmm.terrain import Terrain
 
 REQUIRED = object()
-
-TERRAIN_KINDS = ("flat", "rough", "blocks", "ramp", "stairs", "file")
 
 
 class Table:
@@ -122,59 +121,21 @@ def read_toml(path: str | Path) -> Table:
 
 
 def read_settings(table: Table, arch: str | None = None) -> Settings:
-    """The table [simulation], less its duration; `arch` overrides the file's."""
-    configured = table.text("arch", "auto")
-    return Settings(
-        physics_step_s=table.number("physics_step_s", 1e-3),
-        contact_relaxation_speed_mps=table.number(
-            "contact_relaxation_speed_mps", CONTACT_RELAXATION_SPEED_MPS
-        ),
-        precision=table.text("precision", "float32"),
-        arch=arch or configured,
-    )
+    """See `conditions.read_settings`."""
+    from taichi_nmm import conditions
+
+    return conditions.read_settings(table, arch)
 
 
-def read_terrain(table: Table, seed: int | np.random.SeedSequence) -> Terrain:
-    """The table [terrain]: its kind and that kind's settings; drawn from `seed` where it is random.
+def read_terrain(table: Table, seed: int | np.random.SeedSequence) -> "Terrain":
+    """The terrain that the table [terrain] describes (`terrain.read_ground`), drawn from `seed`."""
+    from taichi_nmm.terrain import read_ground
 
-    Reads every key of the table, and refuses the rest.
-    """
-    kind = table.text("kind", "flat", TERRAIN_KINDS)
-    if kind == "flat":
-        result = terrains.flat()
-    elif kind in ("rough", "blocks"):
-        shape = {
-            "amplitude_m": table.number("amplitude_m", 0.08, 0.0, 1.0),
-            "spacing_m": table.number("spacing_m", 1.0, 0.1, 100.0),
-            "flat_start_m": table.number("flat_start_m", terrains.FLAT_START_M, 0.0, 100.0),
-        }
-        if kind == "blocks":
-            riser_m = table.number("riser_m", 0.10, terrains.GRID_SPACING_M, 100.0)
-            result = terrains.blocks(seed, riser_m=riser_m, **shape)
-        else:
-            result = terrains.rough(seed, **shape)
-    elif kind == "ramp":
-        result = terrains.ramp(
-            increment=table.number("increment", 0.04, 0.001, 1.0),
-            segment_m=table.number("segment_m", 20.0, 0.1, 300.0),
-            largest_slope=table.number("largest_slope", 0.20, 0.001, 1.0),
-            direction=table.text("direction", "up", ("up", "down")),
-        )
-    elif kind == "stairs":
-        result = terrains.stairs(
-            rise_m=table.number("rise_m", 0.10, 0.001, 1.0),
-            run_m=table.number("run_m", 0.30, 0.1, 100.0),
-            flat_start_m=table.number("flat_start_m", terrains.FLAT_START_M, 0.0, 100.0),
-            direction=table.text("direction", "up", ("up", "down")),
-        )
-    else:
-        result = terrains.from_file(table.text("file"))
-    table.done()
-    return result
+    return read_ground(table).draw(seed)
 
 
 def read_bodies(table: Table, seed: int | np.random.SeedSequence) -> Bodies:
-    """The table [body]: one body, disturbed by up to `disturbance` (0.15 in the paper)."""
-    fraction = table.number("disturbance", 0.0, 0.0, 0.9)
-    table.done()
-    return Bodies.nominal() if fraction == 0 else Bodies.disturbed([seed], fraction)
+    """The table [body]: one body, disturbed by up to `disturbance`."""
+    from taichi_nmm.conditions import read_disturbance
+
+    return Bodies.disturbed([seed], read_disturbance(table))

@@ -1,6 +1,7 @@
 """How a batch is integrated: precision, step, contact law, machine."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 from taichi_nmm.errors import InputError
 
@@ -9,8 +10,10 @@ PHYSICS_STEPS_S = (1e-3, 0.5e-3, 0.25e-3)
 PRECISIONS = ("float32", "float64")
 ARCHITECTURES = ("auto", "cpu", "cuda", "vulkan")
 
-CONTACT_RELAXATION_SPEED_MPS = 0.10  # gaits converge with the step; 0.03 as published do not
-PUBLISHED_CONTACT_RELAXATION_SPEED_MPS = 0.03  # Geyer & Herr 2010
+CONTACT_RELAXATION_SPEED_MPS = (
+    0.10  # gaits converge with the step; at 0.03 (Geyer & Herr 2010) they do not
+)
+MACHINE = {"machine": True}  # metadata of a setting that no result depends on
 
 
 @dataclass(frozen=True)
@@ -28,8 +31,8 @@ class Settings:
     physics_step_s: float = 1e-3
     contact_relaxation_speed_mps: float = CONTACT_RELAXATION_SPEED_MPS
     precision: str = "float32"
-    arch: str = "auto"
-    threads: int | None = None
+    arch: str = field(default="auto", metadata=MACHINE)
+    threads: int | None = field(default=None, metadata=MACHINE)
 
     def __post_init__(self) -> None:
         if self.physics_step_s not in PHYSICS_STEPS_S:
@@ -51,3 +54,11 @@ class Settings:
     def substeps(self) -> int:
         """Physics steps in a control tick."""
         return round(CONTROL_TICK_S / self.physics_step_s)
+
+    def document(self) -> dict[str, Any]:
+        """What decides a result, as JSON values by name: all settings but those of the machine."""
+        return {
+            setting.name: getattr(self, setting.name)
+            for setting in fields(self)
+            if "machine" not in setting.metadata
+        }

@@ -1,16 +1,23 @@
 """Grounds to walk on: a height table on a uniform grid, linear between its nodes.
 
 The kernel reads nothing else of a terrain than its table; outside the table it is flat.
+
+A kind of terrain is a function here and a line of `KINDS`. A configuration's table [terrain] takes
+its options, their defaults and what they may be from the function's signature.
 """
 
 import math
 import warnings
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from inspect import Parameter, signature
 from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from taichi_nmm.config import REQUIRED, Table
 from taichi_nmm.errors import InputError
 
 GRID_START_M = -5.0
@@ -22,6 +29,23 @@ GRID_X_M: NDArray[np.float64] = GRID_START_M + GRID_SPACING_M * np.arange(
 )
 
 FLAT_START_M = 9.0  # every walker gets some steps to settle
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a configuration may set an option to, ends included. Callers from Python may go beyond
+    it, as far as the ground can still be made.
+    """
+
+    low: float
+    high: float
+
+
+Amplitude: TypeAlias = Annotated[float, Range(0.0, 1.0)]
+Spacing: TypeAlias = Annotated[float, Range(0.1, 100.0)]
+FlatStart: TypeAlias = Annotated[float, Range(0.0, 100.0)]
+Slope: TypeAlias = Annotated[float, Range(0.001, 1.0)]
+Direction: TypeAlias = Literal["up", "down"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +78,9 @@ def flat() -> Terrain:
 
 def rough(
     seed: int | np.random.SeedSequence,
-    amplitude_m: float = 0.08,
-    spacing_m: float = 1.0,
-    flat_start_m: float = FLAT_START_M,
+    amplitude_m: Amplitude = 0.08,
+    spacing_m: Spacing = 1.0,
+    flat_start_m: FlatStart = FLAT_START_M,
 ) -> Terrain:
     """Knots every `spacing_m`, each +-`amplitude_m` from the last, linear in between."""
     _positive(spacing_m=spacing_m)
@@ -67,10 +91,10 @@ def rough(
 
 def blocks(
     seed: int | np.random.SeedSequence,
-    amplitude_m: float = 0.08,
-    spacing_m: float = 1.0,
-    riser_m: float = 0.10,
-    flat_start_m: float = FLAT_START_M,
+    amplitude_m: Amplitude = 0.08,
+    spacing_m: Spacing = 1.0,
+    riser_m: Annotated[float, Range(GRID_SPACING_M, 100.0)] = 0.10,
+    flat_start_m: FlatStart = FLAT_START_M,
 ) -> Terrain:
     """Level blocks of `spacing_m`, each +-`amplitude_m` from the last, joined by short risers.
 
@@ -88,10 +112,10 @@ def blocks(
 
 
 def ramp(
-    increment: float = 0.04,
-    segment_m: float = 20.0,
-    largest_slope: float = 0.20,
-    direction: str = "up",
+    increment: Slope = 0.04,
+    segment_m: Annotated[float, Range(0.1, 300.0)] = 20.0,
+    largest_slope: Slope = 0.20,
+    direction: Direction = "up",
 ) -> Terrain:
     """Slope that grows by `increment` every `segment_m` until `largest_slope` (0.2 = 20 %)."""
     _positive(increment=increment, segment_m=segment_m, largest_slope=largest_slope)
@@ -102,10 +126,10 @@ def ramp(
 
 
 def stairs(
-    rise_m: float = 0.10,
-    run_m: float = 0.30,
-    flat_start_m: float = FLAT_START_M,
-    direction: str = "up",
+    rise_m: Annotated[float, Range(0.001, 1.0)] = 0.10,
+    run_m: Annotated[float, Range(0.1, 100.0)] = 0.30,
+    flat_start_m: FlatStart = FLAT_START_M,
+    direction: Direction = "up",
 ) -> Terrain:
     """Treads of `run_m`, each `rise_m` above (or below) the last, risers one grid cell long."""
     _positive(rise_m=rise_m, run_m=run_m)
@@ -134,6 +158,87 @@ def from_file(path: str | Path) -> Terrain:
     return Terrain(f"file {path.name}", np.interp(GRID_X_M, table[:, 0], table[:, 1]))
 
 
+def _from_option(file: str) -> Terrain:
+    """`from_file` as a configuration asks for it: the option is called `file`."""
+    return from_file(file)
+
+
+KINDS: dict[str, Callable[..., Terrain]] = {
+    "flat": flat,
+    "rough": rough,
+    "blocks": blocks,
+    "ramp": ramp,
+    "stairs": stairs,
+    "file": _from_option,
+}
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A kind of terrain and its options: all of a ground but the seed. It pickles and hashes.
+
+    Attributes:
+        kind: a key of `KINDS`.
+        options: arguments of that kind's function; an option that is missing has its default.
+
+    Raises:
+        InputError: an unknown kind.
+    """
+
+    kind: str = "flat"
+    options: Mapping[str, float | str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InputError("terrain.kind", self.kind, " or ".join(KINDS))
+        object.__setattr__(self, "options", dict(self.options))
+
+    def __hash__(self) -> int:
+        return hash((self.kind, frozenset(self.options.items())))
+
+    def draw(self, seed: int | np.random.SeedSequence) -> Terrain:
+        """The terrain of this seed; kinds without randomness give the same for all.
+
+        Raises:
+            InputError: an option that the ground cannot be made with, or a file that is no table.
+        """
+        make: Callable[..., Terrain] = KINDS[self.kind]
+        drawn = {"seed": seed} if "seed" in signature(make).parameters else {}
+        return make(**drawn, **self.options)
+
+
+def read_ground(table: Table) -> Ground:
+    """The table [terrain] of a configuration: its kind, and options of that kind. Reads every key.
+
+    A ground is drawn once here, so that options which do not fit each other, or a file that cannot
+    be read, are refused before anything is computed.
+
+    Raises:
+        InputError: an unknown kind or option, a wrong type or a value out of range.
+    """
+    kind = table.text("kind", "flat", tuple(KINDS))
+    written = table.unread
+    make = KINDS[kind]
+    hints = get_type_hints(make, include_extras=True)
+    for name, parameter in signature(make).parameters.items():
+        if name != "seed":
+            _check_option(table, hints[name], parameter)
+    table.done()
+    ground = Ground(kind, written)
+    ground.draw(seed=0)
+    return ground
+
+
+def _check_option(table: Table, hint: Any, parameter: Parameter) -> None:
+    """Read an option that is a number within a `Range`, one of a Literal's words, or any text."""
+    default = REQUIRED if parameter.default is Parameter.empty else parameter.default
+    if get_origin(hint) is Annotated:
+        _number, allowed = get_args(hint)
+        table.number(parameter.name, default, allowed.low, allowed.high)
+    else:
+        table.text(parameter.name, default, get_args(hint))
+
+
 def _random_walk(
     seed: int | np.random.SeedSequence, amplitude_m: float, spacing_m: float, flat_start_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -160,7 +265,7 @@ def _within_grid(flat_start_m: float) -> None:
         raise InputError("terrain.flat_start_m", flat_start_m, allowed)
 
 
-def _sign(direction: str) -> float:
+def _sign(direction: Direction) -> float:
     if direction not in ("up", "down"):
         raise InputError("terrain.direction", direction, "up or down")
     return 1.0 if direction == "up" else -1.0

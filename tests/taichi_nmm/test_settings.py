@@ -1,5 +1,7 @@
 """Settings of a simulation: defaults and ranges."""
 
+from dataclasses import fields
+
 import pytest
 
 from taichi_nmm.errors import InputError
@@ -41,3 +43,10 @@ def test_settings_out_of_range_are_named(field: str, value: object) -> None:
         Settings(**{field: value})  # type: ignore[arg-type]
     assert caught.value.field == f"simulation.{field}"
     assert "\n" not in str(caught.value)
+
+
+def test_every_setting_but_the_machines_is_in_the_document() -> None:
+    document = Settings(precision="float64", arch="cpu", threads=2).document()
+    names = [field.name for field in fields(Settings)]
+    assert list(document) == [name for name in names if name not in ("arch", "threads")]
+    assert document["precision"] == "float64"

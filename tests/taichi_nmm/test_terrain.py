@@ -1,16 +1,28 @@
 """Grounds against their closed forms, their seeds, and what a user can get wrong."""
 
+import pickle
 from collections.abc import Callable
+from inspect import Parameter, signature
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from taichi_nmm import terrain
+from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
-from taichi_nmm.terrain import FLAT_START_M, GRID_SPACING_M, GRID_X_M, Terrain
+from taichi_nmm.terrain import (
+    FLAT_START_M,
+    GRID_SPACING_M,
+    GRID_X_M,
+    KINDS,
+    Ground,
+    Terrain,
+    read_ground,
+)
 
 CELL_M = GRID_SPACING_M
+SEED = 3
 
 
 def test_grid_covers_a_hundred_seconds_of_the_fastest_gait() -> None:
@@ -180,3 +192,128 @@ def test_settings_out_of_range_are_named(make: Callable[[], Terrain], field: str
     with pytest.raises(InputError) as caught:
         make()
     assert caught.value.field == f"terrain.{field}"
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        ({}, terrain.flat()),
+        ({"kind": "flat"}, terrain.flat()),
+        ({"kind": "rough"}, terrain.rough(SEED)),
+        (
+            {"kind": "rough", "amplitude_m": 0.06, "spacing_m": 2, "flat_start_m": 5},
+            terrain.rough(SEED, 0.06, 2.0, 5.0),
+        ),
+        (
+            {"kind": "blocks", "amplitude_m": 0.03, "riser_m": 0.25},
+            terrain.blocks(SEED, 0.03, riser_m=0.25),
+        ),
+        (
+            {"kind": "ramp", "increment": 0.025, "direction": "down"},
+            terrain.ramp(0.025, direction="down"),
+        ),
+        (
+            {"kind": "ramp", "segment_m": 10, "largest_slope": 0.1},
+            terrain.ramp(0.04, 10.0, 0.1),
+        ),
+        (
+            {"kind": "stairs", "rise_m": 0.15, "run_m": 0.4, "flat_start_m": 3},
+            terrain.stairs(0.15, 0.4, 3.0),
+        ),
+    ],
+)
+def test_each_kind_of_terrain_is_read(data: dict[str, object], expected: terrain.Terrain) -> None:
+    found = read_ground(Table(data, "terrain")).draw(SEED)
+    np.testing.assert_array_equal(found.height_m, expected.height_m)
+    assert found.name == expected.name
+
+
+def test_a_terrain_is_read_from_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "ground.csv"
+    path.write_text("0,0\n1,0.5\n")
+    found = read_ground(Table({"kind": "file", "file": str(path)}, "terrain")).draw(SEED)
+    assert found.height(2.0) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("data", "field"),
+    [
+        ({"kind": "lava"}, "kind"),
+        ({"kind": "flat", "amplitude_m": 0.1}, "amplitude_m"),
+        ({"kind": "rough", "riser_m": 0.1}, "riser_m"),
+        ({"kind": "rough", "amplitude_m": -0.1}, "amplitude_m"),
+        ({"kind": "rough", "spacing_m": 0.0}, "spacing_m"),
+        ({"kind": "blocks", "riser_m": 0.01}, "riser_m"),
+        ({"kind": "blocks", "riser_m": 2.0}, "riser_m"),
+        ({"kind": "ramp", "increment": "steep"}, "increment"),
+        ({"kind": "ramp", "direction": "left"}, "direction"),
+        ({"kind": "stairs", "run_m": 0.01}, "run_m"),
+        ({"kind": "stairs", "rise": 0.1}, "rise"),
+        ({"kind": "file"}, "file"),
+        ({"kind": "file", "file": "no/such/table.csv"}, "file"),
+    ],
+)
+def test_a_bad_terrain_is_named(data: dict[str, object], field: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_ground(Table(data, "terrain"))
+    assert caught.value.field == f"terrain.{field}"
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (
+            {"kind": "lava"},
+            "terrain.kind: 'lava' .* flat or rough or blocks or ramp or stairs or file",
+        ),
+        ({"kind": "rough", "spacing_m": 0.0}, "terrain.spacing_m: 0.0 .* a number from 0.1 to 100"),
+        ({"kind": "ramp", "direction": "left"}, "terrain.direction: 'left' .* up or down"),
+        ({"kind": "blocks", "riser_m": 2.0}, r"terrain.riser_m: 2.0 .* 0.05 to 1.0 \(spacing_m\)"),
+        ({"kind": "flat", "x": 1}, "terrain.x: 1 .* only the keys kind$"),
+        ({"kind": "file"}, "terrain.file: 'missing' .* the key is required"),
+    ],
+)
+def test_what_is_allowed_is_said(data: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_ground(Table(data, "terrain"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_defaults_are_what_a_configuration_may_say(kind: str) -> None:
+    parameters = signature(KINDS[kind]).parameters.values()
+    defaults = {p.name: p.default for p in parameters if p.default is not Parameter.empty}
+    if kind != "file":  # which has no default
+        found = read_ground(Table({"kind": kind, **defaults}, "terrain"))
+        assert found == Ground(kind, defaults)
+        np.testing.assert_array_equal(found.draw(1).height_m, Ground(kind).draw(1).height_m)
+
+
+def test_a_ground_is_its_table_as_written() -> None:
+    table = {"kind": "blocks", "spacing_m": 2, "amplitude_m": 0.05}
+    ground = read_ground(Table(table, "terrain"))
+    written = {"kind": ground.kind, **ground.options}
+    assert written == table
+    assert type(written["spacing_m"]) is int
+    assert read_ground(Table({}, "terrain")) == Ground("flat", {}) == Ground()
+
+
+def test_grounds_are_alike_when_their_contents_are() -> None:
+    one = Ground("rough", {"amplitude_m": 0.03, "spacing_m": 2.0})
+    same = Ground("rough", {"spacing_m": 2.0, "amplitude_m": 0.03})
+    assert one == same
+    assert hash(one) == hash(same)
+    assert one != Ground("blocks", one.options)
+    assert pickle.loads(pickle.dumps(one)) == one
+
+
+def test_a_ground_keeps_its_options_when_the_callers_change() -> None:
+    options: dict[str, float | str] = {"amplitude_m": 0.03}
+    ground = Ground("rough", options)
+    options["amplitude_m"] = 0.5
+    np.testing.assert_array_equal(ground.draw(1).height_m, terrain.rough(1, 0.03).height_m)
+
+
+def test_a_ground_of_an_unknown_kind_is_refused() -> None:
+    with pytest.raises(InputError, match=r"terrain\.kind: 'lava'"):
+        Ground("lava")

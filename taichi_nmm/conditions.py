@@ -1,0 +1,101 @@
+"""Under which conditions walkers walk: simulation, body and ground, as a configuration has them.
+
+Which seed draws a body and a terrain is the caller's to say.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taichi_nmm.body import Bodies
+from taichi_nmm.config import Table
+from taichi_nmm.settings import Settings
+from taichi_nmm.terrain import Ground, Terrain, read_ground
+
+MOST_DISTURBANCE = 0.9  # of a configuration; beyond it masses come near zero
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """The tables [simulation], [body] and [terrain] of a configuration. They pickle and hash.
+
+    Attributes:
+        duration_s: how long a walker may walk.
+        settings: of the simulation.
+        disturbance: largest relative disturbance of a body, as in `Bodies.disturbed`.
+        ground: kind of terrain, with its options.
+    """
+
+    duration_s: float
+    settings: Settings
+    disturbance: float
+    ground: Ground
+
+    def body(self, seed: int | np.random.SeedSequence) -> Bodies:
+        """The one body of this seed."""
+        return Bodies.disturbed([seed], self.disturbance)
+
+    def terrain(self, seed: int | np.random.SeedSequence) -> Terrain:
+        """The terrain of this seed."""
+        return self.ground.draw(seed)
+
+    def simulation_document(self) -> dict[str, Any]:
+        """What decides a result, of [simulation], as JSON values by name: nothing of the machine.
+
+        Stores hash it, so a new setting is one more key at its end.
+        """
+        return {"duration_s": self.duration_s, **self.settings.document()}
+
+
+def read_conditions(
+    table: Table,
+    *,
+    duration_s: float,
+    shortest_s: float,
+    longest_s: float,
+    arch: str | None = None,
+) -> Conditions:
+    """The conditions in a configuration. Reads every key of their three tables.
+
+    Args:
+        table: the configuration's top table.
+        duration_s: taken where the file names none.
+        shortest_s: least duration that the file may name.
+        longest_s: largest duration that the file may name.
+        arch: overrides the file's architecture.
+
+    Raises:
+        InputError: an unknown key, a wrong type or a value out of range.
+    """
+    simulation = table.table("simulation")
+    duration_s = simulation.number("duration_s", duration_s, shortest_s, longest_s)
+    settings = read_settings(simulation, arch)
+    simulation.done()
+    return Conditions(
+        duration_s=duration_s,
+        settings=settings,
+        disturbance=read_disturbance(table.table("body")),
+        ground=read_ground(table.table("terrain")),
+    )
+
+
+def read_settings(table: Table, arch: str | None = None) -> Settings:
+    """`Settings` from the table [simulation], less its other keys; `arch` overrides the file's."""
+    configured = table.text("arch", "auto")
+    default = Settings()
+    return Settings(
+        physics_step_s=table.number("physics_step_s", default.physics_step_s),
+        contact_relaxation_speed_mps=table.number(
+            "contact_relaxation_speed_mps", default.contact_relaxation_speed_mps
+        ),
+        precision=table.text("precision", default.precision),
+        arch=arch or configured,
+    )
+
+
+def read_disturbance(table: Table) -> float:
+    """The table [body]: largest relative disturbance, 0.15 in the paper. Reads every key."""
+    disturbance = table.number("disturbance", 0.0, 0.0, MOST_DISTURBANCE)
+    table.done()
+    return disturbance
