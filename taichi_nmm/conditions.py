@@ -47,6 +47,14 @@ class Conditions:
         """
         return {"duration_s": self.duration_s, **self.settings.document()}
 
+    def as_written(self) -> dict[str, Any]:
+        """The three tables as a configuration has them, less what belongs to the machine."""
+        return {
+            "simulation": self.simulation_document(),
+            "body": {"disturbance": self.disturbance},
+            "terrain": {"kind": self.ground.kind, **self.ground.options},
+        }
+
 
 def read_conditions(
     table: Table,
