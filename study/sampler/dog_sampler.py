@@ -12,6 +12,9 @@ from typing import Any
 from study.sampler.candidate_table import CandidateTable
 from study.sampler.feature_sampler import FeatureKernelSampler
 
+# Options of `FeatureKernelSampler`; those that are not named keep their defaults.
+PAPER: dict[str, Any] = {"kernel": "rbf", "mean": "constant", "acquisition": "ei"}
+
 
 class DoGSampler(FeatureKernelSampler):
     """A squared exponential on the table's score, a constant mean, expected improvement.
@@ -21,10 +24,9 @@ class DoGSampler(FeatureKernelSampler):
     Args:
         table: parameter sets and their score (or scores, with one length scale for all).
         seed: of all draws; None takes one from the machine's entropy.
-        **options: of `FeatureKernelSampler`, for what differs from the paper.
+        **options: of `FeatureKernelSampler`, for what differs from `PAPER`.
     """
 
     def __init__(self, table: CandidateTable, *, seed: int | None = None, **options: Any) -> None:
         """As `FeatureKernelSampler`, with other defaults."""
-        paper = {"kernel": "rbf", "mean": "constant", "acquisition": "ei"}
-        super().__init__(table, seed=seed, **paper | options)
+        super().__init__(table, seed=seed, **PAPER | options)

@@ -6,22 +6,19 @@ chooses among them. This file is the sampler's contract with Optuna and nothing 
 makes the choice, `history` reads the study.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import optuna
-from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from study.sampler.candidate_table import CandidateTable
+from study.sampler.feature_function import Features
 from study.sampler.options import Options
 from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
-from study.sampler.source import new_source
-
-Features = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+from study.sampler.sources import new_source
 
 STARTUP_TRIALS = 3  # at random before the first fit
 

@@ -27,10 +27,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.gaussian_process.kernels import Kernel
 
+from study.sampler.composites import Slice
 from study.sampler.means import linear_mean
-from study.sampler.terms import RBF, ConstantKernel, Matern, Prior, Slice, Term, WhiteKernel
+from study.sampler.parts import RBF, ConstantKernel, Matern, WhiteKernel
+from study.sampler.terms import Prior, Term
 
 Floats = NDArray[np.float64]
 
@@ -99,7 +100,7 @@ def _over_features(kernel: str, layout: Layout) -> Term:
     prior = Prior(log(sqrt(layout.features)), 1.0)
     scale: Any = sqrt(layout.features)
     scale = scale if shared else np.full(layout.features, scale)
-    inner: Kernel
+    inner: RBF | Matern
     if kernel == "matern_ard":
         inner = Matern(scale, FEATURE_SCALE_BOUNDS, nu=2.5)
     else:

@@ -6,9 +6,9 @@ Williams 2006, section 2.7): what the slopes are, and how sure that is, follows 
 
 from math import log
 
-from sklearn.gaussian_process.kernels import DotProduct
-
-from study.sampler.terms import ConstantKernel, Prior, Slice, Term
+from study.sampler.composites import Slice
+from study.sampler.parts import ConstantKernel, DotProduct
+from study.sampler.terms import Prior, Term
 
 SLOPE_VARIANCE = 0.3
 SLOPE_BOUNDS = (1e-4, 1e2)

@@ -40,13 +40,6 @@ class Points:
         """Some of them, by number or by mask."""
         return Points(self.features[index], self.coordinates[index])
 
-    def join(self, other: "Points") -> "Points":
-        """These, then others."""
-        return Points(
-            np.vstack([self.features, other.features]),
-            np.vstack([self.coordinates, other.coordinates]),
-        )
-
     def only(self, *, features: bool, coordinates: bool) -> "Points":
         """With the columns that a kernel looks at."""
         if (features or not self.features.size) and (coordinates or not self.coordinates.size):

@@ -24,21 +24,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.spatial.distance import cdist
 from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import (
-    RBF,
-    ConstantKernel,
-    DotProduct,
-    Kernel,
-    Matern,
-    Product,
-    Sum,
-    WhiteKernel,
-)
 
+from study.sampler.parts import Part
 from study.sampler.points import Points
-from study.sampler.terms import Slice
 
 Floats = NDArray[np.float64]
 AnyFloats = NDArray[Any]
@@ -67,20 +56,20 @@ class Posterior:
     fast: bool
 
     @property
-    def theta(self) -> Floats:
-        """Logarithms of the constants."""
-        return np.asarray(self.regressor.kernel_.theta)
+    def kernel(self) -> Part:
+        """The whole covariance, with the constants that were learned."""
+        kernel: Part = self.regressor.kernel_
+        return kernel
 
     @cached_property
     def noise(self) -> float:
         """Variance of the noise, in standard units."""
-        return noise_of(self.regressor.kernel_)
+        return self.kernel.noise
 
     @cached_property
     def fast_is_right(self) -> bool:
         """Whether 32 bits are asked for, and enough: rounding grows with the root of this ratio."""
-        fitted = self.regressor
-        prior = np.max(prior_variance(fitted.kernel_, fitted.X_train_))
+        prior = np.max(self.kernel.variance(self.regressor.X_train_))
         return self.fast and bool(prior <= LARGEST_RATIO * self.noise)
 
     def predict(self, points: Points) -> tuple[Floats, Floats]:
@@ -106,27 +95,30 @@ class Posterior:
         x = points.matrix()
         k = self._cross(x, fast=False)
         whitened = solve_triangular(self.regressor.L_, k, lower=True, check_finite=False)
-        prior = np.broadcast_to(cross(self.regressor.kernel_, x, x, fast=False), (len(x),) * 2)
+        prior = np.broadcast_to(self.kernel.cross(x, x, fast=False), (len(x),) * 2)
         mean = k.T @ self.regressor.alpha_
         covariance = self.cost_sd**2 * (prior - whitened.T @ whitened)
         return self.cost_mean + self.cost_sd * mean, covariance
 
     def _cross(self, x: Floats, fast: bool) -> AnyFloats:
-        fitted = self.regressor
-        k = cross(fitted.kernel_, fitted.X_train_, x, fast)
-        return np.asarray(np.broadcast_to(k, (len(fitted.X_train_), len(x))))
+        """Covariance of the trials and candidates [m, p]: [n, m]."""
+        trials = self.regressor.X_train_
+        k = self.kernel.cross(trials, x, fast)
+        return np.asarray(np.broadcast_to(k, (len(trials), len(x))))
 
     def _block_exact(self, x: Floats) -> tuple[Floats, Floats]:
+        """Mean and variance in standard units of candidates [b, p], [b] each; 64 bits."""
         k = self._cross(x, fast=False)
         whitened = solve_triangular(self.regressor.L_, k, lower=True, check_finite=False)
         explained = np.einsum("nm,nm->m", whitened, whitened)
-        return self.regressor.alpha_ @ k, prior_variance(self.regressor.kernel_, x) - explained
+        return self.regressor.alpha_ @ k, self.kernel.variance(x) - explained
 
     def _block_fast(self, x: Floats) -> tuple[AnyFloats, AnyFloats]:
+        """The same in 32 bits."""
         inverse, weights = self._whitener
         whitened = inverse @ self._cross(x, fast=True)
         explained = np.einsum("nm,nm->m", whitened, whitened)
-        return weights @ whitened, prior_variance(self.regressor.kernel_, x) - explained
+        return weights @ whitened, self.kernel.variance(x) - explained
 
     @cached_property
     def _whitener(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -143,73 +135,3 @@ def blocks(points: Points) -> Iterator[tuple[slice, Floats]]:
     for start in range(0, len(points), BLOCK):
         block = slice(start, min(start + BLOCK, len(points)))
         yield block, points.matrix(block)
-
-
-def cross(kernel: Kernel, a: Floats, b: Floats, fast: bool) -> Any:
-    """Covariance [n, m] of two sets of different rows (no noise), or a number where constant."""
-    if isinstance(kernel, Sum):
-        return cross(kernel.k1, a, b, fast) + cross(kernel.k2, a, b, fast)
-    if isinstance(kernel, Product):
-        return cross(kernel.k1, a, b, fast) * cross(kernel.k2, a, b, fast)
-    if isinstance(kernel, ConstantKernel):
-        return float(kernel.constant_value)
-    if isinstance(kernel, WhiteKernel):
-        return 0.0
-    if isinstance(kernel, Slice):
-        columns = slice(kernel.start, kernel.end)
-        return cross(kernel.kernel, a[:, columns], b[:, columns], fast)
-    if isinstance(kernel, DotProduct):
-        return _precise(kernel.sigma_0**2 + a @ b.T, fast)
-    return _stationary(kernel, a, b, fast)
-
-
-def _stationary(kernel: Kernel, a: Floats, b: Floats, fast: bool) -> AnyFloats:
-    """Squared exponential or Matern 5/2 of scaled distances, [n, m]."""
-    a, b = a / kernel.length_scale, b / kernel.length_scale
-    square = _precise(_squared_distances(a, b) if fast else cdist(a, b, "sqeuclidean"), fast)
-    if isinstance(kernel, Matern):  # before RBF, whose subclass it is
-        assert kernel.nu == 2.5  # the only one that is built
-        distance = np.sqrt(5.0 * square)
-        return (1.0 + distance + distance**2 / 3.0) * np.exp(-distance)
-    assert isinstance(kernel, RBF)
-    square *= -0.5
-    return np.asarray(np.exp(square, out=square))
-
-
-def _squared_distances(a: Floats, b: Floats) -> Floats:
-    """|a - b|^2 = |a|^2 + |b|^2 - 2 a b, as one product of matrices, [n, m]."""
-    if a.shape[1] == 1:
-        return np.asarray((a - b.T) ** 2)
-    left = np.column_stack([-2.0 * a, np.einsum("np,np->n", a, a), np.ones(len(a))])
-    right = np.column_stack([b, np.ones(len(b)), np.einsum("mp,mp->m", b, b)])
-    return np.asarray(np.maximum(left @ right.T, 0.0))
-
-
-def _precise(values: Floats, fast: bool) -> AnyFloats:
-    return values.astype(np.float32) if fast else values
-
-
-def prior_variance(kernel: Kernel, x: Floats) -> Any:
-    """k(x, x) without noise, [m], or a number where constant."""
-    if isinstance(kernel, Sum):
-        return prior_variance(kernel.k1, x) + prior_variance(kernel.k2, x)
-    if isinstance(kernel, Product):
-        return prior_variance(kernel.k1, x) * prior_variance(kernel.k2, x)
-    if isinstance(kernel, ConstantKernel):
-        return float(kernel.constant_value)
-    if isinstance(kernel, WhiteKernel):
-        return 0.0
-    if isinstance(kernel, Slice):
-        return prior_variance(kernel.kernel, x[:, kernel.start : kernel.end])
-    if isinstance(kernel, DotProduct):
-        return kernel.sigma_0**2 + np.einsum("mp,mp->m", x, x)
-    return 1.0
-
-
-def noise_of(kernel: Kernel) -> float:
-    """The variance of the white noise in a kernel."""
-    if isinstance(kernel, WhiteKernel):
-        return float(kernel.noise_level)
-    if isinstance(kernel, Sum):
-        return noise_of(kernel.k1) + noise_of(kernel.k2)
-    return 0.0

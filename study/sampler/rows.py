@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from optuna.distributions import CategoricalDistribution
 
 from study.sampler.points import Points
 from study.sampler.space import Space
@@ -163,10 +162,6 @@ class Rows:
         first = np.ones(len(self), dtype=bool)
         first[order[1:]] = hashes[1:] != hashes[:-1]
         return first
-
-    def categorical(self) -> bool:
-        """Whether a parameter is categorical."""
-        return any(isinstance(d, CategoricalDistribution) for d in self.space.distributions)
 
 
 def _hash(parameters: Floats) -> NDArray[np.uint64]:

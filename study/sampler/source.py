@@ -17,9 +17,7 @@ from optuna.trial import FrozenTrial
 from threadpoolctl import ThreadpoolController
 
 from study.draws import Purpose, generator
-from study.sampler.candidate_table import CandidateTable
 from study.sampler.evidence import Evidence, read_limits
-from study.sampler.feature_function import Features
 from study.sampler.history import History
 from study.sampler.kernels import feature_only
 from study.sampler.mismatch import Mismatch, read_shown
@@ -189,27 +187,3 @@ def missing_in(
                 return InputError(name, f"not suggested in trial {trial.number}", allowed)
         return None
     return None
-
-
-def new_source(
-    features: CandidateTable | Features | None,
-    function: Features | None,
-    options: Options,
-    seed: int,
-    independent: BaseSampler,
-) -> Source:
-    """The source for what the sampler was given."""
-    from study.sampler.space_source import SpaceSource
-    from study.sampler.table_source import TableSource
-
-    if isinstance(features, CandidateTable):
-        return TableSource(features, function, options, seed, independent)
-    if function is not None:
-        raise InputError(
-            "feature_function", "given", "none: only a table needs it beside `features`"
-        )
-    if features is not None and not callable(features):
-        raise InputError(
-            "features", type(features).__name__, "a FeatureTable, a function, or None"
-        )
-    return SpaceSource(features, options, seed, independent)

@@ -6,13 +6,13 @@ from numpy.testing import assert_allclose
 from scipy.optimize import approx_fprime
 from sklearn.base import clone
 from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF
 
+from study.sampler.composites import Slice
 from study.sampler.gaussian_process import condition, learn
 from study.sampler.kernels import Layout, feature_only, new_term
 from study.sampler.options import KERNELS
+from study.sampler.parts import RBF
 from study.sampler.points import Points
-from study.sampler.terms import Slice
 
 LAYOUT = Layout(features=2, coordinates=3, parameters=3)
 FORMS = [(k, m) for k in KERNELS if k != "alternate" for m in ("constant", "linear")]

@@ -7,7 +7,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 
 from study.sampler.gaussian_process import LIKELIHOOD_TRIALS, believe, condition, learn
 from study.sampler.kernels import Layout, new_term
-from study.sampler.one_dimension import predict_distinct
+from study.sampler.one_dimension import Shared
 from study.sampler.options import KERNELS
 from study.sampler.points import Points
 from study.sampler.posterior import BLOCK, Posterior
@@ -95,7 +95,8 @@ def test_along_one_feature(fast: bool, tolerance: float, values: int) -> None:
     feature = np.random.default_rng(1).choice(np.linspace(-3, 8, values), 20_000)[:, None]
     candidates = Points(feature, np.empty((len(feature), 0)))
     expected_mean, expected_variance = oracle(posterior, candidates)
-    mean, variance = predict_distinct(posterior, candidates)
+    shared = Shared.of(posterior, candidates)
+    mean, variance = (shared.spread(computed) for computed in posterior.predict(shared.points))
     prior = posterior.regressor.kernel_.diag(feature) * posterior.cost_sd**2
     assert np.max(np.abs(mean - expected_mean) / np.sqrt(prior)) < tolerance
     assert np.max(np.abs(variance - expected_variance) / prior) < tolerance
@@ -119,7 +120,7 @@ def test_believing_adds_trials_and_keeps_constants() -> None:
     believed = believe(posterior, more.matrix(), posterior.mean(more))
     candidates = some_points(200, seed=6)
     mean, variance = posterior.predict(candidates)
-    assert_allclose(believed.theta, posterior.theta)
+    assert_allclose(believed.kernel.theta, posterior.kernel.theta)
     assert_allclose(believed.predict(candidates)[0], mean, rtol=1e-6)
     assert np.all(believed.predict(candidates)[1] <= variance * (1 + 1e-9))
     assert believed.predict(more)[1].sum() < posterior.predict(more)[1].sum()
