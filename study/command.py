@@ -33,6 +33,6 @@ def require_arch(settings: Settings) -> None:
         InputError: naming the architecture.
     """
     if settings.arch in ("cuda", "vulkan"):
-        from taichi_nmm import backend
+        from taichi_nmm.kernel import backend
 
         backend.start(settings)

@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
-from taichi_nmm.contact import STATIC_DEFLECTION_M
+from taichi_nmm.kernel.contact import STATIC_DEFLECTION_M
+from taichi_nmm.kernel.layout import GAIN_ROWS, LEGS, LOW_LEVEL_ROWS, Const
 from taichi_nmm.parameters import LOW_LEVEL_NAMES
-from taichi_nmm.rows import LEGS, Const
 from taichi_nmm.settings import CONTROL_TICK_S
 
 W_FILTER = LOW_LEVEL_NAMES.index("w_filter")
@@ -15,11 +15,11 @@ W_FILTER = LOW_LEVEL_NAMES.index("w_filter")
 def constant_rows(
     gains: NDArray[np.float64], low_level: NDArray[np.float64], bodies: Bodies
 ) -> NDArray[np.float64]:
-    """`rows.Const` of each walker, [n, Const.count]."""
+    """`layout.Const` of each walker, [n, Const.count]."""
     mass, inertia, com = bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m
     rows = np.zeros((len(gains), Const.count))
-    rows[:, Const.gains : Const.gains + gains.shape[1]] = gains
-    rows[:, Const.low_level : Const.low_level + low_level.shape[1]] = low_level
+    rows[:, GAIN_ROWS] = gains
+    rows[:, LOW_LEVEL_ROWS] = low_level
     rows[:, Const.leg_angle_blend] = 1.0 - np.exp(-low_level[:, W_FILTER] * CONTROL_TICK_S)
     rows[:, Const.total_mass] = mass.sum(axis=1)
     rows[:, Const.contact_stiffness] = mass.sum(axis=1) * GRAVITY_MPS2 / STATIC_DEFLECTION_M

@@ -3,13 +3,13 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from taichi_nmm import backend
-from taichi_nmm.batch import accelerate
 from taichi_nmm.body import Bodies
 from taichi_nmm.constants import constant_rows
 from taichi_nmm.errors import InputError
+from taichi_nmm.kernel import backend
+from taichi_nmm.kernel.entry_points import accelerate
+from taichi_nmm.kernel.layout import COORDINATES
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
-from taichi_nmm.rows import COORDINATES
 from taichi_nmm.settings import Settings
 
 JOINTS = 6

@@ -7,20 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
-from taichi_nmm.delays import TA_LENGTH_OFFSET
-from taichi_nmm.muscle import (
-    ACTIVATION_FLOOR,
-    T_ANKLE_COSINE,
-    T_ANKLE_SINE,
-    T_HIP_SLOPE,
-    T_KNEE_COSINE,
-    T_KNEE_SINE,
-    T_LENGTH,
-    T_OPTIMAL,
-    T_SLACK,
-    muscle_table,
-)
-from taichi_nmm.rows import (
+from taichi_nmm.kernel.delays import TA_LENGTH_OFFSET
+from taichi_nmm.kernel.layout import (
     LEGS,
     LONG_DELAY_TICKS,
     LONG_SIGNALS,
@@ -36,7 +24,19 @@ from taichi_nmm.rows import (
     Signal,
     State,
 )
-from taichi_nmm.swing import HOLD
+from taichi_nmm.kernel.muscle import (
+    ACTIVATION_FLOOR,
+    T_ANKLE_COSINE,
+    T_ANKLE_SINE,
+    T_HIP_SLOPE,
+    T_KNEE_COSINE,
+    T_KNEE_SINE,
+    T_LENGTH,
+    T_OPTIMAL,
+    T_SLACK,
+    muscle_table,
+)
+from taichi_nmm.kernel.swing import HOLD
 from taichi_nmm.terrain import Terrain
 
 SPEED_MPS = 1.3

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
+from taichi_nmm.kernel.layout import State, Sums
 from taichi_nmm.result import MUSCLES, RESULT_DTYPE
-from taichi_nmm.rows import State, Sums
 from taichi_nmm.settings import CONTROL_TICK_S
 
 SCORE_SUMS = {

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_nmm.batch import FIRST_SUM
-from taichi_nmm.rows import State, Sums
+from taichi_nmm.kernel.layout import FIRST_SUM, State, Sums
 
 FULL_ENOUGH = 0.9  # compacting copies every row: not worth it for a few fallen walkers
 

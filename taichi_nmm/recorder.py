@@ -5,12 +5,22 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_nmm.batch import FIRST_EVENT, FIRST_FIBRE, FIRST_SUM
 from taichi_nmm.errors import InputError
-from taichi_nmm.muscle import FMAX_N
+from taichi_nmm.kernel.layout import (
+    COORDINATES,
+    FIRST_EVENT,
+    FIRST_FIBRE,
+    FIRST_SUM,
+    LEGS,
+    MUSCLE_COUNT,
+    Gait,
+    Muscle,
+    State,
+    Sums,
+)
+from taichi_nmm.kernel.muscle import FMAX_N
 from taichi_nmm.packs import Packs
 from taichi_nmm.result import EVENT_DTYPE, EVENT_KINDS, Trajectory
-from taichi_nmm.rows import COORDINATES, LEGS, MUSCLE_COUNT, Gait, Muscle, State, Sums
 from taichi_nmm.settings import CONTROL_TICK_S
 
 TICKS_PER_SECOND = round(1.0 / CONTROL_TICK_S)

@@ -10,17 +10,18 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_nmm import backend
-from taichi_nmm.batch import FIRST_SUM, WALKER_ROWS, advance
 from taichi_nmm.body import Bodies
 from taichi_nmm.constants import constant_rows
 from taichi_nmm.errors import InputError
 from taichi_nmm.initial import initial_rows
-from taichi_nmm.muscle import ACTIVATION_TIME_S, muscle_table
+from taichi_nmm.kernel import backend
+from taichi_nmm.kernel.entry_points import advance
+from taichi_nmm.kernel.layout import FIRST_SUM, WALKER_ROWS
+from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S, muscle_table
+from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
 from taichi_nmm.outcome import result_rows
 from taichi_nmm.packs import Packs
 from taichi_nmm.recorder import Recorder
-from taichi_nmm.reflexes import LOAD_FILTER_S
 from taichi_nmm.result import Result
 from taichi_nmm.settings import CONTROL_TICK_S, Settings
 from taichi_nmm.terrain import Terrain

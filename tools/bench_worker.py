@@ -36,7 +36,8 @@ def parse() -> argparse.Namespace:
 
 def start_up(options: argparse.Namespace) -> None:
     """Import, start the engine, compile: one tick of one walker."""
-    from taichi_nmm import K_T, Settings, backend, simulate
+    from taichi_nmm import K_T, Settings, simulate
+    from taichi_nmm.kernel import backend
 
     if options.lanes is not None:
         backend.LANES_CPU = options.lanes
@@ -46,7 +47,8 @@ def start_up(options: argparse.Namespace) -> None:
 def run(options: argparse.Namespace) -> dict[str, object]:
     """Sobol points over the bounds, on flat ground, from gains to results."""
     from storage.sobol import sobol_gains
-    from taichi_nmm import Settings, backend, simulate
+    from taichi_nmm import Settings, simulate
+    from taichi_nmm.kernel import backend
     from taichi_nmm.result import COMPLETED
 
     settings = Settings(arch=options.arch)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-import taichi_nmm
+from taichi_nmm import kernel
 
 INTERPRETED = (
     "elementary", "kinematics", "muscle", "contact", "joint_stops", "dynamics", "delays",
@@ -65,24 +65,23 @@ def interpreted_walker() -> Any:
 
     The real modules are put back before returning.
     """
-    shim: Any = ModuleType("taichi_nmm.backend")
+    shim: Any = ModuleType("taichi_nmm.kernel.backend")
     shim.ti, shim.Rows, shim.is_double = NUMPY_TAICHI, Any, lambda: True
-    names = [f"taichi_nmm.{name}" for name in ("backend", *INTERPRETED)]
-    real = {name: sys.modules.pop(name, None) for name in names}
-    for name in INTERPRETED:
-        taichi_nmm.__dict__.pop(name, None)
-    sys.modules["taichi_nmm.backend"] = shim
+    replaced = ("backend", *INTERPRETED)
+    real = {name: sys.modules.pop(f"{kernel.__name__}.{name}", None) for name in replaced}
+    for name in replaced:
+        vars(kernel).pop(name, None)
+    sys.modules[shim.__name__] = kernel.backend = shim
     try:
-        walker: Any = importlib.import_module("taichi_nmm.walker")
+        walker: Any = importlib.import_module("taichi_nmm.kernel.walker")
         walker.range = lane_range
         # Without the early exit: a settled pass repeats itself, bit for bit.
         walker.settled = lambda lanes, work: False
         return walker
     finally:
-        for name in names:
-            sys.modules.pop(name, None)
-            taichi_nmm.__dict__.pop(name.split(".")[1], None)
-            module = real[name]
+        for name, module in real.items():
+            sys.modules.pop(f"{kernel.__name__}.{name}", None)
+            vars(kernel).pop(name, None)
             if module is not None:
-                sys.modules[name] = module
-                setattr(taichi_nmm, name.split(".")[1], module)
+                sys.modules[f"{kernel.__name__}.{name}"] = module
+                setattr(kernel, name, module)

@@ -36,7 +36,8 @@ def request_() -> Any:
 
 def start(request: Any, step_s: float) -> tuple[Settings, Any, Any]:
     """Settings, the checked batch and its packs at time zero."""
-    from taichi_nmm import backend, simulator
+    from taichi_nmm import simulator
+    from taichi_nmm.kernel import backend
     from taichi_nmm.walkers import check_batch
 
     settings = Settings(precision="float64", arch="cpu", physics_step_s=step_s)
@@ -61,11 +62,10 @@ def compiled(request: Any, step_s: float) -> NDArray[np.float64]:
 
 def interpreted(request: Any, step_s: float) -> NDArray[np.float64]:
     """The same by NumPy."""
-    from taichi_nmm.batch import FIRST_DELAY, FIRST_EVENT, FIRST_FIBRE, FIRST_SUM
     from taichi_nmm.constants import constant_rows
-    from taichi_nmm.muscle import ACTIVATION_TIME_S, muscle_table
-    from taichi_nmm.reflexes import LOAD_FILTER_S
-    from taichi_nmm.rows import Work
+    from taichi_nmm.kernel.layout import FIRST_DELAY, FIRST_EVENT, FIRST_FIBRE, FIRST_SUM, Work
+    from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S, muscle_table
+    from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
 
     settings, batch, packs = start(request, step_s)
     firsts = [FIRST_FIBRE, FIRST_DELAY, FIRST_EVENT, FIRST_SUM]
@@ -87,8 +87,7 @@ def interpreted(request: Any, step_s: float) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("step_s", [1e-3, 0.5e-3])
 def test_compiled_kernel_equals_its_interpretation(request_: Any, step_s: float) -> None:
-    from taichi_nmm.batch import FIRST_EVENT
-    from taichi_nmm.rows import Gait, State
+    from taichi_nmm.kernel.layout import FIRST_EVENT, Gait, State
 
     ours, numpys = compiled(request_, step_s), interpreted(request_, step_s)
     scale = np.maximum(np.abs(numpys), 1.0)
@@ -103,7 +102,7 @@ def test_compiled_kernel_equals_its_interpretation(request_: Any, step_s: float)
 
 def test_modules_are_put_back() -> None:
     interpreted_walker()
-    from taichi_nmm import backend, walker
+    from taichi_nmm.kernel import backend, walker
 
     assert hasattr(backend.ti, "kernel")
     assert taichi_nmm.simulate is not None

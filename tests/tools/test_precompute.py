@@ -177,7 +177,8 @@ def test_a_missing_gpu_is_refused_before_anything_is_written(
     def refuse(settings: Settings) -> None:
         raise InputError("simulation.arch", settings.arch, "an architecture of this machine")
 
-    monkeypatch.setitem(vars(taichi_nmm), "backend", SimpleNamespace(start=refuse))
+    backend = SimpleNamespace(start=refuse)
+    monkeypatch.setattr("taichi_nmm.kernel.backend", backend, raising=False)
     code, _, error = command("--config", config, "--out", tmp_path / "store", "--arch", "cuda")
     assert code == 2 and error.startswith("error: simulation.arch: 'cuda'")
     assert not (tmp_path / "store").exists()

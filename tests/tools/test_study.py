@@ -181,7 +181,7 @@ def test_bad_input_is_one_line_and_no_file(
     message: str,
 ) -> None:
     if "arch" in changes:  # a machine without a GPU
-        monkeypatch.setattr("taichi_nmm.backend.start", no_gpu)
+        monkeypatch.setattr("taichi_nmm.kernel.backend.start", no_gpu)
     assert command.run(**changes) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1

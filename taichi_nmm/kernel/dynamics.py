@@ -5,7 +5,6 @@ Contacts and joint stops keep that form, so one step is two 3x3 factorisations a
 With d_i the direction of link i and e_i = dd_i/dth_i: M[xz, i] = A_i e_i, M[i, j] = B_ij e_i.e_j.
 """
 
-from taichi_nmm.backend import Rows, ti
 from taichi_nmm.body import (
     BALL_OFFSET_M,
     GRAVITY_MPS2,
@@ -13,7 +12,8 @@ from taichi_nmm.body import (
     SHANK_LENGTH_M,
     THIGH_LENGTH_M,
 )
-from taichi_nmm.rows import CONTACTS, LEGS, STOPS, Const, State, Work
+from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.layout import CONTACTS, LEGS, STOPS, Const, State, Work
 
 FRICTION_COEFFICIENT = 0.9
 

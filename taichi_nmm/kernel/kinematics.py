@@ -4,10 +4,10 @@ World x forward, z up; all angles clockwise positive. Thigh and shank point alon
 D(th) = (-sin th, -cos th) from their proximal joint, the foot along F(th) = (cos th, -sin th).
 """
 
-from taichi_nmm.backend import Rows, ti
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
-from taichi_nmm.elementary import HALF_PI, arctangent2, sine_cosine
-from taichi_nmm.rows import LEGS, SEGMENT_COUNT, Const, State, Work
+from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.elementary import HALF_PI, arctangent2, sine_cosine
+from taichi_nmm.kernel.layout import LEGS, SEGMENT_COUNT, Const, State, Work
 
 
 @ti.func

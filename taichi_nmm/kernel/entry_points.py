@@ -1,19 +1,25 @@
-"""The kernels: many packs of walkers advance side by side, one pack a task of the parallel loop.
+"""The kernels that the host launches: packs side by side, one pack a task of the parallel loop.
 
 A pack's rows live in NumPy arrays [pack, row, lane] between launches and in local arrays within
 one, since only local arrays let the compiler vectorise (`backend`).
 """
 
-from taichi_nmm import dynamics, kinematics, walker
-from taichi_nmm.backend import Array, Rows, ti
-from taichi_nmm.rows import COORDINATES, Const, Delay, Gait, Muscle, State, Sums, Work
-
-# Rows of a walker between launches, block after block.
-FIRST_FIBRE = State.count
-FIRST_DELAY = FIRST_FIBRE + Muscle.count
-FIRST_EVENT = FIRST_DELAY + Delay.count
-FIRST_SUM = FIRST_EVENT + Gait.count
-WALKER_ROWS = FIRST_SUM + Sums.count
+from taichi_nmm.kernel import dynamics, kinematics, walker
+from taichi_nmm.kernel.backend import Array, Rows, ti
+from taichi_nmm.kernel.layout import (
+    COORDINATES,
+    FIRST_DELAY,
+    FIRST_EVENT,
+    FIRST_FIBRE,
+    FIRST_SUM,
+    Const,
+    Delay,
+    Gait,
+    Muscle,
+    State,
+    Sums,
+    Work,
+)
 
 PACKS_PER_TASK = 1  # of the CPU's thread pool; packs are few and long
 

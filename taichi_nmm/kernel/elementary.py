@@ -6,8 +6,8 @@ float64 and to rounding in float32 over the ranges named; tested against NumPy.
 
 from math import factorial
 
-from taichi_nmm import backend
-from taichi_nmm.backend import Rows, ti
+from taichi_nmm.kernel import backend
+from taichi_nmm.kernel.backend import Rows, ti
 
 TWO_OVER_PI = 0.6366197723675814
 # pi/2 in two parts (Cody & Waite): the first has few bits, so that k times it is exact.

@@ -8,10 +8,10 @@ neither the left leg's first stance nor the right leg's first swing makes a step
 
 import math
 
-from taichi_nmm.backend import Rows, ti
-from taichi_nmm.contact import ground_at_ankle, on_ground
+from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.contact import ground_at_ankle, on_ground
+from taichi_nmm.kernel.layout import LEGS, MUSCLES_PER_LEG, Const, Gait, Muscle, State, Sums, Work
 from taichi_nmm.result import HUMAN_SPEED_MPS
-from taichi_nmm.rows import LEGS, MUSCLES_PER_LEG, Const, Gait, Muscle, State, Sums, Work
 
 DEBOUNCE_TICKS = 100.0  # 0.1 s
 KNEE_FLEXION_LOW_RAD = math.radians(35.0)

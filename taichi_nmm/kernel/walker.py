@@ -7,7 +7,7 @@ and delays are the same for all lanes, since a batch starts together.
 
 import math
 
-from taichi_nmm import (
+from taichi_nmm.kernel import (
     contact,
     delays,
     dynamics,
@@ -18,8 +18,8 @@ from taichi_nmm import (
     reflexes,
     swing,
 )
-from taichi_nmm.backend import Rows, ti
-from taichi_nmm.rows import (
+from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.layout import (
     LEGS,
     LONG_DELAY_TICKS,
     MID_DELAY_TICKS,

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_nmm.backend import Rows, ti
-from taichi_nmm.elementary import exponential
+from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.elementary import exponential
+from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Muscle, Work
 from taichi_nmm.result import MUSCLES
-from taichi_nmm.rows import MUSCLES_PER_LEG, Muscle, Work
 
 WIDTH = 0.56  # w of the force-length curve
 LN_RESIDUAL = float(np.log(0.05))  # ln c: force at |l - 1| = w

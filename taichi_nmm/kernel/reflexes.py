@@ -6,8 +6,8 @@ walker T. All signals are the delayed ones.
 
 import math
 
-from taichi_nmm.backend import Rows, ti
-from taichi_nmm.rows import (
+from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.layout import (
     GAS,
     GLU,
     HAM,
@@ -29,13 +29,6 @@ PRESTIMULATION_VAS = 0.08
 PRESTIMULATION_TRUNK = 0.05
 OVEREXTENSION_RAD = math.radians(10.0)
 LOAD_FILTER_S = 0.02
-
-# Columns of the gains that the reflexes read, in the order of `parameters.GAINS`.
-K_GAS, K_GLU, K_HAM, K_SOL, K_TA_SOL, K_TA, K_VAS, KP_STANCE, KD_STANCE, K_MIX_GLU = (
-    Const.gains + i for i in range(10)
-)
-K_OE = Const.low_level + 0
-THETA_REF = Const.low_level + 7
 
 
 @ti.func
@@ -69,9 +62,10 @@ def stance_weights(lane, state: Rows, work: Rows):
 def stimulate(lane, state: Rows, const: Rows, muscle: Rows, work: Rows):
     """Stimulations of all muscles: stance reflexes and swing, mixed by the stance weights."""
     s = ti.static(Work.sensed)
-    lean = work[s + Signal.trunk, lane] - const[THETA_REF, lane]
+    lean = work[s + Signal.trunk, lane] - const[Const.theta_ref, lane]
     balance = (
-        const[KP_STANCE, lane] * lean + const[KD_STANCE, lane] * work[s + Signal.trunk_rate, lane]
+        const[Const.Kp_stance, lane] * lean
+        + const[Const.Kd_stance, lane] * work[s + Signal.trunk_rate, lane]
     )
     for leg in ti.static(range(LEGS)):
         weight = state[State.stance_weight + leg, lane]
@@ -79,26 +73,28 @@ def stimulate(lane, state: Rows, const: Rows, muscle: Rows, work: Rows):
         force_sol = work[s + Signal.force_sol + leg, lane]
         knee = work[s + Signal.knee + leg, lane]
         extends = (knee < OVEREXTENSION_RAD) & (work[s + Signal.knee_rate + leg, lane] < 0.0)
-        inhibition = const[K_OE, lane] * ti.select(extends, OVEREXTENSION_RAD - knee, 0.0)
+        inhibition = const[Const.k_oe, lane] * ti.select(extends, OVEREXTENSION_RAD - knee, 0.0)
         # Forward lean excites the extensors, backward lean the flexor, as the leg carries load.
         extensor = clip01(load * (PRESTIMULATION_TRUNK + ti.max(balance, 0.0)))
         flexor = clip01(load * (PRESTIMULATION_TRUNK - ti.min(balance, 0.0)))
-        swing_ta = PRESTIMULATION + const[K_TA, lane] * work[s + Signal.length_ta + leg, lane]
-        sol = PRESTIMULATION + const[K_SOL, lane] * force_sol
-        ta = swing_ta - const[K_TA_SOL, lane] * force_sol
-        gas = PRESTIMULATION + const[K_GAS, lane] * work[s + Signal.force_gas + leg, lane]
+        swing_ta = PRESTIMULATION + const[Const.K_TA, lane] * work[s + Signal.length_ta + leg, lane]
+        sol = PRESTIMULATION + const[Const.K_SOL, lane] * force_sol
+        ta = swing_ta - const[Const.K_TA_SOL, lane] * force_sol
+        gas = PRESTIMULATION + const[Const.K_GAS, lane] * work[s + Signal.force_gas + leg, lane]
         vas = (
             PRESTIMULATION_VAS
-            + const[K_VAS, lane] * work[s + Signal.force_vas + leg, lane]
+            + const[Const.K_VAS, lane] * work[s + Signal.force_vas + leg, lane]
             - inhibition
         )
         ham = (
-            PRESTIMULATION + const[K_HAM, lane] * work[s + Signal.force_ham + leg, lane] + extensor
+            PRESTIMULATION
+            + const[Const.K_HAM, lane] * work[s + Signal.force_ham + leg, lane]
+            + extensor
         )
         glu = (
             PRESTIMULATION
-            + const[K_GLU, lane] * work[s + Signal.force_glu + leg, lane]
-            + const[K_MIX_GLU, lane] * extensor
+            + const[Const.K_GLU, lane] * work[s + Signal.force_glu + leg, lane]
+            + const[Const.K_mix_GLU, lane] * extensor
         )
         m = ti.static(Muscle.stimulation + MUSCLES_PER_LEG * leg)
         muscle[m + SOL, lane] = mix(weight, sol, 0.0)

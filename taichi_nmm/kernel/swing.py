@@ -6,8 +6,8 @@ Angles and rates of the leg are present ones; only the stance flags are delayed.
 
 import math
 
-from taichi_nmm.backend import Rows, ti
-from taichi_nmm.rows import LEGS, Const, Signal, State, Work
+from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.layout import LEGS, Const, Signal, State, Work
 
 FLEX, HOLD, STOP, EXTEND = 0.0, 1.0, 2.0, 3.0
 
@@ -16,9 +16,6 @@ LARGEST_LEG_RATE_RADPS = 10.0
 LANDING_LENGTH_M = 1.0
 RATE_FREE_TICKS = 100.0  # the filtered leg rate is taken as zero for the first 0.1 s
 
-KP_SWING, KD_SWING, ALPHA_0, C_D, C_V, L_CLR = (Const.gains + 10 + i for i in range(6))
-K_FLEX, K_HOLD_1, K_HOLD_2, K_STOP, K_EXT = (Const.low_level + 1 + i for i in range(5))
-
 
 @ti.func
 def leg_rates(lane, tick, state: Rows, const: Rows, work: Rows):
@@ -26,7 +23,7 @@ def leg_rates(lane, tick, state: Rows, const: Rows, work: Rows):
     settled = ti.select(tick > RATE_FREE_TICKS, 1.0, 0.0)
     for leg in ti.static(range(LEGS)):
         lag = work[Work.leg_angle + leg, lane] - state[State.leg_angle_filter + leg, lane]
-        work[Work.leg_angle_rate + leg, lane] = settled * const[Const.low_level + 6, lane] * lag
+        work[Work.leg_angle_rate + leg, lane] = settled * const[Const.w_filter, lane] * lag
         state[State.leg_angle_filter + leg, lane] += const[Const.leg_angle_blend, lane] * lag
 
 
@@ -75,26 +72,32 @@ def swing_torques(lane, leg: Rows, state: Rows, const: Rows, work: Rows):
     length = work[Work.leg_length + leg, lane]
     ahead = work[Work.com_x, lane] - work[Work.ankle_x + 1 - leg, lane]
     target = (
-        const[ALPHA_0, lane]
-        - const[C_D, lane] * ahead
-        - const[C_V, lane] * work[Work.com_speed, lane]
+        const[Const.alpha_0, lane]
+        - const[Const.C_d, lane] * ahead
+        - const[Const.C_v, lane] * work[Work.com_speed, lane]
     )
     threshold = target + THRESHOLD_RAD
     phase = next_phase(
         state[State.swing_phase + leg, lane], work[s + leg, lane], work[s + 1 - leg, lane],
-        length, const[L_CLR, lane], angle, threshold, rate,
+        length, const[Const.l_clr, lane], angle, threshold, rate,
     )  # fmt: skip
     state[State.swing_phase + leg, lane] = phase
     near = (angle < threshold) & (rate < LARGEST_LEG_RATE_RADPS)
-    braking = const[K_STOP, lane] * (threshold - angle) * (1.0 - rate / LARGEST_LEG_RATE_RADPS)
+    braking = (
+        const[Const.k_stop, lane] * (threshold - angle) * (1.0 - rate / LARGEST_LEG_RATE_RADPS)
+    )
     stop = ti.select(near, braking, 0.0)
-    stop -= ti.select(phase == EXTEND, const[K_EXT, lane] * (LANDING_LENGTH_M - length), 0.0)
+    stop -= ti.select(phase == EXTEND, const[Const.k_ext, lane] * (LANDING_LENGTH_M - length), 0.0)
     stop = ti.select(phase >= STOP, stop, 0.0)
     knee_rate = work[Work.joint_rate + 3 * leg + 1, lane]
     hold = hold_torque(
-        knee_rate, rate, angle - target, const[K_HOLD_1, lane], const[K_HOLD_2, lane]
+        knee_rate, rate, angle - target, const[Const.k_hold_1, lane], const[Const.k_hold_2, lane]
     )
-    flex = 0.0 - const[K_FLEX, lane] * ti.min(rate, 0.0)
-    hip = const[KP_SWING, lane] * (target - angle) - const[KD_SWING, lane] * rate + 2.0 * stop
+    flex = 0.0 - const[Const.k_flex, lane] * ti.min(rate, 0.0)
+    hip = (
+        const[Const.Kp_swing, lane] * (target - angle)
+        - const[Const.Kd_swing, lane] * rate
+        + 2.0 * stop
+    )
     knee = ti.select(phase == FLEX, flex, hold + stop)
     return hip, knee

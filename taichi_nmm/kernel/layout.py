@@ -7,6 +7,8 @@ as in `body.SEGMENT_NAMES`. A block's row is the name plus the index within the 
 
 from types import SimpleNamespace
 
+from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_NAMES
+
 LEGS = 2
 CONTACTS = 4
 STOPS = 4
@@ -60,20 +62,29 @@ Muscle = blocks(
     force=MUSCLE_COUNT,  # over Fmax
 )
 
-# Never written by a step: gains and the body's coefficients of `model` section 3.
+# Never written by a step: each gain by its name (`Const.K_SOL`), and what follows from the body.
+# A_i and B_ij multiply the directions of the links in the mass matrix: see `dynamics`.
 Const = blocks(
-    gains=16,
-    low_level=8,
-    total_mass=1,
-    a_hat=1,
-    b_hat=1,
-    a_leg=3 * LEGS,  # A1 A2 A3
-    b_leg=6 * LEGS,  # B11 B22 B33 B12 B13 B23
-    contact_stiffness=1,
-    hat_weight=1,
-    leg_weight=LEGS,
+    **dict.fromkeys((*GAIN_NAMES, *LOW_LEVEL_NAMES), 1),
+    total_mass=1,  # kg
+    a_hat=1,  # A of the HAT, kg m; negative, since its centre of mass lies above the hip
+    b_hat=1,  # B of the HAT, kg m2
+    a_leg=3 * LEGS,  # A1 A2 A3, kg m
+    b_leg=6 * LEGS,  # B11 B22 B33 B12 B13 B23, kg m2
+    contact_stiffness=1,  # N/m
+    hat_weight=1,  # N
+    leg_weight=LEGS,  # N
     leg_angle_blend=1,  # 1 - exp(-w_filter tick)
 )
+GAIN_ROWS = [getattr(Const, name) for name in GAIN_NAMES]
+LOW_LEVEL_ROWS = [getattr(Const, name) for name in LOW_LEVEL_NAMES]
+
+# Signals that reach the controller late; a leg's two values lie side by side.
+Signal = blocks(
+    force_sol=LEGS, force_gas=LEGS, length_ta=LEGS,  # 20 ms
+    force_vas=LEGS, knee=LEGS, knee_rate=LEGS, stance=LEGS,  # 10 ms
+    force_ham=LEGS, force_glu=LEGS, load=LEGS, trunk=1, trunk_rate=1,  # 5 ms
+)  # fmt: skip
 
 # Scratch of one step.
 Work = blocks(
@@ -99,7 +110,7 @@ Work = blocks(
     joint_torque=3 * LEGS,
     sine_joint=2 * LEGS,  # knee, ankle
     cosine_joint=2 * LEGS,
-    sensed=19,  # delayed signals, `Signal`
+    sensed=Signal.count,  # delayed signals
     metabolic_power=1,
     momentum=COORDINATES,  # M qdot + h Q, without contacts
     jacobian_n=3 * CONTACTS,  # leg part, in the normal's direction
@@ -123,13 +134,6 @@ Work = blocks(
     new_qdot=COORDINATES,
     changed=1,
 )
-
-# Signals that reach the controller late; a leg's two values lie side by side.
-Signal = blocks(
-    force_sol=LEGS, force_gas=LEGS, length_ta=LEGS,  # 20 ms
-    force_vas=LEGS, knee=LEGS, knee_rate=LEGS, stance=LEGS,  # 10 ms
-    force_ham=LEGS, force_glu=LEGS, load=LEGS, trunk=1, trunk_rate=1,  # 5 ms
-)  # fmt: skip
 
 LONG_DELAY_TICKS, MID_DELAY_TICKS, SHORT_DELAY_TICKS = 20, 10, 5
 LONG_SIGNALS = Signal.force_vas
@@ -189,3 +193,10 @@ Sums = blocks(
     metabolic_energy=1,  # J
     impulse=2 * LEGS,  # ground force times time, N s: left x, left z, right x, right z
 )  # fmt: skip
+
+# Rows of a walker between launches, block after block.
+FIRST_FIBRE = State.count
+FIRST_DELAY = FIRST_FIBRE + Muscle.count
+FIRST_EVENT = FIRST_DELAY + Delay.count
+FIRST_SUM = FIRST_EVENT + Gait.count
+WALKER_ROWS = FIRST_SUM + Sums.count

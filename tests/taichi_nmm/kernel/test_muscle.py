@@ -57,7 +57,7 @@ def isometric(muscle: Any, m: int, angles: NDArray[np.float64], activation: floa
     rows = interpreted_rows(angles)
     fibres, work = rows
     data = muscle.muscle_table()[m]
-    from taichi_nmm.rows import Muscle
+    from taichi_nmm.kernel.layout import Muscle
 
     unit = unit_length(data, angles)
     fibres[Muscle.activation + m] = fibres[Muscle.stimulation + m] = activation
@@ -69,7 +69,7 @@ def isometric(muscle: Any, m: int, angles: NDArray[np.float64], activation: floa
 
 
 def interpreted_rows(angles: NDArray[np.float64]) -> tuple[Any, Any]:
-    from taichi_nmm.rows import Muscle, Work
+    from taichi_nmm.kernel.layout import Muscle, Work
 
     fibres, work = np.zeros((Muscle.count, 1)), np.zeros((Work.count, 1))
     work[Work.joint : Work.joint + 3, 0] = angles
@@ -79,7 +79,7 @@ def interpreted_rows(angles: NDArray[np.float64]) -> tuple[Any, Any]:
 
 
 def unit_length(data: NDArray[np.float64], angles: NDArray[np.float64]) -> float:
-    from taichi_nmm import muscle as real
+    from taichi_nmm.kernel import muscle as real
 
     hip, knee, ankle = angles
     return float(
@@ -139,7 +139,7 @@ def test_imbalance_is_strictly_decreasing(muscle: Any) -> None:
 
 def test_signed_arms_and_lengths_follow_the_table(muscle: Any) -> None:
     """The signed arm is minus the slope of the unit's length over rho (rho scales length only)."""
-    from taichi_nmm import muscle as real
+    from taichi_nmm.kernel import muscle as real
 
     table = real.muscle_table()
     step = 1e-6

@@ -4,9 +4,9 @@ Normal force kn d (1 - u/vmax)+ as Geyer & Herr 2010; friction an anchored sprin
 by one Coulomb coefficient. Both enter the step linearly implicitly (`dynamics`).
 """
 
-from taichi_nmm.backend import Rows, ti
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M
-from taichi_nmm.rows import CONTACTS, Const, State, Work
+from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.layout import CONTACTS, Const, State, Work
 from taichi_nmm.terrain import GRID_NODES, GRID_SPACING_M, GRID_START_M
 
 STATIC_DEFLECTION_M = 0.01  # kn = kt = M g / this

@@ -36,8 +36,8 @@ def test_exponential_and_its_clamp(elementary: Any) -> None:
 
 
 def test_compiled_in_float32() -> None:
-    from taichi_nmm import backend
-    from taichi_nmm.elementary import arctangent2, exponential, sine_cosine
+    from taichi_nmm.kernel import backend
+    from taichi_nmm.kernel.elementary import arctangent2, exponential, sine_cosine
     from taichi_nmm.settings import Settings
 
     ti = backend.ti

@@ -5,8 +5,8 @@ Source: Geyer & Herr 2010, as in the walker T. Knee and ankle enter the step imp
 
 import math
 
-from taichi_nmm.backend import Rows, ti
-from taichi_nmm.rows import LEGS, Work
+from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.layout import LEGS, Work
 
 STOP_STIFFNESS_NMPRAD = math.degrees(0.3)  # 0.3 N m/deg
 STOP_RELAXATION_RADPS = math.radians(1.0)

@@ -4,10 +4,9 @@ Ring buffers at the control tick. A slot is read before it is overwritten, so a 
 delays by n ticks.
 """
 
-from taichi_nmm.backend import Rows, ti
-from taichi_nmm.contact import on_ground
-from taichi_nmm.muscle import WIDTH
-from taichi_nmm.rows import (
+from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.contact import on_ground
+from taichi_nmm.kernel.layout import (
     GAS,
     GLU,
     HAM,
@@ -28,6 +27,7 @@ from taichi_nmm.rows import (
     State,
     Work,
 )
+from taichi_nmm.kernel.muscle import WIDTH
 
 TA_LENGTH_OFFSET = 1.0 - 0.5 * WIDTH
 
