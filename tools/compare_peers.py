@@ -39,7 +39,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # For the processes that are started: their BLAS reads it when NumPy is imported.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-DEFAULT_ARMS = tuple(peers.ARMS)
+DEFAULT_ARMS = tuple(peers.PEERS)
 Costs = dict[tuple[str, str], np.ndarray]  # of a problem and an arm, [seeds, trials]
 
 
@@ -55,7 +55,7 @@ class Run:
     def file(self, cache: Path) -> Path:
         """Where its result is kept; problems of one cost share the runs that see no feature."""
         landscape = synthetic.problem(self.problem, self.seed).landscape
-        folder = self.problem if peers.ARMS[self.arm].uses_feature else landscape
+        folder = self.problem if peers.PEERS[self.arm].uses_feature else landscape
         return cache / folder / self.arm / f"{self.trials}-trials-seed-{self.seed:03d}.json"
 
 
@@ -167,7 +167,7 @@ def read(file: Path) -> dict[str, Any]:
 def code_of(arm: str) -> str:
     """Fingerprint of what decides an arm's runs: the problems, and the sampler."""
     sources = [ROOT / "study" / "benchmarks" / "synthetic.py"]
-    if peers.ARMS[arm].kind == "ours":
+    if peers.PEERS[arm].kind == "ours":
         sources += [ROOT / "study" / "draws.py", *sorted((ROOT / "study" / "sampler").glob("*.py"))]
         packages = ["numpy", "scipy", "optuna", "scikit-learn"]
     else:

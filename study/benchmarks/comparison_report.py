@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from storage.commit import commit_text, writable
-from study.benchmarks.peers import ARMS
+from study.benchmarks.peers import PEERS
 from study.benchmarks.regret import Summary, mean_of, median_of, ratio_of_means, simple_regret
 
 Floats = NDArray[np.float64]
@@ -70,7 +70,7 @@ class Report:
         return list(dict.fromkeys(problem for problem, _ in self.regret))
 
     def arms(self, problem: str) -> list[str]:
-        """The arms run on a problem."""
+        """The arms run on a problem, in the order they were run."""
         return [arm for found, arm in self.regret if found == problem]
 
     def at(self, problem: str, arm: str, trial: int) -> Floats:
@@ -78,7 +78,7 @@ class Report:
         return np.asarray(self.regret[problem, arm][:, trial - 1])
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for programs."""
+        """Machine, versions, regret and bars as plain values."""
         return {
             "machine": machine(),
             "versions": versions(),
@@ -95,7 +95,7 @@ class Report:
         }  # fmt: skip
 
     def markdown(self, command: str) -> str:
-        """The whole document."""
+        """The document: a table for each problem, then the bars; `command` made it."""
         seeds = len(next(iter(self.regret.values())))
         lines = [
             "# Samplers on synthetic problems in 16 dimensions",
@@ -120,10 +120,12 @@ class Report:
         return "\n".join(lines) + "\n"
 
     def _statistics(self, problem: str, arm: str, trial: int) -> tuple[Summary, Summary]:
+        """Mean and median regret of an arm after so many trials."""
         regret = self.at(problem, arm, trial)
         return mean_of(regret), median_of(regret)
 
     def _table(self, problem: str) -> list[str]:
+        """The lines of a problem's table, an arm each."""
         half, full = self.checkpoints
         head = " | ".join(f"{what} after {n}" for n in (half, full) for what in ("mean", "median"))
         lines = [f"| sampler | chooses from | {head} |", "|---|---|---|---|---|---|"]
@@ -133,7 +135,7 @@ class Report:
                 for trial in self.checkpoints
                 for summary in self._statistics(problem, arm, trial)
             ]
-            lines.append(f"| {ARMS[arm].label} | {ARMS[arm].sees} | {' | '.join(cells)} |")
+            lines.append(f"| {PEERS[arm].label} | {PEERS[arm].sees} | {' | '.join(cells)} |")
         return lines
 
 
@@ -163,29 +165,32 @@ def versions() -> str:
 
 
 def _bars(regret: Costs, checkpoints: tuple[int, int]) -> list[Bar]:
+    """The figures that have a bar, where their problems and arms were run."""
     half, full = (trial - 1 for trial in checkpoints)
     bars = []
     for (problem, arm), theirs in regret.items():
         if (
             problem == "informative"
-            and ARMS[arm].kind == "peer"
+            and PEERS[arm].kind == "peer"
             and ("informative", "feature") in regret
         ):
             ratio = ratio_of_means(regret[problem, "feature"][:, half], theirs[:, full])
-            what = f"{problem}: feature after {half + 1} / {ARMS[arm].label} after {full + 1}"
+            what = f"{problem}: feature after {half + 1} / {PEERS[arm].label} after {full + 1}"
             bars.append(Bar(what, ratio, 1.0))
         if problem in RATIO_BARS and arm in PLAIN and (problem, "alternate") in regret:
             ratio = ratio_of_means(regret[problem, "alternate"][:, full], theirs[:, full])
-            what = f"{problem}: alternation / {ARMS[arm].label}, after {full + 1}"
+            what = f"{problem}: alternation / {PEERS[arm].label}, after {full + 1}"
             bars.append(Bar(what, ratio, RATIO_BARS[problem]))
     return bars
 
 
 def _cell(summary: Summary) -> str:
+    """A statistic and its interval, as a cell of a table."""
     return f"{summary.value:.0f} ({summary.low:.0f} to {summary.high:.0f})"
 
 
 def _bar_row(bar: Bar) -> str:
+    """A bar as a row of a table."""
     measured = f"{bar.measured.value:.2f} ({bar.measured.low:.2f} to {bar.measured.high:.2f})"
     return f"| {bar.what} | {measured} | {bar.at_most:g} | {'yes' if bar.holds else '**no**'} |"
 
@@ -201,7 +206,7 @@ def _plot(path: Path, report: Report) -> None:
         style.tidy(axes)
         for arm in report.arms(problem):
             mean = report.regret[problem, arm].mean(axis=0)
-            axes.plot(np.arange(1, len(mean) + 1), mean, label=ARMS[arm].label, **_line(arm))
+            axes.plot(np.arange(1, len(mean) + 1), mean, label=PEERS[arm].label, **_line(arm))
         axes.set_title(problem, fontsize=style.TITLE_PT, loc="left")
         axes.set_xlabel("trials", fontsize=style.TEXT_PT)
         axes.set_ylabel("mean simple regret", fontsize=style.TEXT_PT)
@@ -214,8 +219,9 @@ def _plot(path: Path, report: Report) -> None:
 
 
 def _line(arm: str) -> dict[str, Any]:
-    kind = ARMS[arm].kind
-    alike = [name for name in ARMS if ARMS[name].kind == kind]
+    """Colour, dashes and width of an arm's line."""
+    kind = PEERS[arm].kind
+    alike = [name for name in PEERS if PEERS[name].kind == kind]
     place = alike.index(arm)
     if kind == "ours":
         return {"color": OUR_COLOURS[place % len(OUR_COLOURS)], "linewidth": 1.8}

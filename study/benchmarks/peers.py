@@ -21,8 +21,8 @@ OFF_GRID = 256  # perturbations a trial, of the arm that may leave the table
 
 
 @dataclass(frozen=True)
-class Arm:
-    """A way of choosing trials.
+class Peer:
+    """A way of choosing trials that is compared with others: ours, one of Optuna's, or a control.
 
     Attributes:
         label: for tables and plots.
@@ -46,7 +46,7 @@ def torch_is_installed() -> bool:
 
 def run(arm: str, problem: Problem, trials: int) -> Floats:
     """Costs of the trials of one run in their order, [trials]; the problem's seed decides all."""
-    chosen = ARMS[arm]
+    chosen = PEERS[arm]
     if chosen.sampler is None:
         rows = problem.rows()
         return problem.cost(rows[_CONTROL_ORDERS[arm](problem, rows)[:trials]])
@@ -58,6 +58,7 @@ def run(arm: str, problem: Problem, trials: int) -> Floats:
 
 
 def _table(problem: Problem) -> CandidateTable:
+    """The problem's rows with their feature."""
     rows = problem.rows()
     columns = dict(zip(NAMES, rows.T, strict=True))
     return CandidateTable.from_arrays(
@@ -71,20 +72,24 @@ def _ours(kernel: str) -> Callable[[Problem], BaseSampler]:
 
 
 def _euclidean(problem: Problem) -> BaseSampler:
+    """Our sampler over the whole space, a Gaussian process of the parameters."""
     return FeatureKernelSampler(None, seed=problem.seed, space=problem.distributions())
 
 
 def _off_grid(problem: Problem) -> BaseSampler:
+    """Our sampler over the rows, and over points near the best of them."""
     return FeatureKernelSampler(
         _table(problem), seed=problem.seed, feature_function=problem.features, off_grid=OFF_GRID
     )
 
 
 def _random_rows(problem: Problem, rows: Floats) -> NDArray[np.int64]:
+    """Row numbers in random order."""
     return np.random.default_rng(problem.seed).permutation(len(rows))
 
 
 def _score_first(problem: Problem, rows: Floats) -> NDArray[np.int64]:
+    """Row numbers, the least feature first."""
     return np.argsort(problem.features(rows)[:, 0], kind="stable")
 
 
@@ -93,20 +98,20 @@ _ROWS = "4,096 rows"
 _ROWS_AND_FEATURE = "4,096 rows and their feature"
 _ROWS_AND_MORE = "4,096 rows, points near the best of them, the feature of each"
 
-ARMS = {
-    "random": Arm("RandomSampler", _SPACE, "peer", sampler=lambda p: RandomSampler(seed=p.seed)),
-    "tpe": Arm("TPESampler", _SPACE, "peer", sampler=lambda p: TPESampler(seed=p.seed)),
-    "gp": Arm("GPSampler", _SPACE, "peer", sampler=lambda p: GPSampler(seed=p.seed)),
-    "cmaes": Arm("CmaEsSampler", _SPACE, "peer", sampler=lambda p: CmaEsSampler(seed=p.seed)),
-    "random-rows": Arm("random rows", _ROWS, "control"),
-    "score-first": Arm("least feature first", _ROWS_AND_FEATURE, "control", uses_feature=True),
-    "euclidean": Arm("ours, Euclidean", _SPACE, "ours", sampler=_euclidean),
-    "euclidean-rows": Arm("ours, Euclidean, rows", _ROWS, "ours", sampler=_ours("euclidean")),
-    "feature": Arm("ours, feature", _ROWS_AND_FEATURE, "ours", True, _ours("rbf")),
-    "alternate": Arm("ours, alternation", _ROWS_AND_FEATURE, "ours", True, _ours("alternate")),
-    "sum": Arm("ours, sum", _ROWS_AND_FEATURE, "ours", True, _ours("sum")),
-    "product": Arm("ours, product", _ROWS_AND_FEATURE, "ours", True, _ours("product")),
-    "off-grid": Arm("ours, off the table", _ROWS_AND_MORE, "ours", True, _off_grid),
+PEERS = {
+    "random": Peer("RandomSampler", _SPACE, "peer", sampler=lambda p: RandomSampler(seed=p.seed)),
+    "tpe": Peer("TPESampler", _SPACE, "peer", sampler=lambda p: TPESampler(seed=p.seed)),
+    "gp": Peer("GPSampler", _SPACE, "peer", sampler=lambda p: GPSampler(seed=p.seed)),
+    "cmaes": Peer("CmaEsSampler", _SPACE, "peer", sampler=lambda p: CmaEsSampler(seed=p.seed)),
+    "random-rows": Peer("random rows", _ROWS, "control"),
+    "score-first": Peer("least feature first", _ROWS_AND_FEATURE, "control", uses_feature=True),
+    "euclidean": Peer("ours, Euclidean", _SPACE, "ours", sampler=_euclidean),
+    "euclidean-rows": Peer("ours, Euclidean, rows", _ROWS, "ours", sampler=_ours("euclidean")),
+    "feature": Peer("ours, feature", _ROWS_AND_FEATURE, "ours", True, _ours("rbf")),
+    "alternate": Peer("ours, alternation", _ROWS_AND_FEATURE, "ours", True, _ours("alternate")),
+    "sum": Peer("ours, sum", _ROWS_AND_FEATURE, "ours", True, _ours("sum")),
+    "product": Peer("ours, product", _ROWS_AND_FEATURE, "ours", True, _ours("product")),
+    "off-grid": Peer("ours, off the table", _ROWS_AND_MORE, "ours", True, _off_grid),
 }  # fmt: skip
 
 _CONTROL_ORDERS = {"random-rows": _random_rows, "score-first": _score_first}

@@ -46,11 +46,13 @@ def ratio_of_means(ours: Floats, theirs: Floats) -> Summary:
 
 
 def _resamples(seeds: int) -> NDArray[np.int64]:
+    """Numbers of the seeds of each bootstrap sample, [RESAMPLES, seeds]."""
     rng = np.random.default_rng(BOOTSTRAP_SEED)
     return rng.integers(seeds, size=(RESAMPLES, seeds))
 
 
 def _summary(value: float, resampled: Floats) -> Summary:
+    """A statistic with the central interval of its bootstrap values [RESAMPLES]."""
     tail = 50.0 * (1.0 - CONFIDENCE)
     low, high = np.percentile(resampled, [tail, 100.0 - tail])
     return Summary(value, float(low), float(high))

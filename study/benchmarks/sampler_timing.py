@@ -63,16 +63,16 @@ class Measured:
 
     @property
     def median_ms(self) -> float:
-        """Median time of a proposal."""
+        """Median time of a proposal, milliseconds."""
         return 1e3 * statistics.median(self.seconds)
 
     @property
     def median_cpu_ms(self) -> float:
-        """Median processor time of a proposal."""
+        """Median processor time of a proposal, milliseconds."""
         return 1e3 * statistics.median(self.cpu_seconds)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values."""
+        """The case, all times and their medians as plain values."""
         medians = {"median_ms": self.median_ms, "median_cpu_ms": self.median_cpu_ms}
         return {**asdict(self), **medians}
 
@@ -109,6 +109,7 @@ def _features(points: Floats, k: int) -> Floats:
 
 
 def _sampler(case: Case, points: Floats, features: Floats) -> BaseSampler:
+    """The sampler of a case, over points [n, 16] with features [n, k]."""
     if case.sampler == "gp":
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ExperimentalWarning)
@@ -156,4 +157,5 @@ def _memory_mib(field: str) -> float | None:
 
 
 def _less(after: float | None, before: float | None) -> float | None:
+    """The difference; None where either is unknown."""
     return None if after is None or before is None else after - before

@@ -146,6 +146,7 @@ def _rastrigin(rng: np.random.Generator) -> Function:
 
 
 def _feature(name: str, seed: int, half_width: float, terms: Function) -> Function:
+    """The feature of a problem, by its name."""
     rng = _rng(seed, _Draw.FEATURE)
     if name == "useless":
         return _wave(rng, half_width)
@@ -164,15 +165,18 @@ def _cheap_simulation(rng: np.random.Generator, terms: Function) -> Function:
 
 
 def _wave(rng: np.random.Generator, half_width: float) -> Function:
+    """The sine of a random direction, `WAVES` periods across the box."""
     direction = rng.standard_normal(DIMENSION)
     direction *= np.pi * WAVES / (half_width * np.linalg.norm(direction))
     return lambda points: np.sin(points @ direction)
 
 
 def _sobol(half_width: float, bits: int, rng: np.random.Generator) -> Floats:
+    """2^bits scrambled Sobol points of the box, [2^bits, 16]."""
     unit = qmc.Sobol(DIMENSION, rng=rng).random_base2(bits)
     return np.asarray(half_width * (2.0 * unit - 1.0))
 
 
 def _rng(seed: int, draw: _Draw) -> np.random.Generator:
+    """The generator of one kind of draw."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(draw),)))

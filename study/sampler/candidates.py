@@ -35,6 +35,7 @@ def nearby(space: Space, centres: Floats, count: int, rng: np.random.Generator) 
 
 
 def _categorical(space: Space) -> NDArray[np.bool_]:
+    """Which parameters are categorical, [d]."""
     return np.array([isinstance(d, CategoricalDistribution) for d in space.distributions])
 
 

@@ -57,6 +57,7 @@ def make_rows(
 def _require_known(
     field: str, given: Mapping[str, Any] | None, parameters: Mapping[str, Any]
 ) -> None:
+    """Refuse bounds or distributions of a name that no column has."""
     for name in given or ():
         if name not in parameters:
             raise InputError(field, name, f"one of {', '.join(sorted(parameters))}")

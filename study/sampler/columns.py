@@ -57,6 +57,7 @@ def feature_matrix(features: ArrayLike, names: Sequence[str] | None) -> Floats:
 
 
 def _numeric(kind: str, numbers: Floats) -> BaseDistribution:
+    """The distribution of a column [n] without one: its kind, from its least to its greatest."""
     low, high = float(numbers.min()), float(numbers.max())
     if kind in "iu":
         return IntDistribution(int(low), int(high))
@@ -64,6 +65,7 @@ def _numeric(kind: str, numbers: Floats) -> BaseDistribution:
 
 
 def _finite(name: str, column: NDArray[Any]) -> Floats:
+    """A column as finite floats, [n], or an error that names the first row that is none."""
     try:
         numbers = column.astype(np.float64)
     except (TypeError, ValueError):

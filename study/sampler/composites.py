@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 
 
 class Sum(Part, kernels.Sum):  # type: ignore[misc]
-    """Of two kernels."""
+    """The covariance of a sum of independent functions."""
 
     k1: Part
     k2: Part
@@ -32,12 +32,12 @@ class Sum(Part, kernels.Sum):  # type: ignore[misc]
 
     @property
     def shortest(self) -> float:
-        """Of both."""
+        """The smaller one's."""
         return min(self.k1.shortest, self.k2.shortest)
 
 
 class Product(Part, kernels.Product):  # type: ignore[misc]
-    """Of two kernels without noise."""
+    """A covariance that is large only where both of its kernels are; neither has noise."""
 
     k1: Part
     k2: Part
@@ -52,7 +52,7 @@ class Product(Part, kernels.Product):  # type: ignore[misc]
 
     @property
     def shortest(self) -> float:
-        """Of both."""
+        """The smaller one's."""
         return min(self.k1.shortest, self.k2.shortest)
 
 
@@ -74,7 +74,7 @@ class Slice(Part):
 
     @property
     def hyperparameters(self) -> list[Any]:
-        """Those of the kernel inside."""
+        """The constants of the kernel inside."""
         return list(self.kernel.hyperparameters)
 
     @property
@@ -88,7 +88,7 @@ class Slice(Part):
 
     @property
     def bounds(self) -> Floats:
-        """Of `theta`."""
+        """Of `theta`, as logarithms, [t, 2]."""
         return np.asarray(self.kernel.bounds)
 
     def __call__(self, X: Floats, Y: Floats | None = None, eval_gradient: bool = False) -> Any:  # noqa: N803
@@ -100,22 +100,22 @@ class Slice(Part):
         )
 
     def cross(self, a: Floats, b: Floats, fast: bool) -> Any:
-        """Of the kernel inside."""
+        """The kernel inside, of these columns."""
         columns = slice(self.start, self.end)
         return self.kernel.cross(a[:, columns], b[:, columns], fast)
 
     def variance(self, x: Floats) -> Any:
-        """Of the kernel inside."""
+        """The kernel inside, of these columns."""
         return self.kernel.variance(x[:, self.start : self.end])
 
     @property
     def noise(self) -> float:
-        """Of the kernel inside."""
+        """The noise of the kernel inside."""
         return self.kernel.noise
 
     @property
     def shortest(self) -> float:
-        """Of the kernel inside."""
+        """That of the kernel inside."""
         return self.kernel.shortest
 
     def diag(self, X: Floats) -> Floats:  # noqa: N803
@@ -123,7 +123,7 @@ class Slice(Part):
         return np.asarray(self.kernel.diag(X[:, self.start : self.end]))
 
     def is_stationary(self) -> bool:
-        """As the kernel inside."""
+        """Whether the kernel inside depends on distances alone."""
         return bool(self.kernel.is_stationary())
 
     def __repr__(self) -> str:

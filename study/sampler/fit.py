@@ -39,13 +39,14 @@ def proves_fit(rows: Rows, study: optuna.Study, before: FrozenTrial) -> bool:
 
 
 def _latest(study: optuna.Study, before: FrozenTrial) -> FrozenTrial | None:
+    """The finished trial of the highest number, other than `before`."""
     trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     others = [trial for trial in trials if trial.number != before.number]
     return others[-1] if others else None
 
 
 def _misfit(rows: Rows, column: int, name: str, trial: FrozenTrial) -> InputError | None:
-    """What is wrong with one parameter."""
+    """What the trial says against one parameter of the table; None if nothing."""
     suggested = trial.distributions.get(name)
     if suggested is None:
         allowed = f"an objective that suggests all of {', '.join(rows.names)}"
@@ -59,6 +60,7 @@ def _misfit(rows: Rows, column: int, name: str, trial: FrozenTrial) -> InputErro
 def _range_misfit(
     rows: Rows, column: int, name: str, suggested: BaseDistribution
 ) -> InputError | None:
+    """An error if the range that was suggested leaves rows out."""
     if isinstance(suggested, CategoricalDistribution):
         return None
     low, high = suggested.low, suggested.high  # type: ignore[attr-defined]

@@ -51,6 +51,7 @@ class PriorOptimizer:
 
     @staticmethod
     def _descend(objective: Objective, start: Floats, bounds: Floats, noise_shift: float) -> Any:
+        """One descent from theta [t] with the log noise shifted; scipy's result."""
         theta = start.copy()
         theta[-1] += noise_shift  # white noise is the last term of every kernel
         return minimize(
@@ -107,6 +108,7 @@ def believe(posterior: Posterior, x: Floats, y: Floats) -> Posterior:
 def _regressor(
     term: Term, x: Floats, y: Floats, optimizer: PriorOptimizer | None
 ) -> GaussianProcessRegressor:
+    """scikit-learn's, fitted on x [n, p] and y in standard units; None keeps the constants."""
     regressor = GaussianProcessRegressor(term.kernel, alpha=JITTER, optimizer=optimizer)
     with warnings.catch_warnings():
         # With few trials a constant at its bound is an answer, not a failure.

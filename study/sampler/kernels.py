@@ -81,6 +81,7 @@ def mismatch_term(layout: Layout) -> Term:
 
 
 def _signal_term(kernel: str, layout: Layout) -> Term:
+    """The covariance without mean and noise."""
     if feature_only(kernel):
         return _signal() * _over_features(kernel, layout)
     if kernel == "euclidean":
@@ -92,10 +93,12 @@ def _signal_term(kernel: str, layout: Layout) -> Term:
 
 
 def _signal() -> Term:
+    """The variance s^2."""
     return Term(ConstantKernel(1.0, SIGNAL_BOUNDS), (SIGNAL_PRIOR,))
 
 
 def _over_features(kernel: str, layout: Layout) -> Term:
+    """The kernel of the first k columns."""
     shared = kernel == "rbf"
     prior = Prior(log(sqrt(layout.features)), 1.0)
     scale: Any = sqrt(layout.features)
@@ -109,6 +112,7 @@ def _over_features(kernel: str, layout: Layout) -> Term:
 
 
 def _over_parameters(layout: Layout) -> Term:
+    """The squared exponential of the last e columns."""
     prior = Prior(sqrt(2.0) + log(layout.parameters) / 2.0 - 3.0, sqrt(3.0))
     scale = np.full(layout.coordinates, _start(prior, PARAMETER_SCALE_BOUNDS))
     end = layout.features + layout.coordinates
@@ -117,5 +121,5 @@ def _over_parameters(layout: Layout) -> Term:
 
 
 def _start(prior: Prior, bounds: tuple[float, float]) -> float:
-    """The likeliest value before any trial."""
+    """The likeliest value of a constant before any trial, within its bounds."""
     return float(np.clip(np.exp(prior.mode), *bounds))

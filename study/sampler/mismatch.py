@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Mismatch:
-    """A fitted correction."""
+    """How far simulated features are from those shown, as learned from some trials."""
 
     posterior: Posterior
 

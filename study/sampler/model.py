@@ -33,7 +33,7 @@ class Constants:
     known: dict[tuple[str, bytes], Floats] = field(default_factory=dict)
 
     def learned(self, term: Term, x: Floats, y: Floats) -> Floats:
-        """As `learn`, once."""
+        """What `learn` gives, computed once for the same term and trials."""
         key = (repr(term.kernel), x.tobytes() + y.tobytes())
         if key not in self.known:
             if len(self.known) >= CACHED_CONSTANTS:
@@ -110,6 +110,7 @@ class Model:
 
     @cached_property
     def _cost(self) -> Floats:
+        """The costs as the process sees them, [n]."""
         return transformed(self.evidence.cost, self.options.cost_transform)
 
     def _after(self, points: Points, y: Floats) -> Posterior:
@@ -125,6 +126,7 @@ class Model:
 
     @property
     def _mean(self) -> str:
+        """The mean to use: without features there is nothing that a linear one could follow."""
         return self.options.mean if self.evidence.points.features.shape[1] else "constant"
 
     def _visible(self, points: Points) -> Points:
@@ -168,6 +170,7 @@ class Model:
         return acquisition.log_expected_improvement(mean, sd, best)
 
     def _combined(self, values: Floats, log_weight: Floats) -> Floats:
+        """Acquisition and log weights as one utility, on the acquisition's own scale, [m]."""
         if self.options.acquisition == "log_ei":
             return values + log_weight
         if self.options.acquisition == "ei":

@@ -54,10 +54,12 @@ class Options:
 
 
 def _one_of(name: str, value: object, allowed: tuple[str, ...]) -> None:
+    """Refuse a value that is none of those allowed."""
     if value not in allowed:
         raise InputError(name, value, f"one of {', '.join(allowed)}")
 
 
 def _at_least(name: str, value: float, low: int) -> None:
+    """Refuse a number below `low`, and NaN."""
     if not value >= low:
         raise InputError(name, value, f"{low} or more")

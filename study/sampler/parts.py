@@ -47,7 +47,7 @@ class Listed:
     _constants: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:
-        """Search once a class."""
+        """Look for the constants, once a class."""
         cls._constants = tuple(name for name in dir(cls) if name.startswith("hyperparameter_"))
 
     @property
@@ -62,13 +62,13 @@ class Stationary(Listed, Part):
     length_scale: Any
 
     def cross(self, a: Floats, b: Floats, fast: bool) -> AnyFloats:
-        """Of scaled distances, [n, m]."""
+        """The kernel of distances in length scales, [n, m]."""
         a, b = a / self.length_scale, b / self.length_scale
         square = _squared_distances(a, b) if fast else cdist(a, b, "sqeuclidean")
         return self.of_square(_precise(square, fast))
 
     def variance(self, x: Floats) -> float:
-        """One."""
+        """One: the distance is zero."""
         return 1.0
 
     @property
@@ -85,13 +85,13 @@ class RBF(Stationary, kernels.RBF):  # type: ignore[misc]
     """Squared exponential."""
 
     def of_square(self, square: AnyFloats) -> AnyFloats:
-        """exp(-r^2 / 2)."""
+        """exp(-r^2 / 2), in place."""
         square *= -0.5
         return np.asarray(np.exp(square, out=square))
 
 
 class Matern(Stationary, kernels.Matern):  # type: ignore[misc]
-    """Matern 5/2."""
+    """Matern with nu = 5/2."""
 
     nu: float
 
@@ -103,7 +103,7 @@ class Matern(Stationary, kernels.Matern):  # type: ignore[misc]
 
 
 class ConstantKernel(Listed, Part, kernels.ConstantKernel):  # type: ignore[misc]
-    """A constant, for a variance."""
+    """The same covariance everywhere: a factor, such as a variance."""
 
     constant_value: float
 
@@ -117,7 +117,7 @@ class ConstantKernel(Listed, Part, kernels.ConstantKernel):  # type: ignore[misc
 
 
 class WhiteKernel(Listed, Part, kernels.WhiteKernel):  # type: ignore[misc]
-    """Noise."""
+    """Noise, independent from row to row."""
 
     noise_level: float
 
@@ -126,12 +126,12 @@ class WhiteKernel(Listed, Part, kernels.WhiteKernel):  # type: ignore[misc]
         return 0.0
 
     def variance(self, x: Floats) -> float:
-        """Nothing: it is `noise`."""
+        """Nothing here: it is the `noise`."""
         return 0.0
 
     @property
     def noise(self) -> float:
-        """Its level."""
+        """The level that was learned."""
         return float(self.noise_level)
 
 
@@ -141,11 +141,11 @@ class DotProduct(Listed, Part, kernels.DotProduct):  # type: ignore[misc]
     sigma_0: float
 
     def cross(self, a: Floats, b: Floats, fast: bool) -> AnyFloats:
-        """[n, m]."""
+        """Products of all pairs of rows, [n, m]."""
         return _precise(self.sigma_0**2 + a @ b.T, fast)
 
     def variance(self, x: Floats) -> Floats:
-        """[m]."""
+        """Products of rows with themselves, [m]."""
         return np.asarray(self.sigma_0**2 + np.einsum("mp,mp->m", x, x))
 
 
@@ -159,4 +159,5 @@ def _squared_distances(a: Floats, b: Floats) -> Floats:
 
 
 def _precise(values: Floats, fast: bool) -> AnyFloats:
+    """As 32-bit numbers if `fast`."""
     return values.astype(np.float32) if fast else values

@@ -131,7 +131,7 @@ class Posterior:
 
 
 def blocks(points: Points) -> Iterator[tuple[slice, Floats]]:
-    """Candidates block by block, [b, p]."""
+    """Candidates block by block: which ones, and their rows [b, p]."""
     for start in range(0, len(points), BLOCK):
         block = slice(start, min(start + BLOCK, len(points)))
         yield block, points.matrix(block)

@@ -44,7 +44,7 @@ class ReproducibleRandomSampler(BaseSampler):
         param_name: str,
         param_distribution: BaseDistribution,
     ) -> Any:
-        """One uniform draw."""
+        """One uniform draw, seeded by the trial and the parameter's name."""
         key = (turn(study, trial), name_key(param_name))
         sampler = RandomSampler(seed=seed_32bit(self._seed, Purpose.INDEPENDENT, *key))
         return sampler.sample_independent(study, trial, param_name, param_distribution)

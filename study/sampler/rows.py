@@ -63,17 +63,17 @@ class Rows:
         return len(self.parameters)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what is derived."""
+        """Without what is derived from the columns."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters."""
+        """Names of the d parameters."""
         return self.space.names
 
     @cached_property
     def scale(self) -> Scale:
-        """Of the features."""
+        """Mean and spread of each feature over the rows."""
         return Scale.of(self.features)
 
     @cached_property
@@ -146,6 +146,7 @@ class Rows:
 
     @cached_property
     def _complete(self) -> NDArray[np.bool_]:
+        """Rows whose informative features are all finite, [n]."""
         informed = self.features[:, np.isfinite(self.scale.sd)]
         return np.asarray(np.isfinite(informed).all(axis=1))
 
@@ -158,6 +159,7 @@ class Rows:
 
     @cached_property
     def _first(self) -> NDArray[np.bool_]:
+        """Rows that repeat no earlier row's parameters, [n]."""
         hashes, order = self._index
         first = np.ones(len(self), dtype=bool)
         first[order[1:]] = hashes[1:] != hashes[:-1]

@@ -58,7 +58,7 @@ class Source(ABC):
 
     @abstractmethod
     def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
-        """What `propose` will give."""
+        """What `propose` will give values for: distributions by name."""
 
     @abstractmethod
     def propose(
@@ -73,7 +73,7 @@ class Source(ABC):
         """The value of one parameter that `propose` has not given."""
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what can be computed again."""
+        """Without learned constants, which another process computes again."""
         return self.__dict__ | {"constants": Constants()}
 
     def kernel(self, turn: int) -> str:
@@ -121,7 +121,7 @@ class Source(ABC):
             self.warn(f"{option} is left out: no finished trial reports it ({wanted})")
 
     def rng(self, purpose: Purpose, turn: int) -> np.random.Generator:
-        """Of one draw."""
+        """The generator of one draw of one trial."""
         return generator(self.seed, purpose, turn)
 
     def draw(

@@ -114,6 +114,7 @@ def _internal(distribution: BaseDistribution, value: Any) -> float:
 
 
 def _external(distribution: BaseDistribution, value: float) -> Any:
+    """The value of a number, of Python's own type."""
     if isinstance(distribution, IntDistribution):
         return round(value)
     return distribution.to_external_repr(value)
@@ -134,6 +135,7 @@ def _to_unit(distribution: BaseDistribution, values: Floats) -> Floats:
 
 
 def _from_fraction(distribution: BaseDistribution, fractions: Floats) -> Floats:
+    """One parameter [n] from numbers between 0 and 1, [n]."""
     if isinstance(distribution, CategoricalDistribution):
         last = len(distribution.choices) - 1
         return np.minimum(np.floor(fractions * len(distribution.choices)), last)

@@ -60,7 +60,7 @@ class SpaceSource(Source):
     def propose(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
-        """The parameters of one point."""
+        """The parameters of one point; where that cannot be, independent draws."""
         if not search_space:
             return {}
         misfit = self._misfit(study, trial, search_space)
@@ -105,6 +105,7 @@ class SpaceSource(Source):
         return missing_in(names, study, trial, ours)
 
     def _choose(self, study: optuna.Study, trial: FrozenTrial, space: Space) -> Candidate:
+        """A random point at first, then the best by the model."""
         own_turn = turn(study, trial)
         history = read_history(study, trial, space)
         if len(history.cost) < self.options.n_startup_trials:
@@ -190,6 +191,7 @@ class SpaceSource(Source):
         return features[:m], known, features[m : m + r]
 
     def _log_weight(self, features: Floats, trials: int) -> Floats | None:
+        """The prior's weights of features [m, k], as logarithms, [m]; None without a prior."""
         if self.options.prior is None:
             return None
         names = tuple(f"feature_{column}" for column in range(features.shape[1]))
@@ -198,7 +200,7 @@ class SpaceSource(Source):
 
 
 def _bare(space: Space, points: Floats) -> Points:
-    """Points without features."""
+    """Points [n, d] without features, by their coordinates alone."""
     return Points(np.empty((len(points), 0)), space.unit(points))
 
 

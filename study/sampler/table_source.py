@@ -53,7 +53,7 @@ class TableExhaustedError(RuntimeError):
 
 
 class TableSource(Source):
-    """Rows of a table."""
+    """Proposals of rows of a table that no trial has taken and, if asked for, of points near."""
 
     def __init__(
         self,
@@ -75,11 +75,11 @@ class TableSource(Source):
 
     @property
     def rows(self) -> Rows:
-        """Of the table."""
+        """The content of the table."""
         return self.table.rows
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what can be computed again."""
+        """Without learned constants and what follows from the table."""
         state = super().__getstate__()
         return {key: v for key, v in state.items() if key not in ("_prior", "_everything")}
 
@@ -177,6 +177,7 @@ class TableSource(Source):
                 return rows.space.values(candidate.parameters)
 
     def _note(self, study: optuna.Study, trial: FrozenTrial, candidate: Candidate) -> None:
+        """Leave the row and its features in the trial."""
         features = candidate.features.tolist()
         notes: dict[str, Any] = {ROW_ATTRIBUTE: candidate.row}
         if len(features) == 1:
@@ -265,17 +266,20 @@ class TableSource(Source):
         return float(utility[best]), Candidate(OFF_TABLE, near[best], features[best])
 
     def _row(self, row: int) -> Candidate:
+        """A row as a candidate."""
         return Candidate(row, self.rows.parameters[row], self.rows.features[row])
 
     def _points(self, kernel: str) -> Points:
-        """All rows as candidates."""
+        """All n rows, with coordinates only where the kernel looks at them."""
         return self._everything if self.needs_coordinates(kernel) else self.rows.features_alone
 
     @cached_property
     def _everything(self) -> Points:
+        """All n rows with features and coordinates."""
         return Points(self.rows.standard, self.rows.unit)
 
     def _unit(self, parameters: Floats, kernel: str) -> Floats:
+        """Parameters [m, d] as coordinates [m, e]; e = 0 where no kernel looks at them."""
         if not self.needs_coordinates(kernel):
             return np.empty((len(parameters), 0))
         return self.rows.space.unit(parameters)
@@ -307,6 +311,7 @@ class TableSource(Source):
         return self.function is not None or noted or not self.options.uses_features
 
     def _log_weight(self, features: Floats, trials: int) -> Floats | None:
+        """The prior's weights of features [m, k], as logarithms, [m]; None without a prior."""
         if self.options.prior is None:
             return None
         rank = self._prior.rank(features)
@@ -314,9 +319,11 @@ class TableSource(Source):
 
     @cached_property
     def _prior(self) -> FeaturePrior:
+        """Ranks by the prior's feature, made once a process."""
         return self._new_prior()
 
     def _new_prior(self) -> FeaturePrior:
+        """Ranks by the prior's feature among the rows that may be proposed."""
         assert self.options.prior is not None  # or there is nothing to rank by
         rows = self.rows
         return FeaturePrior.of(self.options.prior, rows.feature_names, rows.features[rows.offered])
@@ -331,6 +338,7 @@ class TableSource(Source):
             )
 
     def _warn_of(self, history: History) -> None:
+        """Say once that trials off the table teach nothing."""
         if history.unplaced:
             self.warn(
                 "trials whose parameters are no row of the table are ignored: such as trial "

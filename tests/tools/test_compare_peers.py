@@ -47,7 +47,7 @@ def test_the_document_has_a_row_an_arm_and_its_bars(folder: Path) -> None:
     assert text.startswith("# Samplers on synthetic problems")
     assert "python tools/compare_peers.py --seeds 2" in text
     for arm in ARMS.split(","):
-        assert text.count(f"| {peers.ARMS[arm].label} | {peers.ARMS[arm].sees} |") == 2
+        assert text.count(f"| {peers.PEERS[arm].label} | {peers.PEERS[arm].sees} |") == 2
     assert "| informative: feature after 4 / RandomSampler after 8 |" in text
     assert "| misleading: alternation / ours, Euclidean, rows, after 8 |" in text
     assert (folder / "docs" / "sampler-comparison.png").stat().st_size > 10_000
