@@ -1,0 +1,144 @@
+"""The house of CONTRIBUTING.md: who may know whom, no circles, no long file, no namesakes.
+
+Read from the source alone, so that nothing is imported. A function's imports count; those under
+`if TYPE_CHECKING` do not.
+"""
+
+import ast
+from collections import defaultdict
+from collections.abc import Iterator
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("taichi_nmm", "storage", "study")
+OURS = (*PACKAGES, "tools")
+HUB = ROOT / "study" / "hub"  # a package of another registry, of which no module is imported
+MOST_LINES = 600
+
+# A part of the house, and all that it may import of this project.
+ALLOWED = {
+    "taichi_nmm": ("taichi_nmm",),
+    "storage": ("storage", "taichi_nmm"),
+    "study": PACKAGES,
+    "study.sampler": ("study.sampler", "study.draws", "taichi_nmm.errors"),
+}
+
+
+def name_of(file: Path) -> str:
+    parts = file.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Files of the packages and of tools/ by the names of their modules; not the hub's package."""
+    files = [file for package in OURS for file in (ROOT / package).rglob("*.py")]
+    return {name_of(file): file for file in sorted(files) if HUB not in file.parents}
+
+
+def of_types_only(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
+
+
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """All that is run, now or in a call."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and of_types_only(child):
+            for other in child.orelse:
+                yield other
+                yield from statements(other)
+        else:
+            yield child
+            yield from statements(child)
+
+
+def named_by(node: ast.AST, package: str) -> list[str]:
+    """What an import statement in a package names, in full."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if not isinstance(node, ast.ImportFrom):
+        return []
+    above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+    base = ".".join([*above, *([node.module] if node.module else [])])
+    return [f"{base}.{alias.name}" for alias in node.names]
+
+
+def module_in(name: str) -> str | None:
+    """The module that a full name is, or is a name of; None for other projects'."""
+    while name and name not in modules():
+        name = name.rpartition(".")[0]
+    return name or None
+
+
+@cache
+def imported_by(module: str) -> frozenset[str]:
+    """Modules of this project that a module imports."""
+    file = modules()[module]
+    package = module if file.name == "__init__.py" else module.rpartition(".")[0]
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    names = [name for node in statements(tree) for name in named_by(node, package)]
+    found = {module_in(name) for name in names}
+    return frozenset(name for name in found if name is not None and name != module)
+
+
+def within(name: str, part: str) -> bool:
+    return name == part or name.startswith(f"{part}.")
+
+
+def test_the_source_is_found() -> None:
+    assert "study.sampler.rows" in imported_by("study.sampler.checked_rows")
+    assert "study.sampler.parquet" in imported_by("study.feature_table")  # in a function
+    assert "study.survival" not in imported_by("study")  # for types only
+
+
+def first_circle() -> list[str]:
+    """Modules that import one another, the first of them again at the end; none is empty."""
+    try:
+        TopologicalSorter({name: imported_by(name) for name in modules()}).prepare()
+    except CycleError as error:
+        return list(reversed(error.args[1]))
+    return []
+
+
+def test_no_imports_run_in_a_circle() -> None:
+    assert first_circle() == []
+
+
+@pytest.mark.parametrize("part", ALLOWED)
+def test_arrows_run_one_way(part: str) -> None:
+    wrong = [
+        f"{name} imports {other}"
+        for name in modules()
+        if within(name, part)
+        for other in sorted(imported_by(name))
+        if not any(within(other, allowed) for allowed in ALLOWED[part])
+    ]
+    assert wrong == []
+
+
+def test_commands_are_imported_by_nobody() -> None:
+    wrong = [
+        f"{name} imports {other}"
+        for name in modules()
+        for other in sorted(imported_by(name))
+        if within(other, "tools") and not within(name, "tools")
+    ]
+    assert wrong == []
+
+
+def test_no_file_is_long() -> None:
+    lines = {name: len(file.read_text().splitlines()) for name, file in modules().items()}
+    assert {name: count for name, count in lines.items() if count > MOST_LINES} == {}
+
+
+def test_no_two_modules_share_a_file_name() -> None:
+    places = defaultdict(list)
+    for name, file in modules().items():
+        if file.name != "__init__.py" and not within(name, "tools"):
+            places[file.name].append(name)
+    shared = sorted(" and ".join(names) for names in places.values() if len(names) > 1)
+    assert shared == []
