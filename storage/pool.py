@@ -4,26 +4,19 @@ A unit of work is a function of an importable module and its arguments, and depe
 what comes of it is the same wherever it is run, and the order in which units end decides nothing.
 """
 
-import multiprocessing
 import os
-import signal
-import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
+from storage.processes import Processes
 from taichi_nmm.errors import InputError
 
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
-
-# For the processes that are started: their BLAS reads it when NumPy is imported.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class InProcess(Executor):
@@ -52,6 +45,11 @@ class Pool:
     slots: int
 
     @property
+    def in_process(self) -> bool:
+        """Whether units run in this process, and so may call back."""
+        return isinstance(self.executor, InProcess)
+
+    @property
     def shares_machine(self) -> bool:
         """Whether units run side by side, each of which then keeps to one core."""
         return self.slots > 1
@@ -68,19 +66,17 @@ class Pool:
             Exception: whatever else a unit raised.
         """
         running: dict[Future[Result], Unit] = {}
-        while units or running:
-            while units and len(running) < self.slots:
-                unit = units.popleft()
-                running[self.executor.submit(function, unit)] = unit
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                unit = running.pop(future)
-                try:
-                    result = future.result()
-                except BrokenProcessPool:
-                    allowed = "memory for all of them; the same command goes on where it stopped"
-                    raise InputError("workers", "one was killed", allowed) from None
-                yield unit, result
+        try:
+            while units or running:
+                while units and len(running) < self.slots:
+                    unit = units.popleft()
+                    running[self.executor.submit(function, unit)] = unit
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    yield running.pop(future), future.result()
+        except BrokenExecutor:
+            allowed = "memory for all of them; the same command goes on where it stopped"
+            raise InputError("workers", "one was killed", allowed) from None
 
 
 IN_PROCESS = Pool(InProcess(), 1)
@@ -88,10 +84,10 @@ IN_PROCESS = Pool(InProcess(), 1)
 
 @contextmanager
 def local_pool(workers: int) -> Iterator[Pool]:
-    """A pool of this machine: so many spawned processes, or, for one, this process itself.
+    """A pool of this machine: up to so many spawned processes, or, for one, this process itself.
 
-    The processes leave Ctrl-C to this one, use one thread for linear algebra, and end when the
-    context does or when this process is gone, in the middle of a unit if need be.
+    They are started as units need them, and end when the context does, in the middle of a unit if
+    need be; see `Processes`.
 
     Raises:
         InputError: not a number of processes.
@@ -101,49 +97,11 @@ def local_pool(workers: int) -> Iterator[Pool]:
     if workers == 1:
         yield IN_PROCESS
         return
-    context = multiprocessing.get_context("spawn")  # a fork does not survive Taichi's threads
-    lifeline, ours = context.Pipe(duplex=False)
-    executor = ProcessPoolExecutor(
-        workers, mp_context=context, initializer=_live_on, initargs=(lifeline,)
-    )
-    try:
-        with _quiet_children():
-            wait([executor.submit(os.getpid) for _ in range(workers)])
+    with Processes(workers) as executor:
         yield Pool(executor, workers)
-    finally:
-        ours.close()
-        lifeline.close()
-        executor.shutdown(cancel_futures=True)
 
 
 def cores() -> int:
     """Cores of this machine that this process may use."""
-    return len(os.sched_getaffinity(0))
-
-
-def _live_on(lifeline: Connection) -> None:
-    """In a worker: leave Ctrl-C to the parent, and end when its end of the pipe is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def watch() -> None:
-        lifeline.poll(None)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-@contextmanager
-def _quiet_children() -> Iterator[None]:
-    """Have the processes that are started now use one thread each and leave Ctrl-C to this one."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # a new process inherits "ignored"
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+    affinity = getattr(os, "sched_getaffinity", None)  # not everywhere
+    return len(affinity(0)) if affinity else os.cpu_count() or 1

@@ -1,0 +1,130 @@
+"""Spawned processes as an executor: a killed one is noticed, and none outlives this process.
+
+Every process has a pipe of its own, so that one killed in the middle of a word blocks nobody (the
+processes of `concurrent.futures.ProcessPoolExecutor` share a queue, which then hangs).
+"""
+
+import multiprocessing
+import os
+import pickle
+import signal
+import threading
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from queue import SimpleQueue
+from typing import Any
+
+# For the processes that are started: their BLAS reads it when NumPy is imported.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+class Processes(Executor):
+    """Processes of this machine, each started when a call finds no other idle.
+
+    They leave Ctrl-C to this process, use one thread for linear algebra, and end when this process
+    is gone, in the middle of a call if need be.
+
+    Args:
+        most: processes at a time.
+    """
+
+    def __init__(self, most: int) -> None:
+        """None is started yet."""
+        self._threads = ThreadPoolExecutor(most)  # one waits for each process
+        self._idle: deque[Connection] = deque()
+        self._started: list[BaseProcess] = []
+        self._lock = threading.Lock()  # of starting and ending
+        self._over = False
+        resource_tracker.ensure_running()  # it would unblock SIGINT within `_quiet_child`
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Call a function of an importable module elsewhere.
+
+        The future's error is the call's, or `BrokenExecutor` where its process was killed.
+        """
+        return self._threads.submit(self._call, (fn, args, kwargs))
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Kill the processes, whatever they are at."""
+        with self._lock:
+            self._over = True
+        for process in self._started:
+            process.kill()
+        self._threads.shutdown(wait, cancel_futures=cancel_futures)
+        for process in self._started:
+            process.join()
+
+    def _call(self, call: tuple[Any, ...]) -> Any:
+        words = pickle.dumps(call)
+        try:
+            pipe = self._idle.pop() if self._idle else self._start()
+            pipe.send_bytes(words)
+            result, error = pickle.loads(pipe.recv_bytes())
+        except (EOFError, OSError):
+            raise BrokenExecutor("a process was killed") from None
+        self._idle.append(pipe)
+        if error is not None:
+            raise error
+        return result
+
+    def _start(self) -> Connection:
+        context = multiprocessing.get_context("spawn")  # a fork does not survive Taichi's threads
+        ours, theirs = context.Pipe()
+        with self._lock, _quiet_child():
+            if self._over:
+                raise BrokenExecutor("the processes have been ended")
+            process = context.Process(target=_serve, args=(theirs,), daemon=True)
+            process.start()
+            self._started.append(process)
+        theirs.close()  # or the end of the process would never be seen
+        return ours
+
+
+def _serve(pipe: Connection) -> None:
+    """In a process: answer calls, in the main thread, until the other end is closed."""
+    calls: SimpleQueue[bytes] = SimpleQueue()
+
+    def listen() -> None:
+        try:
+            while True:
+                calls.put(pipe.recv_bytes())
+        except (EOFError, OSError):
+            os._exit(1)
+
+    threading.Thread(target=listen, daemon=True).start()
+    with suppress(OSError):
+        while True:
+            pipe.send_bytes(_answer(calls.get()))
+
+
+def _answer(words: bytes) -> bytes:
+    """Result and error of a call; one of them is None."""
+    try:
+        function, args, kwargs = pickle.loads(words)
+        return pickle.dumps((function(*args, **kwargs), None))
+    except Exception as error:
+        error.add_note(f"In a worker: {traceback.format_exc()}")
+        return pickle.dumps((None, error))
+
+
+@contextmanager
+def _quiet_child() -> Iterator[None]:
+    """Have the process that is started now use one thread, and Ctrl-C not reach it."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which a process inherits
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

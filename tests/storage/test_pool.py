@@ -1,0 +1,185 @@
+"""Units of work in this process and in others: results, errors, kills, and a prompt end."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import pytest
+
+from storage.pool import IN_PROCESS, Pool, cores, local_pool
+from taichi_nmm.errors import InputError
+
+ROOT = Path(__file__).parents[2]
+LONG_S = 60.0
+PROMPT_S = 5.0
+
+
+def square(number: int) -> int:
+    return number**2
+
+
+def large(number: int) -> bytes:
+    return bytes(number)
+
+
+def whoami(pause_s: float) -> tuple[int, str, bool]:
+    time.sleep(pause_s)
+    ignored = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    return os.getpid(), os.environ.get("OMP_NUM_THREADS", ""), ignored
+
+
+def refuse(number: int) -> int:
+    raise InputError("number", number, "another")
+
+
+def fail(number: int) -> int:
+    return 1 // number
+
+
+def die(number: int) -> int:
+    if number == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def die_while_answering(number: int) -> int:
+    """Half of the answer is on its way when the process is killed."""
+
+    def send(pipe: Connection, words: bytes) -> None:
+        os.write(pipe.fileno(), words[: len(words) // 2])
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    Connection._send = send  # type: ignore[attr-defined]
+    return number
+
+
+def linger(folder: str) -> None:
+    Path(folder, str(os.getpid())).touch()
+    time.sleep(LONG_S)
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def wait_for(folder: Path, count: int) -> list[int]:
+    deadline = time.monotonic() + LONG_S
+    while len(found := [int(file.name) for file in folder.iterdir()]) < count:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    return found
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_unit_is_done_once(workers: int) -> None:
+    with local_pool(workers) as pool:
+        assert (pool.in_process, pool.shares_machine) == (workers == 1, workers > 1)
+        assert sorted(pool.results(square, deque(range(20)))) == [(n, n**2) for n in range(20)]
+        assert list(pool.results(square, deque())) == []
+        assert dict(pool.results(large, deque([3_000_000]))) == {3_000_000: bytes(3_000_000)}
+
+
+def test_any_executor_will_do() -> None:
+    with ThreadPoolExecutor(3) as executor:
+        results = dict(Pool(executor, 3).results(square, deque(range(9))))
+    assert results == {number: number**2 for number in range(9)}
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_units_may_be_appended_on_the_way(workers: int) -> None:
+    units, seen = deque([1, 10]), []
+    with local_pool(workers) as pool:
+        for number, _ in pool.results(square, units):
+            seen.append(number)
+            if number % 10 < 4:
+                units.append(number + 1)
+    assert sorted(seen) == [1, 2, 3, 4, 10, 11, 12, 13, 14]
+
+
+def test_processes_are_quiet_and_no_more_than_units() -> None:
+    before = dict(os.environ)
+    with local_pool(8) as pool:
+        answers = [answer for _, answer in pool.results(whoami, deque([0.5, 0.5]))]
+    pids = {pid for pid, _, _ in answers}
+    assert len(pids) == 2 and os.getpid() not in pids
+    assert {answer[1:] for answer in answers} == {("1", True)}
+    assert dict(os.environ) == before
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    assert not any(map(alive, pids))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_error_of_a_unit_is_raised_here(workers: int) -> None:
+    with local_pool(workers) as pool:
+        with pytest.raises(InputError, match="number: 7 cannot be used"):
+            list(pool.results(refuse, deque([7])))
+        with pytest.raises(ZeroDivisionError) as caught:
+            list(pool.results(fail, deque([0])))
+        assert workers == 1 or "in fail" in caught.value.__notes__[0]
+        assert dict(pool.results(square, deque([3]))) == {3: 9}  # the pool goes on
+
+
+@pytest.mark.parametrize("accident", [die, die_while_answering])
+def test_a_killed_process_is_one_line(accident: Callable[[int], int]) -> None:
+    with local_pool(2) as pool, pytest.raises(InputError) as caught:
+        list(pool.results(accident, deque(range(9))))
+    assert str(caught.value).startswith("workers: 'one was killed' cannot be used")
+
+
+def test_leaving_in_the_middle_of_a_unit_is_prompt(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), local_pool(2) as pool:
+        units = deque([str(tmp_path)] * 3)
+        for _ in range(2):
+            pool.executor.submit(linger, units.popleft())
+        pids = wait_for(tmp_path, 2)
+        start_s = time.monotonic()
+        raise KeyboardInterrupt
+    assert time.monotonic() - start_s < PROMPT_S
+    assert not any(map(alive, pids))
+
+
+PARENT = """
+import sys
+from collections import deque
+from storage.pool import local_pool
+from tests.storage.test_pool import linger
+if __name__ == "__main__":
+    with local_pool(2) as pool:
+        list(pool.results(linger, deque(sys.argv[1:] * 2)))
+"""
+
+
+def test_no_process_outlives_a_killed_parent(tmp_path: Path) -> None:
+    script, folder = tmp_path / "parent.py", tmp_path / "pids"
+    script.write_text(PARENT)
+    folder.mkdir()
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen([sys.executable, script, folder], env=environment) as parent:
+        pids = wait_for(folder, 2)
+        assert all(map(alive, pids))
+        parent.kill()
+    deadline = time.monotonic() + PROMPT_S
+    while any(map(alive, pids)):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("workers", [0, -2])
+def test_no_processes_are_refused(workers: int) -> None:
+    with pytest.raises(InputError, match=f"workers: {workers} "), local_pool(workers):
+        pytest.fail("there is no such pool")
+
+
+def test_cores_are_at_least_one() -> None:
+    assert 1 <= cores() <= (os.cpu_count() or 1)
+    assert not IN_PROCESS.shares_machine
