@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any
 from taichi_nmm.body import Bodies
 from taichi_nmm.cost import smooth_cost, walking_cost
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, GAINS, K_T, LOW_LEVEL_GAINS, load_gains
+from taichi_nmm.parameters import (
+    GAIN_NAMES,
+    GAINS,
+    K_T,
+    LOW_LEVEL_GAINS,
+    load_all_gains,
+    load_gains,
+)
 from taichi_nmm.result import END_REASONS, Result, Trajectory
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
@@ -33,6 +40,7 @@ __all__ = [
     "Terrain",
     "Trajectory",
     "forward_dynamics",
+    "load_all_gains",
     "load_gains",
     "simulate",
     "smooth_cost",

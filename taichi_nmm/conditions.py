@@ -22,7 +22,7 @@ class Conditions:
 
     Attributes:
         duration_s: how long a walker may walk.
-        settings: of the simulation.
+        settings: how the simulation is integrated, and on which machine.
         disturbance: largest relative disturbance of a body, as in `Bodies.disturbed`.
         ground: kind of terrain, with its options.
     """

@@ -39,9 +39,9 @@ from taichi_nmm.kernel.muscle import (
 from taichi_nmm.kernel.swing import HOLD
 from taichi_nmm.terrain import Terrain
 
-SPEED_MPS = 1.3
-STANCE_LEG_RATE_RADPS = 1.3
-PENETRATION_M = 0.005
+SPEED_MPS = 1.3  # of the hip
+STANCE_LEG_RATE_RADPS = 1.3  # of thigh and shank: the leg, 1 m long, pivots about its foot
+PENETRATION_M = 0.005  # depth of the stance foot's lowest point in the ground
 JOINTS_RAD = np.deg2rad([[-5.0, 5.0, -5.0], [-30.0, 5.0, 0.0]])  # hip, knee, ankle; left, right
 
 
@@ -75,6 +75,7 @@ def _foot_points(angles: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _state(terrain: Terrain) -> NDArray[np.float64]:
+    """Rows of `State`: the stance foot just in the ground, both feet's flags as they touch."""
     angles = _segment_angles()
     points = _foot_points(angles)
     depth = terrain.height(points[0, :, 0]) - points[0, :, 1]  # with the hip at height zero
@@ -83,7 +84,9 @@ def _state(terrain: Terrain) -> NDArray[np.float64]:
     state[State.q + 2 : State.q + 9] = angles
     state[State.qdot] = SPEED_MPS
     state[State.qdot + 3 : State.qdot + 5] = STANCE_LEG_RATE_RADPS
-    ankle = (points[:, 1] * -HEEL_OFFSET_M + points[:, 0] * BALL_OFFSET_M) / 0.20
+    ankle = (points[:, 1] * -HEEL_OFFSET_M + points[:, 0] * BALL_OFFSET_M) / (
+        BALL_OFFSET_M - HEEL_OFFSET_M
+    )
     state[State.leg_angle_filter : State.leg_angle_filter + LEGS] = np.pi - np.arctan2(
         -ankle[:, 1], -ankle[:, 0]
     )
@@ -116,7 +119,7 @@ def _fibres() -> NDArray[np.float64]:
 
 
 def _delays(state: NDArray[np.float64], fibres: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rings filled with the first sample."""
+    """Rows of `Delay`: rings in which every slot holds the signal of the first tick."""
     sample = np.zeros(Signal.count)
     for leg in range(LEGS):
         length_ta = fibres[Muscle.length + MUSCLES_PER_LEG * leg + TA]

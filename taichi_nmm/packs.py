@@ -39,7 +39,7 @@ class Packs:
 
     @property
     def active(self) -> int:
-        """Walkers still up."""
+        """How many walkers have neither fallen nor diverged."""
         return int(np.count_nonzero(self._still_up()))
 
     def drain(self) -> None:

@@ -7,8 +7,11 @@ Sources: P = Antonova, Rai, Atkeson 2016; T = the transfemoral-prosthesis walker
 """
 
 import json
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -109,13 +112,71 @@ def gain_rows(
     return rows
 
 
+def check_gains(
+    values: Mapping[str, Any], group: tuple[Parameter, ...] = GAINS, field: str = "gains"
+) -> NDArray[np.float64]:
+    """Gains by name as a vector in the group's order, float64 [len(group)].
+
+    Raises:
+        InputError: a name that is unknown or missing, or a value that is not a number within the
+            parameter's bounds.
+    """
+    names = [parameter.name for parameter in group]
+    for name in values:
+        if name not in names:
+            raise InputError(field, name, f"only the names {' '.join(names)}")
+    return np.array(
+        [_within_bounds(values.get(p.name), p, f"{field}.{p.name}") for p in group],
+        dtype=np.float64,
+    )
+
+
+def _within_bounds(value: Any, parameter: Parameter, field: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(field, value, "a number")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(field, value, "a finite number")
+    if not parameter.low <= value <= parameter.high:
+        raise InputError(field, value, f"{parameter.low:g} to {parameter.high:g}")
+    return float(value)
+
+
 def load_gains(source: str) -> NDArray[np.float64]:
     """Gains by name (``K_T``, or a file shipped in ``taichi_nmm/gains``) or from a JSON file, [16].
 
-    The file is one object with exactly the 16 names as keys, angles in rad.
+    The file is one object with exactly the names of `GAINS` as keys, angles in rad, or an object
+    that holds such a one under "gains", as commands print it.
+
+    Raises:
+        InputError: a source that is not there or no such file, a value outside its bounds, or a
+            low-level gain: dropping it would walk another controller (`load_all_gains`).
     """
+    values = _gains_by_name(source)
+    for name in values:
+        if name in LOW_LEVEL_NAMES:
+            allowed = f"the {len(GAINS)} gains alone; load_all_gains takes low-level gains too"
+            raise InputError("gains", name, allowed)
+    return check_gains(values)
+
+
+def load_all_gains(source: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Gains [16] and low-level gains [8], from what `load_gains` takes.
+
+    Here a file may name some of `LOW_LEVEL_GAINS` too; those it does not name have their defaults.
+
+    Raises:
+        InputError: a source that is not there or no such file, or a value outside its bounds.
+    """
+    defaults = {parameter.name: parameter.default for parameter in LOW_LEVEL_GAINS}
+    both = check_gains(defaults | _gains_by_name(source), (*GAINS, *LOW_LEVEL_GAINS))
+    gains, low_level = np.split(both, [len(GAINS)])
+    return gains, low_level
+
+
+def _gains_by_name(source: str) -> dict[str, Any]:
+    """What a source says, unchecked: values by key."""
     if source == "K_T":
-        return K_T.copy()
+        return dict(zip(GAIN_NAMES, K_T.tolist(), strict=True))
     shipped = NAMED_GAINS_DIRECTORY / f"{source}.json"
     path = shipped if shipped.is_file() else Path(source)
     names = ["K_T", *sorted(file.stem for file in NAMED_GAINS_DIRECTORY.glob("*.json"))]
@@ -125,15 +186,8 @@ def load_gains(source: str) -> NDArray[np.float64]:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise InputError("gains", source, f"a readable JSON object ({error})") from None
+    if isinstance(data, dict):
+        data = data.get("gains", data)
     if not isinstance(data, dict):
-        raise InputError("gains", source, "a JSON object of the 16 gains")
-    for name in data:
-        if name not in GAIN_NAMES:
-            raise InputError("gains", name, f"only the names {' '.join(GAIN_NAMES)}")
-    values = []
-    for name in GAIN_NAMES:
-        value = data.get(name)
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"gains.{name}", value, "a number")
-        values.append(float(value))
-    return np.asarray(gain_rows(values)[0])
+        raise InputError("gains", source, f"a JSON object of the {len(GAINS)} gains")
+    return data

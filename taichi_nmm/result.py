@@ -68,9 +68,9 @@ SUMMARY_FIELDS: tuple[tuple[str, str], ...] = (
 
 RESULT_DTYPE = np.dtype([*OUTCOME_FIELDS, *SCORE_FIELDS, *SUMMARY_FIELDS])
 
-SIDES = ("left", "right")
-EVENT_DTYPE = np.dtype([("time_s", "f8"), ("side", "u1"), ("kind", "u1")])
 EVENT_KINDS = ("strike", "takeoff")
+# Side 0 is left, 1 right; kind is an index into EVENT_KINDS.
+EVENT_DTYPE = np.dtype([("time_s", "f8"), ("side", "u1"), ("kind", "u1")])
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ class Trajectory:
         joint_rad: hip, knee, ankle left, then right; extension, flexion, plantarflexion positive,
             [t, 6].
         activation: muscles in the order of `MUSCLES`, left leg then right, [t, 14].
-        muscle_force_n: the same order, [t, 14].
+        muscle_force_n: in the order of `activation`, [t, 14].
         ground_force_n: left x, left z, right x, right z, mean over the sample interval, [t, 4].
         stance: foot on the ground, left and right, bool [t, 2].
         events: strikes and take-offs, `EVENT_DTYPE`, at the controller's tick.
@@ -109,7 +109,7 @@ class Result:
 
     Attributes:
         rows: one row a walker in the order given, `RESULT_DTYPE`, [n].
-        trajectories: of the walkers asked for, in the order asked.
+        trajectories: one of each walker in `simulate(record=...)`, in that order.
         metadata: engine, version, architecture, precision, step: what produced the rows.
     """
 

@@ -52,7 +52,7 @@ class Settings:
 
     @property
     def substeps(self) -> int:
-        """Physics steps in a control tick."""
+        """How many physics steps fit into a control tick: 1, 2 or 4."""
         return round(CONTROL_TICK_S / self.physics_step_s)
 
     def document(self) -> dict[str, Any]:

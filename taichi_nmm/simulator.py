@@ -49,14 +49,14 @@ def simulate(
     """Simulate a batch of walkers until each falls or `duration_s` is over.
 
     Args:
-        gains: [n, 16] or [16], in the order of `parameters.GAINS`.
+        gains: [n, gain] or [gain], in the order of `parameters.GAINS`.
         duration_s: how long a walker may walk, in whole control ticks of 1 ms.
         bodies: one for all or n of them; None is the nominal body.
         terrains: one for all, or several; None is flat ground.
         terrain_index: each walker's row of `terrains`, [n]; by default one terrain serves all, and
             n terrains serve a walker each.
-        low_level_gains: [n, 8] or [8], in the order of `parameters.LOW_LEVEL_GAINS`.
-        settings: precision, step, contact, machine.
+        low_level_gains: [n, gain] or [gain], in the order of `parameters.LOW_LEVEL_GAINS`.
+        settings: precision, step, contact, machine; None is `Settings()`.
         record: rows of the walkers whose `Trajectory` is wanted.
         record_rate_hz: samples a second of the trajectories; a divisor of 1000.
         progress: called between chunks with the simulated time in s and the walkers still up.

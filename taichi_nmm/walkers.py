@@ -1,4 +1,4 @@
-"""The checked input of a simulation: n walkers, each with its gains, body and terrain."""
+"""What `simulate` is given, checked and brought into one form: `Batch`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,8 +17,8 @@ class Batch:
     """Checked input: n walkers, each with its gains, body and terrain.
 
     Attributes:
-        gains: [n, 16].
-        low_level: [n, 8].
+        gains: in the order of `parameters.GAINS`, [n, gain].
+        low_level: in the order of `parameters.LOW_LEVEL_GAINS`, [n, gain].
         bodies: n of them.
         terrains: the different grounds.
         terrain_index: each walker's, [n].
@@ -52,7 +52,8 @@ def check_batch(
         low_level_gains = [parameter.default for parameter in LOW_LEVEL_GAINS]
     low_level = gain_rows(low_level_gains, LOW_LEVEL_GAINS, "low_level_gains")
     if len(low_level) not in (1, count):
-        raise InputError("low_level_gains.shape", low_level.shape, f"[{count}, 8] or [8]")
+        size = len(LOW_LEVEL_GAINS)
+        raise InputError("low_level_gains.shape", low_level.shape, f"[{count}, {size}] or [{size}]")
     bodies = bodies or Bodies.nominal()
     if len(bodies) not in (1, count):
         raise InputError("bodies", len(bodies), f"one body, or {count}: one a walker")

@@ -74,14 +74,19 @@ def launch(kernel: Callable[..., None], *arguments: Any) -> None:
 
     Raises:
         InputError: the kernel is new and this is not the main thread (compiling there aborts the
-            process), or the device cannot take it.
+            process), or a GPU's driver cannot take it.
     """
-    if kernel.__name__ not in _compiled:
-        _require_main_thread()
+    if kernel.__name__ in _compiled:
+        kernel(*arguments)
+        return
+    _require_main_thread()
     try:
         kernel(*arguments)
-    except RuntimeError as error:  # a driver that cannot take the kernel says so only here
-        allowed = f"a device that runs the kernel ({error})"
+    except RuntimeError as error:
+        if _arch == "cpu":  # there is no driver: the error is ours
+            raise
+        # A driver says only at the first launch that it cannot take a kernel, in several lines.
+        allowed = f"a device that runs the kernel ({' '.join(str(error).split())})"
         raise InputError("simulation.arch", _arch, allowed) from error
     _compiled.add(kernel.__name__)
 

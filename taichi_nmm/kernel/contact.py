@@ -9,8 +9,8 @@ from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.layout import CONTACTS, Const, State, Work
 from taichi_nmm.terrain import GRID_NODES, GRID_SPACING_M, GRID_START_M
 
-STATIC_DEFLECTION_M = 0.01  # kn = kt = M g / this
-FRICTION_DAMPING_S = 0.02  # ct = this times kt
+STATIC_DEFLECTION_M = 0.01  # Geyer & Herr 2010: kn = M g / this; kt the same, as in the walker T
+FRICTION_DAMPING_S = 0.02  # ct = this times kt; ours, for the anchored spring (docs/walker.md)
 
 LAST_CELL = float(GRID_NODES - 2)
 ANKLE_SHARE_OF_BALL = -HEEL_OFFSET_M / (BALL_OFFSET_M - HEEL_OFFSET_M)

@@ -13,9 +13,9 @@ from taichi_nmm.body import (
     THIGH_LENGTH_M,
 )
 from taichi_nmm.kernel.backend import Rows, ti
-from taichi_nmm.kernel.layout import CONTACTS, LEGS, STOPS, Const, State, Work
+from taichi_nmm.kernel.layout import CONTACTS, COORDINATES, LEGS, STOPS, Const, State, Work
 
-FRICTION_COEFFICIENT = 0.9
+FRICTION_COEFFICIENT = 0.9  # Geyer & Herr 2010, sticking; here sliding too (they: 0.8)
 
 
 @ti.func
@@ -343,6 +343,6 @@ def revise_contacts(lane, work: Rows):
 @ti.func
 def step_coordinates(lane, step_s, state: Rows, work: Rows):
     """Semi-implicit Euler: q' = q + h v'."""
-    for i in ti.static(range(9)):
+    for i in ti.static(range(COORDINATES)):
         state[State.qdot + i, lane] = work[Work.new_qdot + i, lane]
         state[State.q + i, lane] += step_s * work[Work.new_qdot + i, lane]

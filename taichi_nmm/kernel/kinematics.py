@@ -21,7 +21,7 @@ def directions(lane, state: Rows, work: Rows):
 
 @ti.func
 def contact_points(lane, state: Rows, work: Rows):
-    """Ankles, heels and balls."""
+    """Positions of ankles, heels and balls in the world, and each leg's length and angle."""
     for leg in ti.static(range(LEGS)):
         thigh, shank, foot = ti.static(1 + 3 * leg, 2 + 3 * leg, 3 + 3 * leg)
         ankle_x = (

@@ -23,6 +23,10 @@ ACTIVATION_FLOOR = 0.01
 BEYOND_ECCENTRIC = 100.0  # slope of the force-velocity curve beyond v = 1, keeps it monotone
 ECCENTRIC_SHAPE = 7.56 * SHAPE
 SHORTEST_FIBRE = 0.05
+# Alexander 1997, metabolic power over a Fmax vmax at a shortening speed u over vmax:
+# 0.23 - 0.16 exp(-8 u) while shortening, 0.01 - 0.11 u + 0.06 exp(23 u) while lengthening.
+SHORTENING_POWER, SHORTENING_DECAY, SHORTENING_RATE = 0.23, 0.16, -8.0
+LENGTHENING_POWER, LENGTHENING_SLOPE, LENGTHENING_GROWTH, LENGTHENING_RATE = 0.01, 0.11, 0.06, 23.0
 NEWTON_ITERATIONS = 4  # fixed: the cap is part of the model, all forms of the kernel share it
 
 
@@ -199,8 +203,12 @@ def metabolic_rate(v):
     """Metabolic power over a Fmax vmax at a normalised fibre speed (Alexander 1997)."""
     shortening = 0.0 - v
     shortens = shortening > 0.0
-    e = exponential(ti.select(shortens, -8.0, 23.0) * shortening)
-    return ti.select(shortens, 0.23 - 0.16 * e, 0.01 - 0.11 * shortening + 0.06 * e)
+    e = exponential(ti.select(shortens, SHORTENING_RATE, LENGTHENING_RATE) * shortening)
+    return ti.select(
+        shortens,
+        SHORTENING_POWER - SHORTENING_DECAY * e,
+        LENGTHENING_POWER - LENGTHENING_SLOPE * shortening + LENGTHENING_GROWTH * e,
+    )
 
 
 @ti.func

@@ -29,7 +29,7 @@ def leg_rates(lane, tick, state: Rows, const: Rows, work: Rows):
 
 @ti.func
 def next_phase(phase, stance, other_stance, length, clearance, angle, threshold, rate):
-    """Phase after at most one transition."""
+    """The phase that follows `phase` at this tick, by at most one transition; FLEX in stance."""
     clears = (phase == FLEX) & (length < clearance) & (other_stance > 0.5)
     near = (phase == HOLD) & (angle < threshold)
     turned = (phase == STOP) & (rate >= 0.0)

@@ -20,6 +20,7 @@ from taichi_nmm.kernel import (
 )
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.layout import (
+    COORDINATES,
     LEGS,
     LONG_DELAY_TICKS,
     MID_DELAY_TICKS,
@@ -45,7 +46,7 @@ def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_bl
          lanes: Rows, terrain: Rows, heights: Rows, muscles: Rows,
          state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
          const: Rows, work: Rows):  # fmt: skip
-    """One control tick of 1 ms for a pack."""
+    """One control tick of 1 ms of all walkers in a pack: senses and control, then the physics."""
     for substep in range(substeps):
         for lane in range(lanes):
             kinematics.directions(lane, state, work)
@@ -184,7 +185,7 @@ def weigh_legs(lane, blend, state: Rows, const: Rows, work: Rows):
 def end_walk(lane, tick, state: Rows, work: Rows):
     """Fall and divergence; the place where an active walker is, so that a fallen one keeps its."""
     size = 0.0
-    for i in ti.static(range(18)):
+    for i in ti.static(range(2 * COORDINATES)):
         value = state[State.q + i, lane]  # q, then qdot
         size += ti.max(value, 0.0 - value)
     diverged = (size < LARGEST_SANE) == False  # noqa: E712  (true for NaN too)

@@ -15,7 +15,9 @@ from taichi_nmm.parameters import (
     LOW_LEVEL_GAINS,
     LOW_LEVEL_NAMES,
     Parameter,
+    check_gains,
     gain_rows,
+    load_all_gains,
     load_gains,
     lower_bounds,
     upper_bounds,
@@ -126,6 +128,12 @@ def gains_text(**changes: object) -> str:
         (gains_text(C_d="0.1"), r"gains\.C_d: '0.1'.*a number"),
         (gains_text(C_d=True), r"gains\.C_d: True.*a number"),
         (gains_text(C_d=float("nan")), r"gains.*C_d: nan.*a finite number"),
+        (gains_text(K_SOL=99), r"^gains\.K_SOL: 99 cannot be used; allowed: 0 to 24$"),
+        (gains_text(K_SOL=-1e-9), r"gains\.K_SOL: -1e-09.*0 to 24"),
+        (gains_text(K_SOL=10**400), r"gains\.K_SOL: 10.*0 to 24"),
+        (gains_text(theta_ref=0.1), r"gains: 'theta_ref'.*the 16 gains alone; load_all_gains"),
+        ('{"gains": [1, 2]}', r"gains: .*a JSON object of the 16 gains"),
+        ('{"gains": {}, "speed": 1}', r"gains\.K_GAS: None.*a number"),
     ],
 )
 def test_a_file_that_is_not_the_sixteen_gains_is_refused(
@@ -148,3 +156,60 @@ def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
 def test_an_unknown_name_lists_the_known_ones() -> None:
     with pytest.raises(InputError, match=r"gains: 'nobody'.*one of K_T.*or a JSON file"):
         load_gains("nobody")
+
+
+def test_gains_may_lie_in_what_a_command_printed(tmp_path: Path) -> None:
+    path = tmp_path / "walk.json"
+    path.write_text(json.dumps({"end_reason": "fell", "gains": json.loads(gains_text(C_d=0.25))}))
+    loaded = load_gains(str(path))
+    assert loaded[GAIN_NAMES.index("C_d")] == 0.25
+    assert np.count_nonzero(loaded != K_T) == 1
+
+
+def test_gains_on_their_bounds_are_loaded(tmp_path: Path) -> None:
+    path = tmp_path / "edge.json"
+    for bounds in (lower_bounds(), upper_bounds()):
+        path.write_text(json.dumps(dict(zip(GAIN_NAMES, bounds.tolist(), strict=True))))
+        np.testing.assert_array_equal(load_gains(str(path)), bounds)
+
+
+DEFAULTS = np.array([parameter.default for parameter in LOW_LEVEL_GAINS])
+
+
+@pytest.mark.parametrize("name", ["K_T", "reference"])
+def test_low_level_gains_have_defaults(name: str) -> None:
+    gains, low_level = load_all_gains(name)
+    np.testing.assert_array_equal(gains, load_gains(name))
+    np.testing.assert_array_equal(low_level, DEFAULTS)
+
+
+def test_a_file_may_name_low_level_gains(tmp_path: Path) -> None:
+    path = tmp_path / "more.json"
+    path.write_text(gains_text(theta_ref=0.2, k_ext=0))
+    gains, low_level = load_all_gains(str(path))
+    np.testing.assert_array_equal(gains, K_T)
+    changed = {LOW_LEVEL_NAMES[i]: low_level[i] for i in np.flatnonzero(low_level != DEFAULTS)}
+    assert changed == {"theta_ref": 0.2, "k_ext": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (gains_text(theta_ref=2), r"^gains\.theta_ref: 2 cannot.*: -0\.174533 to 0\.523599$"),
+        (gains_text(theta_ref="much"), r"gains\.theta_ref: 'much'.*a number"),
+        (gains_text(theta=0.1), r"gains: 'theta'.*only the names K_GAS .* theta_ref"),
+        (gains_text(K_SOL=99), r"gains\.K_SOL: 99"),
+    ],
+)
+def test_low_level_gains_are_checked_too(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "bad.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_all_gains(str(path))
+
+
+def test_gains_are_checked_under_the_callers_field() -> None:
+    values = dict(zip(LOW_LEVEL_NAMES, DEFAULTS.tolist(), strict=True))
+    np.testing.assert_array_equal(check_gains(values, LOW_LEVEL_GAINS), DEFAULTS)
+    with pytest.raises(InputError, match=r"^best\.k_ext: -1"):
+        check_gains(values | {"k_ext": -1}, LOW_LEVEL_GAINS, "best")

@@ -10,7 +10,7 @@ import taichi_nmm
 from taichi_nmm import terrain
 from taichi_nmm.body import Bodies
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, K_T, LOW_LEVEL_GAINS
+from taichi_nmm.parameters import GAIN_NAMES, K_T, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, Result
 from taichi_nmm.settings import Settings
 
@@ -124,7 +124,7 @@ def test_every_kind_of_input_reaches_the_walker() -> None:
     bodies = Bodies.nominal(4)
     bodies.mass_kg[1, 0] *= 1.1
     low_level = np.tile([parameter.default for parameter in LOW_LEVEL_GAINS], (4, 1))
-    low_level[3, 7] += 0.05
+    low_level[3, LOW_LEVEL_NAMES.index("theta_ref")] += 0.05
     grounds = [terrain.flat(), terrain.ramp(increment=0.05, segment_m=0.5)]
     result = taichi_nmm.simulate(
         gains, duration_s=3.0, bodies=bodies, low_level_gains=low_level, terrains=grounds,
@@ -196,6 +196,6 @@ def test_first_simulation_off_the_main_thread_is_refused_and_later_ones_run() ->
 
 
 def test_import_is_cheap() -> None:
-    code = "import sys, taichi_nmm; assert 'taichi' not in sys.modules; print('cheap')"
+    code = "import sys, taichi_nmm, taichi_nmm.kernel.layout; assert 'taichi' not in sys.modules; print('cheap')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "cheap", done.stderr

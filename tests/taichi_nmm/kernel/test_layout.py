@@ -1,0 +1,32 @@
+"""Where the rows lie: gains by name, in the order of their tables, and none twice."""
+
+import numpy as np
+
+from taichi_nmm.body import Bodies
+from taichi_nmm.constants import constant_rows
+from taichi_nmm.kernel.layout import WALKER_ROWS, Const, Delay, Gait, Muscle, State, Sums, blocks
+from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_NAMES
+
+
+def test_blocks_follow_each_other() -> None:
+    rows = blocks(a=2, b=1, c=3)
+    assert (rows.a, rows.b, rows.c, rows.count) == (0, 2, 3, 6)
+
+
+def test_each_gain_has_a_row_of_its_name() -> None:
+    gains = np.arange(1.0, 1.0 + len(GAIN_NAMES))
+    low_level = -np.arange(1.0, 1.0 + len(LOW_LEVEL_NAMES))
+    (rows,) = constant_rows(gains[None], low_level[None], Bodies.nominal())
+    assert [rows[getattr(Const, name)] for name in GAIN_NAMES] == gains.tolist()
+    assert [rows[getattr(Const, name)] for name in LOW_LEVEL_NAMES] == low_level.tolist()
+    assert rows[Const.total_mass] == Bodies.nominal().mass_kg.sum()
+
+
+def test_the_gains_rows_lie_side_by_side_in_their_order() -> None:
+    firsts = [getattr(Const, name) for name in (*GAIN_NAMES, *LOW_LEVEL_NAMES)]
+    assert firsts == list(range(len(firsts)))
+    assert Const.total_mass == len(firsts)
+
+
+def test_a_walker_is_all_its_blocks() -> None:
+    assert sum(block.count for block in (State, Muscle, Delay, Gait, Sums)) == WALKER_ROWS
