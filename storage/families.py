@@ -1,23 +1,25 @@
 """Families of settings: disturbed bodies on other grounds that the surviving points also walk."""
 
-import copy
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
+
+import numpy as np
 
 from storage.digests import body_document, terrain_document
 from storage.schema import arrow_schema
 from storage.seeds import ROBUST_BODY, ROBUST_TERRAIN, seed_sequence
 from taichi_nmm.body import Bodies
-from taichi_nmm.config import Table, read_terrain
+from taichi_nmm.conditions import read_disturbance
+from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import LOW_LEVEL_NAMES
-from taichi_nmm.terrain import Terrain
+from taichi_nmm.terrain import Ground, Terrain, read_ground
 
 ROBUST = "robust"  # the family that has a table of its own
 NAME_PATTERN = r"[a-z][a-z0-9_]*"
 LARGEST_SETTING_COUNT = 64
-LARGEST_DISTURBANCE = 0.9
 SHORTEST_DURATION_S, LONGEST_DURATION_S = 0.1, 1000.0
 
 
@@ -29,38 +31,51 @@ class Family:
 
     Attributes:
         name: what its columns begin with.
+        settings: how many.
         min_survival_s: how long a point must live on the base setting.
         horizon_s: of every setting.
         seed: of the bodies, and of the terrains where they are drawn.
-        disturbance: largest relative disturbance that `bodies` were drawn with.
-        bodies: one a setting.
-        terrains: one a setting.
+        disturbance: largest relative disturbance of the bodies.
+        ground: that the terrains are drawn from.
     """
 
     name: str
+    settings: int
     min_survival_s: float
     horizon_s: float
     seed: int
     disturbance: float
-    bodies: Bodies
-    terrains: tuple[Terrain, ...]
+    ground: Ground
+
+    @cached_property
+    def bodies(self) -> Bodies:
+        """One a setting."""
+        return Bodies.disturbed(self._seeds(ROBUST_BODY), self.disturbance)
+
+    @cached_property
+    def terrains(self) -> tuple[Terrain, ...]:
+        """One a setting."""
+        return tuple(self.ground.draw(seed) for seed in self._seeds(ROBUST_TERRAIN))
 
     @property
     def walk_s(self) -> float:
         """Seconds that a point walks on all settings, if it never falls."""
-        return len(self.terrains) * self.horizon_s
+        return self.settings * self.horizon_s
 
     @property
     def document(self) -> dict[str, Any]:
         """All of it but the name as JSON values."""
         return {
-            "settings": len(self.bodies),
+            "settings": self.settings,
             "min_survival_s": self.min_survival_s,
             "horizon_s": self.horizon_s,
             "seed": self.seed,
             "terrain": terrain_document(self.terrains),
             "body": body_document(self.disturbance, self.bodies),
         }
+
+    def _seeds(self, purpose: int) -> list[np.random.SeedSequence]:
+        return [seed_sequence(self.seed, purpose, index) for index in range(self.settings)]
 
 
 def read_families(table: Table, duration_s: float) -> tuple[Family, ...]:
@@ -100,26 +115,12 @@ def _check_name(name: str) -> None:
 
 
 def _read_family(name: str, table: Table, count: int, duration_s: float) -> Family:
-    seed = table.integer("seed", 0)
-    disturbance, bodies = read_bodies(table.table("body"), seed, ROBUST_BODY, count)
-    terrain = table.table("terrain")
     return Family(
         name=name,
+        settings=count,
         min_survival_s=table.number("min_survival_s", 3.0, 0.0, duration_s),
         horizon_s=table.number("horizon_s", 8.0, SHORTEST_DURATION_S, LONGEST_DURATION_S),
-        seed=seed,
-        disturbance=disturbance,
-        bodies=bodies,
-        terrains=tuple(
-            read_terrain(copy.deepcopy(terrain), seed_sequence(seed, ROBUST_TERRAIN, index))
-            for index in range(count)
-        ),
+        seed=table.integer("seed", 0),
+        disturbance=read_disturbance(table.table("body")),
+        ground=read_ground(table.table("terrain")),
     )
-
-
-def read_bodies(table: Table, seed: int, purpose: int, count: int) -> tuple[float, Bodies]:
-    """The table [body]: the largest disturbance, and `count` bodies drawn with it."""
-    disturbance = table.number("disturbance", 0.0, 0.0, LARGEST_DISTURBANCE)
-    table.done()
-    seeds = [seed_sequence(seed, purpose, index) for index in range(count)]
-    return disturbance, Bodies.disturbed(seeds, disturbance)

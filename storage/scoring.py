@@ -40,7 +40,7 @@ def score_shard(specification: Specification, number: int, report: Report) -> Sc
         specification,
         points,
         parts[0],
-        duration_s=specification.duration_s,
+        duration_s=specification.conditions.duration_s,
         bodies=specification.body,
         terrains=specification.terrain,
     )
@@ -76,7 +76,7 @@ def score_family(
     columns: dict[str, NDArray[Any]] = {evaluated_name(family.name): alive}
     names = [family_names(family.name, component) for component, _ in SCORE_FIELDS]
     columns |= {name: np.zeros(len(points)) for pair in names for name in pair}
-    chosen, count = np.flatnonzero(alive), len(family.terrains)
+    chosen, count = np.flatnonzero(alive), family.settings
     if not len(chosen):
         return columns
     setting = np.tile(np.arange(count), len(chosen))
@@ -99,7 +99,7 @@ def score_family(
 
 def progress_parts(specification: Specification, report: Report) -> list[Report]:
     """`report` cut into one for the base setting and one a family, in proportion to their work."""
-    work = [specification.duration_s]
+    work = [specification.conditions.duration_s]
     work += [TYPICAL_ALIVE * family.walk_s for family in specification.families]
     ends = np.cumsum([0.0, *work]) / sum(work)
     ends[-1] = 1.0
@@ -126,7 +126,7 @@ def _simulate(
     return taichi_nmm.simulate(
         gains,
         duration_s=duration_s,
-        settings=specification.settings,
+        settings=specification.conditions.settings,
         progress=lambda now_s, _: report(now_s / duration_s),
         **options,
     )

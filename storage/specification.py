@@ -16,7 +16,6 @@ from storage.families import (
     ROBUST,
     SHORTEST_DURATION_S,
     Family,
-    read_bodies,
     read_families,
 )
 from storage.schema import arrow_schema, columns_of
@@ -25,12 +24,13 @@ from storage.seeds import BODY, TERRAIN, seed_sequence
 from storage.sobol import LARGEST_SEQUENCE
 from taichi_nmm import __version__
 from taichi_nmm.body import Bodies
-from taichi_nmm.config import Table, read_settings, read_terrain
+from taichi_nmm.conditions import Conditions, read_conditions
+from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
-from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
 
+DURATION_S = 5.0  # of the base setting, where the file names none
 SHARD_ROWS = 4096  # seconds of work on two cores, and a few MB
 
 
@@ -38,15 +38,13 @@ SHARD_ROWS = 4096  # seconds of work on two cores, and a few MB
 class Specification:
     """A store to be computed: points, shards, physics, and the settings they are run on.
 
+    It pickles: any process computes a shard from it.
+
     Attributes:
         samples: points.
         shard_rows: points of a shard; the last may have fewer.
         seed: of the Sobol sequence, and of the body and the terrain where they are drawn.
-        duration_s: horizon of every point on `body` and `terrain`.
-        settings: the simulator's.
-        disturbance: largest relative disturbance that `body` was drawn with.
-        body: one body.
-        terrain: one ground.
+        conditions: under which every point is run, the base setting.
         families: further settings for the points that survive.
         searched: low-level gains that are part of the points, after the 16 gains.
     """
@@ -54,13 +52,19 @@ class Specification:
     samples: int
     shard_rows: int
     seed: int
-    duration_s: float
-    settings: Settings
-    disturbance: float
-    body: Bodies
-    terrain: Terrain
+    conditions: Conditions
     families: tuple[Family, ...] = ()
     searched: tuple[Parameter, ...] = ()
+
+    @cached_property
+    def body(self) -> Bodies:
+        """The one of the base setting."""
+        return self.conditions.body(seed_sequence(self.seed, BODY))
+
+    @cached_property
+    def terrain(self) -> Terrain:
+        """The one of the base setting."""
+        return self.conditions.terrain(seed_sequence(self.seed, TERRAIN))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -101,14 +105,9 @@ class Specification:
                 for gain in LOW_LEVEL_GAINS
                 if gain not in self.searched
             },
-            "simulation": {
-                "duration_s": self.duration_s,
-                "physics_step_s": self.settings.physics_step_s,
-                "contact_relaxation_speed_mps": self.settings.contact_relaxation_speed_mps,
-                "precision": self.settings.precision,
-            },
+            "simulation": self.conditions.simulation_document(),
             "terrain": terrain_document((self.terrain,)),
-            "body": body_document(self.disturbance, self.body),
+            "body": body_document(self.conditions.disturbance, self.body),
             **self._family_documents(),
             "columns": columns_of(self.schema),
         }
@@ -136,24 +135,21 @@ def read_specification(
     configured = table.integer("samples", low=1, high=LARGEST_SEQUENCE)
     seed = table.integer("seed", 0)
     shard_rows = table.integer("shard_rows", SHARD_ROWS, 1, LARGEST_SEQUENCE)
-    simulation = table.table("simulation")
-    duration_s = simulation.number("duration_s", 5.0, SHORTEST_DURATION_S, LONGEST_DURATION_S)
-    settings = read_settings(simulation, arch)
-    simulation.done()
-    terrain = read_terrain(table.table("terrain"), seed_sequence(seed, TERRAIN))
-    disturbance, body = read_bodies(table.table("body"), seed, BODY, 1)
-    families = read_families(table, duration_s)
+    conditions = read_conditions(
+        table,
+        duration_s=DURATION_S,
+        shortest_s=SHORTEST_DURATION_S,
+        longest_s=LONGEST_DURATION_S,
+        arch=arch,
+    )
+    families = read_families(table, conditions.duration_s)
     searched = searched_parameters(table.texts("searched"))
     table.done()
     return Specification(
         samples=_checked_samples(configured if samples is None else samples),
         shard_rows=shard_rows,
         seed=seed,
-        duration_s=duration_s,
-        settings=settings,
-        disturbance=disturbance,
-        body=body,
-        terrain=terrain,
+        conditions=conditions,
         families=families,
         searched=searched,
     )

@@ -45,7 +45,7 @@ class ProgressBar:
 def main() -> None:
     options = parse()
     specification = read_specification(read_toml(options.config), options.samples, options.arch)
-    require_arch(specification.settings)
+    require_arch(specification.conditions.settings)
     out = options.out or Path("out") / options.config.stem
     with closing(ProgressBar(specification.samples)) as bar:
         summary = precompute(specification, out, options.fresh, bar.show)

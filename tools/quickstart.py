@@ -45,9 +45,8 @@ def parse() -> argparse.Namespace:
 
 def make_store(path: Path) -> FeatureTable:
     specification = read_specification(read_toml(CONFIGS / "quickstart-store.toml"))
-    say(
-        f"1. Scoring {specification.samples} walkers, {specification.duration_s:g} s on flat ground"
-    )
+    duration_s = specification.conditions.duration_s
+    say(f"1. Scoring {specification.samples} walkers, {duration_s:g} s on flat ground")
     with tqdm(total=specification.samples, unit="walker") as bar:
         precompute(specification, path, progress=lambda points: bar.update(int(points) - bar.n))
     return FeatureTable.from_parquet(path, features=["phi_printed"])

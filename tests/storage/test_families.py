@@ -126,7 +126,7 @@ def test_numbers_of_a_store_are_those_of_the_simulator(monkeypatch: pytest.Monke
             bodies=family.bodies.take([setting] * 32),
             terrains=family.terrains[setting],
             low_level_gains=low_level,
-            settings=specification.settings,
+            settings=specification.conditions.settings,
         ).rows
         for setting in range(2)
     ]

@@ -24,7 +24,7 @@ def test_shards_cover_the_samples_once() -> None:
 
 def test_shipped_configs_are_valid() -> None:
     flat = read_specification(read_toml(CONFIGS / "store.toml"))
-    assert (flat.duration_s, flat.families, flat.terrain.name) == (5.0, (), "flat")
+    assert (flat.conditions.duration_s, flat.families, flat.terrain.name) == (5.0, (), "flat")
     (robust,) = read_specification(read_toml(CONFIGS / "store-robust.toml")).families
     assert len(robust.bodies) == len(robust.terrains) == 6
     assert (robust.min_survival_s, robust.horizon_s, robust.disturbance) == (3.0, 20.0, 0.15)
