@@ -9,7 +9,7 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 
 from study.sampler.columns import feature_matrix, parameter_column
 from study.sampler.rows import Rows
-from study.sampler.space import Space
+from study.sampler.space import STEP_TOLERANCE, Space
 from taichi_nmm.errors import InputError
 
 Bounds = Mapping[str, tuple[float, float]]
@@ -99,5 +99,5 @@ def _first_off_grid(rows: Rows, column: int) -> int | None:
     distribution = rows.space.distributions[column]
     low, step = distribution.low, distribution.step  # type: ignore[attr-defined]
     steps = (rows.parameters[:, column] - low) / step
-    off = np.flatnonzero(np.abs(steps - np.round(steps)) > 1e-8)
+    off = np.flatnonzero(np.abs(steps - np.round(steps)) > STEP_TOLERANCE)
     return int(off[0]) if len(off) else None

@@ -27,6 +27,7 @@ from optuna.trial import FrozenTrial
 Floats = NDArray[np.float64]
 Number = FloatDistribution | IntDistribution
 
+STEP_TOLERANCE = 1e-8  # of a step: how far a value on the grid may be off, as for Optuna
 CHOICE_LENGTH = np.sqrt(0.5)  # of a one-hot code: two of them are 1 apart
 
 
@@ -106,6 +107,19 @@ def same_kind(first: BaseDistribution, second: BaseDistribution) -> bool:
     if isinstance(first, CategoricalDistribution):
         return bool(first == second)
     return bool(first.log == second.log)  # type: ignore[attr-defined]
+
+
+def takes(distribution: BaseDistribution, value: Any) -> bool:
+    """Whether a value, of the kind that a distribution has, lies in it and on its steps."""
+    if isinstance(distribution, CategoricalDistribution):
+        return value in distribution.choices
+    assert isinstance(distribution, FloatDistribution | IntDistribution)
+    if not distribution.low <= value <= distribution.high:
+        return False
+    if distribution.step is None:
+        return True
+    steps = (value - distribution.low) / distribution.step
+    return bool(abs(steps - round(steps)) < STEP_TOLERANCE)
 
 
 def _internal(distribution: BaseDistribution, value: Any) -> float:
