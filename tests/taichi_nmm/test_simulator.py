@@ -196,6 +196,7 @@ def test_first_simulation_off_the_main_thread_is_refused_and_later_ones_run() ->
 
 
 def test_import_is_cheap() -> None:
-    code = "import sys, taichi_nmm, taichi_nmm.kernel.layout; assert 'taichi' not in sys.modules; print('cheap')"
+    imports = "import sys, taichi_nmm, taichi_nmm.conditions, taichi_nmm.kernel.layout"
+    code = f"{imports}; assert 'taichi' not in sys.modules; print('cheap')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "cheap", done.stderr
