@@ -25,7 +25,7 @@ from optuna.artifacts import FileSystemArtifactStore
 from storage.databases.studies import URL_PREFIX as SQLITE
 from storage.databases.studies import open_studies, shown_url, studies_path
 from study.command import run_command
-from study.comparison.folder import ARTIFACTS_NAME, DATABASE_NAME
+from study.comparison.experiment_folder import ARTIFACTS_NAME, DATABASE_NAME
 from taichi_nmm.errors import InputError
 
 EXPERIMENTS = Path("out") / "compare"

@@ -4,8 +4,8 @@
     python tools/report.py out/compare/* --out out/overview --optimum out/optimum/optimum.json
 
 Each folder gets a folder `report`; of several, the overview goes to --out. An unfinished comparison
-is reported as far as it is, and says so. Two walks are simulated again to be drawn, where the
-experiment's configuration is found (--configs). Exit codes: 0, 2 bad input, 130 interrupted.
+is reported as far as it is, and says so. Two walks of each are simulated again to be drawn. Exit
+codes: 0, 2 bad input, 130 interrupted.
 """
 
 import argparse
@@ -16,14 +16,15 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from study.command import run_command
-from study.comparison.experiment import Experiment
-from study.report.before_after import before_and_after, find_experiment, known_stores
-from study.report.optimum import find_optimum
-from study.report.results import Results, read_results
+from study.experiment.identity import documented_experiment
+from study.report.before_after import Pair, before_and_after
+from study.report.estimate_line import find_optimum
+from study.report.facts import known_stores
+from study.report.runs import Results, read_results
 from study.report.writing import REPORT_NAME, write_overview, write_report
 from taichi_nmm.errors import InputError
 
-CONFIGS = Path("configs")
+NO_GROUND = "the folder does not say its ground: run tools/compare.py on it once more"
 
 
 def parse() -> argparse.Namespace:
@@ -34,24 +35,17 @@ def parse() -> argparse.Namespace:
         "--optimum", type=Path, action="append", default=[],
         help="optimum.json of tools/optimum.py, drawn as a line; may be repeated, a cost each",
     )  # fmt: skip
-    parser.add_argument(
-        "--configs", type=Path, metavar="FOLDER",
-        help="with the experiments' configurations, NAME.toml (configs)",
-    )  # fmt: skip
     parser.add_argument("--no-strips", action="store_true", help="simulate and draw no walks")
     return parser.parse_args()
 
 
-def experiment_of(results: Results, configs: Path | None, strips: bool) -> Experiment | None:
-    """Its configuration; where nobody said which, one that is another's only costs the strips."""
-    try:
-        return find_experiment(results, configs or CONFIGS)
-    except InputError as error:
-        if configs is not None:
-            raise
-        if strips:
-            print(f"{results.name}: no strips ({error})", file=sys.stderr)
+def strips_of(results: Results) -> Pair | None:
+    """The two walks to draw; a folder that does not say its ground only costs the strips."""
+    experiment = documented_experiment(results.facts)
+    if experiment is None:
+        print(f"{results.name}: no strips ({NO_GROUND})", file=sys.stderr)
         return None
+    return before_and_after(results, experiment)
 
 
 def main() -> None:
@@ -62,13 +56,10 @@ def main() -> None:
         )
     everything = [read_results(folder) for folder in args.folders]
     optima = [find_optimum(results, args.optimum) for results in everything]
-    strips = not args.no_strips
-    experiments = [experiment_of(results, args.configs, strips) for results in everything]
     found = []
-    for results, optimum, experiment in zip(everything, optima, experiments, strict=True):
-        pair = before_and_after(results, experiment) if experiment and strips else None
-        stores = known_stores(results, experiment) if experiment else {}
-        found.append(write_report(results, optimum, pair, stores=stores))
+    for results, optimum in zip(everything, optima, strict=True):
+        pair = None if args.no_strips else strips_of(results)
+        found.append(write_report(results, optimum, pair, stores=known_stores(results)))
         state = "" if results.complete else f" ({results.found:,} of {results.planned:,} trials)"
         print(f"{results.folder / REPORT_NAME}: {results.name}{state}", flush=True)
     if args.out is not None:

@@ -95,3 +95,11 @@ def draw_ground(axes: Axes, x_m: Array, height_m: Array, bottom_m: float) -> Non
     """The ground's profile, filled down to `bottom_m`."""
     axes.fill_between(x_m, height_m, bottom_m, color=style.GROUND, linewidth=0, zorder=GROUND_LAYER)
     axes.plot(x_m, height_m, color=style.INK, linewidth=1.0, zorder=GROUND_LAYER)
+
+
+def draw_profile(axes: Axes, x_m: Array, height_m: Array, margin_m: float) -> None:
+    """The ground of a whole walk, small, with so much room above and below it."""
+    style.tidy(axes)
+    draw_ground(axes, x_m, height_m, height_m.min() - margin_m)
+    axes.set(xlim=(x_m[0], x_m[-1]), ylim=(height_m.min() - margin_m, height_m.max() + margin_m))
+    axes.set_ylabel("ground (m)", fontsize=style.TEXT_PT, color=style.INK)

@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from study.pictures import style
 from study.pictures.skeleton import leg
-from study.pictures.stick_figure import LEFT, StickFigure, activation_bar, draw_ground
+from study.pictures.stick_figure import (
+    LEFT,
+    StickFigure,
+    activation_bar,
+    draw_ground,
+    draw_profile,
+)
 from study.pictures.window import at_times, finite, last_metres
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
@@ -52,16 +58,15 @@ def write_strip(
         InputError: the file cannot be written.
     """
     trajectory = finite(trajectory)
-    start_s, end_s = last_metres(trajectory, SHOWN_M)
-    poses_s = _pose_times(trajectory, start_s, end_s)
+    poses_s = pose_times(trajectory, SHOWN_M)
     q = at_times(trajectory, trajectory.q, poses_s)
     low_x, high_x, low_z, high_z = _frame(q, terrain)
     figure, axes, bar, profile = _layout(
         high_x - low_x, high_z - low_z, _uneven(trajectory, terrain), dpi
     )
     axes.set(xlim=(low_x, high_x), ylim=(low_z, high_z))
-    _draw_poses(axes, bar, trajectory, poses_s)
-    _draw_ghosts(axes, trajectory, start_s, end_s)
+    activation_bar(bar, draw_poses(axes, trajectory, poses_s))
+    draw_ghosts(axes, trajectory, poses_s, style.MODEL)
     x = np.linspace(low_x, high_x, 2000)
     draw_ground(axes, x, terrain.height(x), low_z)
     if profile is not None:
@@ -71,8 +76,9 @@ def write_strip(
     return style.save_png(figure, path)
 
 
-def _pose_times(trajectory: Trajectory, start_s: float, end_s: float) -> Array:
-    """Times of the poses, evenly spaced, so many that they stand about a step apart."""
+def pose_times(trajectory: Trajectory, shown_m: float) -> Array:
+    """Times of poses over the last metres, evenly spaced, so many that they are a step apart."""
+    start_s, end_s = last_metres(trajectory, shown_m)
     x = np.interp([start_s, end_s], trajectory.time_s, trajectory.q[:, 0])
     count = max(round(abs(x[1] - x[0]) / POSE_SPACING_M), 1) + 1
     return np.linspace(start_s, end_s, count)
@@ -119,18 +125,22 @@ def _layout(
     return figure, axes, bar, profile
 
 
-def _draw_poses(axes: Axes, bar: Axes, trajectory: Trajectory, times_s: Array) -> None:
+def draw_poses(axes: Axes, trajectory: Trajectory, times_s: Array) -> StickFigure:
+    """The walker at these times, [n]: one over the other, the last of which is returned.
+
+    The axes' limits must be set: the bones are as wide as their scale says.
+    """
     q = at_times(trajectory, trajectory.q, times_s)
     activation = at_times(trajectory, trajectory.activation, times_s)
     for number in range(len(times_s)):
         figure = StickFigure(axes, layer=3.0 + number)
         figure.pose(q[number], activation[number])
-    activation_bar(bar, figure)
+    return figure
 
 
-def _draw_ghosts(axes: Axes, trajectory: Trajectory, start_s: float, end_s: float) -> None:
+def draw_ghosts(axes: Axes, trajectory: Trajectory, poses_s: Array, hip_colour: str) -> None:
     """The left leg and the hip's path between the poses, as a chronophotograph has them."""
-    times_s = np.arange(start_s, end_s, GHOST_INTERVAL_S)
+    times_s = np.arange(poses_s[0], poses_s[-1], GHOST_INTERVAL_S)
     if not len(times_s):
         return
     near = leg(at_times(trajectory, trajectory.q, times_s), LEFT)
@@ -139,19 +149,15 @@ def _draw_ghosts(axes: Axes, trajectory: Trajectory, start_s: float, end_s: floa
         LineCollection(list(chains), colors=style.FAINT, linewidths=0.4, alpha=0.55, zorder=1.5),
         autolim=False,
     )
-    axes.plot(*near.hip.T, color=style.MODEL, linewidth=0.8, zorder=1.6)
+    axes.plot(*near.hip.T, color=hip_colour, linewidth=0.8, zorder=1.6)
 
 
 def _draw_profile(
     axes: Axes, trajectory: Trajectory, terrain: Terrain, shown_m: tuple[float, float]
 ) -> None:
     """The ground of all that was recorded, with the part above marked."""
-    style.tidy(axes)
     x = np.linspace(trajectory.q[0, 0], trajectory.q[:, 0].max() + 1.0, 4000)
     height = terrain.height(x)
-    margin = 0.1 * np.ptp(height)
-    draw_ground(axes, x, height, height.min() - margin)
+    draw_profile(axes, x, height, margin_m=0.1 * np.ptp(height))
     axes.axvspan(*shown_m, color=style.MODEL, alpha=0.18, linewidth=0, zorder=3)
-    axes.set(xlim=(x[0], x[-1]), ylim=(height.min() - margin, height.max() + margin))
     axes.set_xlabel("from the start: distance (m)", fontsize=style.TEXT_PT, color=style.INK)
-    axes.set_ylabel("ground (m)", fontsize=style.TEXT_PT, color=style.INK)

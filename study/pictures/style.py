@@ -10,12 +10,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from storage.commit import commit
+from study.palette import BLUE, GREY
 
 INK = "#22262B"
-FAINT = "#8A9099"
+FAINT = GREY
 GRID = "#E3E6EA"
 GROUND = "#CFC8BC"
-MODEL = "#0072B2"  # Okabe & Ito's blue
+MODEL = BLUE
 HUMAN = "#9AA0A8"
 EMG = "#F3D9A4"
 FAR_LIMB = "#DDE1E6"

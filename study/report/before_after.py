@@ -3,29 +3,24 @@
 Both are simulated again, on the body and the ground of their run, to be drawn.
 """
 
-from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from storage.document import difference
-from study.comparison.experiment import Experiment, read_experiment
-from study.comparison.identity import document
-from study.comparison.simulation import simulate_trials
-from study.comparison.stores import store_digest
-from study.report.appearance import BEST, LABELS, PAPER, by_rank
-from study.report.results import Results, read_trials, table_files
-from taichi_nmm.errors import InputError
+from study.experiment.arms import BEST_ARM, PAPER_ARM
+from study.experiment.experiment import Experiment
+from study.experiment.simulation import simulate_trials
+from study.report.appearance import by_rank, label_of
+from study.report.files import read_trials, table_files
+from study.report.runs import Results
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
 
 FIRST_TRIALS = 3  # of which the best is "before"
 RECORD_HZ = 50.0
-SAME = ("name", "seed", "searched", "objective", "simulation", "body", "terrain")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,42 +64,12 @@ class Pair:
     after: Shown
 
 
-def find_experiment(results: Results, configs: Path) -> Experiment | None:
-    """The experiment's configuration, `configs`/NAME.toml; None where there is no such file.
-
-    Raises:
-        InputError: it is not the configuration that the results were made with.
-    """
-    path = configs / f"{results.name}.toml"
-    if not path.is_file() or not results.facts:
-        return None
-    experiment = read_experiment(path)
-    here, there = document(experiment, ()), results.facts
-    found = difference({key: here[key] for key in SAME}, {key: there.get(key) for key in SAME})
-    if found:
-        name, now, then = found
-        allowed = f"{then!r}, with which {results.folder} was made; or another --configs"
-        raise InputError(f"{path.name}: {name}", now, allowed)
-    return experiment
-
-
-def known_stores(results: Results, experiment: Experiment) -> dict[str, Path]:
-    """The stores of the experiment that still are what the results were made with, by key."""
-    digests = results.facts.get("stores", {})
-    known = {}
-    for key, path in experiment.stores.items():
-        with suppress(InputError, OSError):  # not there, or damaged
-            if key in digests and store_digest(path) == digests[key]:
-                known[key] = path
-    return known
-
-
 def before_and_after(results: Results, experiment: Experiment) -> Pair | None:
     """The two walks, simulated again; None where no run has both.
 
     Args:
         results: of the experiment.
-        experiment: its configuration.
+        experiment: its bodies, grounds and conditions.
     """
     chosen = choose(results, experiment.names)
     if chosen is None:
@@ -126,8 +91,10 @@ def choose(results: Results, names: tuple[str, ...]) -> tuple[int, Chosen, Chose
     first trials of the same arm, the paper's method, or any other, in this order, if it fell.
     """
     order = by_rank(results.arms)
-    last = BEST if BEST in results.arms else order[0]
-    firsts = list(dict.fromkeys([last, *(arm for arm in (PAPER,) if arm in order), *order[::-1]]))
+    last = BEST_ARM if BEST_ARM in results.arms else order[0]
+    firsts = list(
+        dict.fromkeys([last, *(arm for arm in (PAPER_ARM,) if arm in order), *order[::-1]])
+    )
     tables = _trials(results, ("arm", "run", "trial", "cost", "walked", *names))
     for arm in firsts:
         for run in results.arms[last].runs.tolist():
@@ -167,5 +134,4 @@ def _title(when: str, chosen: Chosen, row: np.void) -> str:
     ended = f"{reached} at {row['mean_speed_mps']:.2f} m/s" if row["end_reason"] == 0 else (
         f"fell after {reached}"
     )  # fmt: skip
-    label = LABELS.get(chosen.arm, chosen.arm)
-    return f"{when.capitalize()}: {label}, trial {chosen.trial + 1}: {ended}"
+    return f"{when.capitalize()}: {label_of(chosen.arm)}, trial {chosen.trial + 1}: {ended}"

@@ -1,6 +1,6 @@
 """An experiment as one table: an arm a row, what it reached and how it fares beside the paper's."""
 
-from study.report.appearance import PAPER
+from study.experiment.arms import PAPER_ARM
 from study.report.markdown import first_walker_text, p_text, share_range, table
 from study.report.numbers import COMPARED_AFTER, ArmNumbers, Comparison, Numbers
 
@@ -18,7 +18,7 @@ def condensed_table(experiment: Numbers) -> str:
         "first walker, median trial",
         f"within {', '.join(map(str, SHOWN_WITHIN))}",
         f"best cost after {COMPARED_AFTER}, median",
-        f"less that of `{PAPER}`, paired; p",
+        f"less that of `{PAPER_ARM}`, paired; p",
     ]
     return table(header, [_row(arm, against.get(arm.arm)) for arm in arms])
 

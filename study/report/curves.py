@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from study.pictures import style
 from study.report.appearance import Look, by_rank, looks
-from study.report.canvas import (
+from study.report.axes import (
     LABEL_SPACING_PT,
     POINTS_AN_INCH,
     End,
@@ -22,11 +22,10 @@ from study.report.canvas import (
     save,
     trial_axis,
 )
-from study.report.results import ArmRuns, Results
-from study.report.statistics import mean_curve, median_curve, wilson
+from study.report.runs import ArmRuns, Results
+from study.report.statistics import Curve, Statistic, curve, wilson
 
 Floats = NDArray[np.float64]
-Curve = tuple[Floats, Floats, Floats]
 
 PANEL_IN = 3.9
 WIDE_PANEL_IN = 5.6
@@ -34,6 +33,10 @@ LABELS_IN = 2.3
 LEFT_IN = 0.75
 HEIGHT_IN = 4.6  # of up to 20 arms: more labels need more
 MARGINS_IN = 1.3
+STATISTICS: tuple[tuple[str, Statistic], ...] = (
+    ("median over runs", np.median),
+    ("mean over runs", np.mean),
+)
 WALKS_BELOW = 100.0  # the walking cost of a walker that goes on to the end
 IN_FRONT = "bold: the paper's method, our best, the best peer; their bands are 95 %"
 
@@ -47,14 +50,12 @@ def write_best_cost(folder: Path, results: Results, optimum: float | None) -> li
         optimum: the estimated optimum of this cost, drawn as a line.
     """
     figure = style.new_figure(2.0 * (PANEL_IN + LABELS_IN) + LEFT_IN, _height_in(results))
-    for panel, (title, curve) in enumerate(
-        (("median over runs", median_curve), ("mean over runs", mean_curve))
-    ):
+    for panel, (title, statistic) in enumerate(STATISTICS):
         axes = _panel(figure, panel)
         _cost_axis(axes, results, optimum)
         if panel:
             axes.set_ylabel("")
-        ends = _draw_arms(axes, results, _best_cost(curve), "{:.3g}", up=1)
+        ends = _draw_arms(axes, results, _best_cost(statistic), "{:.3g}", up=1)
         axes.set_title(title, fontsize=style.TEXT_PT, loc="left", color=style.INK)
         label_ends(axes, ends, results.trials)
     title = f"{results.name}: best {results.cost} cost so far"
@@ -77,8 +78,8 @@ def write_walkers(folder: Path, results: Results) -> list[Path]:
     return save(figure, folder, "walkers")
 
 
-def _best_cost(curve: Callable[[Floats], Curve]) -> Callable[[ArmRuns], Curve]:
-    return lambda arm: curve(arm.best)
+def _best_cost(statistic: Statistic) -> Callable[[ArmRuns], Curve]:
+    return lambda arm: curve(arm.best, statistic)
 
 
 def _walker_share(arm: ArmRuns) -> Curve:
@@ -89,7 +90,7 @@ def _walker_share(arm: ArmRuns) -> Curve:
 
 
 def _draw_arms(
-    axes: Axes, results: Results, curve: Callable[[ArmRuns], Curve], number: str, up: int
+    axes: Axes, results: Results, curve_of: Callable[[ArmRuns], Curve], number: str, up: int
 ) -> list[End]:
     """The line of each arm, worst first, with bands for those in front; their ends.
 
@@ -98,7 +99,7 @@ def _draw_arms(
     styles, ends = looks(results.arms), []
     order = by_rank(results.arms)
     for arm in sorted(order[::-1], key=lambda name: styles[name].front):
-        values, low, high = curve(results.arms[arm])
+        values, low, high = curve_of(results.arms[arm])
         _draw_line(axes, styles[arm], values, order.index(arm))
         if styles[arm].front:
             trials = np.arange(1, len(values) + 1)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from study.pictures import style
 from study.report.appearance import Look, by_rank, looks
-from study.report.canvas import headline, save, trial_ticks
-from study.report.results import ArmRuns, Results
+from study.report.axes import headline, save, trial_ticks
+from study.report.runs import ArmRuns, Results
 from study.report.statistics import Interval, median
 
 Floats = NDArray[np.float64]

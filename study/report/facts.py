@@ -1,8 +1,12 @@
 """How the runs of an experiment were made, as far as its folder says: date, machine, versions."""
 
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
-from study.report.results import Results
+from study.experiment.stores import store_digest
+from study.report.runs import Results
+from taichi_nmm.errors import InputError
 
 SECONDS_A_MINUTE = 60.0
 
@@ -25,6 +29,21 @@ def facts(results: Results) -> dict[str, str]:
         "seed": str(results.facts.get("seed", "")),
     }
     return {name: value for name, value in found.items() if value}
+
+
+def known_stores(results: Results) -> dict[str, Path]:
+    """The stores that still are what the results were made with, by key.
+
+    The latest session that says where they are counts; folders from before such sessions have none.
+    """
+    digests: dict[str, str] = results.facts.get("stores", {})
+    sessions = [each["stores"] for each in results.facts.get("sessions", []) if "stores" in each]
+    known = {}
+    for key, path in (sessions[-1] if sessions else {}).items():
+        with suppress(InputError, OSError):  # not there, or damaged
+            if store_digest(Path(path)) == digests.get(key):
+                known[key] = Path(path)
+    return known
 
 
 def _days(sessions: list[dict[str, Any]]) -> str:

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
+from study.experiment.arms import BEST_ARM, PAPER_ARM
+from study.palette import FRONT
 from study.pictures import style
-from study.report.appearance import BEST, FRONT, LABELS, PAPER
-from study.report.canvas import headline, save
+from study.report.appearance import label_of
+from study.report.axes import headline, save
 from study.report.markdown import count_text
 from study.report.numbers import ArmNumbers, Numbers
 from study.report.overview import arms_of
@@ -17,7 +19,7 @@ CELL_IN = (0.72, 0.46)
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 1.75, 0.95, 1.95, 0.2
 SHADES = "Blues"
 DARKEST = 0.62  # of the map, so that words on it can be read, in a grey print too
-FRONT_OF = {PAPER: FRONT["paper"], BEST: FRONT["best"]}
+FRONT_OF = {PAPER_ARM: FRONT["paper"], BEST_ARM: FRONT["best"]}
 
 
 def write_grid(folder: Path, experiments: Sequence[Numbers]) -> list[Path]:
@@ -63,7 +65,7 @@ def _write_cell(axes: Axes, row: int, column: int, arm: ArmNumbers, best: bool) 
 
 
 def _frame(axes: Axes, experiments: list[str], arms: list[str]) -> None:
-    axes.set_xticks(range(len(arms)), [LABELS.get(arm, arm) for arm in arms])
+    axes.set_xticks(range(len(arms)), [label_of(arm) for arm in arms])
     axes.set_yticks(range(len(experiments)), experiments)
     axes.xaxis.tick_top()
     axes.tick_params(length=0, labelsize=style.TEXT_PT, colors=style.INK, pad=4)

@@ -6,12 +6,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from study.comparison.arms import ARMS
-from study.comparison.saw import saw
-from study.report.appearance import LABELS, PAPER
+from study.experiment.arms import ARMS, PAPER_ARM
+from study.experiment.saw import saw
+from study.report.appearance import label_of
 from study.report.facts import facts
 from study.report.numbers import ArmNumbers, Comparison, Numbers
-from study.report.results import Results
+from study.report.runs import Results
 from study.report.statistics import RESAMPLES, Interval
 
 NO_STORES: Mapping[str, Path] = MappingProxyType({})
@@ -111,7 +111,7 @@ def p_text(p: float) -> str:
 
 def label(arm: str) -> str:
     """The name that the command knows, and what a reader calls it."""
-    return f"{arm}" if LABELS.get(arm, arm) == arm else f"{arm} ({LABELS[arm]})"
+    return arm if label_of(arm) == arm else f"{arm} ({label_of(arm)})"
 
 
 def _state(results: Results) -> str:
@@ -181,11 +181,11 @@ def _tests(numbers: Numbers) -> list[str]:
         return []
     after = max(each.after for each in numbers.comparisons)
     header = [
-        "arm", "n", f"best cost after {after} less {PAPER}'s, median", "Wilcoxon p",
+        "arm", "n", f"best cost after {after} less {PAPER_ARM}'s, median", "Wilcoxon p",
         "n walkers", "McNemar p",
     ]  # fmt: skip
     rows = [_test_row(each, after) for each in numbers.comparisons]
-    return [f"## Against the paper's method (`{PAPER}`)", TESTS, table(header, rows)]
+    return [f"## Against the paper's method (`{PAPER_ARM}`)", TESTS, table(header, rows)]
 
 
 def _test_row(each: Comparison, after: int) -> list[str]:

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from study.report.appearance import PAPER, best_peer, by_rank, family
-from study.report.results import ArmRuns, Results
+from study.experiment.arms import PAPER_ARM, Kind
+from study.report.appearance import best_peer, by_rank, kind_of
+from study.report.runs import ArmRuns, Results
 from study.report.statistics import Interval, PairedTest, holm, mcnemar, median, wilcoxon, wilson
 
 WITHIN = (1, 3, 10, 30, 60, 100)  # trials
@@ -20,26 +21,30 @@ class ArmNumbers:
 
     Attributes:
         arm: its name.
-        family: "ours", "peer" or "control".
+        family: whose it is.
         runs: how many.
-        trials: of each.
+        trials: that all of them have; every other figure is of these.
+        found: trials of all runs together.
         walkers: runs with a walker.
         share: the same as a proportion, Wilson's interval.
         first_walker: median trial of the first walker; infinite where most runs have none.
         within: runs with a walker within so many trials, as far as the trials go.
         cost_after: median best cost after so many trials, as far as the trials go.
+        best_cost: median best cost after the last of the trials.
         proposal_ms: median time that the sampler took for a trial; None where it is not known.
     """
 
     arm: str
-    family: str
+    family: Kind
     runs: int
     trials: int
+    found: int
     walkers: int
     share: Interval
     first_walker: Interval
     within: dict[int, int]
     cost_after: dict[int, Interval]
+    best_cost: Interval
     proposal_ms: float | None
 
 
@@ -95,22 +100,23 @@ def numbers(results: Results) -> Numbers:
         results.name,
         tuple(_arm_numbers(arm) for arm in arms),
         best_peer(arms),
-        tuple(_comparisons(arms, results.arms.get(PAPER))),
+        tuple(_comparisons(arms, results.arms.get(PAPER_ARM))),
     )
 
 
 def _arm_numbers(arm: ArmRuns) -> ArmNumbers:
-    count, walkers = len(arm.runs), int(arm.has_walker[:, -1].sum())
     return ArmNumbers(
         arm=arm.arm,
-        family=family(arm.arm),
-        runs=count,
+        family=kind_of(arm.arm),
+        runs=len(arm.runs),
         trials=arm.trials,
-        walkers=walkers,
-        share=wilson(walkers, count),
+        found=arm.found,
+        walkers=arm.walkers,
+        share=wilson(arm.walkers, len(arm.runs)),
         first_walker=median(arm.first_walker),
         within={k: int(arm.has_walker[:, k - 1].sum()) for k in WITHIN if k <= arm.trials},
         cost_after={k: median(arm.best[:, k - 1]) for k in COST_AFTER if k <= arm.trials},
+        best_cost=median(arm.best[:, -1]),
         proposal_ms=arm.proposal_ms,
     )
 
@@ -118,7 +124,9 @@ def _arm_numbers(arm: ArmRuns) -> ArmNumbers:
 def _comparisons(arms: list[ArmRuns], paper: ArmRuns | None) -> list[Comparison]:
     if paper is None:
         return []
-    others = [arm for arm in arms if arm.arm != PAPER and len(np.intersect1d(arm.runs, paper.runs))]
+    others = [
+        arm for arm in arms if arm.arm != PAPER_ARM and len(np.intersect1d(arm.runs, paper.runs))
+    ]
     costs, differences, walkers, afters = [], [], [], []
     for arm in others:
         _, ours, theirs = np.intersect1d(arm.runs, paper.runs, return_indices=True)

@@ -3,12 +3,13 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from study.report.appearance import BEST, LABELS, PAPER, family
+from study.experiment.arms import BEST_ARM, PAPER_ARM, Kind
+from study.report.appearance import kind_of, label_of
 from study.report.markdown import count_text, table
 from study.report.numbers import ArmNumbers, Numbers, numbers
-from study.report.results import read_results
+from study.report.runs import read_results
 
-FAMILIES = ("peer", "control", "ours")
+KINDS: tuple[Kind, ...] = ("peer", "control", "ours")
 
 
 def report_tables(folders: Iterable[str | Path]) -> str:
@@ -30,7 +31,7 @@ def overview_text(experiments: Sequence[Numbers]) -> str:
     for each in experiments:
         by_name = {arm.arm: arm for arm in each.arms}
         rows.append([each.experiment, *(_cell(by_name.get(arm)) for arm in arms)])
-    header = ["experiment", *(LABELS.get(arm, arm) for arm in arms)]
+    header = ["experiment", *(label_of(arm) for arm in arms)]
     remark = (
         "Runs with a walker, and the median trial of the first (`> T`: no more than half of the "
         "runs had one in T trials)."
@@ -41,8 +42,8 @@ def overview_text(experiments: Sequence[Numbers]) -> str:
 def arms_of(experiments: Sequence[Numbers]) -> list[str]:
     """All arms: the paper's, our best, then peers, controls and others of ours."""
     known = dict.fromkeys(arm.arm for each in experiments for arm in each.arms)
-    first = [arm for arm in (PAPER, BEST) if arm in known]
-    rest = [arm for kind in FAMILIES for arm in sorted(known) if family(arm) == kind]
+    first = [arm for arm in (PAPER_ARM, BEST_ARM) if arm in known]
+    rest = [arm for kind in KINDS for arm in sorted(known) if kind_of(arm) == kind]
     return first + [arm for arm in rest if arm not in first]
 
 

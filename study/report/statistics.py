@@ -4,17 +4,21 @@ Resampling is seeded by the number of runs alone, so that a report made twice is
 and arms with as many runs are resampled alike.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 Floats = NDArray[np.float64]
+Curve = tuple[Floats, Floats, Floats]  # its points and the ends of their intervals, each [t]
+Statistic = Callable[..., Floats]  # np.mean or np.median
 
 CONFIDENCE = 0.95
-TAIL = 0.5 * (1.0 - CONFIDENCE)
+ENDS = (0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE))  # as quantiles
 RESAMPLES = 10_000
 CURVE_RESAMPLES = 2_000  # of each of a curve's points
 RESAMPLING_SEED = 2016
@@ -44,17 +48,14 @@ class PairedTest:
     p: float
 
 
+@cache
 def wilson(successes: int, count: int) -> Interval:
     """A proportion with Wilson's score interval; of 0 runs it is unknown (nan, 0, 1)."""
     if count == 0:
         return Interval(float("nan"), 0.0, 1.0)
-    z = float(stats.norm.ppf(1.0 - TAIL))
-    share = successes / count
-    scale = 1.0 + z * z / count
-    centre = (share + 0.5 * z * z / count) / scale
-    half = z / scale * np.sqrt(share * (1.0 - share) / count + 0.25 * z * z / count**2)
-    # At 0 and 1 an end is the proportion itself, but for the last bit.
-    return Interval(share, float(min(centre - half, share)), float(max(centre + half, share)))
+    test = stats.binomtest(successes, count)
+    ends = test.proportion_ci(confidence_level=CONFIDENCE, method="wilson")
+    return Interval(successes / count, float(ends.low), float(ends.high))
 
 
 def median(values: ArrayLike) -> Interval:
@@ -63,28 +64,35 @@ def median(values: ArrayLike) -> Interval:
     A run without a walker counts as infinite: the median is known as long as half the runs are.
     """
     known = np.asarray(values, dtype=np.float64)
-    drawn = known[resamples(len(known), RESAMPLES)]
     # Not interpolated: between a number and infinity there is nothing.
-    low, high = np.quantile(np.median(drawn, axis=1), [TAIL, 1.0 - TAIL], method="inverted_cdf")
-    return Interval(float(np.median(known)), float(low), float(high))
+    low, high = _bootstrap(known, np.median, RESAMPLES, "inverted_cdf")
+    return Interval(float(np.median(known)), low, high)
 
 
-def mean_curve(values: Floats) -> tuple[Floats, Floats, Floats]:
-    """Mean over runs of curves [r, t], and the ends of its bootstrap interval, each [t]."""
-    count = len(values)
-    drawn = resamples(count, CURVE_RESAMPLES)
-    weights = np.apply_along_axis(np.bincount, 1, drawn, minlength=count) / count
-    low, high = np.quantile(weights @ values, [TAIL, 1.0 - TAIL], axis=0)
-    return values.mean(axis=0), low, high
+def curve(values: Floats, statistic: Statistic) -> Curve:
+    """Mean or median over runs of curves [r, t], with the bootstrap interval of each point."""
+    ends = [_bootstrap(runs, statistic, CURVE_RESAMPLES) for runs in values.T]
+    low, high = np.array(ends).T
+    return statistic(values, axis=0), low, high
 
 
-def median_curve(values: Floats) -> tuple[Floats, Floats, Floats]:
-    """Median over runs of curves [r, t], and the ends of its bootstrap interval, each [t]."""
-    drawn = resamples(len(values), CURVE_RESAMPLES)
-    ends = np.empty((2, values.shape[1]))
-    for trial, column in enumerate(values.T):  # trial by trial: the whole would not fit in a cache
-        ends[:, trial] = np.quantile(np.median(column[drawn], axis=1), [TAIL, 1.0 - TAIL])
-    return np.median(values, axis=0), ends[0], ends[1]
+def _bootstrap(
+    values: Floats,
+    statistic: Statistic,
+    times: int,
+    method: Literal["linear", "inverted_cdf"] = "linear",
+) -> tuple[float, float]:
+    """Ends of the percentile interval of a statistic over runs, [r]."""
+    drawn = statistic(values[resamples(len(values), times)], axis=1)
+    low, high = np.quantile(drawn, ENDS, method=method)
+    return float(low), float(high)
+
+
+@cache
+def resamples(count: int, times: int) -> NDArray[np.int64]:
+    """Indices of runs drawn with replacement, [times, count]; not to be written to."""
+    seed = np.random.SeedSequence(RESAMPLING_SEED, spawn_key=(count,))
+    return np.random.default_rng(seed).integers(count, size=(times, count))
 
 
 def wilcoxon(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
@@ -113,9 +121,3 @@ def holm(p_values: Sequence[float]) -> list[float]:
     result = np.empty(count)
     result[order] = adjusted
     return [float(p) for p in result]
-
-
-def resamples(count: int, times: int) -> NDArray[np.int64]:
-    """Indices of runs drawn with replacement, [times, count]."""
-    seed = np.random.SeedSequence(RESAMPLING_SEED, spawn_key=(count,))
-    return np.random.default_rng(seed).integers(count, size=(times, count))

@@ -1,19 +1,20 @@
 """Figure: a walker before and after optimisation, as poses over the ground of one run."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from numpy.typing import NDArray
 
+from study.palette import BLUE, VERMILION
 from study.pictures import style
-from study.pictures.skeleton import leg
-from study.pictures.stick_figure import LEFT, StickFigure, activation_bar, draw_ground
-from study.pictures.window import at_times, finite, last_metres
+from study.pictures.stick_figure import StickFigure, activation_bar, draw_ground, draw_profile
+from study.pictures.strip import draw_ghosts, draw_poses, pose_times
+from study.pictures.window import at_times, finite
+from study.report.axes import save
 from study.report.before_after import Pair, Shown
-from study.report.canvas import save
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
 
@@ -24,9 +25,7 @@ SHOWN_M = 6.8
 SCALE_IN_PER_M = 1.05
 LEFT_IN, RIGHT_IN, PROFILE_IN = 0.75, 1.0, 0.85
 ABOVE_HIP_M, BELOW_GROUND_M = 0.95, 0.14
-POSE_SPACING_M = 0.68  # not a whole number of steps: the poses run through the stride
-GHOST_INTERVAL_S = 0.04
-COLOURS = {"before": "#D55E00", "after": style.MODEL}
+COLOURS = {"before": VERMILION, "after": BLUE}
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +71,12 @@ def write_strips(folder: Path, name: str, pair: Pair) -> list[Path]:
     for panel in panels:
         top += 0.3
         axes = axes_at(top, panel.height_in)
-        _draw_panel(axes, panel, pair.terrain)
+        figure_of = _draw_panel(axes, panel, pair.terrain)
         top += panel.height_in + 0.32
     bar = figure.add_axes(
         ((width - 0.75) / width, 1.0 - (0.9 + 1.6) / height, 0.12 / width, 1.6 / height)
     )
-    activation_bar(bar, _figure_of(panels[0], axes))
+    activation_bar(bar, figure_of)
     _draw_profile(axes_at(top + 0.1, PROFILE_IN), panels, pair.terrain)
     figure.text(
         LEFT_IN / width, 1.0 - 0.25 / height, f"{name}, run {pair.run}: before and after",
@@ -88,10 +87,7 @@ def write_strips(folder: Path, name: str, pair: Pair) -> list[Path]:
 
 def _panel(shown: Shown, terrain: Terrain) -> Panel:
     trajectory = finite(shown.trajectory)
-    start_s, end_s = last_metres(trajectory, SHOWN_M)
-    x = np.interp([start_s, end_s], trajectory.time_s, trajectory.q[:, 0])
-    count = max(round(abs(x[1] - x[0]) / POSE_SPACING_M), 1) + 1
-    poses_s = np.linspace(start_s, end_s, count)
+    poses_s = pose_times(trajectory, SHOWN_M)
     q = at_times(trajectory, trajectory.q, poses_s)
     low_x = 0.5 * (q[:, 0].min() + q[:, 0].max() - WIDTH_M)
     ground = terrain.height(np.linspace(low_x, low_x + WIDTH_M, 200))
@@ -99,50 +95,27 @@ def _panel(shown: Shown, terrain: Terrain) -> Panel:
     return Panel(shown, trajectory, poses_s, frame)
 
 
-def _draw_panel(axes: Axes, panel: Panel, terrain: Terrain) -> None:
+def _draw_panel(axes: Axes, panel: Panel, terrain: Terrain) -> StickFigure:
+    """A walk on its ground; the last of its poses is returned."""
     low_x, high_x, low_z, high_z = panel.frame
     style.tidy(axes)
     axes.grid(False)
     axes.set(xlim=(low_x, high_x), ylim=(low_z, high_z))
-    q = at_times(panel.trajectory, panel.trajectory.q, panel.poses_s)
-    activation = at_times(panel.trajectory, panel.trajectory.activation, panel.poses_s)
-    for number in range(len(q)):
-        StickFigure(axes, layer=3.0 + number).pose(q[number], activation[number])
-    _draw_ghosts(axes, panel)
+    last = draw_poses(axes, panel.trajectory, panel.poses_s)
+    draw_ghosts(axes, panel.trajectory, panel.poses_s, COLOURS[panel.shown.when])
     x = np.linspace(low_x, high_x, 2000)
     draw_ground(axes, x, terrain.height(x), low_z)
     axes.set_title(panel.shown.title, loc="left", fontsize=style.TEXT_PT, color=style.INK)
     axes.set_ylabel("height (m)", fontsize=style.TEXT_PT, color=style.INK)
+    return last
 
 
-def _figure_of(panel: Panel, axes: Axes) -> StickFigure:
-    """A figure that is not seen, for the colour bar to speak of."""
-    figure = StickFigure(axes, layer=-1.0)
-    figure.pose(panel.trajectory.q[0] - 1e3, panel.trajectory.activation[0])
-    return figure
-
-
-def _draw_ghosts(axes: Axes, panel: Panel) -> None:
-    """The left leg and the hip's path between the poses."""
-    times_s = np.arange(panel.poses_s[0], panel.poses_s[-1], GHOST_INTERVAL_S)
-    if not len(times_s):
-        return
-    near = leg(at_times(panel.trajectory, panel.trajectory.q, times_s), LEFT)
-    chains = near.chain()[:, [0, 1, 2, 4]]
-    lines = LineCollection(list(chains), colors=style.FAINT, linewidths=0.4, alpha=0.5, zorder=1.5)
-    axes.add_collection(lines, autolim=False)
-    colour = COLOURS[panel.shown.when]
-    axes.plot(*near.hip.T, color=colour, linewidth=0.9, zorder=1.6)
-
-
-def _draw_profile(axes: Axes, panels: list[Panel], terrain: Terrain) -> None:
+def _draw_profile(axes: Axes, panels: Sequence[Panel], terrain: Terrain) -> None:
     """The ground as far as either came, with the parts above marked."""
-    style.tidy(axes)
     end = max(float(panel.trajectory.q[:, 0].max()) for panel in panels) + 2.0
     x = np.linspace(min(0.0, *(panel.frame[0] for panel in panels)), max(end, WIDTH_M), 4000)
     height = terrain.height(x)
-    margin = 0.1 * max(float(np.ptp(height)), 0.5)
-    draw_ground(axes, x, height, height.min() - margin)
+    draw_profile(axes, x, height, margin_m=0.1 * max(float(np.ptp(height)), 0.5))
     for panel in panels:
         colour = COLOURS[panel.shown.when]
         axes.axvspan(*panel.frame[:2], color=colour, alpha=0.25, linewidth=0, zorder=3)
@@ -151,6 +124,4 @@ def _draw_profile(axes: Axes, panels: list[Panel], terrain: Terrain) -> None:
             xycoords=("data", "axes fraction"), textcoords="offset points", ha="center",
             fontsize=style.SMALL_PT, color=colour,
         )  # fmt: skip
-    axes.set(xlim=(x[0], x[-1]), ylim=(height.min() - margin, height.max() + margin))
     axes.set_xlabel("distance (m)", fontsize=style.TEXT_PT, color=style.INK)
-    axes.set_ylabel("ground (m)", fontsize=style.TEXT_PT, color=style.INK)

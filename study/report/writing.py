@@ -12,7 +12,7 @@ from study.report.grid import write_grid
 from study.report.markdown import NO_STORES, report_text
 from study.report.numbers import Numbers, numbers
 from study.report.overview import overview_text
-from study.report.results import Results
+from study.report.runs import Results
 from study.report.strips import write_strips
 
 REPORT_NAME = "report"

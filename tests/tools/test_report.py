@@ -4,11 +4,18 @@ import json
 import runpy
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
+import taichi_nmm
+from study.experiment.experiment import read_experiment
+from study.experiment.identity import document
+from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
+from tests.study import synthetic_gait
 from tests.study.report import synthetic
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -86,17 +93,44 @@ def test_the_optimum_of_the_same_cost_is_drawn(
     assert "estimated optimum: 0.011" in (folder / "report" / "report.md").read_text()
 
 
-def test_a_configuration_that_is_anothers_costs_the_strips(
+def test_a_folder_that_does_not_say_its_ground_has_no_strips(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(ROOT)  # its configs/rough8.toml is a study's, not a comparison's
     folder = write(tmp_path / "rough8")
     assert report(monkeypatch, folder) == 0
-    assert "rough8: no strips (" in capsys.readouterr().err
+    assert capsys.readouterr().err == (
+        "rough8: no strips (the folder does not say its ground: "
+        "run tools/compare.py on it once more)\n"
+    )
     assert not (folder / "report" / "strips.png").exists()
-    assert report(monkeypatch, folder, "--configs", "configs") == 2
     assert report(monkeypatch, folder, "--no-strips") == 0
-    assert capsys.readouterr().err.count("\n") == 1  # of the refusal
+    assert capsys.readouterr().err == ""
+
+
+def test_what_a_folder_says_is_simulated_again_whatever_its_seed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a comparison with --seed, which no configuration has."""
+    folder = write(tmp_path / "rough8-seed-523001")
+    config = tmp_path / "rough8.toml"
+    config.write_text('name = "rough8"\nseed = 1\n[terrain]\nkind = "rough"\n')
+    known = document(read_experiment(config, seed=523001), ())
+    (folder / "experiment.json").write_text(json.dumps(known))
+    seen: list[dict[str, Any]] = []
+
+    def simulate(gains: np.ndarray, **options: Any) -> Result:
+        seen.append(options)
+        rows = np.zeros(2, RESULT_DTYPE)
+        rows["end_reason"] = (FELL, COMPLETED)
+        return Result(rows, (synthetic_gait.walk(0.5), synthetic_gait.walk(8.0)))
+
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate)
+    assert report(monkeypatch, folder) == 0
+    assert (folder / "report" / "strips.svg").exists()
+    assert "Before: best combination, trial" in (folder / "report" / "report.md").read_text()
+    (terrain,) = seen[0]["terrains"]
+    grounds = [read_experiment(config, seed=523001).terrain(run).height(50.0) for run in range(5)]
+    assert float(terrain.height(50.0)) in [float(height) for height in grounds]
 
 
 def test_bad_input_is_one_line(
@@ -107,9 +141,10 @@ def test_bad_input_is_one_line(
     broken.write_text(json.dumps({"best": 1}))
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("")
-    configs = tmp_path / "configs"
-    configs.mkdir()
-    (configs / "rough8.toml").write_text('name = "rough8"\nseed = 1\n[terrain]\nsteepness = 3\n')
+    strange = write(tmp_path / "strange")
+    known = document(read_experiment(ROOT / "configs" / "risers.toml"), ())
+    known["ground"] = {"kind": "rough", "steepness": 3}
+    (strange / "experiment.json").write_text(json.dumps(known))
     cases: list[tuple[tuple[object, ...], str]] = [
         ((tmp_path / "nowhere",), "folder"),
         ((tmp_path / "empty",), "folder"),
@@ -117,7 +152,7 @@ def test_bad_input_is_one_line(
         ((folder, "--optimum", broken), "optimum"),
         ((folder, "--out", tmp_path / "all"), "out"),
         ((folder, folder, "--out", tmp_path / "file", "--no-strips"), "out"),
-        ((folder, "--configs", configs), "terrain.steepness"),
+        ((strange,), "terrain.steepness"),
     ]
     for arguments, field in cases:
         assert report(monkeypatch, *arguments) == 2

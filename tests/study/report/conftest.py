@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from study.report.results import Results, read_results
+from study.report.runs import Results, read_results
 from tests.study.report import synthetic
 
 

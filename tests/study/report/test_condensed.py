@@ -4,7 +4,7 @@ from pathlib import Path
 
 from study.report.condensed import condensed_table
 from study.report.numbers import numbers
-from study.report.results import read_results
+from study.report.runs import read_results
 from tests.study.report import synthetic
 
 

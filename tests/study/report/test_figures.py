@@ -7,10 +7,10 @@ import pytest
 from matplotlib.text import Annotation
 
 from study.pictures import style
-from study.report import canvas, curves, dots
+from study.report import curves, dots
 from study.report.appearance import Look
-from study.report.canvas import End, label_ends, spread_out, trial_axis
-from study.report.results import Results, read_results
+from study.report.axes import LABEL_SPACING_PT, End, label_ends, spread_out, trial_axis
+from study.report.runs import Results, read_results
 from tests.study.report import synthetic
 
 
@@ -38,7 +38,7 @@ def test_labels_of_lines_with_one_end_do_not_overlap() -> None:
     assert len(labels) == 14
     boxes = sorted((label.get_window_extent().y0, label.get_text()) for label in labels)
     assert [text for _, text in boxes] == [f"arm {rank}" for rank in range(14)]
-    assert np.diff([y for y, _ in boxes]).min() >= canvas.LABEL_SPACING_PT * figure.dpi / 72 - 0.5
+    assert np.diff([y for y, _ in boxes]).min() >= LABEL_SPACING_PT * figure.dpi / 72 - 0.5
 
 
 def test_every_run_has_a_dot_of_its_own() -> None:

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.comparison.arms import ARMS
-from study.report.appearance import LABELS, best_peer, by_rank, family, looks
+from study.experiment.arms import ARMS
+from study.report.appearance import best_peer, by_rank, kind_of, label_of, looks
 from study.report.markdown import report_text
 from study.report.numbers import numbers
 from study.report.overview import report_tables
-from study.report.results import ArmRuns, Results
+from study.report.runs import ArmRuns, Results
 from study.report.writing import write_report
 from tests.study.report import synthetic
 
@@ -37,6 +37,7 @@ def test_walkers_are_counted() -> None:
     assert found.within == {1: 1, 3: 2, 10: 2, 30: 4}
     assert list(found.cost_after) == [10, 30]
     assert found.cost_after[30].value == pytest.approx(1.0 + 2 + 1.0 - 29 / 39)
+    assert found.best_cost.value == pytest.approx(1.0 + 2)
 
 
 def test_arms_are_compared_with_the_papers_method_on_the_same_runs() -> None:
@@ -75,17 +76,17 @@ def test_the_best_peer_has_most_walkers_then_the_earliest() -> None:
     assert best_peer([ours]) is None
 
 
-def test_families() -> None:
-    assert family("gp-optuna") == "peer"
-    assert family("score-first-flat") == "control"
-    assert family("best-mild") == family("dog") == "ours"
+def test_an_arm_that_nobody_knows_any_more_has_its_name_and_is_ours() -> None:
+    assert (kind_of("gp-optuna"), label_of("gp-optuna")) == ("peer", "GPSampler")
+    assert (kind_of("score-first-old"), label_of("score-first-old")) == ("ours", "score-first-old")
+    assert best_peer([arm("score-first-old", [1])]) is None
 
 
 def test_looks_tell_all_known_arms_apart(results: Results) -> None:
     found = looks({name: arm(name, [1, 2]) for name in ARMS})
     assert len({(look.colour, look.marker) for look in found.values()}) == len(ARMS)
     assert len({look.label for look in found.values()}) == len(ARMS)
-    assert all(look.label == LABELS.get(name) or name == "random" for name, look in found.items())
+    assert all(look.label == ARMS[name].label for name, look in found.items())
 
 
 def test_looks_tell_arms_apart_and_three_stand_in_front(results: Results) -> None:
@@ -106,8 +107,7 @@ def test_the_document_says_what_was_counted_and_how(results: Results) -> None:
     assert "Best of the peers (most runs with a walker, then the earliest): cmaes-warm" in text
     assert text.count("50, 50 differ") >= 10  # no p without its n
     for name in synthetic.ARMS:
-        label = LABELS.get(name, name)
-        assert label in text
+        assert ARMS[name].label in text
 
 
 def test_an_unfinished_experiment_says_so() -> None:

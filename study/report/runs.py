@@ -1,7 +1,6 @@
-"""What a comparison left in its folder, as arrays of runs and trials."""
+"""The runs of a comparison's arms as arrays: of its folder, finished or not, or of a table."""
 
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,16 +8,15 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from study.comparison.folder import (
-    ARMS_NAME,
+from study.comparison.experiment_folder import (
     EXPERIMENT_NAME,
     RESULTS_NAME,
     RUN_NAME,
     TIMES_NAME,
 )
+from study.report.files import read_document, read_trials, table_files
 from taichi_nmm.errors import InputError
 
 DOCUMENTS = (EXPERIMENT_NAME, RUN_NAME)
@@ -62,6 +60,11 @@ class ArmRuns:
     def has_walker(self) -> NDArray[np.bool_]:
         """Whether a run has a walker after so many trials, [r, t]."""
         return np.asarray(np.logical_or.accumulate(self.walks, axis=1))
+
+    @property
+    def walkers(self) -> int:
+        """Runs with a walker."""
+        return int(self.has_walker[:, -1].sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,16 +121,15 @@ def read_results(folder: str | Path) -> Results:
             column that is needed.
     """
     folder = Path(folder)
-    tables = _tables(folder)
     arms: dict[str, pa.Table] = {}
-    for table in tables:
-        for arm, rows in _by_arm(table).items():
+    for path in table_files(folder):
+        for arm, rows in _by_arm(read_trials(path, COLUMNS)).items():
             if arm not in arms or len(arms[arm]) < len(rows):
                 arms[arm] = rows
     if not arms:
         raise InputError("folder", str(folder), f"the output of tools/compare.py: {RESULTS_NAME}")
     times = _proposal_times(folder)
-    runs = {arm: _arm_runs(folder, arm, rows, times.get(arm)) for arm, rows in arms.items()}
+    runs = {arm: _arm_runs(str(folder), arm, rows, times.get(arm)) for arm, rows in arms.items()}
     facts = {
         key: value for name in DOCUMENTS for key, value in read_document(folder / name).items()
     }
@@ -135,49 +137,17 @@ def read_results(folder: str | Path) -> Results:
     return Results(folder, first["experiment"][0].as_py(), _cost(facts, runs), runs, facts)
 
 
-def read_document(path: Path) -> dict[str, Any]:
-    """A JSON object; empty where there is no such file.
+def runs_of(trials: pa.Table) -> dict[str, ArmRuns]:
+    """The runs of each arm of a table in memory, in the order of the arms' names.
+
+    Args:
+        trials: as `trials.parquet` has them, in any order.
 
     Raises:
-        InputError: it cannot be read.
+        InputError: a run lacks a trial between others, or has one twice.
     """
-    try:
-        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError) as error:
-        raise InputError(path.name, str(path), f"a readable JSON object ({error})") from None
-    return document
-
-
-def read_trials(path: Path, columns: Sequence[str]) -> pa.Table:
-    """Columns of a table of trials.
-
-    Raises:
-        InputError: not readable, or a column is missing.
-    """
-    try:
-        known = pq.read_schema(path).names
-        for name in columns:
-            if name not in known:
-                raise InputError(f"{path.name}: column", name, f"one of {', '.join(known)}")
-        return pq.read_table(path, columns=list(columns))
-    except (OSError, pa.ArrowInvalid) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(path.name, str(path), f"a readable table of trials ({reason})") from None
-
-
-def table_files(folder: Path) -> list[Path]:
-    """The final table of a folder, then the checkpoints of its arms: those that there are."""
-    if not folder.is_dir():
-        raise InputError("folder", str(folder), "the output folder of tools/compare.py")
-    final = folder / RESULTS_NAME
-    checkpoints = sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))
-    return ([final] if final.exists() else []) + checkpoints
-
-
-def _tables(folder: Path) -> list[pa.Table]:
-    return [read_trials(path, COLUMNS) for path in table_files(folder)]
+    arms = _by_arm(trials.select(COLUMNS))
+    return {arm: _arm_runs("trials", arm, rows, None) for arm, rows in arms.items()}
 
 
 def _by_arm(table: pa.Table) -> dict[str, pa.Table]:
@@ -191,11 +161,11 @@ def _by_arm(table: pa.Table) -> dict[str, pa.Table]:
     }
 
 
-def _arm_runs(folder: Path, arm: str, table: pa.Table, proposal_ms: float | None) -> ArmRuns:
+def _arm_runs(source: str, arm: str, table: pa.Table, proposal_ms: float | None) -> ArmRuns:
     runs, counts = np.unique(table["run"].to_numpy(), return_counts=True)
     trial = table["trial"].to_numpy()
     if not np.array_equal(trial, np.concatenate([np.arange(count) for count in counts])):
-        raise InputError(str(folder), f"arm {arm}", "trials 0, 1, 2, ... of each run, each once")
+        raise InputError(source, f"arm {arm}", "trials 0, 1, 2, ... of each run, each once")
     shared = trial < counts.min()
 
     def square(name: str) -> NDArray[Any]:
@@ -221,10 +191,8 @@ def _proposal_times(folder: Path) -> dict[str, float]:
     return {str(name): 1e3 * float(np.median(seconds[arm == name])) for name in np.unique(arm)}
 
 
-def _cost(facts: dict[str, Any], arms: dict[str, ArmRuns]) -> str:
+def _cost(facts: Mapping[str, Any], arms: Mapping[str, ArmRuns]) -> str:
     """The cost's name, as configured; where that is not known, as its size tells."""
-    configured = facts.get("objective", {}).get("cost")
-    if configured is not None:
-        return str(configured)
     largest = max(float(arm.best[:, 0].max()) for arm in arms.values())
-    return "smooth" if largest < LARGEST_SMOOTH_COST else "walking"
+    as_its_size_tells = "smooth" if largest < LARGEST_SMOOTH_COST else "walking"
+    return str(facts.get("objective", {}).get("cost", as_its_size_tells))

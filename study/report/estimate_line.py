@@ -1,10 +1,11 @@
-"""The estimated optimum that a figure shows: of tools/optimum.py, for the same cost."""
+"""The line of a figure that shows the estimated optimum of its cost: of tools/optimum.py."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from study.optimum.folder import OPTIMUM_NAME
-from study.report.results import Results, read_document
+from study.optimum.optimum_folder import OPTIMUM_NAME
+from study.report.files import read_document
+from study.report.runs import Results
 from taichi_nmm.errors import InputError
 
 

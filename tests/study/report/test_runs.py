@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from study.report.results import Results, read_results
+from study.report.runs import Results, read_results, runs_of
 from taichi_nmm.errors import InputError
 from tests.study.report import synthetic
 
@@ -131,3 +131,16 @@ def test_proposal_times_are_medians_of_each_arm(tmp_path: Path) -> None:
     pq.write_table(pa.table(times), folder / "proposal_times.parquet")
     arms = read_results(folder).arms
     assert (arms["dog"].proposal_ms, arms["random"].proposal_ms) == (20.0, 1.0)
+
+
+def test_a_table_in_memory_gives_the_same_runs(tmp_path: Path) -> None:
+    folder = small(tmp_path)
+    table = pq.read_table(folder / "trials.parquet")
+    found = runs_of(table.take(np.random.default_rng(0).permutation(len(table))))
+    known = read_results(folder).arms
+    assert list(found) == list(known)
+    for arm, theirs in known.items():
+        np.testing.assert_array_equal(found[arm].best, theirs.best)
+        assert (found[arm].walkers, found[arm].found) == (theirs.walkers, theirs.found)
+    with pytest.raises(InputError, match="trials: 'arm dog'"):
+        runs_of(table.slice(1))

@@ -1,0 +1,98 @@
+"""What the summary study of an experiment says in the dashboard: a table and a figure.
+
+It is renewed once a minute while the experiment runs: medians only, no resampling.
+"""
+
+import json
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from study.comparison.database import Summary
+from study.palette import SERIES, SERIES_DASHES
+from study.report.markdown import count_text
+from study.report.runs import ArmRuns, runs_of
+
+FIGURE_POINTS = 50  # of a curve: attributes of a study hold 2 kB each
+
+
+def dashboard_summary(name: str, trials: pa.Table, final: bool) -> Summary:
+    """Note and figure of an experiment's trials.
+
+    Args:
+        name: of the experiment.
+        trials: rows of the results table; of each arm those count that all its runs have.
+        final: whether these are all.
+    """
+    arms = list(runs_of(trials).values())
+    return Summary(_note(name, len(trials), arms, final), BestCostFigure(arms))
+
+
+def _note(name: str, trials: int, arms: Iterable[ArmRuns], final: bool) -> str:
+    state = "all trials" if final else "so far; the experiment is running or was stopped"
+    return "\n".join(
+        [
+            f"# {name}",
+            f"{trials} trials ({state}).",
+            "",
+            "| arm | runs | walked | first walker | best cost |",
+            "|---|--:|--:|--:|--:|",
+            *map(_row, arms),
+            "",
+            "walked: runs with a walker, which lasts to the end at 0.3 m/s or more. first walker:"
+            " trials to it, median over runs. best cost: median over runs. All are of the trials"
+            " that every run of the arm has.",
+            "",
+            f"The studies are `{name}/<arm>/run-NNN`; run r has the same body and ground in every"
+            " arm. The best trial of each shows its picture and film.",
+        ]
+    )
+
+
+def _row(arm: ArmRuns) -> str:
+    first = count_text(float(np.median(arm.first_walker)), arm.trials)
+    share = f"{arm.walkers} ({100 * arm.walkers / len(arm.runs):.0f} %)"
+    best = np.median(arm.best[:, -1])
+    return f"| {arm.arm} | {len(arm.runs)} | {share} | {first} | {best:.4g} |"
+
+
+class BestCostFigure:
+    """Median over runs of the best cost so far against trials, an arm a curve.
+
+    Plotly itself is not needed: the dashboard asks of a figure only that it turns into JSON.
+    """
+
+    def __init__(self, arms: Iterable[ArmRuns]) -> None:
+        """A figure of these arms, coloured in their order."""
+        self._arms = tuple(arms)
+
+    def to_json(self) -> str:
+        """The figure as plotly reads it."""
+        return json.dumps({"data": list(self._traces()), "layout": self._layout()})
+
+    def _traces(self) -> Iterator[dict[str, Any]]:
+        for number, arm in enumerate(self._arms):
+            median = np.median(arm.best, axis=0)
+            shown = np.unique(np.linspace(0, len(median) - 1, FIGURE_POINTS).astype(int))
+            yield {
+                "type": "scatter",
+                "mode": "lines",
+                "name": arm.arm,
+                "x": (shown + 1).tolist(),
+                "y": [float(f"{value:.5g}") for value in median[shown]],
+                "line": {
+                    "color": SERIES[number % len(SERIES)],
+                    "dash": SERIES_DASHES[number // len(SERIES) % len(SERIES_DASHES)],
+                    "shape": "hv",
+                },
+            }
+
+    def _layout(self) -> dict[str, Any]:
+        return {
+            "title": {"text": "best cost so far, median over runs"},
+            "xaxis": {"title": {"text": "trials"}},
+            "yaxis": {"title": {"text": "cost"}, "type": "log"},
+            "template": {"layout": {"plot_bgcolor": "white"}},
+        }

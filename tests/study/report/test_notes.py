@@ -1,0 +1,54 @@
+"""The note and the figure that the dashboard shows of an experiment."""
+
+import json
+import time
+
+import numpy as np
+import pyarrow as pa
+
+from study.experiment.arms import ARMS
+from study.palette import SERIES
+from study.report.notes import dashboard_summary
+from tests.study.report import synthetic
+
+
+def trials(best: dict[str, list[list[float]]], walked_below: float) -> pa.Table:
+    """The best costs of each arm's runs, so far; a trial that costs less than that walked."""
+    rows = [
+        {
+            "experiment": "tiny", "arm": arm, "run": run, "trial": trial,
+            "cost": cost, "best_cost": cost, "walked": cost < walked_below,
+        }
+        for arm, runs in best.items()
+        for run, costs in enumerate(runs)
+        for trial, cost in enumerate(costs)
+    ]  # fmt: skip
+    return pa.Table.from_pylist(rows)
+
+
+def test_a_row_and_a_curve_are_medians_over_runs() -> None:
+    best = {"random": [[290.0, 280.0]] * 2, "dog": [[300.0, 90.0], [290.0, 280.0], [90.0, 80.0]]}
+    summary = dashboard_summary("tiny", trials(best, 100.0), final=True)
+    assert "10 trials (all trials)" in summary.note
+    rows = [line for line in summary.note.splitlines() if line.startswith("| ")][1:]
+    assert rows == ["| dog | 3 | 2 (67 %) | 2 | 90 |", "| random | 2 | 0 (0 %) | > 2 | 280 |"]
+    dog, random = json.loads(summary.figure.to_json())["data"]
+    assert (dog["x"], dog["y"]) == ([1, 2], [290.0, 90.0])
+    assert [each["line"]["color"] for each in (dog, random)] == list(SERIES[:2])
+
+
+def test_trials_that_all_runs_have_count() -> None:
+    best = {"dog": [[300.0, 90.0, 90.0], [290.0, 280.0]]}
+    summary = dashboard_summary("tiny", trials(best, 100.0), final=False)
+    assert "5 trials (so far" in summary.note
+    assert "| dog | 2 | 1 (50 %) | > 2 | 185 |" in summary.note
+
+
+def test_every_arm_can_be_renewed_once_a_minute() -> None:
+    """25 arms, 50 runs, 100 trials: 2 s are allowed, of the process that compares."""
+    table = pa.table(synthetic.columns(dict.fromkeys(ARMS, (0.05, 0.0)), 50, 100, "smooth"))
+    before = time.process_time()
+    traces = json.loads(dashboard_summary("all", table, final=False).figure.to_json())["data"]
+    assert time.process_time() - before < 2.0
+    assert len({(each["line"]["color"], each["line"]["dash"]) for each in traces}) == len(ARMS)
+    assert all(len(each["x"]) <= 50 and np.all(np.diff(each["y"]) <= 0) for each in traces)
