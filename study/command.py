@@ -2,12 +2,15 @@
 
 import sys
 from collections.abc import Callable
+from ctypes.util import find_library
 
+from storage.pool import cores
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import Settings
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+GPUS = ("cuda", "vulkan")
 
 
 def run_command(main: Callable[[], None]) -> None:
@@ -32,7 +35,13 @@ def require_arch(settings: Settings) -> None:
     Raises:
         InputError: naming the architecture.
     """
-    if settings.arch in ("cuda", "vulkan"):
+    if settings.arch in GPUS:
         from taichi_nmm.kernel import backend
 
         backend.start(settings)
+
+
+def default_workers(settings: Settings) -> int:
+    """Processes that a command takes where nobody says: a core each; one where a GPU computes."""
+    on_gpu = settings.arch in GPUS or (settings.arch == "auto" and find_library("cuda"))
+    return 1 if on_gpu else cores()

@@ -1,114 +1,119 @@
-"""One study from its first trial to its last, through any number of interruptions."""
+"""One study, live: an arm in a run of an experiment, through any number of interruptions.
+
+Each trial is in the database as soon as it is finished. Its trials are those that a comparison of
+the same experiment has for this arm and run.
+"""
 
 import warnings
 from collections.abc import Callable
 
+import numpy as np
 import optuna
 from optuna.exceptions import ExperimentalWarning, StorageInternalError
 from optuna.storages import BaseStorage, RetryHeartbeatStaleTrialCallback
 from optuna.trial import FrozenTrial, TrialState
 
-from study.arms import new_sampler
-from study.config import StudyConfig
-from study.feature_table import FeatureTable
-from study.identity import check_identity
-from study.objective import WalkObjective
+from storage.document import difference
+from study.experiment.arms import Arm
+from study.experiment.experiment import Experiment, study_name
+from study.experiment.identity import document
+from study.experiment.objective import attributes, costs, finite
+from study.experiment.one_study import OneStudy
+from study.experiment.simulation import simulate_trials
 from taichi_nmm.errors import InputError
+
+IDENTITY_ATTRIBUTE = "experiment"
 
 Report = Callable[[optuna.Study, FrozenTrial], None]
 
 
 def run_study(
-    config: StudyConfig,
-    arm: str,
+    experiment: Experiment,
+    arm: Arm,
+    run: int,
     trials: int,
     storage: BaseStorage,
-    table: FeatureTable | None = None,
     report: Report | None = None,
 ) -> optuna.Study:
-    """Run the study name/arm until it has `trials` finished trials, and return it.
+    """Run the study until it has `trials` finished trials, and return it.
 
     Finished means COMPLETE. Trials found running are taken for dead (the caller sees to it that no
     other process runs this study: `storage.databases.studies.only_run`); they are marked failed and
     run again, with the same parameters, before anything else.
 
     Args:
-        config: what the study is about.
-        arm: one of `study.arms.ARMS`.
+        experiment: of the study.
+        arm: that proposes; found able to by `study.experiment.check`.
+        run: whose body and ground it is about.
         trials: the total, not the number to add.
         storage: of Optuna.
-        table: rows for the samplers that choose among rows.
         report: called after each finished trial.
 
     Raises:
-        InputError: a study of that name was made with another configuration, or the table has
-            fewer rows than there are trials.
+        InputError: the run is none of the experiment's, or a study of that name was made otherwise.
     """
-    check_trials(trials, table)
-    study = open_study(config, arm, storage, table)
-    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-        repeat(study, trial)
-    objective = WalkObjective(config)
-    while (done := len(finished(study))) < trials:
-        study.sampler = new_sampler(arm, config, table, turn=done)
-        run_trial(study, objective, report)
-    return study
+    experiment.require_run(run)
+    one = OneStudy(experiment, arm, run, open_study(experiment, arm, run, storage))
+    _repeat_running(one.study)
+    while one.trials < trials:
+        told = _run_trial(experiment, one)
+        if report is not None:
+            report(one.study, told)
+    return one.study
 
 
-def check_trials(trials: int, table: FeatureTable | None) -> None:
-    """Refuse a number of trials that cannot be run; no row is ever taken twice."""
-    if trials < 1:
-        raise InputError("trials", trials, "1 or more")
-    if table is not None and trials > (rows := int(table.rows.offered.sum())):
-        raise InputError("trials", trials, f"at most {rows}, the rows of the store")
+def open_study(experiment: Experiment, arm: Arm, run: int, storage: BaseStorage) -> optuna.Study:
+    """The study of an arm in a run, new or resumed; one that was made otherwise is refused.
 
-
-def open_study(
-    config: StudyConfig, arm: str, storage: BaseStorage, table: FeatureTable | None
-) -> optuna.Study:
-    """The study name/arm, new or resumed; one of another configuration is refused."""
+    Raises:
+        InputError: naming the study, the first field that differs, and the value it has there.
+    """
+    name = study_name(experiment.name, arm.name, run)
+    _refuse_older(f"{experiment.name}/{arm.name}", name, storage)
     study = optuna.create_study(
-        storage=storage,
-        study_name=study_name(config, arm),
-        direction="minimize",
-        load_if_exists=True,
+        storage=storage, study_name=name, direction="minimize", load_if_exists=True
     )
-    check_identity(study, config, arm, table)
+    identity = document(experiment, (arm,))
+    known = study.user_attrs.get(IDENTITY_ATTRIBUTE)
+    if known is None:
+        if study.get_trials(deepcopy=False):
+            raise InputError("study", name, "a name that no study of another program has")
+        study.set_user_attr(IDENTITY_ATTRIBUTE, identity)
+    elif found := difference(identity, known):
+        field, ours, theirs = found
+        allowed = f"{theirs!r}, with which it was made; or another name, or another database"
+        raise InputError(f"study {name}: {field}", ours, allowed)
     return study
 
 
-def study_name(config: StudyConfig, arm: str) -> str:
-    """What the study is called in the database and the dashboard."""
-    return f"{config.name}/{arm}"
+def _refuse_older(old: str, new: str, storage: BaseStorage) -> None:
+    """Refuse to go on beside a study of before studies had runs; its seeds were others."""
+    if old in optuna.get_all_study_names(storage):
+        allowed = f"another --storage: this study is of an earlier version, and is now {new}"
+        raise InputError("study", old, allowed)
 
 
-def finished(study: optuna.Study) -> list[FrozenTrial]:
-    """The finished trials, in the order of their numbers."""
-    return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-
-
-def run_trial(study: optuna.Study, objective: WalkObjective, report: Report | None) -> None:
-    """Ask, evaluate, tell; an interrupted trial is put back in the queue."""
-    trial = study.ask()
+def _run_trial(experiment: Experiment, one: OneStudy) -> FrozenTrial:
+    """Ask, simulate, tell; an interrupted trial is put back in the queue."""
     try:
-        value = objective(trial)
+        gains = np.array([one.ask()])
+        rows = finite(simulate_trials(experiment, [one.run], gains).rows)
+        return one.tell(float(costs(rows, experiment.cost)[0]), rows, attributes(rows))
     except StorageInternalError:
         raise  # nothing can be written now; the trial stays running, and the next run repeats it
     except BaseException:
-        repeat(study, study.get_trials(deepcopy=False)[trial.number])
+        _repeat_running(one.study)
         raise
-    told = study.tell(trial, value)
-    if report is not None:
-        report(study, told)
 
 
-def repeat(study: optuna.Study, trial: FrozenTrial) -> None:
-    """Fail a running trial, and queue another with the parameters that it had been given."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ExperimentalWarning)
-        retry = RetryHeartbeatStaleTrialCallback()
-        # First the successor: killed between the two steps, the next run must not lose the trial.
-        waiting = study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
-        if not any(trial.number in retry.retry_history(other) for other in waiting):
-            retry(study, trial)
-    study.tell(trial.number, state=TrialState.FAIL)
+def _repeat_running(study: optuna.Study) -> None:
+    """Fail running trials, and queue others with the parameters that they had been given."""
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            retry = RetryHeartbeatStaleTrialCallback()
+            # First the successor: killed between the two steps, the next run must not lose it.
+            waiting = study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
+            if not any(trial.number in retry.retry_history(other) for other in waiting):
+                retry(study, trial)
+        study.tell(trial.number, state=TrialState.FAIL)

@@ -7,14 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import optuna
-from optuna.trial import FrozenTrial
+from optuna.trial import FrozenTrial, TrialState
 
 from storage.databases.studies import public_url
-from study.objective import trial_gains
-from study.runner import finished
+from study.experiment.objective import outcome_text
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
-from taichi_nmm.parameters import GAIN_NAMES
-from taichi_nmm.result import COMPLETED, END_REASONS
 
 OUTCOMES = ("duration_s", "distance_m", "mean_speed_mps", "end_reason")
 
@@ -23,14 +20,14 @@ def progress_line(study: optuna.Study, trial: FrozenTrial, trials: int) -> str:
     """One finished trial, and the best so far."""
     best = study.best_trial
     return (
-        f"{study.study_name}  {len(finished(study)):>{len(str(trials))}}/{trials}  "
-        f"cost {trial.values[0]:8.4f}  {_outcome(trial):<38}  "
+        f"{study.study_name}  {len(_finished(study)):>{len(str(trials))}}/{trials}  "
+        f"cost {trial.values[0]:8.4f}  {outcome_text(trial.user_attrs):<44}  "
         f"best {best.values[0]:.4f} (trial {best.number})"
     )
 
 
 def study_line(study: optuna.Study) -> str:
-    """A study in one line: how many trials lasted to the end, and the best."""
+    """A study in one line: how many trials walked, and the best."""
     best, walkers = study.best_trial, _walkers(study)
     row = ""
     if ROW_ATTRIBUTE in best.user_attrs:
@@ -39,8 +36,8 @@ def study_line(study: optuna.Study) -> str:
         row = f" (row {best.user_attrs[ROW_ATTRIBUTE]}{scored})"
     first = f", the first in trial {walkers[0]}" if walkers else ""
     return (
-        f"{study.study_name}: {len(walkers)} of {len(finished(study))} trials to the end{first}; "
-        f"best trial {best.number}{row}: cost {best.values[0]:.4f}, {_outcome(best)}"
+        f"{study.study_name}: {len(walkers)} of {len(_finished(study))} trials walked{first}; "
+        f"best trial {best.number}{row}: cost {best.values[0]:.4f}, {outcome_text(best.user_attrs)}"
     )
 
 
@@ -49,7 +46,7 @@ def summary(study: optuna.Study, url: str, gains: Path) -> dict[str, Any]:
     best, walkers = study.best_trial, _walkers(study)
     return {
         "study": study.study_name,
-        "trials": len(finished(study)),
+        "trials": len(_finished(study)),
         "walkers": len(walkers),
         "first_walker": walkers[0] if walkers else None,
         "best_trial": best.number,
@@ -85,22 +82,14 @@ def dashboard_command(url: str) -> str:
 
 
 def best_gains(study: optuna.Study) -> dict[str, float]:
-    """The gains of the best trial by name: the content of a gains file."""
-    return dict(zip(GAIN_NAMES, trial_gains(study.best_trial).tolist(), strict=True))
+    """The searched parameters of the best trial by name: the content of a gains file."""
+    return dict(study.best_trial.params)
+
+
+def _finished(study: optuna.Study) -> list[FrozenTrial]:
+    return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
 
 
 def _walkers(study: optuna.Study) -> list[int]:
-    """Numbers of the trials that did not fall."""
-    return [
-        trial.number
-        for trial in finished(study)
-        if trial.user_attrs["end_reason"] == END_REASONS[COMPLETED]
-    ]
-
-
-def _outcome(trial: FrozenTrial) -> str:
-    attributes = trial.user_attrs
-    return (
-        f"{attributes['end_reason']} {attributes['duration_s']:.1f} s, "
-        f"{attributes['distance_m']:.1f} m at {attributes['mean_speed_mps']:.2f} m/s"
-    )
+    """Numbers of the trials that walked."""
+    return [trial.number for trial in _finished(study) if trial.user_attrs["walked"]]

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from storage.store import open_store
+from study.experiment.features import Feature, Survival, check_feature, feature_table
 from study.feature_table import FeatureTable
-from study.features import Feature, Survival, check_feature, feature_table
 from study.sampler.feature_sampler import FeatureKernelSampler
 
 # Of the families that a store may have: what nearly stands survives stairs, which says little.

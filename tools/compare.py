@@ -1,4 +1,4 @@
-"""Compare samplers on the walker: the same bodies and grounds for each, all going on in lock-step.
+"""Compare samplers on the walker: the same bodies and grounds for each, going on side by side.
 
     python tools/compare.py --config configs/rough8-smooth.toml --arms dog,random --runs 10
 
@@ -9,7 +9,6 @@ codes: 0, 2 bad input, 130 interrupted.
 
 import argparse
 import json
-import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -21,11 +20,14 @@ import optuna
 from tqdm import tqdm
 
 from storage.databases.studies import public_url
-from study.command import run_command
-from study.comparison.command import Outcome, Request, compare
-from study.comparison.experiment import read_experiment
-from study.comparison.lockstep import Progress
-from study.comparison.summary import as_documents, as_text
+from study.command import default_workers, run_command
+from study.comparison.compare import Outcome, Request, compare
+from study.comparison.finished import Progress
+from study.experiment.experiment import Experiment, read_experiment
+from study.report.lines import arms_documents, arms_text
+from study.report.notes import dashboard_summary
+from study.report.numbers import numbers
+from study.report.runs import read_results
 from taichi_nmm.settings import ARCHITECTURES
 
 
@@ -76,10 +78,7 @@ def parse() -> argparse.Namespace:
         "--out", type=Path, metavar="DIR", help="default: out/compare/NAME or NAME-seed-N"
     )
     parser.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
-    parser.add_argument(
-        "--workers", type=int, default=os.cpu_count() or 1, metavar="N",
-        help="processes of the samplers (%(default)s)",
-    )  # fmt: skip
+    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: the cores")
     parser.add_argument("--no-artifacts", action="store_true", help="no pictures, no movies")
     parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
@@ -93,18 +92,20 @@ def main() -> None:
     name = experiment.name if args.seed is None else f"{experiment.name}-seed-{args.seed}"
     out = args.out or Path("out") / "compare" / name
     arms = tuple(args.arms.split(",")) if args.arms is not None else None
+    settings = experiment.conditions.settings
+    workers = default_workers(settings) if args.workers is None else args.workers
     request = Request(
-        out, args.storage, arms, args.runs, args.trials, args.workers, not args.no_artifacts
+        out, args.storage, arms, args.runs, args.trials, workers, not args.no_artifacts
     )
     bar = ProgressBar()
     try:
-        outcome = compare(experiment, request, bar.show, bar.draw)
+        outcome = compare(experiment, request, bar.show, bar.draw, dashboard_summary)
     finally:
         bar.close()
-    print(json.dumps(report(outcome, out)) if args.json else text(outcome, out))
+    print(json.dumps(report(experiment, outcome, out)) if args.json else text(outcome, out))
 
 
-def report(outcome: Outcome, out: Path) -> dict[str, Any]:
+def report(experiment: Experiment, outcome: Outcome, out: Path) -> dict[str, Any]:
     """For programs: one object of plain values."""
     return {
         "out": str(out),
@@ -112,7 +113,7 @@ def report(outcome: Outcome, out: Path) -> dict[str, Any]:
         "trials": len(outcome.trials),
         "trials_computed": outcome.computed,
         "wall_s": outcome.wall_s,
-        "arms": as_documents(outcome.arms),
+        "arms": arms_documents(numbers(read_results(out)), experiment.stores),
     }
 
 
@@ -120,7 +121,8 @@ def text(outcome: Outcome, out: Path) -> str:
     """The same for people."""
     done = f"{len(outcome.trials)} trials ({outcome.computed} now, in {outcome.wall_s:.0f} s)"
     database = public_url(outcome.storage)
-    return f"{as_text(outcome.arms)}\n{done}: {out / 'trials.parquet'}\ndatabase: {database}"
+    arms = arms_text(numbers(read_results(out)))
+    return f"{arms}\n{done}: {out / 'trials.parquet'}\ndatabase: {database}"
 
 
 if __name__ == "__main__":

@@ -9,20 +9,21 @@ and more runs or generations can be asked for later. Exit codes: 0, 2 bad input,
 
 import argparse
 import json
-import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from study.command import run_command
-from study.comparison import lockstep as comparison
-from study.optimum.config import read_optimum_config
+from study.command import default_workers, run_command
+from study.comparison import finished as comparison
+from study.experiment.experiment import MOST_GENERATIONS, Experiment, read_experiment
 from study.optimum.estimate import Reports, estimate
-from study.optimum.folder import OPTIMUM_NAME
-from study.optimum.lockstep import Progress
+from study.optimum.generations import Progress
+from study.optimum.optimum_folder import OPTIMUM_NAME
+from taichi_nmm.errors import InputError
 from taichi_nmm.settings import ARCHITECTURES
 
 
@@ -35,20 +36,31 @@ def parse() -> argparse.Namespace:
         help="where a run of CMA-ES is cut; default: the config's. More can be asked for later",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/optimum/NAME")
-    parser.add_argument(
-        "--workers", type=int, default=os.cpu_count() or 1, metavar="N",
-        help="processes of the sampler (%(default)s)",
-    )  # fmt: skip
+    parser.add_argument("--workers", type=int, metavar="N", help="processes; default: the cores")
     parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
     parser.add_argument("--json", action="store_true", help="print optimum.json")
     return parser.parse_args()
 
 
+def read(args: argparse.Namespace) -> Experiment:
+    """The experiment, with the cut that was asked for."""
+    experiment = read_experiment(args.config, args.arch)
+    most = args.max_generations
+    if most is None:
+        return experiment
+    if not 1 <= most <= MOST_GENERATIONS:
+        allowed = f"a whole number from 1 to {MOST_GENERATIONS}"
+        raise InputError("max-generations", most, allowed)
+    return replace(experiment, cmaes=replace(experiment.cmaes, max_generations=most))
+
+
 def main() -> None:
     args = parse()
-    config = read_optimum_config(args.config, args.arch, args.max_generations)
-    out = args.out or Path("out") / "optimum" / config.experiment.name
-    document = estimate(config, out, args.runs, args.workers, Reports(show_dog, show_cmaes))
+    experiment = read(args)
+    out = args.out or Path("out") / "optimum" / experiment.name
+    settings = experiment.conditions.settings
+    workers = default_workers(settings) if args.workers is None else args.workers
+    document = estimate(experiment, out, args.runs, workers, Reports(show_dog, show_cmaes))
     print(json.dumps(document) if args.json else text(document, out))
 
 

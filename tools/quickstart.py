@@ -6,12 +6,15 @@ on where it was stopped.
 
 import argparse
 import os
+import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import numpy as np
 import optuna
 from tqdm import tqdm
 
@@ -21,10 +24,10 @@ from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.command import run_command
-from study.config import StudyConfig, read_study_config
-from study.feature_table import FeatureTable
-from study.objective import simulate_gains, trial_gains
-from study.runner import run_study, study_name
+from study.experiment.arms import find_arm
+from study.experiment.experiment import Experiment, read_experiment, study_name
+from study.experiment.simulation import simulate_trials
+from study.runner import run_study
 from study.summary import best_gains, dashboard_command, progress_line, study_line
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.config import read_toml
@@ -32,8 +35,9 @@ from taichi_nmm.result import Result
 from taichi_nmm.terrain import Terrain, flat
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+CONFIG = CONFIGS / "rough8.toml"
 ARMS = ("dog", "random")
-TRIALS = 30  # of each: about where the paper finds its walkers
+RUN = 0
 REFERENCE_S = 30.0  # of the reference gait, for its pictures
 
 
@@ -43,39 +47,36 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def make_store(path: Path) -> FeatureTable:
+def make_store(path: Path) -> None:
     specification = read_specification(read_toml(CONFIGS / "quickstart-store.toml"))
     duration_s = specification.conditions.duration_s
     say(f"1. Scoring {specification.samples} walkers, {duration_s:g} s on flat ground")
     with tqdm(total=specification.samples, unit="walker") as bar:
         precompute(specification, path, progress=lambda points: bar.update(int(points) - bar.n))
-    return FeatureTable.from_parquet(path, features=["phi_printed"])
 
 
-def run_arm(config: StudyConfig, arm: str, url: str, table: FeatureTable) -> optuna.Study:
+def run_arm(experiment: Experiment, name: str, url: str) -> optuna.Study:
+    arm, trials = find_arm(name), experiment.trials
     storage = open_studies(url)
-    with only_run(url, study_name(config, arm)), storage_errors(url):
+    with only_run(url, study_name(experiment.name, name, RUN)), storage_errors(url):
         return run_study(
-            config,
-            arm,
-            TRIALS,
-            storage,
-            table if arm == "dog" else None,
-            report=lambda study, trial: say(progress_line(study, trial, TRIALS)),
-        )
+            experiment, arm, RUN, trials, storage,
+            report=lambda study, trial: say(progress_line(study, trial, trials)),
+        )  # fmt: skip
 
 
-def draw_found(out: Path, config: StudyConfig, study: optuna.Study) -> list[Path]:
-    result = simulate_gains(config, trial_gains(study.best_trial), record=True)
+def draw_found(out: Path, experiment: Experiment, study: optuna.Study) -> list[Path]:
+    gains = np.array([list(best_gains(study).values())])
+    result = simulate_trials(experiment, [RUN], gains, record=True)
     title = f"Found by {study.study_name}"
-    return draw(out, "found", title, result, config.terrain, config.bodies)
+    return draw(out, "found", title, result, experiment.terrain(RUN), experiment.body(RUN))
 
 
-def draw_reference(out: Path, config: StudyConfig) -> list[Path]:
+def draw_reference(out: Path, experiment: Experiment) -> list[Path]:
     result = taichi_nmm.simulate(
         taichi_nmm.load_gains("reference"),
         duration_s=REFERENCE_S,
-        settings=config.settings,
+        settings=experiment.conditions.settings,
         record=(0,),
     )
     return draw(out, "reference", "Reference gait", result, flat(), Bodies.nominal())
@@ -98,25 +99,31 @@ def say(*lines: str) -> None:
     print(*lines, sep="\n", flush=True)
 
 
+def film_command(out: Path) -> str:
+    """The line that films the walker found on the ground and body of the studies."""
+    words = ["tools/walk.py", "--gains", str(out / "found.json"), "--config", "configs/rough8.toml"]
+    return f"{os.path.relpath(sys.executable)} {shlex.join(words)}"
+
+
 def main() -> None:
     out: Path = parse().out
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    config = read_study_config(CONFIGS / "rough8.toml")
-    table = make_store(out / "store")
+    experiment = replace(read_experiment(CONFIG), stores={"flat": out / "store"})
+    make_store(out / "store")
     url = f"sqlite:///{out / 'studies.db'}"
-    say(f"2. {TRIALS} trials with each sampler: {config.duration_s:g} s on {config.terrain.name}")
-    studies = [run_arm(config, arm, url, table) for arm in ARMS]
+    ground, duration_s = experiment.terrain(RUN).name, experiment.conditions.duration_s
+    say(f"2. {experiment.trials} trials with each sampler: {duration_s:g} s on {ground}")
+    studies = [run_arm(experiment, arm, url) for arm in ARMS]
     best = min(studies, key=lambda study: study.best_value)
     commit_json(out / "found.json", best_gains(best))
     say("3. Drawing the best walker found, and the reference gait")
-    paths = draw_found(out, config, best) + draw_reference(out, config)
+    paths = draw_found(out, experiment, best) + draw_reference(out, experiment)
     say(
         "",
         *(study_line(study) for study in studies),
         f"Gains of the best: {out / 'found.json'}",
         f"Pictures: {', '.join(str(path) for path in paths)}",
-        f"A film of it: {os.path.relpath(sys.executable)} tools/walk.py "
-        f"--gains {out / 'found.json'} --config configs/rough8.toml",
+        f"A film of it: {film_command(out)}",
         f"All trials in a browser: {dashboard_command(url)}",
     )
 

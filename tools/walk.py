@@ -1,16 +1,20 @@
 """Simulate one controller and show how it walks.
 
     python tools/walk.py --gains reference --config configs/flat.toml --out out/walk/reference
+    python tools/walk.py --store out/store --row 17
+    python tools/walk.py --trial rough8-smooth/dog/run-007/12 --storage out/compare/rough8-smooth \\
+        --config configs/rough8-smooth.toml --run 7
 
-writes strip.png, gait_cycle.png and movie.mp4 to the folder. Gains are a name (reference, K_T) or a
-JSON file of the 16 gains. Exit codes: 0, 2 bad input, 130 interrupted.
+writes strip.png, gait_cycle.png and movie.mp4 to the folder. Gains are a name (reference, K_T), a
+JSON file of gains, a row of a store, or a finished trial of a study database or of a comparison.
+Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
 import argparse
 import json
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,49 +27,40 @@ from tqdm import tqdm
 import taichi_nmm
 from storage.commit import writable
 from study.command import run_command
-from study.draws import Purpose, stream
+from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
+from study.experiment.objective import outcome_text
+from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
-from taichi_nmm.body import GRAVITY_MPS2, Bodies
-from taichi_nmm.config import read_bodies, read_settings, read_terrain, read_toml
+from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, load_gains
-from taichi_nmm.settings import ARCHITECTURES, Settings
-from taichi_nmm.terrain import Terrain
+from taichi_nmm.settings import ARCHITECTURES
 
 ANGLES = (
     "knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad",
 )  # fmt: skip
 REPOSITORY = Path(__file__).resolve().parents[1]
-LARGEST_DURATION_S = 1000.0
 LONGEST_MOVIE_S = 120.0
 RECORD_RATE_HZ = 200.0
+MEASURES = ("duration_s", "distance_m", "mean_speed_mps")
 REPORTED = (
-    "duration_s", "distance_m", "mean_speed_mps", "cost_of_transport_jpkgpm", "step_count",
+    *MEASURES, "cost_of_transport_jpkgpm", "step_count",
     "phi_printed", "phi_corrected",
 )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """Where and how long one controller walks."""
-
-    duration_s: float
-    settings: Settings
-    bodies: Bodies
-    terrain: Terrain
-
-    @property
-    def body_weight_n(self) -> float:
-        """Of the one body."""
-        return float(self.bodies.mass_kg[0].sum() * GRAVITY_MPS2)
-
-
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--gains", default="reference", help="reference, K_T or FILE.json")
+    parser.add_argument("--gains", metavar="NAME|FILE", help="reference (default), K_T, FILE.json")
+    parser.add_argument("--row", type=int, metavar="N", help="of --store")
+    parser.add_argument("--store", type=Path, metavar="DIR", help="of scores, for --row")
+    parser.add_argument("--trial", metavar="STUDY/NUMBER", help="a finished trial, of --storage")
+    parser.add_argument("--storage", metavar="URL|DIR", help="study database, or a comparison")
     parser.add_argument(
-        "--config", default=REPOSITORY / "configs" / "flat.toml", help="TOML (configs/flat.toml)"
-    )
+        "--config", default=REPOSITORY / "configs" / "flat.toml",
+        help="an experiment's TOML (configs/flat.toml)",
+    )  # fmt: skip
+    parser.add_argument("--run", type=int, default=0, help="whose body and ground (%(default)s)")
+    parser.add_argument("--seed", type=int, help="in place of the config's, as in tools/compare.py")
     parser.add_argument("--duration", type=float, help="seconds; default: the config's")
     parser.add_argument("--out", type=Path, help="for the pictures; default: out/walk/NAME")
     parser.add_argument(
@@ -76,24 +71,30 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def read_setting(path: str | Path, duration_s: float | None, arch: str | None) -> Setting:
-    """The config's body, ground and simulation; what a study's config says besides is not ours."""
-    table = read_toml(path)
-    seed = table.integer("seed", 0)
-    simulation = table.table("simulation")
-    configured = simulation.number("duration_s", 100.0, 0.1, LARGEST_DURATION_S)
-    setting = Setting(
-        duration_s=configured if duration_s is None else duration_s,
-        settings=read_settings(simulation, arch),
-        bodies=read_bodies(table.table("body"), stream(seed, Purpose.BODY)),
-        terrain=read_terrain(table.table("terrain"), stream(seed, Purpose.TERRAIN)),
-    )
-    simulation.done()
-    for of_studies in ("objective", "dog", "best"):
-        table.table(of_studies)
-    table.text("name", "")
-    table.done()
-    return setting
+def find_gains(args: argparse.Namespace) -> NamedGains:
+    """The one controller that was asked for."""
+    for one, other in (("row", "store"), ("trial", "storage")):
+        if (getattr(args, one) is None) != (getattr(args, other) is None):
+            missing = one if getattr(args, one) is None else other
+            raise InputError(missing, None, f"given: --{one} and --{other} belong together")
+    given = [name for name in ("gains", "row", "trial") if getattr(args, name) is not None]
+    if len(given) > 1:
+        raise InputError(given[1], getattr(args, given[1]), f"none beside --{given[0]}")
+    if args.row is not None:
+        return gains_of_row(args.store, args.row)
+    if args.trial is not None:
+        return gains_of_trial(args.trial, args.storage)
+    return gains_of_source(args.gains or "reference")
+
+
+def read(args: argparse.Namespace) -> Experiment:
+    """The experiment, with the duration that was asked for."""
+    experiment = read_experiment(args.config, args.arch, args.seed)
+    experiment.require_run(args.run)
+    if args.duration is None:
+        return experiment
+    conditions = replace(experiment.conditions, duration_s=args.duration)
+    return replace(experiment, conditions=conditions)
 
 
 def check_range(name: str, value: float, low: float, high: float) -> None:
@@ -108,18 +109,20 @@ def make_folder(folder: Path) -> None:
         tempfile.TemporaryFile(dir=folder).close()
 
 
-def simulate(gains: np.ndarray, setting: Setting) -> taichi_nmm.Result:
-    with tqdm(total=setting.duration_s, unit="s", desc="walking", disable=None) as bar:
+def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.Result:
+    conditions = experiment.conditions
+    with tqdm(total=conditions.duration_s, unit="s", desc="walking", disable=None) as bar:
 
         def progress(simulated_s: float, active: int) -> None:
             bar.update(simulated_s - bar.n)
 
         return taichi_nmm.simulate(
-            gains,
-            duration_s=setting.duration_s,
-            bodies=setting.bodies,
-            terrains=setting.terrain,
-            settings=setting.settings,
+            gains.gains,
+            low_level_gains=gains.low_level,
+            duration_s=conditions.duration_s,
+            bodies=experiment.body(run),
+            terrains=experiment.terrain(run),
+            settings=conditions.settings,
             record=[0],
             record_rate_hz=RECORD_RATE_HZ,
             progress=progress,
@@ -127,37 +130,31 @@ def simulate(gains: np.ndarray, setting: Setting) -> taichi_nmm.Result:
 
 
 def write_pictures(
-    result: taichi_nmm.Result, setting: Setting, folder: Path, title: str, movie_s: float
+    result: taichi_nmm.Result,
+    experiment: Experiment,
+    run: int,
+    folder: Path,
+    title: str,
+    movie_s: float,
 ) -> dict[str, str]:
     """Paths of the pictures by what they show."""
-    trajectory = result.trajectories[0]
-    terrain = setting.terrain
+    trajectory, terrain = result.trajectories[0], experiment.terrain(run)
+    weight_n = float(experiment.body(run).mass_kg[0].sum() * GRAVITY_MPS2)
     paths = {
         "strip": write_strip(folder / "strip.png", trajectory, terrain, title),
-        "gait_cycle": write_gait_cycle(
-            folder / "gait_cycle.png", trajectory, setting.body_weight_n, title
-        ),
+        "gait_cycle": write_gait_cycle(folder / "gait_cycle.png", trajectory, weight_n, title),
     }
     if movie_s > 0:
         paths["movie"] = write_movie(folder / "movie.mp4", trajectory, terrain, movie_s, title)
     return {name: str(path) for name, path in paths.items()}
 
 
-def outcome(row: np.void, end_reason: str) -> str:
-    """How a walk ended, in one line."""
-    how = "walked" if end_reason == "completed" else f"{end_reason} after"
-    return (
-        f"{how} {row['duration_s']:.1f} s, {row['distance_m']:.1f} m"
-        f" at {row['mean_speed_mps']:.2f} m/s"
-    )
-
-
-def summary(name: str, setting: Setting, row: np.void, end_reason: str) -> str:
+def summary(title: str, row: np.void) -> str:
     """What a person wants to know, a line each."""
     degrees = {field: float(np.rad2deg(row[field])) for field in ANGLES}
     return "\n".join(
         (
-            f"{name} on {setting.terrain.name}: {outcome(row, end_reason)}",
+            title,
             f"cost of transport   {row['cost_of_transport_jpkgpm']:.2f} J/(kg m)",
             f"scored steps        {row['step_count']}, {row['step_length_mean_m']:.3f} m"
             f" and {row['step_duration_mean_s']:.3f} s each,"
@@ -173,7 +170,7 @@ def summary(name: str, setting: Setting, row: np.void, end_reason: str) -> str:
 
 
 def report(
-    gains: np.ndarray, row: np.void, end_reason: str, paths: dict[str, str]
+    gains: NamedGains, row: np.void, end_reason: str, paths: dict[str, str]
 ) -> dict[str, Any]:
     """The same for programs: one object of plain values."""
     numbers = {field: row[field].item() for field in REPORTED}
@@ -181,31 +178,31 @@ def report(
         # JSON has no NaN: what a walker that diverged has not got is null.
         **{field: value if np.isfinite(value) else None for field, value in numbers.items()},
         "end_reason": end_reason,
-        "gains": dict(zip(GAIN_NAMES, gains.tolist(), strict=True)),
+        "gains": gains.as_document(),
         "pictures": paths,
     }
 
 
 def main() -> None:
     args = parse()
-    gains = load_gains(args.gains)
+    gains = find_gains(args)
     if args.duration is not None:
-        check_range("duration", args.duration, 0.1, LARGEST_DURATION_S)
+        check_range("duration", args.duration, 0.1, LONGEST_TRIAL_S)
     check_range("movie-seconds", args.movie_seconds, 0.0, LONGEST_MOVIE_S)
-    setting = read_setting(args.config, args.duration, args.arch)
+    experiment = read(args)
     if args.movie_seconds > 0:
         find_ffmpeg()
-    name = Path(args.gains).stem
-    folder = args.out or Path("out") / "walk" / name
+    folder = args.out or Path("out") / "walk" / gains.name
     make_folder(folder)
-    result = simulate(gains, setting)
+    result = simulate(gains, experiment, args.run)
     row, end_reason = result.rows[0], str(result.end_reason[0])
-    title = f"{name} on {setting.terrain.name}: {outcome(row, end_reason)}"
-    paths = write_pictures(result, setting, folder, title, args.movie_seconds)
+    shown = {name: row[name] for name in MEASURES} | {"end_reason": end_reason}
+    title = f"{gains.name} on {experiment.terrain(args.run).name}: {outcome_text(shown)}"
+    paths = write_pictures(result, experiment, args.run, folder, title, args.movie_seconds)
     if args.json:
         print(json.dumps(report(gains, row, end_reason, paths)))
         return
-    print(summary(name, setting, row, end_reason))
+    print(summary(title, row))
     for shows, path in paths.items():
         print(f"{shows.replace('_', ' '):<19} {path}")
 

@@ -6,11 +6,10 @@ arms that are equal share their files. A file that is there is whole, and is not
 
 import json
 import uuid
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import compress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import optuna
@@ -23,12 +22,14 @@ from optuna_dashboard.artifact import get_artifact_path
 from storage.commit import TEMPORARY_SUFFIX, writable
 from storage.databases.bulk import attach
 from storage.databases.studies import open_studies, storage_errors
-from study.comparison.database import fingerprint, study_name
-from study.comparison.drawing import FILM, STRIP, Task, drawers
-from study.comparison.experiment import Experiment
-from study.comparison.folder import ARTIFACTS_NAME
+from storage.pool import IN_PROCESS, Pool
+from study.comparison.drawing import FILM, STRIP, Drawing, draw
+from study.comparison.experiment_folder import ARTIFACTS_NAME
 from study.comparison.results import gains_of
-from study.comparison.simulation import simulate_trials
+from study.experiment.experiment import Experiment, study_name
+from study.experiment.identity import fingerprint
+from study.experiment.objective import outcome_text
+from study.experiment.simulation import simulate_trials
 from study.pictures import find_ffmpeg
 
 RECORDED_S = 12.0  # from the start of the trial
@@ -62,8 +63,8 @@ def make_artifacts(
     trials: pa.Table,
     url: str,
     out: Path,
+    pool: Pool = IN_PROCESS,
     progress: Progress | None = None,
-    workers: int | None = None,
 ) -> None:
     """Draw the best trial of each study and attach picture and film to it.
 
@@ -72,8 +73,8 @@ def make_artifacts(
         trials: rows of the results table, exported to the database before.
         url: of the study database.
         out: folder of the experiment; the files go to its folder artifacts.
+        pool: that draws.
         progress: called with the number of walks that are done, and of all.
-        workers: processes that draw; None is one a core, 1 is none beside this one.
 
     Raises:
         InputError: no ffmpeg that works (before anything is drawn), or no place to write.
@@ -93,15 +94,15 @@ def make_artifacts(
     finished = len(done)
     tell = progress or (lambda finished, of: None)
     tell(finished, len(walks))
-    with drawers(workers, len(missing)) as draw:
-        for first in range(0, len(missing), WALKS_PER_BATCH):
-            batch = missing[first : first + WALKS_PER_BATCH]
-            drawn = []
-            for is_drawn in draw(_tasks(experiment, batch, folder, program)):
-                drawn.append(is_drawn)
-                finished += 1
-                tell(finished, len(walks))
-            _attach(experiment, list(compress(batch, drawn)), url)
+    for first in range(0, len(missing), WALKS_PER_BATCH):
+        batch = missing[first : first + WALKS_PER_BATCH]
+        drawings = _drawings(experiment, batch, folder, program)
+        drawn = {}
+        for drawing, is_drawn in pool.results(draw, deque(drawings)):
+            drawn[drawing.strip] = is_drawn
+            finished += 1
+            tell(finished, len(walks))
+        _attach(experiment, [w for w in batch if drawn[_paths(experiment, w, folder)[0]]], url)
 
 
 def best_walks(experiment: Experiment, trials: pa.Table) -> list[Walk]:
@@ -116,16 +117,9 @@ def best_walks(experiment: Experiment, trials: pa.Table) -> list[Walk]:
         trial = (study_name(experiment.name, row["arm"], row["run"]), row["trial"])
         key = (row["run"], gains.tobytes())
         others = found[key].trials if key in found else ()
-        found[key] = Walk(row["run"], gains, _title(experiment, row), (*others, trial))
+        title = f"{experiment.name}, run {row['run']}: {outcome_text(row)}"
+        found[key] = Walk(row["run"], gains, title, (*others, trial))
     return list(found.values())
-
-
-def _title(experiment: Experiment, row: dict[str, Any]) -> str:
-    how = "walked" if row["end_reason"] == "completed" else f"{row['end_reason']} after"
-    return (
-        f"{experiment.name}, run {row['run']}: {how} {row['duration_s']:.1f} s,"
-        f" {row['distance_m']:.1f} m at {row['mean_speed_mps']:.2f} m/s"
-    )
 
 
 def _artifact_id(experiment: Experiment, walk: Walk, kind: str) -> str:
@@ -138,21 +132,21 @@ def _paths(experiment: Experiment, walk: Walk, folder: Path) -> list[Path]:
     return [folder / _artifact_id(experiment, walk, kind) for kind in KINDS]
 
 
-def _tasks(
+def _drawings(
     experiment: Experiment, walks: Sequence[Walk], folder: Path, program: str
-) -> Iterator[Task]:
+) -> Iterator[Drawing]:
     """Simulate the walks together; each is then a picture and a film to draw."""
     result = simulate_trials(
         experiment,
         [walk.run for walk in walks],
         np.array([walk.gains for walk in walks]),
         record=True,
-        duration_s=min(RECORDED_S, experiment.duration_s),
+        duration_s=min(RECORDED_S, experiment.conditions.duration_s),
         record_rate_hz=RECORD_RATE_HZ,
     )
     for walk, trajectory in zip(walks, result.trajectories, strict=True):
         strip, film = _paths(experiment, walk, folder)
-        yield Task(trajectory, experiment.terrain(walk.run), walk.title, strip, film, program)
+        yield Drawing(trajectory, experiment.terrain(walk.run), walk.title, strip, film, program)
 
 
 def _attach(experiment: Experiment, walks: Sequence[Walk], url: str) -> None:

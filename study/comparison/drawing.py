@@ -1,12 +1,5 @@
-"""Pictures and films drawn by all cores."""
+"""The picture and the film of one walk: a unit of work for any pool."""
 
-import multiprocessing
-import os
-import signal
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,14 +12,11 @@ from taichi_nmm.terrain import Terrain
 STRIP, FILM = "strip", "film"
 STRIP_DPI = 100
 FILM_S = 8.0
-TASKS_PER_PROCESS = 4  # to start one takes about as long as to draw these
-
-Draw = Callable[[Iterable["Task"]], Iterator[bool]]
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
-    """What one process draws at a time: a walk, where its files go, and the encoder's program."""
+class Drawing:
+    """What is drawn at a time: a walk, where its files go, and the encoder's program."""
 
     trajectory: Trajectory
     terrain: Terrain
@@ -36,50 +26,20 @@ class Task:
     program: str
 
 
-@contextmanager
-def drawers(workers: int | None, tasks: int) -> Iterator[Draw]:
-    """A function that draws tasks, and says of each, when it is done, whether there was a picture.
+def draw(drawing: Drawing) -> bool:
+    """Draw what is not there yet.
 
-    Args:
-        workers: processes; None is one a core, 1 draws in this process.
-        tasks: how many will come; for a few no process is started.
+    Returns:
+        Whether there was anything to draw: a walk that diverged before its first sample has none.
 
     Raises:
         InputError: a file cannot be written, or the encoder failed.
     """
-    count = min(workers or os.cpu_count() or 1, tasks // TASKS_PER_PROCESS)
-    if count <= 1:
-        yield lambda batch: map(_draw, batch)
-        return
-    # Not forked: the simulator's threads would not survive it.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_follow_parent)
-    try:
-        yield lambda batch: pool.map(_draw, batch)
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _follow_parent() -> None:
-    """Leave Ctrl-C to the parent, and end when it does, however it ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def watch() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-def _draw(task: Task) -> bool:
-    """Whether there was anything to draw: a walk that diverged before its first sample has none."""
-    if not np.isfinite(task.trajectory.q).all(axis=1).any():
+    if not np.isfinite(drawing.trajectory.q).all(axis=1).any():
         return False
-    walk = (task.trajectory, task.terrain)
-    if not task.strip.exists():
-        write_strip(task.strip, *walk, task.title, STRIP_DPI)
-    if not task.film.exists():
-        write_movie(task.film, *walk, FILM_S, task.title, film=SMALL, program=task.program)
+    walk = (drawing.trajectory, drawing.terrain)
+    if not drawing.strip.exists():
+        write_strip(drawing.strip, *walk, drawing.title, STRIP_DPI)
+    if not drawing.film.exists():
+        write_movie(drawing.film, *walk, FILM_S, drawing.title, film=SMALL, program=drawing.program)
     return True

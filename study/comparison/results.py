@@ -5,20 +5,21 @@ sampler noted in the trial, from which a stopped study is set up again.
 """
 
 import json
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from study.comparison.experiment import Experiment
-from study.comparison.outcome import walked
+from study.experiment.experiment import Experiment
+from study.experiment.objective import KEPT, OUTCOMES, walked
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS
-from taichi_nmm.result import END_REASONS, SCORE_FIELDS
+from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
 
 Floats = NDArray[np.float64]
+Key = tuple[str, int]  # arm, run: a study of an experiment
 
-OUTCOMES = ("duration_s", "distance_m", "mean_speed_mps", "cost_of_transport_jpkgpm")
 THETA_REF = next(parameter for parameter in LOW_LEVEL_GAINS if parameter.name == "theta_ref")
 PROPOSAL_TIME = "proposal_s"
 NOTES = "notes"
@@ -64,7 +65,7 @@ def state_table(experiment: Experiment, columns: dict[str, Any], gains: Floats) 
     arrays["experiment"] = [experiment.name] * len(gains)
     arrays[THETA_REF.name] = np.full(len(gains), THETA_REF.default)
     arrays |= dict(zip(experiment.names, gains.T, strict=True))
-    arrays |= {name: rows[name] for name in (*OUTCOMES, *(name for name, _ in SCORE_FIELDS))}
+    arrays |= {name: rows[name] for name in KEPT}
     arrays["end_reason"] = np.array(END_REASONS)[rows["end_reason"]]
     arrays["walked"] = walked(rows)
     arrays[NOTES] = [json.dumps(notes) for notes in columns[NOTES]]
@@ -87,3 +88,23 @@ def gains_of(experiment: Experiment, table: pa.Table) -> Floats:
     """The searched parameters of a table's trials, [n, 16 + k]."""
     columns = [table[name].to_numpy() for name in experiment.names]
     return np.column_stack(columns).astype(np.float64)
+
+
+def outcomes_of(table: pa.Table) -> NDArray[np.void]:
+    """What a table says of the simulator's result rows, in their form, [n]; the rest is zero."""
+    rows = np.zeros(len(table), RESULT_DTYPE)
+    for name in KEPT:
+        rows[name] = table[name].to_numpy()
+    reasons = {reason: number for number, reason in enumerate(END_REASONS)}
+    rows["end_reason"] = [reasons[reason] for reason in table["end_reason"].to_pylist()]
+    return rows
+
+
+def by_study(table: pa.Table) -> Iterator[tuple[str, int, pa.Table]]:
+    """The trials of each study of a table, by arm and run: arm, run, its rows by trial."""
+    ordered = in_order([table])
+    sizes = ordered.group_by(["arm", "run"], use_threads=False).aggregate([([], "count_all")])
+    start = 0
+    for group in sizes.to_pylist():
+        yield group["arm"], group["run"], ordered.slice(start, group["count_all"])
+        start += group["count_all"]

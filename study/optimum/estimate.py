@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from study.comparison import lockstep as comparison
-from study.comparison.check import check_arms
-from study.comparison.command import Request, compare
-from study.comparison.identity import machine
-from study.optimum.config import OptimumConfig
-from study.optimum.folder import DOG_NAME, RUNS, OptimumFolder
-from study.optimum.lockstep import CmaesRuns, Progress
+from storage.pool import local_pool
+from study.comparison import finished as comparison
+from study.comparison.compare import Request, compare
+from study.experiment.arms import PAPER_ARM
+from study.experiment.check import check_arms
+from study.experiment.experiment import Experiment
+from study.experiment.identity import document, machine
+from study.optimum.generations import Progress, run_cmaes
+from study.optimum.optimum_folder import DOG_NAME, RUNS, OptimumFolder
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 
@@ -38,64 +40,75 @@ class Reports:
 
 
 def estimate(
-    config: OptimumConfig, out: Path, runs: int | None, workers: int, reports: Reports
+    experiment: Experiment, out: Path, runs: int | None, workers: int, reports: Reports
 ) -> dict[str, Any]:
     """Run both methods, or what is missing of them, and write the result.
 
     Args:
-        config: of the estimate.
-        out: its folder.
+        experiment: level ground and the undisturbed body; its seed is also that of CMA-ES.
+        out: folder of the estimate.
         runs: of each method; None is what the configuration says. A later call may ask for more.
-        workers: processes of the determinants-of-gait sampler.
+        workers: processes of this machine.
         reports: who is told.
 
     Returns:
         The document of optimum.json.
 
     Raises:
-        InputError: see `check_arms`, `OptimumFolder.claim`, `compare` and `CmaesRuns`.
+        InputError: another ground or body, and see `check_arms`, `OptimumFolder.claim`, `compare`
+            and `run_cmaes`.
         KeyboardInterrupt: what is finished is kept.
     """
-    experiment = config.experiment
+    _require_easiest(experiment)
     count = experiment.runs if runs is None else runs
     for name, value in (("runs", count), ("workers", workers)):
         if value < 1:
             raise InputError(name, value, "1 or more")
-    check_arms(experiment, experiment.arms, experiment.trials)
+    check_arms(experiment, (PAPER_ARM,), experiment.trials)
     began_s = time.monotonic()
-    with OptimumFolder.claim(out, config.document()) as folder:
-        request = Request(
-            out=out / DOG_NAME,
-            storage=None,
-            arms=experiment.arms,
-            runs=count,
-            trials=None,
-            workers=workers,
-            artifacts=False,
-        )
-        dog = compare(experiment, request, reports.dog).trials
-        cmaes = CmaesRuns(config, count, folder)
-        tried = cmaes.run(reports.cmaes)
+    with OptimumFolder.claim(out, _document(experiment)) as folder, local_pool(workers) as pool:
+        request = Request(out / DOG_NAME, arms=(PAPER_ARM,), runs=count, artifacts=False)
+        dog = compare(experiment, request, reports.dog, pool=pool).trials
+        tried, stops = run_cmaes(experiment, count, folder, pool, reports.cmaes)
         parts = [
-            _best_of_runs("cmaes", tried, cmaes.stops()),
+            _best_of_runs("cmaes", tried, stops),
             _best_of_runs("dog", dog, [TRIALS_DONE] * count),
         ]
         table = pa.concat_tables(parts)
         folder.write_runs(table)
-        document = result(config, table) | {
+        found = result(experiment, table) | {
             "date": datetime.now(UTC).isoformat(timespec="seconds"),
             "wall_s": round(time.monotonic() - began_s, 1),  # of the session that ended it
             "machine": machine(),
         }
-        folder.write_optimum(document)
-        return document
+        folder.write_optimum(found)
+        return found
 
 
-def result(config: OptimumConfig, runs: pa.Table) -> dict[str, Any]:
+def _require_easiest(experiment: Experiment) -> None:
+    """Refuse what is not the paper's easiest setting, of which runs are repetitions."""
+    conditions = experiment.conditions
+    if conditions.ground.kind != "flat":
+        raise InputError("terrain.kind", conditions.ground.kind, "flat, for the optimum's estimate")
+    if conditions.disturbance:
+        allowed = "0, for the optimum's estimate"
+        raise InputError("body.disturbance", conditions.disturbance, allowed)
+    if experiment.searched:
+        raise InputError("searched", list(experiment.searched), "none, for the optimum's estimate")
+
+
+def _document(experiment: Experiment) -> dict[str, Any]:
+    """What decides the result of CMA-ES; the number of runs and of generations may grow."""
+    cmaes = asdict(experiment.cmaes)
+    cmaes.pop("max_generations")
+    return document(experiment, ()) | {"cmaes": cmaes}
+
+
+def result(experiment: Experiment, runs: pa.Table) -> dict[str, Any]:
     """The best of all, and how each method's runs are distributed."""
     best = runs.slice(int(np.argmin(runs["cost"].to_numpy())), 1).to_pylist()[0]
     return {
-        "cost": config.experiment.cost,
+        "cost": experiment.cost,
         "best_cost": best["cost"],
         "method": best["method"],
         "run": best["run"],
@@ -106,10 +119,10 @@ def result(config: OptimumConfig, runs: pa.Table) -> dict[str, Any]:
             if name not in (*GAIN_NAMES, "method", "run", "cost", "evaluations", "stop")
         },
         "methods": {method: _distribution(runs, method) for method in METHODS},
-        "config": config.document()
+        "config": _document(experiment)
         | {
-            "dog": {"trials": config.experiment.trials},
-            "max_generations": config.cmaes.max_generations,
+            "dog": {"trials": experiment.trials},
+            "max_generations": experiment.cmaes.max_generations,
         },
     }
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from storage.store import Store, open_store
-from study.comparison.arms import Arm
-from study.features import Survival
+from study.experiment.arms import Arm
+from study.experiment.features import Survival
 from taichi_nmm.errors import InputError
 
 NOTHING = "nothing but its own trials"

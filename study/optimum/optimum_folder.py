@@ -8,7 +8,6 @@ optimum.json          written last: the best of all
 .lock                 held by the one process that writes
 """
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,9 +18,10 @@ import pyarrow as pa
 
 from storage.claim import claimed
 from storage.commit import commit_json
-from storage.document import difference
+from storage.document import agree
 from storage.shard import read_columns, write_table
-from study.comparison.results import OUTCOMES
+from study.experiment.identity import GROWING
+from study.experiment.objective import OUTCOMES
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 
@@ -66,7 +66,7 @@ class OptimumFolder:
                 writable.
         """
         with claimed(path, SEARCH_NAME, "one of this command"):
-            _agree(path / SEARCH_NAME, document)
+            agree(path / SEARCH_NAME, document, growing=GROWING, remedy="another --out")
             yield OptimumFolder(path, document)
 
     def read_evaluations(self) -> pa.Table:
@@ -95,18 +95,3 @@ class OptimumFolder:
         """Commit the result."""
         commit_json(self.path / OPTIMUM_NAME, document)
         return self.path / OPTIMUM_NAME
-
-
-def _agree(path: Path, document: dict[str, Any]) -> None:
-    """Write the document into a new folder; in an old one, see that it is the same."""
-    if not path.exists():
-        commit_json(path, document)
-        return
-    try:
-        known = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise InputError("out", str(path), "a readable document; or another --out") from None
-    found = difference(document, known)
-    if found:
-        name, here, there = found
-        raise InputError(name or "search", here, f"{there!r}, as {path} says; or another --out")

@@ -12,9 +12,10 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, CmaEsSampler
 from optuna.trial import FrozenTrial, TrialState
 
-from study.comparison.controls import RowSampler, score_order
-from study.comparison.task import Task
 from study.draws import Purpose, generator, seed_32bit
+from study.experiment.controls import RowSampler, score_order
+from study.experiment.pycma import new_strategy
+from study.experiment.task import Task
 from study.feature_table import FeatureTable
 from study.sampler.random_sampler import ReproducibleRandomSampler
 from study.sampler.space import Space
@@ -128,18 +129,9 @@ class WarmCmaEsSampler(RowSampler):
         return np.asarray(self._asked[len(finished) - size * self._generation])
 
     def _new_strategy(self) -> Any:
-        import cma
-
         rows = self._table.rows
         start = rows.space.fractions(rows.parameters[self._row : self._row + 1])[0]
-        rng = generator(self._seed, Purpose.CMAES)
-        options = {
-            "bounds": [0.0, 1.0],
-            "verbose": -9,
-            "seed": np.nan,  # pycma's own seed is NumPy's global one, which all studies share
-            "randn": lambda *shape: rng.standard_normal(shape),
-        }
-        return cma.CMAEvolutionStrategy(start, self._sigma, options)
+        return new_strategy(start, self._sigma, generator(self._seed, Purpose.CMAES))
 
     def _values(self, point: Floats) -> dict[str, Any]:
         space = self._table.rows.space

@@ -11,8 +11,8 @@ from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial
 
-from study.comparison.task import Task
 from study.draws import Purpose, generator, turn
+from study.experiment.task import Task
 from study.feature_table import FeatureTable
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from study.sampler.random_sampler import ReproducibleRandomSampler

@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from storage.searched import searched_parameters, split_points
 from storage.store import open_store
-from study.comparison.simulation import low_level_gains
 from taichi_nmm.body import Bodies
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAINS
 from taichi_nmm.result import RESULT_DTYPE
 from taichi_nmm.settings import Settings
 
@@ -56,11 +55,12 @@ class StoreFeatures:
         """Features [n, k] of gains [n, 16 + s]."""
         import taichi_nmm
 
+        own, low_level = split_points(gains, searched_parameters(self._searched))
         result = taichi_nmm.simulate(
-            gains[:, : len(GAINS)],
+            own,
             duration_s=self._duration_s,
             bodies=Bodies.nominal(),
-            low_level_gains=low_level_gains(self._searched, gains[:, len(GAINS) :]),
+            low_level_gains=low_level if self._searched else None,
             settings=self._settings,
         )
         return np.column_stack([result[name].astype(np.float64) for name in self._features])

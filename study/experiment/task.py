@@ -1,14 +1,14 @@
-"""What a sampler of an experiment is made for."""
+"""What an arm's sampler is made for."""
 
 from dataclasses import dataclass
 
-from study.comparison.experiment import Experiment
-from study.comparison.stores import Tables
+from study.experiment.experiment import Experiment
+from study.experiment.features import Feature, name_of
+from study.experiment.stores import candidates
 from study.feature_table import FeatureTable
-from study.features import Feature, name_of
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Task:
     """One study of an experiment, and, of samplers that are new every trial, one trial.
 
@@ -16,7 +16,6 @@ class Task:
         experiment: of the study.
         seed: of the sampler.
         turn: number of the trial.
-        tables: of the process.
         store: key of the arm's store; "" for none.
         features: of the arm.
     """
@@ -24,14 +23,13 @@ class Task:
     experiment: Experiment
     seed: int
     turn: int
-    tables: Tables
     store: str
     features: tuple[Feature, ...]
 
     @property
     def table(self) -> FeatureTable:
         """The arm's candidates and features."""
-        return self.tables.get(self.store, self.features)
+        return candidates(self.experiment, self.store, self.features)
 
     @property
     def columns(self) -> tuple[str, ...]:

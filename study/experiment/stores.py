@@ -1,33 +1,37 @@
 """The stores that an experiment's arms read: checked before the work, read once a process."""
 
 import hashlib
-from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
-from storage.manifest import Manifest
+from storage.manifest import MANIFEST_NAME, Manifest
 from storage.shard import file_hash
 from storage.store import Store, open_store
-from study.comparison.experiment import Experiment
+from study.experiment.experiment import Experiment, search_space
+from study.experiment.features import Feature, check_feature, feature_table
 from study.feature_table import FeatureTable
-from study.features import Feature, check_feature, feature_table
 from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import Parameter
 
 
-@dataclass
-class Tables:
-    """Tables of candidates, each read when first asked for and kept."""
+def candidates(experiment: Experiment, store: str, features: tuple[Feature, ...]) -> FeatureTable:
+    """The rows of a store with some features, for studies of an experiment.
 
-    experiment: Experiment
-    _known: dict[tuple[Path, tuple[Feature, ...]], FeatureTable] = field(default_factory=dict)
+    Raises:
+        InputError: the configuration names no such store, or it cannot be read.
+    """
+    path = store_path(experiment, store)
+    open_store(path)  # one that is missing or damaged has its own message
+    written = path / MANIFEST_NAME if path.is_dir() else path
+    return _read(path, written.stat().st_mtime_ns, features, experiment.parameters)
 
-    def get(self, store: str, features: tuple[Feature, ...]) -> FeatureTable:
-        """The rows of a store with some features."""
-        path = store_path(self.experiment, store)
-        if (path, features) not in self._known:
-            self._known[path, features] = feature_table(
-                open_store(path), features, self.experiment.names, space=self.experiment.space
-            )
-        return self._known[path, features]
+
+@lru_cache(maxsize=16)
+def _read(
+    path: Path, _written_ns: int, features: tuple[Feature, ...], parameters: tuple[Parameter, ...]
+) -> FeatureTable:
+    space = search_space(parameters)
+    return feature_table(open_store(path), features, tuple(space), space=space)
 
 
 def store_path(experiment: Experiment, store: str) -> Path:

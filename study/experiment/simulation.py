@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import taichi_nmm
-from study.comparison.experiment import Experiment
+from storage.searched import split_points
+from study.experiment.experiment import Experiment
 from taichi_nmm.body import Bodies
-from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES
+from taichi_nmm.parameters import GAINS
 from taichi_nmm.result import Result
 
 
@@ -37,29 +38,19 @@ def simulate_trials(
     different, index = np.unique(np.asarray(runs, dtype=np.int64), return_inverse=True)
     bodies = [experiment.body(int(run)) for run in different]
     rows = range(len(gains)) if record is True else record or ()
+    conditions = experiment.conditions
+    own, low_level = split_points(gains, experiment.parameters[len(GAINS) :])
     return taichi_nmm.simulate(
-        gains[:, : len(GAINS)],
-        duration_s=experiment.duration_s if duration_s is None else duration_s,
+        own,
+        duration_s=conditions.duration_s if duration_s is None else duration_s,
         bodies=_stacked(bodies).take(index),
         terrains=[experiment.terrain(int(run)) for run in different],
         terrain_index=index.astype(np.int32),
-        low_level_gains=low_level_gains(experiment.searched, gains[:, len(GAINS) :]),
-        settings=experiment.settings,
+        low_level_gains=low_level if experiment.searched else None,
+        settings=conditions.settings,
         record=tuple(rows),
         record_rate_hz=record_rate_hz,
     )
-
-
-def low_level_gains(
-    searched: Sequence[str], values: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
-    """All low-level gains of n trials, [n, 8], given the searched ones [n, k]; None without any."""
-    if not len(searched):
-        return None
-    gains = np.tile([parameter.default for parameter in LOW_LEVEL_GAINS], (len(values), 1))
-    for column, name in enumerate(searched):
-        gains[:, LOW_LEVEL_NAMES.index(name)] = values[:, column]
-    return gains
 
 
 def _stacked(bodies: Sequence[Bodies]) -> Bodies:

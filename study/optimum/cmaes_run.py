@@ -1,4 +1,4 @@
-"""One run of CMA-ES (pycma) in the unit cube, a generation at a time, the same after a replay."""
+"""One run of CMA-ES in the unit cube, a generation at a time, the same after a replay."""
 
 from typing import Any
 
@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.draws import Purpose, generator
-from study.optimum.config import CmaesOptions
+from study.experiment.experiment import CmaesOptions
+from study.experiment.pycma import new_strategy
 from taichi_nmm.parameters import GAINS, lower_bounds, upper_bounds
 
 Floats = NDArray[np.float64]
@@ -14,7 +15,7 @@ Floats = NDArray[np.float64]
 CUT = "max_generations"
 
 
-class Search:
+class CmaesRun:
     """A run: `ask`, `tell`, `ask`, ... until `stopped` says why it ended.
 
     Args:
@@ -25,20 +26,12 @@ class Search:
 
     def __init__(self, options: CmaesOptions, seed: int, run: int) -> None:
         """Start from a random point."""
-        import cma
-
-        draws = generator(seed, Purpose.CMAES, run)
-        settings: dict[str, Any] = {
-            "bounds": [0.0, 1.0],
-            "tolfun": options.tolerance,
-            "verbose": -9,
-            "seed": np.nan,  # pycma's own seed is NumPy's global one, which all runs would share
-            "randn": lambda *shape: draws.standard_normal(shape),
-        }
-        if options.population:
-            settings["popsize"] = options.population
         start = generator(seed, Purpose.CMAES_MEAN, run).random(len(GAINS))
-        self._strategy = cma.CMAEvolutionStrategy(start, options.sigma, settings)
+        draws = generator(seed, Purpose.CMAES, run)
+        wanted: dict[str, Any] = {"tolfun": options.tolerance}
+        if options.population:
+            wanted["popsize"] = options.population
+        self._strategy = new_strategy(start, options.sigma, draws, **wanted)
         self._asked: list[Floats] | None = None
         self._stop: dict[str, Any] = {}
         self.generation = 0

@@ -22,9 +22,10 @@ import pyarrow as pa
 
 from storage.claim import claimed, remove
 from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
-from storage.document import difference
+from storage.document import agree
 from storage.shard import read_columns, write_table
 from study.comparison.results import RESULT_SCHEMA, STATE_SCHEMA, TIME_COLUMNS, in_order
+from study.experiment.identity import GROWING
 from taichi_nmm.errors import InputError
 
 EXPERIMENT_NAME = "experiment.json"
@@ -34,7 +35,6 @@ RUN_NAME = "run.json"
 ARMS_NAME = "arms"
 DATABASE_NAME = "studies.db"
 ARTIFACTS_NAME = "artifacts"
-GROWING = ("arms", "stores")  # parts of the document that calls add to
 
 Document = dict[str, Any]
 
@@ -61,7 +61,9 @@ class ExperimentFolder:
                 writable.
         """
         with claimed(path, EXPERIMENT_NAME, "an experiment's"):
-            agreed = _agree(path / EXPERIMENT_NAME, document)
+            agreed = agree(
+                path / EXPERIMENT_NAME, document, growing=GROWING, remedy="another --out"
+            )
             with writable(path):
                 (path / ARMS_NAME).mkdir(exist_ok=True)
             remove(path / ARMS_NAME, f".*{TEMPORARY_SUFFIX}")
@@ -121,28 +123,3 @@ def _require_complete(table: pa.Table, path: Path) -> None:
     sound = trial[first] == 0, np.diff(trial)[~first[1:]] == 1, np.diff(run) >= 0
     if not all(part.all() for part in sound):
         raise InputError("out", str(path), "every run's trials in their order, without a gap")
-
-
-def _agree(path: Path, document: Document) -> Document:
-    """Write the document into a new folder; in an old one, see that it is the same.
-
-    Arms and stores that are new are added to it.
-    """
-    if not path.exists():
-        commit_json(path, document)
-        return document
-    try:
-        known = json.loads(path.read_text(encoding="utf-8"))
-        ours = document | {key: known[key] | document[key] for key in GROWING}
-        there = known | {key: document[key] | known[key] for key in GROWING}
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError("out", str(path), "a readable experiment; or another --out") from None
-    found = difference(ours, there)
-    if found:
-        name, here, other = found
-        allowed = f"{other!r}, as {path} says; or another --out"
-        raise InputError(name or "experiment", here, allowed)
-    grown = ours | {key: dict(sorted(ours[key].items())) for key in GROWING}
-    if grown != known:
-        commit_json(path, grown)
-    return grown

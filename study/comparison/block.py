@@ -1,0 +1,122 @@
+"""A block of an experiment's studies: all propose, one batch is simulated, all are told, and again.
+
+A block is the unit of work of a comparison. It depends on nothing but what it is given, so blocks
+go on side by side in any process, and no result depends on how studies are cut into blocks.
+"""
+
+import json
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import optuna
+import pyarrow as pa
+from optuna.exceptions import ExperimentalWarning
+
+from study.comparison.results import (
+    NOTES,
+    STATE_SCHEMA,
+    Key,
+    by_study,
+    gains_of,
+    outcomes_of,
+    state_table,
+)
+from study.experiment.arms import find_arm
+from study.experiment.experiment import Experiment
+from study.experiment.objective import costs, finite
+from study.experiment.one_study import OneStudy, shown
+from study.experiment.simulation import simulate_trials
+from study.sampler.history import OFF_TABLE, ROW_ATTRIBUTE
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some studies, as far as they are, and how far they shall go.
+
+    Attributes:
+        experiment: of the studies.
+        studies: arm and run of each.
+        known: their finished trials, `STATE_SCHEMA`.
+        trials: that each is to have.
+    """
+
+    experiment: Experiment
+    studies: tuple[Key, ...]
+    known: pa.Table
+    trials: int
+
+
+def advance(block: Block) -> pa.Table:
+    """The trials that the studies of a block still lack, `STATE_SCHEMA`.
+
+    Raises:
+        InputError: what a sampler or the simulator refuses.
+    """
+    experiment = block.experiment
+    with _quiet():
+        studies = {key: OneStudy(experiment, find_arm(key[0]), key[1]) for key in block.studies}
+        best = dict.fromkeys(block.studies, np.inf)
+        for arm, run, table in by_study(block.known):
+            _restore(experiment, studies[arm, run], table)
+            best[arm, run] = min(table["cost"].to_pylist())
+        tables = [STATE_SCHEMA.empty_table()]
+        while open_studies := [s for s in studies.values() if s.trials < block.trials]:
+            tables.append(_round(experiment, open_studies, best))
+        return pa.concat_tables(tables)
+
+
+def _restore(experiment: Experiment, study: OneStudy, table: pa.Table) -> None:
+    """Give a study its trials of earlier sessions."""
+    gains, rows = gains_of(experiment, table).tolist(), outcomes_of(table)
+    for place, (cost, notes) in enumerate(
+        zip(table["cost"].to_pylist(), table[NOTES].to_pylist(), strict=True)
+    ):
+        noted = json.loads(notes) | shown(study.arm, rows[place : place + 1])
+        study.restore(gains[place], cost, noted)
+
+
+def _round(experiment: Experiment, studies: list[OneStudy], best: dict[Key, float]) -> pa.Table:
+    """One trial of each study: proposed, simulated together, told, and written down."""
+    asked, notes, seconds = [], [], []
+    trials = [study.trials for study in studies]
+    for study in studies:
+        began_s = time.perf_counter()
+        asked.append(study.ask())
+        notes.append(study.noted())
+        seconds.append(time.perf_counter() - began_s)
+    runs, gains = [study.run for study in studies], np.array(asked, dtype=np.float64)
+    rows = finite(simulate_trials(experiment, runs, gains).rows)
+    cost = costs(rows, experiment.cost)
+    for place, study in enumerate(studies):
+        study.tell(float(cost[place]), rows[place : place + 1])
+        key = study.arm.name, study.run
+        best[key] = min(best[key], float(cost[place]))
+    columns = {
+        "arm": [study.arm.name for study in studies],
+        "run": runs,
+        "trial": trials,
+        "row": [noted.get(ROW_ATTRIBUTE, OFF_TABLE) for noted in notes],
+        "cost": cost,
+        "best_cost": [best[study.arm.name, study.run] for study in studies],
+        "proposal_s": seconds,
+        NOTES: notes,
+        "rows": rows,
+    }
+    return state_table(experiment, columns, gains)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the lines that Optuna would print for each of thousands of trials."""
+    verbosity = optuna.logging.get_verbosity()
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            yield
+    finally:
+        optuna.logging.set_verbosity(verbosity)

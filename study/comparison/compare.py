@@ -1,0 +1,210 @@
+"""A comparison from its configuration to its table, as the command `tools/compare.py` runs it."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pyarrow as pa
+
+from storage.databases.studies import URL_PREFIX
+from storage.pool import Pool, local_pool
+from study.command import require_arch
+from study.comparison.artifacts import make_artifacts
+from study.comparison.block import Block, advance
+from study.comparison.database import Summarise, check_database, export
+from study.comparison.experiment_folder import DATABASE_NAME, ExperimentFolder
+from study.comparison.finished import FinishedTrials, Progress
+from study.comparison.results import Key
+from study.experiment.check import check_arms
+from study.experiment.experiment import Experiment
+from study.experiment.identity import document, machine
+from study.pictures import find_ffmpeg
+from taichi_nmm.errors import InputError
+
+CHECKPOINT_S = 20.0
+EXPORT_S = 60.0  # between two renewals of the study database
+
+# How studies are cut into units of work, of some 20 s each: what a kill loses. Walkers of a block
+# share the simulator's packs; no result depends on either number.
+BLOCK_STUDIES = 32
+STRETCH_TRIALS = 10
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a user asks for; None is what the configuration says.
+
+    Attributes:
+        out: folder of the experiment.
+        storage: URL of the study database; None is a file in the folder.
+        arms: names.
+        runs: at least 1.
+        trials: at least 1, of each arm in each run, in total.
+        workers: processes of this machine that try trials and draw pictures.
+        artifacts: whether the best trial of each study gets its picture and film.
+    """
+
+    out: Path
+    storage: str | None = None
+    arms: tuple[str, ...] | None = None
+    runs: int | None = None
+    trials: int | None = None
+    workers: int = 1
+    artifacts: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a comparison has to say at its end.
+
+    Attributes:
+        trials: the table of results: all arms of the folder.
+        storage: URL of the study database.
+        computed: trials of this session.
+        wall_s: of this session.
+    """
+
+    trials: pa.Table
+    storage: str
+    computed: int
+    wall_s: float
+
+
+def compare(
+    experiment: Experiment,
+    request: Request,
+    report: Callable[[Progress], None],
+    drawn: Callable[[int, int], None] | None = None,
+    summarise: Summarise | None = None,
+    pool: Pool | None = None,
+) -> Outcome:
+    """Run an experiment, or what is missing of it, and write its tables.
+
+    Args:
+        experiment: what is compared on what.
+        request: how much of it, and where to.
+        report: called whenever a stretch of trials is finished.
+        drawn: called with the number of walks that have their pictures, and of all.
+        summarise: makes what the summary study in the database shows; None: there is none.
+        pool: that does the work, in place of the request's workers.
+
+    Raises:
+        InputError: see `check_arms`, `ExperimentFolder.claim` and `advance`; or there is no ffmpeg
+            for the artifacts.
+        KeyboardInterrupt: finished trials are kept.
+    """
+    runs = _positive("runs", request.runs, experiment.runs)
+    trials = _positive("trials", request.trials, experiment.trials)
+    _positive("workers", request.workers, 1)
+    arms = check_arms(experiment, request.arms or experiment.arms, trials)
+    require_arch(experiment.conditions.settings)
+    if request.artifacts:
+        find_ffmpeg()
+    identity = document(experiment, arms)
+    with ExperimentFolder.claim(request.out, identity) as folder:
+        url = request.storage or f"{URL_PREFIX}{folder.path / DATABASE_NAME}"
+        check_database(experiment, url)
+        finished = FinishedTrials(folder, [(arm.name, run) for run in range(runs) for arm in arms])
+        session = _Session(experiment, folder, finished)
+        with nullcontext(pool) if pool else local_pool(request.workers) as chosen:
+            exported_s = time.monotonic()
+            report(finished.progress(trials))
+            try:
+                for _ in _checkpoints(experiment, finished, trials, chosen, report):
+                    session.note()
+                    if time.monotonic() - exported_s >= EXPORT_S:
+                        export(experiment, finished.results(), url, summarise, final=False)
+                        exported_s = time.monotonic()
+            finally:
+                finished.commit()
+                session.note()
+            results = folder.write_results()
+            export(experiment, results, url, summarise, final=True)
+            session.note()
+            if request.artifacts:
+                make_artifacts(experiment, results, url, folder.path, chosen, drawn)
+        return Outcome(results, url, session.computed, session.wall_s)
+
+
+def _checkpoints(
+    experiment: Experiment,
+    finished: FinishedTrials,
+    trials: int,
+    pool: Pool,
+    report: Callable[[Progress], None],
+) -> Iterator[None]:
+    """Go on until every study has its trials; yields after each checkpoint."""
+    experiment = experiment.on_one_thread() if pool.shares_machine else experiment
+
+    def next_stretch(studies: tuple[Key, ...]) -> Block:
+        least = min(map(finished.done, studies))
+        return Block(
+            experiment, studies, finished.known(studies), min(least + STRETCH_TRIALS, trials)
+        )
+
+    unfinished = [key for key in finished.studies if finished.done(key) < trials]
+    units = deque(next_stretch(studies) for studies in cut(unfinished, pool.slots))
+    written_s = time.monotonic()
+    for block, table in pool.results(advance, units):
+        finished.add(table)
+        if block.trials < trials:
+            units.append(next_stretch(block.studies))
+        report(finished.progress(trials))
+        if time.monotonic() - written_s >= CHECKPOINT_S:
+            finished.commit()
+            written_s = time.monotonic()
+            yield
+
+
+def cut(studies: Sequence[Key], slots: int) -> list[tuple[Key, ...]]:
+    """Studies as blocks: at least one a slot, if there are enough, and none too large."""
+    size = min(BLOCK_STUDIES, -(-len(studies) // slots)) or 1
+    return [tuple(studies[first : first + size]) for first in range(0, len(studies), size)]
+
+
+class _Session:
+    """A line of run.json: when, on what machine, how long, how much, and with which stores."""
+
+    def __init__(
+        self, experiment: Experiment, folder: ExperimentFolder, finished: FinishedTrials
+    ) -> None:
+        self._stores = {key: str(path) for key, path in experiment.stores.items()}
+        self._folder = folder
+        self._finished = finished
+        self._started = datetime.now(UTC).isoformat(timespec="milliseconds")
+        self._began_s = time.monotonic()
+        self._before = finished.count
+
+    @property
+    def computed(self) -> int:
+        """Trials of this session."""
+        return self._finished.count - self._before
+
+    @property
+    def wall_s(self) -> float:
+        """Since it began."""
+        return time.monotonic() - self._began_s
+
+    def note(self) -> None:
+        """Write the line; a session that computed nothing leaves none."""
+        if self.computed:
+            self._folder.note_session(
+                {
+                    "started": self._started,
+                    "trials": self.computed,
+                    "wall_s": round(self.wall_s, 1),
+                    "machine": machine(),
+                    "stores": self._stores,
+                }
+            )
+
+
+def _positive(name: str, value: int | None, default: int) -> int:
+    chosen = default if value is None else value
+    if chosen < 1:
+        raise InputError(name, chosen, "1 or more")
+    return chosen

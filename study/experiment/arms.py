@@ -1,0 +1,252 @@
+"""The arms: what each is, what it reads, how its sampler is made, and what readers call it.
+
+An arm is added here and nowhere else: one study, comparisons and reports know it from this list.
+"""
+
+import importlib.util
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from optuna.samplers import BaseSampler, TPESampler
+
+from study.draws import Purpose, seed_32bit
+from study.experiment import cmaes, controls
+from study.experiment.features import Feature, Survival, definition_of, name_of
+from study.experiment.off_grid import store_features
+from study.experiment.stores import store_path
+from study.experiment.task import Task
+from study.sampler.dog_sampler import PAPER
+from study.sampler.feature_sampler import FeatureKernelSampler
+from study.sampler.random_sampler import ReproducibleRandomSampler
+from study.survival import FAMILIES, survival_features
+from study.survival import OPTIONS as BEST
+from taichi_nmm.errors import InputError
+
+PAPER_ARM = "dog"  # the paper's method, to which all others are compared
+BEST_ARM = "best"  # our best combination
+Kind = Literal["ours", "peer", "control"]
+
+DETERMINANTS = (
+    "m1_mean", "m2_mean", "m3_mean", "m4_mean", "m5_mean_mps", "survived_fraction",
+)  # fmt: skip
+PRINTED = ("phi_printed",)
+SURVIVAL = Survival()  # over all disturbed settings that the store has
+ROBUST = (SURVIVAL,)
+RELATIVES = {"rough": ("rough", "blocks"), "ramps": ("up", "down")}  # families that are relatives
+TIES = "phi_corrected"
+OFF_GRID = 32  # points a trial that are simulated beside the store's
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A way of choosing trials.
+
+    Attributes:
+        name: of the arm, as commands and files know it.
+        label: what figures and tables call it.
+        kind: "ours", "peer" (of others, or plain) or "control" (no model).
+        summary: in a line.
+        new_sampler: makes one.
+        store: key of the store that it reads, in the configuration's [stores]; "" for none.
+        features: columns of that store, or what is computed of several.
+        fresh: its sampler is made anew for each trial, since the library keeps a state in it.
+        replayed: the library keeps a state in the trials, which a resumed study must repeat.
+        needs: a package that is not among this project's own; "" for none.
+        off_grid: simulates points that are no rows of its store.
+        options: what else decides what it proposes.
+    """
+
+    name: str
+    label: str
+    kind: Kind
+    summary: str
+    new_sampler: Callable[[Task], BaseSampler]
+    store: str = ""
+    features: tuple[Feature, ...] = ()
+    fresh: bool = False
+    replayed: bool = False
+    needs: str = ""
+    off_grid: bool = False
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the features."""
+        return tuple(name_of(feature) for feature in self.features)
+
+    @property
+    def definition(self) -> dict[str, Any]:
+        """What decides what it proposes, as JSON values: trials of two definitions must not mix."""
+        features = [definition_of(feature) for feature in self.features]
+        return {"store": self.store, "features": features, "options": dict(self.options)}
+
+
+def find_arm(name: str) -> Arm:
+    """The arm of that name.
+
+    Raises:
+        InputError: there is none.
+    """
+    if name not in ARMS:
+        raise InputError("arm", name, f"one of {', '.join(ARMS)}")
+    return ARMS[name]
+
+
+def check_installed(arm: Arm) -> None:
+    """Refuse an arm whose library is not there."""
+    if arm.needs and importlib.util.find_spec(arm.needs) is None:
+        allowed = f"an environment with {arm.needs}: pip install {arm.needs}"
+        raise InputError("arm", arm.name, allowed)
+
+
+def _random(task: Task) -> BaseSampler:
+    return ReproducibleRandomSampler(seed=task.seed)
+
+
+def _euclidean(task: Task) -> BaseSampler:
+    return FeatureKernelSampler(None, seed=task.seed, space=task.experiment.space)
+
+
+def _tpe(task: Task) -> BaseSampler:
+    return TPESampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn))
+
+
+def _gp_optuna(task: Task) -> BaseSampler:
+    from optuna.samplers import GPSampler
+
+    return GPSampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn))
+
+
+def _off_grid(task: Task) -> BaseSampler:
+    experiment = task.experiment
+    function = store_features(store_path(experiment, task.store), task.columns, experiment.searched)
+    return FeatureKernelSampler(
+        task.table, seed=task.seed, feature_function=function, off_grid=OFF_GRID, **PAPER
+    )
+
+
+def _table_arm(
+    name: str,
+    label: str,
+    summary: str,
+    store: str,
+    features: tuple[Feature, ...],
+    kind: Kind = "ours",
+    **options: Any,
+) -> Arm:
+    """Our sampler over a store's rows, `options` being those of `FeatureKernelSampler`."""
+
+    def new_sampler(task: Task) -> BaseSampler:
+        return FeatureKernelSampler(task.table, seed=task.seed, **options)
+
+    return Arm(name, label, kind, summary, new_sampler, store, features, options=options)
+
+
+def _paper_arm(name: str, label: str, summary: str, store: str, families: tuple[str, ...]) -> Arm:
+    """The paper's kernel over another score: the mean survival of some families."""
+    return _table_arm(name, label, summary, store, (Survival(families),), **PAPER)
+
+
+def _best_arm(name: str, label: str, summary: str, store: str, families: tuple[str, ...]) -> Arm:
+    """Likeness by the survival of each family and the speed; their mean is also a prior."""
+    return _table_arm(name, label, summary, store, survival_features(families), **BEST)
+
+
+def _best_without(kind: str) -> Arm:
+    """The best arm, blind to the families of one kind of ground."""
+    families = tuple(family for family in FAMILIES if family not in RELATIVES[kind])
+    name, label = f"best-without-{kind}", f"best, no {kind} seen"
+    return _best_arm(name, label, f"best, having seen no {kind}", "diverse", families)
+
+
+def _ordered_arm(
+    name: str, label: str, summary: str, store: str, features: tuple[Feature, ...]
+) -> Arm:
+    """The rows of a store in the order of its features: the first, ties by the second, then row."""
+    return Arm(name, label, "control", summary, controls.score_first, store, features)
+
+
+_ALL = (
+    Arm("random", "random", "peer", "uniform random", _random),
+    Arm(
+        "cmaes-cold", "CMA-ES", "peer", "CMA-ES from a random mean", cmaes.cold,
+        fresh=True, replayed=True, options={"sigma": cmaes.SIGMA_COLD},
+    ),
+    Arm(
+        "cmaes-warm", "CMA-ES, warm", "peer", "CMA-ES from one of the 100 best rows",
+        cmaes.warm, "flat", PRINTED,
+        options={"sigma": cmaes.SIGMA_WARM, "rows": cmaes.START_ROWS},
+    ),
+    Arm(
+        "cmaes-source", "CMA-ES, source", "peer", "CMA-ES from the best rows' distribution",
+        cmaes.source, "flat", PRINTED,
+        fresh=True, replayed=True, options={"rows": cmaes.SOURCE_ROWS},
+    ),
+    Arm(
+        "bo-euclidean", "plain BO", "peer", "Bayesian optimisation over the gains, ours",
+        _euclidean,
+    ),
+    Arm(
+        "gp-optuna", "GPSampler", "peer", "Optuna's GPSampler", _gp_optuna,
+        fresh=True, needs="torch",
+    ),
+    Arm("tpe", "TPE", "peer", "Optuna's TPESampler", _tpe, fresh=True),
+    _table_arm(
+        PAPER_ARM, "DoG, as printed", "the paper's method: kernel over the score",
+        "flat", PRINTED, **PAPER,
+    ),
+    _table_arm(
+        "dog-kd", "DoG, k-D", "kernel over the determinants", "flat", DETERMINANTS,
+        **PAPER | {"kernel": "rbf_ard"},
+    ),
+    _table_arm(
+        "dog-robust", "DoG, robust score", "kernel over the robust score", "robust", ROBUST,
+        **PAPER,
+    ),
+    Arm(
+        "dog-off-grid", "DoG, off the grid", "ours", "as dog, and points near the best rows",
+        _off_grid, "flat", PRINTED, off_grid=True, options=PAPER | {"off_grid": OFF_GRID},
+    ),
+    _ordered_arm(
+        "score-first", "best score first", "best score first", "robust", (*ROBUST, TIES)
+    ),
+    Arm(
+        "score-top", "random in top 100", "control", "random among the 100 best scores",
+        controls.score_top, "robust", (*ROBUST, TIES), options={"rows": controls.TOP_ROWS},
+    ),
+    _table_arm(
+        "ei-prior", "plain BO, score prior",
+        "Euclidean expected improvement times a prior from the score", "robust", ROBUST,
+        kind="control", kernel="euclidean", prior=SURVIVAL.name,
+    ),
+    _paper_arm(
+        "dog-mild", "DoG, mild score", "as dog, on the score of milder settings", "mild",
+        ("robust",),
+    ),
+    _paper_arm(
+        "dog-ramps", "DoG, ramps' score", "as dog, on the score of another family", "ramps",
+        ("up", "down"),
+    ),
+    _paper_arm(
+        "dog-diverse", "DoG, diverse score", "as dog, on the mean score of all families",
+        "diverse", FAMILIES,
+    ),
+    _ordered_arm(
+        "score-first-flat", "best printed score first", "best printed score first", "flat",
+        (*PRINTED, TIES),
+    ),
+    _ordered_arm(
+        "score-first-diverse", "best diverse score first",
+        "best mean score of all families first", "diverse", (Survival(FAMILIES), TIES),
+    ),
+    _best_arm(BEST_ARM, "best combination", "the best that we found", "diverse", FAMILIES),
+    _best_arm("best-robust", "best, rough store", "best, on rough ground only", "robust",
+              ("robust",)),
+    _best_arm("best-mild", "best, mild store", "best, on milder settings", "mild", ("robust",)),
+    _best_arm("best-ramps", "best, ramps' store", "best, on another family", "ramps",
+              ("up", "down")),
+    *(_best_without(kind) for kind in RELATIVES),
+)  # fmt: skip
+
+ARMS: dict[str, Arm] = {arm.name: arm for arm in _ALL}

@@ -1,0 +1,214 @@
+"""An experiment: the bodies, the grounds and the cost that every study of it shares.
+
+This is the one reader of experiments' configurations: one study, many, the estimate of the optimum
+and a single walk all take the same file.
+"""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+from optuna.distributions import FloatDistribution
+
+from storage.searched import searched_parameters
+from study.draws import Purpose, stream
+from study.experiment.objective import COST_FUNCTIONS
+from taichi_nmm.body import Bodies
+from taichi_nmm.conditions import Conditions, read_conditions
+from taichi_nmm.config import Table, read_toml
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAINS, Parameter
+from taichi_nmm.terrain import Terrain
+
+NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
+MOST_RUNS = 10_000
+MOST_TRIALS = 100_000
+LONGEST_TRIAL_S = 1000.0
+LARGEST_POPULATION = 10_000
+MOST_GENERATIONS = 100_000
+SEARCHABLE = ("theta_ref",)  # low-level gains that have a column in the results
+
+TABLE = "table"  # of a configuration, that a field stands in
+DECIDES_NOTHING = {"decides": False}  # of a field: it may grow, or its content is known by digest
+
+
+@dataclass(frozen=True)
+class CmaesOptions:
+    """How CMA-ES goes on until convergence, where the optimum is estimated: [cmaes].
+
+    Attributes:
+        sigma: first spread, of each range.
+        population: of a generation; 0 is the library's, 4 + 3 ln(number of parameters).
+        tolerance: pycma's `tolfun`: converged when the cost has changed by less in 50 generations
+            or so. Its other criteria are as they are by default.
+        max_generations: where a run is cut that has not converged.
+    """
+
+    sigma: float = 0.3
+    population: int = 0
+    tolerance: float = 1e-11
+    max_generations: int = 400
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is tried on what. It pickles: processes make bodies and grounds where they need them.
+
+    Attributes:
+        name: of the experiment; a study is called name/arm/run-NNN.
+        seed: of bodies, grounds and samplers: run r draws from (seed, purpose, r).
+        searched: low-level gains that are searched beside the 16 gains.
+        cost: "smooth" or "walking", the paper's two.
+        conditions: of every trial: its length, the simulation, and what bodies and grounds are
+            drawn from.
+        runs: how many, each a body and a ground.
+        trials: of each arm in each run.
+        arms: names of `study.experiment.arms` that a comparison takes.
+        stores: folders of scores, by the name that arms know them by.
+        cmaes: of the estimate of the optimum.
+    """
+
+    name: str
+    seed: int
+    searched: tuple[str, ...]
+    cost: str = field(metadata={TABLE: "objective"})
+    conditions: Conditions
+    runs: int = field(default=50, metadata=DECIDES_NOTHING)
+    trials: int = field(default=100, metadata=DECIDES_NOTHING)
+    arms: tuple[str, ...] = field(default=(), metadata=DECIDES_NOTHING)
+    stores: Mapping[str, Path] = field(default_factory=dict, hash=False, metadata=DECIDES_NOTHING)
+    cmaes: CmaesOptions = field(default=CmaesOptions(), metadata=DECIDES_NOTHING)
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What is searched: the 16 gains, and the low-level ones asked for."""
+        return (*GAINS, *searched_parameters(self.searched))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Of the searched parameters."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @cached_property
+    def space(self) -> dict[str, FloatDistribution]:
+        """The search space as Optuna has it."""
+        return search_space(self.parameters)
+
+    def body(self, run: int) -> Bodies:
+        """The one body of a run."""
+        return self.conditions.body(stream(self.seed, Purpose.BODY, run))
+
+    def terrain(self, run: int) -> Terrain:
+        """The ground of a run."""
+        return _terrain(self.conditions, self.seed, run)
+
+    def on_one_thread(self) -> "Experiment":
+        """The same for one of several processes of a machine; no result depends on it."""
+        settings = replace(self.conditions.settings, threads=1)
+        return replace(self, conditions=replace(self.conditions, settings=settings))
+
+    def require_run(self, run: int) -> None:
+        """Refuse a run that the experiment does not have.
+
+        Raises:
+            InputError: naming the run.
+        """
+        if not 0 <= run < self.runs:
+            raise InputError("run", run, f"0 to {self.runs - 1}, the runs of {self.name}")
+
+
+@lru_cache(maxsize=1024)  # 50 kB each
+def _terrain(conditions: Conditions, seed: int, run: int) -> Terrain:
+    return conditions.terrain(stream(seed, Purpose.TERRAIN, run))
+
+
+def search_space(parameters: Iterable[Parameter]) -> dict[str, FloatDistribution]:
+    """Parameters within their bounds, as Optuna has them."""
+    return {p.name: FloatDistribution(float(p.low), float(p.high)) for p in parameters}
+
+
+def study_name(experiment: str, arm: str, run: int) -> str:
+    """What the study of an arm in a run is called, live or exported."""
+    return f"{experiment}/{arm}/run-{run:03d}"
+
+
+def read_experiment(
+    path: str | Path, arch: str | None = None, seed: int | None = None
+) -> Experiment:
+    """Read and check an experiment's TOML; `arch` and `seed` override the file's.
+
+    Which arms there are, and what their stores hold, is checked by `study.experiment.check`.
+
+    Raises:
+        InputError: an unknown key, a wrong type, or a value out of range.
+    """
+    return experiment_of(read_toml(path), Path(path).stem, arch, seed)
+
+
+def experiment_of(
+    table: Table, name: str, arch: str | None = None, seed: int | None = None
+) -> Experiment:
+    """The experiment of a configuration's tables; `name` is its own where it says none."""
+    objective, stores = table.table("objective"), table.table("stores")
+    configured = table.integer("seed")
+    experiment = Experiment(
+        name=_checked_name(table.text("name", name)),
+        seed=configured if seed is None else Table({"seed": seed}).integer("seed"),
+        searched=table.texts("searched", SEARCHABLE),
+        cost=objective.text("cost", "smooth", tuple(COST_FUNCTIONS)),
+        conditions=read_conditions(
+            table, duration_s=100.0, shortest_s=0.1, longest_s=LONGEST_TRIAL_S, arch=arch
+        ),
+        runs=table.integer("runs", 50, 1, MOST_RUNS),
+        trials=table.integer("trials", 100, 1, MOST_TRIALS),
+        arms=table.texts("arms"),
+        stores={key: Path(stores.text(key)) for key in stores.unread},
+        cmaes=_read_cmaes(table.table("cmaes")),
+    )
+    for part in (objective, table):
+        part.done()
+    return experiment
+
+
+def _checked_name(name: str) -> str:
+    """The name, which becomes a part of studies' and folders' names."""
+    if not re.fullmatch(NAME_PATTERN, name):
+        raise InputError("name", name, "letters, digits, '.', '_' and '-', first a letter or digit")
+    return name
+
+
+def _read_cmaes(table: Table) -> CmaesOptions:
+    default = CmaesOptions()
+    options = CmaesOptions(
+        sigma=table.number("sigma", default.sigma, 1e-6, 1.0),
+        population=table.integer("population", default.population, 0, LARGEST_POPULATION),
+        tolerance=table.number("tolerance", default.tolerance, 0.0, 100.0),
+        max_generations=table.integer(
+            "max_generations", default.max_generations, 1, MOST_GENERATIONS
+        ),
+    )
+    if options.population in (1, 2):
+        allowed = "0 for the library's, or 3 or more"
+        raise InputError("cmaes.population", options.population, allowed)
+    table.done()
+    return options
+
+
+def as_written(experiment: Experiment) -> dict[str, Any]:
+    """What decides trials, as the tables of a configuration; `experiment_of` reads it back.
+
+    It is made of the fields themselves, so that none can be forgotten.
+    """
+    tables: dict[str, Any] = {}
+    for each in fields(experiment):
+        value = getattr(experiment, each.name)
+        if isinstance(value, Conditions):
+            tables |= value.as_written()
+        elif TABLE in each.metadata:
+            tables.setdefault(each.metadata[TABLE], {})[each.name] = value
+        elif each.metadata.get("decides", True):
+            tables[each.name] = list(value) if isinstance(value, tuple) else value
+    return tables

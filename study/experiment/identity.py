@@ -1,0 +1,81 @@
+"""What decides an experiment's trials, as JSON values; and the machine that ran them.
+
+There is one such document: a comparison's folder, a study database, a live study and the estimate
+of the optimum all keep it, or its digest, and refuse to go on with another.
+"""
+
+import os
+import platform
+from collections.abc import Iterable
+from functools import cache, lru_cache
+from importlib.metadata import version
+from typing import Any
+
+from storage.digests import terrain_document
+from storage.document import FORMAT, document_hash
+from study.experiment.arms import Arm
+from study.experiment.experiment import Experiment, as_written, experiment_of
+from study.experiment.stores import store_digest, store_path
+from taichi_nmm import __version__
+from taichi_nmm.config import Table
+
+PACKAGES = ("taichi", "optuna", "cma", "cmaes", "numpy", "scipy", "scikit-learn")
+GROWING = ("ground", "arms", "stores")  # parts that later calls add to
+FINGERPRINT_LENGTH = 16
+
+
+def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
+    """What is compared on what. Runs and trials may grow, so they are no part of it.
+
+    Arms and stores are those of one call; a folder gathers them. The architecture is no part of
+    it either: what was begun on one machine may go on on another.
+    """
+    tables = as_written(experiment)
+    ground = tables.pop("terrain")
+    by_name = sorted(arms, key=lambda arm: arm.name)
+    stores = sorted({arm.store for arm in by_name if arm.store})
+    return {
+        "format": FORMAT,
+        "versions": versions(*PACKAGES),
+        **tables,
+        "terrain": terrain_document((experiment.terrain(0),)),
+        "ground": ground,
+        "parameters": {p.name: [float(p.low), float(p.high)] for p in experiment.parameters},
+        "arms": {arm.name: arm.definition for arm in by_name},
+        "stores": {key: store_digest(store_path(experiment, key)) for key in stores},
+    }
+
+
+@cache
+def versions(*packages: str) -> dict[str, str]:
+    """The versions of this project and of packages that decide results."""
+    return {"taichi-nmm": __version__} | {name: version(name) for name in packages}
+
+
+@lru_cache(maxsize=16)
+def fingerprint(experiment: Experiment) -> str:
+    """A short digest of what decides trials, whatever the arms: for databases and file names."""
+    return document_hash(document(experiment, ()))[:FINGERPRINT_LENGTH]
+
+
+def documented_experiment(known: dict[str, Any]) -> Experiment | None:
+    """The experiment of a document; None of one from before grounds were written into it.
+
+    Raises:
+        InputError: a document that is damaged.
+    """
+    if not known.get("ground"):
+        return None
+    names = ("name", "seed", "searched", "objective", "simulation", "body")
+    tables = {name: known.get(name) for name in names} | {"terrain": known["ground"]}
+    return experiment_of(Table(tables), "")
+
+
+def machine() -> dict[str, Any]:
+    """What the trials were run on."""
+    return {
+        "system": platform.system(),
+        "processor": platform.machine(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+    }

@@ -1,0 +1,145 @@
+"""A study: an arm in a run of an experiment. It proposes its next trial, and is told of it.
+
+The study may be in memory, one of many, or in a database, alone and live: the same arm, run and
+experiment give the same trials in both.
+"""
+
+from typing import Any
+
+import numpy as np
+import optuna
+from numpy.typing import NDArray
+from optuna.samplers import BaseSampler
+from optuna.trial import FrozenTrial, TrialState
+
+from study.draws import Purpose, name_key, seed_64bit
+from study.experiment.arms import Arm
+from study.experiment.experiment import Experiment
+from study.experiment.objective import KEPT, fell
+from study.experiment.task import Task
+from study.sampler.source import one_thread
+from taichi_nmm.errors import InputError
+
+FELL_ATTRIBUTE = "fell"  # for samplers with feasibility="fell"
+SHOWN_ATTRIBUTE = "shown"  # for samplers with mismatch="shown"
+
+
+def sampler_seed(experiment_seed: int, arm: str, run: int) -> int:
+    """The seed of a study's sampler: it depends on experiment, arm and run, and nothing else."""
+    return seed_64bit(experiment_seed, Purpose.SAMPLER, name_key(arm), run)
+
+
+class OneStudy:
+    """An arm in a run, over an Optuna study.
+
+    Args:
+        experiment: of the study.
+        arm: that proposes its trials.
+        run: whose body and ground it is about.
+        study: where its trials are kept; None: in memory.
+    """
+
+    def __init__(
+        self, experiment: Experiment, arm: Arm, run: int, study: optuna.Study | None = None
+    ) -> None:
+        """The study as it stands; its sampler is made with the next trial."""
+        self.arm = arm
+        self.run = run
+        self.study = study or optuna.create_study(direction="minimize")
+        self.trials = len(self.finished())
+        self._experiment = experiment
+        self._seed = sampler_seed(experiment.seed, arm.name, run)
+        self._sampler: BaseSampler | None = None
+        self._asked: optuna.Trial | None = None
+
+    def finished(self) -> list[FrozenTrial]:
+        """The finished trials, in the order of their numbers."""
+        return self.study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+
+    def ask(self) -> list[float]:
+        """The next trial's searched parameters, in the order of `Experiment.names`."""
+        with one_thread():
+            self.study.sampler = self._sampler_of_turn()
+            self._asked = self.study.ask()
+            return [
+                self._asked.suggest_float(name, distribution.low, distribution.high)
+                for name, distribution in self._experiment.space.items()
+            ]
+
+    def noted(self) -> dict[str, Any]:
+        """What the sampler wrote into the trial that was asked for."""
+        assert self._asked is not None
+        # Not the trial's own: it does not hear of what samplers write into the storage.
+        return dict(self.study.get_trials(deepcopy=False)[self._asked.number].user_attrs)
+
+    def tell(
+        self, cost: float, rows: NDArray[np.void], attributes: dict[str, Any] | None = None
+    ) -> FrozenTrial:
+        """What became of the trial that was asked for.
+
+        Args:
+            cost: of the trial, finite.
+            rows: the simulator's row of it, [1].
+            attributes: that readers of the study want beside it.
+        """
+        return self._tell(cost, shown(self.arm, rows) | (attributes or {}))
+
+    def restore(self, gains: list[float], cost: float, noted: dict[str, Any]) -> None:
+        """Add a trial of an earlier session; where the library keeps a state, by asking again.
+
+        Args:
+            gains: the searched parameters.
+            cost: of the trial.
+            noted: all user attributes that the trial had.
+
+        Raises:
+            InputError: the sampler now asks for other gains.
+        """
+        if self.arm.replayed:
+            self._replay(gains, cost, noted)
+            return
+        space = self._experiment.space
+        self.study.add_trial(
+            optuna.create_trial(
+                params=dict(zip(space, gains, strict=True)),
+                distributions=dict(space),
+                value=cost,
+                user_attrs=noted,
+            )
+        )
+        self.trials += 1
+
+    def _replay(self, gains: list[float], cost: float, noted: dict[str, Any]) -> None:
+        asked = self.ask()
+        if asked != gains:
+            where = f"{self.arm.name}, run {self.run}, trial {self.trials}"
+            allowed = "the gains that the sampler proposes there; use another --out"
+            raise InputError(where, "other gains", allowed)
+        own = self.noted()
+        self._tell(cost, {name: value for name, value in noted.items() if name not in own})
+
+    def _tell(self, cost: float, attributes: dict[str, Any]) -> FrozenTrial:
+        assert self._asked is not None  # told only what was asked
+        for name, value in attributes.items():
+            self._asked.set_user_attr(name, value)
+        with one_thread():
+            told = self.study.tell(self._asked, cost)
+        self._asked = None
+        self.trials += 1
+        return told
+
+    def _sampler_of_turn(self) -> BaseSampler:
+        if self._sampler is None or self.arm.fresh:
+            task = Task(
+                self._experiment, self._seed, self.trials, self.arm.store, self.arm.features
+            )
+            self._sampler = self.arm.new_sampler(task)
+        return self._sampler
+
+
+def shown(arm: Arm, rows: NDArray[np.void]) -> dict[str, Any]:
+    """What a trial shows to samplers that learn from it, beside its cost; rows [1]."""
+    found: dict[str, Any] = {FELL_ATTRIBUTE: bool(fell(rows)[0])}
+    if arm.columns and all(name in KEPT for name in arm.columns):
+        found[SHOWN_ATTRIBUTE] = [float(rows[name][0]) for name in arm.columns]
+    return found

@@ -1,0 +1,136 @@
+"""Gains to look at: by name, from a file, a store's row, or a finished trial."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+from optuna.trial import TrialState
+
+from storage.databases.studies import URL_PREFIX as SQLITE
+from storage.databases.studies import open_studies, shown_url, storage_errors, studies_path
+from storage.shard import read_columns
+from storage.store import open_store
+from study.comparison.experiment_folder import RESULTS_NAME
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import (
+    GAIN_NAMES,
+    GAINS,
+    LOW_LEVEL_GAINS,
+    LOW_LEVEL_NAMES,
+    check_gains,
+    load_all_gains,
+)
+
+TRIAL_FORM = "EXPERIMENT/ARM/run-NNN/NUMBER, such as rough8-smooth/dog/run-007/12"
+
+
+@dataclass(frozen=True, eq=False)
+class NamedGains:
+    """All gains of a controller, and what they are called.
+
+    Attributes:
+        name: for titles and file names.
+        gains: [16].
+        low_level: [8].
+    """
+
+    name: str
+    gains: NDArray[np.float64]
+    low_level: NDArray[np.float64]
+
+    def as_document(self) -> dict[str, float]:
+        """By name, as a gains file has them; low-level gains where they are not the defaults."""
+        changed = {
+            parameter.name: value
+            for parameter, value in zip(LOW_LEVEL_GAINS, self.low_level.tolist(), strict=True)
+            if value != parameter.default
+        }
+        return dict(zip(GAIN_NAMES, self.gains.tolist(), strict=True)) | changed
+
+
+def gains_of_source(source: str) -> NamedGains:
+    """Gains by name (K_T, reference), or of a JSON file.
+
+    Raises:
+        InputError: as `taichi_nmm.load_all_gains`.
+    """
+    return NamedGains(Path(source).stem, *load_all_gains(source))
+
+
+def gains_of_row(store: Path, row: int) -> NamedGains:
+    """The point of a store's row.
+
+    Raises:
+        InputError: no such store or row.
+    """
+    opened = open_store(store)
+    if not 0 <= row < len(opened):
+        raise InputError("row", row, f"0 to {len(opened) - 1}, the rows of {store}")
+    values = opened.table(opened.gain_names).slice(row, 1).to_pylist()[0]
+    return _named(f"{store.name}-row-{row}", values)
+
+
+def gains_of_trial(trial: str, where: str) -> NamedGains:
+    """The parameters of a finished trial.
+
+    Args:
+        trial: name of the study, and number of the trial.
+        where: URL of a study database, or a comparison's folder.
+
+    Raises:
+        InputError: no such database or folder, study or trial.
+    """
+    study, _, number = trial.rpartition("/")
+    if not study or not number.isdecimal():
+        raise InputError("trial", trial, TRIAL_FORM)
+    if Path(where).is_dir():
+        values = _of_folder(Path(where), trial)
+    else:
+        values = _of_database(where, study, int(number))
+    return _named(trial.replace("/", "-"), values)
+
+
+def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
+    path = folder / RESULTS_NAME
+    if not path.is_file():
+        raise InputError("storage", str(folder), f"a comparison's folder, with {RESULTS_NAME}")
+    *named, run, number = trial.split("/")
+    table = read_columns(path)
+    if len(named) == 2 and run.removeprefix("run-").isdecimal():
+        wanted = {
+            "experiment": named[0], "arm": named[1], "run": int(run.removeprefix("run-")),
+            "trial": int(number),
+        }  # fmt: skip
+        for name, value in wanted.items():
+            table = table.filter(pc.equal(table[name], value))
+        if len(table):
+            row: dict[str, Any] = table.to_pylist()[0]
+            return row
+    raise InputError("trial", trial, f"a finished trial of {path}: {TRIAL_FORM}")
+
+
+def _of_database(url: str, name: str, number: int) -> dict[str, Any]:
+    shown = shown_url(url)  # refuses what is no such URL
+    if url.startswith(SQLITE) and not studies_path(url).is_file():
+        raise InputError("storage", url, "a database that is there, or a comparison's folder")
+    with storage_errors(url):
+        storage = open_studies(url)
+        if name not in optuna.get_all_study_names(storage):
+            raise InputError("trial", f"{name}/{number}", f"a study of {shown}")
+        trials = optuna.load_study(study_name=name, storage=storage).get_trials(deepcopy=False)
+    if number >= len(trials) or trials[number].state is not TrialState.COMPLETE:
+        raise InputError("trial", f"{name}/{number}", f"a finished trial of {shown}")
+    return trials[number].params
+
+
+def _named(name: str, values: Mapping[str, Any]) -> NamedGains:
+    """Gains among other values; low-level gains that are not there have their defaults."""
+    both = {parameter.name: parameter.default for parameter in LOW_LEVEL_GAINS}
+    both |= {key: values[key] for key in (*GAIN_NAMES, *LOW_LEVEL_NAMES) if key in values}
+    gains, low_level = np.split(check_gains(both, (*GAINS, *LOW_LEVEL_GAINS)), [len(GAINS)])
+    return NamedGains(name, gains, low_level)
