@@ -1,21 +1,11 @@
-"""Configurations: TOML read strictly, so that no misspelt key is ever ignored.
-
-`Table` is one TOML table; the functions below read the tables that every command shares.
-"""
+"""Configurations: TOML read strictly, so that no misspelt key is ever ignored."""
 
 import math
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from taichi_nmm.body import Bodies
 from taichi_nmm.errors import InputError
-from taichi_nmm.settings import Settings
-
-if TYPE_CHECKING:
-    from taichi_nmm.terrain import Terrain
 
 REQUIRED = object()
 
@@ -118,24 +108,3 @@ def read_toml(path: str | Path) -> Table:
             return Table(tomllib.load(file))
     except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError("config", str(path), f"a readable TOML file ({error})") from None
-
-
-def read_settings(table: Table, arch: str | None = None) -> Settings:
-    """See `conditions.read_settings`."""
-    from taichi_nmm import conditions
-
-    return conditions.read_settings(table, arch)
-
-
-def read_terrain(table: Table, seed: int | np.random.SeedSequence) -> "Terrain":
-    """The terrain that the table [terrain] describes (`terrain.read_ground`), drawn from `seed`."""
-    from taichi_nmm.terrain import read_ground
-
-    return read_ground(table).draw(seed)
-
-
-def read_bodies(table: Table, seed: int | np.random.SeedSequence) -> Bodies:
-    """The table [body]: one body, disturbed by up to `disturbance`."""
-    from taichi_nmm.conditions import read_disturbance
-
-    return Bodies.disturbed([seed], read_disturbance(table))

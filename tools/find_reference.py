@@ -16,7 +16,6 @@ from pathlib import Path
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import cma
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +23,7 @@ import taichi_nmm
 from storage.commit import commit_json, writable
 from storage.sobol import sobol_gains
 from study.command import run_command
+from study.experiment.pycma import new_strategy
 from study.pictures import human_ranges
 from study.pictures.strides import PERCENT, left_strides
 from taichi_nmm.body import GRAVITY_MPS2, SEGMENTS, Bodies
@@ -139,11 +139,7 @@ def starts(seed: int, count: int, arch: str) -> Array:
 def search(start: Array, seed: int, restart: int, generations: int, arch: str) -> Array:
     """The mean and the best of one run of CMA-ES as gains, [2, 16]."""
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(restart,)))
-    options = {
-        "bounds": [0.0, 1.0], "popsize": POPULATION, "maxiter": generations, "verbose": -9,
-        "seed": np.nan, "randn": lambda *shape: generator.standard_normal(shape),
-    }  # fmt: skip
-    strategy = cma.CMAEvolutionStrategy(start, START_SPREAD, options)
+    strategy = new_strategy(start, START_SPREAD, generator, popsize=POPULATION, maxiter=generations)
     while not strategy.stop():
         asked = strategy.ask()
         strategy.tell(asked, costs(LOW + RANGE * np.array(asked), arch).tolist())
