@@ -13,8 +13,7 @@ from optuna.samplers import BaseSampler, TPESampler
 from study.draws import Purpose, seed_32bit
 from study.experiment import cmaes, controls
 from study.experiment.features import Feature, Survival, definition_of, name_of
-from study.experiment.off_grid import store_features
-from study.experiment.stores import store_path
+from study.experiment.off_grid import StoreFeatures
 from study.experiment.task import Task
 from study.sampler.dog_sampler import PAPER
 from study.sampler.feature_sampler import FeatureKernelSampler
@@ -119,8 +118,7 @@ def _gp_optuna(task: Task) -> BaseSampler:
 
 
 def _off_grid(task: Task) -> BaseSampler:
-    experiment = task.experiment
-    function = store_features(store_path(experiment, task.store), task.columns, experiment.searched)
+    function = StoreFeatures(task.experiment, task.store, task.columns)
     return FeatureKernelSampler(
         task.table, seed=task.seed, feature_function=function, off_grid=OFF_GRID, **PAPER
     )

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from study.experiment.arms import Arm, check_installed, find_arm
 from study.experiment.experiment import Experiment
-from study.experiment.off_grid import store_features
+from study.experiment.off_grid import StoreFeatures
 from study.experiment.stores import candidates, check_store
 from taichi_nmm.errors import InputError
 
@@ -34,4 +34,4 @@ def _check(experiment: Experiment, arm: Arm, trials: int) -> None:
         allowed = f"at most {rows}, the rows that {arm.name} may take of the store {store.path}"
         raise InputError("trials", trials, allowed)
     if arm.off_grid:
-        store_features(store.path, arm.columns, experiment.searched)
+        StoreFeatures(experiment, arm.store, arm.columns)

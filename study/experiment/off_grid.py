@@ -1,18 +1,14 @@
-"""Features of points off the store's grid: simulated as the store's rows were.
-
-One process simulates one batch at a time on one thread of the processor: many processes do it side
-by side.
-"""
+"""Features of points off the store's grid: simulated as the store's rows were."""
 
 from dataclasses import replace
-from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from storage.searched import searched_parameters, split_points
 from storage.store import open_store
+from study.experiment.experiment import Experiment
+from study.experiment.stores import store_path
 from taichi_nmm.body import Bodies
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import RESULT_DTYPE
@@ -25,16 +21,18 @@ class StoreFeatures:
     """The features that a store's base setting gives to any gains.
 
     Args:
-        path: of the store, whose base setting is level ground and the undisturbed body.
+        experiment: whose store it is, and on whose engine the gains walk: another one would be
+            started anew for each trial.
+        store: key of the store, whose base setting is level ground and the undisturbed body.
         features: columns of the base setting.
-        searched: low-level gains after the 16.
 
     Raises:
         InputError: another base setting, or a feature that is not of it.
     """
 
-    def __init__(self, path: Path, features: tuple[str, ...], searched: tuple[str, ...]) -> None:
+    def __init__(self, experiment: Experiment, store: str, features: tuple[str, ...]) -> None:
         """Read the store's settings; nothing is simulated yet."""
+        path = store_path(experiment, store)
         known = RESULT_DTYPE.names or ()
         for name in features:
             if name not in known:
@@ -46,16 +44,17 @@ class StoreFeatures:
             allowed = "a store whose base setting is level ground and the undisturbed body"
             raise InputError("store", str(path), allowed)
         self._features = features
-        self._searched = searched
+        self._searched = searched_parameters(experiment.searched)
         simulation = dict(specification["simulation"])
         self._duration_s = float(simulation.pop("duration_s"))
-        self._settings = replace(Settings(**simulation), arch="cpu", threads=1)
+        engine = experiment.conditions.settings
+        self._settings = replace(Settings(**simulation), arch=engine.arch, threads=engine.threads)
 
     def __call__(self, gains: Floats) -> Floats:
         """Features [n, k] of gains [n, 16 + s]."""
         import taichi_nmm
 
-        own, low_level = split_points(gains, searched_parameters(self._searched))
+        own, low_level = split_points(gains, self._searched)
         result = taichi_nmm.simulate(
             own,
             duration_s=self._duration_s,
@@ -64,11 +63,3 @@ class StoreFeatures:
             settings=self._settings,
         )
         return np.column_stack([result[name].astype(np.float64) for name in self._features])
-
-
-@lru_cache(maxsize=8)
-def store_features(
-    path: Path, features: tuple[str, ...], searched: tuple[str, ...]
-) -> StoreFeatures:
-    """One a process: its simulator is started once."""
-    return StoreFeatures(path, features, searched)
