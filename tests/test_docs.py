@@ -10,7 +10,7 @@ import pytest
 import taichi_nmm
 from taichi_nmm.config import read_toml
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
-from tests.study.comparison import fake
+from tests.study import fake_walker
 
 ROOT = Path(__file__).resolve().parent.parent
 TOOLS = sorted(
@@ -70,8 +70,8 @@ def test_the_readmes_study_and_the_stores_page_run_on_small_stores(
 ) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "store").symlink_to(ROOT / "tests" / "assets" / "store-v1")
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
-    fake.write_store(tmp_path / "out" / "store-diverse")
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+    fake_walker.write_store(tmp_path / "out" / "store-diverse")
     blocks = [python_blocks(ROOT / "README.md")[1], python_blocks(ROOT / "docs" / "store.md")[0]]
     for code in blocks:
         done = subprocess.run(

@@ -1,13 +1,19 @@
-"""A fake simulator, a store made with it, and a table of synthetic rows."""
+"""A fake simulator, stores made with it, a table of synthetic rows, and toy comparisons."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import optuna
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
 from study import FeatureTable
+from study.comparison import compare as comparing
+from study.comparison.compare import Outcome, Request, compare
+from study.experiment.experiment import Experiment
 from tests.study import fake_walker
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -17,12 +23,14 @@ optuna.logging.set_verbosity(optuna.logging.ERROR)
 def fake_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
     # Not setattr: it would read the old value first, which loads Taichi.
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+    fake_walker.calls.clear()
 
 
 @pytest.fixture
 def store(fake_simulator: None, tmp_path: Path) -> Path:
-    path = tmp_path / "store"
-    fake_walker.write_store(path)
+    """200 rows, scored on level ground."""
+    path = tmp_path / "plain-store"
+    fake_walker.write_plain_store(path)
     return path
 
 
@@ -32,3 +40,40 @@ def table() -> FeatureTable:
     rng = np.random.default_rng(0)
     a, b = rng.uniform(-1, 1, 60), rng.uniform(0, 5, 60)
     return FeatureTable.from_arrays({"a": a, "b": b}, np.abs(a), bounds={"a": (-1, 1), "b": (0, 5)})
+
+
+@pytest.fixture
+def toy(fake_simulator: None, tmp_path: Path) -> Experiment:
+    """The toy experiment, with a store on which every arm can run."""
+    return fake_walker.experiment(tmp_path)
+
+
+class Comparisons:
+    """Comparisons of the toy experiment, each call in a folder by name."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.experiment = fake_walker.experiment(folder)
+
+    def run(self, out: str, *, experiment: Experiment | None = None, **request: Any) -> Outcome:
+        """Run it, or what is missing of it, in this process."""
+        made = Request(self.folder / out, **({"artifacts": False} | request))
+        return compare(experiment or self.experiment, made, lambda progress: None)
+
+    def content(self, out: str) -> bytes:
+        """The bytes of the results."""
+        return (self.folder / out / "trials.parquet").read_bytes()
+
+    def table(self, out: str) -> pa.Table:
+        """The results."""
+        return pq.read_table(self.folder / out / "trials.parquet")
+
+
+@pytest.fixture
+def comparisons(
+    fake_simulator: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Comparisons:
+    """The database has tests of its own; here it would take most of the time."""
+    monkeypatch.setattr(comparing, "check_database", lambda *_: None)
+    monkeypatch.setattr(comparing, "export", lambda *_, **__: None)
+    return Comparisons(tmp_path)

@@ -1,19 +1,23 @@
-"""A walker of one formula in place of the simulator: tests of studies take milliseconds a trial.
+"""A walker of one formula in place of the simulator, stores made with it, and a toy experiment.
 
-A walker's quality falls with the distance of its gains from the middle of their ranges; the body
-moves the optimum a little, the ground shortens every walk. Everything else follows from quality.
+A walker's quality falls with the distance of its gains from the middle of their ranges; its body
+and its ground take something off. Whoever passes WALKS_FROM walks to the end. Trials take
+milliseconds.
 """
 
 import os
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from storage.precompute import precompute
 from storage.specification import read_specification
+from study.experiment.experiment import Experiment, read_experiment
+from study.survival import FAMILIES
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table
 from taichi_nmm.parameters import gain_rows, lower_bounds, upper_bounds
@@ -21,9 +25,13 @@ from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result, Trajectory
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
 
-TRIAL_S = float(os.environ.get("FAKE_TRIAL_S", "0"))  # for those who want to kill it
-WALKS_FROM = 0.75  # quality
+TRIAL_S = float(os.environ.get("FAKE_TRIAL_S", "0"))  # of a call, for those who want to kill it
+WALKS_FROM = 0.7  # quality
 EMPTY = Trajectory(0, *[np.empty(0)] * 9)
+STORE_ROWS = 150
+THETA_REF = 7  # of the low-level gains
+
+calls: list[dict[str, Any]] = []  # what the simulator was called with
 
 
 def quality(gains: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -33,31 +41,120 @@ def quality(gains: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def simulate(
-    gains: NDArray[np.float64],
+    gains: ArrayLike,
+    *,
     duration_s: float = 5.0,
     bodies: Bodies | None = None,
     terrains: Terrain | Sequence[Terrain] | None = None,
+    terrain_index: ArrayLike | None = None,
+    low_level_gains: ArrayLike | None = None,
     settings: Settings | None = None,
     record: Sequence[int] = (),
     progress: Callable[[float, int], None] | None = None,
+    **options: Any,
 ) -> Result:
     """What `taichi_nmm.simulate` promises, with empty trajectories."""
     time.sleep(TRIAL_S)
-    gains = gain_rows(gains)
-    roughness_m = 0.0 if terrains is None else float(np.std(np.diff(terrains.height_m)))
-    mass_kg = 80.0 if bodies is None else float(bodies.mass_kg.sum())
-    good = quality(gains) * np.exp(-10.0 * roughness_m - abs(mass_kg / 80.0 - 1.0) / 5.0)
-    rows = np.zeros(len(gains), RESULT_DTYPE)
+    tried = gain_rows(gains)
+    calls.append(
+        {
+            "gains": tried, "duration_s": duration_s, "bodies": bodies, "terrains": terrains,
+            "terrain_index": terrain_index, "low_level_gains": low_level_gains,
+            "settings": settings, "record": record, **options,
+        }
+    )  # fmt: skip
+    bodies = bodies or Bodies.nominal()
+    grounds = [terrains] if isinstance(terrains, Terrain) else list(terrains or [])
+    rough = np.array([np.std(np.diff(ground.height_m)) for ground in grounds] or [0.0])
+    index = np.zeros(len(tried), int) if terrain_index is None else np.asarray(terrain_index)
+    mass = np.resize(bodies.mass_kg.sum(axis=1), len(tried))
+    good = quality(tried) * np.exp(-10.0 * rough[index] - abs(mass / 80.0 - 1.0) / 5.0)
+    if low_level_gains is not None:
+        good = good * np.exp(-np.abs(np.atleast_2d(low_level_gains)[:, THETA_REF]))
+    rows = np.zeros(len(tried), RESULT_DTYPE)
     rows["duration_s"] = np.where(good >= WALKS_FROM, duration_s, duration_s * good)
     rows["end_reason"] = np.where(good >= WALKS_FROM, COMPLETED, FELL)
+    rows["survived_fraction"] = rows["duration_s"] / duration_s
     rows["mean_speed_mps"] = 1.3 * good
     rows["distance_m"] = rows["mean_speed_mps"] * rows["duration_s"]
-    rows["phi_printed"] = rows["phi_corrected"] = 50.0 * quality(gains)
+    rows["phi_printed"] = rows["phi_corrected"] = np.round(50.0 * good)  # with ties, as of real
+    for number in range(1, 5):
+        rows[f"m{number}_mean"] = np.sin(number + 7.0 * good)
+    rows["m5_mean_mps"] = good
     if progress is not None:
         progress(duration_s, 0)
     return Result(rows, (EMPTY,) * len(record), {"engine": "fake"})
 
 
-def write_store(path: Path, points: int = 200) -> None:
-    """A store of fake scores; `taichi_nmm.simulate` must be the fake."""
-    precompute(read_specification(Table({"samples": points, "seed": 3})), path)
+def stopped_in_call(
+    number: int, error: type[BaseException] = KeyboardInterrupt
+) -> Callable[..., Result]:
+    """`simulate`, but an error ends its call of that number, counted from 1."""
+    made = 0
+
+    def stopping(gains: ArrayLike, **options: Any) -> Result:
+        nonlocal made
+        made += 1
+        if made == number:
+            raise error
+        return simulate(gains, **options)
+
+    return stopping
+
+
+def write_plain_store(path: Path, samples: int = 200) -> None:
+    """A store of fake scores on level ground alone; `taichi_nmm.simulate` must be the fake."""
+    precompute(read_specification(Table({"samples": samples, "seed": 3})), path)
+
+
+def write_store(path: Path, **changes: Any) -> None:
+    """A store of fake scores with families; `taichi_nmm.simulate` must be the fake."""
+    settings = {
+        "settings": 1,
+        "min_survival_s": 1.0,
+        "terrain": {"kind": "rough", "amplitude_m": 0.08},
+        "body": {"disturbance": 0.15},
+    }
+    families = {name: settings | {"seed": seed} for seed, name in enumerate(FAMILIES)}
+    data = {"samples": STORE_ROWS, "seed": 3, "robust": settings, "families": families} | changes
+    precompute(read_specification(Table(data)), path)
+
+
+CONFIG = """
+name = "toy"
+seed = 5
+runs = 3
+trials = 8
+arms = ["random", "dog", "score-first"]
+{top}
+[objective]
+cost = "smooth"
+[simulation]
+duration_s = 20.0
+[body]
+disturbance = 0.15
+[terrain]
+kind = "rough"
+[stores]
+flat = "{store}"
+robust = "{store}"
+mild = "{store}"
+ramps = "{store}"
+diverse = "{store}"
+"""
+
+
+def write_config(folder: Path, top: str = "") -> Path:
+    """A configuration in a folder, and the store that it names."""
+    store = folder / "store"
+    if not store.exists():
+        searched = {"searched": ["theta_ref"]} if "theta_ref" in top else {}
+        write_store(store, **searched)
+    path = folder / "toy.toml"
+    path.write_text(CONFIG.format(top=top, store=store))
+    return path
+
+
+def experiment(folder: Path, top: str = "") -> Experiment:
+    """The experiment of `write_config`."""
+    return read_experiment(write_config(folder, top))
