@@ -26,7 +26,7 @@ class Look:
         colour: of its line.
         text: of its label.
         dash: of its line, as Matplotlib has it.
-        marker: of its points.
+        marker: of its points, as Matplotlib has it.
         front: whether it is one of the three in front, with a band.
     """
 

@@ -32,7 +32,7 @@ class End:
 
     Attributes:
         y: its end.
-        look: of its arm.
+        look: how its arm is drawn.
         text: the label.
         rank: of lines that end at one place, the higher is written above.
     """

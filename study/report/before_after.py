@@ -39,7 +39,7 @@ class Shown:
     Attributes:
         when: "before" or "after".
         title: what it is, and what became of it.
-        trajectory: of it.
+        trajectory: 50 samples a second.
     """
 
     when: str

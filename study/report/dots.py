@@ -62,7 +62,7 @@ class Scale:
         self.trials = trials
 
     def place(self, trial: float) -> float:
-        """Of a trial, counted from 1."""
+        """Where a trial lies, counted from 1."""
         return float(np.log(trial) / np.log(max(self.trials, 2)))
 
 

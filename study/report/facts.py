@@ -1,4 +1,4 @@
-"""How the runs of an experiment were made, as far as its folder says: date, machine, versions."""
+"""How the runs of an experiment were made, as far as its folder says: machine, stores, versions."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -53,7 +53,7 @@ def _days(sessions: list[dict[str, Any]]) -> str:
 
 
 def _wall_time(sessions: list[dict[str, Any]]) -> str:
-    """Of all sessions together, pictures and films not included."""
+    """Minutes that all sessions took together, pictures and films not included."""
     if not sessions:
         return ""
     seconds = sum(float(each.get("wall_s", 0.0)) for each in sessions)

@@ -1,31 +1,17 @@
 """Several experiments side by side: one table, one document for programs."""
 
-from collections.abc import Iterable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
 from study.experiment.arms import BEST_ARM, PAPER_ARM, Kind
 from study.report.appearance import kind_of, label_of
 from study.report.markdown import count_text, table
-from study.report.numbers import ArmNumbers, Numbers, numbers
-from study.report.runs import read_results
+from study.report.numbers import ArmNumbers, Numbers
 
 KINDS: tuple[Kind, ...] = ("peer", "control", "ours")
 
 
-def report_tables(folders: Iterable[str | Path]) -> str:
-    """Experiments in rows, arms in columns: runs with a walker, median trial of the first.
-
-    Args:
-        folders: of comparisons, each as `read_results` takes it.
-
-    Raises:
-        InputError: what `read_results` refuses.
-    """
-    return overview_text([numbers(read_results(folder)) for folder in folders])
-
-
 def overview_text(experiments: Sequence[Numbers]) -> str:
-    """The same of numbers that are known already."""
+    """Experiments in rows, arms in columns: runs with a walker, median trial of the first."""
     arms = arms_of(experiments)
     rows = []
     for each in experiments:

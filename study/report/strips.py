@@ -34,7 +34,7 @@ class Panel:
 
     Attributes:
         shown: which trial it is.
-        trajectory: of it.
+        trajectory: of it, as far as its pose is finite.
         poses_s: times of the poses.
         frame: x from, to; z from, to, in m.
     """
@@ -46,7 +46,7 @@ class Panel:
 
     @property
     def height_in(self) -> float:
-        """Of its axes."""
+        """Height of its axes on the page."""
         return (self.frame[3] - self.frame[2]) * SCALE_IN_PER_M
 
 

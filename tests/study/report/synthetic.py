@@ -1,4 +1,4 @@
-"""A comparison's folder with made-up trials of realistic shape: 70,000 rows in a second."""
+"""Made-up results: a folder of realistic shape (70,000 rows in a second), and runs to count."""
 
 import json
 from pathlib import Path
@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from study.report.runs import ArmRuns
 from taichi_nmm.parameters import GAINS
 from taichi_nmm.result import SCORE_FIELDS
 
@@ -92,3 +93,13 @@ def write(
     document = {"name": name, "seed": 1, "objective": {"cost": cost}}
     (folder / "experiment.json").write_text(json.dumps(document))
     return folder
+
+
+def arm(name: str, first: list[float], cost: float = 1.0, trials: int = 40) -> ArmRuns:
+    """Runs whose first walker is at these trials; each costs less the later it is seen."""
+    walks = np.zeros((len(first), trials), bool)
+    for run, trial in enumerate(first):
+        if np.isfinite(trial):
+            walks[run, int(trial) - 1 :] = True
+    best = cost + np.arange(len(first))[:, None] + np.linspace(1.0, 0.0, trials)
+    return ArmRuns(name, np.arange(len(first)), best, walks, walks.size)

@@ -1,7 +1,6 @@
 """The walks before and after: which trials are shown, on which ground, and how."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +11,10 @@ import pytest
 import taichi_nmm
 from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.identity import document, documented_experiment
-from study.experiment.stores import store_digest
-from study.report.before_after import Pair, Shown, before_and_after, choose
-from study.report.facts import facts, known_stores
+from study.report.before_after import before_and_after, choose
 from study.report.runs import Results, read_results
-from study.report.strips import write_strips
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
-from taichi_nmm.terrain import ramp, rough
 from tests.study import synthetic_gait
 from tests.study.report import synthetic
 
@@ -115,54 +110,3 @@ def test_both_walks_are_of_the_gains_and_the_run_of_the_table(
     assert seen["bodies"].mass_kg[0].tolist() == made.body(1).mass_kg[0].tolist()
     assert pair.before.title == "Before: best combination, trial 1: fell after 2 s, 1.5 m"
     assert pair.after.title == "After: best combination, trial 5: 100 s, 130 m at 1.30 m/s"
-
-
-@pytest.mark.parametrize("ground", ["rough", "ramp"])
-def test_strips_are_drawn_on_the_ground(tmp_path: Path, ground: str) -> None:
-    terrain = rough(1, flat_start_m=1.0) if ground == "rough" else ramp()
-    walks = [
-        Shown(when, f"{when}: somebody", synthetic_gait.walk(seconds, 50.0))
-        for when, seconds in (("before", 0.3), ("after", 12.0))
-    ]
-    files = write_strips(tmp_path, "made-up", Pair(0, terrain, *walks))
-    assert [file.name for file in files] == ["strips.png", "strips.svg"]
-    assert min(file.stat().st_size for file in files) > 50_000
-
-
-def test_facts_of_several_sessions(tmp_path: Path) -> None:
-    folder = synthetic.write(tmp_path, {"dog": (0.1, 0.0)}, 2, 3)
-    machine = {"system": "Linux", "cores": 2}
-    sessions = [
-        {
-            "started": f"2026-11-{day}T10:00:00+00:00",
-            "trials": 3,
-            "wall_s": 90.0,
-            "machine": machine,
-        }
-        for day in (21, 22)
-    ]
-    (folder / "run.json").write_text(json.dumps({"sessions": sessions}))
-    found = facts(read_results(folder))
-    assert found["date"] == "2026-11-21 to 2026-11-22"
-    assert found["wall time"] == "3.0 min for 6 trials in 2 sessions"
-    assert found["machine"] == "system Linux, cores 2"
-    (folder / "run.json").unlink()
-    assert "date" not in facts(read_results(folder))
-
-
-def test_stores_that_still_are_what_the_results_were_made_with_are_known(tmp_path: Path) -> None:
-    paths = {name: tmp_path / f"{name}.parquet" for name in ("flat", "mild", "ramps")}
-    for name in ("flat", "mild"):
-        paths[name].write_text(name)
-    digests = {key: store_digest(paths["flat"]) for key in paths}
-    made = write(tmp_path / "tiny", {"dog": [[5]]})
-
-    def known(*sessions: dict[str, str]) -> dict[str, Path]:
-        noted = [{"trials": 1}, *({"stores": stores} for stores in sessions), {"trials": 0}]
-        return known_stores(replace(made, facts={"stores": digests, "sessions": noted}))
-
-    where = {key: str(path) for key, path in paths.items()}
-    assert known(where) == {"flat": paths["flat"]}
-    assert known({"flat": "nowhere"}, where) == {"flat": paths["flat"]}
-    assert known(where, {"flat": "nowhere"}) == {}  # the latest counts
-    assert known() == known_stores(replace(made, facts={})) == {}

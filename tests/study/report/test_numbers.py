@@ -6,23 +6,13 @@ import numpy as np
 import pytest
 
 from study.experiment.arms import ARMS
-from study.report.appearance import best_peer, by_rank, kind_of, label_of, looks
 from study.report.markdown import report_text
 from study.report.numbers import numbers
-from study.report.overview import report_tables
-from study.report.runs import ArmRuns, Results
+from study.report.overview import overview_text
+from study.report.runs import ArmRuns, Results, read_results
 from study.report.writing import write_report
 from tests.study.report import synthetic
-
-
-def arm(name: str, first: list[float], cost: float = 1.0, trials: int = 40) -> ArmRuns:
-    """Runs whose first walker is at these trials; each costs less the later it is seen."""
-    walks = np.zeros((len(first), trials), bool)
-    for run, trial in enumerate(first):
-        if np.isfinite(trial):
-            walks[run, int(trial) - 1 :] = True
-    best = cost + np.arange(len(first))[:, None] + np.linspace(1.0, 0.0, trials)
-    return ArmRuns(name, np.arange(len(first)), best, walks, walks.size)
+from tests.study.report.synthetic import arm
 
 
 def experiment(*arms: ArmRuns) -> Results:
@@ -66,36 +56,6 @@ def test_without_the_papers_method_there_is_no_comparison() -> None:
     assert "paper's method" not in report_text(experiment(arm("tpe", [3, 4])), found, None)
 
 
-def test_the_best_peer_has_most_walkers_then_the_earliest() -> None:
-    few, late, early = arm("tpe", [1, np.inf]), arm("random", [9, 9]), arm("cmaes-warm", [4, 4])
-    ours = arm("best", [1, 1])
-    assert best_peer([few, late, early, ours]) == "cmaes-warm"
-    assert by_rank({each.arm: each for each in (few, late, early, ours)}) == [
-        "best", "cmaes-warm", "random", "tpe",
-    ]  # fmt: skip
-    assert best_peer([ours]) is None
-
-
-def test_an_arm_that_nobody_knows_any_more_has_its_name_and_is_ours() -> None:
-    assert (kind_of("gp-optuna"), label_of("gp-optuna")) == ("peer", "GPSampler")
-    assert (kind_of("score-first-old"), label_of("score-first-old")) == ("ours", "score-first-old")
-    assert best_peer([arm("score-first-old", [1])]) is None
-
-
-def test_looks_tell_all_known_arms_apart(results: Results) -> None:
-    found = looks({name: arm(name, [1, 2]) for name in ARMS})
-    assert len({(look.colour, look.marker) for look in found.values()}) == len(ARMS)
-    assert len({look.label for look in found.values()}) == len(ARMS)
-    assert all(look.label == ARMS[name].label for name, look in found.items())
-
-
-def test_looks_tell_arms_apart_and_three_stand_in_front(results: Results) -> None:
-    found = looks(results.arms)
-    assert {name for name, look in found.items() if look.front} == {"dog", "best", "cmaes-warm"}
-    assert len({(look.colour, look.marker) for look in found.values()}) == len(found)
-    assert len({look.label for look in found.values()}) == len(found)
-
-
 def test_the_document_says_what_was_counted_and_how(results: Results) -> None:
     found = numbers(results)
     text = report_text(results, found, 0.01)
@@ -130,7 +90,7 @@ def test_one_table_of_several_experiments(tmp_path: Path) -> None:
     second = synthetic.write(
         tmp_path / "b", {"dog": (0.0, 0.0), "tpe": (1.0, 0.0)}, 4, 10, name="b"
     )
-    lines = report_tables([first, second]).splitlines()
+    lines = overview_text([numbers(read_results(each)) for each in (first, second)]).splitlines()
     assert lines[0] == "| experiment | DoG, as printed | best combination | TPE |"
     assert lines[3].startswith("| b | 0 %, > 10 |  | ")
     assert lines[2].split(" | ")[2] == "100 %, 1"

@@ -1,0 +1,43 @@
+"""The frames of a film."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from study.pictures.scene import LARGE, SMALL, frames
+from taichi_nmm.terrain import flat
+from tests.study import synthetic_gait
+
+WALK = synthetic_gait.walk()
+
+
+def picture(film, title: str = "", walk=WALK) -> np.ndarray:
+    """The last frame of a film, [height, width, 3]."""
+    *_, last = frames(walk, flat(), 0.2, title, film)
+    width, height = film.size_px
+    return np.frombuffer(last, np.uint8).reshape(height, width, 3)
+
+
+@pytest.mark.parametrize("film", [LARGE, SMALL])
+def test_the_walker_stands_on_the_ground_in_the_middle_of_the_frame(film) -> None:
+    frame = picture(film)
+    width, height = film.size_px
+    ground = np.all(frame == (0xCF, 0xC8, 0xBC), axis=-1)
+    assert ground[int(0.9 * height), int(0.03 * width)] and not ground[: int(0.8 * height)].any()
+    shown = np.any(frame[int(0.3 * height) : int(0.8 * height), : int(0.88 * width)] < 250, axis=-1)
+    columns = np.flatnonzero(shown.any(axis=0)) / width
+    assert 0.25 < columns.min() < 0.45 < columns.max() < 0.65
+
+
+def test_active_muscles_are_darker() -> None:
+    def darkness(activation: float) -> float:
+        walk = replace(WALK, activation=np.full_like(WALK.activation, activation))
+        return 255.0 - float(picture(SMALL, walk=walk).mean())
+
+    assert darkness(0.0) < darkness(0.5) < darkness(1.0)
+
+
+def test_a_title_is_written() -> None:
+    corner = np.s_[:40, :200]
+    assert (picture(SMALL, "dog")[corner] != picture(SMALL, "random")[corner]).any()
