@@ -1,14 +1,16 @@
 """Filling a store: shard after shard, from wherever an earlier run stopped."""
 
 import time
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from storage.pool import IN_PROCESS, Pool
 from storage.schema import evaluated_name
-from storage.scoring import score_shard
+from storage.scoring import ScoredShard, score_shard
 from storage.specification import Specification
 from storage.store import open_store
 from storage.store_folder import StoreFolder
@@ -17,6 +19,9 @@ from taichi_nmm.result import COMPLETED, END_REASONS
 
 Progress = Callable[[float], None]
 """Called with the points done so far, those of earlier runs and parts of a shard included."""
+
+Unit = tuple[Specification, int]
+"""A store and the number of one of its shards."""
 
 
 @dataclass(frozen=True)
@@ -53,38 +58,63 @@ def precompute(
     path: Path,
     fresh: bool = False,
     progress: Progress = lambda points: None,
+    pool: Pool = IN_PROCESS,
 ) -> Summary:
     """Finish the store at `path`, or make it.
 
-    Whatever stops this loses the shard in work and no other. Calling it again goes on, and the
+    Whatever stops this loses the shards in work and no others. Calling it again goes on, and the
     manifest at the end is that of a run that nothing stopped.
 
+    Args:
+        specification: what the store is to hold.
+        path: of its folder.
+        fresh: start over.
+        progress: told within a shard by a pool in this process, by others a shard at a time.
+        pool: what computes the shards; the files do not depend on it. A single shard is computed
+            in this process.
+
     Raises:
-        InputError: see `StoreFolder.claim`; or the disk is full.
+        InputError: see `StoreFolder.claim`; the disk is full, or a process of the pool was killed.
     """
     with StoreFolder.claim(path, specification, fresh) as folder:
         missing = folder.missing()
         computed = sum(specification.shard_range(number)[1] for number in missing)
         start_s = time.perf_counter()
-        _fill(folder, missing, specification.samples - computed, progress)
+        done = specification.samples - computed
+        _fill(folder, missing, done, progress, pool if len(missing) > 1 else IN_PROCESS)
         wall_s = time.perf_counter() - start_s
         folder.write_manifest()
         return _summary(specification, path, computed, wall_s)
 
 
-def _fill(folder: StoreFolder, missing: list[int], done: int, progress: Progress) -> None:
+def _fill(
+    folder: StoreFolder, missing: list[int], done: int, progress: Progress, pool: Pool
+) -> None:
+    """Commit the missing shards as they come; `done` points are there."""
     specification, code = folder.specification, {"code_version": __version__}
+
+    def score_here(unit: Unit) -> ScoredShard:
+        _, size = specification.shard_range(unit[1])
+        return score_shard(*unit, lambda part: progress(done + part * size))
+
+    score = score_here if pool.in_process else _score
+    asked = _on_one_thread(specification) if pool.shares_machine else specification
     progress(done)
-    for number in missing:
-        _, size = specification.shard_range(number)
-
-        def report(part: float, done: int = done, size: int = size) -> None:
-            progress(done + part * size)
-
-        shard = score_shard(specification, number, report)
+    for (_, number), shard in pool.results(score, deque((asked, number) for number in missing)):
         folder.write_shard(number, shard.table, code | shard.engine)
-        done += size
+        done += specification.shard_range(number)[1]
         progress(done)
+
+
+def _score(unit: Unit) -> ScoredShard:
+    return score_shard(*unit, report=lambda part: None)
+
+
+def _on_one_thread(specification: Specification) -> Specification:
+    """The same store: threads decide no number, and are no part of what it is."""
+    conditions = specification.conditions
+    settings = replace(conditions.settings, threads=1)
+    return replace(specification, conditions=replace(conditions, settings=settings))
 
 
 def _summary(specification: Specification, path: Path, computed: int, wall_s: float) -> Summary:

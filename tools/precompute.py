@@ -15,11 +15,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from tqdm import tqdm
 
+from storage.pool import cores, local_pool
 from storage.precompute import Summary, precompute
 from storage.specification import read_specification
 from study.command import require_arch, run_command
 from taichi_nmm.config import read_toml
-from taichi_nmm.settings import ARCHITECTURES
+from taichi_nmm.settings import ARCHITECTURES, Settings
 
 
 class ProgressBar:
@@ -45,10 +46,12 @@ class ProgressBar:
 def main() -> None:
     options = parse()
     specification = read_specification(read_toml(options.config), options.samples, options.arch)
-    require_arch(specification.conditions.settings)
+    settings = specification.conditions.settings
+    require_arch(settings)
     out = options.out or Path("out") / options.config.stem
-    with closing(ProgressBar(specification.samples)) as bar:
-        summary = precompute(specification, out, options.fresh, bar.show)
+    workers = default_workers(settings) if options.workers is None else options.workers
+    with local_pool(workers) as pool, closing(ProgressBar(specification.samples)) as bar:
+        summary = precompute(specification, out, options.fresh, bar.show, pool)
     print(json.dumps(asdict(summary)) if options.json else text(summary))
 
 
@@ -58,9 +61,23 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--samples", type=int, metavar="N", help="points, instead of the file's")
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/<name of the config>")
     parser.add_argument("--arch", choices=ARCHITECTURES, help="machine, instead of the file's")
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="processes; default: one a core, or 1 for a GPU"
+    )
     parser.add_argument("--fresh", action="store_true", help="start over")
     parser.add_argument("--json", action="store_true", help="print the summary as one object")
     return parser.parse_args()
+
+
+def default_workers(settings: Settings) -> int:
+    """Processes: one a core, or one alone where there is a GPU."""
+    if settings.arch != "cpu":
+        from taichi_nmm.kernel import backend
+
+        backend.start(settings)
+        if backend.metadata()["arch"] != "cpu":
+            return 1
+    return cores()
 
 
 def text(summary: Summary) -> str:

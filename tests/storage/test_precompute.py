@@ -1,13 +1,17 @@
 import json
 import shutil
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
+from storage.pool import Pool, local_pool
 from storage.precompute import Summary, precompute
 from storage.shard import FOOTER_KEY, read_columns
 from storage.store_folder import StoreFolder
@@ -74,6 +78,46 @@ def test_footers_say_what_made_the_shard(store: Path) -> None:
 def test_two_runs_are_equal_byte_for_byte(store: Path, tmp_path: Path) -> None:
     fill(tmp_path / "other")
     assert content(tmp_path / "other") == content(store)
+
+
+def test_shards_finished_in_any_order_are_the_same_bytes(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads, seen = [], []
+
+    def simulate(gains: Any, **options: Any) -> Result:
+        threads.append(options["settings"].threads)
+        time.sleep(0.05 / len(threads))  # later ones overtake
+        return fake.simulate(gains, **options)
+
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate)
+    with ThreadPoolExecutor(3) as executor:  # where the fake simulator is seen
+        precompute(
+            fake.specification(), tmp_path / "b", progress=seen.append, pool=Pool(executor, 3)
+        )
+    assert content(tmp_path / "b") == content(store)
+    assert threads == [1] * 7
+    assert len(seen) == 8 and seen[0] == 0 and seen[-1] == 50 and seen == sorted(seen)
+
+
+def test_a_single_shard_is_computed_here(store: Path) -> None:
+    before = content(store)
+    (store / SHARD).unlink()
+    with ThreadPoolExecutor(2) as executor:
+        executor.shutdown()
+        precompute(fake.specification(), store, pool=Pool(executor, 2))
+    assert content(store) == before
+
+
+def test_processes_compute_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(vars(taichi_nmm), "simulate")  # the real one, which the processes have
+    specification = fake.specification(
+        samples=24, simulation={"duration_s": 0.2, "arch": "cpu"}, searched=["theta_ref"]
+    )
+    precompute(specification, tmp_path / "one")
+    with local_pool(2) as pool:
+        precompute(specification, tmp_path / "two", pool=pool)
+    assert content(tmp_path / "one") == content(tmp_path / "two")
 
 
 def truncate(file: Path) -> None:

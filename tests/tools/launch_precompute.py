@@ -51,7 +51,7 @@ def main() -> None:
     if "largest_file_bytes" in accidents:
         limit = accidents["largest_file_bytes"]
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-    sys.argv = [str(TOOL), *sys.argv[2:]]
+    sys.argv = [str(TOOL), "--workers", "1", *sys.argv[2:]]  # others would have no fake
     runpy.run_path(str(TOOL), run_name="__main__")
 
 

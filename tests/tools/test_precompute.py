@@ -1,6 +1,7 @@
 """The command: within this process, and in processes that are killed and interrupted for real."""
 
 import json
+import os
 import random
 import runpy
 import signal
@@ -33,7 +34,7 @@ settings = 2
 kind = "ramp"
 """
 SHARDS = 12
-WAIT_S = 60.0
+WAIT_S = 300.0  # the real simulator may compile first
 
 
 @pytest.fixture
@@ -97,7 +98,7 @@ def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
 
     def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", [str(TOOL), *map(str, arguments)])
+        monkeypatch.setattr(sys, "argv", [str(TOOL), "--workers", "1", *map(str, arguments)])
         monkeypatch.setattr(sys, "path", sys.path.copy())
         try:
             runpy.run_path(str(TOOL), run_name="__main__")
@@ -157,6 +158,8 @@ def test_another_specification_is_refused_and_fresh_starts_over(
         ("samples = ", [], "error: config: "),
         (None, [], "error: config: "),
         ("samples = 5", ["--out", "/dev/null/store"], "error: out: "),
+        ("samples = 5", ["--workers", "0"], "error: workers: 0 cannot be used"),
+        ("samples = 5", ["--workers", "-1"], "error: workers: -1 cannot be used"),
     ],
 )
 def test_bad_input_is_one_line_and_touches_nothing(
@@ -252,3 +255,94 @@ def test_a_full_disk_is_one_line(
     assert sorted(content(out)) == [".lock", "specification.json"]
     assert run(config, out)[0] == 0
     assert content(out) == uninterrupted
+
+
+REAL = """
+samples = 400
+shard_rows = 8
+[simulation]
+duration_s = 1.0
+arch = "cpu"
+"""
+REAL_SHARDS = 50
+
+
+def start_real(tmp_path: Path, name: str, workers: int) -> subprocess.Popen[str]:
+    """The command with the real simulator, which other processes have too."""
+    config = tmp_path / "real.toml"
+    config.write_text(REAL)
+    options = ["--config", config, "--out", tmp_path / name, "--workers", workers]
+    return subprocess.Popen(
+        [sys.executable, str(TOOL), *map(str, options)],
+        cwd=REPOSITORY,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def workers_of(process: subprocess.Popen[str]) -> list[int]:
+    """Processes that a process has spawned."""
+    tasks = Path(f"/proc/{process.pid}/task")
+    pids = [pid for file in tasks.glob("*/children") for pid in file.read_text().split()]
+    return [int(pid) for pid in pids if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
+
+def wait_until_gone(pids: list[int]) -> None:
+    deadline = time.monotonic() + WAIT_S
+    while any(Path(f"/proc/{pid}").exists() for pid in pids):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.fixture(scope="module")
+def real_store(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("real")
+    code, _, error = finish(start_real(folder, "store", workers=1))
+    assert code == 0, error
+    return content(folder / "store")
+
+
+def end_by_killing_a_worker(process: subprocess.Popen[str]) -> tuple[int, str]:
+    os.kill(workers_of(process)[0], signal.SIGKILL)
+    code, _, error = finish(process)
+    return code, error
+
+
+def end_by_interrupt(process: subprocess.Popen[str]) -> tuple[int, str]:
+    process.send_signal(signal.SIGINT)
+    code, _, error = finish(process)
+    return code, error
+
+
+def end_by_killing_it(process: subprocess.Popen[str]) -> tuple[int, str]:
+    process.kill()
+    return process.wait(), ""
+
+
+@pytest.mark.parametrize(
+    ("end", "code", "line"),
+    [
+        (end_by_killing_a_worker, 2, "error: workers: 'one was killed' cannot be used; allowed: "),
+        (end_by_interrupt, 130, "interrupted: finished work is kept; the same command resumes"),
+        (end_by_killing_it, -signal.SIGKILL, ""),
+    ],
+)
+def test_an_end_in_the_middle_of_several_processes_resumes_bit_equal(
+    tmp_path: Path,
+    real_store: dict[str, bytes],
+    end: Callable[[subprocess.Popen[str]], tuple[int, str]],
+    code: int,
+    line: str,
+) -> None:
+    process = start_real(tmp_path, "store", workers=2)
+    wait_for_shards(process, tmp_path / "store", 3)
+    workers = workers_of(process)
+    assert len(workers) == 2
+    ended, error = end(process)
+    assert ended == code and error.startswith(line)
+    assert 3 <= shards(tmp_path / "store") < REAL_SHARDS
+    wait_until_gone(workers)
+    code, _, error = finish(start_real(tmp_path, "store", workers=2))
+    assert code == 0, error
+    assert content(tmp_path / "store") == real_store
