@@ -1,59 +1,124 @@
-"""tools/walk.py as its users run it."""
+"""tools/walk.py as its users run it: gains from everywhere, pictures, refusals."""
 
-import importlib.util
 import json
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from study.command import run_command
+import taichi_nmm
+from storage.store import open_store
+from study import pictures
+from study.experiment.experiment import read_experiment
 from taichi_nmm.parameters import GAIN_NAMES, K_T
+from tests.study import fake_walker
+from tests.tools.running import ROOT, run_tool
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-WALK = REPOSITORY / "tools" / "walk.py"
-FLAT = REPOSITORY / "configs" / "flat.toml"
+FLAT = ROOT / "configs" / "flat.toml"
+ROUGH8 = ROOT / "configs" / "rough8.toml"
 
-FALLS = dict(zip(GAIN_NAMES, K_T.tolist(), strict=True)) | {"K_SOL": 0.5, "K_VAS": 0.2}
-
-
-def run(*arguments: str, folder: Path = REPOSITORY) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, str(WALK), *arguments], cwd=folder, capture_output=True, text=True
-    )
+WALKS = dict(zip(GAIN_NAMES, K_T.tolist(), strict=True))
+FALLS = WALKS | {"K_SOL": 0.5, "K_VAS": 0.2}
 
 
-def gains_file(folder: Path, gains: dict[str, float]) -> str:
+def gains_file(folder: Path, gains: Any) -> str:
     path = folder / "gains.json"
     path.write_text(json.dumps(gains), encoding="utf-8")
     return str(path)
 
 
-def test_reference_walks_100_s_at_human_speed_and_json_is_one_object(tmp_path: Path) -> None:
-    done = run("--out", str(tmp_path), "--movie-seconds", "1", "--json")
-    assert done.returncode == 0, done.stderr
-    report = json.loads(done.stdout)
+def test_reference_walks_100_s_at_human_speed_and_json_is_one_object(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    done = run_tool(monkeypatch, "walk", "--out", tmp_path, "--movie-seconds", 1, "--json")
+    assert done == 0
+    report = json.loads(capsys.readouterr().out)
     assert report["end_reason"] == "completed" and report["duration_s"] == 100.0
     assert report["mean_speed_mps"] == pytest.approx(1.30, abs=0.05)
     assert report["distance_m"] == pytest.approx(100.0 * report["mean_speed_mps"])
     assert set(report["gains"]) == set(GAIN_NAMES)
-    pictures = {name: Path(path) for name, path in report["pictures"].items()}
-    assert set(pictures) == {"strip", "gait_cycle", "movie"}
-    assert all(path.stat().st_size > 10_000 for path in pictures.values())
+    drawn = {name: Path(path) for name, path in report["pictures"].items()}
+    assert set(drawn) == {"strip", "gait_cycle", "movie"}
+    assert all(path.stat().st_size > 10_000 for path in drawn.values())
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "gait_cycle.png", "movie.mp4", "strip.png",
     ]  # fmt: skip
 
 
-def test_a_walker_that_falls_is_shown_too_from_another_folder(tmp_path: Path) -> None:
-    arguments = ("--gains", gains_file(tmp_path, FALLS), "--config", str(FLAT), "--duration", "3")
-    done = run(*arguments, "--movie-seconds", "0.3", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "fell after" in done.stdout and "cost of transport" in done.stdout
+def test_a_walker_that_falls_is_shown_too_from_another_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments = ("--gains", gains_file(tmp_path, FALLS), "--config", FLAT, "--duration", 3)
+    assert run_tool(monkeypatch, "walk", *arguments, "--movie-seconds", 0.3) == 0
+    said = capsys.readouterr().out
+    assert "fell after" in said and "cost of transport" in said
     folder = tmp_path / "out" / "walk" / "gains"
     assert {path.name for path in folder.iterdir()} == {"strip.png", "gait_cycle.png", "movie.mp4"}
+
+
+# With the simulator and the painters replaced.
+
+Walk = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def walk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Walk:
+    """Runs the command; returns what it prints with --json."""
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+    for name in ("write_strip", "write_gait_cycle", "write_movie"):
+        monkeypatch.setattr(pictures, name, lambda path, *_: path)
+    fake_walker.calls.clear()
+
+    def walk(*arguments: object) -> dict[str, Any]:
+        assert run_tool(monkeypatch, "walk", "--out", tmp_path / "out", "--json", *arguments) == 0
+        report: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return report
+
+    return walk
+
+
+def test_a_result_is_taken_as_gains_and_gives_the_same_numbers(walk: Walk, tmp_path: Path) -> None:
+    first = walk("--gains", gains_file(tmp_path, FALLS | {"theta_ref": 0.2}))
+    assert walk("--gains", gains_file(tmp_path, first)) == first
+    assert first["gains"] == FALLS | {"theta_ref": 0.2}
+
+
+def test_low_level_gains_reach_the_simulator(walk: Walk, tmp_path: Path) -> None:
+    plain = walk("--gains", gains_file(tmp_path, WALKS))
+    bent = walk("--gains", gains_file(tmp_path, WALKS | {"theta_ref": 0.5}))
+    assert set(plain["gains"]) == set(GAIN_NAMES)
+    assert set(bent["gains"]) == {*GAIN_NAMES, "theta_ref"}
+    assert bent["distance_m"] < plain["distance_m"]
+    assert fake_walker.calls[-1]["low_level_gains"][fake_walker.THETA_REF] == 0.5
+
+
+def test_a_run_has_its_own_body_and_ground(walk: Walk) -> None:
+    walk("--config", ROUGH8, "--run", 3)
+    experiment, call = read_experiment(ROUGH8), fake_walker.calls[-1]
+    assert call["terrains"].height(50.0) == experiment.terrain(3).height(50.0)
+    assert call["bodies"].mass_kg.tolist() == experiment.body(3).mass_kg.tolist()
+    walk("--config", ROUGH8)
+    assert fake_walker.calls[-1]["terrains"].height(50.0) == experiment.terrain(0).height(50.0)
+
+
+def test_another_seed_is_that_of_a_comparison(walk: Walk) -> None:
+    walk("--config", ROUGH8, "--seed", 523001)
+    ground = read_experiment(ROUGH8, seed=523001).terrain(0)
+    assert fake_walker.calls[-1]["terrains"].height(50.0) == ground.height(50.0)
+
+
+@pytest.mark.parametrize("searched", [(), ("theta_ref",)])
+def test_a_row_of_a_store(walk: Walk, tmp_path: Path, searched: tuple[str, ...]) -> None:
+    fake_walker.write_store(tmp_path / "store", searched=list(searched))
+    found = walk("--store", tmp_path / "store", "--row", 17)["gains"]
+    table = open_store(tmp_path / "store").table()
+    assert found == {name: table[name][17].as_py() for name in (*GAIN_NAMES, *searched)}
 
 
 # Bad input: one line, exit code 2, and nothing written.
@@ -65,22 +130,14 @@ Refused = Callable[..., str]
 def refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Refused:
-    """Runs the command in this process; returns its one line."""
-    specification = importlib.util.spec_from_file_location("walk", WALK)
-    assert specification is not None and specification.loader is not None
-    command = importlib.util.module_from_spec(specification)
-    monkeypatch.setitem(sys.modules, "walk", command)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    specification.loader.exec_module(command)
+    """Runs the command; returns its one line."""
     out = tmp_path / "out"
 
-    def refuse(*arguments: str) -> str:
-        defaults = ("--gains", "K_T", "--config", str(FLAT), "--out", str(out))
-        monkeypatch.setattr(sys, "argv", ["walk.py", *defaults, *arguments])
-        with pytest.raises(SystemExit) as stop:
-            run_command(command.main)
+    def refuse(*arguments: object, gains: tuple[object, ...] = ("--gains", "K_T")) -> str:
+        given = (*gains, "--config", FLAT, "--out", out, *arguments)
+        code = run_tool(monkeypatch, "walk", *given)
         said = capsys.readouterr()
-        assert stop.value.code == 2
+        assert code == 2
         assert said.out == "" and said.err.startswith("error: ") and said.err.count("\n") == 1
         assert not out.exists()
         return said.err
@@ -98,6 +155,8 @@ def test_unknown_name_or_missing_file(refused: Refused) -> None:
     [
         ({"K_SOL": float("nan")}, "K_SOL: nan cannot be used; allowed: a finite number"),
         ({"K_SOL": "much"}, "gains.K_SOL: 'much' cannot be used; allowed: a number"),
+        ({"K_SOL": 99}, "gains.K_SOL: 99 cannot be used; allowed: 0 to 24"),
+        ({"theta_ref": 3.0}, "gains.theta_ref: 3.0 cannot be used; allowed: -0.174533 to 0.523599"),
         ({"K_XYZ": 1.0}, "gains: 'K_XYZ' cannot be used; allowed: only the names"),
     ],
 )
@@ -105,6 +164,7 @@ def test_gains_that_cannot_be_used(
     refused: Refused, tmp_path: Path, change: dict[str, float], says: str
 ) -> None:
     assert says in refused("--gains", gains_file(tmp_path, FALLS | change))
+    assert says in refused("--gains", gains_file(tmp_path, {"gains": FALLS | change}))
 
 
 def test_a_gain_that_is_missing(refused: Refused, tmp_path: Path) -> None:
@@ -112,10 +172,11 @@ def test_a_gain_that_is_missing(refused: Refused, tmp_path: Path) -> None:
     assert "gains.l_clr: None" in refused("--gains", gains_file(tmp_path, gains))
 
 
-def test_gains_that_are_not_json(refused: Refused, tmp_path: Path) -> None:
+@pytest.mark.parametrize("content", ["{", "[1, 2]", '{"gains": 3}'])
+def test_gains_that_are_not_json(refused: Refused, tmp_path: Path, content: str) -> None:
     path = tmp_path / "gains.json"
-    path.write_text("{", encoding="utf-8")
-    assert "a readable JSON object" in refused("--gains", str(path))
+    path.write_text(content, encoding="utf-8")
+    assert "JSON object" in refused("--gains", path)
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "1e9"])
@@ -135,34 +196,67 @@ def test_no_ffmpeg(refused: Refused, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("sede = 1", "sede: 1"),
-        ("[simulation]\nduration_s = 'long'", "simulation.duration_s: 'long'"),
-        ("[simulation]\nphysics_step_s = 0.002", "simulation.physics_step_s: 0.002"),
-        ("[terrain]\nkind = 'sea'", "terrain.kind: 'sea'"),
-        ("[body]\ndisturbance = 2.0", "body.disturbance: 2.0"),
+        ("", "seed: 'missing'"),
+        ("seed = 1\nsede = 1", "sede: 1"),
+        ("seed = 1\n[simulation]\nduration_s = 'long'", "simulation.duration_s: 'long'"),
+        ("seed = 1\n[simulation]\nphysics_step_s = 0.002", "simulation.physics_step_s: 0.002"),
+        ("seed = 1\n[terrain]\nkind = 'sea'", "terrain.kind: 'sea'"),
+        ("seed = 1\n[body]\ndisturbance = 2.0", "body.disturbance: 2.0"),
         ("[", "a readable TOML file"),
     ],
 )
 def test_config_that_cannot_be_used(refused: Refused, tmp_path: Path, text: str, says: str) -> None:
     path = tmp_path / "bad.toml"
     path.write_text(text, encoding="utf-8")
-    assert says in refused("--config", str(path))
+    assert says in refused("--config", path)
 
 
-def test_the_line_that_the_quickstart_prints_is_taken(tmp_path: Path) -> None:
-    config = str(REPOSITORY / "configs" / "rough8.toml")
-    gains = gains_file(tmp_path, FALLS)
-    where = ("--out", str(tmp_path / "out"), "--duration", "2", "--movie-seconds", "0.3")
-    done = run("--gains", gains, "--config", config, *where)
-    assert done.returncode == 0, done.stderr
+def test_a_run_that_the_experiment_does_not_have(refused: Refused) -> None:
+    says = "run: 50 cannot be used; allowed: 0 to 49, the runs of rough8"
+    assert says in refused("--config", ROUGH8, "--run", "50")
+    assert "run: -1" in refused("--config", ROUGH8, "--run=-1")
+
+
+def test_gains_from_two_places(refused: Refused, tmp_path: Path) -> None:
+    row, trial = ("--row", 1, "--store", tmp_path), ("--trial", "a/b/0", "--storage", tmp_path)
+    assert "row: 1 cannot be used; allowed: none beside --gains" in refused(*row)
+    assert "trial: 'a/b/0' cannot be used; allowed: none beside --gains" in refused(*trial)
+    assert "none beside --row" in refused(*trial, gains=row)
+
+
+@pytest.mark.parametrize(
+    ("gains", "missing"),
+    [
+        (("--row", 1), "store"), (("--store", "out/store"), "row"),
+        (("--trial", "a/b/0"), "storage"), (("--storage", "sqlite:///a.db"), "trial"),
+    ],
+)  # fmt: skip
+def test_half_of_a_place(refused: Refused, gains: tuple[object, ...], missing: str) -> None:
+    line = refused(gains=gains)
+    assert line.startswith(f"error: {missing}: None") and "belong together" in line
+
+
+def test_a_row_or_store_that_is_not_there(
+    refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+        fake_walker.write_plain_store(tmp_path / "store", 20)
+    for row in (20, -1, 10**30):
+        line = refused(gains=(f"--row={row}", "--store", tmp_path / "store"))
+        assert f"row: {row} cannot be used; allowed: 0 to 19, the rows of" in line
+    assert "nowhere" in refused(gains=("--row", 1, "--store", tmp_path / "nowhere"))
 
 
 def test_folder_that_cannot_be_written(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    assert "out: " in refused("--out", str(tmp_path / "file" / "below"))
+    assert "out: " in refused("--out", tmp_path / "file" / "below")
 
 
 def test_the_process_says_the_same(tmp_path: Path) -> None:
-    done = run("--gains", "nobody", "--out", str(tmp_path / "out"))
+    command = [sys.executable, ROOT / "tools" / "walk.py", "--gains", "nobody"]
+    done = subprocess.run(
+        [*command, "--out", tmp_path / "out"], cwd=tmp_path, capture_output=True, text=True
+    )
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.startswith("error: gains: 'nobody'") and done.stderr.count("\n") == 1
