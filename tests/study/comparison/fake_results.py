@@ -6,20 +6,26 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from study.comparison.experiment import Experiment
 from study.comparison.results import RESULT_SCHEMA
+from study.experiment.experiment import Experiment
+from taichi_nmm.conditions import Conditions
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
 from taichi_nmm.settings import Settings
+from taichi_nmm.terrain import Ground
 
 ARMS = ("dog", "random")
 
 
 def experiment(**changes: Any) -> Experiment:
-    """Rough ground, disturbed bodies, two runs of three trials."""
+    """Rough ground, disturbed bodies, two runs of three trials; `changes` may be of conditions."""
+    conditions: dict[str, Any] = {
+        "duration_s": 2.0, "settings": Settings(arch="cpu"), "disturbance": 0.1,
+        "ground": Ground("rough", {"amplitude_m": 0.02}),
+    }  # fmt: skip
+    conditions |= {name: changes.pop(name) for name in conditions if name in changes}
     fields: dict[str, Any] = {
-        "name": "tiny", "seed": 7, "runs": 2, "trials": 3, "arms": ARMS, "searched": (),
-        "cost": "smooth", "duration_s": 2.0, "settings": Settings(arch="cpu"), "disturbance": 0.1,
-        "ground": {"kind": "rough", "amplitude_m": 0.02}, "stores": {},
+        "name": "tiny", "seed": 7, "searched": (), "cost": "smooth",
+        "conditions": Conditions(**conditions), "runs": 2, "trials": 3, "arms": ARMS,
     }  # fmt: skip
     return Experiment(**(fields | changes))
 

@@ -7,26 +7,26 @@ import numpy as np
 import pytest
 
 from storage.store import Store, open_store
-from study.comparison.arms import ARMS, KINDS
-from study.comparison.stores import Tables
-from study.features import Survival, check_feature, feature_values
+from study.experiment.arms import ARMS, RELATIVES
+from study.experiment.features import Survival, check_feature, feature_values
+from study.experiment.stores import candidates
 from study.survival import FAMILIES
 from study.survival import OPTIONS as BEST
 from taichi_nmm.errors import InputError
-from tests.study.comparison import fake
-from tests.study.comparison.conftest import Comparisons
+from tests.study import fake_walker
+from tests.study.conftest import Comparisons
 
 # A third of the fake's points falls sooner.
 STRICT = {"settings": 1, "min_survival_s": 2.8, "body": {"disturbance": 0.15}}
 
 
 def write(folder: Path, families: tuple[str, ...]) -> Store:
-    fake.write_store(folder, robust={}, families=dict.fromkeys(families, STRICT))
+    fake_walker.write_store(folder, robust={}, families=dict.fromkeys(families, STRICT))
     return open_store(folder)
 
 
 def test_survival_is_the_mean_over_the_families_of_a_store(
-    fake_walker: None, tmp_path: Path
+    fake_simulator: None, tmp_path: Path
 ) -> None:
     store = write(tmp_path / "store", ("up", "down"))
     up, down = (
@@ -46,7 +46,7 @@ def test_rows_that_no_family_ran_are_left_out(comparisons: Comparisons) -> None:
     np.testing.assert_array_equal(feature_values(survivors, store), np.where(ran, everyone, np.nan))
     stores = dict.fromkeys(comparisons.experiment.stores, store.path)
     experiment = replace(comparisons.experiment, stores=stores)
-    table = Tables(experiment).get("diverse", ARMS["best"].features)
+    table = candidates(experiment, "diverse", ARMS["best"].features)
     np.testing.assert_array_equal(table.rows.offered, ran)
     comparisons.run("out", experiment=experiment, arms=("best",), runs=2, trials=20)
     assert ran[comparisons.table("out")["row"].to_numpy()].all()
@@ -62,7 +62,7 @@ def test_rows_that_no_family_ran_are_left_out(comparisons: Comparisons) -> None:
     ],
 )
 def test_a_store_without_what_a_feature_needs(
-    feature: str | Survival, column: str, fake_walker: None, tmp_path: Path
+    feature: str | Survival, column: str, fake_simulator: None, tmp_path: Path
 ) -> None:
     store = write(tmp_path / "store", () if feature == Survival() else ("up",))
     check_feature("mean_speed_mps", store)
@@ -83,11 +83,11 @@ def test_the_best_arm_is_what_its_definition_says() -> None:
     ]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", RELATIVES)
 def test_a_best_arm_without_a_kind_of_ground_reads_nothing_of_it(kind: str) -> None:
     arm = ARMS[f"best-without-{kind}"]
     read = {name for each in arm.features if isinstance(each, Survival) for name in each.families}
-    assert read == set(FAMILIES) - set(KINDS[kind])
+    assert read == set(FAMILIES) - set(RELATIVES[kind])
     assert arm.definition["options"] == BEST
 
 

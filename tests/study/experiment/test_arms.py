@@ -1,21 +1,19 @@
 """Every arm proposes within the bounds, always the same, and goes on after a restart."""
 
-from pathlib import Path
+import json
 
 import numpy as np
 import pytest
-
-from study.comparison import cmaes
 from study.comparison.arms import ARMS, find_arm
 from study.comparison.controls import TOP_ROWS, score_order
-from study.comparison.group import StudyGroup, sampler_seed
 from study.comparison.saw import NOTHING, saw
-from study.comparison.stores import Tables
 from study.comparison.task import Task
+
+from study.comparison import cmaes
 from study.survival import FAMILIES
+from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
-from tests.study.comparison import fake
-from tests.study.comparison.conftest import Comparisons
+from tests.study.conftest import Comparisons
 
 RUNNABLE = [arm.name for arm in ARMS.values() if not arm.needs]
 ON_OTHER_STORES = ("best-", "dog-mild", "dog-ramps", "dog-diverse", "score-first-")
@@ -48,17 +46,9 @@ def test_an_arm_stays_in_bounds_and_goes_on_after_a_restart(
         assert not np.array_equal(gains[frame.run == 0], gains[frame.run == 1])
 
 
-def test_seeds_differ_by_experiment_arm_and_run() -> None:
-    keys = [(seed, arm, run) for seed in (1, 2) for arm in ("dog", "random") for run in (0, 1)]
-    assert len({sampler_seed(*key) for key in keys}) == len(keys)
-    assert sampler_seed(1, "dog", 0) == 17269321431632601577
-
-
-def task(folder: Path, arm: str, run: int = 0) -> Task:
-    experiment = fake.experiment(folder)
+def task(experiment: Experiment, arm: str) -> Task:
     found = find_arm(arm)
-    seed = sampler_seed(experiment.seed, arm, run)
-    return Task(experiment, seed, 0, Tables(experiment), found.store, found.features)
+    return Task(experiment, 0, 0, found.store, found.features)
 
 
 def test_score_first_goes_down_the_score_ties_by_the_second_then_by_row(
@@ -68,7 +58,7 @@ def test_score_first_goes_down_the_score_ties_by_the_second_then_by_row(
     frame = comparisons.table("out").to_pandas()
     rows = frame.row[frame.run == 0].to_numpy()
     np.testing.assert_array_equal(rows, frame.row[frame.run == 1])
-    table = task(comparisons.folder, "score-first").table
+    table = task(comparisons.experiment, "score-first").table
     features = np.column_stack([table.rows.features, -np.arange(len(table))])
     expected = sorted(range(len(table)), key=lambda row: tuple(-features[row]))
     np.testing.assert_array_equal(rows, expected[:30])
@@ -77,7 +67,7 @@ def test_score_first_goes_down_the_score_ties_by_the_second_then_by_row(
 def test_score_top_takes_the_top_rows_in_another_order(comparisons: Comparisons) -> None:
     comparisons.run("out", arms=("score-top",), runs=2, trials=110)
     frame = comparisons.table("out").to_pandas()
-    order = score_order(task(comparisons.folder, "score-top").table)
+    order = score_order(task(comparisons.experiment, "score-top").table)
     for run in range(2):
         rows = frame.row[frame.run == run].to_numpy()
         assert set(rows[:TOP_ROWS]) == set(order[:TOP_ROWS])
@@ -92,7 +82,7 @@ def test_warm_cmaes_evaluates_its_start_a_row_of_the_top(
     comparisons.run("out", arms=("cmaes-warm",), runs=6, trials=2)
     frame = comparisons.table("out").to_pandas()
     starts = frame.row[frame.trial == 0].tolist()
-    assert set(starts) <= set(score_order(task(comparisons.folder, "cmaes-warm").table)[:5])
+    assert set(starts) <= set(score_order(task(comparisons.experiment, "cmaes-warm").table)[:5])
     assert len(set(starts)) > 1
     assert (frame.row[frame.trial == 1] == -1).all()
 
@@ -104,13 +94,26 @@ def test_warm_cmaes_moves_towards_better_costs(comparisons: Comparisons) -> None
     assert frame.cost[frame.trial >= 85].mean() < early
 
 
-def test_a_sampler_that_is_new_every_trial_does_not_need_one_process(
-    comparisons: Comparisons,
-) -> None:
-    for arm in ("cmaes-cold", "tpe"):
-        assert ARMS[arm].fresh
-    for arm in ("dog", "cmaes-warm"):
-        assert not ARMS[arm].fresh
+def test_whose_library_keeps_a_state_is_made_anew_and_whose_state_is_in_trials_is_replayed() -> (
+    None
+):
+    assert {name for name, arm in ARMS.items() if arm.fresh} == {
+        "cmaes-cold", "cmaes-source", "gp-optuna", "tpe",
+    }  # fmt: skip
+    assert {name for name, arm in ARMS.items() if arm.replayed} == {"cmaes-cold", "cmaes-source"}
+
+
+def test_every_arm_is_found_by_its_name_and_says_what_it_is() -> None:
+    for name, arm in ARMS.items():
+        assert find_arm(name) is arm and arm.name == name
+        assert arm.label and arm.summary
+        assert arm.columns == tuple(arm.definition["features"]) or not isinstance(
+            arm.definition["features"][0], str
+        )
+        json.dumps(arm.definition)
+    assert len({arm.label for arm in ARMS.values()}) == len(ARMS)
+    with pytest.raises(InputError, match=r"arm: 'cat' .* one of random, cmaes-cold, .*best"):
+        find_arm("cat")
 
 
 def test_arms_say_what_their_stores_saw(comparisons: Comparisons) -> None:
@@ -127,15 +130,3 @@ def test_arms_say_what_their_stores_saw(comparisons: Comparisons) -> None:
     # The toy's stores are one, and "robust" reads every family of it.
     assert saw(ARMS["score-first"], stores).count(rough) == 1 + len(FAMILIES)
     assert saw(ARMS["best-without-ramps"], {}).endswith("families: rough, blocks")
-
-
-def test_samplers_see_that_a_trial_fell_and_what_it_showed(comparisons: Comparisons) -> None:
-    group = StudyGroup(comparisons.experiment, {0: ("dog", 0)}, 2)
-    proposals = group.propose()
-    rows = fake.simulate(proposals.gains).rows
-    rows["phi_printed"] = 17.0
-    group.tell(np.array([1.0]), rows)
-    (study,) = group._studies.values()
-    attributes = study._study.trials[0].user_attrs
-    assert attributes["fell"] == bool(rows["end_reason"][0] != 0)
-    assert attributes["shown"] == [17.0]

@@ -1,0 +1,164 @@
+"""Configurations of experiments: what they draw, what is refused, and those that come with us."""
+
+import pickle
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study.experiment.arms import find_arm
+from study.experiment.experiment import as_written, experiment_of, read_experiment, study_name
+from study.experiment.stores import store_path
+from taichi_nmm.config import Table
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES
+
+CONFIGS = Path(__file__).parents[3] / "configs"
+ROUGH8 = CONFIGS / "rough8.toml"
+EXPERIMENTS = [file for file in sorted(CONFIGS.glob("*.toml")) if "\narms = " in file.read_text()]
+PUBLISHED = [
+    file for file in EXPERIMENTS if file != ROUGH8 and not file.stem.startswith("optimum-")
+]
+
+
+def edited(tmp_path: Path, old: str, new: str) -> Path:
+    """rough8 with one line changed."""
+    text = ROUGH8.read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "study.toml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    return path
+
+
+def test_rough8_is_the_papers_rough_ground() -> None:
+    experiment = read_experiment(ROUGH8)
+    assert experiment.name == "rough8"
+    assert experiment.cost == "smooth"
+    assert experiment.conditions.duration_s == 100.0
+    assert experiment.names == GAIN_NAMES
+    body, ground = experiment.body(0), experiment.terrain(0)
+    assert len(body) == 1
+    assert 0 < np.abs(body.mass_kg.sum() / 80.0 - 1.0) < 0.15
+    assert 0.005 < np.abs(np.diff(ground.height_m)).max() * 20 <= 0.08
+
+
+def test_the_seed_and_the_run_draw_body_and_ground(tmp_path: Path) -> None:
+    one, again = read_experiment(ROUGH8), read_experiment(ROUGH8)
+    two = read_experiment(edited(tmp_path, "seed = 1", "seed = 2"))
+    assert read_experiment(ROUGH8, seed=2) == two
+
+    def drawn(experiment: object, run: int) -> tuple[bytes, bytes]:
+        body, ground = experiment.body(run), experiment.terrain(run)  # type: ignore[attr-defined]
+        return body.mass_kg.tobytes(), ground.height_m.tobytes()
+
+    assert drawn(one, 3) == drawn(again, 3)
+    different = [drawn(one, 3), drawn(one, 4), drawn(two, 3)]
+    assert all(len(set(parts)) == 3 for parts in zip(*different, strict=True))
+
+
+def test_arch_is_taken_from_the_command() -> None:
+    assert read_experiment(ROUGH8, arch="cpu").conditions.settings.arch == "cpu"
+
+
+def test_an_experiment_pickles_and_hashes_and_is_read_back_from_what_it_writes() -> None:
+    experiment = read_experiment(ROUGH8)
+    copy = pickle.loads(pickle.dumps(experiment))
+    assert copy == experiment and hash(copy) == hash(experiment)
+    written = as_written(experiment)
+    assert set(written) == {
+        "name", "seed", "searched", "objective", "simulation", "body", "terrain",
+    }  # fmt: skip
+    assert as_written(experiment_of(Table(written), "")) == as_written(experiment)
+
+
+def test_one_thread_is_all_that_changes_for_one_of_several_processes() -> None:
+    experiment = read_experiment(ROUGH8)
+    assert experiment.on_one_thread().conditions.settings.threads == 1
+    assert as_written(experiment.on_one_thread()) == as_written(experiment)
+
+
+@pytest.mark.parametrize("run", [-1, 50, 51])
+def test_a_run_out_of_range(run: int) -> None:
+    experiment = read_experiment(ROUGH8)
+    for known in (0, 49):
+        experiment.require_run(known)
+    with pytest.raises(InputError, match=rf"run: {run} .* 0 to 49, the runs of rough8"):
+        experiment.require_run(run)
+
+
+def test_names_sort_by_run() -> None:
+    assert study_name("e", "dog", 7) == "e/dog/run-007"
+    assert sorted(study_name("e", "dog", run) for run in (10, 9)) == [
+        "e/dog/run-009", "e/dog/run-010",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("seed = 1", "seed = -1", "seed: -1"),
+        ("seed = 1", "sead = 1", "seed: 'missing'"),
+        (
+            "seed = 1",
+            "seed = 1\ntrails = 30",
+            "trails: 30 .* only the keys objective, ",
+        ),
+        ("seed = 1", "", "seed: 'missing'"),
+        ("seed = 1", 'seed = 1\nsearched = ["k_ext"]', "searched: 'k_ext' .* theta_ref"),
+        ("runs = 50", "runs = 0", "runs: 0"),
+        ("runs = 50", "runs = 10001", "runs: 10001"),
+        ("trials = 30", "trials = 0", "trials: 0"),
+        ('arms = ["dog"', 'arms = ["random"', "arms: .* each once"),
+        ('"rough8"', '"rough 8/x"', "name: 'rough 8/x'"),
+        ('"rough8"', '"../rough8"', "name: '../rough8'"),
+        ('cost = "smooth"', 'cost = "cheap"', "objective.cost: 'cheap' .* smooth or walking"),
+        ("[objective]", "[objektive]", "objektive"),
+        ("duration_s = 100.0", "duration_s = 0", "simulation.duration_s: 0"),
+        ("duration_s = 100.0", "duration = 100.0", "simulation.duration: 100.0"),
+        ("disturbance = 0.15", "disturbance = 1.5", "body.disturbance: 1.5"),
+        ("amplitude_m = 0.08", "amplitude = 8", "terrain.amplitude: 8"),
+        ('kind = "rough"', 'kind = "hilly"', "terrain.kind: 'hilly'"),
+        ('flat = "out/store"', "flat = 3", "stores.flat: 3"),
+        ("[stores]", "[dog]\nstore = 'out/store'\n[stores]", "dog: .* only the keys"),
+        ("[stores]", "[cmaes]\npopulation = 2\n[stores]", "cmaes.population: 2 .* 0 for the libr"),
+        ("[stores]", "[cmaes]\nsigma = 2.0\n[stores]", "cmaes.sigma: 2"),
+        ("[stores]", "[cmaes]\ngenerations = 2\n[stores]", "cmaes.generations: 2"),
+    ],
+)
+def test_bad_configurations_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        read_experiment(edited(tmp_path, old, new))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_refused() -> None:
+    with pytest.raises(InputError, match=r"config: 'no\.toml'"):
+        read_experiment("no.toml")
+
+
+@pytest.mark.parametrize("file", EXPERIMENTS, ids=lambda file: file.stem)
+def test_an_experiment_can_be_read_and_its_arms_have_their_stores(file: Path) -> None:
+    experiment = read_experiment(file)
+    assert experiment.name == file.stem
+    for name in experiment.arms:
+        arm = find_arm(name)
+        assert not arm.store or store_path(experiment, arm.store)
+    written = tomllib.loads(file.read_text())
+    first, last = experiment.terrain(0), experiment.terrain(49)
+    drawn = written["terrain"]["kind"] in ("rough", "blocks")
+    assert (first.height_m.tobytes() != last.height_m.tobytes()) == drawn
+    other = experiment.body(0).mass_kg != experiment.body(49).mass_kg
+    assert other.all() if written.get("body", {}).get("disturbance") else not other.any()
+
+
+@pytest.mark.parametrize("file", PUBLISHED, ids=lambda file: file.stem)
+def test_a_published_comparison_is_50_runs_of_100_trials_of_disturbed_bodies(file: Path) -> None:
+    experiment = read_experiment(file)
+    assert (experiment.runs, experiment.trials) == (50, 100)
+    assert experiment.conditions.disturbance > 0
+
+
+def test_no_two_experiments_share_a_seed() -> None:
+    seeds = [read_experiment(file).seed for file in EXPERIMENTS]
+    assert len(set(seeds)) == len(seeds) > 0
