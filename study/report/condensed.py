@@ -1,8 +1,8 @@
 """An experiment as one table: an arm a row, what it reached and how it fares beside the paper's."""
 
 from study.experiment.arms import PAPER_ARM
-from study.report.markdown import first_walker_text, p_text, share_range, table
 from study.report.numbers import COMPARED_AFTER, ArmNumbers, Comparison, Numbers
+from study.report.words import first_walker_text, p_text, share_range, table
 
 SHOWN_WITHIN = (1, 3, 10, 30, 60)  # trials
 ABSENT = "-"

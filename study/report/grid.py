@@ -11,9 +11,9 @@ from study.palette import FRONT
 from study.pictures import style
 from study.report.appearance import label_of
 from study.report.axes import headline, save
-from study.report.markdown import count_text
 from study.report.numbers import ArmNumbers, Numbers
 from study.report.overview import arms_of
+from study.report.words import count_text
 
 CELL_IN = (0.72, 0.46)
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 1.75, 0.95, 1.95, 0.2

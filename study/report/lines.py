@@ -8,8 +8,8 @@ import numpy as np
 
 from study.experiment.arms import ARMS
 from study.experiment.saw import saw
-from study.report.markdown import count_text
 from study.report.numbers import ArmNumbers, Numbers
+from study.report.words import count_text
 
 HEADER = "arm                runs  with a walker  first (median)  best cost (median)  ms a trial"
 

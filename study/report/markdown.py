@@ -1,18 +1,23 @@
 """The report of an experiment as Markdown: what each arm saw, what it reached, and the tests."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-import numpy as np
-
 from study.experiment.arms import ARMS, PAPER_ARM
 from study.experiment.saw import saw
-from study.report.appearance import label_of
 from study.report.facts import facts
-from study.report.numbers import ArmNumbers, Comparison, Numbers
+from study.report.numbers import Comparison, Numbers
 from study.report.runs import Results
-from study.report.statistics import RESAMPLES, Interval
+from study.report.statistics import RESAMPLES
+from study.report.words import (
+    first_walker_text,
+    interval_text,
+    label,
+    p_text,
+    share_text,
+    table,
+)
 
 NO_STORES: Mapping[str, Path] = MappingProxyType({})
 UNKNOWN = "not recorded"
@@ -75,45 +80,6 @@ FIGURES = {
 }
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table; all columns but the first are aligned right."""
-    rule = ["---", *["---:"] * (len(header) - 1)]
-    return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *rows))
-
-
-def count_text(value: float, trials: int) -> str:
-    """A trial, or that it is later than all trials."""
-    return f"{value:g}" if np.isfinite(value) else f"> {trials}"
-
-
-def share_text(share: Interval) -> str:
-    """A proportion with its interval, in per cent."""
-    return f"{share.value:.0%} ({share.low:.0%} to {share.high:.0%})".replace("%", " %")
-
-
-def share_range(share: Interval) -> str:
-    """The interval of a proportion alone, in per cent."""
-    return f"{100 * share.low:.0f} to {100 * share.high:.0f} %"
-
-
-def first_walker_text(arm: ArmNumbers) -> str:
-    """The median trial with its interval."""
-    low, high = (
-        count_text(end, arm.trials) for end in (arm.first_walker.low, arm.first_walker.high)
-    )
-    return f"{count_text(arm.first_walker.value, arm.trials)} ({low} to {high})"
-
-
-def p_text(p: float) -> str:
-    """A p-value, to two digits."""
-    return "< 1e-4" if p < 1e-4 else f"{p:.2g}"
-
-
-def label(arm: str) -> str:
-    """The name that the command knows, and what a reader calls it."""
-    return arm if label_of(arm) == arm else f"{arm} ({label_of(arm)})"
-
-
 def _state(results: Results) -> str:
     if results.complete:
         return f"{len(results.arms)} arms, {results.runs} runs of {results.trials} trials each."
@@ -168,7 +134,7 @@ def _costs(numbers: Numbers, cost: str) -> str:
     header = ["arm", *(f"median best {cost} cost after {trials}" for trials in after), "ms"]
     rows = [
         [
-            label(arm.arm), *(_interval(arm.cost_after.get(trials)) for trials in after),
+            label(arm.arm), *(interval_text(arm.cost_after.get(trials)) for trials in after),
             "-" if arm.proposal_ms is None else f"{arm.proposal_ms:.3g}",
         ]
         for arm in numbers.arms
@@ -193,7 +159,7 @@ def _test_row(each: Comparison, after: int) -> list[str]:
     return [
         label(each.arm),
         f"{each.cost.pairs}, {each.cost.unequal} differ",
-        f"{_interval(each.difference, '+.3g')}{remark}",
+        f"{interval_text(each.difference, '+.3g')}{remark}",
         f"{p_text(each.cost_p_holm)} ({p_text(each.cost.p)})",
         f"{each.walkers.pairs}, {each.walkers.unequal} differ",
         f"{p_text(each.walkers_p_holm)} ({p_text(each.walkers.p)})",
@@ -208,10 +174,3 @@ def _saw(numbers: Numbers, stores: Mapping[str, Path]) -> str:
         for each in numbers.arms
     ]
     return table(["arm", "what it is", "what its store saw"], rows).replace("---:", "---")
-
-
-def _interval(interval: Interval | None, form: str = ".3g") -> str:
-    if interval is None:
-        return "-"
-    value, low, high = (format(x, form) for x in (interval.value, interval.low, interval.high))
-    return f"{value} ({low} to {high})"

@@ -12,8 +12,8 @@ import pyarrow as pa
 
 from study.comparison.database import Summary
 from study.palette import SERIES, SERIES_DASHES
-from study.report.markdown import count_text
 from study.report.runs import ArmRuns, runs_of
+from study.report.words import count_text
 
 FIGURE_POINTS = 50  # of a curve: attributes of a study hold 2 kB each
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from study.experiment.arms import BEST_ARM, PAPER_ARM, Kind
 from study.report.appearance import kind_of, label_of
-from study.report.markdown import count_text, table
 from study.report.numbers import ArmNumbers, Numbers
+from study.report.words import count_text, table
 
 KINDS: tuple[Kind, ...] = ("peer", "control", "ours")
 
