@@ -6,6 +6,7 @@ sampler noted in the trial, from which a stopped study is set up again.
 
 import json
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -101,10 +102,13 @@ def outcomes_of(table: pa.Table) -> NDArray[np.void]:
 
 
 def by_study(table: pa.Table) -> Iterator[tuple[str, int, pa.Table]]:
-    """The trials of each study of a table, by arm and run: arm, run, its rows by trial."""
+    """The trials of each study of a table, by arm and run: arm, run, its rows by trial.
+
+    Where studies begin is looked up in the sorted rows: Arrow's `group_by` promises no order.
+    """
     ordered = in_order([table])
-    sizes = ordered.group_by(["arm", "run"], use_threads=False).aggregate([([], "count_all")])
-    start = 0
-    for group in sizes.to_pylist():
-        yield group["arm"], group["run"], ordered.slice(start, group["count_all"])
-        start += group["count_all"]
+    arms, runs = ordered["arm"].to_pylist(), ordered["run"].to_pylist()
+    keys = list(zip(arms, runs, strict=True))
+    starts = [n for n in range(len(keys)) if n == 0 or keys[n] != keys[n - 1]]
+    for start, end in pairwise([*starts, len(keys)]):
+        yield *keys[start], ordered.slice(start, end - start)
