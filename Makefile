@@ -1,6 +1,7 @@
 # make quickstart   a walker found on rough ground, from a fresh clone, in minutes
 # make compare      the paper's first experiment: stores, all samplers, figures; resumes where it was stopped
 # make test         all tests
+# make test-fast    those that take no long: for daily work
 # make lint         style and types, as CI checks them
 # make hooks        run the lint before every commit
 # Needs Python 3.11 or newer and make; everything else goes into .venv.
@@ -9,7 +10,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: quickstart compare test lint hooks
+.PHONY: quickstart compare test test-fast lint hooks
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
@@ -22,6 +23,9 @@ compare: .venv/installed
 
 test: .venv/installed
 	$(BIN)/python -m pytest
+
+test-fast: .venv/installed
+	$(BIN)/python -m pytest -m "not slow"
 
 lint: .venv/lint-installed
 	$(BIN)/ruff format --check .

@@ -24,6 +24,24 @@ ALLOWED = {
     "taichi_nmm": ("taichi_nmm",),
     "storage": ("storage", "taichi_nmm"),
     "study": PACKAGES,
+    "study.experiment": (
+        "study.experiment",
+        "study.sampler",
+        "study.draws",
+        "study.feature_table",
+        "study.survival",
+        "storage",
+        "taichi_nmm",
+    ),
+    "study.comparison": (
+        "study.comparison",
+        "study.experiment",
+        "study.sampler.history",
+        "study.command",
+        "study.pictures",
+        "storage",
+        "taichi_nmm",
+    ),
     "study.sampler": ("study.sampler", "study.draws", "taichi_nmm.errors"),
 }
 
