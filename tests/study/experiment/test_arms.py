@@ -4,12 +4,13 @@ import json
 
 import numpy as np
 import pytest
-from study.comparison.arms import ARMS, find_arm
-from study.comparison.controls import TOP_ROWS, score_order
-from study.comparison.saw import NOTHING, saw
-from study.comparison.task import Task
 
-from study.comparison import cmaes
+from study.experiment import cmaes
+from study.experiment.arms import ARMS, find_arm
+from study.experiment.controls import TOP_ROWS, score_order
+from study.experiment.experiment import Experiment
+from study.experiment.saw import NOTHING, saw
+from study.experiment.task import Task
 from study.survival import FAMILIES
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
@@ -94,9 +95,7 @@ def test_warm_cmaes_moves_towards_better_costs(comparisons: Comparisons) -> None
     assert frame.cost[frame.trial >= 85].mean() < early
 
 
-def test_whose_library_keeps_a_state_is_made_anew_and_whose_state_is_in_trials_is_replayed() -> (
-    None
-):
+def test_arms_whose_library_keeps_a_state_are_made_anew_or_replayed() -> None:
     assert {name for name, arm in ARMS.items() if arm.fresh} == {
         "cmaes-cold", "cmaes-source", "gp-optuna", "tpe",
     }  # fmt: skip
