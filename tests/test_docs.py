@@ -41,10 +41,12 @@ def test_every_command_is_in_the_readme_and_explains_itself(tool: str) -> None:
 
 
 @pytest.mark.parametrize("config", CONFIGS, ids=lambda path: path.name)
-def test_every_configuration_is_toml_and_named_in_the_documents(config: Path) -> None:
+def test_every_configuration_is_toml_and_its_command_is_named(config: Path) -> None:
+    """In a document or, so that an experiment is one file, in its own comments."""
     read_toml(config)
-    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
-    assert any(config.name in page.read_text() for page in pages)
+    pages = [config, ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    command = re.compile(rf"tools/\w+\.py .*configs/{re.escape(config.name)}")
+    assert any(command.search(page.read_text()) for page in pages)
 
 
 def test_links_to_files_of_the_repository_lead_somewhere() -> None:
