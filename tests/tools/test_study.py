@@ -1,9 +1,8 @@
-"""tools/study.py as its users meet it: output, exit codes, locks, kill -9."""
+"""tools/study.py as its users meet it: every arm, output, exit codes, locks, kill -9."""
 
 import json
 import os
 import re
-import runpy
 import signal
 import sqlite3
 import subprocess
@@ -22,15 +21,15 @@ import taichi_nmm
 from storage.databases import studies
 from storage.databases.studies import only_run
 from storage.store import open_store
+from study.experiment.arms import ARMS
 from study.survival import FAMILIES
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS
 from taichi_nmm.result import Result
 from taichi_nmm.settings import Settings
 from tests.study import fake_walker
-from tests.study.comparison import fake
+from tests.tools.running import ROOT, run_tool
 
-ROOT = Path(__file__).parents[2]
 ROUGH8 = ROOT / "configs" / "rough8.toml"
 
 
@@ -44,29 +43,25 @@ class Command:
     def arguments(self, **changes: str | int) -> list[str]:
         options: dict[str, str | int] = {
             "config": str(ROUGH8),
-            "sampler": "dog",
+            "arm": "dog",
             "trials": 4,
             "storage": self.url(),
             "store": str(self.folder / "store"),
             "out": str(self.folder / "out"),
         }
         pairs = (options | changes).items()
-        return [word for name, value in pairs for word in (f"--{name}", str(value))]
+        words = [(f"--{name}", str(value)) for name, value in pairs if value != ""]
+        return [word for pair in words for word in pair]
 
     def url(self) -> str:
         return f"sqlite:///{self.folder / 'studies.db'}"
 
     def run(self, *flags: str, **changes: str | int) -> int:
         """Exit code of the command."""
-        self.monkeypatch.setattr(sys, "argv", ["study.py", *self.arguments(**changes), *flags])
-        try:
-            runpy.run_path(str(ROOT / "tools" / "study.py"), run_name="__main__")
-        except SystemExit as end:
-            return int(end.code or 0)
-        return 0
+        return run_tool(self.monkeypatch, "study", *self.arguments(**changes), *flags)
 
     def rows(self, url: str | None = None) -> list[int]:
-        study = optuna.load_study(study_name="rough8/dog", storage=url or self.url())
+        study = optuna.load_study(study_name="rough8/dog/run-000", storage=url or self.url())
         trials = study.get_trials(states=(TrialState.COMPLETE,))
         return [trial.user_attrs["row"] for trial in trials]
 
@@ -74,8 +69,7 @@ class Command:
 @pytest.fixture
 def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    fake_walker.write_store(tmp_path / "store")
+    fake_walker.write_plain_store(tmp_path / "store")
     return Command(tmp_path, monkeypatch)
 
 
@@ -83,13 +77,13 @@ def test_json_is_one_object(command: Command, capsys: pytest.CaptureFixture[str]
     assert command.run("--json") == 0
     out, err = capsys.readouterr()
     found = json.loads(out)
-    assert found["study"] == "rough8/dog"
+    assert found["study"] == "rough8/dog/run-000"
     assert found["trials"] == 4
     assert found["end_reason"] in ("completed", "fell")
-    assert err.count("rough8/dog") == 4  # a line a trial
-    gains = json.loads((command.folder / "out" / "dog-best.json").read_text())
+    assert err.count("rough8/dog/run-000") == 4  # a line a trial
+    gains = json.loads((command.folder / "out" / "dog-run-000-best.json").read_text())
     assert tuple(gains) == GAIN_NAMES
-    taichi_nmm.load_gains(str(command.folder / "out" / "dog-best.json"))
+    taichi_nmm.load_gains(str(command.folder / "out" / "dog-run-000-best.json"))
 
 
 def test_trials_are_a_total(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
@@ -103,24 +97,63 @@ def test_trials_are_a_total(command: Command, capsys: pytest.CaptureFixture[str]
 
 
 def test_random_needs_no_store(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.run(sampler="random", store="nowhere") == 0
-    assert "rough8/random: " in capsys.readouterr().out
+    assert command.run(arm="random", store="") == 0
+    assert "rough8/random/run-000: " in capsys.readouterr().out
+
+
+def test_what_is_not_said_is_the_configurations(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Trials, store and folder; and the study of another run and seed is another one."""
+    config = fake_walker.write_config(command.folder / "out")
+    command.monkeypatch.chdir(command.folder)
+    words = ("--config", config, "--arm", "dog", "--storage", command.url(), "--json")
+    found = {}
+    for more in ((), ("--run", "2"), ("--run", "2", "--seed", "7", "--storage", "sqlite:///7.db")):
+        assert run_tool(command.monkeypatch, "study", *words, *more) == 0
+        found[more] = json.loads(capsys.readouterr().out)
+    assert [each["study"] for each in found.values()] == [
+        "toy/dog/run-000", "toy/dog/run-002", "toy/dog/run-002",
+    ]  # fmt: skip
+    assert {each["trials"] for each in found.values()} == {8}
+    assert len({each["row"] for each in found.values()}) > 1
+    assert (Path("out") / "toy" / "dog-run-000-best.json").is_file()
+    assert (Path("out") / "toy" / "dog-run-002-best.json").is_file()
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of several tests: to make a database takes longer than a study."""
+    return tmp_path_factory.mktemp("shared")
+
+
+@pytest.mark.parametrize("arm", [arm.name for arm in ARMS.values() if not arm.needs])
+def test_every_arm_can_be_run_and_resumed(
+    shared: Path, arm: str, command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = f"sqlite:///{shared}/studies.db"
+    config = str(fake_walker.write_config(shared))
+    for count in (2, 4):
+        assert command.run(config=config, arm=arm, store="", trials=count, storage=url) == 0
+    assert f"toy/{arm}/run-000: " in capsys.readouterr().out
+    trials = optuna.load_study(study_name=f"toy/{arm}/run-000", storage=url).trials
+    assert [trial.state for trial in trials] == [TrialState.COMPLETE] * 4
+    assert len({tuple(trial.params.values()) for trial in trials}) == 4
 
 
 @pytest.fixture
-def families(command: Command, monkeypatch: pytest.MonkeyPatch) -> Path:
+def families(command: Command) -> Path:
     """A store with the families that the best sampler reads; a third of its rows fell too soon."""
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
     strict = {"settings": 1, "min_survival_s": 2.8, "body": {"disturbance": 0.15}}
     path = command.folder / "families"
-    fake.write_store(path, families=dict.fromkeys(FAMILIES, strict))
+    fake_walker.write_store(path, families=dict.fromkeys(FAMILIES, strict))
     return path
 
 
 def test_the_best_sampler_proposes_rows_that_walked(command: Command, families: Path) -> None:
-    assert command.run(sampler="best", store=str(families), trials=5) == 0
-    assert command.run(sampler="best", store=str(families), trials=8) == 0
-    study = optuna.load_study(study_name="rough8/best", storage=command.url())
+    assert command.run(arm="best", store=str(families), trials=5) == 0
+    assert command.run(arm="best", store=str(families), trials=8) == 0
+    study = optuna.load_study(study_name="rough8/best/run-000", storage=command.url())
     rows = [trial.user_attrs["row"] for trial in study.trials]
     assert len(set(rows)) == 8
     walked = open_store(families).table()["rough_evaluated"].to_numpy()
@@ -130,31 +163,31 @@ def test_the_best_sampler_proposes_rows_that_walked(command: Command, families: 
 def test_the_best_samplers_study_keeps_to_its_store(
     command: Command, families: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert command.run(sampler="best", store=str(families), trials=2) == 0
-    fake.write_store(command.folder / "other", samples=120)
-    assert command.run(sampler="best", store=str(command.folder / "other"), trials=4) == 2
-    assert "study rough8/best: best.store" in capsys.readouterr().err
+    assert command.run(arm="best", store=str(families), trials=2) == 0
+    fake_walker.write_store(command.folder / "other", samples=120)
+    assert command.run(arm="best", store=str(command.folder / "other"), trials=4) == 2
+    assert "study rough8/best/run-000: stores.diverse" in capsys.readouterr().err
 
 
 def test_the_best_sampler_needs_families(
     command: Command, families: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert command.run(sampler="best") == 2
+    assert command.run(arm="best") == 2
     assert "a store with the column rough_survived_fraction_mean" in capsys.readouterr().err
     walked = int(open_store(families).table()["rough_evaluated"].to_numpy().sum())
-    assert command.run(sampler="best", store=str(families), trials=walked + 1) == 2
-    assert f"at most {walked}, the rows of the store" in capsys.readouterr().err
+    assert command.run(arm="best", store=str(families), trials=walked + 1) == 2
+    assert f"at most {walked}, the rows that best may take of the store" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("sampler", ["dog", "best"])
+@pytest.mark.parametrize("arm", ["dog", "best"])
 def test_a_store_of_more_than_the_gains_is_refused(
-    command: Command, families: Path, sampler: str, capsys: pytest.CaptureFixture[str]
+    command: Command, families: Path, arm: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = command.folder / "torso"
-    fake.write_store(path, searched=["theta_ref"])
-    assert command.run(sampler=sampler, store=str(path)) == 2
-    message = "a store of the 16 gains alone, without theta_ref"
-    assert capsys.readouterr().err.strip().endswith(message)
+    fake_walker.write_store(path, searched=["theta_ref"])
+    assert command.run(arm=arm, store=str(path)) == 2
+    message = "with theta_ref' cannot be used; allowed: a store of the 16 gains"
+    assert message in capsys.readouterr().err
 
 
 def no_gpu(settings: Settings) -> None:
@@ -165,6 +198,11 @@ def no_gpu(settings: Settings) -> None:
     ("changes", "message"),
     [
         ({"config": "nowhere.toml"}, "config: 'nowhere.toml'"),
+        ({"arm": "cat"}, "arm: 'cat' .* one of random, .*dog"),
+        ({"run": 50}, "run: 50 .* 0 to 49, the runs of rough8"),
+        ({"run": -1}, "run: -1 "),
+        ({"seed": -1}, "seed: -1 "),
+        ({"arm": "random"}, "store: .* none: the arm random reads no store"),
         ({"trials": 0}, "trials: 0"),
         ({"trials": 1000}, "trials: 1000 .* at most 200"),
         ({"storage": "postgresql://host/db"}, "storage: 'postgresql://host/db' .* sqlite:///FILE"),
@@ -216,7 +254,7 @@ def test_another_configuration_is_refused_by_name(
     other.write_text(ROUGH8.read_text().replace("seed = 1", "seed = 2"))
     capsys.readouterr()
     assert command.run(config=str(other), trials=6) == 2
-    assert "study rough8/dog: seed: 2" in capsys.readouterr().err
+    assert "study rough8/dog/run-000: seed: 2" in capsys.readouterr().err
     assert len(command.rows()) == 4
 
 
@@ -257,7 +295,7 @@ def test_a_database_locked_half_way_is_one_line_and_resumes(
 def test_a_study_that_runs_already_is_refused(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with only_run(command.url(), "rough8/dog"):
+    with only_run(command.url(), "rough8/dog/run-000"):
         assert command.run() == 2
     assert "another process" in capsys.readouterr().err
 
@@ -284,7 +322,7 @@ def test_killed_and_resumed_is_the_same_study(command: Command) -> None:
     ) as process:
         assert process.stderr is not None
         for _ in range(4):
-            assert b"rough8/dog" in process.stderr.readline()
+            assert b"rough8/dog/run-000" in process.stderr.readline()
         time.sleep(0.25)  # into the fifth trial
         process.send_signal(signal.SIGKILL)
     assert len(command.rows()) == 4
