@@ -6,25 +6,20 @@ nothing private of Optuna is needed; a schema that is not the known one is refus
 """
 
 import json
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from functools import cache
 from typing import Any
 
 import sqlalchemy as sql
-from optuna.distributions import BaseDistribution, distribution_to_json
 from optuna.storages import RDBStorage
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial
 
 from storage.databases.postgresql import copy_rows
 from storage.databases.schema_version import known_tables
+from storage.databases.trial_rows import Rows, attribute_rows, parameter_rows, trial_row, value_row
 
 TRIALS_PER_TRANSACTION = 2000  # 30 rows each: some 20 MB of memory, half a second
-
-Rows = list[dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -152,18 +147,14 @@ def _write(
             raise ValueError(f"{study.name}: {have} trials, so none can be number {study.first}")
         numbered = enumerate(study.trials, start=study.first)
         fresh += [(study_id, number, trial) for number, trial in numbered if number >= have]
-    _insert(connection, tables["trials"], [_trial_row(*item) for item in fresh])
+    _insert(connection, tables["trials"], [trial_row(*item) for item in fresh])
     trial_ids = _trial_ids(connection, tables["trials"], {study_id for study_id, _, _ in fresh})
     owned = [(trial_ids[study_id, number], trial) for study_id, number, trial in fresh]
-    values = [_value_row(*item) for item in owned if item[1].value is not None]
+    values = [value_row(*item) for item in owned if item[1].value is not None]
     _insert(connection, tables["trial_values"], values)
-    _insert(connection, tables["trial_params"], _parameter_rows(owned))
+    _insert(connection, tables["trial_params"], parameter_rows(owned))
     for kind in ("user", "system"):
-        rows = [
-            {"trial_id": trial_id, "key": key, "value_json": json.dumps(value)}
-            for trial_id, trial in owned
-            for key, value in getattr(trial, f"{kind}_attrs").items()
-        ]
+        rows = attribute_rows(owned, kind)
         _insert(connection, tables[f"trial_{kind}_attributes"], rows)
     return len(fresh)
 
@@ -224,46 +215,3 @@ def _insert(connection: sql.Connection, table: sql.Table, rows: Rows) -> None:
         copy_rows(connection, table, rows)
     elif rows:
         connection.execute(sql.insert(table), rows)
-
-
-def _trial_row(study_id: int, number: int, trial: FrozenTrial) -> dict[str, Any]:
-    if not trial.state.is_finished() or trial.intermediate_values:
-        raise ValueError(f"trial {number}: not finished, or with intermediate values")
-    return {
-        "study_id": study_id,
-        "number": number,
-        "state": trial.state.name,
-        "datetime_start": _naive_utc(trial.datetime_start),
-        "datetime_complete": _naive_utc(trial.datetime_complete),
-    }
-
-
-def _naive_utc(local: datetime | None) -> datetime | None:
-    return None if local is None else local.astimezone(UTC).replace(tzinfo=None)
-
-
-def _value_row(trial_id: int, trial: FrozenTrial) -> dict[str, Any]:
-    assert trial.value is not None
-    if math.isfinite(trial.value):
-        stored, kind = trial.value, "FINITE"
-    else:
-        stored, kind = None, "INF_POS" if trial.value > 0 else "INF_NEG"
-    return {"trial_id": trial_id, "objective": 0, "value": stored, "value_type": kind}
-
-
-def _parameter_rows(owned: list[tuple[int, FrozenTrial]]) -> Rows:
-    return [
-        {
-            "trial_id": trial_id,
-            "param_name": name,
-            "param_value": distribution.to_internal_repr(trial.params[name]),
-            "distribution_json": _as_json(distribution),
-        }
-        for trial_id, trial in owned
-        for name, distribution in trial.distributions.items()
-    ]
-
-
-@cache
-def _as_json(distribution: BaseDistribution) -> str:
-    return distribution_to_json(distribution)
