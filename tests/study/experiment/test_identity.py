@@ -1,0 +1,181 @@
+"""The one document: all that decides trials is in it, nothing else is, and it can be read back."""
+
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from storage.document import agree, difference
+from study.experiment.arms import ARMS, find_arm
+from study.experiment.experiment import CmaesOptions, Experiment, read_experiment
+from study.experiment.identity import (
+    GROWING,
+    document,
+    documented_experiment,
+    fingerprint,
+    versions,
+)
+from taichi_nmm.conditions import Conditions
+from taichi_nmm.errors import InputError
+from taichi_nmm.settings import Settings
+from taichi_nmm.terrain import KINDS, Ground
+from tests.study import fake_walker
+from tests.study.comparison.fake_results import experiment
+
+TINY = experiment()
+
+# Another value of every field there is. A new field is missing here until somebody says, by its
+# place, whether it decides trials; that it then does, or does not, is tested.
+DECIDING: dict[type, dict[str, Any]] = {
+    Experiment: {"name": "other", "seed": 8, "searched": ("theta_ref",), "cost": "walking"},
+    Conditions: {"duration_s": 3.0, "disturbance": 0.2, "ground": Ground("rough")},
+    Settings: {
+        "physics_step_s": 0.5e-3, "contact_relaxation_speed_mps": 0.2, "precision": "float64",
+    },
+}  # fmt: skip
+IDLE: dict[type, dict[str, Any]] = {
+    Experiment: {
+        "runs": 9, "trials": 50, "arms": ("best",), "stores": {"flat": Path("elsewhere")},
+        "cmaes": CmaesOptions(sigma=0.5),
+    },
+    Conditions: {},
+    Settings: {"arch": "cuda", "threads": 3},
+}  # fmt: skip
+PARTS: dict[type, str] = {Experiment: "", Conditions: "conditions", Settings: "settings"}
+
+
+def changed(kind: type, name: str, value: Any) -> Experiment:
+    """The tiny experiment with one field of itself or of one of its parts changed."""
+    conditions = TINY.conditions
+    if kind is Settings:
+        conditions = replace(conditions, settings=replace(conditions.settings, **{name: value}))
+    elif kind is Conditions:
+        conditions = replace(conditions, **{name: value})
+    else:
+        return replace(TINY, **{name: value})
+    return replace(TINY, conditions=conditions)
+
+
+def named(table: dict[type, dict[str, Any]]) -> list[Any]:
+    return [
+        pytest.param(kind, name, value, id=f"{kind.__name__}.{name}")
+        for kind, values in table.items()
+        for name, value in values.items()
+    ]
+
+
+@pytest.mark.parametrize("kind", PARTS, ids=lambda kind: kind.__name__)
+def test_every_field_either_decides_trials_or_does_not(kind: type) -> None:
+    parts = set(PARTS.values())
+    known = {each.name for each in fields(kind)} - parts
+    assert known == set(DECIDING[kind]) | set(IDLE[kind])
+
+
+@pytest.mark.parametrize(("kind", "name", "value"), named(DECIDING))
+def test_what_decides_trials_changes_the_document(kind: type, name: str, value: Any) -> None:
+    other = changed(kind, name, value)
+    assert difference(document(other, ()), document(TINY, ())) is not None
+    assert fingerprint(other) != fingerprint(TINY)
+
+
+@pytest.mark.parametrize(("kind", "name", "value"), named(IDLE))
+def test_what_decides_nothing_changes_nothing(kind: type, name: str, value: Any) -> None:
+    other = changed(kind, name, value)
+    assert other != TINY
+    assert document(other, ()) == document(TINY, ())
+    assert fingerprint(other) == fingerprint(TINY)
+
+
+def test_the_document_is_json_and_says_the_versions_and_the_space() -> None:
+    ours = document(TINY, ())
+    assert json.loads(json.dumps(ours)) == ours
+    assert ours["versions"] == versions("taichi", "optuna", "cma", "cmaes", "numpy", "scipy",
+                                        "scikit-learn")  # fmt: skip
+    assert list(ours["parameters"]) == list(TINY.names)
+    assert ours["terrain"]["name"] == "rough +-0.02 m every 1 m"
+    assert ours["ground"] == {"kind": "rough", "amplitude_m": 0.02}
+
+
+def test_arms_and_the_stores_that_they_read_are_those_of_the_call(toy: Experiment) -> None:
+    ours = document(toy, (find_arm("dog"), find_arm("best"), find_arm("random")))
+    assert list(ours["arms"]) == ["best", "dog", "random"]
+    assert ours["arms"]["dog"] == json.loads(json.dumps(find_arm("dog").definition))
+    assert list(ours["stores"]) == ["diverse", "flat"]
+    assert len(set(ours["stores"].values())) == 1  # they are one store
+    assert document(toy, ())["arms"] == document(toy, ())["stores"] == {}
+
+
+def test_a_store_is_known_by_its_content(toy: Experiment, tmp_path: Path) -> None:
+    arm = find_arm("dog")
+    before = document(toy, (arm,))
+    (tmp_path / "store").rename(tmp_path / "moved")
+    moved = replace(toy, stores=dict.fromkeys(toy.stores, tmp_path / "moved"))
+    assert document(moved, (arm,)) == before
+    fake_walker.write_store(tmp_path / "other", seed=4)
+    other = replace(toy, stores=dict.fromkeys(toy.stores, tmp_path / "other"))
+    found = difference(document(other, (arm,)), before)
+    assert found is not None and found[0] == "stores.flat"
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_every_arms_definition_survives_a_file(name: str) -> None:
+    definition = find_arm(name).definition
+    assert json.loads(json.dumps(definition)) == definition
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", [7, 8])
+def test_the_experiment_of_a_document_draws_alike(kind: str, seed: int, tmp_path: Path) -> None:
+    (tmp_path / "ground.csv").write_text("0,0\n3,0.1\n60,0\n")
+    ground = Ground(kind, {"file": str(tmp_path / "ground.csv")} if kind == "file" else {})
+    changes = {"ground": ground, "searched": ("theta_ref",), "cost": "walking", "duration_s": 1.5}
+    ours = experiment(seed=seed, **changes)
+    read = documented_experiment(json.loads(json.dumps(document(ours, ()))))
+    assert read is not None
+    machine = replace(read.conditions.settings, arch="cpu")  # of which documents say nothing
+    assert replace(read.conditions, settings=machine) == ours.conditions
+    for name in ("name", "seed", "searched", "cost", "parameters"):
+        assert getattr(read, name) == getattr(ours, name)
+    for run in (0, 7):
+        assert read.body(run).mass_kg.tobytes() == ours.body(run).mass_kg.tobytes()
+        assert read.terrain(run).height_m.tobytes() == ours.terrain(run).height_m.tobytes()
+
+
+@pytest.mark.parametrize(("kind", "name", "value"), named(DECIDING))
+def test_a_document_gives_back_all_that_decides(kind: type, name: str, value: Any) -> None:
+    ours = changed(kind, name, value)
+    read = documented_experiment(json.loads(json.dumps(document(ours, ()))))
+    assert read is not None
+    assert document(read, ()) == document(ours, ())
+
+
+def test_a_document_of_before_grounds_were_in_it_gives_none_and_is_agreed_upon(
+    tmp_path: Path,
+) -> None:
+    ours = document(TINY, ())
+    old = {name: value for name, value in ours.items() if name != "ground"}
+    assert documented_experiment(old) is None
+    file = tmp_path / "experiment.json"
+    file.write_text(json.dumps(old))
+    agreed = agree(file, ours, growing=GROWING, remedy="another --out")
+    assert agreed == json.loads(file.read_text()) == ours
+    with pytest.raises(InputError, match=r"ground\.amplitude_m: 0\.03"):
+        other = ours | {"ground": ours["ground"] | {"amplitude_m": 0.03}}
+        agree(file, other, growing=GROWING, remedy="another --out")
+
+
+@pytest.mark.parametrize(
+    "damage", [{"seed": None}, {"ground": {"kind": "hilly"}}, {"simulation": 3}, {"name": "a/b"}]
+)
+def test_a_damaged_document_is_one_line(damage: dict[str, Any]) -> None:
+    with pytest.raises(InputError) as caught:
+        documented_experiment(document(TINY, ()) | damage)
+    assert "\n" not in str(caught.value)
+
+
+def test_all_experiments_that_come_with_us_have_fingerprints_of_their_own() -> None:
+    configs = Path(__file__).parents[3] / "configs"
+    files = [file for file in configs.glob("*.toml") if "\narms = " in file.read_text()]
+    assert len({fingerprint(read_experiment(file)) for file in files}) == len(files)
