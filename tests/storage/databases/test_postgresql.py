@@ -187,7 +187,7 @@ def test_the_command_of_one_study_runs_and_resumes(
 ) -> None:
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     monkeypatch.setattr(sys, "path", list(sys.path))
-    words = ["--config", ROOT / "configs" / "rough8.toml", "--sampler", "random", "--json"]
+    words = ["--config", ROOT / "configs" / "rough8.toml", "--arm", "random", "--json"]
     for trials in (2, 3):
         more = ["--storage", url, "--trials", trials, "--out", tmp_path]
         monkeypatch.setattr(sys, "argv", ["study.py", *map(str, words + more)])
@@ -195,7 +195,11 @@ def test_the_command_of_one_study_runs_and_resumes(
         said = capsys.readouterr()
         assert json.loads(said.out)["trials"] == trials
         assert "secret" not in said.out + said.err and "***" in said.out
-    assert [trial.number for trial in load(open_studies(url), "rough8/random").trials] == [0, 1, 2]
+    assert [trial.number for trial in load(open_studies(url), "rough8/random/run-000").trials] == [
+        0,
+        1,
+        2,
+    ]
 
 
 def refusal(url: str) -> str:
