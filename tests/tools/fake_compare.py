@@ -1,21 +1,23 @@
-"""tools/compare.py with the simulator replaced, and a checkpoint a round: for processes to kill."""
+"""tools/compare.py with the simulator replaced, and a checkpoint a stretch: for processes to kill.
 
-import os
-import runpy
+Spawned processes import this file, which stays the main module, and have the same simulator.
+"""
+
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import taichi_nmm
-from study.comparison import command, lockstep
-from tests.study.comparison import fake
+from study.command import run_command
+from study.comparison import compare
+from tests.study import fake_walker
+from tests.tools.running import load_tool
+
+vars(taichi_nmm)["simulate"] = fake_walker.simulate
+compare.CHECKPOINT_S = 0.0
+compare.EXPORT_S = 1e9
+compare.STRETCH_TRIALS = 2
 
 if __name__ == "__main__":
-    vars(taichi_nmm)["simulate"] = fake.simulate
-    lockstep.CHECKPOINT_S = 0.0
-    command.EXPORT_S = 1e9
-    if os.environ.get("FAKE_POOL"):
-        vars(lockstep)["Pool"] = fake.LocalPool
-    root = Path(__file__).resolve().parents[2]
-    runpy.run_path(str(root / "tools" / "compare.py"), run_name="__main__")
+    run_command(load_tool("compare").main)

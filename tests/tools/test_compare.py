@@ -2,7 +2,6 @@
 
 import json
 import os
-import runpy
 import signal
 import subprocess
 import sys
@@ -16,11 +15,11 @@ import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
-from study.comparison import lockstep
-from taichi_nmm.result import Result
-from tests.study.comparison import fake
+from study.comparison import compare
+from taichi_nmm.errors import InputError
+from tests.study import fake_walker
+from tests.tools.running import ROOT, run_tool
 
-ROOT = Path(__file__).parents[2]
 PROGRAM = [sys.executable, str(ROOT / "tests" / "tools" / "fake_compare.py")]
 
 
@@ -30,26 +29,20 @@ class Command:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.folder = folder
         self.monkeypatch = monkeypatch
-        self.config = fake.write_config(folder)
+        self.config = fake_walker.write_config(folder)
 
     def arguments(self, *flags: str, **changes: str | int) -> list[str]:
-        options = {"config": str(self.config), "out": str(self.folder / "out")} | changes
+        options = {"config": self.config, "out": self.folder / "out", "workers": 1} | changes
         words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
         return ["--no-artifacts", *words, *flags]
 
     def run(self, *flags: str, **changes: str | int) -> int:
         """Exit code of the command."""
-        arguments = ["compare.py", *self.arguments(*flags, **changes)]
-        self.monkeypatch.setattr(sys, "argv", arguments)
-        try:
-            runpy.run_path(str(ROOT / "tools" / "compare.py"), run_name="__main__")
-        except SystemExit as end:
-            return int(end.code or 0)
-        return 0
+        return run_tool(self.monkeypatch, "compare", *self.arguments(*flags, **changes))
 
-    def start(self, local: bool, **changes: str | int) -> subprocess.Popen[bytes]:
+    def start(self, **changes: str | int) -> subprocess.Popen[bytes]:
         """The command in a process of its own, a tenth of a second a round."""
-        environment = os.environ | {"FAKE_ROUND_S": "0.1", "FAKE_POOL": "1" if local else ""}
+        environment = os.environ | {"FAKE_TRIAL_S": "0.1"}
         return subprocess.Popen(
             [*PROGRAM, *self.arguments(**changes)],
             env=environment,
@@ -64,7 +57,7 @@ class Command:
         return sum(pq.read_metadata(file).num_rows for file in files)
 
     def wait_for_more(self, process: subprocess.Popen[bytes], out: str = "out") -> None:
-        """Until the process has written a round."""
+        """Until the process has written a stretch."""
         before, deadline_s = self.rows(out), time.monotonic() + 60.0
         while self.rows(out) == before:
             assert process.poll() is None and time.monotonic() < deadline_s
@@ -73,9 +66,7 @@ class Command:
 
 @pytest.fixture
 def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
-    monkeypatch.setattr(lockstep, "Pool", fake.LocalPool)
-    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     return Command(tmp_path, monkeypatch)
 
 
@@ -112,10 +103,8 @@ def test_another_seed_has_a_folder_of_its_own(command: Command) -> None:
 def test_a_password_is_not_printed(
     command: Command, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from study.comparison import command as comparison
-
-    monkeypatch.setattr(comparison, "check_database", lambda *_: None)
-    monkeypatch.setattr(comparison, "export", lambda *_, **__: None)
+    monkeypatch.setattr(compare, "check_database", lambda *_: None)
+    monkeypatch.setattr(compare, "export", lambda *_, **__: None)
     url = "postgresql+psycopg://me:secret@host/walker"
     for flags in ((), ("--json",)):
         assert command.run(*flags, trials=1, arms="random", storage=url) == 0
@@ -152,14 +141,11 @@ def test_bad_input_is_one_line(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from study.comparison import command as comparison
-    from taichi_nmm.errors import InputError
-
     def require_arch(settings: Any) -> None:
         if settings.arch == "cuda":
             raise InputError("simulation.arch", "cuda", "an architecture of this machine")
 
-    monkeypatch.setattr(comparison, "require_arch", require_arch)
+    monkeypatch.setattr(compare, "require_arch", require_arch)
     assert command.run(**changes) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
@@ -179,24 +165,19 @@ def test_a_missing_ffmpeg_is_refused_before_the_work(
     assert not (command.folder / "out").exists()
 
 
-def test_ctrl_c_keeps_finished_rounds(
+def test_ctrl_c_keeps_finished_stretches(
     command: Command, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rounds = iter(range(100))
-
-    def interrupted(*arguments: Any, **options: Any) -> Result:
-        if next(rounds) == 4:
-            raise KeyboardInterrupt
-        return fake.simulate(*arguments, **options)
-
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", interrupted)
+    monkeypatch.setattr(compare, "STRETCH_TRIALS", 2)
+    stopping = fake_walker.stopped_in_call(6)  # in the third stretch
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", stopping)
     assert command.run() == 130
     assert "the same command resumes" in capsys.readouterr().err
     assert command.rows() == 4 * 9
 
 
 def test_ctrl_c_ends_all_processes(command: Command) -> None:
-    process = command.start(local=False, trials=100, workers=2)
+    process = command.start(trials=100, workers=2)
     command.wait_for_more(process)
     os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to the workers as well
     assert process.wait(30) == 130
@@ -208,10 +189,10 @@ def test_ctrl_c_ends_all_processes(command: Command) -> None:
 
 
 def test_killed_ten_times_and_resumed_is_the_same_table(command: Command) -> None:
-    arms = {"arms": "random,dog,score-first,cmaes-cold,cmaes-warm", "trials": 30, "workers": 2}
+    arms = {"arms": "random,dog,score-first,cmaes-cold,cmaes-warm", "trials": 45}
     rng = np.random.default_rng(0)
     for number in range(10):
-        process = command.start(local=number % 5 > 0, **arms)
+        process = command.start(**arms, workers=2 if number % 5 == 0 else 1)
         command.wait_for_more(process)
         time.sleep(rng.uniform(0.0, 0.25))
         process.kill()
@@ -223,7 +204,7 @@ def test_killed_ten_times_and_resumed_is_the_same_table(command: Command) -> Non
             time.sleep(0.05)
         assert members(process.pid) == []  # workers end with the main process
     kept = command.rows()
-    assert 0 < kept < 30 * 15
+    assert 0 < kept < 45 * 15
     assert command.run(**arms) == 0
     assert command.run(**arms | {"out": str(command.folder / "whole")}) == 0
     parts, whole = (command.folder / name / "trials.parquet" for name in ("out", "whole"))

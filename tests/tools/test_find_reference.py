@@ -1,6 +1,5 @@
 """tools/find_reference.py: what it searches by, and that it searches the same way twice."""
 
-import importlib.util
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -13,18 +12,13 @@ from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import GAIN_NAMES, K_T, load_gains, lower_bounds, upper_bounds
 from taichi_nmm.result import RESULT_DTYPE
 from tests.study import synthetic_gait
-
-TOOL = Path(__file__).resolve().parents[2] / "tools" / "find_reference.py"
+from tests.tools.running import load_tool
 
 
 @pytest.fixture
 def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    specification = importlib.util.spec_from_file_location("find_reference", TOOL)
-    assert specification is not None and specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    specification.loader.exec_module(module)
-    return module
+    return load_tool("find_reference")
 
 
 def test_the_shipped_gait_lies_in_the_bounds() -> None:
