@@ -20,6 +20,7 @@ import pytest
 from study.comparison import artifacts
 from study.comparison.artifacts import make_artifacts
 from study.comparison.database import export
+from study.report.notes import dashboard_summary
 from taichi_nmm.result import Result
 from tests.study import synthetic_gait
 from tests.study.comparison.fake_results import experiment, results
@@ -48,9 +49,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "simulate_trials",
             lambda of, runs, *_, **__: Result(np.zeros(0), (walk,) * len(runs)),
         )
-        export(tiny, table, url, final=True)
+        export(tiny, table, url, dashboard_summary, final=True)
         shown = pc.and_(pc.equal(table["arm"], "dog"), pc.equal(table["run"], 0))
-        make_artifacts(tiny, table.filter(shown), url, out, workers=1)
+        make_artifacts(tiny, table.filter(shown), url, out)
     return out
 
 

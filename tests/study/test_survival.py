@@ -7,20 +7,17 @@ import optuna
 import pytest
 
 import study
-import taichi_nmm
 from storage.store import open_store
-from study.comparison.arms import ARMS
-from study.comparison.stores import Tables
-from study.comparison.task import Task
+from study.experiment.arms import ARMS
+from study.experiment.task import Task
 from study.survival import FAMILIES, OPTIONS, SurvivalSampler, survival_table
 from taichi_nmm.errors import InputError
-from tests.study.comparison import fake
+from tests.study import fake_walker
 
 
 @pytest.fixture
-def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
-    fake.write_store(tmp_path / "store")
+def store(fake_simulator: None, tmp_path: Path) -> Path:
+    fake_walker.write_store(tmp_path / "store")
     return tmp_path / "store"
 
 
@@ -30,14 +27,14 @@ def proposals(sampler: optuna.samplers.BaseSampler, count: int) -> list[int]:
     for _ in range(count):
         trial = made.ask(fixed_distributions=sampler.infer_relative_search_space(made, None))  # type: ignore[arg-type]
         gains = np.array([list(trial.params.values())])
-        made.tell(trial, float(1.0 - fake.quality(gains[:, :16])[0]))
+        made.tell(trial, float(1.0 - fake_walker.quality(gains[:, :16])[0]))
     return [trial.user_attrs["row"] for trial in made.trials]
 
 
 def test_it_proposes_what_the_arm_of_the_comparisons_does(store: Path, tmp_path: Path) -> None:
-    experiment = fake.experiment(tmp_path)
+    experiment = fake_walker.experiment(tmp_path)
     arm = ARMS["best"]
-    task = Task(experiment, 11, 0, Tables(experiment), arm.store, arm.features)
+    task = Task(experiment, 11, 0, arm.store, arm.features)
     ours = SurvivalSampler(survival_table(experiment.stores["diverse"]), seed=11)
     assert proposals(ours, 12) == proposals(arm.new_sampler(task), 12)
     assert arm.definition["options"] == OPTIONS
@@ -58,7 +55,7 @@ def test_options_may_differ(store: Path) -> None:
 
 
 def test_a_store_without_families_is_one_line(store: Path, tmp_path: Path) -> None:
-    fake.write_store(tmp_path / "plain", families={})
+    fake_walker.write_store(tmp_path / "plain", families={})
     with pytest.raises(InputError, match="a store with the column rough_survived_fraction_mean"):
         survival_table(tmp_path / "plain")
 

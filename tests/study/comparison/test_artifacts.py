@@ -1,11 +1,7 @@
 """Pictures and films of the best trials, as Optuna and its dashboard find them."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,9 +14,11 @@ from optuna.artifacts import FileSystemArtifactStore, get_all_artifact_meta, upl
 from optuna_dashboard import get_note
 
 from storage.databases.studies import open_studies
-from study.comparison import artifacts, drawing
+from storage.pool import IN_PROCESS, Pool, local_pool
+from study.comparison import artifacts
 from study.comparison.artifacts import best_walks, make_artifacts
 from study.comparison.database import export
+from study.comparison.drawing import Drawing, draw
 from study.comparison.results import gains_of
 from study.pictures import movie
 from taichi_nmm.errors import InputError
@@ -78,10 +76,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
         return Made(folder, url, make(results(TINY), url, folder))
 
 
-def make(table: pa.Table, url: str, out: Path, workers: int = 1) -> list[tuple[int, int]]:
+def make(table: pa.Table, url: str, out: Path, pool: Pool = IN_PROCESS) -> list[tuple[int, int]]:
     told: list[tuple[int, int]] = []
-    export(TINY, table, url, final=True)
-    make_artifacts(TINY, table, url, out, lambda *done: told.append(done), workers)
+    export(TINY, table, url, None, final=True)
+    make_artifacts(TINY, table, url, out, pool, lambda *done: told.append(done))
     return told
 
 
@@ -171,7 +169,9 @@ def test_all_are_simulated_together_from_the_start(
         np.vstack(simulations.gains), np.array([walk.gains for walk in walks])
     )
     assert all(options["record"] is True for options in simulations.options)
-    assert all(options["duration_s"] == TINY.duration_s for options in simulations.options)
+    assert all(
+        options["duration_s"] == TINY.conditions.duration_s for options in simulations.options
+    )
 
 
 def test_what_is_there_is_kept_and_what_is_missing_is_made(
@@ -210,12 +210,12 @@ def test_a_walker_that_diverged_at_once_has_no_picture(
 
 
 def test_several_processes_draw_the_same_files(
-    tmp_path: Path, url: str, simulations: Simulations, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, url: str, simulations: Simulations
 ) -> None:
-    monkeypatch.setattr(drawing, "TASKS_PER_PROCESS", 1)  # or two would not be worth it
     table = results(TINY, runs=3, arms=("dog",))
     make(table, url, tmp_path / "one")
-    make(table, url, tmp_path / "two", workers=2)
+    with local_pool(2) as pool:
+        make(table, url, tmp_path / "two", pool)
     one, two = (sorted((tmp_path / name / "artifacts").iterdir()) for name in ("one", "two"))
     assert len(one) == 6 and [file.name for file in one] == [file.name for file in two]
     assert [file.read_bytes() for file in one] == [file.read_bytes() for file in two]
@@ -223,12 +223,12 @@ def test_several_processes_draw_the_same_files(
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_process_that_cannot_write_says_so_in_one_line(tmp_path: Path, workers: int) -> None:
-    task = drawing.Task(GLIMPSE, TINY.terrain(0), "", tmp_path / "no" / "s", tmp_path / "f", "")
+    drawing = Drawing(GLIMPSE, TINY.terrain(0), "", tmp_path / "no" / "s", tmp_path / "f", "")
     with (
+        local_pool(workers) as pool,
         pytest.raises(InputError, match=r"out: .* a place that can be written") as caught,
-        drawing.drawers(workers, 8) as draw,
     ):
-        list(draw([task, task]))
+        list(pool.results(draw, deque([drawing, drawing])))
     assert "\n" not in str(caught.value)
 
 
@@ -242,49 +242,10 @@ def test_a_missing_ffmpeg_is_told_before_anything_is_drawn(
     assert movie.FIXING  # one line names what to install
 
 
-KILLED = """
-import multiprocessing, threading, time
-import study.comparison.drawing as drawing
-if __name__ == "__main__":
-    drawing._draw = time.sleep
-    with drawing.drawers(2, 8) as draw:
-        threading.Thread(target=lambda: list(draw([60, 60])), daemon=True).start()
-        while len(multiprocessing.active_children()) < 2:
-            time.sleep(0.01)
-        print(*(child.pid for child in multiprocessing.active_children()), flush=True)
-        time.sleep(60)
-"""
-
-
-def test_a_kill_leaves_no_process_behind(tmp_path: Path) -> None:
-    script = tmp_path / "killed.py"
-    script.write_text(KILLED)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    with subprocess.Popen(
-        [sys.executable, str(script)], env=environment, stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        children = [int(word) for word in process.stdout.readline().split()]
-        process.send_signal(signal.SIGKILL)
-    assert len(children) == 2
-    deadline = time.monotonic() + 30
-    while any(alive(child) for child in children):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
-def alive(process: int) -> bool:
-    try:
-        state = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except OSError:
-        return False
-    return state != "Z"
-
-
 def test_the_real_simulator_repeats_the_trial(tmp_path: Path, url: str) -> None:
     table = results(TINY, arms=("dog",), runs=1)
     (walk,) = best_walks(TINY, table)
-    (task,) = artifacts._tasks(TINY, [walk], tmp_path, "ffmpeg")
-    assert np.isfinite(task.trajectory.q).all() and len(task.trajectory.time_s) > 5
-    assert task.trajectory.time_s[1] - task.trajectory.time_s[0] == pytest.approx(0.02)
-    assert task.terrain is TINY.terrain(0)
+    (drawing,) = artifacts._drawings(TINY, [walk], tmp_path, "ffmpeg")
+    assert np.isfinite(drawing.trajectory.q).all() and len(drawing.trajectory.time_s) > 5
+    assert drawing.trajectory.time_s[1] - drawing.trajectory.time_s[0] == pytest.approx(0.02)
+    assert drawing.terrain is TINY.terrain(0)

@@ -1,52 +1,118 @@
-"""Worker processes: what they compute does not depend on how many there are."""
+"""The unit of work: it depends on what it is given, goes on from there, and passes errors on."""
 
-import os
 import pickle
-import signal
+from collections import deque
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 import pytest
 
-import taichi_nmm
-from study.comparison import lockstep, pool
-from study.comparison.pool import Pool, shares
+from storage.pool import local_pool
+from study.comparison.block import Block, advance
+from study.comparison.results import NOTES, PROPOSAL_TIME, STATE_SCHEMA, in_order, outcomes_of
+from study.experiment.arms import ARMS
+from study.experiment.experiment import Experiment
+from study.experiment.objective import KEPT
 from taichi_nmm.errors import InputError
-from tests.study.comparison import fake
-from tests.study.comparison.conftest import Comparisons
+from taichi_nmm.result import COMPLETED
+from tests.study import fake_walker
+
+STUDIES = (("dog", 0), ("dog", 2), ("cmaes-cold", 0), ("random", 1))
+NOTHING = STATE_SCHEMA.empty_table()
 
 
-def test_shares_are_even_in_every_arm_and_hold_every_study() -> None:
-    studies = [(arm, run) for run in range(7) for arm in ("a", "b", "c")]
-    parts = shares(studies, 2)
-    assert sorted(n for part in parts for n in part) == list(range(21))
-    assert all(studies[n] == key for part in parts for n, key in part.items())
-    for arm in "abc":
-        counts = [sum(key[0] == arm for key in part.values()) for part in parts]
-        assert abs(counts[0] - counts[1]) <= 1
-    assert abs(len(parts[0]) - len(parts[1])) <= 1
-    assert len(shares(studies[:3], 8)) == 3
+def sorted_rows(*tables: pa.Table) -> list[dict[str, object]]:
+    """Rows of tables by study, without what no two runs agree upon."""
+    rows: list[dict[str, object]] = in_order(list(tables)).drop_columns(PROPOSAL_TIME).to_pylist()
+    return rows
 
 
-def test_two_workers_then_one_give_the_same_table_as_none(
-    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
+def test_a_round_is_one_batch_of_all_its_studies(toy: Experiment) -> None:
+    fake_walker.calls.clear()
+    table = advance(Block(toy, STUDIES, NOTHING, 3))
+    assert [len(call["gains"]) for call in fake_walker.calls] == [4, 4, 4]
+    assert table.schema.equals(STATE_SCHEMA) and len(table) == 12
+    for call in fake_walker.calls:
+        index = call["terrain_index"]
+        assert index.tolist() == [0, 2, 0, 1] and len(call["terrains"]) == 3
+        masses = call["bodies"].mass_kg
+        np.testing.assert_array_equal(masses[0], masses[2])
+        assert (masses[0] != masses[1]).all()
+
+
+def test_a_study_is_the_same_in_any_company(toy: Experiment) -> None:
+    together = advance(Block(toy, STUDIES, NOTHING, 4))
+    alone = [advance(Block(toy, (study,), NOTHING, 4)) for study in STUDIES]
+    assert sorted_rows(together) == sorted_rows(*alone)
+    backwards = advance(Block(toy, STUDIES[::-1], NOTHING, 4))
+    assert sorted_rows(together) == sorted_rows(backwards)
+
+
+def test_only_what_is_missing_is_tried(toy: Experiment) -> None:
+    whole = advance(Block(toy, STUDIES, NOTHING, 6))
+    first = advance(Block(toy, STUDIES, NOTHING, 2))
+    dogs = first.filter(pc.equal(first["arm"], "dog"))
+    more = advance(Block(toy, STUDIES[:2], dogs, 4))  # some are further than others
+    known = in_order([first, more])
+    rest = advance(Block(toy, STUDIES, known, 6))
+    assert [len(first), len(more), len(rest)] == [8, 4, 12]
+    assert sorted_rows(first, more, rest) == sorted_rows(whole)
+    assert len(advance(Block(toy, STUDIES, known, 2))) == 0
+
+
+def test_the_best_cost_goes_on_from_what_is_known(toy: Experiment) -> None:
+    first = advance(Block(toy, STUDIES, NOTHING, 3))
+    rest = advance(Block(toy, STUDIES, first, 6))
+    for rows in in_order([first, rest]).to_pandas().groupby(["arm", "run"]):
+        np.testing.assert_array_equal(rows[1].best_cost, rows[1].cost.cummin())
+
+
+def test_a_table_holds_what_the_simulator_said(toy: Experiment) -> None:
+    table = advance(Block(toy, (("random", 0),), NOTHING, 1))
+    call = fake_walker.calls[-1]
+    gains = call.pop("gains")
+    said, kept = fake_walker.simulate(gains, **call).rows, outcomes_of(table)
+    for name in (*KEPT, "end_reason"):
+        assert kept[name] == said[name]
+    assert table["walked"].to_pylist() == [bool(said["end_reason"][0] == COMPLETED)]
+    assert table[NOTES].to_pylist() == ["{}"]
+
+
+def test_a_block_and_its_table_pass_between_processes(toy: Experiment) -> None:
+    table = advance(Block(toy, STUDIES, NOTHING, 2))
+    block = pickle.loads(pickle.dumps(Block(toy, STUDIES, table, 4)))
+    assert block.experiment == toy and block.known.equals(table)
+    assert sorted_rows(advance(block)) == sorted_rows(advance(Block(toy, STUDIES, table, 4)))
+
+
+@pytest.mark.parametrize("arm", [name for name in ARMS if "best" in name][:3])
+def test_what_is_written_in_the_store_is_read_once_a_process(
+    toy: Experiment, arm: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    arms = ("random", "dog", "cmaes-cold", "cmaes-warm")
-    comparisons.run("none", arms=arms, trials=6)
-    monkeypatch.setattr(lockstep, "Pool", Pool)
-    comparisons.run("some", arms=arms, trials=5, workers=2)
-    comparisons.run("some", arms=arms, trials=6, workers=1)
-    assert comparisons.content("some") == comparisons.content("none")
+    from study.experiment import stores
+
+    read: list[object] = []
+    table = stores.feature_table
+    stores._read.cache_clear()
+    monkeypatch.setattr(
+        stores, "feature_table", lambda *a, **o: (read.append(a), table(*a, **o))[1]
+    )
+    for trials in (1, 2):
+        advance(Block(toy, ((arm, 0), (arm, 1)), NOTHING, trials))
+    assert len(read) == 1
 
 
-def test_an_error_in_a_worker_is_one_line_here(comparisons: Comparisons) -> None:
-    (comparisons.folder / "store" / "manifest.json").unlink()
+def test_an_error_in_a_process_is_one_line_here(toy: Experiment) -> None:
+    experiment = replace(toy, stores={})
+    units = deque([Block(experiment, (("dog", 0),), NOTHING, 3)])
     with (
-        pytest.raises(InputError, match="a finished store"),
-        Pool(comparisons.experiment, [("dog", 0)], 3, {}, 1) as made,
+        local_pool(2) as pool,
+        pytest.raises(InputError, match=r"stores\.flat: 'missing'") as caught,
     ):
-        made.propose()
+        list(pool.results(advance, units))
+    assert "\n" not in str(caught.value)
 
 
 def test_an_input_error_passes_between_processes_whole() -> None:
@@ -54,40 +120,3 @@ def test_an_input_error_passes_between_processes_whole() -> None:
     copy = pickle.loads(pickle.dumps(error))
     assert (copy.field, copy.value, copy.allowed) == ("trials", 0, "1 or more")
     assert str(copy) == str(error)
-
-
-def test_a_worker_that_is_killed_is_one_line_here(comparisons: Comparisons) -> None:
-    with Pool(comparisons.experiment, [("random", 0)], 3, {}, 1) as made:
-        assert len(made.propose().study) == 1
-        (process,) = made._processes
-        os.kill(process.pid or 0, signal.SIGKILL)
-        process.join()
-        with pytest.raises(InputError, match="workers: 'one was killed'"):
-            made.tell(np.array([1.0]), fake.simulate(np.ones((1, 16))).rows)
-
-
-def test_starting_processes_leaves_this_one_as_it_was() -> None:
-    handler, environment = signal.getsignal(signal.SIGINT), dict(os.environ)
-    with pool._quiet_children():
-        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-        assert os.environ["OMP_NUM_THREADS"] == "1"
-    assert signal.getsignal(signal.SIGINT) is handler
-    assert dict(os.environ) == environment
-
-
-def test_the_real_simulator_gives_the_same_table_after_a_stop(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(lockstep, "Pool", fake.LocalPool)
-    with monkeypatch.context() as faked:
-        faked.setitem(vars(taichi_nmm), "simulate", fake.simulate)
-        comparisons = Comparisons(tmp_path)
-    comparisons.experiment = replace(comparisons.experiment, duration_s=2.0)
-    arms = ("random", "dog")
-    comparisons.run("parts", arms=arms, runs=1, trials=2)
-    comparisons.run("parts", arms=arms, runs=2, trials=4)
-    comparisons.run("whole", arms=arms, runs=2, trials=4)
-    assert comparisons.content("parts") == comparisons.content("whole")
-    frame = comparisons.table("whole").to_pandas()
-    assert frame.duration_s.between(0.1, 2.0).all()
-    assert frame.cost.nunique() > 8

@@ -1,27 +1,51 @@
-"""The loop: what arms share, and that nothing is lost or computed twice."""
+"""Comparisons: what arms share, and that nothing is lost or computed twice, however work is cut."""
 
 import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from study.comparison import lockstep
+import taichi_nmm
+from storage.pool import InProcess, Pool
+from study.comparison import compare as comparing
+from study.comparison.compare import Request, compare, cut
+from study.comparison.finished import Progress
 from study.comparison.results import RESULT_SCHEMA
-from study.comparison.summary import summaries
+from study.experiment.experiment import Experiment
+from study.experiment.one_study import OneStudy
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
-from tests.study.comparison import fake
-from tests.study.comparison.conftest import Comparisons
+from tests.study import fake_walker
+from tests.study.comparison.fake_results import experiment
+from tests.study.conftest import Comparisons
+
+STATEFUL = ("random", "dog", "cmaes-cold", "cmaes-warm")  # one of each way to keep a state
+
+
+@pytest.fixture
+def cut_into(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, int], None]:
+    """Sets the sizes of units of work: studies of a block, trials of a stretch."""
+
+    def into(studies: int, trials: int) -> None:
+        monkeypatch.setattr(comparing, "BLOCK_STUDIES", studies)
+        monkeypatch.setattr(comparing, "STRETCH_TRIALS", trials)
+
+    return into
 
 
 def test_a_round_is_one_batch_and_all_arms_share_bodies_and_grounds(
     comparisons: Comparisons,
 ) -> None:
-    fake.calls.clear()
+    fake_walker.calls.clear()
     comparisons.run("out")
-    assert len(fake.calls) == 8  # rounds, not 8 trials x 9 studies
-    for call in fake.calls:
+    assert len(fake_walker.calls) == 8  # rounds, not 8 trials x 9 studies
+    for call in fake_walker.calls:
         assert call["gains"].shape == (9, 16)
         index = call["terrain_index"]
         assert sorted(index.tolist()) == [0, 0, 0, 1, 1, 1, 2, 2, 2]
@@ -29,7 +53,7 @@ def test_a_round_is_one_batch_and_all_arms_share_bodies_and_grounds(
         for run in range(3):
             masses = call["bodies"].mass_kg[index == run]
             assert (masses == masses[0]).all()  # three arms, one body
-    heights = [[t.height_m.tobytes() for t in call["terrains"]] for call in fake.calls]
+    heights = [[t.height_m.tobytes() for t in call["terrains"]] for call in fake_walker.calls]
     assert len({tuple(h) for h in heights}) == 1  # the same in every round
     assert len(set(heights[0])) == 3  # another in every run
 
@@ -92,53 +116,194 @@ def test_a_smaller_request_keeps_what_is_there(comparisons: Comparisons) -> None
     assert comparisons.content("out") == before
 
 
+@pytest.mark.parametrize("call", [1, 4, 8])
 def test_an_interrupted_experiment_goes_on(
-    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
+    call: int,
+    comparisons: Comparisons,
+    cut_into: Callable[[int, int], None],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    rounds = iter(range(100))
-
-    def interrupted(*arguments: object, **options: object) -> object:
-        if next(rounds) == 3:
-            raise KeyboardInterrupt
-        return simulate(*arguments, **options)  # type: ignore[arg-type]
-
-    simulate = lockstep.simulate_trials
-    monkeypatch.setattr(lockstep, "simulate_trials", interrupted)
+    cut_into(9, 1)
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(call))
     with pytest.raises(KeyboardInterrupt):
         comparisons.run("out")
     assert not (comparisons.folder / "out" / "trials.parquet").exists()
     outcome = comparisons.run("out")
-    assert outcome.computed == 72 - 3 * 9  # three rounds were kept
+    assert outcome.computed == 72 - (call - 1) * 9  # finished stretches were kept
     comparisons.run("whole")
     assert comparisons.content("out") == comparisons.content("whole")
 
 
-def test_checkpoints_are_written_on_the_way(
-    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
+def test_any_number_of_interruptions_leaves_no_trace(
+    comparisons: Comparisons, cut_into: Callable[[int, int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lockstep, "CHECKPOINT_S", 0.0)
-    seen = []
+    comparisons.run("whole", arms=STATEFUL)
+    cut_into(2, 3)
+    stops = 0
+    while True:
+        monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(8))
+        try:
+            comparisons.run("out", arms=STATEFUL)
+            break
+        except KeyboardInterrupt:
+            stops += 1
+    assert stops > 3
+    assert comparisons.content("out") == comparisons.content("whole")
 
-    def watch(progress: lockstep.Progress) -> None:
+
+@pytest.mark.parametrize("stretch", [1, 2, 1000])
+@pytest.mark.parametrize("block", [1, 2, 1000])
+def test_results_do_not_depend_on_the_cut(
+    block: int, stretch: int, comparisons: Comparisons, cut_into: Callable[[int, int], None]
+) -> None:
+    comparisons.run("whole", arms=STATEFUL, trials=5)
+    cut_into(block, stretch)
+    comparisons.run("cut", arms=STATEFUL, trials=5)
+    assert comparisons.content("cut") == comparisons.content("whole")
+
+
+@pytest.mark.parametrize("slots", [2, 5, 100])
+def test_results_do_not_depend_on_the_slots(slots: int, comparisons: Comparisons) -> None:
+    comparisons.run("whole", arms=STATEFUL)
+    request = Request(comparisons.folder / "cut", arms=STATEFUL, artifacts=False)
+    compare(comparisons.experiment, request, lambda _: None, pool=Pool(InProcess(), slots))
+    assert comparisons.content("cut") == comparisons.content("whole")
+    assert all(call["settings"].threads == 1 for call in fake_walker.calls[-12:])
+
+
+def test_results_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> None:
+    """The real simulator, in this process and in two that are spawned."""
+    tiny = experiment(duration_s=1.0, arms=("random", "cmaes-cold"))
+    tables = {}
+    for workers in (1, 2):
+        out = tmp_path / str(workers)
+        request = Request(out, workers=workers, artifacts=False)
+        outcome = compare(tiny, request, lambda progress: None)
+        assert outcome.computed == 12
+        tables[workers] = (out / "trials.parquet").read_bytes()
+    assert tables[1] == tables[2]
+    costs = pq.read_table(tmp_path / "1" / "trials.parquet")["cost"].to_pylist()
+    assert len(set(costs)) > 6
+
+
+def test_the_real_simulator_gives_the_same_table_after_a_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(comparing, "check_database", lambda *_: None)
+    monkeypatch.setattr(comparing, "export", lambda *_, **__: None)
+    with monkeypatch.context() as faked:
+        faked.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+        comparisons = Comparisons(tmp_path)
+    conditions = replace(comparisons.experiment.conditions, duration_s=2.0)
+    comparisons.experiment = replace(comparisons.experiment, conditions=conditions)
+    arms = ("random", "dog")
+    comparisons.run("parts", arms=arms, runs=1, trials=2)
+    comparisons.run("parts", arms=arms, runs=2, trials=4)
+    comparisons.run("whole", arms=arms, runs=2, trials=4)
+    assert comparisons.content("parts") == comparisons.content("whole")
+    frame = comparisons.table("whole").to_pandas()
+    assert frame.duration_s.between(0.1, 2.0).all()
+    assert frame.cost.nunique() > 8
+
+
+def test_a_folder_of_before_grounds_were_written_into_it_goes_on(comparisons: Comparisons) -> None:
+    comparisons.run("whole")
+    comparisons.run("out", trials=3)
+    file = comparisons.folder / "out" / "experiment.json"
+    known = json.loads(file.read_text())
+    assert known.pop("ground") == {"kind": "rough"}
+    file.write_text(json.dumps(known))
+    comparisons.run("out")
+    assert json.loads(file.read_text())["ground"] == {"kind": "rough"}
+    assert comparisons.content("out") == comparisons.content("whole")
+
+
+def test_a_copied_folder_goes_on(comparisons: Comparisons) -> None:
+    comparisons.run("out", trials=3)
+    shutil.copytree(comparisons.folder / "out", comparisons.folder / "copy")
+    comparisons.run("out")
+    comparisons.run("copy")
+    assert comparisons.content("copy") == comparisons.content("out")
+
+
+def test_studies_are_cut_into_blocks_for_all_slots() -> None:
+    studies = [(arm, run) for run in range(7) for arm in ("a", "b", "c")]
+    for slots in (1, 2, 5, 21, 50):
+        blocks = cut(studies, slots)
+        assert [key for block in blocks for key in block] == studies
+        assert len(blocks) >= min(slots, 11)
+        assert max(map(len, blocks)) <= -(-len(studies) // slots)
+    many = [("a", run) for run in range(1000)]
+    assert max(map(len, cut(many, 2))) == comparing.BLOCK_STUDIES
+    assert cut([], 2) == []
+
+
+def test_checkpoints_are_written_on_the_way(
+    comparisons: Comparisons, cut_into: Callable[[int, int], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(comparing, "CHECKPOINT_S", 0.0)
+    cut_into(2, 1)
+    seen, told = [], []
+
+    def watch(progress: Progress) -> None:
         file = comparisons.folder / "out" / "arms" / "dog.parquet"
         seen.append(pq.read_metadata(file).num_rows if file.exists() else 0)
+        told.append((progress.trials, progress.total, progress.studies))
 
-    studies = [("dog", 0), ("dog", 1)]
-    from study.comparison.folder import ExperimentFolder
+    request = Request(comparisons.folder / "out", arms=("dog",), runs=2, trials=4, artifacts=False)
+    compare(comparisons.experiment, request, watch)
+    assert seen == [0, 0, 2, 4, 6]  # reported before the checkpoint of its stretch
+    assert told == [(done, 8, 2) for done in (0, 2, 4, 6, 8)]
 
-    with ExperimentFolder.claim(comparisons.folder / "out", {"arms": {}, "stores": {}}) as folder:
-        lockstep.Lockstep(comparisons.experiment, studies, folder).run(4, 1, watch)
-    assert seen == [0, 0, 2, 4, 6]  # reported before the checkpoint of its round
+
+def test_progress_counts_studies_that_walked(comparisons: Comparisons) -> None:
+    told = []
+    request = Request(comparisons.folder / "out", artifacts=False)
+    compare(comparisons.experiment, request, told.append)
+    table = comparisons.table("out").to_pandas()
+    walkers = table.groupby(["arm", "run"]).walked.any().sum()
+    assert told[0] == Progress(0, 72, 9, 0)
+    assert told[-1] == Progress(72, 72, 9, walkers)
+    compare(comparisons.experiment, replace(request, runs=1, trials=2), told.append)
+    assert (told[-1].trials, told[-1].total, told[-1].studies) == (24, 24, 3)
+
+
+def test_the_database_is_renewed_on_the_way_and_at_the_end(
+    comparisons: Comparisons, cut_into: Callable[[int, int], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exports: list[tuple[int, bool]] = []
+
+    def export(of: Experiment, trials: pa.Table, *_: object, final: bool) -> None:
+        assert trials.schema.remove_metadata().equals(RESULT_SCHEMA)
+        exports.append((len(trials), final))
+
+    monkeypatch.setattr(comparing, "export", export)
+    monkeypatch.setattr(comparing, "CHECKPOINT_S", 0.0)
+    monkeypatch.setattr(comparing, "EXPORT_S", 0.0)
+    cut_into(9, 3)
+    comparisons.run("out")
+    assert exports == [(27, False), (54, False), (72, False), (72, True)]
+    comparisons.run("out", arms=("tpe",), runs=1, trials=2)
+    assert exports[-1] == (74, True)  # all arms of the folder
+
+
+def test_sessions_say_what_they_did(comparisons: Comparisons) -> None:
+    comparisons.run("out", trials=3)
+    comparisons.run("out")
+    comparisons.run("out")  # nothing to do, nothing to say
+    text = (comparisons.folder / "out" / "run.json").read_text()
+    sessions = json.loads(text)["sessions"]
+    assert [session["trials"] for session in sessions] == [27, 45]
+    assert sessions[0]["stores"]["flat"] == str(comparisons.folder / "store")
 
 
 def test_a_broken_sampler_stops_the_experiment_and_keeps_the_rest(
-    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
+    comparisons: Comparisons, cut_into: Callable[[int, int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from study.comparison.group import OneStudy
-
+    cut_into(3, 1)
     ask = OneStudy.ask
 
-    def breaks(self: OneStudy) -> object:
+    def breaks(self: OneStudy) -> list[float]:
         if self.trials == 2:
             raise InputError("sampler", "tired", "rest")
         return ask(self)
@@ -150,18 +315,18 @@ def test_a_broken_sampler_stops_the_experiment_and_keeps_the_rest(
 
 
 def test_the_seventeenth_parameter_is_searched_simulated_and_written(
-    fake_walker: None, comparisons: Comparisons
+    comparisons: Comparisons,
 ) -> None:
     folder = comparisons.folder / "torso"
     folder.mkdir()
-    experiment = fake.experiment(folder, 'searched = ["theta_ref"]')
-    fake.calls.clear()
+    experiment = fake_walker.experiment(folder, 'searched = ["theta_ref"]')
+    fake_walker.calls.clear()
     arms = ("random", "dog", "cmaes-warm", "cmaes-cold", "bo-euclidean", "score-first")
     comparisons.run("torso/out", experiment=experiment, arms=arms, trials=5)
     frame = comparisons.table("torso/out").to_pandas()
     assert frame.theta_ref.nunique() > 50
     assert frame.theta_ref.between(np.deg2rad(-10), np.deg2rad(30)).all()
-    simulated = np.concatenate([call["low_level_gains"][:, 7] for call in fake.calls])
+    simulated = np.concatenate([call["low_level_gains"][:, 7] for call in fake_walker.calls])
     assert sorted(simulated) == sorted(frame.theta_ref)
     store = pq.read_table(folder / "store" / "part-00000.parquet").to_pandas()
     ranked = frame[frame.arm == "score-first"]
@@ -171,18 +336,3 @@ def test_the_seventeenth_parameter_is_searched_simulated_and_written(
 def test_without_it_the_column_holds_its_default(comparisons: Comparisons) -> None:
     comparisons.run("out", arms=("random",), trials=1)
     np.testing.assert_allclose(comparisons.table("out")["theta_ref"], np.deg2rad(6.0))
-
-
-def test_the_summary_counts_first_walkers(comparisons: Comparisons) -> None:
-    outcome = comparisons.run("out", trials=12)
-    frame = comparisons.table("out").to_pandas()
-    for one in outcome.arms:
-        mine = frame[frame.arm == one.arm]
-        walkers = mine[mine.walked].groupby("run").trial.min() + 1
-        assert one.walkers == len(walkers)
-        assert (one.runs, one.trials) == (3, 36)
-        assert one.best_cost == mine.groupby("run").cost.min().median()
-        first = walkers.reindex(range(3), fill_value=np.inf).median()
-        assert one.first_walker == (first if np.isfinite(first) else None)
-    times = pq.read_table(comparisons.folder / "out" / "proposal_times.parquet")
-    assert summaries(comparisons.table("out"), times, comparisons.experiment.stores) == outcome.arms

@@ -1,7 +1,6 @@
 """Results of an experiment as studies that Optuna and its dashboard read."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,13 @@ from optuna_dashboard._custom_plot_data import get_plotly_graph_objects
 
 from storage.databases.bulk import trial_counts
 from storage.databases.studies import open_studies
-from study.comparison.database import check_database, export, fingerprint, study_name
-from study.comparison.notes import BestCostFigure, arm_curves, summary_note
+from study.comparison.database import check_database, export
+from study.experiment.identity import fingerprint
+from study.report.notes import dashboard_summary
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS
 from taichi_nmm.settings import Settings
+from taichi_nmm.terrain import Ground
 from tests.study.comparison.fake_results import experiment, results
 
 TINY = experiment()
@@ -35,7 +36,7 @@ def load(url: str, name: str) -> optuna.Study:
 
 
 def test_every_arm_and_run_is_a_study(url: str) -> None:
-    export(TINY, results(TINY), url, final=True)
+    export(TINY, results(TINY), url, dashboard_summary, final=True)
     assert trial_counts(open_studies(url)) == {**dict.fromkeys(SIX, 3), "tiny/summary": 0}
     study = load(url, "tiny/dog/run-001")
     assert study.direction.name == "MINIMIZE"
@@ -48,7 +49,7 @@ def test_every_arm_and_run_is_a_study(url: str) -> None:
 def test_trials_are_the_rows(url: str, searched: tuple[str, ...]) -> None:
     ours = experiment(searched=searched)
     table = results(ours)
-    export(ours, table, url, final=True)
+    export(ours, table, url, dashboard_summary, final=True)
     rows = [row for row in table.to_pylist() if (row["arm"], row["run"]) == ("dog", 0)]
     trials = load(url, "tiny/dog/run-000").trials
     assert [trial.number for trial in trials] == [0, 1, 2]
@@ -65,21 +66,25 @@ def test_trials_are_the_rows(url: str, searched: tuple[str, ...]) -> None:
 
 
 def test_later_exports_add_what_is_new(url: str) -> None:
-    export(TINY, results(TINY, runs=1, trials=2, arms=("dog",)), url, final=False)
+    export(
+        TINY, results(TINY, runs=1, trials=2, arms=("dog",)), url, dashboard_summary, final=False
+    )
     before = load(url, SIX[0]).trials
-    export(TINY, results(TINY, runs=1), url, final=False)
+    export(TINY, results(TINY, runs=1), url, dashboard_summary, final=False)
     unsorted = results(TINY).take(pa.array(np.random.default_rng(0).permutation(12)))
-    export(TINY, unsorted, url, final=True)
-    export(TINY, results(TINY, trials=1), url, final=True)  # fewer than there are: nothing to do
+    export(TINY, unsorted, url, dashboard_summary, final=True)
+    export(
+        TINY, results(TINY, trials=1), url, dashboard_summary, final=True
+    )  # fewer than there are: nothing to do
     assert trial_counts(open_studies(url)) == {**dict.fromkeys(SIX, 3), "tiny/summary": 0}
     assert load(url, SIX[0]).trials[:2] == before
     assert [trial.value for trial in load(url, SIX[0]).trials] == [300.0, 90.0, 280.0]
 
 
 def test_the_summary_compares_the_arms(url: str) -> None:
-    export(TINY, results(TINY, trials=1), url, final=False)
+    export(TINY, results(TINY, trials=1), url, dashboard_summary, final=False)
     assert "4 trials (so far" in get_note(load(url, "tiny/summary"))
-    export(TINY, results(TINY), url, final=True)
+    export(TINY, results(TINY), url, dashboard_summary, final=True)
     summary = load(url, "tiny/summary")
     note = get_note(summary)
     assert "12 trials (all trials)" in note
@@ -94,31 +99,33 @@ def test_the_summary_compares_the_arms(url: str) -> None:
 def test_a_long_note_and_a_long_figure_come_back_whole(url: str) -> None:
     arms = [f"arm-number-{number:02d}-with-a-long-name" for number in range(30)]
     table = results(TINY, arms=arms)
-    export(TINY, table, url, final=True)
-    assert get_note(load(url, "tiny/summary")) == summary_note("tiny", table, final=True)
-    assert len(json.loads(BestCostFigure(table).to_json())["data"]) == 30
+    export(TINY, table, url, dashboard_summary, final=True)
+    summary, wanted = load(url, "tiny/summary"), dashboard_summary("tiny", table, final=True)
+    assert get_note(summary) == wanted.note
+    attributes = summary._storage.get_study_system_attrs(summary._study_id)
+    assert get_plotly_graph_objects(attributes)["best-cost"] == wanted.figure.to_json()
+    assert len(json.loads(wanted.figure.to_json())["data"]) == 30
 
 
-def test_curves_of_runs_that_are_not_so_far() -> None:
-    table = results(TINY, arms=("dog",)).slice(0, 5)  # run 1 lacks its last trial
-    (curves,) = arm_curves(table)
-    assert curves.first_walker.tolist() == [2.0, np.inf]
-    assert curves.best_cost[0].tolist() == [300.0, 90.0, 90.0]
-    assert curves.best_cost[1, :2].tolist() == [290.0, 280.0] and np.isnan(curves.best_cost[1, 2])
-    assert "| dog | 2 | 1 (50 %) | > 3 | 185 |" in summary_note("tiny", table, final=False)
+def test_without_a_summary_there_is_no_study_of_that_name(url: str) -> None:
+    export(TINY, results(TINY), url, None, final=True)
+    assert trial_counts(open_studies(url)) == dict.fromkeys(SIX, 3)
 
 
 @pytest.mark.parametrize(
     "change",
     [{"seed": 8}, {"cost": "walking"}, {"disturbance": 0.2}, {"searched": ("theta_ref",)},
-     {"ground": {"kind": "flat"}}, {"duration_s": 3.0}],
+     {"ground": Ground("flat")}, {"duration_s": 3.0}],
 )  # fmt: skip
 def test_another_configuration_is_refused_and_nothing_written(
     url: str, change: dict[str, Any]
 ) -> None:
-    export(TINY, results(TINY, trials=1), url, final=False)
-    other = replace(TINY, **change)
-    for call in (lambda: check_database(other, url), lambda: export(other, results(other), url, 0)):
+    export(TINY, results(TINY, trials=1), url, dashboard_summary, final=False)
+    other = experiment(**change)
+    for call in (
+        lambda: check_database(other, url),
+        lambda: export(other, results(other), url, None, 0),
+    ):
         with pytest.raises(InputError, match=r"storage: .*another configuration") as caught:
             call()
         assert "\n" not in str(caught.value)
@@ -126,14 +133,7 @@ def test_another_configuration_is_refused_and_nothing_written(
 
 
 def test_what_does_not_decide_a_trial_may_change(url: str) -> None:
-    export(TINY, results(TINY, trials=1), url, final=False)
+    export(TINY, results(TINY, trials=1), url, dashboard_summary, final=False)
     check_database(experiment(runs=9, trials=50, arms=("dog",)), url)
     check_database(experiment(settings=Settings(arch="auto", threads=1)), url)
     check_database(experiment(name="other", seed=8), url)
-
-
-def test_names_sort_by_run() -> None:
-    assert study_name("e", "dog", 7) == "e/dog/run-007"
-    assert sorted(study_name("e", "dog", run) for run in (10, 9)) == [
-        "e/dog/run-009", "e/dog/run-010",
-    ]  # fmt: skip
