@@ -1,9 +1,7 @@
 """tools/optimum.py: convergence on a known problem, resuming, results, refusals."""
 
 import json
-import runpy
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,23 +12,23 @@ import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
-from study.comparison import command as comparison_command
-from study.comparison import lockstep as comparison
-from study.optimum import lockstep
-from study.optimum.config import CmaesOptions, read_optimum_config
-from study.optimum.search import CUT, Search
-from taichi_nmm.errors import InputError
+from storage.claim import claimed
+from study.comparison import compare
+from study.experiment.experiment import CmaesOptions, read_experiment
+from study.optimum import generations
+from study.optimum.cmaes_run import CUT, CmaesRun
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 from tests.study import fake_walker
-from tests.study.comparison import fake
+from tests.tools.running import ROOT, run_tool
 
-ROOT = Path(__file__).resolve().parents[2]
 OPTIONS = CmaesOptions(sigma=0.3, population=0, tolerance=1e-3, max_generations=300)
 CONFIG = """
 name = "tiny"
 seed = 5
 runs = 3
+trials = 4
+arms = ["dog"]
 [objective]
 cost = "walking"
 [simulation]
@@ -38,9 +36,8 @@ duration_s = {duration}
 [cmaes]
 tolerance = 1e-2
 max_generations = {generations}
-[dog]
-trials = 4
-store = "{store}"
+[stores]
+flat = "{store}"
 """
 
 
@@ -77,31 +74,23 @@ class Command:
         return path
 
     def run(self, *arguments: object) -> int:
-        words = [str(word) for word in arguments]
-        self.patch.setattr(sys, "argv", ["optimum.py", "--workers", "1", *words])
-        self.patch.setattr(sys, "path", list(sys.path))
-        try:
-            runpy.run_path(str(ROOT / "tools" / "optimum.py"), run_name="__main__")
-        except SystemExit as end:
-            return int(end.code or 0)
-        return 0
+        return run_tool(self.patch, "optimum", "--workers", 1, *arguments)
 
 
 @pytest.fixture
 def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
     # Not setattr: it would read the old value first, which loads Taichi.
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-    fake_walker.write_store(tmp_path / "store")
+    fake_walker.write_plain_store(tmp_path / "store")
     monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate)
-    # Processes and the database are the comparison's; the last test has them.
-    monkeypatch.setattr(comparison, "Pool", fake.LocalPool)
-    monkeypatch.setattr(comparison_command, "check_database", lambda *_: None)
-    monkeypatch.setattr(comparison_command, "export", lambda *_, **__: None)
+    # The database is the comparison's; the last test has it.
+    monkeypatch.setattr(compare, "check_database", lambda *_: None)
+    monkeypatch.setattr(compare, "export", lambda *_, **__: None)
     return Command(tmp_path, monkeypatch)
 
 
 def test_a_run_converges_to_the_optimum_by_its_own_criteria() -> None:
-    search = Search(OPTIONS, 1, 0)
+    search = CmaesRun(OPTIONS, 1, 0)
     best = np.inf
     while not search.stopped(OPTIONS.max_generations):
         costs = bowl(search.ask())
@@ -115,7 +104,7 @@ def test_a_run_converges_to_the_optimum_by_its_own_criteria() -> None:
 def test_runs_differ_by_number_and_seed_and_by_nothing_else() -> None:
     def first(seed: int, run: int) -> np.ndarray:
         np.random.seed(seed + run)  # the global state must not matter
-        search = Search(OPTIONS, seed, run)
+        search = CmaesRun(OPTIONS, seed, run)
         search.tell(bowl(search.ask()))
         return search.ask()
 
@@ -125,17 +114,17 @@ def test_runs_differ_by_number_and_seed_and_by_nothing_else() -> None:
 
 
 def test_points_are_within_the_bounds_and_population_is_the_librarys() -> None:
-    search = Search(CmaesOptions(1.0, 0, 1e-3, 10), 3, 0)
+    search = CmaesRun(CmaesOptions(1.0, 0, 1e-3, 10), 3, 0)
     for _ in range(5):
         points = search.ask()
         assert points.shape == (12, 16)
         assert np.all((lower_bounds() <= points) & (points <= upper_bounds()))
         search.tell(bowl(points))
-    assert Search(CmaesOptions(0.3, 30, 1e-3, 10), 3, 0).ask().shape == (30, 16)
+    assert CmaesRun(CmaesOptions(0.3, 30, 1e-3, 10), 3, 0).ask().shape == (30, 16)
 
 
 def test_a_run_that_does_not_converge_is_cut() -> None:
-    search = Search(OPTIONS, 1, 0)
+    search = CmaesRun(OPTIONS, 1, 0)
     assert search.stopped(1) == ""
     search.tell(bowl(search.ask()))
     assert search.stopped(1) == CUT
@@ -150,7 +139,7 @@ def test_the_result_is_the_best_of_both_methods(
     printed = capsys.readouterr()
     document = json.loads((out / "optimum.json").read_text())
     assert json.loads(printed.out) == document
-    assert "cmaes: generation 1, 3 of 3 runs go on, 36 evaluations" in printed.err
+    assert "cmaes: generation 5, 3 of 3 runs go on, 180 evaluations" in printed.err
     runs = pq.read_table(out / "runs.parquet")
     assert runs["method"].to_pylist() == ["cmaes"] * 3 + ["dog"] * 3
     assert document["best_cost"] == min(runs["cost"].to_pylist()) < 4.01
@@ -209,6 +198,20 @@ def test_more_runs_and_generations_can_be_asked_for_later(
     assert files(later) == files(at_once)
 
 
+def test_results_do_not_depend_on_how_work_is_cut(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, whole, cut = command.config(generations=9), command.folder / "a", command.folder / "b"
+    assert command.run("--config", config, "--out", whole) == 0
+    for module, name, size in (
+        (generations, "BLOCK_RUNS", 2), (generations, "STRETCH_GENERATIONS", 2),
+        (compare, "BLOCK_STUDIES", 2), (compare, "STRETCH_TRIALS", 3),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, size)
+    assert command.run("--config", config, "--out", cut) == 0
+    assert files(cut) == files(whole)
+
+
 def test_bad_input_is_one_line_and_nothing_is_made(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -221,7 +224,11 @@ def test_bad_input_is_one_line_and_nothing_is_made(
         "cmaes.population": ("tolerance = 1e-2", "population = 2"),
         "cmaes.patience": ("tolerance = 1e-2", "patience = 2"),
         "objective.cost": ('"walking"', '"fast"'),
-        "stores.flat|store": (str(command.folder / "store"), str(command.folder / "no-store")),
+        "store": (str(command.folder / "store"), str(command.folder / "no-store")),
+        "stores.flat": ("flat =", "diverse ="),
+        "terrain.kind": ("[cmaes]", '[terrain]\nkind = "rough"\n[cmaes]'),
+        "body.disturbance": ("[cmaes]", "[body]\ndisturbance = 0.15\n[cmaes]"),
+        "searched": ("seed = 5", 'seed = 5\nsearched = ["theta_ref"]'),
         "trials": ("trials = 4", "trials = 100000"),
         "name": ('"tiny"', '"a/b"'),
     }
@@ -239,7 +246,7 @@ def test_bad_input_is_one_line_and_nothing_is_made(
         assert command.run(*arguments) == 2, field
         lines = capsys.readouterr().err.strip().splitlines()
         assert len(lines) == 1, lines
-        assert lines[0].startswith(tuple(f"error: {name}: " for name in field.split("|"))), lines
+        assert lines[0].startswith(f"error: {field}: "), lines
     assert not out.exists()
 
 
@@ -270,11 +277,8 @@ def test_another_configuration_or_a_foreign_evaluation_is_refused(
 def test_two_processes_do_not_share_a_folder(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from study.optimum.folder import OptimumFolder
-
     config, out = command.config(), command.folder / "out"
-    document = read_optimum_config(config).document()
-    with OptimumFolder.claim(out, document):
+    with claimed(out, "search.json", "one of this command"):
         assert command.run("--config", config, "--out", out) == 2
     assert "no other process" in capsys.readouterr().err
 
@@ -283,7 +287,8 @@ def test_what_a_kill_leaves_behind_goes_on_to_the_same_end(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process killed in the third generation leaves the checkpoint of the second."""
-    monkeypatch.setattr(lockstep, "CHECKPOINT_S", 0.0)
+    monkeypatch.setattr(generations, "CHECKPOINT_S", 0.0)
+    monkeypatch.setattr(generations, "STRETCH_GENERATIONS", 1)
     seen: list[int] = []
     killed = command.folder / "killed"
     config, out = command.config(generations=3), command.folder / "out"
@@ -307,19 +312,17 @@ def test_what_a_kill_leaves_behind_goes_on_to_the_same_end(
 
 @pytest.mark.parametrize("cost", ["smooth", "walking"])
 def test_the_configurations_that_ship_are_read(cost: str) -> None:
-    config = read_optimum_config(ROOT / "configs" / f"optimum-{cost}.toml")
-    assert config.experiment.cost == cost
-    assert (config.experiment.runs, config.experiment.trials) == (50, 100)
-    assert config.experiment.disturbance == 0.0
-    assert np.ptp(config.experiment.terrain(0).height_m) == 0.0
-    with pytest.raises(InputError):
-        read_optimum_config(ROOT / "configs" / "rough8.toml")
+    experiment = read_experiment(ROOT / "configs" / f"optimum-{cost}.toml")
+    assert experiment.cost == cost
+    assert (experiment.runs, experiment.trials) == (50, 100)
+    assert experiment.conditions.disturbance == 0.0
+    assert np.ptp(experiment.terrain(0).height_m) == 0.0
 
 
 def test_with_the_real_simulator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One generation of two short runs: what it costs is what a walk of these gains costs."""
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-    fake_walker.write_store(tmp_path / "store")
+    fake_walker.write_plain_store(tmp_path / "store")
     monkeypatch.delitem(vars(taichi_nmm), "simulate")
     command = Command(tmp_path, monkeypatch)
     config = command.config(generations=1, duration=1.0)

@@ -1,8 +1,10 @@
-"""The front door, with the simulator and the painters replaced."""
+"""The front door, with the simulator and the painters replaced; and the line that it ends with."""
 
+import io
 import json
-import runpy
-import sys
+import shlex
+import subprocess
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +14,7 @@ import taichi_nmm
 from study import pictures
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker
-
-QUICKSTART = Path(__file__).parents[2] / "tools" / "quickstart.py"
+from tests.tools.running import ROOT, run_tool
 
 
 def paint(path: Path, *_: Any) -> Path:
@@ -21,23 +22,43 @@ def paint(path: Path, *_: Any) -> Path:
     return path
 
 
-def test_it_ends_with_what_was_found_and_where(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-    monkeypatch.setattr(taichi_nmm, "load_gains", lambda _: taichi_nmm.K_T)
-    monkeypatch.setattr(pictures, "write_strip", paint)
-    monkeypatch.setattr(pictures, "write_gait_cycle", paint)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.setattr(sys, "argv", ["quickstart.py", "--out", str(tmp_path)])
-    for _ in range(2):  # the second time everything is there
-        runpy.run_path(str(QUICKSTART), run_name="__main__")
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[-1].endswith(f"optuna-dashboard sqlite:///{tmp_path / 'studies.db'}")
-    assert lines[-6].startswith("rough8/dog: ")
-    assert lines[-5].startswith("rough8/random: ")
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("quickstart")
+
+
+@pytest.fixture(scope="module")
+def lines(folder: Path) -> list[str]:
+    """What it says, in the root of the repository, run twice: then everything is there."""
+    said = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
+        patch.chdir(ROOT)
+        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+        patch.setattr(pictures, "write_strip", paint)
+        patch.setattr(pictures, "write_gait_cycle", paint)
+        for _ in range(2):
+            assert run_tool(patch, "quickstart", "--out", folder) == 0
+    return said.getvalue().splitlines()
+
+
+def test_it_ends_with_what_was_found_and_where(folder: Path, lines: list[str]) -> None:
+    assert lines[-1].endswith(f"optuna-dashboard sqlite:///{folder / 'studies.db'}")
+    assert lines[-6].startswith("rough8/dog/run-000: ")
+    assert lines[-5].startswith("rough8/random/run-000: ")
     assert sum("30/30" in line for line in lines) == 2  # no trial was run again
-    assert tuple(json.loads((tmp_path / "found.json").read_text())) == GAIN_NAMES
-    assert {path.name for path in tmp_path.glob("*.png")} == {
+    assert tuple(json.loads((folder / "found.json").read_text())) == GAIN_NAMES
+    assert {path.name for path in folder.glob("*.png")} == {
         f"{name}_{kind}.png" for name in ("found", "reference") for kind in ("strip", "gait_cycle")
     }
+
+
+def test_the_line_for_a_film_makes_a_film(lines: list[str], tmp_path: Path) -> None:
+    """The very line, as a user pastes it; only shorter, and to another folder."""
+    title, _, command = lines[-2].partition(": ")
+    assert title == "A film of it"
+    short = ("--duration", "2", "--movie-seconds", "0.3", "--out", str(tmp_path), "--json")
+    done = subprocess.run(
+        f"{command} {shlex.join(short)}", shell=True, cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert Path(json.loads(done.stdout)["pictures"]["movie"]).stat().st_size > 1000
