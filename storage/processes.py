@@ -1,7 +1,10 @@
 """Spawned processes as an executor: a killed one is noticed, and none outlives this process.
 
-Every process has a pipe of its own, so that one killed in the middle of a word blocks nobody (the
-processes of `concurrent.futures.ProcessPoolExecutor` share a queue, which then hangs).
+Why not `concurrent.futures.ProcessPoolExecutor`: its processes share two queues, so one that is
+killed in the middle of a result blocks all for ever (before Python 3.11.5, also one killed while
+the next call is being written; CPython issue 94777), and it offers no way to end a process in the
+middle of a call before Python 3.14, while Taichi compiles for half a minute without listening.
+Here every process has a pipe of its own.
 """
 
 import multiprocessing

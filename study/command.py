@@ -36,12 +36,22 @@ def require_arch(settings: Settings) -> None:
         InputError: naming the architecture.
     """
     if settings.arch in GPUS:
-        from taichi_nmm.kernel import backend
-
-        backend.start(settings)
+        _started_arch(settings)
 
 
 def default_workers(settings: Settings) -> int:
-    """Processes that a command takes where nobody says: a core each; one where a GPU computes."""
-    on_gpu = settings.arch in GPUS or (settings.arch == "auto" and find_library("cuda"))
-    return 1 if on_gpu else cores()
+    """Processes that a command takes where nobody says: a core each; one where a GPU computes.
+
+    Raises:
+        InputError: a GPU that is not there.
+    """
+    no_gpu = settings.arch == "cpu" or (settings.arch == "auto" and not find_library("cuda"))
+    return cores() if no_gpu or _started_arch(settings) == "cpu" else 1
+
+
+def _started_arch(settings: Settings) -> str:
+    """Where the simulator computes with these settings; it is started, which takes a second."""
+    from taichi_nmm.kernel import backend
+
+    backend.start(settings)
+    return str(backend.metadata()["arch"])

@@ -15,12 +15,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from tqdm import tqdm
 
-from storage.pool import cores, local_pool
+from storage.pool import local_pool
 from storage.precompute import Summary, precompute
 from storage.specification import read_specification
-from study.command import require_arch, run_command
+from study.command import default_workers, require_arch, run_command
 from taichi_nmm.config import read_toml
-from taichi_nmm.settings import ARCHITECTURES, Settings
+from taichi_nmm.settings import ARCHITECTURES
 
 
 class ProgressBar:
@@ -67,17 +67,6 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--fresh", action="store_true", help="start over")
     parser.add_argument("--json", action="store_true", help="print the summary as one object")
     return parser.parse_args()
-
-
-def default_workers(settings: Settings) -> int:
-    """Processes: one a core, or one alone where there is a GPU."""
-    if settings.arch != "cpu":
-        from taichi_nmm.kernel import backend
-
-        backend.start(settings)
-        if backend.metadata()["arch"] != "cpu":
-            return 1
-    return cores()
 
 
 def text(summary: Summary) -> str:

@@ -76,7 +76,7 @@ def find_gains(args: argparse.Namespace) -> NamedGains:
     for one, other in (("row", "store"), ("trial", "storage")):
         if (getattr(args, one) is None) != (getattr(args, other) is None):
             missing = one if getattr(args, one) is None else other
-            raise InputError(missing, None, f"given: --{one} and --{other} belong together")
+            raise InputError(missing, None, f"a value: --{one} and --{other} belong together")
     given = [name for name in ("gains", "row", "trial") if getattr(args, name) is not None]
     if len(given) > 1:
         raise InputError(given[1], getattr(args, given[1]), f"none beside --{given[0]}")
