@@ -18,10 +18,10 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from study.command import default_workers, run_command
-from study.comparison import finished as comparison
+from study.comparison.finished import Progress
 from study.experiment.experiment import MOST_GENERATIONS, Experiment, read_experiment
 from study.optimum.estimate import Reports, estimate
-from study.optimum.generations import Progress
+from study.optimum.generations import CmaesProgress
 from study.optimum.optimum_folder import OPTIMUM_NAME
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import ARCHITECTURES
@@ -64,11 +64,11 @@ def main() -> None:
     print(json.dumps(document) if args.json else text(document, out))
 
 
-def show_dog(progress: comparison.Progress) -> None:
+def show_dog(progress: Progress) -> None:
     tell(f"dog: {progress.trials} of {progress.total} trials")
 
 
-def show_cmaes(progress: Progress) -> None:
+def show_cmaes(progress: CmaesProgress) -> None:
     tell(
         f"cmaes: generation {progress.generation}, {progress.running} of {progress.runs} runs go "
         f"on, {progress.evaluations} evaluations, best cost {progress.best_cost:.5g}"

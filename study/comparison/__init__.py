@@ -1,1 +1,1 @@
-"""Experiments: many samplers on the same bodies and grounds, in lock-step, resumable."""
+"""Many studies of an experiment side by side, resumable: arms on the same bodies and grounds."""

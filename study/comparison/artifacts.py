@@ -38,7 +38,7 @@ WALKS_PER_BATCH = 64  # 1.5 MB each while they are recorded
 NAMESPACE = uuid.UUID("6f1d2b3c-5d0e-4b57-9a52-0f4a7f6f3b11")
 KINDS = {STRIP: ("strip.png", "image/png"), FILM: ("film.mp4", "video/mp4")}
 
-Progress = Callable[[int, int], None]
+Drawn = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ def make_artifacts(
     url: str,
     out: Path,
     pool: Pool = IN_PROCESS,
-    progress: Progress | None = None,
+    drawn: Drawn | None = None,
 ) -> None:
     """Draw the best trial of each study and attach picture and film to it.
 
@@ -74,7 +74,7 @@ def make_artifacts(
         url: of the study database.
         out: folder of the experiment; the files go to its folder artifacts.
         pool: that draws.
-        progress: called with the number of walks that are done, and of all.
+        drawn: called with the number of walks that are done, and of all.
 
     Raises:
         InputError: no ffmpeg that works (before anything is drawn), or no place to write.
@@ -92,17 +92,17 @@ def make_artifacts(
     _attach(experiment, done, url)
     missing = [walk for walk in walks if walk not in done]
     finished = len(done)
-    tell = progress or (lambda finished, of: None)
+    tell = drawn or (lambda finished, of: None)
     tell(finished, len(walks))
     for first in range(0, len(missing), WALKS_PER_BATCH):
         batch = missing[first : first + WALKS_PER_BATCH]
         drawings = _drawings(experiment, batch, folder, program)
-        drawn = {}
+        found = {}
         for drawing, is_drawn in pool.results(draw, deque(drawings)):
-            drawn[drawing.strip] = is_drawn
+            found[drawing.strip] = is_drawn
             finished += 1
             tell(finished, len(walks))
-        _attach(experiment, [w for w in batch if drawn[_paths(experiment, w, folder)[0]]], url)
+        _attach(experiment, [w for w in batch if found[_paths(experiment, w, folder)[0]]], url)
 
 
 def best_walks(experiment: Experiment, trials: pa.Table) -> list[Walk]:

@@ -186,7 +186,7 @@ class _Session:
 
     @property
     def wall_s(self) -> float:
-        """Since it began."""
+        """Seconds since it began."""
         return time.monotonic() - self._began_s
 
     def note(self) -> None:

@@ -89,7 +89,7 @@ class Experiment:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of the searched parameters."""
+        """Names of the searched parameters."""
         return tuple(parameter.name for parameter in self.parameters)
 
     @cached_property

@@ -11,13 +11,13 @@ import numpy as np
 import pyarrow as pa
 
 from storage.pool import local_pool
-from study.comparison import finished as comparison
 from study.comparison.compare import Request, compare
+from study.comparison.finished import Progress
 from study.experiment.arms import PAPER_ARM
 from study.experiment.check import check_arms
 from study.experiment.experiment import Experiment
 from study.experiment.identity import document, machine
-from study.optimum.generations import Progress, run_cmaes
+from study.optimum.generations import CmaesProgress, run_cmaes
 from study.optimum.optimum_folder import DOG_NAME, RUNS, OptimumFolder
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
@@ -35,8 +35,8 @@ class Reports:
         cmaes: of the generations.
     """
 
-    dog: Callable[[comparison.Progress], None]
-    cmaes: Callable[[Progress], None]
+    dog: Callable[[Progress], None]
+    cmaes: Callable[[CmaesProgress], None]
 
 
 def estimate(

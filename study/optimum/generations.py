@@ -1,6 +1,6 @@
-"""All runs of CMA-ES: a generation of every run of a block is one batch of the simulator.
+"""All runs of CMA-ES: a generation of some of them is one batch of the simulator.
 
-A block of runs is a unit of work, as in a comparison: it depends on nothing but what it is given.
+A stretch of runs is a unit of work, as in a comparison: it depends on nothing but what it is given.
 """
 
 import time
@@ -27,7 +27,7 @@ STRETCH_GENERATIONS = 5
 
 
 @dataclass(frozen=True)
-class Progress:
+class CmaesProgress:
     """How far CMA-ES is.
 
     Attributes:
@@ -46,7 +46,7 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Block:
+class Stretch:
     """Some runs, as far as they are, and how far they shall go.
 
     Attributes:
@@ -54,19 +54,19 @@ class Block:
         runs: their numbers.
         known: what they have tried, `EVALUATIONS`.
         generations: that each is to have, unless it stops before.
-        remedy: what helps whom these evaluations are not of, for messages.
+        where: their folder, for messages.
     """
 
     experiment: Experiment
     runs: tuple[int, ...]
     known: pa.Table
     generations: int
-    remedy: str
+    where: str
 
 
 @dataclass(frozen=True)
 class Evolved:
-    """What has come of a block.
+    """What has come of a stretch.
 
     Attributes:
         tried: what its runs have tried beyond what was known, `EVALUATIONS`.
@@ -78,23 +78,24 @@ class Evolved:
 
     @property
     def generations(self) -> list[int]:
-        """Of the points tried, from 0."""
+        """Generations of the points tried, from 0."""
         numbers: list[int] = self.tried["generation"].to_pylist()
         return numbers
 
 
-def evolve(block: Block) -> Evolved:
-    """Take the runs of a block on.
+def evolve(stretch: Stretch) -> Evolved:
+    """Take the runs of a stretch on.
 
     Raises:
         InputError: what is known is not what these runs try, or what the simulator refuses.
     """
-    experiment = block.experiment
-    runs = {run: CmaesRun(experiment.cmaes, experiment.seed, run) for run in block.runs}
+    experiment = stretch.experiment
+    runs = {run: CmaesRun(experiment.cmaes, experiment.seed, run) for run in stretch.runs}
     for run, strategy in runs.items():
-        _replay(strategy, block.known.filter(pc.equal(block.known["run"], run)), run, block.remedy)
+        known = stretch.known.filter(pc.equal(stretch.known["run"], run))
+        _replay(strategy, known, f"run {run} in {stretch.where}")
     tables = [EVALUATIONS.empty_table()]
-    last = min(block.generations, experiment.cmaes.max_generations)
+    last = min(stretch.generations, experiment.cmaes.max_generations)
     while going := {r: s for r, s in runs.items() if not s.stopped(last)}:
         tables.append(_generation(experiment, going))
     found = {run: s.stopped(experiment.cmaes.max_generations) for run, s in runs.items()}
@@ -107,7 +108,7 @@ def run_cmaes(
     runs: int,
     folder: OptimumFolder,
     pool: Pool,
-    report: Callable[[Progress], None],
+    report: Callable[[CmaesProgress], None],
 ) -> tuple[pa.Table, list[str]]:
     """Go on until every run has stopped.
 
@@ -132,27 +133,27 @@ def run_cmaes(
     stops: dict[int, str] = {}
     generation = 0
 
-    def next_stretch(part: tuple[int, ...]) -> Block:
+    def next_stretch(part: tuple[int, ...]) -> Stretch:
         known = tried.filter(pc.is_in(tried["run"], pa.array(part, pa.int32())))
         latest = known.group_by("run").aggregate([("generation", "max")])
         done = dict(zip(*(column.to_pylist() for column in latest.columns), strict=True))
         least = min(done.get(run, -1) + 1 for run in part if run not in stops)
-        return Block(experiment, part, known, least + STRETCH_GENERATIONS, str(folder.path))
+        return Stretch(experiment, part, known, least + STRETCH_GENERATIONS, str(folder.path))
 
     units = deque(map(next_stretch, parts))
     committed, committed_s = len(tried), time.monotonic()
     try:
-        for block, evolved in pool.results(evolve, units):
+        for stretch, evolved in pool.results(evolve, units):
             order = [(name, "ascending") for name in ("run", "generation", "member")]
             tried = pa.concat_tables([tried, evolved.tried]).sort_by(order).combine_chunks()
             stops |= evolved.stops
-            if not all(run in stops for run in block.runs):
-                units.append(next_stretch(block.runs))
+            if not all(run in stops for run in stretch.runs):
+                units.append(next_stretch(stretch.runs))
             generation = max(
                 [generation, *(1 + g for g in evolved.tried["generation"].to_pylist())]
             )
             best = float(np.min(tried["cost"].to_numpy(), initial=np.inf))
-            report(Progress(generation, runs - len(stops), runs, len(tried), best))
+            report(CmaesProgress(generation, runs - len(stops), runs, len(tried), best))
             if time.monotonic() - committed_s >= CHECKPOINT_S and len(tried) > committed:
                 folder.write_evaluations(tried)
                 committed, committed_s = len(tried), time.monotonic()
@@ -184,7 +185,7 @@ def _generation(experiment: Experiment, going: dict[int, CmaesRun]) -> pa.Table:
     return pa.Table.from_arrays(columns, schema=EVALUATIONS)
 
 
-def _replay(strategy: CmaesRun, known: pa.Table, run: int, where: str) -> None:
+def _replay(strategy: CmaesRun, known: pa.Table, where: str) -> None:
     """Tell a run what it was told before: a millisecond a generation."""
     gains = np.column_stack([known[name].to_numpy() for name in GAIN_NAMES])
     cost = known["cost"].to_numpy()
@@ -192,5 +193,5 @@ def _replay(strategy: CmaesRun, known: pa.Table, run: int, where: str) -> None:
         points = slice(first, first + strategy.population)
         if not np.array_equal(strategy.ask(), gains[points]):
             allowed = "evaluations of these settings and this version of pycma"
-            raise InputError("out", f"run {run} in {where}", allowed)
+            raise InputError("out", where, allowed)
         strategy.tell(cost[points])
