@@ -16,13 +16,11 @@ from optuna.trial import FrozenTrial, TrialState
 from storage.document import difference
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
-from study.experiment.identity import document
+from study.experiment.identity import LIVE_ATTRIBUTE, document
 from study.experiment.objective import attributes, costs, finite
 from study.experiment.one_study import OneStudy
 from study.experiment.simulation import simulate_trials
 from taichi_nmm.errors import InputError
-
-IDENTITY_ATTRIBUTE = "experiment"
 
 Report = Callable[[optuna.Study, FrozenTrial], None]
 
@@ -74,11 +72,14 @@ def open_study(experiment: Experiment, arm: Arm, run: int, storage: BaseStorage)
         storage=storage, study_name=name, direction="minimize", load_if_exists=True
     )
     identity = document(experiment, (arm,))
-    known = study.user_attrs.get(IDENTITY_ATTRIBUTE)
+    known = study.user_attrs.get(LIVE_ATTRIBUTE)
     if known is None:
         if study.get_trials(deepcopy=False):
             raise InputError("study", name, "a name that no study of another program has")
-        study.set_user_attr(IDENTITY_ATTRIBUTE, identity)
+        study.set_user_attr(LIVE_ATTRIBUTE, identity)
+    elif not isinstance(known, dict):  # the experiment's name
+        allowed = "another --storage: this study is of a comparison, which goes on by itself"
+        raise InputError("study", name, allowed)
     elif found := difference(identity, known):
         field, ours, theirs = found
         allowed = f"{theirs!r}, with which it was made; or another name, or another database"

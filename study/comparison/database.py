@@ -15,7 +15,7 @@ from storage.databases.bulk import FinishedStudy, study_attributes, trial_counts
 from storage.databases.studies import open_studies, shown_url, storage_errors
 from study.comparison.results import by_study
 from study.experiment.experiment import Experiment, study_name
-from study.experiment.identity import fingerprint
+from study.experiment.identity import LIVE_ATTRIBUTE, fingerprint
 from study.experiment.objective import ATTRIBUTES
 from study.sampler.history import ROW_ATTRIBUTE
 from taichi_nmm.errors import InputError
@@ -90,6 +90,10 @@ def _check(experiment: Experiment, storage: RDBStorage, url: str) -> None:
                 f"a database without {name}, which was made with another configuration or version: "
                 "remove it, since all that is in it is written again, or give another --storage"
             )
+            raise InputError("storage", shown_url(url), allowed)
+    for name, known in study_attributes(storage, LIVE_ATTRIBUTE).items():
+        if name.startswith(f"{experiment.name}/") and isinstance(known, dict):
+            allowed = f"a database without {name}, which is a live study; or another --storage"
             raise InputError("storage", shown_url(url), allowed)
 
 

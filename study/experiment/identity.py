@@ -22,6 +22,7 @@ from taichi_nmm.config import Table
 PACKAGES = ("taichi", "optuna", "cma", "cmaes", "numpy", "scipy", "scikit-learn")
 GROWING = ("ground", "arms", "stores")  # parts that later calls add to
 FINGERPRINT_LENGTH = 16
+LIVE_ATTRIBUTE = "experiment"  # of a live study: its document; of a comparison's: a name
 
 
 def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
