@@ -106,8 +106,8 @@ def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
             "experiment": named[0], "arm": named[1], "run": int(run.removeprefix("run-")),
             "trial": int(number),
         }  # fmt: skip
-        for name, value in wanted.items():
-            table = table.filter(pc.equal(table[name], value))
+        for name, value in wanted.items():  # as text: a number may be too large for Arrow
+            table = table.filter(pc.equal(table[name].cast("string"), str(value)))
         if len(table):
             row: dict[str, Any] = table.to_pylist()[0]
             return row
