@@ -1,0 +1,313 @@
+"""Commands beside one another: every one that a document names, and one study through all of them.
+
+What documents name is run with the simulator replaced. The rest is on the real one, small.
+"""
+
+import json
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import optuna
+import pyarrow.parquet as pq
+import pytest
+
+import taichi_nmm
+from storage.store import open_store
+from study import pictures
+from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_NAMES
+from tests.study import fake_walker
+from tests.tools.running import ROOT, run_tool
+
+CONFIGS = {path.name for path in (ROOT / "configs").glob("*.toml")}
+PAINTERS = ("write_strip", "write_gait_cycle", "write_movie")
+
+# How a command is made short, by options at its end: those before them stand, but for these.
+SHORT: dict[str, tuple[object, ...]] = {
+    "precompute": ("--samples", 24, "--workers", 1, "--out", "made"),
+    "study": ("--trials", 2, "--out", "made"),
+    "compare": ("--runs", 1, "--trials", 2, "--no-artifacts", "--workers", 1, "--out", "made"),
+    "optimum": ("--runs", 1, "--max-generations", 1, "--workers", 1, "--out", "made"),
+    "walk": ("--duration", 2, "--movie-seconds", 0.3, "--out", "made"),
+    "quickstart": ("--out", "made"),
+}
+
+Words = tuple[str, ...]
+
+
+def named_commands() -> list[Words]:
+    """Every command line of `SHORT` that a document or a comment shows: tool, arguments."""
+    documents = [
+        ROOT / "README.md", ROOT / "Makefile", *(ROOT / "docs").glob("*.md"),
+        *(ROOT / "configs").glob("*.toml"), *(ROOT / "tools").glob("*.py"),
+    ]  # fmt: skip
+    line = r"python tools/(\w+)\.py\b([^`#\n\\]*(?:\\*\n\s*--[^`#\n\\]*)*)"
+    found = set()
+    for document in documents:
+        for tool, arguments in re.findall(line, document.read_text()):
+            words = shlex.split(arguments.replace("\\", " ").replace("URL", "sqlite:///studies.db"))
+            found.add((tool, *words))
+    return sorted(words for words in found if words[0] in SHORT)
+
+
+COMMANDS = named_commands()
+
+
+def configurations(words: Words) -> set[str]:
+    """Those that a command line names; the quickstart reads two by itself."""
+    if words[0] == "quickstart":
+        return set(re.findall(r"[\w-]+\.toml", (ROOT / "tools" / "quickstart.py").read_text()))
+    return {Path(word).name for word in words if word.endswith(".toml")}
+
+
+def test_every_configuration_is_named_by_a_command() -> None:
+    pairs = {(words[0], config) for words in COMMANDS for config in configurations(words)}
+    assert {tool for tool, _ in pairs} == set(SHORT)
+    assert {config for _, config in pairs} == CONFIGS
+    assert len(pairs) > len(CONFIGS)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What commands that are named expect to be there: stores, and a comparison to draw from."""
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+        (folder / "configs").symlink_to(ROOT / "configs")
+        out = folder / "out"
+        fake_walker.write_store(out / "store")
+        for kind in ("robust", "mild", "ramps", "diverse"):
+            (out / f"store-{kind}").symlink_to(out / "store")
+        fake_walker.write_store(out / "store-torso", searched=["theta_ref"])
+        request = ("--arms", "dog", "--runs", 8, "--trials", 13, "--no-artifacts", "--workers", 1)
+        config = "configs/rough8-smooth.toml"
+        assert run_tool(patch, "compare", "--config", config, *request) == 0
+    return folder
+
+
+@pytest.fixture
+def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in PAINTERS:
+        monkeypatch.setattr(pictures, name, lambda path, *_: path)
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_a_command_that_is_named_is_taken(
+    made: Path, words: Words, tmp_path: Path, no_painters: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+    monkeypatch.chdir(tmp_path)
+    for name in ("configs", "out"):
+        (tmp_path / name).symlink_to(made / name)
+    assert run_tool(monkeypatch, *words, *SHORT[words[0]]) == 0
+    assert (tmp_path / "made").is_dir()
+
+
+# On the real simulator: a store, a comparison of it, and its trials one by one.
+
+ARMS = ("dog", "cmaes-cold", "cmaes-warm")
+TRIALS = 4
+SMALL = ("--trials", TRIALS, "--no-artifacts", "--workers", 1)
+
+
+def small_config(name: str, folder: Path, duration_s: float = 5.0) -> Path:
+    """A configuration that ships, with shorter trials and the store of the folder."""
+    text = (ROOT / "configs" / name).read_text()
+    text = re.sub(r"duration_s = .*", f"duration_s = {duration_s}", text)
+    path = folder / name
+    path.write_text(re.sub(r'"out/store[\w-]*"', f'"{folder / "store"}"', text))
+    return path
+
+
+class Real:
+    """A folder with a small store, a comparison on it, and a database of the same studies live."""
+
+    def __init__(self, folder: Path) -> None:
+        self.store = folder / "store"
+        self.config = small_config("rough8-smooth.toml", folder)
+        self.compared = folder / "compared"
+        self.url = f"sqlite:///{folder / 'live.db'}"
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory: pytest.TempPathFactory) -> Real:
+    real = Real(folder := tmp_path_factory.mktemp("real"))
+    with pytest.MonkeyPatch.context() as patch:
+        store = ("--samples", 300, "--workers", 1, "--out", real.store)
+        assert run_tool(patch, "precompute", "--config", ROOT / "configs/store.toml", *store) == 0
+        given = ("--config", real.config, "--arms", ",".join(ARMS), "--runs", 2)
+        assert run_tool(patch, "compare", *given, *SMALL, "--out", real.compared) == 0
+        for arm in ARMS:
+            given = ("--config", real.config, "--arm", arm, "--run", 1, "--trials", TRIALS)
+            where = ("--storage", real.url, "--out", folder / "live")
+            assert run_tool(patch, "study", *given, *where) == 0
+    return real
+
+
+def rows_of(folder: Path, arm: str, run: int) -> list[dict[str, Any]]:
+    """Trials of a comparison's table, in their order."""
+    rows = pq.read_table(folder / "trials.parquet").to_pylist()
+    return [row for row in rows if (row["arm"], row["run"]) == (arm, run)]
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_a_live_study_has_the_trials_of_the_comparison(real: Real, arm: str) -> None:
+    study = optuna.load_study(study_name=f"rough8-smooth/{arm}/run-001", storage=real.url)
+    rows = rows_of(real.compared, arm, 1)
+    assert len(study.trials) == len(rows) == TRIALS
+    for trial, row in zip(study.trials, rows, strict=True):
+        assert trial.params == {name: row[name] for name in GAIN_NAMES}
+        assert trial.value == row["cost"]
+        assert trial.user_attrs["duration_s"] == row["duration_s"]
+        assert trial.user_attrs.get("row", -1) == row["row"]
+
+
+Walk = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def walk(
+    tmp_path: Path,
+    no_painters: None,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> Walk:
+    """What tools/walk.py prints with --json."""
+
+    def walk(*arguments: object) -> dict[str, Any]:
+        assert run_tool(monkeypatch, "walk", "--json", "--out", tmp_path / "out", *arguments) == 0
+        report: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return report
+
+    return walk
+
+
+def assert_walked(report: dict[str, Any], row: dict[str, Any]) -> None:
+    """The walk is that of the row, to the bit."""
+    for name in ("duration_s", "distance_m", "mean_speed_mps", "phi_printed", "end_reason"):
+        assert report[name] == row[name], name
+    for name, value in report["gains"].items():
+        assert value == row[name], name
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_a_trial_walks_as_it_did(real: Real, walk: Walk, arm: str) -> None:
+    """From the comparison's folder, from its database, and from the live study's."""
+    where = ("--config", real.config, "--run", 1, "--trial", f"rough8-smooth/{arm}/run-001/2")
+    of_folder = walk(*where, "--storage", real.compared)
+    assert_walked(of_folder, rows_of(real.compared, arm, 1)[2])
+    assert walk(*where, "--storage", f"sqlite:///{real.compared / 'studies.db'}") == of_folder
+    assert walk(*where, "--storage", real.url) == of_folder
+
+
+def test_a_result_walks_as_it_did(real: Real, walk: Walk, tmp_path: Path) -> None:
+    where = ("--config", real.config, "--run", 1)
+    trial = ("--trial", "rough8-smooth/cmaes-warm/run-001/3", "--storage", real.compared)
+    first = walk(*where, *trial)
+    (tmp_path / "result.json").write_text(json.dumps(first))
+    assert walk(*where, "--gains", tmp_path / "result.json") == first
+
+
+def test_a_row_of_a_store_walks_as_it_did(real: Real, walk: Walk) -> None:
+    table = open_store(real.store).table()
+    row = max(range(300), key=lambda row: float(table["phi_printed"][row].as_py()))
+    report = walk("--store", real.store, "--row", row, "--duration", 5)
+    for name in (*GAIN_NAMES, "duration_s", "phi_printed", "phi_corrected"):
+        assert (report["gains"] | report)[name] == table[name][row].as_py(), name
+
+
+def test_a_17th_parameter_is_kept(
+    walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, out = small_config("ramp-up-torso.toml", tmp_path, 2.0), tmp_path / "compared"
+    given = ("--config", config, "--arms", "random", "--runs", 1, *SMALL, "--out", out)
+    assert run_tool(monkeypatch, "compare", *given) == 0
+    live = ("--config", config, "--arm", "random", "--trials", TRIALS, "--out", tmp_path / "live")
+    url = f"sqlite:///{tmp_path / 'live.db'}"
+    assert run_tool(monkeypatch, "study", *live, "--storage", url) == 0
+    best = tmp_path / "live" / "random-run-000-best.json"
+    assert set(json.loads(best.read_text())) == {*GAIN_NAMES, "theta_ref"}
+    capsys.readouterr()
+    row = rows_of(out, "random", 0)[1]
+    trial = ("--config", config, "--trial", "ramp-up-torso/random/run-000/1")
+    report = walk(*trial, "--storage", out)
+    assert set(report["gains"]) - set(GAIN_NAMES) == {"theta_ref"}
+    assert_walked(report, row)
+    assert walk(*trial, "--storage", url) == report
+    cheapest = min(rows_of(out, "random", 0), key=lambda row: float(row["cost"]))
+    assert_walked(walk("--config", config, "--gains", best), cheapest)
+
+
+def test_strips_of_a_comparison_with_another_seed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The report simulates two walks on a ground that no configuration has."""
+    given = ("--config", small_config("risers.toml", tmp_path, 2.0), "--seed", 523001)
+    out = tmp_path / "risers-seed-523001"
+    request = ("--arms", "random", "--runs", 12, *SMALL)
+    assert run_tool(monkeypatch, "compare", *given, *request, "--out", out) == 0
+    assert run_tool(monkeypatch, "report", out) == 0
+    assert "no strips" not in capsys.readouterr().err
+    assert (out / "report" / "strips.svg").is_file()
+    assert "Before: random, trial" in (out / "report" / "report.md").read_text()
+
+
+# Bad input: one line, exit code 2, and nothing written.
+
+
+@pytest.mark.parametrize(
+    ("tool", "options", "says"),
+    [
+        ("study", ("--arm", "cat"), "arm: 'cat' cannot be used; allowed: one of random"),
+        ("study", ("--arm", "dog", "--run", 50), "run: 50 cannot be used; allowed: 0 to 49"),
+        ("study", ("--arm", "random", "--store", "STORE"), "store: "),
+        ("study", ("--arm", "best"), "store: "),
+        ("compare", ("--arms", "dog,cat"), "arm: 'cat'"),
+        ("walk", ("--run", 50), "run: 50"),
+        ("walk", ("--trial", "FIRST/4", "--storage", "OUT"), "trial: "),
+        ("walk", ("--trial", "rough8-smooth/dog/run-002/0", "--storage", "OUT"), "trial: "),
+        ("walk", ("--trial", "rough8-smooth/best/run-001/0", "--storage", "OUT"), "trial: "),
+        ("walk", ("--trial", f"FIRST/{10**30}", "--storage", "OUT"), "trial: "),
+        ("walk", ("--trial", "FIRST", "--storage", "OUT"), "trial: "),
+        ("walk", ("--trial", "12", "--storage", "OUT"), "trial: '12' cannot be used; allowed: EXP"),
+        ("walk", ("--trial", "FIRST/0", "--storage", "STORE"), "storage: "),
+        ("walk", ("--trial", "FIRST/0", "--storage", "nowhere"), "storage: 'nowhere'"),
+        ("walk", ("--trial", "FIRST/0", "--storage", "sqlite:///no.db"), "storage: 'sqlite:///no"),
+        ("walk", ("--trial", "FIRST/4", "--storage", "URL"), "trial: "),
+        ("walk", (f"--trial=FIRST/{10**30}", "--storage", "URL"), "trial: "),
+        ("walk", ("--trial", "rough8-smooth/dog/0", "--storage", "URL"), "trial: "),
+        ("walk", ("--trial", "FIRST/0", "--storage", "OUT", "--gains", "K_T"), "trial: "),
+        ("walk", ("--row", 300, "--store", "STORE"), "row: 300 cannot be used; allowed: 0 to 299"),
+        ("walk", ("--row", 3), "store: "),
+        ("walk", ("--row", 3, "--store", "OUT"), "store: "),
+        ("walk", ("--gains", "GAINS"), "gains.K_SOL: 99 cannot be used; allowed: 0 to 24"),
+    ],
+)
+def test_what_is_not_there_is_refused(
+    real: Real,
+    tool: str,
+    options: tuple[object, ...],
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    gains = dict.fromkeys((*GAIN_NAMES, *LOW_LEVEL_NAMES), 1.0) | {"K_SOL": 99}
+    (tmp_path / "gains.json").write_text(json.dumps(gains))
+    places = {
+        "STORE": real.store, "OUT": real.compared, "URL": real.url,
+        "FIRST": "rough8-smooth/dog/run-001", "GAINS": tmp_path / "gains.json",
+    }  # fmt: skip
+    words = [str(word) for word in options]
+    for name, place in places.items():
+        words = [word.replace(name, str(place)) for word in words]
+    monkeypatch.chdir(tmp_path)
+    database = ("--storage", "sqlite:///new.db") if tool == "study" else ()
+    assert run_tool(monkeypatch, tool, "--config", real.config, *words, *database) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith(f"error: {says}"), said.err
+    assert said.err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["gains.json"]
