@@ -94,6 +94,7 @@ def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(pictures, name, lambda path, *_: path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_a_command_that_is_named_is_taken(
     made: Path, words: Words, tmp_path: Path, no_painters: None, monkeypatch: pytest.MonkeyPatch
@@ -153,6 +154,7 @@ def rows_of(folder: Path, arm: str, run: int) -> list[dict[str, Any]]:
     return [row for row in rows if (row["arm"], row["run"]) == (arm, run)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", ARMS)
 def test_a_live_study_has_the_trials_of_the_comparison(real: Real, arm: str) -> None:
     study = optuna.load_study(study_name=f"rough8-smooth/{arm}/run-001", storage=real.url)
@@ -193,6 +195,7 @@ def assert_walked(report: dict[str, Any], row: dict[str, Any]) -> None:
         assert value == row[name], name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", ARMS)
 def test_a_trial_walks_as_it_did(real: Real, walk: Walk, arm: str) -> None:
     """From the comparison's folder, from its database, and from the live study's."""
@@ -203,6 +206,7 @@ def test_a_trial_walks_as_it_did(real: Real, walk: Walk, arm: str) -> None:
     assert walk(*where, "--storage", real.url) == of_folder
 
 
+@pytest.mark.slow
 def test_a_result_walks_as_it_did(real: Real, walk: Walk, tmp_path: Path) -> None:
     where = ("--config", real.config, "--run", 1)
     trial = ("--trial", "rough8-smooth/cmaes-warm/run-001/3", "--storage", real.compared)
@@ -211,6 +215,7 @@ def test_a_result_walks_as_it_did(real: Real, walk: Walk, tmp_path: Path) -> Non
     assert walk(*where, "--gains", tmp_path / "result.json") == first
 
 
+@pytest.mark.slow
 def test_a_row_of_a_store_walks_as_it_did(real: Real, walk: Walk) -> None:
     table = open_store(real.store).table()
     row = max(range(300), key=lambda row: float(table["phi_printed"][row].as_py()))
@@ -219,6 +224,7 @@ def test_a_row_of_a_store_walks_as_it_did(real: Real, walk: Walk) -> None:
         assert (report["gains"] | report)[name] == table[name][row].as_py(), name
 
 
+@pytest.mark.slow
 def test_a_17th_parameter_is_kept(
     walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -241,6 +247,7 @@ def test_a_17th_parameter_is_kept(
     assert_walked(walk("--config", config, "--gains", best), cheapest)
 
 
+@pytest.mark.slow
 def test_strips_of_a_comparison_with_another_seed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -258,6 +265,7 @@ def test_strips_of_a_comparison_with_another_seed(
 # Bad input: one line, exit code 2, and nothing written.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tool", "options", "says"),
     [

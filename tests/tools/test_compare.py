@@ -176,6 +176,7 @@ def test_ctrl_c_keeps_finished_stretches(
     assert command.rows() == 4 * 9
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_all_processes(command: Command) -> None:
     process = command.start(trials=100, workers=2)
     command.wait_for_more(process)
@@ -188,6 +189,7 @@ def test_ctrl_c_ends_all_processes(command: Command) -> None:
     assert members(process.pid) == []
 
 
+@pytest.mark.slow
 def test_killed_ten_times_and_resumed_is_the_same_table(command: Command) -> None:
     arms = {"arms": "random,dog,score-first,cmaes-cold,cmaes-warm", "trials": 45}
     rng = np.random.default_rng(0)

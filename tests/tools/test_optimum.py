@@ -319,6 +319,7 @@ def test_the_configurations_that_ship_are_read(cost: str) -> None:
     assert np.ptp(experiment.terrain(0).height_m) == 0.0
 
 
+@pytest.mark.slow
 def test_with_the_real_simulator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One generation of two short runs: what it costs is what a walk of these gains costs."""
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)

@@ -16,6 +16,8 @@ from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker
 from tests.tools.running import ROOT, run_tool
 
+pytestmark = pytest.mark.slow
+
 
 def paint(path: Path, *_: Any) -> Path:
     path.write_bytes(b"picture")

@@ -127,6 +127,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("shared")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", [arm.name for arm in ARMS.values() if not arm.needs])
 def test_every_arm_can_be_run_and_resumed(
     shared: Path, arm: str, command: Command, capsys: pytest.CaptureFixture[str]
@@ -311,6 +312,7 @@ def test_ctrl_c_says_that_work_is_kept(
     assert "resumes" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_is_the_same_study(command: Command) -> None:
     whole = f"sqlite:///{command.folder / 'whole.db'}"
     assert command.run(trials=7, storage=whole) == 0

@@ -30,6 +30,7 @@ def gains_file(folder: Path, gains: Any) -> str:
     return str(path)
 
 
+@pytest.mark.slow
 def test_reference_walks_100_s_at_human_speed_and_json_is_one_object(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -48,6 +49,7 @@ def test_reference_walks_100_s_at_human_speed_and_json_is_one_object(
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_walker_that_falls_is_shown_too_from_another_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -253,6 +255,7 @@ def test_folder_that_cannot_be_written(refused: Refused, tmp_path: Path) -> None
     assert "out: " in refused("--out", tmp_path / "file" / "below")
 
 
+@pytest.mark.slow
 def test_the_process_says_the_same(tmp_path: Path) -> None:
     command = [sys.executable, ROOT / "tools" / "walk.py", "--gains", "nobody"]
     done = subprocess.run(
