@@ -6,6 +6,7 @@ the same experiment has for this arm and run.
 
 import warnings
 from collections.abc import Callable
+from copy import copy
 
 import numpy as np
 import optuna
@@ -52,7 +53,7 @@ def run_study(
     """
     experiment.require_run(run)
     one = OneStudy(experiment, arm, run, open_study(experiment, arm, run, storage))
-    _repeat_running(one.study)
+    _repeat_running(experiment, one.study)
     while one.trials < trials:
         told = _run_trial(experiment, one)
         if report is not None:
@@ -103,12 +104,15 @@ def _run_trial(experiment: Experiment, one: OneStudy) -> FrozenTrial:
     except StorageInternalError:
         raise  # nothing can be written now; the trial stays running, and the next run repeats it
     except BaseException:
-        _repeat_running(one.study)
+        _repeat_running(experiment, one.study)
         raise
 
 
-def _repeat_running(study: optuna.Study) -> None:
-    """Fail running trials, and queue others with the parameters that they had been given."""
+def _repeat_running(experiment: Experiment, study: optuna.Study) -> None:
+    """Fail running trials, and queue others with the parameters that they had been given.
+
+    One that had been given some of them is asked for anew: samplers draw them one after the other.
+    """
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ExperimentalWarning)
@@ -116,5 +120,11 @@ def _repeat_running(study: optuna.Study) -> None:
             # First the successor: killed between the two steps, the next run must not lose it.
             waiting = study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
             if not any(trial.number in retry.retry_history(other) for other in waiting):
-                retry(study, trial)
+                retry(study, trial if set(trial.params) == set(experiment.names) else _bare(trial))
         study.tell(trial.number, state=TrialState.FAIL)
+
+
+def _bare(trial: FrozenTrial) -> FrozenTrial:
+    bare = copy(trial)
+    bare.params, bare.distributions = {}, {}
+    return bare

@@ -1,6 +1,7 @@
 """CMA-ES, three ways to start it: from nowhere, from a good row, from many good rows."""
 
 import warnings
+from copy import copy
 from functools import lru_cache
 from typing import Any
 
@@ -12,7 +13,7 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, CmaEsSampler
 from optuna.trial import FrozenTrial, TrialState
 
-from study.draws import Purpose, generator, seed_32bit
+from study.draws import Purpose, generator, seed_32bit, turn
 from study.experiment.controls import RowSampler, score_order
 from study.experiment.pycma import new_strategy
 from study.experiment.task import Task
@@ -41,14 +42,26 @@ def cold(task: Task) -> BaseSampler:
     with warnings.catch_warnings():
         # `source_trials`, which is to replace x0 and sigma0, fixes sigma at a tenth.
         warnings.simplefilter("ignore", FutureWarning)
-        return CmaEsSampler(x0=start, sigma0=SIGMA_COLD, **_common(task))
+        return TurnCmaEsSampler(x0=start, sigma0=SIGMA_COLD, **_common(task))
 
 
 def source(task: Task) -> BaseSampler:
     """Optuna's CMA-ES from the distribution of the best rows; trial 0 is random."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
-        return CmaEsSampler(source_trials=_source_trials(task.table), **_common(task))
+        return TurnCmaEsSampler(source_trials=_source_trials(task.table), **_common(task))
+
+
+class TurnCmaEsSampler(CmaEsSampler):
+    """Optuna's CMA-ES, whose draws depend on the trial's number; here it is the trial's turn."""
+
+    def sample_relative(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """The next of the generation, the same whether or not trials were killed before."""
+        counted = copy(trial)
+        counted.number = turn(study, trial)
+        return super().sample_relative(study, counted, search_space)
 
 
 def _common(task: Task) -> dict[str, Any]:

@@ -1,202 +1,326 @@
-"""Studies from first trial to last: what they record, and that interruptions leave no trace."""
+"""Live studies from first trial to last: what they record, that interruptions leave no trace, and
+that they are the studies of a comparison."""
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import optuna
 import pytest
+from optuna.storages import BaseStorage, InMemoryStorage
 from optuna.trial import FrozenTrial, TrialState
 
 import taichi_nmm
 from storage.databases.studies import open_studies
-from study import FeatureTable
-from study.arms import ARMS, new_sampler
-from study.config import StudyConfig, read_study_config
-from study.objective import WalkObjective, simulate_gains, suggest_gains
-from study.runner import finished, open_study, run_study, study_name
+from study.comparison.compare import Request, compare
+from study.experiment.arms import ARMS, find_arm
+from study.experiment.experiment import Experiment, study_name
+from study.experiment.objective import ATTRIBUTES
+from study.experiment.one_study import OneStudy, sampler_seed
+from study.experiment.simulation import simulate_trials
+from study.experiment.task import Task
+from study.runner import open_study, run_study
 from study.summary import best_gains, progress_line, summary, summary_text
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, GAINS
-from taichi_nmm.result import Result
+from taichi_nmm.parameters import GAIN_NAMES
+from taichi_nmm.terrain import Ground
 from tests.study import fake_walker
+from tests.study.conftest import Comparisons
 
-ROUGH8 = Path(__file__).parents[2] / "configs" / "rough8.toml"
-
-
-@pytest.fixture
-def config() -> StudyConfig:
-    return read_study_config(ROUGH8)
-
-
-@pytest.fixture
-def stored(store: Path) -> FeatureTable:
-    return FeatureTable.from_parquet(store, features=["phi_printed"])
+LIVE = ("dog", "cmaes-cold", "cmaes-warm", "best", "random", "tpe")
+RUNNABLE = tuple(arm.name for arm in ARMS.values() if not arm.needs)
+TRIALS = 16  # beyond a generation of 12
 
 
 def run(
-    config: StudyConfig,
-    arm: str,
-    trials: int,
-    stored: FeatureTable,
-    storage: optuna.storages.BaseStorage,
+    experiment: Experiment, arm: str, trials: int, storage: BaseStorage, number: int = 0
 ) -> list[FrozenTrial]:
-    return finished(run_study(config, arm, trials, storage, candidates(arm, stored)))
+    """The finished trials of a study that is run until it has so many."""
+    study = run_study(experiment, find_arm(arm), number, trials, storage)
+    return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
 
 
-def candidates(arm: str, stored: FeatureTable) -> FeatureTable | None:
-    """What an arm chooses among: the store's rows, compared by as many numbers as it wants."""
-    if arm != "best":
-        return stored if arm == "dog" else None
-    rows = stored.rows
-    space = rows.space.as_dict()
-    columns = {name: rows.parameters[:, column] for column, name in enumerate(space)}
-    features = np.column_stack([rows.features[:, 0], rows.parameters[:, 0]])
-    return FeatureTable.from_arrays(columns, features, ["survival", "speed"], space=space)
+def facts(trials: list[FrozenTrial]) -> list[Any]:
+    """All that a trial says but its number and its times."""
+    return [(trial.params, trial.value, trial.user_attrs) for trial in trials]
 
 
-@pytest.mark.parametrize("arm", ARMS)
-def test_trials_say_what_happened(config: StudyConfig, stored: FeatureTable, arm: str) -> None:
-    trials = run(config, arm, 5, stored, optuna.storages.InMemoryStorage())
+def interrupted(
+    experiment: Experiment,
+    arm: str,
+    storage: BaseStorage,
+    monkeypatch: pytest.MonkeyPatch,
+    number: int = 0,
+    error: type[BaseException] = KeyboardInterrupt,
+) -> None:
+    """Stopped in trials 1, 5, 6, and 14 of which some were repeated before."""
+    for call in (1, 5, 1, 9):
+        monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(call, error))
+        with pytest.raises(error):
+            run(experiment, arm, TRIALS, storage, number)
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+
+
+@pytest.mark.parametrize("arm", LIVE)
+def test_trials_say_what_happened(toy: Experiment, arm: str) -> None:
+    trials = run(toy, arm, 5, InMemoryStorage())
     assert len(trials) == 5
     for trial in trials:
         assert tuple(trial.params) == GAIN_NAMES
+        assert trial.distributions == toy.space
         attributes = trial.user_attrs
+        assert set(ATTRIBUTES) <= set(attributes)
         assert attributes["end_reason"] in ("completed", "fell", "diverged")
-        assert 0 < attributes["duration_s"] <= 100
+        assert 0 < attributes["duration_s"] <= 20
         assert attributes["distance_m"] == pytest.approx(
             attributes["duration_s"] * attributes["mean_speed_mps"]
         )
-        assert ("row" in attributes) == (arm in ("dog", "best"))
-        assert ("score" in attributes) == (arm == "dog")
+        first = arm == "cmaes-warm" and trial.number == 0
+        assert ("row" in attributes) == (arm in ("dog", "best") or first)
+        assert ("score" in attributes) == (arm == "dog" or first)
 
 
-def test_the_cost_is_the_configured_one(config: StudyConfig, fake_simulator: None) -> None:
-    trial = optuna.trial.FixedTrial({gain.name: gain.default for gain in GAINS})
-    rows = simulate_gains(config, suggest_gains(trial)).rows
-    assert WalkObjective(config)(trial) == taichi_nmm.smooth_cost(rows)[0]
-    walking = replace(config, cost="walking")
-    assert WalkObjective(walking)(trial) == taichi_nmm.walking_cost(rows)[0]
+def test_the_cost_is_that_of_the_run_and_the_configured_one(toy: Experiment) -> None:
+    for cost, function in (
+        ("smooth", taichi_nmm.smooth_cost),
+        ("walking", taichi_nmm.walking_cost),
+    ):
+        experiment = replace(toy, cost=cost)
+        (trial,) = run(experiment, "random", 1, InMemoryStorage(), 2)
+        gains = fake_walker.gain_rows(list(trial.params.values()))
+        assert trial.value == function(simulate_trials(experiment, [2], gains).rows)[0]
+        assert trial.value != function(simulate_trials(experiment, [1], gains).rows)[0]
 
 
-@pytest.mark.parametrize("arm", ARMS)
-def test_a_study_in_pieces_is_the_same_study(
-    config: StudyConfig, stored: FeatureTable, arm: str, tmp_path: Path
+def compared(comparisons: Comparisons, arms: tuple[str, ...], trials: int) -> Any:
+    """The results of a comparison of two runs, a data frame."""
+    comparisons.run("compared", arms=arms, runs=2, trials=trials)
+    return comparisons.table("compared").to_pandas()
+
+
+def assert_same(trials: list[FrozenTrial], frame: Any, arm: str, names: tuple[str, ...]) -> None:
+    """The trials of a study are run 1 of the table, to the bit."""
+    rows = frame[(frame.arm == arm) & (frame.run == 1)].to_dict("records")
+    assert len(trials) == len(rows)
+    for trial, row in zip(trials, rows, strict=True):
+        assert trial.params == {name: row[name] for name in names}
+        assert trial.value == row["cost"]
+        assert trial.user_attrs.get("row", -1) == row["row"]
+        for name in ATTRIBUTES:
+            assert trial.user_attrs[name] == row[name]
+
+
+def test_a_live_study_is_that_of_a_comparison(
+    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = run(config, arm, 16, stored, optuna.storages.InMemoryStorage())
+    """Also when it is stopped in the middle: by Ctrl-C, or by the simulator."""
+    frame, toy = compared(comparisons, LIVE, TRIALS), comparisons.experiment
+    database = open_studies(f"sqlite:///{comparisons.folder}/studies.db")
+    for arm in LIVE:
+        assert_same(run(toy, arm, TRIALS, InMemoryStorage(), 1), frame, arm, toy.names)
+        for storage, error in ((database, KeyboardInterrupt), (InMemoryStorage(), RuntimeError)):
+            interrupted(toy, arm, storage, monkeypatch, 1, error)
+            trials = run(toy, arm, TRIALS, storage, 1)
+            assert_same(trials, frame, arm, toy.names)
+            study = optuna.load_study(study_name=study_name("toy", arm, 1), storage=storage)
+            assert len(study.trials) == TRIALS + 4
+
+
+def test_every_arm_of_the_registry_runs_live_as_compared(comparisons: Comparisons) -> None:
+    frame, toy = compared(comparisons, RUNNABLE, 3), comparisons.experiment
+    for arm in RUNNABLE:
+        assert_same(run(toy, arm, 3, InMemoryStorage(), 1), frame, arm, toy.names)
+
+
+def test_seventeen_parameters_are_the_same_live(
+    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = comparisons.folder / "torso"
+    folder.mkdir()
+    torso = fake_walker.experiment(folder, 'searched = ["theta_ref"]')
+    comparisons.run("out", experiment=torso, arms=("dog", "cmaes-cold"), runs=2, trials=TRIALS)
+    frame = comparisons.table("out").to_pandas()
+    for arm in ("dog", "cmaes-cold"):
+        storage = InMemoryStorage()
+        interrupted(torso, arm, storage, monkeypatch, 1)
+        assert_same(run(torso, arm, TRIALS, storage, 1), frame, arm, torso.names)
+
+
+@pytest.mark.parametrize("arm", LIVE)
+def test_a_study_in_pieces_is_the_same_study(toy: Experiment, arm: str, tmp_path: Path) -> None:
+    whole = run(toy, arm, TRIALS, InMemoryStorage())
     url = f"sqlite:///{tmp_path}/studies.db"
-    for trials in (1, 4, 13, 16):
-        pieces = run(config, arm, trials, stored, open_studies(url))
+    for trials in (1, 4, 13, TRIALS):
+        pieces = run(toy, arm, trials, open_studies(url))
         assert len(pieces) == trials
-    assert [trial.params for trial in pieces] == [trial.params for trial in whole]
+    assert facts(pieces) == facts(whole)
 
 
-@pytest.mark.parametrize("arm", ["dog", "random"])
-def test_interrupted_trials_are_run_again(
-    config: StudyConfig, stored: FeatureTable, arm: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = run(config, arm, 8, stored, optuna.storages.InMemoryStorage())
-    storage, calls = optuna.storages.InMemoryStorage(), iter(range(100))
-
-    def sometimes(*args: object, **options: object) -> Result:
-        if next(calls) in (0, 4, 5):
-            raise KeyboardInterrupt
-        return fake_walker.simulate(*args, **options)
-
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", sometimes)
-    for _ in range(3):
-        with pytest.raises(KeyboardInterrupt):
-            run(config, arm, 8, stored, storage)
-    trials = run(config, arm, 8, stored, storage)
-    assert [trial.params for trial in trials] == [trial.params for trial in whole]
-
-
-def test_a_trial_found_running_is_run_again(config: StudyConfig, stored: FeatureTable) -> None:
-    whole = run(config, "dog", 6, stored, optuna.storages.InMemoryStorage())
-    storage = optuna.storages.InMemoryStorage()
-    run(config, "dog", 4, stored, storage)
-    study = open_study(config, "dog", storage, stored)
-    study.sampler = new_sampler("dog", config, stored, turn=4)
-    study.ask().suggest_float("K_GAS", 0.0, 8.0)  # killed after the first of 16 parameters
-    trials = run(config, "dog", 6, stored, storage)
-    assert [trial.params for trial in trials] == [trial.params for trial in whole]
+@pytest.mark.parametrize("arm", LIVE)
+def test_a_trial_found_running_is_run_again(toy: Experiment, arm: str, tmp_path: Path) -> None:
+    """Killed while it was simulated, when it had one of 16 parameters, or none."""
+    whole = run(toy, arm, TRIALS, InMemoryStorage())
+    storage = open_studies(f"sqlite:///{tmp_path}/studies.db")
+    found = find_arm(arm)
+    for trials, suggested in ((4, 16), (7, 1), (13, 0)):
+        run(toy, arm, trials, storage)
+        study = open_study(toy, found, 0, storage)
+        task = Task(toy, sampler_seed(toy.seed, arm, 0), trials, found.store, found.features)
+        study.sampler = found.new_sampler(task)
+        trial = study.ask()
+        for name, ends in list(toy.space.items())[:suggested]:
+            trial.suggest_float(name, ends.low, ends.high)
+    trials = run(toy, arm, TRIALS, storage)
+    assert facts(trials) == facts(whole)
     states = [trial.state for trial in study.get_trials(deepcopy=False)]
-    assert states.count(TrialState.FAIL) == 1
-    assert TrialState.RUNNING not in states
+    assert states.count(TrialState.FAIL) == 3
+    assert TrialState.RUNNING not in states and TrialState.WAITING not in states
 
 
 def test_a_repetition_queued_before_the_kill_is_not_queued_twice(
-    config: StudyConfig, stored: FeatureTable, monkeypatch: pytest.MonkeyPatch
+    toy: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    storage = optuna.storages.InMemoryStorage()
-    study = open_study(config, "random", storage, None)
-    study.ask()
+    storage = InMemoryStorage()
+    study = open_study(toy, find_arm("random"), 0, storage)
+    OneStudy(toy, find_arm("random"), 0, study).ask()
     monkeypatch.setattr(optuna.Study, "tell", lambda *_, **__: 1 / 0)  # killed in between
     with pytest.raises(ZeroDivisionError):
-        run(config, "random", 3, stored, storage)
+        run(toy, "random", 3, storage)
     monkeypatch.undo()
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-    run(config, "random", 3, stored, storage)
+    run(toy, "random", 3, storage)
     states = [trial.state for trial in study.trials]
     assert states == [TrialState.FAIL] + [TrialState.COMPLETE] * 3
 
 
-def test_a_finished_study_is_left_alone(config: StudyConfig, stored: FeatureTable) -> None:
-    storage = optuna.storages.InMemoryStorage()
-    assert run(config, "dog", 5, stored, storage) == run(config, "dog", 3, stored, storage)
+def test_a_finished_study_is_left_alone(toy: Experiment) -> None:
+    storage = InMemoryStorage()
+    assert run(toy, "dog", 5, storage) == run(toy, "dog", 3, storage)
 
 
+@pytest.mark.parametrize("number", [-1, 3, 50])
+def test_a_run_out_of_range(toy: Experiment, number: int) -> None:
+    storage = InMemoryStorage()
+    with pytest.raises(InputError, match=rf"run: {number} .* 0 to 2, the runs of toy"):
+        run(toy, "random", 1, storage, number)
+    assert not optuna.get_all_study_names(storage)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seed": 7}, r"study toy/dog/run-000: seed: 7 .* allowed: 5, with which it was made"),
+        ({"cost": "walking"}, r"run-000: objective\.cost: 'walking' .* 'smooth'"),
+        ({"duration_s": 50.0}, r"run-000: simulation\.duration_s: 50"),
+        ({"disturbance": 0.1}, r"run-000: body\.disturbance: 0\.1 .* 0\.15"),
+        ({"ground": Ground("flat")}, r"run-000: terrain\.name: 'flat' .* 'rough"),
+    ],
+)
 def test_another_configuration_is_refused_by_name(
-    config: StudyConfig, stored: FeatureTable
+    change: dict[str, Any], message: str, toy: Experiment
 ) -> None:
-    storage = optuna.storages.InMemoryStorage()
-    run(config, "dog", 2, stored, storage)
-    with pytest.raises(InputError, match=r"study rough8/dog: seed: 7 .* allowed: 1, with which"):
-        run(replace(config, seed=7), "dog", 3, stored, storage)
-    with pytest.raises(InputError, match=r"rough8/dog: simulation\.duration_s: 50"):
-        run(replace(config, duration_s=50.0), "dog", 3, stored, storage)
-    with pytest.raises(InputError, match=r"rough8/dog: dog.score: 'phi_corrected'"):
-        run(replace(config, score="phi_corrected"), "dog", 3, stored, storage)
-    assert len(run(config, "random", 2, stored, storage)) == 2  # another study
+    storage = InMemoryStorage()
+    run(toy, "dog", 2, storage)
+    if set(change) <= {"duration_s", "disturbance", "ground"}:
+        change = {"conditions": replace(toy.conditions, **change)}
+    with pytest.raises(InputError, match=message) as caught:
+        run(replace(toy, **change), "dog", 3, storage)
+    assert "\n" not in str(caught.value)
+    assert len(run(toy, "dog", 2, storage)) == 2  # nothing was added
+    assert len(run(replace(toy, **change), "random", 2, storage)) == 2  # another study
 
 
-def test_another_programs_study_is_refused(config: StudyConfig, stored: FeatureTable) -> None:
-    storage = optuna.storages.InMemoryStorage()
-    optuna.create_study(storage=storage, study_name="rough8/dog").ask()
-    with pytest.raises(InputError, match="study: 'rough8/dog'"):
-        run(config, "dog", 2, stored, storage)
+def test_another_store_or_definition_of_the_arm_is_refused(
+    toy: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    storage = InMemoryStorage()
+    run(toy, "dog", 2, storage)
+    fake_walker.write_store(tmp_path / "other", seed=4)
+    other = replace(toy, stores=dict(toy.stores) | {"flat": tmp_path / "other"})
+    with pytest.raises(InputError, match=r"toy/dog/run-000: stores\.flat: "):
+        run(other, "dog", 3, storage)
+    options = dict(ARMS["dog"].options) | {"acquisition": "ucb"}
+    monkeypatch.setitem(ARMS, "dog", replace(ARMS["dog"], options=options))
+    with pytest.raises(InputError, match=r"arms\.dog\.options\.acquisition: 'ucb' .* 'ei'"):
+        run(toy, "dog", 3, storage)
 
 
-def test_more_trials_than_rows_are_refused(config: StudyConfig, stored: FeatureTable) -> None:
-    with pytest.raises(InputError, match=r"trials: 201 .* at most 200"):
-        run(config, "dog", 201, stored, optuna.storages.InMemoryStorage())
+def test_what_does_not_decide_trials_may_change(toy: Experiment) -> None:
+    storage = InMemoryStorage()
+    run(toy, "dog", 2, storage)
+    settings = replace(toy.conditions.settings, arch="cpu", threads=1)
+    other = replace(toy, runs=50, trials=4, arms=(),
+                    conditions=replace(toy.conditions, settings=settings))  # fmt: skip
+    assert len(run(other, "dog", 4, storage)) == 4
 
 
-def test_the_samplers_start_apart(config: StudyConfig, stored: FeatureTable) -> None:
-    starts = {
-        (arm, seed): run(
-            replace(config, seed=seed), arm, 2, stored, optuna.storages.InMemoryStorage()
-        )[1].params["K_GAS"]
-        for arm in ARMS
-        for seed in (1, 2)
-    }
-    assert len(set(starts.values())) == len(starts)
+def test_a_study_of_an_earlier_version_is_refused(toy: Experiment) -> None:
+    storage = InMemoryStorage()
+    old = optuna.create_study(storage=storage, study_name="toy/dog")
+    old.ask()
+    message = r"study: 'toy/dog' .* of an earlier version, and is now toy/dog/run-001"
+    with pytest.raises(InputError, match=message) as caught:
+        run(toy, "dog", 2, storage, 1)
+    assert "\n" not in str(caught.value)
+    assert optuna.get_all_study_names(storage) == ["toy/dog"]
+    assert len(run(toy, "random", 1, storage, 1)) == 1
 
 
-def test_what_a_study_says(config: StudyConfig, stored: FeatureTable) -> None:
+def test_another_programs_study_is_refused(toy: Experiment) -> None:
+    storage = InMemoryStorage()
+    optuna.create_study(storage=storage, study_name="toy/dog/run-000").ask()
+    with pytest.raises(InputError, match=r"study: 'toy/dog/run-000' .* of another program"):
+        run(toy, "dog", 2, storage)
+
+
+def test_a_study_that_was_made_and_killed_at_once_is_taken(toy: Experiment) -> None:
+    storage = InMemoryStorage()
+    optuna.create_study(storage=storage, study_name="toy/dog/run-000")
+    assert len(run(toy, "dog", 2, storage)) == 2
+
+
+def test_live_studies_and_comparisons_leave_each_others_alone(
+    toy: Experiment, tmp_path: Path
+) -> None:
+    url = f"sqlite:///{tmp_path}/studies.db"
+    request = Request(tmp_path / "out", url, ("dog",), runs=1, trials=2, artifacts=False)
+    compare(toy, request, lambda progress: None)
+    message = r"study: 'toy/dog/run-000' .* another --storage: .* of a comparison"
+    with pytest.raises(InputError, match=message) as live:
+        run(toy, "dog", 3, open_studies(url))
+    assert len(str(live.value)) < 200
+    assert len(run(toy, "dog", 3, open_studies(url), 1)) == 3  # a run that it does not have
+    with pytest.raises(InputError, match=r"a database without toy/dog/run-001, .* a live") as other:
+        compare(toy, replace(request, runs=2), lambda progress: None)
+    assert len(str(other.value)) < 200 + len(url)
+    study = optuna.load_study(study_name="toy/dog/run-000", storage=open_studies(url))
+    assert len(study.trials) == 2
+
+
+def test_studies_start_apart(toy: Experiment) -> None:
+    for arm in ("dog", "random", "cmaes-cold", "tpe"):
+        starts = {
+            run(replace(toy, seed=seed), arm, 1, InMemoryStorage(), number)[0].params["K_GAS"]
+            for seed in (1, 2)
+            for number in (0, 1)
+        }
+        assert len(starts) == 4
+
+
+def test_what_a_study_says(toy: Experiment) -> None:
     lines = []
     study = run_study(
-        config,
-        "dog",
+        toy,
+        find_arm("dog"),
+        2,
         6,
-        optuna.storages.InMemoryStorage(),
-        stored,
+        InMemoryStorage(),
         lambda study, trial: lines.append(progress_line(study, trial, 6)),
     )
     assert len(lines) == 6
-    assert lines[5].startswith("rough8/dog  6/6  cost ")
+    assert lines[5].startswith("toy/dog/run-002  6/6  cost ")
     found = summary(study, "sqlite:///x.db", Path("out/best.json"))
-    assert found["study"] == study_name(config, "dog")
+    assert found["study"] == study_name("toy", "dog", 2)
     assert found["best_cost"] == study.best_value
     assert found["dashboard"].endswith("optuna-dashboard sqlite:///x.db")
     assert best_gains(study) == study.best_params
