@@ -110,6 +110,7 @@ def assert_same(trials: list[FrozenTrial], frame: Any, arm: str, names: tuple[st
             assert trial.user_attrs[name] == row[name]
 
 
+@pytest.mark.slow
 def test_a_live_study_is_that_of_a_comparison(
     comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -80,6 +80,11 @@ def test_what_decides_trials_changes_the_document(kind: type, name: str, value: 
     assert fingerprint(other) != fingerprint(TINY)
 
 
+def test_another_seed_changes_the_seed_and_the_first_ground_of_a_document() -> None:
+    one, two = document(TINY, ()), document(replace(TINY, seed=8), ())
+    assert {name for name in one if one[name] != two[name]} == {"seed", "terrain"}
+
+
 @pytest.mark.parametrize(("kind", "name", "value"), named(IDLE))
 def test_what_decides_nothing_changes_nothing(kind: type, name: str, value: Any) -> None:
     other = changed(kind, name, value)

@@ -1,0 +1,127 @@
+"""CMA-ES until convergence: the same runs however they are cut, interrupted and replayed."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+
+import taichi_nmm
+from storage.pool import IN_PROCESS, InProcess, Pool
+from study.experiment.experiment import CmaesOptions, Experiment
+from study.experiment.identity import document
+from study.optimum import generations
+from study.optimum.estimate import Reports, estimate
+from study.optimum.generations import CmaesProgress, Stretch, evolve, run_cmaes
+from study.optimum.optimum_folder import EVALUATIONS, OptimumFolder
+from taichi_nmm.errors import InputError
+from taichi_nmm.terrain import Ground
+from tests.study import fake_walker
+from tests.study.comparison.fake_results import experiment
+
+RUNS = 3
+NOTHING = EVALUATIONS.empty_table()
+Found = tuple[list[dict[str, object]], list[str]]
+
+
+@pytest.fixture
+def level(fake_simulator: None) -> Experiment:
+    """Level ground, the undisturbed body, and a CMA-ES of seven generations of four."""
+    cmaes = CmaesOptions(population=4, max_generations=7)
+    return experiment(ground=Ground("flat"), disturbance=0.0, cmaes=cmaes)
+
+
+def run(of: Experiment, out: Path, pool: Pool = IN_PROCESS) -> Found:
+    """Evaluations without their order of columns in memory, and why each run ended."""
+    with OptimumFolder.claim(out, document(of, ())) as folder:
+        table, stops = run_cmaes(of, RUNS, folder, pool, lambda progress: None)
+        assert folder.read_evaluations().equals(table)
+    return table.to_pylist(), stops
+
+
+@pytest.mark.parametrize(("block", "stretch", "slots"), [(1, 1, 1), (2, 3, 2), (100, 100, 3)])
+def test_runs_do_not_depend_on_the_cut(
+    block: int,
+    stretch: int,
+    slots: int,
+    level: Experiment,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole = run(level, tmp_path / "whole")
+    assert len(whole[0]) == RUNS * 7 * 4 and whole[1] == ["max_generations"] * RUNS
+    monkeypatch.setattr(generations, "BLOCK_RUNS", block)
+    monkeypatch.setattr(generations, "STRETCH_GENERATIONS", stretch)
+    assert run(level, tmp_path / "cut", Pool(InProcess(), slots)) == whole
+
+
+def test_interrupted_runs_go_on(
+    level: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = run(level, tmp_path / "whole")
+    monkeypatch.setattr(generations, "BLOCK_RUNS", 2)
+    monkeypatch.setattr(generations, "STRETCH_GENERATIONS", 2)
+    for call in (3, 6):
+        monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(call))
+        with pytest.raises(KeyboardInterrupt):
+            run(level, tmp_path / "out")
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+    calls = len(fake_walker.calls)
+    assert run(level, tmp_path / "out") == whole
+    assert 0 < len(fake_walker.calls) - calls < 14  # what was finished is not tried again
+
+
+def test_more_generations_go_on_from_those_that_are_there(
+    level: Experiment, tmp_path: Path
+) -> None:
+    shorter = replace(level, cmaes=replace(level.cmaes, max_generations=3))
+    run(shorter, tmp_path / "out")
+    assert run(level, tmp_path / "out") == run(level, tmp_path / "whole")
+
+
+def test_a_block_is_told_what_is_known_and_gives_what_is_new(level: Experiment) -> None:
+    first = evolve(Stretch(level, (0, 2), NOTHING, 2, "out"))
+    assert first.generations == [0] * 8 + [1] * 8 and first.stops == {}
+    assert fake_walker.calls[-1]["gains"].shape == (8, 16)  # a generation of both, one batch
+    rest = evolve(Stretch(level, (0, 2), first.tried, 100, "out"))
+    assert set(rest.generations) == {2, 3, 4, 5, 6}
+    assert rest.stops == {0: "max_generations", 2: "max_generations"}
+    alone = evolve(Stretch(level, (2,), NOTHING, 100, "out")).tried
+    both = pa.concat_tables([first.tried, rest.tried]).to_pylist()
+    assert alone.to_pylist() == [row for row in both if row["run"] == 2]
+
+
+def test_evaluations_of_other_settings_are_refused(level: Experiment) -> None:
+    tried = evolve(Stretch(level, (0,), NOTHING, 2, "out")).tried
+    other = replace(level, seed=8)
+    with pytest.raises(InputError, match=r"out: 'run 0 in here' .* these settings") as caught:
+        evolve(Stretch(other, (0,), tried, 3, "here"))
+    assert "\n" not in str(caught.value)
+
+
+def test_progress_counts_up(level: Experiment, tmp_path: Path) -> None:
+    told: list[CmaesProgress] = []
+    with OptimumFolder.claim(tmp_path / "out", document(level, ())) as folder:
+        table, _ = run_cmaes(level, RUNS, folder, IN_PROCESS, told.append)
+    assert [each.generation for each in told] == [5, 7]
+    assert [each.running for each in told] == [RUNS, 0]
+    assert told[-1].evaluations == len(table) and told[-1].runs == RUNS
+    assert told[-1].best_cost == min(table["cost"].to_pylist())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"ground": Ground("rough")}, r"terrain\.kind: 'rough' .* flat, for the optimum"),
+        ({"disturbance": 0.1}, r"body\.disturbance: 0\.1 .* 0, for the optimum"),
+        ({"searched": ("theta_ref",)}, "searched: .* none, for the optimum"),
+    ],
+)
+def test_only_the_easiest_setting_has_an_optimum(
+    change: dict[str, object], message: str, tmp_path: Path
+) -> None:
+    easiest: dict[str, object] = {"ground": Ground("flat"), "disturbance": 0.0}
+    reports = Reports(lambda progress: None, lambda progress: None)
+    with pytest.raises(InputError, match=message) as caught:
+        estimate(experiment(**(easiest | change)), tmp_path / "out", 2, 1, reports)
+    assert "\n" not in str(caught.value) and not (tmp_path / "out").exists()
