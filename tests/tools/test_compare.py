@@ -60,7 +60,9 @@ class Command:
         """Until the process has written a stretch."""
         before, deadline_s = self.rows(out), time.monotonic() + 60.0
         while self.rows(out) == before:
-            assert process.poll() is None and time.monotonic() < deadline_s
+            if process.poll() is not None:
+                pytest.fail(f"ended: {process.communicate()[1].decode()}")
+            assert time.monotonic() < deadline_s
             time.sleep(0.02)
 
 

@@ -129,17 +129,16 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", [arm.name for arm in ARMS.values() if not arm.needs])
-def test_every_arm_can_be_run_and_resumed(
+def test_every_arm_can_be_run(
     shared: Path, arm: str, command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
     url = f"sqlite:///{shared}/studies.db"
     config = str(fake_walker.write_config(shared))
-    for count in (2, 4):
-        assert command.run(config=config, arm=arm, store="", trials=count, storage=url) == 0
+    assert command.run(config=config, arm=arm, store="", trials=2, storage=url) == 0
     assert f"toy/{arm}/run-000: " in capsys.readouterr().out
     trials = optuna.load_study(study_name=f"toy/{arm}/run-000", storage=url).trials
-    assert [trial.state for trial in trials] == [TrialState.COMPLETE] * 4
-    assert len({tuple(trial.params.values()) for trial in trials}) == 4
+    assert [trial.state for trial in trials] == [TrialState.COMPLETE] * 2
+    assert trials[0].params != trials[1].params
 
 
 @pytest.fixture
