@@ -40,33 +40,51 @@ class Block:
     Attributes:
         experiment: of the studies.
         studies: arm and run of each.
-        known: their finished trials, `STATE_SCHEMA`.
+        known: their finished trials, `STATE_SCHEMA`; of studies that are handed on, none.
         trials: that each is to have.
+        handed_on: the studies themselves, of an earlier `Advanced`; None: made of what is known.
     """
 
     experiment: Experiment
     studies: tuple[Key, ...]
     known: pa.Table
     trials: int
+    handed_on: tuple[optuna.Study, ...] | None = None
 
 
-def advance(block: Block) -> pa.Table:
-    """The trials that the studies of a block still lack, `STATE_SCHEMA`.
+@dataclass(frozen=True)
+class Advanced:
+    """What has come of a block.
+
+    Attributes:
+        table: the trials that its studies lacked, `STATE_SCHEMA`.
+        studies: with all their trials, in the block's order; they spare the next stretch to ask
+            again for what libraries keep a state of.
+    """
+
+    table: pa.Table
+    studies: tuple[optuna.Study, ...]
+
+
+def advance(block: Block) -> Advanced:
+    """Take the studies of a block on.
 
     Raises:
         InputError: what a sampler or the simulator refuses.
     """
     experiment = block.experiment
     with _quiet():
-        studies = {key: OneStudy(experiment, find_arm(key[0]), key[1]) for key in block.studies}
-        best = dict.fromkeys(block.studies, np.inf)
+        memories = block.handed_on or (None,) * len(block.studies)
+        studies = {
+            (arm, run): OneStudy(experiment, find_arm(arm), run, memory)
+            for (arm, run), memory in zip(block.studies, memories, strict=True)
+        }
         for arm, run, table in by_study(block.known):
             _restore(experiment, studies[arm, run], table)
-            best[arm, run] = min(table["cost"].to_pylist())
         tables = [STATE_SCHEMA.empty_table()]
         while open_studies := [s for s in studies.values() if s.trials < block.trials]:
-            tables.append(_round(experiment, open_studies, best))
-        return pa.concat_tables(tables)
+            tables.append(_round(experiment, open_studies))
+        return Advanced(pa.concat_tables(tables), tuple(s.hand_on() for s in studies.values()))
 
 
 def _restore(experiment: Experiment, study: OneStudy, table: pa.Table) -> None:
@@ -79,7 +97,7 @@ def _restore(experiment: Experiment, study: OneStudy, table: pa.Table) -> None:
         study.restore(gains[place], cost, noted)
 
 
-def _round(experiment: Experiment, studies: list[OneStudy], best: dict[Key, float]) -> pa.Table:
+def _round(experiment: Experiment, studies: list[OneStudy]) -> pa.Table:
     """One trial of each study: proposed, simulated together, told, and written down."""
     asked, notes, seconds = [], [], []
     trials = [study.trials for study in studies]
@@ -93,15 +111,13 @@ def _round(experiment: Experiment, studies: list[OneStudy], best: dict[Key, floa
     cost = costs(rows, experiment.cost)
     for place, study in enumerate(studies):
         study.tell(float(cost[place]), rows[place : place + 1])
-        key = study.arm.name, study.run
-        best[key] = min(best[key], float(cost[place]))
     columns = {
         "arm": [study.arm.name for study in studies],
         "run": runs,
         "trial": trials,
         "row": [noted.get(ROW_ATTRIBUTE, OFF_TABLE) for noted in notes],
         "cost": cost,
-        "best_cost": [best[study.arm.name, study.run] for study in studies],
+        "best_cost": [study.study.best_value for study in studies],
         "proposal_s": seconds,
         NOTES: notes,
         "rows": rows,

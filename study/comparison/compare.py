@@ -4,7 +4,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -30,8 +30,8 @@ EXPORT_S = 60.0  # between two renewals of the study database
 
 # How studies are cut into units of work, of some 20 s each: what a kill loses. Walkers of a block
 # share the simulator's packs; no result depends on either number.
-BLOCK_STUDIES = 32
-STRETCH_TRIALS = 10
+BLOCK_STUDIES = 64
+STRETCH_TRIALS = 5
 
 
 @dataclass(frozen=True)
@@ -140,19 +140,21 @@ def _checkpoints(
     """Go on until every study has its trials; yields after each checkpoint."""
     experiment = experiment.on_one_thread() if pool.shares_machine else experiment
 
-    def next_stretch(studies: tuple[Key, ...]) -> Block:
+    def first_stretch(studies: tuple[Key, ...]) -> Block:
         least = min(map(finished.done, studies))
         return Block(
             experiment, studies, finished.known(studies), min(least + STRETCH_TRIALS, trials)
         )
 
     unfinished = [key for key in finished.studies if finished.done(key) < trials]
-    units = deque(next_stretch(studies) for studies in cut(unfinished, pool.slots))
+    units = deque(map(first_stretch, cut(unfinished, pool.slots)))
     written_s = time.monotonic()
-    for block, table in pool.results(advance, units):
-        finished.add(table)
+    for block, advanced in pool.results(advance, units):
+        finished.add(advanced.table)
         if block.trials < trials:
-            units.append(next_stretch(block.studies))
+            target = min(block.trials + STRETCH_TRIALS, trials)
+            nothing = block.known.slice(0, 0)
+            units.append(replace(block, known=nothing, trials=target, handed_on=advanced.studies))
         report(finished.progress(trials))
         if time.monotonic() - written_s >= CHECKPOINT_S:
             finished.commit()
@@ -161,8 +163,9 @@ def _checkpoints(
 
 
 def cut(studies: Sequence[Key], slots: int) -> list[tuple[Key, ...]]:
-    """Studies as blocks: at least one a slot, if there are enough, and none too large."""
-    size = min(BLOCK_STUDIES, -(-len(studies) // slots)) or 1
+    """Studies as blocks of equal size, as many in each slot, none too large."""
+    rounds = -(-len(studies) // (slots * BLOCK_STUDIES))
+    size = -(-len(studies) // (slots * rounds)) if rounds else 1
     return [tuple(studies[first : first + size]) for first in range(0, len(studies), size)]
 
 

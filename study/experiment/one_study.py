@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import optuna
 from numpy.typing import NDArray
-from optuna.samplers import BaseSampler
+from optuna.samplers import BaseSampler, RandomSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from study.draws import Purpose, name_key, seed_64bit
@@ -83,6 +83,11 @@ class OneStudy:
             attributes: that readers of the study want beside it.
         """
         return self._tell(cost, shown(self.arm, rows) | (attributes or {}))
+
+    def hand_on(self) -> optuna.Study:
+        """The study for another process, which makes its sampler anew: some do not travel."""
+        self._sampler, self.study.sampler = None, RandomSampler(seed=0)
+        return self.study
 
     def restore(self, gains: list[float], cost: float, noted: dict[str, Any]) -> None:
         """Add a trial of an earlier session; where the library keeps a state, by asking again.

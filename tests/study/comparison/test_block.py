@@ -31,7 +31,7 @@ def sorted_rows(*tables: pa.Table) -> list[dict[str, object]]:
 
 def test_a_round_is_one_batch_of_all_its_studies(toy: Experiment) -> None:
     fake_walker.calls.clear()
-    table = advance(Block(toy, STUDIES, NOTHING, 3))
+    table = advance(Block(toy, STUDIES, NOTHING, 3)).table
     assert [len(call["gains"]) for call in fake_walker.calls] == [4, 4, 4]
     assert table.schema.equals(STATE_SCHEMA) and len(table) == 12
     for call in fake_walker.calls:
@@ -43,34 +43,34 @@ def test_a_round_is_one_batch_of_all_its_studies(toy: Experiment) -> None:
 
 
 def test_a_study_is_the_same_in_any_company(toy: Experiment) -> None:
-    together = advance(Block(toy, STUDIES, NOTHING, 4))
-    alone = [advance(Block(toy, (study,), NOTHING, 4)) for study in STUDIES]
+    together = advance(Block(toy, STUDIES, NOTHING, 4)).table
+    alone = [advance(Block(toy, (study,), NOTHING, 4)).table for study in STUDIES]
     assert sorted_rows(together) == sorted_rows(*alone)
-    backwards = advance(Block(toy, STUDIES[::-1], NOTHING, 4))
+    backwards = advance(Block(toy, STUDIES[::-1], NOTHING, 4)).table
     assert sorted_rows(together) == sorted_rows(backwards)
 
 
 def test_only_what_is_missing_is_tried(toy: Experiment) -> None:
-    whole = advance(Block(toy, STUDIES, NOTHING, 6))
-    first = advance(Block(toy, STUDIES, NOTHING, 2))
+    whole = advance(Block(toy, STUDIES, NOTHING, 6)).table
+    first = advance(Block(toy, STUDIES, NOTHING, 2)).table
     dogs = first.filter(pc.equal(first["arm"], "dog"))
-    more = advance(Block(toy, STUDIES[:2], dogs, 4))  # some are further than others
+    more = advance(Block(toy, STUDIES[:2], dogs, 4)).table  # some are further than others
     known = in_order([first, more])
-    rest = advance(Block(toy, STUDIES, known, 6))
+    rest = advance(Block(toy, STUDIES, known, 6)).table
     assert [len(first), len(more), len(rest)] == [8, 4, 12]
     assert sorted_rows(first, more, rest) == sorted_rows(whole)
-    assert len(advance(Block(toy, STUDIES, known, 2))) == 0
+    assert len(advance(Block(toy, STUDIES, known, 2)).table) == 0
 
 
 def test_the_best_cost_goes_on_from_what_is_known(toy: Experiment) -> None:
-    first = advance(Block(toy, STUDIES, NOTHING, 3))
-    rest = advance(Block(toy, STUDIES, first, 6))
+    first = advance(Block(toy, STUDIES, NOTHING, 3)).table
+    rest = advance(Block(toy, STUDIES, first, 6)).table
     for rows in in_order([first, rest]).to_pandas().groupby(["arm", "run"]):
         np.testing.assert_array_equal(rows[1].best_cost, rows[1].cost.cummin())
 
 
 def test_a_table_holds_what_the_simulator_said(toy: Experiment) -> None:
-    table = advance(Block(toy, (("random", 0),), NOTHING, 1))
+    table = advance(Block(toy, (("random", 0),), NOTHING, 1)).table
     call = fake_walker.calls[-1]
     gains = call.pop("gains")
     said, kept = fake_walker.simulate(gains, **call).rows, outcomes_of(table)
@@ -81,10 +81,12 @@ def test_a_table_holds_what_the_simulator_said(toy: Experiment) -> None:
 
 
 def test_a_block_and_its_table_pass_between_processes(toy: Experiment) -> None:
-    table = advance(Block(toy, STUDIES, NOTHING, 2))
+    table = advance(Block(toy, STUDIES, NOTHING, 2)).table
     block = pickle.loads(pickle.dumps(Block(toy, STUDIES, table, 4)))
     assert block.experiment == toy and block.known.equals(table)
-    assert sorted_rows(advance(block)) == sorted_rows(advance(Block(toy, STUDIES, table, 4)))
+    assert sorted_rows(advance(block).table) == sorted_rows(
+        advance(Block(toy, STUDIES, table, 4)).table
+    )
 
 
 @pytest.mark.parametrize("arm", [name for name in ARMS if "best" in name][:3])
@@ -120,3 +122,14 @@ def test_an_input_error_passes_between_processes_whole() -> None:
     copy = pickle.loads(pickle.dumps(error))
     assert (copy.field, copy.value, copy.allowed) == ("trials", 0, "1 or more")
     assert str(copy) == str(error)
+
+
+def test_a_block_that_is_handed_on_travels_and_goes_on(toy: Experiment) -> None:
+    """All arms: what a library keeps in its trials comes along, what does not pickle stays."""
+    arms = [name for name, arm in ARMS.items() if not arm.needs]
+    studies = tuple((name, 1) for name in arms)
+    whole = advance(Block(toy, studies, NOTHING, 6)).table
+    first = advance(Block(toy, studies, NOTHING, 2))
+    handed_on = pickle.loads(pickle.dumps(first.studies))
+    rest = advance(Block(toy, studies, NOTHING, 6, handed_on)).table
+    assert sorted_rows(pa.concat_tables([first.table, rest])) == sorted_rows(whole)
