@@ -98,7 +98,9 @@ def _fill(
         return score_shard(*unit, lambda part: progress(done + part * size))
 
     score = score_here if pool.in_process else _score
-    asked = _on_one_thread(specification) if pool.shares_machine else specification
+    asked = specification
+    if pool.shares_machine:  # threads decide no number, and are no part of what a store is
+        asked = replace(specification, conditions=specification.conditions.on_one_thread())
     progress(done)
     for (_, number), shard in pool.results(score, deque((asked, number) for number in missing)):
         folder.write_shard(number, shard.table, code | shard.engine)
@@ -108,13 +110,6 @@ def _fill(
 
 def _score(unit: Unit) -> ScoredShard:
     return score_shard(*unit, report=lambda part: None)
-
-
-def _on_one_thread(specification: Specification) -> Specification:
-    """The same store: threads decide no number, and are no part of what it is."""
-    conditions = specification.conditions
-    settings = replace(conditions.settings, threads=1)
-    return replace(specification, conditions=replace(conditions, settings=settings))
 
 
 def _summary(specification: Specification, path: Path, computed: int, wall_s: float) -> Summary:

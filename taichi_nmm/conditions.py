@@ -3,7 +3,7 @@
 Which seed draws a body and a terrain is the caller's to say.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,10 @@ class Conditions:
     def terrain(self, seed: int | np.random.SeedSequence) -> Terrain:
         """The terrain of this seed."""
         return self.ground.draw(seed)
+
+    def on_one_thread(self) -> "Conditions":
+        """The same for one of several processes of a machine; no result depends on it."""
+        return replace(self, settings=replace(self.settings, threads=1))
 
     def simulation_document(self) -> dict[str, Any]:
         """What decides a result, of [simulation], as JSON values by name: nothing of the machine.

@@ -107,8 +107,7 @@ class Experiment:
 
     def on_one_thread(self) -> "Experiment":
         """The same for one of several processes of a machine; no result depends on it."""
-        settings = replace(self.conditions.settings, threads=1)
-        return replace(self, conditions=replace(self.conditions, settings=settings))
+        return replace(self, conditions=self.conditions.on_one_thread())
 
     def require_run(self, run: int) -> None:
         """Refuse a run that the experiment does not have.
