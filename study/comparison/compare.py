@@ -13,7 +13,6 @@ import pyarrow as pa
 from storage.databases.studies import URL_PREFIX
 from storage.pool import Pool, local_pool
 from study.command import require_arch
-from study.comparison.artifacts import make_artifacts
 from study.comparison.block import Block, advance
 from study.comparison.database import Summarise, check_database, export
 from study.comparison.experiment_folder import DATABASE_NAME, ExperimentFolder
@@ -22,7 +21,6 @@ from study.comparison.results import Key
 from study.experiment.check import check_arms
 from study.experiment.experiment import Experiment
 from study.experiment.identity import document, machine
-from study.pictures import find_ffmpeg
 from taichi_nmm.errors import InputError
 
 CHECKPOINT_S = 20.0
@@ -103,7 +101,7 @@ def compare(
     arms = check_arms(experiment, request.arms or experiment.arms, trials)
     require_arch(experiment.conditions.settings)
     if request.artifacts:
-        find_ffmpeg()
+        _require_ffmpeg()
     identity = document(experiment, arms)
     with ExperimentFolder.claim(request.out, identity) as folder:
         url = request.storage or f"{URL_PREFIX}{folder.path / DATABASE_NAME}"
@@ -126,8 +124,17 @@ def compare(
             export(experiment, results, url, summarise, final=True)
             session.note()
             if request.artifacts:
+                from study.comparison.artifacts import make_artifacts  # Matplotlib: a second
+
                 make_artifacts(experiment, results, url, folder.path, chosen, drawn)
         return Outcome(results, url, session.computed, session.wall_s)
+
+
+def _require_ffmpeg() -> None:
+    """Refuse films that nothing can encode, before the work."""
+    from study.pictures import find_ffmpeg  # Matplotlib: a second, which workers need not spend
+
+    find_ffmpeg()
 
 
 def _checkpoints(

@@ -9,7 +9,6 @@ import pyarrow as pa
 from optuna.distributions import FloatDistribution
 from optuna.storages import RDBStorage
 from optuna.trial import FrozenTrial, create_trial
-from optuna_dashboard import save_note, save_plotly_graph_object
 
 from storage.databases.bulk import FinishedStudy, study_attributes, trial_counts, write_studies
 from storage.databases.studies import open_studies, shown_url, storage_errors
@@ -128,6 +127,8 @@ def _trial(space: Mapping[str, FloatDistribution], row: Mapping[str, Any]) -> Fr
 
 def _show(experiment: Experiment, storage: RDBStorage, summary: Summary) -> None:
     """The study that says how the arms compare: a note with a table, and a figure."""
+    from optuna_dashboard import save_note, save_plotly_graph_object  # a second, once a minute
+
     study = optuna.create_study(
         storage=storage, study_name=f"{experiment.name}/summary", load_if_exists=True
     )

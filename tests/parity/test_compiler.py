@@ -13,6 +13,8 @@ from taichi_nmm.parameters import K_T, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings
 from tests.parity.interpreter import AllLanes, interpreted_walker
 
+pytestmark = pytest.mark.slow
+
 WALKERS = 24
 TICKS = 500  # 0.5 s
 TOLERANCE = 1e-6

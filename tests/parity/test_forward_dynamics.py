@@ -10,6 +10,8 @@ from taichi_nmm.errors import InputError
 from tests.parity import mujoco_walker, numpy_dynamics
 from tests.parity.states import States, random_states
 
+pytestmark = pytest.mark.slow
+
 STATES = 1000
 LARGEST_ERROR = 1e-9  # of each single acceleration; rounding leaves about 1e-10
 

@@ -16,6 +16,8 @@ from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from tests.parity import numpy_dynamics
 from tests.parity.states import random_states
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 WALKERS = 16

@@ -16,6 +16,8 @@ import pytest
 from storage.pool import IN_PROCESS, Pool, cores, local_pool
 from taichi_nmm.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 LONG_S = 60.0
 PROMPT_S = 5.0

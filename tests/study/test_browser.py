@@ -25,6 +25,8 @@ from taichi_nmm.result import Result
 from tests.study import synthetic_gait
 from tests.study.comparison.fake_results import experiment, results
 
+pytestmark = pytest.mark.slow
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (

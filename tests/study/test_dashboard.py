@@ -18,6 +18,8 @@ import pytest
 from storage.databases.studies import open_studies
 from study import FeatureKernelSampler, FeatureTable
 
+pytestmark = pytest.mark.slow
+
 TRIALS = 12
 BOUNDS = {"speed": (0.0, 1.0), "angle": (-5.0, 5.0)}
 

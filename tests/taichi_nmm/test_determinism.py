@@ -15,6 +15,8 @@ from taichi_nmm.parameters import K_T, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
 
+pytestmark = pytest.mark.slow
+
 WALKERS = 1000
 DURATION_S = 2.0
 CPU = Settings(arch="cpu")

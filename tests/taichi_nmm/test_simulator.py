@@ -14,6 +14,8 @@ from taichi_nmm.parameters import GAIN_NAMES, K_T, LOW_LEVEL_GAINS, LOW_LEVEL_NA
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, Result
 from taichi_nmm.settings import Settings
 
+pytestmark = pytest.mark.slow
+
 CPU = Settings(arch="cpu")
 # K_T without push-off and balance: falls within the first steps.
 FALLING = K_T * np.where(np.isin(GAIN_NAMES, ["K_SOL", "Kp_stance"]), 0.0, 1.0)

@@ -11,6 +11,8 @@ import pytest
 
 from taichi_nmm.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = 64
 

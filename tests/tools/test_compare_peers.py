@@ -12,6 +12,8 @@ import pytest
 
 from study.benchmarks import comparison_report, peers, regret, synthetic
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 ARMS = "random,random-rows,score-first,euclidean-rows,feature,alternate"
 TRIALS, SEEDS = 8, 2

@@ -20,6 +20,8 @@ from storage.databases.bulk import FinishedStudy, attach, write_studies
 from storage.databases.studies import open_studies
 from study.command import run_command
 
+pytestmark = pytest.mark.slow
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 DASHBOARD = REPOSITORY / "tools" / "dashboard.py"
 PICTURE = "12345678-0000-0000-0000-000000000000"

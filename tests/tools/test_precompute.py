@@ -21,6 +21,8 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.settings import Settings
 from tests.storage import fake
 
+pytestmark = pytest.mark.slow
+
 REPOSITORY = Path(__file__).parents[2]
 TOOL = REPOSITORY / "tools" / "precompute.py"
 CONFIG = """

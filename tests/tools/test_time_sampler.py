@@ -11,6 +11,8 @@ import pytest
 
 from study.benchmarks.sampler_timing import Case, Measured, measure
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = ("--rows", "2000", "--observations", "12", "--repeats", "3", "--sweep", "5,30")
 

@@ -26,6 +26,8 @@ from taichi_nmm.errors import InputError
 from tests.storage.databases.test_bulk import STUDY, TRIALS
 from tests.study import fake_walker
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[3]
 
 START_TIMEOUT_S = 30.0

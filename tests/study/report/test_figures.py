@@ -13,6 +13,8 @@ from study.report.axes import LABEL_SPACING_PT, End, label_ends, spread_out, tri
 from study.report.runs import Results, read_results
 from tests.study.report import synthetic
 
+pytestmark = pytest.mark.slow
+
 
 def test_places_move_no_more_than_they_must() -> None:
     assert spread_out([0.0, 10.0, 20.0], 5.0, 0.0, 100.0) == [0.0, 10.0, 20.0]

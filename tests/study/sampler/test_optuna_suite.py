@@ -15,6 +15,8 @@ from optuna.testing.pytest_samplers import (
 
 from study import FeatureKernelSampler, FeatureTable
 
+pytestmark = pytest.mark.slow
+
 Factory = Callable[[], BaseSampler]
 
 

@@ -16,6 +16,8 @@ from storage.databases.studies import open_studies
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
 from study.sampler.claims import withdraw_or_keep
 
+pytestmark = pytest.mark.slow
+
 TRIALS = 400
 ROWS = 430  # hardly more than trials: the end of the table is fought for
 
