@@ -31,6 +31,7 @@ def test_parameter_table_is_that_of_the_code(parameter: Parameter) -> None:
     assert table_row(parameter) in (ROOT / "docs" / "walker.md").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tool", TOOLS)
 def test_every_command_is_in_the_readme_and_explains_itself(tool: str) -> None:
     assert f"tools/{tool}" in (ROOT / "README.md").read_text()
@@ -60,6 +61,7 @@ def python_blocks(page: Path) -> list[str]:
     return re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_readmes_simulation_runs() -> None:
     code = python_blocks(ROOT / "README.md")[0]
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
@@ -67,6 +69,7 @@ def test_the_readmes_simulation_runs() -> None:
     assert "completed" in done.stdout and "(10000, 6)" in done.stdout
 
 
+@pytest.mark.slow
 def test_the_readmes_study_and_the_stores_page_run_on_small_stores(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -109,6 +109,7 @@ def test_a_single_shard_is_computed_here(store: Path) -> None:
     assert content(store) == before
 
 
+@pytest.mark.slow
 def test_processes_compute_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(vars(taichi_nmm), "simulate")  # the real one, which the processes have
     specification = fake.specification(

@@ -147,6 +147,7 @@ def test_seventeen_parameters_are_the_same_live(
         assert_same(run(torso, arm, TRIALS, storage, 1), frame, arm, torso.names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", LIVE)
 def test_a_study_in_pieces_is_the_same_study(toy: Experiment, arm: str, tmp_path: Path) -> None:
     whole = run(toy, arm, TRIALS, InMemoryStorage())
@@ -157,6 +158,7 @@ def test_a_study_in_pieces_is_the_same_study(toy: Experiment, arm: str, tmp_path
     assert facts(pieces) == facts(whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", LIVE)
 def test_a_trial_found_running_is_run_again(toy: Experiment, arm: str, tmp_path: Path) -> None:
     """Killed while it was simulated, when it had one of 16 parameters, or none."""

@@ -22,6 +22,8 @@ from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 from tests.study import fake_walker
 from tests.tools.running import ROOT, run_tool
 
+pytestmark = pytest.mark.slow
+
 OPTIONS = CmaesOptions(sigma=0.3, population=0, tolerance=1e-3, max_generations=300)
 CONFIG = """
 name = "tiny"
@@ -319,7 +321,6 @@ def test_the_configurations_that_ship_are_read(cost: str) -> None:
     assert np.ptp(experiment.terrain(0).height_m) == 0.0
 
 
-@pytest.mark.slow
 def test_with_the_real_simulator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One generation of two short runs: what it costs is what a walk of these gains costs."""
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)

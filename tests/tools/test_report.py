@@ -18,6 +18,8 @@ from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 from tests.study import synthetic_gait
 from tests.study.report import synthetic
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 ARMS = {"dog": (0.05, 0.01), "random": (0.01, 0.0), "best": (0.9, 0.0)}
 FILES = {

@@ -26,6 +26,8 @@ from taichi_nmm.result import Result
 from tests.study import synthetic_gait
 from tests.study.comparison.fake_results import experiment, results
 
+pytestmark = pytest.mark.slow
+
 TINY = experiment()
 GLIMPSE = synthetic_gait.walk(0.3, 50.0)
 STUDIES = ("tiny/dog/run-000", "tiny/dog/run-001", "tiny/random/run-000", "tiny/random/run-001")

@@ -106,6 +106,7 @@ def test_what_is_written_in_the_store_is_read_once_a_process(
     assert len(read) == 1
 
 
+@pytest.mark.slow
 def test_an_error_in_a_process_is_one_line_here(toy: Experiment) -> None:
     experiment = replace(toy, stores={})
     units = deque([Block(experiment, (("dog", 0),), NOTHING, 3)])
@@ -124,6 +125,7 @@ def test_an_input_error_passes_between_processes_whole() -> None:
     assert str(copy) == str(error)
 
 
+@pytest.mark.slow
 def test_a_block_that_is_handed_on_travels_and_goes_on(toy: Experiment) -> None:
     """All arms: what a library keeps in its trials comes along, what does not pickle stays."""
     arms = [name for name, arm in ARMS.items() if not arm.needs]

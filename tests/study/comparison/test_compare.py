@@ -25,6 +25,8 @@ from tests.study import fake_walker
 from tests.study.comparison.fake_results import experiment
 from tests.study.conftest import Comparisons
 
+pytestmark = pytest.mark.slow
+
 STATEFUL = ("random", "dog", "cmaes-cold", "cmaes-warm")  # one of each way to keep a state
 
 
@@ -171,7 +173,6 @@ def test_results_do_not_depend_on_the_slots(slots: int, comparisons: Comparisons
     assert all(call["settings"].threads == 1 for call in fake_walker.calls[-12:])
 
 
-@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> None:
     """The real simulator, in this process and in two that are spawned."""
     tiny = experiment(duration_s=1.0, arms=("random", "cmaes-cold"))
@@ -187,7 +188,6 @@ def test_results_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> Non
     assert len(set(costs)) > 6
 
 
-@pytest.mark.slow
 def test_the_real_simulator_gives_the_same_table_after_a_stop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,6 +16,8 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from tests.study.conftest import Comparisons
 
+pytestmark = pytest.mark.slow
+
 RUNNABLE = [arm.name for arm in ARMS.values() if not arm.needs]
 ON_OTHER_STORES = ("best-", "dog-mild", "dog-ramps", "dog-diverse", "score-first-")
 DIFFERENT = [name for name in RUNNABLE if not name.startswith(ON_OTHER_STORES)]

@@ -13,6 +13,8 @@ from taichi_nmm.terrain import flat, ramp, rough
 from tests.study import synthetic_gait
 from tests.study.synthetic_gait import BODY_WEIGHT_N
 
+pytestmark = pytest.mark.slow
+
 WALK = synthetic_gait.walk()
 GLIMPSE = synthetic_gait.walk(0.3)
 

@@ -81,6 +81,7 @@ def test_the_same_seed_proposes_the_same_also_after_reseeding(form: str) -> None
     assert parameters_of(study) == run(form)
 
 
+@pytest.mark.slow
 def test_a_spawned_process_proposes_the_same() -> None:
     context = multiprocessing.get_context("spawn")
     queue = context.Queue()
@@ -116,6 +117,7 @@ while len(study.trials) < total:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["mixed", "off_grid"])
 def test_killed_between_trials_and_resumed(form: str, tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path / 'studies.db'}"
@@ -291,6 +293,7 @@ print(peak() - before)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc on this system")
 def test_a_hundred_thousand_rows_take_little_memory() -> None:
     command = [sys.executable, "-c", MEMORY]
@@ -298,6 +301,7 @@ def test_a_hundred_thousand_rows_take_little_memory() -> None:
     assert float(done.stdout) < 200.0
 
 
+@pytest.mark.slow
 def test_importing_the_package_is_light() -> None:
     code = (
         "import sys, study; print({'taichi', 'matplotlib', 'torch', 'sklearn', 'optuna'} "

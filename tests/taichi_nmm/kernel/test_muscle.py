@@ -92,6 +92,7 @@ def unit_length(data: NDArray[np.float64], angles: NDArray[np.float64]) -> float
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("m", range(len(MUSCLES)), ids=MUSCLES)
 @pytest.mark.parametrize("activation", [0.05, 0.5, 1.0])
 def test_isometric_force_solves_the_static_balance(muscle: Any, m: int, activation: float) -> None:
