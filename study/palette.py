@@ -12,6 +12,7 @@ GREEN = "#009E73"
 BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
+BROWN, VIOLET = "#A0522D", "#6A3D9A"  # where the eight are used up
 SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE, BLACK)  # of curves that are all alike
 SERIES_DASHES = ("solid", "dash", "dot", "dashdot")  # plotly's, once the colours are used up
 

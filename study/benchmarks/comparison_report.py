@@ -14,6 +14,18 @@ from numpy.typing import NDArray
 from storage.commit import commit_text, writable
 from study.benchmarks.peers import PEERS
 from study.benchmarks.regret import Summary, mean_of, median_of, ratio_of_means, simple_regret
+from study.palette import (
+    BLACK,
+    BLUE,
+    BROWN,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY_BLUE,
+    VERMILION,
+    VIOLET,
+)  # fmt: skip
 
 Floats = NDArray[np.float64]
 Costs = dict[tuple[str, str], Floats]
@@ -24,8 +36,8 @@ PLAIN = ("euclidean", "euclidean-rows")
 RATIO_BARS = {"misleading": 1.2, "useless": 1.1}
 
 # Okabe & Ito: our arms in colour and unbroken, peers dashed, controls grey and dotted.
-OUR_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#000000")
-PEER_COLOURS = ("#8A9099", "#56B4E9", "#A0522D", "#6A3D9A")
+OUR_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, BLACK)
+PEER_COLOURS = (GREY, SKY_BLUE, BROWN, VIOLET)
 
 
 @dataclass(frozen=True)
@@ -227,4 +239,4 @@ def _line(arm: str) -> dict[str, Any]:
         return {"color": OUR_COLOURS[place % len(OUR_COLOURS)], "linewidth": 1.8}
     if kind == "peer":
         return {"color": PEER_COLOURS[place], "linestyle": "--", "linewidth": 1.3}
-    return {"color": "#8A9099", "linestyle": (0, (1, 1 + 2 * place)), "linewidth": 1.3}
+    return {"color": GREY, "linestyle": (0, (1, 1 + 2 * place)), "linewidth": 1.3}
