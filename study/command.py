@@ -6,6 +6,7 @@ from ctypes.util import find_library
 
 from storage.pool import cores
 from taichi_nmm.errors import InputError
+from taichi_nmm.kernel_cache import require_kernel_cache
 from taichi_nmm.settings import Settings
 
 EXIT_BAD_INPUT = 2
@@ -29,12 +30,13 @@ def run_command(main: Callable[[], None]) -> None:
         sys.exit(EXIT_INTERRUPTED)
 
 
-def require_arch(settings: Settings) -> None:
-    """Refuse a GPU that is not there, before any file is touched.
+def require_engine(settings: Settings) -> None:
+    """Refuse a machine on which the simulator cannot run, before any file is touched.
 
     Raises:
-        InputError: naming the architecture.
+        InputError: no place for compiled kernels, or a GPU that is not there.
     """
+    require_kernel_cache()
     if settings.arch in GPUS:
         _started_arch(settings)
 

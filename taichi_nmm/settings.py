@@ -1,5 +1,6 @@
 """How a batch is integrated: precision, step, contact law, machine."""
 
+import os
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -47,8 +48,10 @@ class Settings:
             raise InputError("simulation.precision", self.precision, " or ".join(PRECISIONS))
         if self.arch not in ARCHITECTURES:
             raise InputError("simulation.arch", self.arch, " or ".join(ARCHITECTURES))
-        if self.threads is not None and self.threads < 1:
-            raise InputError("simulation.threads", self.threads, "1 or more")
+        cores = os.cpu_count() or 1
+        if self.threads is not None and not 1 <= self.threads <= cores:
+            allowed = f"1 to {cores}, the cores of this machine"
+            raise InputError("simulation.threads", self.threads, allowed)
 
     @property
     def substeps(self) -> int:

@@ -18,7 +18,7 @@ from tqdm import tqdm
 from storage.pool import local_pool
 from storage.precompute import Summary, precompute
 from storage.specification import read_specification
-from study.command import default_workers, require_arch, run_command
+from study.command import default_workers, require_engine, run_command
 from taichi_nmm.config import read_toml
 from taichi_nmm.settings import ARCHITECTURES
 
@@ -47,7 +47,7 @@ def main() -> None:
     options = parse()
     specification = read_specification(read_toml(options.config), options.samples, options.arch)
     settings = specification.conditions.settings
-    require_arch(settings)
+    require_engine(settings)
     out = options.out or Path("out") / options.config.stem
     workers = default_workers(settings) if options.workers is None else options.workers
     with local_pool(workers) as pool, closing(ProgressBar(specification.samples)) as bar:

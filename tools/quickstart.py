@@ -23,7 +23,7 @@ from storage.commit import commit_json
 from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.precompute import precompute
 from storage.specification import read_specification
-from study.command import run_command
+from study.command import require_engine, run_command
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, read_experiment, study_name
 from study.experiment.simulation import simulate_trials
@@ -109,6 +109,7 @@ def main() -> None:
     out: Path = parse().out
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     experiment = replace(read_experiment(CONFIG), stores={"flat": out / "store"})
+    require_engine(experiment.conditions.settings)
     make_store(out / "store")
     url = f"sqlite:///{out / 'studies.db'}"
     ground, duration_s = experiment.terrain(RUN).name, experiment.conditions.duration_s

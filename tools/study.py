@@ -20,7 +20,7 @@ import optuna
 
 from storage.commit import commit_json, writable
 from storage.databases.studies import only_run, open_studies, shown_url, storage_errors
-from study.command import require_arch, run_command
+from study.command import require_engine, run_command
 from study.experiment.arms import ARMS, find_arm
 from study.experiment.check import check_arms
 from study.experiment.experiment import Experiment, read_experiment, study_name
@@ -66,7 +66,7 @@ def main() -> None:
         raise InputError("trials", trials, "1 or more")
     shown_url(args.storage)  # refuses what is no such URL
     (arm,) = check_arms(experiment, (args.arm,), trials)
-    require_arch(experiment.conditions.settings)
+    require_engine(experiment.conditions.settings)
     name = study_name(experiment.name, arm.name, args.run)
     folder = args.out or Path("out") / experiment.name
     gains = folder / f"{arm.name}-run-{args.run:03d}-best.json"

@@ -26,7 +26,7 @@ from tqdm import tqdm
 
 import taichi_nmm
 from storage.commit import writable
-from study.command import run_command
+from study.command import require_engine, run_command
 from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
 from study.experiment.objective import outcome_text
 from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial
@@ -192,6 +192,7 @@ def main() -> None:
     experiment = read(args)
     if args.movie_seconds > 0:
         find_ffmpeg()
+    require_engine(experiment.conditions.settings)
     folder = args.out or Path("out") / "walk" / gains.name
     make_folder(folder)
     result = simulate(gains, experiment, args.run)

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from storage.databases.studies import URL_PREFIX
 from storage.pool import Pool, local_pool
-from study.command import require_arch
+from study.command import require_engine
 from study.comparison.block import Block, advance
 from study.comparison.database import Summarise, check_database, export
 from study.comparison.experiment_folder import DATABASE_NAME, ExperimentFolder
@@ -99,7 +99,7 @@ def compare(
     trials = _positive("trials", request.trials, experiment.trials)
     _positive("workers", request.workers, 1)
     arms = check_arms(experiment, request.arms or experiment.arms, trials)
-    require_arch(experiment.conditions.settings)
+    require_engine(experiment.conditions.settings)
     if request.artifacts:
         _require_ffmpeg()
     identity = document(experiment, arms)

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from storage.pool import local_pool
+from study.command import require_engine
 from study.comparison.compare import Request, compare
 from study.comparison.finished import Progress
 from study.experiment.arms import PAPER_ARM
@@ -65,6 +66,7 @@ def estimate(
         if value < 1:
             raise InputError(name, value, "1 or more")
     check_arms(experiment, (PAPER_ARM,), experiment.trials)
+    require_engine(experiment.conditions.settings)
     began_s = time.monotonic()
     with OptimumFolder.claim(out, _document(experiment)) as folder, local_pool(workers) as pool:
         request = Request(out / DOG_NAME, arms=(PAPER_ARM,), runs=count, artifacts=False)

@@ -36,6 +36,7 @@ def test_the_published_contact_speed_is_allowed() -> None:
         ("precision", "float16"),
         ("arch", "tpu"),
         ("threads", 0),
+        ("threads", 10_000),
     ],
 )
 def test_settings_out_of_range_are_named(field: str, value: object) -> None:

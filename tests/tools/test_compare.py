@@ -143,11 +143,11 @@ def test_bad_input_is_one_line(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def require_arch(settings: Any) -> None:
+    def require_engine(settings: Any) -> None:
         if settings.arch == "cuda":
             raise InputError("simulation.arch", "cuda", "an architecture of this machine")
 
-    monkeypatch.setattr(compare, "require_arch", require_arch)
+    monkeypatch.setattr(compare, "require_engine", require_engine)
     assert command.run(**changes) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
