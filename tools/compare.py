@@ -79,7 +79,11 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
     parser.add_argument("--workers", type=int, metavar="N", help="processes; default: the cores")
-    parser.add_argument("--no-artifacts", action="store_true", help="no pictures, no movies")
+    parser.add_argument(
+        "--films", choices=("few", "all"), default="few",
+        help="of the best trials: of the first runs of each arm, or of all runs (%(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--no-artifacts", action="store_true", help="no pictures, no films")
     parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     return parser.parse_args()
@@ -95,7 +99,14 @@ def main() -> None:
     settings = experiment.conditions.settings
     workers = default_workers(settings) if args.workers is None else args.workers
     request = Request(
-        out, args.storage, arms, args.runs, args.trials, workers, not args.no_artifacts
+        out,
+        args.storage,
+        arms,
+        args.runs,
+        args.trials,
+        workers,
+        not args.no_artifacts,
+        args.films,
     )
     bar = ProgressBar()
     try:

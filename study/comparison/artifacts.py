@@ -34,6 +34,7 @@ from study.pictures import find_ffmpeg
 
 RECORDED_S = 12.0  # from the start of the trial
 RECORD_RATE_HZ = 50.0
+FILM_RUNS = 2  # of each arm: a film takes five times as long as a picture
 WALKS_PER_BATCH = 64  # 1.5 MB each while they are recorded
 NAMESPACE = uuid.UUID("6f1d2b3c-5d0e-4b57-9a52-0f4a7f6f3b11")
 KINDS = {STRIP: ("strip.png", "image/png"), FILM: ("film.mp4", "video/mp4")}
@@ -50,12 +51,14 @@ class Walk:
         gains: the searched parameters, [16 + k].
         title: what became of it.
         trials: name of the study and number of the trial, of each.
+        kinds: of files that it gets.
     """
 
     run: int
     gains: NDArray[np.float64]
     title: str
     trials: tuple[tuple[str, int], ...]
+    kinds: tuple[str, ...]
 
 
 def make_artifacts(
@@ -65,6 +68,7 @@ def make_artifacts(
     out: Path,
     pool: Pool = IN_PROCESS,
     drawn: Drawn | None = None,
+    film_runs: int = FILM_RUNS,
 ) -> None:
     """Draw the best trial of each study and attach picture and film to it.
 
@@ -75,6 +79,7 @@ def make_artifacts(
         out: folder of the experiment; the files go to its folder artifacts.
         pool: that draws.
         drawn: called with the number of walks that are done, and of all.
+        film_runs: runs, from run 0 on, whose walks get a film; the others a picture alone.
 
     Raises:
         InputError: no ffmpeg that works (before anything is drawn), or no place to write.
@@ -85,9 +90,11 @@ def make_artifacts(
         folder.mkdir(parents=True, exist_ok=True)
         for leftover in folder.glob(f".*{TEMPORARY_SUFFIX}"):
             leftover.unlink()
-    walks = best_walks(experiment, trials)
+    walks = best_walks(experiment, trials, film_runs)
     done = [
-        walk for walk in walks if all(path.exists() for path in _paths(experiment, walk, folder))
+        walk
+        for walk in walks
+        if all(path.exists() for path in _paths(experiment, walk, folder).values())
     ]
     _attach(experiment, done, url)
     missing = [walk for walk in walks if walk not in done]
@@ -102,10 +109,10 @@ def make_artifacts(
             found[drawing.strip] = is_drawn
             finished += 1
             tell(finished, len(walks))
-        _attach(experiment, [w for w in batch if found[_paths(experiment, w, folder)[0]]], url)
+        _attach(experiment, [w for w in batch if found[_paths(experiment, w, folder)[STRIP]]], url)
 
 
-def best_walks(experiment: Experiment, trials: pa.Table) -> list[Walk]:
+def best_walks(experiment: Experiment, trials: pa.Table, film_runs: int = FILM_RUNS) -> list[Walk]:
     """The best trial of each study, the first of equals; equal ones of several arms once."""
     order = [(name, "ascending") for name in ("arm", "run", "cost", "trial")]
     table = trials.sort_by(order)
@@ -118,7 +125,8 @@ def best_walks(experiment: Experiment, trials: pa.Table) -> list[Walk]:
         key = (row["run"], gains.tobytes())
         others = found[key].trials if key in found else ()
         title = f"{experiment.name}, run {row['run']}: {outcome_text(row)}"
-        found[key] = Walk(row["run"], gains, title, (*others, trial))
+        kinds = (STRIP, FILM) if row["run"] < film_runs else (STRIP,)
+        found[key] = Walk(row["run"], gains, title, (*others, trial), kinds)
     return list(found.values())
 
 
@@ -128,8 +136,9 @@ def _artifact_id(experiment: Experiment, walk: Walk, kind: str) -> str:
     return str(uuid.uuid5(NAMESPACE, name))
 
 
-def _paths(experiment: Experiment, walk: Walk, folder: Path) -> list[Path]:
-    return [folder / _artifact_id(experiment, walk, kind) for kind in KINDS]
+def _paths(experiment: Experiment, walk: Walk, folder: Path) -> dict[str, Path]:
+    """Of a walk's files, by kind."""
+    return {kind: folder / _artifact_id(experiment, walk, kind) for kind in walk.kinds}
 
 
 def _drawings(
@@ -145,15 +154,23 @@ def _drawings(
         record_rate_hz=RECORD_RATE_HZ,
     )
     for walk, trajectory in zip(walks, result.trajectories, strict=True):
-        strip, film = _paths(experiment, walk, folder)
-        yield Drawing(trajectory, experiment.terrain(walk.run), walk.title, strip, film, program)
+        paths = _paths(experiment, walk, folder)
+        yield Drawing(
+            trajectory,
+            experiment.terrain(walk.run),
+            walk.title,
+            paths[STRIP],
+            paths.get(FILM),
+            program,
+        )
 
 
 def _attach(experiment: Experiment, walks: Sequence[Walk], url: str) -> None:
     """Register the files with the trials, as `optuna.artifacts.upload_artifact` would."""
     attributes = []
     for walk in walks:
-        for kind, (filename, mimetype) in KINDS.items():
+        for kind in walk.kinds:
+            filename, mimetype = KINDS[kind]
             identity = _artifact_id(experiment, walk, kind)
             meta = {"artifact_id": identity, "filename": filename, "mimetype": mimetype}
             value = json.dumps(meta | {"encoding": None})

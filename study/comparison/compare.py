@@ -43,7 +43,8 @@ class Request:
         runs: at least 1.
         trials: at least 1, of each arm in each run, in total.
         workers: processes of this machine that try trials and draw pictures.
-        artifacts: whether the best trial of each study gets its picture and film.
+        artifacts: whether the best trial of each study gets its picture, those of some runs a film.
+        films: "few", of the first runs of each arm, or "all".
     """
 
     out: Path
@@ -53,6 +54,7 @@ class Request:
     trials: int | None = None
     workers: int = 1
     artifacts: bool = True
+    films: str = "few"
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +126,10 @@ def compare(
             export(experiment, results, url, summarise, final=True)
             session.note()
             if request.artifacts:
-                from study.comparison.artifacts import make_artifacts  # Matplotlib: a second
+                from study.comparison.artifacts import FILM_RUNS, make_artifacts  # Matplotlib
 
-                make_artifacts(experiment, results, url, folder.path, chosen, drawn)
+                filmed = runs if request.films == "all" else FILM_RUNS
+                make_artifacts(experiment, results, url, folder.path, chosen, drawn, filmed)
         return Outcome(results, url, session.computed, session.wall_s)
 
 

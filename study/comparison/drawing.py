@@ -1,4 +1,4 @@
-"""The picture and the film of one walk: a unit of work for any pool."""
+"""The picture of one walk, and its film where it gets one: a unit of work for any pool."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,13 +16,16 @@ FILM_S = 8.0
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """What is drawn at a time: a walk, where its files go, and the encoder's program."""
+    """What is drawn at a time: a walk, where its files go, and the encoder's program.
+
+    Without a place for it there is no film.
+    """
 
     trajectory: Trajectory
     terrain: Terrain
     title: str
     strip: Path
-    film: Path
+    film: Path | None
     program: str
 
 
@@ -40,6 +43,6 @@ def draw(drawing: Drawing) -> bool:
     walk = (drawing.trajectory, drawing.terrain)
     if not drawing.strip.exists():
         write_strip(drawing.strip, *walk, drawing.title, STRIP_DPI)
-    if not drawing.film.exists():
+    if drawing.film is not None and not drawing.film.exists():
         write_movie(drawing.film, *walk, FILM_S, drawing.title, film=SMALL, program=drawing.program)
     return True

@@ -16,7 +16,7 @@ from optuna_dashboard import get_note
 from storage.databases.studies import open_studies
 from storage.pool import IN_PROCESS, Pool, local_pool
 from study.comparison import artifacts
-from study.comparison.artifacts import best_walks, make_artifacts
+from study.comparison.artifacts import FILM_RUNS, best_walks, make_artifacts
 from study.comparison.database import export
 from study.comparison.drawing import Drawing, draw
 from study.comparison.results import gains_of
@@ -219,8 +219,23 @@ def test_several_processes_draw_the_same_files(
     with local_pool(2) as pool:
         make(table, url, tmp_path / "two", pool)
     one, two = (sorted((tmp_path / name / "artifacts").iterdir()) for name in ("one", "two"))
-    assert len(one) == 6 and [file.name for file in one] == [file.name for file in two]
+    assert len(one) == 3 + FILM_RUNS and [file.name for file in one] == [file.name for file in two]
     assert [file.read_bytes() for file in one] == [file.read_bytes() for file in two]
+
+
+def test_later_runs_get_a_film_where_it_is_asked_for(
+    tmp_path: Path, url: str, simulations: Simulations
+) -> None:
+    table = results(TINY, runs=FILM_RUNS + 1, arms=("dog",))
+    make(table, url, tmp_path)
+    name = f"tiny/dog/run-{FILM_RUNS:03d}"
+    best = optuna.load_study(study_name=name, storage=open_studies(url)).best_trial.number
+    assert set(found(url, name, best)) == {"strip.png"}
+    before = {file: file.stat().st_mtime_ns for file in (tmp_path / "artifacts").iterdir()}
+    make_artifacts(TINY, table, url, tmp_path, film_runs=FILM_RUNS + 1)
+    assert set(found(url, name, best)) == {"strip.png", "film.mp4"}
+    assert {file: file.stat().st_mtime_ns for file in before} == before
+    assert len(list((tmp_path / "artifacts").iterdir())) == len(before) + 1
 
 
 @pytest.mark.parametrize("workers", [1, 2])
