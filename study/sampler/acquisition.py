@@ -11,8 +11,10 @@ Floats = NDArray[np.float64]
 
 TIE_TOLERANCE = 1e-9  # relative: below this, two candidates differ by rounding
 LOG_SQRT_2PI = 0.5 * np.log(2.0 * np.pi)
-LOG_SQRT_HALF_PI = 0.5 * np.log(0.5 * np.pi)
-ASYMPTOTIC_Z = -1e6  # below it, 1/z^4 is less than rounding
+SQRT_HALF = np.sqrt(0.5)
+SQRT_HALF_PI = np.sqrt(0.5 * np.pi)
+BLOCK = 4096  # candidates at a time, to stay in the cache
+FAR_BELOW, FAR_ABOVE = -1e3, 1e1  # standard deviations
 
 
 def expected_improvement(mean: Floats, sd: Floats, best: float) -> Floats:
@@ -35,27 +37,30 @@ def log_expected_improvement(mean: Floats, sd: Floats, best: float) -> Floats:
     """
     gain = best - mean
     with np.errstate(divide="ignore", invalid="ignore"):
-        uncertain = np.log(sd) + _log_h(gain / sd)
-        certain = np.log(np.maximum(gain, 0.0))
-    return np.asarray(np.where(sd > 0, uncertain, certain))
+        log_improvement = np.log(sd) + _log_h(gain / sd)
+        certain = sd <= 0
+        if certain.any():
+            log_improvement[certain] = np.log(np.maximum(gain[certain], 0.0))
+    return np.asarray(log_improvement)
 
 
 def _log_h(z: Floats) -> Floats:
-    """log(phi(z) + z Phi(z)), [m]."""
+    """log(phi(z) + z Phi(z)), [m], as log phi(z) + log(1 + z Phi(z) / phi(z)).
+
+    Phi(z) / phi(z) = sqrt(pi/2) erfcx(-z / sqrt 2). Far below, 1 + ... is a difference of equals,
+    and its series 1/z^2 - 3/z^4 takes over; far above, h(z) is z.
+    """
     log_h = np.empty_like(z)
-    near, far = z > -1.0, z <= ASYMPTOTIC_Z
-    middle = ~(near | far)
-    a = z[near]
-    log_h[near] = np.log(np.exp(-0.5 * a**2 - LOG_SQRT_2PI) + a * ndtr(a))
-    b = z[middle]
-    # h = phi(z) (1 + z Phi(z) / phi(z)), the ratio being sqrt(pi/2) erfcx(-z / sqrt 2), below 1.
-    ratio = np.exp(LOG_SQRT_HALF_PI + np.log(-b * erfcx(-b * np.sqrt(0.5))))
-    # Far out the ratio tends to 1 - 1/z^2 and the difference to rounding: the series takes over.
-    series = 1.0 / b**2 - 3.0 / b**4
-    rest = np.where(b < -1e3, series, np.maximum(1.0 - ratio, 1e-300))
-    log_h[middle] = -0.5 * b**2 - LOG_SQRT_2PI + np.log(rest)
-    c = z[far]
-    log_h[far] = -0.5 * c**2 - LOG_SQRT_2PI - 2.0 * np.log(-c)
+    for start in range(0, len(z), BLOCK):
+        block = z[start : start + BLOCK]
+        middle = np.clip(block, FAR_BELOW, FAR_ABOVE)
+        ratio = SQRT_HALF_PI * middle * erfcx(-SQRT_HALF * middle)
+        log_h[start : start + BLOCK] = np.log(1.0 + ratio) - 0.5 * middle**2 - LOG_SQRT_2PI
+    far = z > FAR_ABOVE
+    log_h[far] = np.log(z[far])
+    far = z < FAR_BELOW
+    square = z[far] ** 2
+    log_h[far] = np.log1p(-3.0 / square) - np.log(square) - 0.5 * square - LOG_SQRT_2PI
     return log_h
 
 
@@ -71,15 +76,15 @@ def thompson(mean: Floats, covariance: Floats, rng: np.random.Generator) -> Floa
     return np.asarray(-(mean + spread @ rng.standard_normal(len(mean))))
 
 
-def fading_log_weight(rank: Floats, prior_weight: float, trials: int) -> Floats:
+def fading_log_weight(log_rank: Floats, prior_weight: float, trials: int) -> Floats:
     """log of rank^(prior_weight / n), [m]: piBO's weight (Hvarfner et al. 2022, eq. 6).
 
     Args:
-        rank: share of candidates that the prior thinks no better, above 0 to 1, [m].
+        log_rank: of the share of candidates that the prior thinks no better, [m].
         prior_weight: its beta.
         trials: finished so far, n; 0 counts as 1.
     """
-    return np.asarray(prior_weight / max(trials, 1) * np.log(rank))
+    return np.asarray(prior_weight / max(trials, 1) * log_rank)
 
 
 def argmax_random_tie(values: Floats, rng: np.random.Generator) -> int:
