@@ -49,7 +49,13 @@ class Sum(Pair):
     def towards(self, a: Floats, precision: type[np.floating[Any]]) -> Towards:
         """The sum of both."""
         first, second = self.first.towards(a, precision), self.second.towards(a, precision)
-        return lambda x: first(x) + second(x)
+
+        def cross(x: Floats) -> Any:
+            k = first(x)
+            k += second(x)
+            return k
+
+        return cross
 
     def variance(self, x: Floats) -> Any:
         """The sum of both."""
@@ -68,7 +74,13 @@ class Product(Pair):
     def towards(self, a: Floats, precision: type[np.floating[Any]]) -> Towards:
         """The product of both."""
         first, second = self.first.towards(a, precision), self.second.towards(a, precision)
-        return lambda x: first(x) * second(x)
+
+        def cross(x: Floats) -> Any:
+            k = second(x)
+            k *= first(x)
+            return k
+
+        return cross
 
     def variance(self, x: Floats) -> Any:
         """The product of both."""

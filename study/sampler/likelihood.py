@@ -15,7 +15,7 @@ densities of theta, the logarithms of the constants.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 
 from study.sampler.covariance import Covariance
 
@@ -31,7 +31,7 @@ class Misfit:
         """Of trials x [n, p] with costs y [n] or [n, o] in standard units."""
         self.covariance = covariance
         self.x = x
-        self.y = y.reshape(len(y), -1)
+        self.y = np.asfortranarray(y.reshape(len(y), -1))
 
     def __call__(self, theta: Floats) -> tuple[float, Floats]:
         """The misfit of constants [t], given as logarithms, and its gradient [t].
@@ -47,18 +47,19 @@ class Misfit:
         alpha = lapack.dpotrs(factor, self.y, lower=1)[0]
         log_root = np.log(factor.diagonal()).sum()  # of det K
         misfit = 0.5 * np.vdot(self.y, alpha) + outputs * (log_root + 0.5 * n * np.log(2 * np.pi))
-        # K^-1 comes as its lower half. K is symmetric: that half, doubled, stands for both.
-        weights = outputs * lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
-        np.einsum("ii->i", weights)[:] *= 0.5
-        weights -= 0.5 * (alpha @ alpha.T)
-        gradient = np.append(pull(weights), there.noise * np.trace(weights))
-        z = (theta - there.modes) / there.spreads
-        return float(misfit + 0.5 * z @ z), gradient + z / there.spreads
+        # The lower halves of K^-1 and of o K^-1 - A A^T. K is symmetric: one half, of which the
+        # diagonal counts once and the rest twice, stands for both.
+        inverse = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
+        w = blas.dsyrk(-1.0, alpha, beta=outputs, c=inverse, lower=1, overwrite_c=1).T
+        np.einsum("ii->i", w)[:] *= 0.5
+        gradient = np.append(pull(w), there.noise * np.trace(w))
+        z = (theta - self.covariance.modes) / self.covariance.spreads
+        return float(misfit + 0.5 * z @ z), gradient + z / self.covariance.spreads
 
 
 def cholesky(k: Floats, noise: float) -> tuple[Floats, bool]:
     """L [n, n] with L L^T = k + noise I, zero above its diagonal, and whether there is none."""
-    matrix = np.array(k, order="F")
+    matrix = np.array(k.T, order="F")  # as it lies in memory: it is symmetric
     np.einsum("ii->i", matrix)[:] += noise + JITTER
     factor, info = lapack.dpotrf(matrix, lower=1, clean=1, overwrite_a=1)
     return factor, info != 0

@@ -83,8 +83,8 @@ class Posterior:
         for block, x in blocks(points):
             whitened = self._whitened(x)
             mean[block] = weights @ whitened
-            explained = ones @ np.square(whitened, out=whitened)
-            variance[block] = self.kernel.variance(x) - explained
+            variance[block] = self.kernel.variance(x)
+            variance[block] -= ones @ np.square(whitened, out=whitened)
         np.maximum(variance, 0.0, out=variance)
         variance += self.noise if self.noisy else 0.0
         return self.cost_mean + self.cost_sd * mean, self.cost_sd**2 * variance

@@ -15,6 +15,8 @@ from study.sampler.parts import Bounds, Floats, Part, Pull, Towards
 
 AnyFloats = NDArray[Any]
 
+NEGLIGIBLE = -80.0  # exp of it is 1e-35
+
 
 @dataclass(frozen=True)
 class Stationary(Part):
@@ -52,25 +54,23 @@ class Stationary(Part):
     def gram(self, x: Floats) -> tuple[Floats, Pull]:
         """The kernel of all pairs; dk/dlog l_j = slope (x_j - x'_j)^2 / l_j^2."""
         scaled = self._scaled(x)
-        value, slope = self.with_slope(_left(scaled) @ _right(scaled).T)
+        value, slope = self.with_slope(_left(scaled).T @ _right(scaled))
 
         def pull(weights: Floats) -> Floats:
             # sum_ij w_ij (s_i - s_j)^2 = sum_i s_i^2 (row + column) - 2 sum_ij s_i w_ij s_j
             weights = weights * slope
             ends = weights.sum(axis=0) + weights.sum(axis=1)
-            both = np.einsum("nk,nk->k", scaled, weights @ scaled)
-            each = ends @ scaled**2 - 2.0 * both
-            each = each if len(self.scales) == len(each) else each.sum(keepdims=True)
-            return np.asarray(each)
+            each = scaled**2 @ ends - 2.0 * np.einsum("kn,kn->k", scaled @ weights, scaled)
+            return each if len(self.scales) == len(each) else np.array([each.sum()])
 
         return value, pull
 
     def towards(self, a: Floats, precision: type[np.floating[Any]]) -> Towards:
         """The kernel of rows a and others."""
-        left = _left(self._scaled(a))
+        left = _left(self._scaled(a)).T
 
         def cross(x: Floats) -> AnyFloats:
-            half = left @ _right(self._scaled(x)).T
+            half = left @ _right(self._scaled(x))
             return self.of_half(half.astype(precision, copy=False))
 
         return cross
@@ -88,8 +88,8 @@ class Stationary(Part):
         """The same, and its derivative by -r^2/2, the slope, [n, m] each."""
 
     def _scaled(self, x: Floats) -> Floats:
-        """The columns seen, in length scales, [n, k]."""
-        return np.asarray(x[:, self.columns] / np.array(self.scales))
+        """The columns seen, in length scales, as rows: [k, n]."""
+        return np.asarray(x[:, self.columns].T / np.array(self.scales)[:, None])
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ class RBF(Stationary):
         return np.asarray(np.exp(half, out=half))
 
     def with_slope(self, half: Floats) -> tuple[Floats, Floats]:
-        """It is its own slope."""
-        value = self.of_half(half)
+        """It is its own slope; never so small that products of it are denormal, which is slow."""
+        value = self.of_half(np.maximum(half, NEGLIGIBLE, out=half))
         return value, value
 
 
@@ -124,16 +124,17 @@ class Matern(Stationary):
 
 
 def _left(scaled: Floats) -> Floats:
-    """a, -|a|^2/2 and 1 side by side, [n, k + 2]: times `_right`, this is -r^2/2."""
-    extended = np.ones((len(scaled), scaled.shape[1] + 2))
-    extended[:, :-2] = scaled
-    extended[:, -2] = -0.5 * np.einsum("nk,nk->n", scaled, scaled)
+    """a, -|a|^2/2 and -1/2 on top of each other, [k + 2, n]; `_left`^T `_right` is -r^2/2."""
+    extended = _right(scaled)
+    extended[-2:] = -0.5 * extended[:-3:-1]
     return extended
 
 
 def _right(scaled: Floats) -> Floats:
-    """b, 1 and -|b|^2/2 side by side, [m, k + 2]."""
-    extended = np.ones((len(scaled), scaled.shape[1] + 2))
-    extended[:, :-2] = scaled
-    extended[:, -1] = -0.5 * np.einsum("nk,nk->n", scaled, scaled)
+    """b, 1 and |b|^2 on top of each other, [k + 2, m]."""
+    count, m = scaled.shape
+    extended = np.empty((count + 2, m))
+    extended[:count] = scaled
+    extended[count] = 1.0
+    np.einsum("km,km->m", scaled, scaled, out=extended[-1])
     return extended
