@@ -96,8 +96,8 @@ class TableChoice(Source, ABC):
             candidates, running = mismatch.corrected(candidates), mismatch.corrected(running)
         model = self.model(kernel, len(rows.space), history, seen, running)
         trials, free = len(history.cost), offered[rows.numbers]
-        utility = np.empty(0)
-        if len(free):
+        utility = np.full(len(free), -np.inf)
+        if free.any():
             rng = self.rng(Purpose.CANDIDATES, own_turn)
             utility = model.utility(candidates, free, self._row_weight(trials), rng)
         if self.options.off_grid:
