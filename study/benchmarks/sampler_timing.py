@@ -14,9 +14,10 @@ from optuna.distributions import FloatDistribution
 from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, GPSampler
 
-from study.sampler.candidate_table import CandidateTable
+from study.feature_table import FeatureTable
 from study.sampler.feature_sampler import FeatureKernelSampler
 from study.sampler.history import ROW_ATTRIBUTE
+from study.survival import MEAN, SurvivalSampler
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +25,7 @@ DIMENSION = 16
 NAMES = tuple(f"p{number:02d}" for number in range(DIMENSION))
 SEED = 16
 NOISE = 0.3  # of the cost, in standard deviations of what the features explain
+STANDING = 0.1  # of the rows of a table like that of `best`: the others fell, and have no features
 WARM_UP = 1  # proposals that are not counted: the first one loads libraries
 
 
@@ -32,7 +34,8 @@ class Case:
     """What is measured.
 
     Attributes:
-        sampler: "ours" or "gp" (Optuna's GPSampler, in the box of the table).
+        sampler: "ours"; "best", `SurvivalSampler` on a table of which a tenth may be proposed; or
+            "gp" (Optuna's GPSampler, in the box of the table).
         rows: of the table.
         features: of a row.
         observations: finished trials before the first proposal.
@@ -82,7 +85,7 @@ def measure(case: Case) -> Measured:
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     before_mib = _memory_mib("VmRSS")
     study = _prepare(case)
-    spent = [_propose(study, case.features) for _ in range(WARM_UP + case.repeats)][WARM_UP:]
+    spent = [_propose(study, case) for _ in range(WARM_UP + case.repeats)][WARM_UP:]
     seconds, cpu_seconds = zip(*spent, strict=True)
     after_mib, peak_mib = _memory_mib("VmRSS"), _memory_mib("VmHWM")
     kept, most = _less(after_mib, before_mib), _less(peak_mib, before_mib)
@@ -94,10 +97,15 @@ def _prepare(case: Case) -> optuna.Study:
     rng = np.random.default_rng(SEED)
     points = rng.uniform(size=(case.rows, DIMENSION))
     features = _features(points, case.features)
-    seen = rng.choice(case.rows, case.observations, replace=False)
-    costs = features[seen].sum(axis=1) + NOISE * rng.standard_normal(case.observations)
+    standing = np.arange(case.rows)
+    if case.sampler == "best":
+        standing = np.sort(rng.choice(standing, int(STANDING * case.rows), replace=False))
+    seen = rng.choice(standing, case.observations, replace=False)
+    costs = _cost(case, features[seen], NOISE * rng.standard_normal(case.observations))
     trials = [_finished(points, row, cost) for row, cost in zip(seen, costs, strict=True)]
-    study = optuna.create_study(sampler=_sampler(case, points, features))
+    known = np.full_like(features, np.nan)
+    known[standing] = features[standing]
+    study = optuna.create_study(sampler=_sampler(case, points, known))
     study.add_trials(trials)
     return study
 
@@ -108,6 +116,12 @@ def _features(points: Floats, k: int) -> Floats:
     return np.asarray(np.sqrt(2.0) * np.sin(2.0 * points @ directions))
 
 
+def _cost(case: Case, features: Floats, noise: Floats | float) -> Floats:
+    """Costs of features [n, k], [n]; of `best`, which takes their logarithm, positive."""
+    cost = features.sum(axis=1) + noise
+    return np.asarray(np.exp(cost) if case.sampler == "best" else cost)
+
+
 def _sampler(case: Case, points: Floats, features: Floats) -> BaseSampler:
     """The sampler of a case, over points [n, 16] with features [n, k]."""
     if case.sampler == "gp":
@@ -116,7 +130,14 @@ def _sampler(case: Case, points: Floats, features: Floats) -> BaseSampler:
             return GPSampler(seed=SEED)
     space = {name: FloatDistribution(0.0, 1.0) for name in NAMES}
     columns = dict(zip(NAMES, points.T, strict=True))
-    table = CandidateTable.from_arrays(columns, features, space=space)
+    names = [f"feature_{column}" for column in range(case.features)]
+    if case.sampler == "best":
+        names[0] = MEAN
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of the rows that fell
+            table = FeatureTable.from_arrays(columns, features, names, space=space)
+        return SurvivalSampler(table, seed=SEED)
+    table = FeatureTable.from_arrays(columns, features, names, space=space)
     kernel = "rbf" if case.features == 1 else "rbf_ard"
     refit_every = case.observations if case.kept else 1
     return FeatureKernelSampler(table, seed=SEED, kernel=kernel, refit_every=refit_every)
@@ -132,7 +153,7 @@ def _finished(points: Floats, row: int, cost: float) -> optuna.trial.FrozenTrial
     )
 
 
-def _propose(study: optuna.Study, features: int) -> tuple[float, float]:
+def _propose(study: optuna.Study, case: Case) -> tuple[float, float]:
     """Seconds and processor's seconds from asking for a trial to its last parameter.
 
     Then the trial finishes.
@@ -141,7 +162,7 @@ def _propose(study: optuna.Study, features: int) -> tuple[float, float]:
     trial = study.ask()
     point = [trial.suggest_float(name, 0.0, 1.0) for name in NAMES]
     spent = (time.perf_counter() - began, time.process_time() - cpu_began)
-    study.tell(trial, float(_features(np.array([point]), features).sum()))
+    study.tell(trial, float(_cost(case, _features(np.array([point]), case.features), 0.0)[0]))
     return spent
 
 

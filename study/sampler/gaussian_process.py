@@ -1,83 +1,40 @@
-"""Fitting: scikit-learn's marginal likelihood, times priors on the constants.
+"""Fitting: the constants of a covariance from trials, and the posterior under given constants.
 
 The constants maximise log p(y | X, theta) + sum_i log N(theta_i; mode_i, sd_i^2), theta being their
 logarithms. With few trials the likelihood alone is happy with any of them.
 """
 
-import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from sklearn.exceptions import ConvergenceWarning
-from sklearn.gaussian_process import GaussianProcessRegressor
+from scipy.optimize import OptimizeResult, minimize
 
+from study.sampler.covariance import Covariance
+from study.sampler.likelihood import Misfit
 from study.sampler.posterior import Posterior
-from study.sampler.terms import Term
 
 Floats = NDArray[np.float64]
-Objective = Callable[[Floats], tuple[float, Floats]]
 
-JITTER = 1e-10  # scikit-learn's own
 LIKELIHOOD_TRIALS = 120  # at most; constants are few, and the cost grows with the cube
 ITERATIONS = 40
 NOISE_STARTS = (0.0, 3.0)  # added to the log noise: the likelihood has a mode that is all noise
 SECOND_START_TRIALS = 30  # up to so many: with more, the modes are rarely two
 
 
-@dataclass(frozen=True)
-class PriorOptimizer:
-    """An optimizer for scikit-learn's regressor: L-BFGS on likelihood times prior."""
-
-    term: Term
-    starts: tuple[float, ...]
-
-    def __call__(self, objective: Any, start: Floats, bounds: Floats) -> tuple[Floats, float]:
-        """The best theta [t] of the starts, and the objective there."""
-        mode = np.array([prior.mode for prior in self.term.priors])
-        sd = np.array([prior.sd for prior in self.term.priors])
-
-        def penalised(theta: Floats) -> tuple[float, Floats]:
-            value, gradient = objective(theta, eval_gradient=True)
-            z = (theta - mode) / sd
-            return float(value + 0.5 * z @ z), gradient + z / sd
-
-        found = [self._descend(penalised, start, bounds, shift) for shift in self.starts]
-        best = min(found, key=lambda result: float(result.fun))
-        return best.x, float(best.fun)
-
-    @staticmethod
-    def _descend(objective: Objective, start: Floats, bounds: Floats, noise_shift: float) -> Any:
-        """One descent from theta [t] with the log noise shifted; scipy's result."""
-        theta = start.copy()
-        theta[-1] += noise_shift  # white noise is the last term of every kernel
-        return minimize(
-            objective,
-            np.clip(theta, bounds[:, 0], bounds[:, 1]),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=bounds,
-            options={"maxiter": ITERATIONS, "ftol": 1e-5},
-        )
-
-
-def learn(term: Term, x: Floats, y: Floats, *, center: bool = True) -> Floats:
+def learn(covariance: Covariance, x: Floats, y: Floats, *, center: bool = True) -> Floats:
     """The constants [t], as logarithms, from trials x [n, p] with costs y [n] or [n, outputs].
 
     `center` takes the mean of the process to be that of the costs; else it is zero.
     """
     some = _informative(y)
     scaled, _, _ = _standard(y, center)
+    misfit = Misfit(covariance, x[some], scaled[some])
     starts = NOISE_STARTS if len(y) <= SECOND_START_TRIALS else NOISE_STARTS[:1]
-    optimizer = PriorOptimizer(term, starts)
-    return np.asarray(_regressor(term, x[some], scaled[some], optimizer).kernel_.theta)
+    found = [_descend(misfit, shift) for shift in starts]
+    return np.asarray(min(found, key=lambda result: float(result.fun)).x)
 
 
 def condition(
-    term: Term,
+    covariance: Covariance,
     theta: Floats,
     x: Floats,
     y: Floats,
@@ -88,32 +45,21 @@ def condition(
 ) -> Posterior:
     """The posterior under given constants, after trials x [n, p] with costs y [n]."""
     scaled, mean, sd = _standard(y, center)
-    kept = Term(term.kernel.clone_with_theta(theta), term.priors)
-    return Posterior(_regressor(kept, x, scaled, None), mean, sd, noisy, fast)
+    return Posterior(covariance.with_theta(theta), x, scaled, mean, sd, noisy, fast)
 
 
-def believe(posterior: Posterior, x: Floats, y: Floats) -> Posterior:
-    """The same after further trials, with costs in their own unit; constants and scale are kept."""
-    old = posterior.regressor
-    scaled = (y - posterior.cost_mean) / posterior.cost_sd
-    term = Term(old.kernel_, ())
-    regressor = _regressor(
-        term, np.vstack([old.X_train_, x]), np.concatenate([old.y_train_, scaled]), None
+def _descend(misfit: Misfit, noise_shift: float) -> OptimizeResult:
+    """L-BFGS from the constants that the covariance came with, the log noise shifted."""
+    start, bounds = misfit.covariance.theta, misfit.covariance.bounds
+    start[-1] += noise_shift
+    return minimize(
+        misfit,
+        np.clip(start, bounds[:, 0], bounds[:, 1]),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxiter": ITERATIONS, "ftol": 1e-5},
     )
-    return Posterior(
-        regressor, posterior.cost_mean, posterior.cost_sd, posterior.noisy, posterior.fast
-    )
-
-
-def _regressor(
-    term: Term, x: Floats, y: Floats, optimizer: PriorOptimizer | None
-) -> GaussianProcessRegressor:
-    """scikit-learn's, fitted on x [n, p] and y in standard units; None keeps the constants."""
-    regressor = GaussianProcessRegressor(term.kernel, alpha=JITTER, optimizer=optimizer)
-    with warnings.catch_warnings():
-        # With few trials a constant at its bound is an answer, not a failure.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        return regressor.fit(x, y)
 
 
 def _standard(y: Floats, center: bool) -> tuple[Floats, float, float]:

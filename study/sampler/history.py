@@ -112,7 +112,9 @@ def row_of(table: Rows, trial: FrozenTrial) -> int | None:
     """
     row = trial.user_attrs.get(ROW_ATTRIBUTE)
     if isinstance(row, int) and 0 <= row < len(table):
-        suggested = trial.params
-        if all(suggested.get(name, v) == v for name, v in table.as_parameters(row).items()):
+        suggested, wanted = trial.params, table.as_parameters(row)
+        if suggested == wanted:  # nearly always; the rest is for those that have more, or fewer
+            return row
+        if all(suggested.get(name, value) == value for name, value in wanted.items()):
             return row
     return table.find(trial.params)

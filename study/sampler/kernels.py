@@ -22,18 +22,13 @@ alone, noise is that spread, and is expected to be large.
 """
 
 from dataclasses import dataclass
-from math import log, sqrt
-from typing import Any
+from math import exp, log, sqrt
 
-import numpy as np
-from numpy.typing import NDArray
-
-from study.sampler.composites import Slice
+from study.sampler.covariance import Covariance
 from study.sampler.means import linear_mean
-from study.sampler.parts import RBF, ConstantKernel, Matern, WhiteKernel
+from study.sampler.parts import Constant
+from study.sampler.stationary import RBF, Matern
 from study.sampler.terms import Prior, Term
-
-Floats = NDArray[np.float64]
 
 # Initial value and bounds; the bounds keep 32-bit arithmetic right.
 SIGNAL_BOUNDS = (1e-2, 1e2)
@@ -55,7 +50,7 @@ class Layout:
     parameters: int
 
 
-def new_term(kernel: str, mean: str, layout: Layout) -> Term:
+def new_covariance(kernel: str, mean: str, layout: Layout) -> Covariance:
     """The whole covariance by its names in `study.sampler.options`, before learning.
 
     Args:
@@ -67,7 +62,8 @@ def new_term(kernel: str, mean: str, layout: Layout) -> Term:
     if mean == "linear":
         term = term + linear_mean(layout.features)
     noise = FEATURE_NOISE_PRIOR if feature_only(kernel) else PARAMETER_NOISE_PRIOR
-    return term + Term(WhiteKernel(_start(noise, NOISE_BOUNDS), NOISE_BOUNDS), (noise,))
+    start = _start(noise, NOISE_BOUNDS)
+    return Covariance(term.kernel, start, NOISE_BOUNDS, (*term.priors, noise))
 
 
 def feature_only(kernel: str) -> bool:
@@ -75,9 +71,9 @@ def feature_only(kernel: str) -> bool:
     return kernel in ("rbf", "rbf_ard", "matern_ard")
 
 
-def mismatch_term(layout: Layout) -> Term:
+def mismatch_covariance(layout: Layout) -> Covariance:
     """Of simulated minus shown features: smooth over the parameters."""
-    return new_term("euclidean", "constant", layout)
+    return new_covariance("euclidean", "constant", layout)
 
 
 def _signal_term(kernel: str, layout: Layout) -> Term:
@@ -94,32 +90,27 @@ def _signal_term(kernel: str, layout: Layout) -> Term:
 
 def _signal() -> Term:
     """The variance s^2."""
-    return Term(ConstantKernel(1.0, SIGNAL_BOUNDS), (SIGNAL_PRIOR,))
+    return Term(Constant(1.0, SIGNAL_BOUNDS), (SIGNAL_PRIOR,))
 
 
 def _over_features(kernel: str, layout: Layout) -> Term:
     """The kernel of the first k columns."""
-    shared = kernel == "rbf"
-    prior = Prior(log(sqrt(layout.features)), 1.0)
-    scale: Any = sqrt(layout.features)
-    scale = scale if shared else np.full(layout.features, scale)
-    inner: RBF | Matern
-    if kernel == "matern_ard":
-        inner = Matern(scale, FEATURE_SCALE_BOUNDS, nu=2.5)
-    else:
-        inner = RBF(scale, FEATURE_SCALE_BOUNDS)
-    return Term(Slice(inner, 0, layout.features), (prior,) * (1 if shared else layout.features))
+    count = 1 if kernel == "rbf" else layout.features
+    scales = (sqrt(layout.features),) * count
+    kind = Matern if kernel == "matern_ard" else RBF
+    inner = kind(scales, FEATURE_SCALE_BOUNDS, slice(0, layout.features))
+    return Term(inner, (Prior(log(sqrt(layout.features)), 1.0),) * count)
 
 
 def _over_parameters(layout: Layout) -> Term:
     """The squared exponential of the last e columns."""
     prior = Prior(sqrt(2.0) + log(layout.parameters) / 2.0 - 3.0, sqrt(3.0))
-    scale = np.full(layout.coordinates, _start(prior, PARAMETER_SCALE_BOUNDS))
-    end = layout.features + layout.coordinates
-    inner = RBF(scale, PARAMETER_SCALE_BOUNDS)
-    return Term(Slice(inner, layout.features, end), (prior,) * layout.coordinates)
+    count = layout.coordinates
+    scales = (_start(prior, PARAMETER_SCALE_BOUNDS),) * count
+    columns = slice(layout.features, layout.features + count)
+    return Term(RBF(scales, PARAMETER_SCALE_BOUNDS, columns), (prior,) * count)
 
 
 def _start(prior: Prior, bounds: tuple[float, float]) -> float:
     """The likeliest value of a constant before any trial, within its bounds."""
-    return float(np.clip(np.exp(prior.mode), *bounds))
+    return min(max(exp(prior.mode), bounds[0]), bounds[1])

@@ -6,8 +6,7 @@ Williams 2006, section 2.7): what the slopes are, and how sure that is, follows 
 
 from math import log
 
-from study.sampler.composites import Slice
-from study.sampler.parts import ConstantKernel, DotProduct
+from study.sampler.parts import Constant, Linear
 from study.sampler.terms import Prior, Term
 
 SLOPE_VARIANCE = 0.3
@@ -16,6 +15,5 @@ SLOPE_BOUNDS = (1e-4, 1e2)
 
 def linear_mean(features: int) -> Term:
     """v phi^T phi' over the first `features` columns, [k]; v is learned."""
-    slope = Term(ConstantKernel(SLOPE_VARIANCE, SLOPE_BOUNDS), (Prior(log(SLOPE_VARIANCE), 1.5),))
-    product = DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
-    return slope * Term(Slice(product, 0, features), ())
+    slope = Term(Constant(SLOPE_VARIANCE, SLOPE_BOUNDS), (Prior(log(SLOPE_VARIANCE), 1.5),))
+    return slope * Term(Linear(slice(0, features)), ())

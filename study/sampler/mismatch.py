@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from optuna.trial import FrozenTrial
 
 from study.sampler.gaussian_process import condition, learn
-from study.sampler.kernels import Layout, mismatch_term
+from study.sampler.kernels import Layout, mismatch_covariance
 from study.sampler.points import Points
 from study.sampler.posterior import Posterior
 
@@ -38,12 +38,13 @@ class Mismatch:
         if not known.any():
             return None
         difference = points.features[known] - shown[known]
-        term = mismatch_term(Layout(0, points.coordinates.shape[1], parameters))
+        covariance = mismatch_covariance(Layout(0, points.coordinates.shape[1], parameters))
         coordinates = points.coordinates[known]
-        theta = learn(term, coordinates, difference, center=False)
-        return cls(
-            condition(term, theta, coordinates, difference, center=False, noisy=False, fast=fast)
+        theta = learn(covariance, coordinates, difference, center=False)
+        posterior = condition(
+            covariance, theta, coordinates, difference, center=False, noisy=False, fast=fast
         )
+        return cls(posterior)
 
     def corrected(self, points: Points) -> Points:
         """Points as they are expected to show."""

@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.sampler import acquisition
+from study.sampler.covariance import Covariance
 from study.sampler.evidence import Evidence
 from study.sampler.feasibility import log_all_kept
-from study.sampler.gaussian_process import believe, condition, learn
-from study.sampler.kernels import Layout, feature_only, new_term
+from study.sampler.gaussian_process import condition, learn
+from study.sampler.kernels import Layout, feature_only, new_covariance
 from study.sampler.one_dimension import Shared
 from study.sampler.options import Options
 from study.sampler.points import Points
 from study.sampler.posterior import Posterior
-from study.sampler.terms import Term
 from study.sampler.transforms import transformed
 
 Floats = NDArray[np.float64]
@@ -32,13 +32,13 @@ class Constants:
 
     known: dict[tuple[str, bytes], Floats] = field(default_factory=dict)
 
-    def learned(self, term: Term, x: Floats, y: Floats) -> Floats:
-        """What `learn` gives, computed once for the same term and trials."""
-        key = (repr(term.kernel), x.tobytes() + y.tobytes())
+    def learned(self, covariance: Covariance, x: Floats, y: Floats) -> Floats:
+        """What `learn` gives, computed once for the same covariance and trials."""
+        key = (repr(covariance), x.tobytes() + y.tobytes())
         if key not in self.known:
             if len(self.known) >= CACHED_CONSTANTS:
                 self.known.pop(next(iter(self.known)))
-            self.known[key] = learn(term, x, y)
+            self.known[key] = learn(covariance, x, y)
         return self.known[key]
 
 
@@ -88,10 +88,8 @@ class Model:
     def posterior(self) -> Posterior:
         """Of the transformed cost, running trials taken to show what is expected of them."""
         posterior = self._after(self.evidence.points, self._cost)
-        if not len(self.evidence.running):
-            return posterior
         running = self._visible(self.evidence.running)
-        return believe(posterior, running.matrix(), posterior.mean(running))
+        return posterior.believing(running) if len(running) else posterior
 
     @cached_property
     def limits(self) -> list[Posterior]:
@@ -118,11 +116,11 @@ class Model:
         seen = self._visible(points)
         x = seen.matrix()
         layout = Layout(seen.features.shape[1], seen.coordinates.shape[1], self.parameters)
-        term = new_term(self.kernel, self._mean, layout)
+        covariance = new_covariance(self.kernel, self._mean, layout)
         learned_from = _last_refit(len(y), self.options.refit_every)
-        theta = self.constants.learned(term, x[:learned_from], y[:learned_from])
+        theta = self.constants.learned(covariance, x[:learned_from], y[:learned_from])
         noisy = feature_only(self.kernel)  # the spread of alike candidates is part of the next one
-        return condition(term, theta, x, y, noisy=noisy, fast=self.options.fast)
+        return condition(covariance, theta, x, y, noisy=noisy, fast=self.options.fast)
 
     @property
     def _mean(self) -> str:
@@ -153,6 +151,8 @@ class Model:
             return self._acquisition(points), log_all_kept(self.limits, points)
         shared = Shared.of(self.posterior, points)
         values = shared.spread(self._acquisition(shared.points))
+        if not self.limits:
+            return values, np.zeros(len(points))
         return values, shared.spread(log_all_kept(self.limits, shared.points))
 
     def _acquisition(self, points: Points) -> Floats:

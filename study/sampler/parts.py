@@ -1,39 +1,54 @@
-"""What kernels are made of: scikit-learn's, which also answer what the posterior asks of them.
+"""What kernels are made of: parts that know their covariance, and how it follows their constants.
 
-scikit-learn fits. For many candidates its kernels are slow, and know only 64 bits.
+`theta` are the logarithms of a part's constants, [t]. A gradient is never a stack of n x n
+matrices: with K = K(theta) the covariance of n rows, a part takes the derivative W of any number by
+each entry of K, and gives that number's derivative by theta, sum_ij W_ij dK_ij/dtheta (reverse
+accumulation; Griewank, Walther 2008, chapter 3). A sum hands W on; a product hands on W times its
+other factor.
 """
 
-from abc import abstractmethod
-from typing import Any, ClassVar
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
-from sklearn.gaussian_process import kernels
-from sklearn.gaussian_process.kernels import Kernel
 
 Floats = NDArray[np.float64]
-AnyFloats = NDArray[Any]
+Towards = Callable[[Floats], Any]  # rows [m, p] -> covariance with the rows before, [n, m]
+Pull = Callable[[Floats], Floats]  # W [n, n] -> sum_ij W_ij dK_ij/dtheta, [t]
+Bounds = tuple[float, float]
 
 
-class Part(Kernel):  # type: ignore[misc]
-    """A kernel; where it is also one of scikit-learn's, this base is named before that one."""
+class Part(ABC):
+    """A kernel without noise. Where it is constant, a number stands for its matrix."""
+
+    @property
+    @abstractmethod
+    def theta(self) -> Floats:
+        """Logarithms of the constants, [t]."""
+
+    @property
+    @abstractmethod
+    def bounds(self) -> Floats:
+        """Least and greatest `theta`, [t, 2]."""
 
     @abstractmethod
-    def cross(self, a: Floats, b: Floats, fast: bool) -> Any:
-        """Covariance of rows a [n, p] and other rows b [m, p], without noise.
+    def with_theta(self, theta: Floats) -> Self:
+        """The same with other constants, given as logarithms [t]."""
 
-        Returns [n, m], 32-bit if `fast`, or a number where it is constant.
-        """
+    @abstractmethod
+    def gram(self, x: Floats) -> tuple[Any, Pull]:
+        """Covariance of rows [n, p] with each other, [n, n], and its pull, for W of any form."""
+
+    @abstractmethod
+    def towards(self, a: Floats, precision: type[np.floating[Any]]) -> Towards:
+        """Covariance of rows a [n, p] with others, still to come; in 32 or 64 bits."""
 
     @abstractmethod
     def variance(self, x: Floats) -> Any:
-        """k(x, x) of rows [m, p] without noise: [m], or a number where it is constant."""
-
-    @property
-    def noise(self) -> float:
-        """Variance of the white noise, in standard units."""
-        return 0.0
+        """k(x, x) of rows [m, p], [m]."""
 
     @property
     def shortest(self) -> float:
@@ -41,123 +56,71 @@ class Part(Kernel):  # type: ignore[misc]
         return np.inf
 
 
-class Listed:
-    """Tells scikit-learn what its kernels' constants are without a search, ten times a step."""
-
-    _constants: ClassVar[tuple[str, ...]] = ()
-
-    def __init_subclass__(cls) -> None:
-        """Look for the constants, once a class."""
-        cls._constants = tuple(name for name in dir(cls) if name.startswith("hyperparameter_"))
-
-    @property
-    def hyperparameters(self) -> list[Any]:
-        """In the order of their names, as scikit-learn has them."""
-        return [getattr(self, name) for name in self._constants]
-
-
-class Stationary(Listed, Part):
-    """A kernel of the distance, in length scales, between two rows; one at distance zero."""
-
-    length_scale: Any
-
-    def cross(self, a: Floats, b: Floats, fast: bool) -> AnyFloats:
-        """The kernel of distances in length scales, [n, m]."""
-        a, b = a / self.length_scale, b / self.length_scale
-        square = _squared_distances(a, b) if fast else cdist(a, b, "sqeuclidean")
-        return self.of_square(_precise(square, fast))
-
-    def variance(self, x: Floats) -> float:
-        """One: the distance is zero."""
-        return 1.0
-
-    @property
-    def shortest(self) -> float:
-        """Of one length scale, or of one a column."""
-        return float(np.min(self.length_scale))
-
-    @abstractmethod
-    def of_square(self, square: AnyFloats) -> AnyFloats:
-        """The kernel at squared distances [n, m], which it may overwrite."""
-
-
-class RBF(Stationary, kernels.RBF):  # type: ignore[misc]
-    """Squared exponential."""
-
-    def of_square(self, square: AnyFloats) -> AnyFloats:
-        """exp(-r^2 / 2), in place."""
-        square *= -0.5
-        return np.asarray(np.exp(square, out=square))
-
-
-class Matern(Stationary, kernels.Matern):  # type: ignore[misc]
-    """Matern with nu = 5/2."""
-
-    nu: float
-
-    def of_square(self, square: AnyFloats) -> AnyFloats:
-        """(1 + sqrt5 r + 5/3 r^2) exp(-sqrt5 r)."""
-        assert self.nu == 2.5  # the only one that is built
-        distance = np.sqrt(5.0 * square)
-        return np.asarray((1.0 + distance + distance**2 / 3.0) * np.exp(-distance))
-
-
-class ConstantKernel(Listed, Part, kernels.ConstantKernel):  # type: ignore[misc]
+@dataclass(frozen=True)
+class Constant(Part):
     """The same covariance everywhere: a factor, such as a variance."""
 
-    constant_value: float
-
-    def cross(self, a: Floats, b: Floats, fast: bool) -> float:
-        """The constant."""
-        return float(self.constant_value)
-
-    def variance(self, x: Floats) -> float:
-        """The constant."""
-        return float(self.constant_value)
-
-
-class WhiteKernel(Listed, Part, kernels.WhiteKernel):  # type: ignore[misc]
-    """Noise, independent from row to row."""
-
-    noise_level: float
-
-    def cross(self, a: Floats, b: Floats, fast: bool) -> float:
-        """Nothing: noises of different rows are independent."""
-        return 0.0
-
-    def variance(self, x: Floats) -> float:
-        """Nothing here: it is the `noise`."""
-        return 0.0
+    value: float
+    limits: Bounds
 
     @property
-    def noise(self) -> float:
-        """The level that was learned."""
-        return float(self.noise_level)
+    def theta(self) -> Floats:
+        """Logarithm of the value."""
+        return np.log([self.value])
+
+    @property
+    def bounds(self) -> Floats:
+        """Of the logarithm."""
+        return np.log([self.limits])
+
+    def with_theta(self, theta: Floats) -> "Constant":
+        """Another value."""
+        return Constant(float(np.exp(theta[0])), self.limits)
+
+    def gram(self, x: Floats) -> tuple[float, Pull]:
+        """The value, which is its own derivative by its logarithm."""
+        return self.value, lambda weights: np.array([self.value * weights.sum()])
+
+    def towards(self, a: Floats, precision: type[np.floating[Any]]) -> Towards:
+        """The value."""
+        return lambda x: self.value
+
+    def variance(self, x: Floats) -> float:
+        """The value."""
+        return self.value
 
 
-class DotProduct(Listed, Part, kernels.DotProduct):  # type: ignore[misc]
-    """sigma_0^2 + a . b: a linear function of the columns."""
+@dataclass(frozen=True)
+class Linear(Part):
+    """a . b over some columns: a linear function of them, slopes of variance one; no constants."""
 
-    sigma_0: float
+    columns: slice
 
-    def cross(self, a: Floats, b: Floats, fast: bool) -> AnyFloats:
-        """Products of all pairs of rows, [n, m]."""
-        return _precise(self.sigma_0**2 + a @ b.T, fast)
+    @property
+    def theta(self) -> Floats:
+        """None."""
+        return np.empty(0)
+
+    @property
+    def bounds(self) -> Floats:
+        """None."""
+        return np.empty((0, 2))
+
+    def with_theta(self, theta: Floats) -> "Linear":
+        """Itself."""
+        return self
+
+    def gram(self, x: Floats) -> tuple[Floats, Pull]:
+        """Products of all pairs."""
+        seen = x[:, self.columns]
+        return seen @ seen.T, lambda weights: np.empty(0)
+
+    def towards(self, a: Floats, precision: type[np.floating[Any]]) -> Towards:
+        """Products of all pairs."""
+        seen = a[:, self.columns]
+        return lambda x: (seen @ x[:, self.columns].T).astype(precision, copy=False)
 
     def variance(self, x: Floats) -> Floats:
-        """Products of rows with themselves, [m]."""
-        return np.asarray(self.sigma_0**2 + np.einsum("mp,mp->m", x, x))
-
-
-def _squared_distances(a: Floats, b: Floats) -> Floats:
-    """|a - b|^2 = |a|^2 + |b|^2 - 2 a b, as one product of matrices, [n, m]."""
-    if a.shape[1] == 1:
-        return np.asarray((a - b.T) ** 2)
-    left = np.column_stack([-2.0 * a, np.einsum("np,np->n", a, a), np.ones(len(a))])
-    right = np.column_stack([b, np.ones(len(b)), np.einsum("mp,mp->m", b, b)])
-    return np.asarray(np.maximum(left @ right.T, 0.0))
-
-
-def _precise(values: Floats, fast: bool) -> AnyFloats:
-    """As 32-bit numbers if `fast`."""
-    return values.astype(np.float32) if fast else values
+        """Products of rows with themselves."""
+        seen = x[:, self.columns]
+        return np.asarray(np.einsum("mp,mp->m", seen, seen))

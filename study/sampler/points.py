@@ -28,6 +28,8 @@ class Points:
 
     def matrix(self, block: slice = slice(None)) -> Floats:
         """All or some of them, [m, k + e]."""
+        if not self.coordinates.shape[1]:
+            return self.features[block]
         return np.hstack([self.features[block], self.coordinates[block]])
 
     @cached_property

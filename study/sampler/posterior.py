@@ -1,32 +1,32 @@
-"""The posterior of a fitted process at many candidates, in blocks that stay in the cache.
+"""The posterior of a process at many candidates, in blocks that stay in the cache.
 
 | symbol | shape | meaning |
 |---|---|---|
 | X | [n, p] | the trials |
 | y | [n] | their costs in standard units |
 | K | [n, n] | covariance of the trials, noise included |
-| L | [n, n] | Cholesky factor of K (scikit-learn's `L_`) |
-| alpha | [n] | K^-1 y (scikit-learn's `alpha_`) |
+| L | [n, n] | Cholesky factor of K |
 | k | [n, m] | covariance of trials and candidates |
 
-mean = k^T alpha, variance = k(x, x) - |L^-1 k|^2 (Rasmussen, Williams 2006, algorithm 2.1).
+mean = k^T K^-1 y = (L^-1 k)^T (L^-1 y), variance = k(x, x) - |L^-1 k|^2 (Rasmussen, Williams 2006,
+algorithm 2.1).
 
-The fast path takes exponents in 64 bits, and everything of size [n, m] after that in 32: the mean
-as (L^-1 k)^T (L^-1 y), whose factors are of the size of the costs, where those of k^T alpha would
-cancel.
+The fast path takes distances in 64 bits, and everything of size [n, m] after that in 32: the mean
+as above, whose factors are of the size of the costs, where those of k^T K^-1 y would cancel.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from sklearn.gaussian_process import GaussianProcessRegressor
+from scipy.linalg import blas, lapack
 
-from study.sampler.parts import Part
+from study.sampler.covariance import Covariance
+from study.sampler.likelihood import cholesky
+from study.sampler.parts import Part, Towards
 from study.sampler.points import Points
 
 Floats = NDArray[np.float64]
@@ -41,15 +41,19 @@ class Posterior:
     """What is known of the cost, in its own unit, after some trials.
 
     Attributes:
-        regressor: of scikit-learn, fitted on X and y; y may be [n, outputs].
+        covariance: with the constants that were learned.
+        x: X, the trials.
+        y: [n] or [n, outputs].
         cost_mean: what `y` was centred by.
         cost_sd: what `y` was divided by.
-        noisy: whether the variance is that of the next trial, noise included (as scikit-learn's
-            is), or that of its expectation.
+        noisy: whether the variance is that of the next trial, noise included, or that of its
+            expectation.
         fast: 32 bits.
     """
 
-    regressor: GaussianProcessRegressor
+    covariance: Covariance
+    x: Floats
+    y: Floats
     cost_mean: float
     cost_sd: float
     noisy: bool
@@ -57,77 +61,89 @@ class Posterior:
 
     @property
     def kernel(self) -> Part:
-        """The whole covariance, with the constants that were learned."""
-        kernel: Part = self.regressor.kernel_
-        return kernel
+        """The covariance without noise."""
+        return self.covariance.kernel
 
-    @cached_property
+    @property
     def noise(self) -> float:
         """Variance of the noise, in standard units."""
-        return self.kernel.noise
+        return self.covariance.noise
 
     @cached_property
     def fast_is_right(self) -> bool:
         """Whether 32 bits are asked for, and enough: rounding grows with the root of this ratio."""
-        prior = np.max(self.kernel.variance(self.regressor.X_train_))
+        prior = np.max(self.kernel.variance(self.x))
         return self.fast and bool(prior <= LARGEST_RATIO * self.noise)
 
     def predict(self, points: Points) -> tuple[Floats, Floats]:
         """Mean and variance of the cost at m candidates, [m] each."""
         mean, variance = np.empty(len(points)), np.empty(len(points))
-        posterior = self._block_fast if self.fast_is_right else self._block_exact
+        weights = (self._inverse @ self.y).astype(self._precision)
+        ones = np.ones_like(weights)
         for block, x in blocks(points):
-            mean[block], variance[block] = posterior(x)
+            whitened = self._whitened(x)
+            mean[block] = weights @ whitened
+            variance[block] = self.kernel.variance(x)
+            variance[block] -= ones @ np.square(whitened, out=whitened)
         np.maximum(variance, 0.0, out=variance)
         variance += self.noise if self.noisy else 0.0
         return self.cost_mean + self.cost_sd * mean, self.cost_sd**2 * variance
 
     def mean(self, points: Points) -> Floats:
         """The mean alone, [m] or [m, outputs]."""
-        outputs = self.regressor.alpha_.shape[1:]
-        mean = np.empty((len(points), *outputs))
+        mean = np.empty((len(points), *self.y.shape[1:]))
+        alpha = self._inverse.T @ (self._inverse @ self.y)
         for block, x in blocks(points):
-            mean[block] = self._cross(x, self.fast_is_right).T @ self.regressor.alpha_
+            mean[block] = self._cross(x).T @ alpha
         return self.cost_mean + self.cost_sd * mean
 
     def joint(self, points: Points) -> tuple[Floats, Floats]:
-        """Mean [m] and covariance [m, m] of the expected cost at a few candidates."""
+        """Mean [m] and covariance [m, m] of the expected cost at a few candidates; in 64 bits."""
         x = points.matrix()
-        k = self._cross(x, fast=False)
-        whitened = solve_triangular(self.regressor.L_, k, lower=True, check_finite=False)
-        prior = np.broadcast_to(self.kernel.cross(x, x, fast=False), (len(x),) * 2)
-        mean = k.T @ self.regressor.alpha_
+        whitened = self._inverse @ self.kernel.towards(self.x, np.float64)(x)
+        prior, _ = self.kernel.gram(x)
         covariance = self.cost_sd**2 * (prior - whitened.T @ whitened)
-        return self.cost_mean + self.cost_sd * mean, covariance
+        return self.cost_mean + self.cost_sd * (whitened.T @ (self._inverse @ self.y)), covariance
 
-    def _cross(self, x: Floats, fast: bool) -> AnyFloats:
-        """Covariance of the trials and candidates [m, p]: [n, m]."""
-        trials = self.regressor.X_train_
-        k = self.kernel.cross(trials, x, fast)
-        return np.asarray(np.broadcast_to(k, (len(trials), len(x))))
+    def believing(self, points: Points) -> "Posterior":
+        """The same after further trials that showed what is expected; constants are kept."""
+        y = (self.mean(points) - self.cost_mean) / self.cost_sd
+        x = np.vstack([self.x, points.matrix()])
+        return replace(self, x=x, y=np.concatenate([self.y, y]))
 
-    def _block_exact(self, x: Floats) -> tuple[Floats, Floats]:
-        """Mean and variance in standard units of candidates [b, p], [b] each; 64 bits."""
-        k = self._cross(x, fast=False)
-        whitened = solve_triangular(self.regressor.L_, k, lower=True, check_finite=False)
-        explained = np.einsum("nm,nm->m", whitened, whitened)
-        return self.regressor.alpha_ @ k, self.kernel.variance(x) - explained
-
-    def _block_fast(self, x: Floats) -> tuple[AnyFloats, AnyFloats]:
-        """The same in 32 bits."""
-        inverse, weights = self._whitener
-        whitened = inverse @ self._cross(x, fast=True)
-        explained = np.einsum("nm,nm->m", whitened, whitened)
-        return weights @ whitened, self.kernel.variance(x) - explained
+    @property
+    def _precision(self) -> type[np.floating[Any]]:
+        """Of everything that is [n, m]."""
+        return np.float32 if self.fast_is_right else np.float64
 
     @cached_property
-    def _whitener(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """L^-1 [n, n] and L^-1 y [n]."""
-        factor = self.regressor.L_
-        identity = np.eye(len(factor))
-        inverse = solve_triangular(factor, identity, lower=True, check_finite=False)
-        weights = inverse @ self.regressor.y_train_
-        return inverse.astype(np.float32), weights.astype(np.float32)
+    def _cross(self) -> Towards:
+        """Covariance of the trials and candidates [m, p]: [n, m]."""
+        return self.kernel.towards(self.x, self._precision)
+
+    @cached_property
+    def _inverse(self) -> Floats:
+        """L^-1, [n, n]."""
+        k, _ = self.kernel.gram(self.x)
+        factor, failed = cholesky(k, self.noise)
+        if failed:
+            raise np.linalg.LinAlgError("the covariance of the trials has no Cholesky factor")
+        return np.asarray(lapack.dtrtri(factor, lower=1, overwrite_c=1)[0])
+
+    @cached_property
+    def _whitener(self) -> AnyFloats:
+        """L^-1 as the product wants it."""
+        return np.asfortranarray(self._inverse.astype(self._precision))
+
+    def _whitened(self, x: Floats) -> AnyFloats:
+        """L^-1 k of candidates [b, p], [n, b]: by a triangle, in half the steps of a square."""
+        times = blas.strmm if self.fast_is_right else blas.dtrmm
+        # BLAS counts along columns: to it, k is its transpose, and is multiplied from the right.
+        k = self._cross(x).T
+        whitened: AnyFloats = times(
+            1.0, self._whitener, k, side=1, lower=1, trans_a=1, overwrite_b=1
+        )
+        return whitened.T
 
 
 def blocks(points: Points) -> Iterator[tuple[slice, Floats]]:

@@ -38,7 +38,7 @@ class FeaturePrior:
         values = sign * features[:, column]
         return cls(column, sign, np.sort(values[np.isfinite(values)]))
 
-    def rank(self, features: Floats) -> Floats:
-        """Share of the known candidates that are no better than these [m, k], above 0, [m]."""
+    def log_rank(self, features: Floats) -> Floats:
+        """log of the share of the known candidates that are no better than these [m, k], [m]."""
         no_better = np.searchsorted(self.known, self.sign * features[:, self.column], side="right")
-        return np.clip(no_better, 1, None) / max(len(self.known), 1)
+        return np.asarray(np.log(np.clip(no_better, 1, None) / max(len(self.known), 1)))

@@ -1,9 +1,9 @@
 """The content of a table: parameters, features, and what is derived from them."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from study.sampler.points import Points
 from study.sampler.space import Space
 
 Floats = NDArray[np.float64]
+REMEMBERED = 4096  # rows
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Knuth's multiplicative hashing
 
 
@@ -92,9 +93,20 @@ class Rows:
         return self.space.unit(self.parameters)
 
     @cached_property
+    def numbers(self) -> NDArray[np.int64]:
+        """Of the rows that may be proposed, ascending, [m]."""
+        return np.flatnonzero(self.offered)
+
+    @cached_property
     def features_alone(self) -> Points:
-        """Rows as points without coordinates."""
-        return Points(self.standard, np.empty((len(self), 0)))
+        """Rows that may be proposed as points without coordinates."""
+        features = self._chosen(self.standard)
+        return Points(features, np.empty((len(features), 0)))
+
+    @cached_property
+    def features_and_coordinates(self) -> Points:
+        """Rows that may be proposed as points."""
+        return Points(self.features_alone.features, self._chosen(self.unit))
 
     @cached_property
     def extent(self) -> tuple[Floats, Floats]:
@@ -119,7 +131,7 @@ class Rows:
 
     def as_parameters(self, row: int) -> dict[str, Any]:
         """One row as Optuna wants it: native values by name."""
-        return self.space.values(self.parameters[row])
+        return dict(self._native(row))
 
     def find(self, values: Mapping[str, Any]) -> int | None:
         """The first row with exactly these values; None where there is none."""
@@ -143,6 +155,15 @@ class Rows:
         for values in (self.parameters, self.features):
             digest.update(np.ascontiguousarray(values).data)
         return digest.hexdigest()
+
+    def _chosen(self, values: Floats) -> Floats:
+        """Those of rows [n, ...] that may be proposed; a copy only where that leaves some out."""
+        return values if len(self.numbers) == len(self) else values[self.numbers]
+
+    @cached_property
+    def _native(self) -> Callable[[int], dict[str, Any]]:
+        """Native values of a row, remembered: those of a study's trials are asked for each time."""
+        return lru_cache(REMEMBERED)(lambda row: self.space.values(self.parameters[row]))
 
     @cached_property
     def _complete(self) -> NDArray[np.bool_]:

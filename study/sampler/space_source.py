@@ -195,8 +195,8 @@ class SpaceSource(Source):
         if self.options.prior is None:
             return None
         names = tuple(f"feature_{column}" for column in range(features.shape[1]))
-        rank = FeaturePrior.of(self.options.prior, names, features).rank(features)
-        return fading_log_weight(rank, self.options.prior_weight, trials)
+        log_rank = FeaturePrior.of(self.options.prior, names, features).log_rank(features)
+        return fading_log_weight(log_rank, self.options.prior_weight, trials)
 
 
 def _bare(space: Space, points: Floats) -> Points:

@@ -65,16 +65,16 @@ class TableChoice(Source, ABC):
     def __getstate__(self) -> dict[str, Any]:
         """Without learned constants and what follows from the table."""
         state = super().__getstate__()
-        return {key: v for key, v in state.items() if key not in ("_prior", "_everything")}
+        return {key: v for key, v in state.items() if key not in ("_prior", "_log_rank")}
 
     def startup(self, offered: Mask, own_turn: int) -> Candidate:
         """A row at random, the likelier the better the prior thinks of it."""
         rng = self.rng(Purpose.STARTUP_ROW, own_turn)
-        free = np.flatnonzero(offered)
-        weight = self._log_weight(self.rows.features, 0)
+        some = offered[self.rows.numbers]
+        free, weight = self.rows.numbers[some], self._row_weight(0)
         if weight is None:
             return self._row(int(rng.choice(free)))
-        return self._row(int(free[gumbel_choice(weight[free], rng)]))
+        return self._row(int(free[gumbel_choice(weight[some], rng)]))
 
     def best(self, history: History, offered: Mask, own_turn: int) -> Candidate:
         """The candidate of the largest utility, of equal ones any.
@@ -95,26 +95,25 @@ class TableChoice(Source, ABC):
         if mismatch is not None:
             candidates, running = mismatch.corrected(candidates), mismatch.corrected(running)
         model = self.model(kernel, len(rows.space), history, seen, running)
-        trials = len(history.cost)
-        utility = model.utility(
-            candidates,
-            offered,
-            self._log_weight(rows.features, trials),
-            self.rng(Purpose.CANDIDATES, own_turn),
-        )
+        trials, free = len(history.cost), offered[rows.numbers]
+        utility = np.full(len(free), -np.inf)
+        if free.any():
+            rng = self.rng(Purpose.CANDIDATES, own_turn)
+            utility = model.utility(candidates, free, self._row_weight(trials), rng)
+        if self.options.off_grid:
+            near = self._near(history, utility, own_turn)
+            value, off = self._best_of(near, kernel, model, mismatch, trials, own_turn)
+            if not free.any() or value > utility.max():
+                return off
         best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
-        if not self.options.off_grid:
-            return self._row(best)
-        near = self._near(history, utility, own_turn)
-        value, off = self._best_of(near, kernel, model, mismatch, trials, own_turn)
-        return off if value > utility[best] or not offered.any() else self._row(best)
+        return self._row(int(rows.numbers[best]))
 
     def _near(self, history: History, utility: Floats, own_turn: int) -> Floats:
         """Points near the best rows and the best trials, [off_grid, d]."""
         best = np.argsort(-utility, kind="stable")[:CENTRES]
         best = best[np.isfinite(utility[best])]
         incumbents = history.parameters[np.argsort(history.cost, kind="stable")[:INCUMBENTS]]
-        centres = np.vstack([self.rows.parameters[best], incumbents])
+        centres = np.vstack([self.rows.parameters[self.rows.numbers[best]], incumbents])
         rng = self.rng(Purpose.OFF_GRID, own_turn)
         return nearby(self.rows.space, centres, self.options.off_grid, rng)
 
@@ -143,13 +142,10 @@ class TableChoice(Source, ABC):
         return Candidate(row, self.rows.parameters[row], self.rows.features[row])
 
     def _points(self, kernel: str) -> Points:
-        """All n rows, with coordinates only where the kernel looks at them."""
-        return self._everything if self.needs_coordinates(kernel) else self.rows.features_alone
-
-    @cached_property
-    def _everything(self) -> Points:
-        """All n rows with features and coordinates."""
-        return Points(self.rows.standard, self.rows.unit)
+        """Rows that may be proposed, with coordinates only where the kernel looks at them."""
+        if self.needs_coordinates(kernel):
+            return self.rows.features_and_coordinates
+        return self.rows.features_alone
 
     def _unit(self, parameters: Floats, kernel: str) -> Floats:
         """Parameters [m, d] as coordinates [m, e]; e = 0 where no kernel looks at them."""
@@ -182,8 +178,18 @@ class TableChoice(Source, ABC):
         """The prior's weights of features [m, k], as logarithms, [m]; None without a prior."""
         if self.options.prior is None:
             return None
-        rank = self._prior.rank(features)
-        return fading_log_weight(rank, self.options.prior_weight, trials)
+        return fading_log_weight(self._prior.log_rank(features), self.options.prior_weight, trials)
+
+    def _row_weight(self, trials: int) -> Floats | None:
+        """The same of the rows that may be proposed."""
+        if self.options.prior is None:
+            return None
+        return fading_log_weight(self._log_rank, self.options.prior_weight, trials)
+
+    @cached_property
+    def _log_rank(self) -> Floats:
+        """Of the rows that may be proposed, by the prior, made once a process."""
+        return self._prior.log_rank(self.rows.features[self.rows.numbers])
 
     @cached_property
     def _prior(self) -> FeaturePrior:

@@ -7,6 +7,7 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from study.sampler.acquisition import (
+    _exact_log_h,
     argmax_random_tie,
     confidence_bound,
     expected_improvement,
@@ -68,6 +69,12 @@ def test_log_improvement_is_finite_and_falls_where_the_plain_one_underflows() ->
     assert expected_improvement(mean[-1:], np.ones(1), best=0.0)[0] == 0.0
 
 
+def test_log_improvement_between_nodes_is_what_it_is_at_them() -> None:
+    z = np.random.default_rng(0).uniform(-50.0, 20.0, 100_000)
+    found = log_expected_improvement(-z, np.ones_like(z), best=0.0)
+    assert_allclose(found, _exact_log_h(z), rtol=0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize("z", [-1.5, -8.0, -30.0, -900.0, -1100.0, -2e6])
 def test_log_improvement_has_the_tail_of_its_series(z: float) -> None:
     found = log_expected_improvement(np.array([-z]), np.ones(1), best=0.0)[0]
@@ -100,7 +107,7 @@ def test_thompson_draws_from_the_joint_posterior() -> None:
 
 def test_a_prior_fades() -> None:
     rank = np.array([0.1, 1.0])
-    weights = [np.exp(fading_log_weight(rank, 10.0, trials)) for trials in (0, 1, 10, 1000)]
+    weights = [np.exp(fading_log_weight(np.log(rank), 10.0, trials)) for trials in (0, 1, 10, 1000)]
     assert_allclose(weights[0], weights[1])
     assert_allclose(weights[2], rank)
     assert weights[1][0] < weights[2][0] < weights[3][0] < 1.0

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -318,3 +319,24 @@ def test_the_package_has_no_other_names() -> None:
 
     with pytest.raises(AttributeError, match="no attribute 'Sampler'"):
         _ = study.Sampler
+
+
+@pytest.mark.parametrize("acquisition", ACQUISITIONS)
+@pytest.mark.parametrize("unknown", [np.nan, 0.5])
+def test_where_no_row_is_left_points_off_the_table_are(acquisition: str, unknown: float) -> None:
+    """All rows tried, or, of the first form, one tried and none with all of its features."""
+    values = np.array([[unknown, 0.1], [0.2, unknown], [unknown, 0.3], [0.4, unknown]])
+    columns = {"a": [0.1, 0.2, 0.3, 0.4], "b": [0.4, 0.3, 0.2, 0.1]}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        table = FeatureTable.from_arrays(columns, values)
+    sampler = FeatureKernelSampler(
+        table, seed=0, acquisition=acquisition, feature_function=lambda p: p, off_grid=16
+    )
+    study = optuna.create_study(sampler=sampler)
+    for row in range(1 if np.isnan(unknown) else 4):
+        study.enqueue_trial(table.rows.as_parameters(row))
+    study.optimize(
+        lambda t: t.suggest_float("a", 0.1, 0.4) + t.suggest_float("b", 0.1, 0.4), n_trials=7
+    )
+    assert [trial.user_attrs["row"] for trial in study.trials[4:]] == [-1, -1, -1]

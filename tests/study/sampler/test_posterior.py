@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from sklearn.gaussian_process import GaussianProcessRegressor
 
-from study.sampler.gaussian_process import LIKELIHOOD_TRIALS, believe, condition, learn
-from study.sampler.kernels import Layout, new_term
+from study.sampler.covariance import Covariance
+from study.sampler.gaussian_process import LIKELIHOOD_TRIALS, condition, learn
+from study.sampler.kernels import Layout, new_covariance
 from study.sampler.one_dimension import Shared
 from study.sampler.options import KERNELS
 from study.sampler.points import Points
 from study.sampler.posterior import BLOCK, Posterior
-from study.sampler.terms import Term
+from tests.study.sampler import reference
 
 FORMS = [
     (kernel, mean) for kernel in KERNELS if kernel != "alternate" for mean in ("constant", "linear")
@@ -32,26 +32,27 @@ def costs(points: Points, seed: int = 0) -> np.ndarray:
     return 50.0 + 20.0 * smooth + noise
 
 
-def fitted(term: Term, count: int, *, fast: bool, noisy: bool = True) -> Posterior:
+def fitted(covariance: Covariance, count: int, *, fast: bool, noisy: bool = True) -> Posterior:
     points = some_points(count, seed=1)
     x, y = points.matrix(), costs(points)
-    return condition(term, learn(term, x, y), x, y, noisy=noisy, fast=fast)
+    return condition(covariance, learn(covariance, x, y), x, y, noisy=noisy, fast=fast)
 
 
 def oracle(posterior: Posterior, candidates: Points) -> tuple[np.ndarray, np.ndarray]:
     """Mean and variance by scikit-learn, of the same kernel on the same trials."""
-    scaled = posterior.regressor
-    y = posterior.cost_mean + posterior.cost_sd * scaled.y_train_
-    regressor = GaussianProcessRegressor(
-        scaled.kernel_, alpha=scaled.alpha, optimizer=None, normalize_y=True
-    ).fit(scaled.X_train_, y)
-    mean, sd = regressor.predict(candidates.matrix(), return_std=True)
+    mean, sd = reference.of_posterior(posterior).predict(candidates.matrix(), return_std=True)
+    mean, sd = posterior.cost_mean + posterior.cost_sd * mean, posterior.cost_sd * sd
     return mean, sd**2
+
+
+def prior_variance(posterior: Posterior, x: np.ndarray) -> np.ndarray:
+    """Before any trial, noise included."""
+    return posterior.cost_sd**2 * (posterior.kernel.variance(x) + posterior.noise) * np.ones(len(x))
 
 
 @pytest.mark.parametrize(("kernel", "mean"), FORMS)
 def test_the_exact_posterior_is_scikit_learns(kernel: str, mean: str) -> None:
-    posterior = fitted(new_term(kernel, mean, LAYOUT), 40, fast=False)
+    posterior = fitted(new_covariance(kernel, mean, LAYOUT), 40, fast=False)
     candidates = some_points(2 * BLOCK + 17, seed=2)
     expected_mean, expected_variance = oracle(posterior, candidates)
     found_mean, found_variance = posterior.predict(candidates)
@@ -62,18 +63,18 @@ def test_the_exact_posterior_is_scikit_learns(kernel: str, mean: str) -> None:
 
 @pytest.mark.parametrize(("kernel", "mean"), FORMS)
 def test_the_fast_posterior_is_nearly_scikit_learns(kernel: str, mean: str) -> None:
-    posterior = fitted(new_term(kernel, mean, LAYOUT), 100, fast=True)
+    posterior = fitted(new_covariance(kernel, mean, LAYOUT), 100, fast=True)
     candidates = some_points(2 * BLOCK + 17, seed=2)
     expected_mean, expected_variance = oracle(posterior, candidates)
     found_mean, found_variance = posterior.predict(candidates)
-    prior = posterior.regressor.kernel_.diag(candidates.matrix()) * posterior.cost_sd**2
+    prior = prior_variance(posterior, candidates.matrix())
     assert np.all(np.abs(found_mean - expected_mean) < FAST * np.sqrt(prior))
     assert np.all(np.abs(found_variance - expected_variance) < FAST * prior)
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 1000])
 def test_any_number_of_trials_will_do(count: int) -> None:
-    posterior = fitted(new_term("euclidean", "constant", LAYOUT), count, fast=False)
+    posterior = fitted(new_covariance("euclidean", "constant", LAYOUT), count, fast=False)
     candidates = some_points(50, seed=2)
     mean, variance = oracle(posterior, candidates)
     assert_allclose(posterior.predict(candidates)[0], mean, rtol=EXACT)
@@ -84,8 +85,8 @@ def along_a_feature(count: int, *, fast: bool) -> Posterior:
     rng = np.random.default_rng(0)
     x = rng.uniform(-1, 4, (count, 1))
     y = 5.0 + 2.0 * np.sin(x[:, 0]) + 0.3 * rng.standard_normal(count)
-    term = new_term("rbf", "constant", Layout(1, 0, 2))
-    return condition(term, learn(term, x, y), x, y, noisy=True, fast=fast)
+    covariance = new_covariance("rbf", "constant", Layout(1, 0, 2))
+    return condition(covariance, learn(covariance, x, y), x, y, noisy=True, fast=fast)
 
 
 @pytest.mark.parametrize(("fast", "tolerance"), [(False, EXACT), (True, FAST)])
@@ -97,30 +98,31 @@ def test_along_one_feature(fast: bool, tolerance: float, values: int) -> None:
     expected_mean, expected_variance = oracle(posterior, candidates)
     shared = Shared.of(posterior, candidates)
     mean, variance = (shared.spread(computed) for computed in posterior.predict(shared.points))
-    prior = posterior.regressor.kernel_.diag(feature) * posterior.cost_sd**2
+    prior = prior_variance(posterior, feature)
     assert np.max(np.abs(mean - expected_mean) / np.sqrt(prior)) < tolerance
     assert np.max(np.abs(variance - expected_variance) / prior) < tolerance
 
 
 def test_the_joint_posterior_agrees_with_itself_and_with_scikit_learn() -> None:
-    posterior = fitted(new_term("sum", "linear", LAYOUT), 30, fast=False, noisy=False)
+    posterior = fitted(new_covariance("sum", "linear", LAYOUT), 30, fast=False, noisy=False)
     candidates = some_points(40, seed=2)
     mean, covariance = posterior.joint(candidates)
     alone_mean, alone_variance = posterior.predict(candidates)
     assert_allclose(mean, alone_mean, rtol=EXACT)
     assert_allclose(np.diag(covariance), alone_variance, rtol=1e-6)
-    _, expected = posterior.regressor.predict(candidates.matrix(), return_cov=True)
+    theirs = reference.of_posterior(posterior)
+    _, expected = theirs.predict(candidates.matrix(), return_cov=True)
     noise = posterior.noise * np.eye(40)
     assert_allclose(covariance, posterior.cost_sd**2 * (expected - noise), atol=1e-7)
 
 
 def test_believing_adds_trials_and_keeps_constants() -> None:
-    posterior = fitted(new_term("rbf", "constant", LAYOUT), 20, fast=False)
+    posterior = fitted(new_covariance("rbf", "constant", LAYOUT), 20, fast=False)
     more = some_points(3, seed=5)
-    believed = believe(posterior, more.matrix(), posterior.mean(more))
+    believed = posterior.believing(more)
     candidates = some_points(200, seed=6)
     mean, variance = posterior.predict(candidates)
-    assert_allclose(believed.kernel.theta, posterior.kernel.theta)
+    assert_allclose(believed.covariance.theta, posterior.covariance.theta)
     assert_allclose(believed.predict(candidates)[0], mean, rtol=1e-6)
     assert np.all(believed.predict(candidates)[1] <= variance * (1 + 1e-9))
     assert believed.predict(more)[1].sum() < posterior.predict(more)[1].sum()
@@ -129,8 +131,8 @@ def test_believing_adds_trials_and_keeps_constants() -> None:
 def test_the_spread_of_equal_features_is_learned_as_noise() -> None:
     x = np.repeat([[0.0], [1.0], [2.0]], 30, axis=0)
     y = 10.0 * x[:, 0] + 1.5 * np.random.default_rng(2).standard_normal(90)
-    term = new_term("rbf", "constant", Layout(1, 0, 1))
-    posterior = condition(term, learn(term, x, y), x, y, noisy=True, fast=False)
+    covariance = new_covariance("rbf", "constant", Layout(1, 0, 1))
+    posterior = condition(covariance, learn(covariance, x, y), x, y, noisy=True, fast=False)
     mean, variance = posterior.predict(Points(x[::30], np.empty((3, 0))))
     assert_allclose(mean, [0, 10, 20], atol=1.0)
     assert_allclose(np.sqrt(variance), 1.5, rtol=0.25)
@@ -138,18 +140,22 @@ def test_the_spread_of_equal_features_is_learned_as_noise() -> None:
 
 def test_equal_costs_are_no_accident() -> None:
     points = some_points(2, seed=0)
-    term = new_term("rbf_ard", "linear", LAYOUT)
+    covariance = new_covariance("rbf_ard", "linear", LAYOUT)
     x, y = points.matrix(), np.array([3.0, 3.0])
-    mean, variance = condition(term, learn(term, x, y), x, y, noisy=True, fast=True).predict(points)
+    mean, variance = condition(
+        covariance, learn(covariance, x, y), x, y, noisy=True, fast=True
+    ).predict(points)
     assert_allclose(mean, 3.0)
     assert np.isfinite(variance).all()
 
 
 def test_the_unit_of_cost_does_not_matter() -> None:
     points, candidates = some_points(20, seed=1), some_points(50, seed=2)
-    x, y, term = points.matrix(), costs(points), new_term("product", "constant", LAYOUT)
+    x, y, covariance = points.matrix(), costs(points), new_covariance("product", "constant", LAYOUT)
     ours, scaled = (
-        condition(term, learn(term, x, c), x, c, noisy=True, fast=False).predict(candidates)
+        condition(covariance, learn(covariance, x, c), x, c, noisy=True, fast=False).predict(
+            candidates
+        )
         for c in (y, 1e6 * y - 7e6)
     )
     assert_allclose(scaled[0], 1e6 * ours[0] - 7e6, rtol=1e-3)
@@ -159,6 +165,6 @@ def test_the_unit_of_cost_does_not_matter() -> None:
 def test_constants_are_learned_from_a_part_of_many_trials() -> None:
     points = some_points(2 * LIKELIHOOD_TRIALS, seed=1)
     x, y = points.matrix(), costs(points)
-    term = new_term("rbf", "constant", LAYOUT)
-    assert_allclose(learn(term, x, y), learn(term, x, y))
-    assert np.isfinite(learn(term, x, y)).all()
+    covariance = new_covariance("rbf", "constant", LAYOUT)
+    assert_allclose(learn(covariance, x, y), learn(covariance, x, y))
+    assert np.isfinite(learn(covariance, x, y)).all()

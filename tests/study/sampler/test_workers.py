@@ -15,6 +15,7 @@ from optuna.trial import TrialState
 from storage.databases.studies import open_studies
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
 from study.sampler.claims import withdraw_or_keep
+from study.sampler.posterior import Posterior
 
 pytestmark = pytest.mark.slow
 
@@ -98,7 +99,7 @@ def test_running_trials_are_conditioned_on(
 ) -> None:
     """With nothing learned from those that run, all workers crowd around one score."""
     if not conditioned:
-        monkeypatch.setattr("study.sampler.model.believe", lambda posterior, x, y: posterior)
+        monkeypatch.setattr(Posterior, "believing", lambda posterior, points: posterior)
     a = np.linspace(0, 1, 400)
     table = FeatureTable.from_arrays({"a": a}, a)
     space = table.rows.space.as_dict()

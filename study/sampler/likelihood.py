@@ -1,0 +1,65 @@
+"""How likely constants are, given trials: the marginal likelihood times priors, and its gradient.
+
+| symbol | shape | meaning |
+|---|---|---|
+| X | [n, p] | the trials |
+| Y | [n, o] | their costs in standard units; o = 1, or several outputs with constants in common |
+| K | [n, n] | covariance of the trials, noise included |
+| A | [n, o] | K^-1 Y |
+| W | [n, n] | derivative of what is returned by each entry of K |
+
+log p(Y | X, theta) = -tr(Y^T A) / 2 - o (log det K + n log 2 pi) / 2, and its derivative by K is
+(A A^T - o K^-1) / 2 (Rasmussen, Williams 2006, equations 2.30 and 5.9). The priors are normal
+densities of theta, the logarithms of the constants.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import blas, lapack
+
+from study.sampler.covariance import Covariance
+
+Floats = NDArray[np.float64]
+
+JITTER = 1e-10  # variance that is added to the noise, so that equal rows do no harm
+
+
+class Misfit:
+    """-log p(Y | X, theta) - sum_i log N(theta_i; mode_i, sd_i^2), a constant left out."""
+
+    def __init__(self, covariance: Covariance, x: Floats, y: Floats) -> None:
+        """Of trials x [n, p] with costs y [n] or [n, o] in standard units."""
+        self.covariance = covariance
+        self.x = x
+        self.y = np.asfortranarray(y.reshape(len(y), -1))
+
+    def __call__(self, theta: Floats) -> tuple[float, Floats]:
+        """The misfit of constants [t], given as logarithms, and its gradient [t].
+
+        Infinite, with gradient zero, where rounding leaves K without a Cholesky factor.
+        """
+        there = self.covariance.with_theta(theta)
+        k, pull = there.kernel.gram(self.x)
+        factor, failed = cholesky(k, there.noise)
+        if failed:
+            return np.inf, np.zeros_like(theta)
+        n, outputs = self.y.shape
+        alpha = lapack.dpotrs(factor, self.y, lower=1)[0]
+        log_root = np.log(factor.diagonal()).sum()  # of det K
+        misfit = 0.5 * np.vdot(self.y, alpha) + outputs * (log_root + 0.5 * n * np.log(2 * np.pi))
+        # The lower halves of K^-1 and of o K^-1 - A A^T. K is symmetric: one half, of which the
+        # diagonal counts once and the rest twice, stands for both.
+        inverse = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
+        w = blas.dsyrk(-1.0, alpha, beta=outputs, c=inverse, lower=1, overwrite_c=1).T
+        np.einsum("ii->i", w)[:] *= 0.5
+        gradient = np.append(pull(w), there.noise * np.trace(w))
+        z = (theta - self.covariance.modes) / self.covariance.spreads
+        return float(misfit + 0.5 * z @ z), gradient + z / self.covariance.spreads
+
+
+def cholesky(k: Floats, noise: float) -> tuple[Floats, bool]:
+    """L [n, n] with L L^T = k + noise I, zero above its diagonal, and whether there is none."""
+    matrix = np.array(k.T, order="F")  # as it lies in memory: it is symmetric
+    np.einsum("ii->i", matrix)[:] += noise + JITTER
+    factor, info = lapack.dpotrf(matrix, lower=1, clean=1, overwrite_a=1)
+    return factor, info != 0

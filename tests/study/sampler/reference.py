@@ -1,0 +1,132 @@
+"""scikit-learn's Gaussian process for the covariances of `study.sampler`: what ours is held to."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor, kernels
+
+from study.sampler.composites import Product, Sum
+from study.sampler.covariance import Covariance
+from study.sampler.gaussian_process import ITERATIONS, NOISE_STARTS, SECOND_START_TRIALS
+from study.sampler.likelihood import JITTER
+from study.sampler.parts import Constant, Linear, Part
+from study.sampler.posterior import Posterior
+from study.sampler.stationary import Matern, Stationary
+
+Floats = NDArray[np.float64]
+
+
+class Columns(kernels.Kernel):  # type: ignore[misc]
+    """A kernel of scikit-learn's that sees some of the columns."""
+
+    def __init__(self, kernel: Any, columns: slice) -> None:
+        self.kernel = kernel
+        self.columns = columns
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        params = {"kernel": self.kernel, "columns": self.columns}
+        inner = self.kernel.get_params().items() if deep else ()
+        return params | {f"kernel__{name}": value for name, value in inner}
+
+    @property
+    def hyperparameters(self) -> Any:
+        return self.kernel.hyperparameters
+
+    @property
+    def theta(self) -> Any:
+        return self.kernel.theta
+
+    @theta.setter
+    def theta(self, theta: Floats) -> None:
+        self.kernel.theta = theta
+
+    @property
+    def bounds(self) -> Any:
+        return self.kernel.bounds
+
+    def __call__(self, X: Floats, Y: Floats | None = None, eval_gradient: bool = False) -> Any:  # noqa: N803
+        other = None if Y is None else Y[:, self.columns]
+        return self.kernel(X[:, self.columns], other, eval_gradient=eval_gradient)
+
+    def diag(self, X: Floats) -> Any:  # noqa: N803
+        return self.kernel.diag(X[:, self.columns])
+
+    def is_stationary(self) -> Any:
+        return self.kernel.is_stationary()
+
+
+def of_part(part: Part) -> Any:
+    """The same kernel of scikit-learn's, with the same theta and bounds."""
+    if isinstance(part, Sum):
+        return kernels.Sum(of_part(part.first), of_part(part.second))
+    if isinstance(part, Product):
+        return kernels.Product(of_part(part.first), of_part(part.second))
+    if isinstance(part, Constant):
+        return kernels.ConstantKernel(part.value, part.limits)
+    if isinstance(part, Linear):
+        inner: Any = kernels.DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
+        return Columns(inner, part.columns)
+    assert isinstance(part, Stationary)
+    scales = part.scales[0] if len(part.scales) == 1 else np.array(part.scales)
+    if isinstance(part, Matern):
+        return Columns(kernels.Matern(scales, part.limits, nu=2.5), part.columns)
+    return Columns(kernels.RBF(scales, part.limits), part.columns)
+
+
+def of_covariance(covariance: Covariance) -> Any:
+    """The same kernel of scikit-learn's, noise included."""
+    noise = kernels.WhiteKernel(covariance.noise, covariance.noise_limits)
+    return of_part(covariance.kernel) + noise
+
+
+def conditioned(covariance: Covariance, x: Floats, y: Floats) -> GaussianProcessRegressor:
+    """After trials x [n, p] with y [n] or [n, o] in standard units; constants are kept."""
+    kernel = of_covariance(covariance)
+    return GaussianProcessRegressor(kernel, alpha=JITTER, optimizer=None).fit(x, y)
+
+
+def misfit(covariance: Covariance, x: Floats, y: Floats, theta: Floats) -> tuple[float, Floats]:
+    """What `likelihood.Misfit` is, by scikit-learn."""
+    regressor = conditioned(covariance, x, y)
+    likelihood, gradient = regressor.log_marginal_likelihood(theta, eval_gradient=True)
+    z = (theta - covariance.modes) / covariance.spreads
+    return float(-likelihood + 0.5 * z @ z), -gradient + z / covariance.spreads
+
+
+def learned(covariance: Covariance, x: Floats, y: Floats) -> Floats:
+    """Theta by scikit-learn's own fit, L-BFGS on likelihood times prior; y in standard units."""
+
+    def optimizer(objective: Any, start: Floats, bounds: Floats) -> tuple[Floats, float]:
+        def penalised(theta: Floats) -> tuple[float, Floats]:
+            value, gradient = objective(theta, eval_gradient=True)
+            z = (theta - covariance.modes) / covariance.spreads
+            return float(value + 0.5 * z @ z), gradient + z / covariance.spreads
+
+        found = []
+        for shift in NOISE_STARTS if len(y) <= SECOND_START_TRIALS else NOISE_STARTS[:1]:
+            theta = start.copy()
+            theta[-1] += shift
+            options = {"maxiter": ITERATIONS, "ftol": 1e-5}
+            theta = np.clip(theta, *bounds.T)
+            found.append(
+                minimize(
+                    penalised, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options
+                )
+            )
+        best = min(found, key=lambda result: float(result.fun))
+        return best.x, float(best.fun)
+
+    kernel = of_covariance(covariance)
+    regressor = GaussianProcessRegressor(kernel, alpha=JITTER, optimizer=optimizer)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return np.asarray(regressor.fit(x, y).kernel_.theta)
+
+
+def of_posterior(posterior: Posterior) -> GaussianProcessRegressor:
+    """The same posterior, in standard units."""
+    return conditioned(posterior.covariance, posterior.x, posterior.y)

@@ -1,0 +1,84 @@
+"""The marginal likelihood, its gradient and the constants it leads to: those of scikit-learn."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import approx_fprime
+
+from study.sampler.covariance import Covariance
+from study.sampler.gaussian_process import LIKELIHOOD_TRIALS, learn
+from study.sampler.kernels import SIGNAL_PRIOR, Layout, mismatch_covariance, new_covariance
+from study.sampler.likelihood import Misfit
+from study.sampler.options import KERNELS
+from study.sampler.parts import Linear
+from tests.study.sampler import reference
+
+LAYOUT = Layout(features=3, coordinates=4, parameters=4)
+FORMS = [(k, m) for k in KERNELS if k != "alternate" for m in ("constant", "linear")]
+
+
+def trials(count: int, seed: int, outputs: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Rows [n, 7] and costs [n] or [n, outputs], in standard units."""
+    rng = np.random.default_rng(seed)
+    x = np.hstack([rng.standard_normal((count, 3)), rng.uniform(size=(count, 4))])
+    noise = rng.standard_normal((count, outputs or 1))
+    y = np.sin(x[:, :1]) + (x[:, 3:] - 0.4).sum(axis=1, keepdims=True) ** 2 + 0.3 * noise
+    y = (y - y.mean(axis=0)) / y.std()
+    return x, y if outputs else y[:, 0]
+
+
+def anywhere(covariance: Covariance, seed: int) -> np.ndarray:
+    """Constants within their bounds, as the priors have them, [t]."""
+    drawn = np.random.default_rng(seed).normal(covariance.modes, covariance.spreads)
+    return np.clip(drawn, *covariance.bounds.T)
+
+
+@pytest.mark.parametrize("outputs", [None, 3])
+@pytest.mark.parametrize(("kernel", "mean"), FORMS)
+def test_the_misfit_and_its_gradient_are_scikit_learns(
+    kernel: str, mean: str, outputs: int | None
+) -> None:
+    covariance = new_covariance(kernel, mean, LAYOUT)
+    for seed, count in enumerate((1, 2, 9, 40, 120)):
+        x, y = trials(count, seed, outputs) if count > 1 else (trials(2, seed)[0][:1], np.zeros(1))
+        for draw in range(3):
+            theta = anywhere(covariance, draw)
+            expected, slopes = reference.misfit(covariance, x, y, theta)
+            found, gradient = Misfit(covariance, x, y)(theta)
+            assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+            assert_allclose(gradient, slopes, rtol=1e-6, atol=1e-6 * np.abs(slopes).max())
+
+
+@pytest.mark.parametrize(("kernel", "mean"), FORMS)
+def test_the_gradient_is_that_of_the_misfit(kernel: str, mean: str) -> None:
+    covariance = new_covariance(kernel, mean, LAYOUT)
+    misfit = Misfit(covariance, *trials(25, 0))
+    theta = covariance.theta
+    slopes = approx_fprime(theta, lambda at: misfit(at)[0], 1e-6)
+    assert_allclose(misfit(theta)[1], slopes, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("count", [2, 8, 30, 31, LIKELIHOOD_TRIALS])
+@pytest.mark.parametrize(("kernel", "mean"), FORMS)
+def test_the_constants_are_those_that_scikit_learn_finds(
+    kernel: str, mean: str, count: int
+) -> None:
+    covariance = new_covariance(kernel, mean, LAYOUT)
+    x, y = trials(count, seed=count)
+    assert_allclose(learn(covariance, x, y), reference.learned(covariance, x, y), atol=1e-6)
+
+
+def test_the_constants_of_a_mismatch_are_those_that_scikit_learn_finds() -> None:
+    covariance = mismatch_covariance(Layout(0, 4, 4))
+    x, y = trials(20, 0, outputs=3)
+    y /= np.sqrt(np.mean(y**2))
+    found = learn(covariance, x[:, 3:], y, center=False)
+    assert_allclose(found, reference.learned(covariance, x[:, 3:], y), atol=1e-6)
+
+
+def test_without_a_cholesky_factor_the_misfit_is_infinite() -> None:
+    covariance = Covariance(Linear(slice(0, 1)), 1e-4, (1e-4, 1e1), (SIGNAL_PRIOR,))
+    x = np.array([[1.0], [1.0], [3.0]]) * 1e12
+    found, gradient = Misfit(covariance, x, np.ones(3))(covariance.theta)
+    assert found == np.inf
+    assert_allclose(gradient, 0.0)
