@@ -4,7 +4,7 @@
 # make test-fast    those that take no long: for daily work
 # make lint         style and types, as CI checks them
 # make hooks        run the lint before every commit
-# Needs Python 3.11 or newer and make; everything else goes into .venv.
+# Needs Python 3.11 to 3.13 and make; everything else goes into .venv.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -37,7 +37,7 @@ hooks: .venv/lint-installed
 	$(BIN)/pre-commit install
 
 .venv/installed: pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: Python 3.11 or newer is needed: make PYTHON=python3.12")'
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14) and "error: Python 3.11 to 3.13 is needed: make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
 	@echo "Installing the pinned packages into .venv (a minute or two) ..."
 	$(INSTALL) -e '.[test]'
