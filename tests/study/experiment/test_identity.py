@@ -41,7 +41,7 @@ IDLE: dict[type, dict[str, Any]] = {
         "cmaes": CmaesOptions(sigma=0.5),
     },
     Conditions: {},
-    Settings: {"arch": "cuda", "threads": 3},
+    Settings: {"arch": "cuda", "threads": 1},
 }  # fmt: skip
 PARTS: dict[type, str] = {Experiment: "", Conditions: "conditions", Settings: "settings"}
 
