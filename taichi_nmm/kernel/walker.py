@@ -116,15 +116,14 @@ def start_torques(lane, work: Rows):
 
 @ti.func
 def contract_muscles(step_s, blend, lanes: Rows, muscles: Rows, fibres: Rows, work: Rows):
-    """All muscles, one after another: a run-time loop, since unrolling it costs compile time.
-
-    The legs are unrolled, so that the compiler sees that a muscle's rows do not overlap others.
-    """
-    for leg in ti.static(range(LEGS)):
-        for m in range(MUSCLES_PER_LEG):
-            data = muscle.constants(muscles, m)
-            for lane in range(lanes):
-                muscle.contract(lane, leg, m, data, step_s, blend, fibres, work)
+    """All muscles, pair after pair: a run-time loop, since unrolling it costs compile time."""
+    for pair in range(MUSCLES_PER_LEG // 2):
+        data = muscle.constants(muscles, 2 * pair, 2)
+        for lane in range(lanes):
+            muscle.contract(lane, 2 * pair, 2, data, step_s, blend, fibres, work)
+    last = muscle.constants(muscles, MUSCLES_PER_LEG - 1, 1)
+    for lane in range(lanes):
+        muscle.contract(lane, MUSCLES_PER_LEG - 1, 1, last, step_s, blend, fibres, work)
 
 
 @ti.func
