@@ -35,6 +35,11 @@ ARCTANGENT_Q = (
 )  # fmt: skip
 
 
+def terms(coefficients: tuple[float, ...], single: int) -> tuple[float, ...]:
+    """All of a series in float64, its last `single` terms in float32: the rest rounds away."""
+    return coefficients if backend.is_double() else coefficients[-single:]
+
+
 @ti.func
 def larger(x, y):
     """The larger of both, and x where y is NaN: one instruction, where `ti.max` takes three."""
@@ -62,8 +67,8 @@ def sine_cosine(x):
     k = ti.floor(x * TWO_OVER_PI + 0.5)
     r = (x - k * HALF_PI_HIGH) - k * HALF_PI_LOW
     z = r * r
-    sine = r * polynomial(z, SINE)
-    cosine = polynomial(z, COSINE)
+    sine = r * polynomial(z, ti.static(terms(SINE, 5)))
+    cosine = polynomial(z, ti.static(terms(COSINE, 6)))
     quarter = k - 4.0 * ti.floor(0.25 * k)  # 0, 1, 2 or 3
     odd = (quarter == 1.0) | (quarter == 3.0)
     s = ti.select(odd, cosine, sine)
@@ -99,7 +104,7 @@ def exponential(x):
     k = ti.floor(clamped * LOG2_E + 0.5)
     r = (clamped - k * LN2_HIGH) - k * LN2_LOW
     power = ti.Vector([power_of_two(k[e]) for e in ti.static(range(k.n))])
-    return polynomial(r, EXPONENTIAL) * power
+    return polynomial(r, ti.static(terms(EXPONENTIAL, 8))) * power
 
 
 @ti.func

@@ -19,6 +19,7 @@ from taichi_nmm.kernel import (
     swing,
 )
 from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.elementary import larger
 from taichi_nmm.kernel.layout import (
     COORDINATES,
     LEGS,
@@ -150,7 +151,7 @@ def settled(lanes: Rows, work: Rows):
     """Whether the last pass changed no contact of any lane; a further pass would change nothing."""
     changed = 0.0
     for lane in range(lanes):
-        changed = ti.max(changed, work[Work.changed, lane])
+        changed = larger(changed, work[Work.changed, lane])
     return changed == 0.0
 
 
@@ -171,7 +172,7 @@ def weigh_legs(lane, blend, state: Rows, const: Rows, work: Rows):
             force_z += normal * nz - friction * nx
         state[State.ground_force + 2 * leg, lane] = force_x
         state[State.ground_force + 2 * leg + 1, lane] = force_z
-        load = ti.max((force_z - const[Const.leg_weight + leg, lane]) / hat_weight, 0.0)
+        load = larger((force_z - const[Const.leg_weight + leg, lane]) / hat_weight, 0.0)
         state[State.load_filter + leg, lane] += blend * (
             load - state[State.load_filter + leg, lane]
         )
@@ -186,7 +187,7 @@ def end_walk(lane, tick, state: Rows, work: Rows):
     size = 0.0
     for i in ti.static(range(2 * COORDINATES)):
         value = state[State.q + i, lane]  # q, then qdot
-        size += ti.max(value, 0.0 - value)
+        size += larger(value, 0.0 - value)
     diverged = (size < LARGEST_SANE) == False  # noqa: E712  (true for NaN too)
     lean = state[State.q + 2, lane]
     upright = (

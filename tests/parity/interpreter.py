@@ -16,8 +16,8 @@ import numpy as np
 from taichi_nmm import kernel
 
 INTERPRETED = (
-    "elementary", "kinematics", "muscle_table", "muscle", "contact", "joint_stops", "dynamics", "delays",
-    "reflexes", "swing", "gait", "walker",
+    "elementary", "kinematics", "muscle_table", "muscle", "contact", "joint_stops", "dynamics",
+    "delays", "reflexes", "swing", "gait", "walker",
 )  # fmt: skip
 
 
