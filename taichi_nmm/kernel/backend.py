@@ -36,8 +36,8 @@ LANES_GPU = 1  # a thread is a walker
 CFG_OPTIMIZATION = False
 FAST_MATH = False
 
-# Taichi cuts a parallel loop into blocks of at least 512 turns, and the kernels' loops have a turn a
-# pack: 4,096 walkers and fewer would run on one thread. Without that cut a turn is a task.
+# Taichi cuts a parallel loop into blocks of at least 512 turns, and a turn of the kernels is a
+# pack: 4,096 walkers and fewer would run on one thread. Without that cut, a turn is a task.
 SPLIT_LOOPS = False
 
 if TYPE_CHECKING:
