@@ -20,12 +20,12 @@ SOBOL_POINTS, SOBOL_S = 2048, 5.0
 def main() -> None:
     options = parse()
     sys.path.insert(0, options.root)
-    began = time.perf_counter()
-    start_up(options)
-    ready = time.perf_counter()
     if options.turns:
         take_turns()
         return
+    began = time.perf_counter()
+    start_up(options)
+    ready = time.perf_counter()
     measured = run(options) if options.samples else {}
     print(json.dumps({"start_s": ready - began, **measured, "peak_rss_mib": peak_rss_mib()}))
 
