@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from taichi_nmm.forward import forward_dynamics
     from taichi_nmm.simulator import simulate
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "END_REASONS",

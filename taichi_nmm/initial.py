@@ -24,8 +24,8 @@ from taichi_nmm.kernel.layout import (
     Signal,
     State,
 )
-from taichi_nmm.kernel.muscle import (
-    ACTIVATION_FLOOR,
+from taichi_nmm.kernel.muscle import ACTIVATION_FLOOR
+from taichi_nmm.kernel.muscle_table import (
     T_ANKLE_COSINE,
     T_ANKLE_SINE,
     T_HIP_SLOPE,

@@ -18,7 +18,7 @@ from taichi_nmm.kernel.layout import (
     State,
     Sums,
 )
-from taichi_nmm.kernel.muscle import FMAX_N
+from taichi_nmm.kernel.muscle_table import FMAX_N
 from taichi_nmm.packs import Packs
 from taichi_nmm.result import EVENT_DTYPE, EVENT_KINDS, Trajectory
 from taichi_nmm.settings import CONTROL_TICK_S

@@ -17,7 +17,8 @@ from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.entry_points import advance
 from taichi_nmm.kernel.layout import FIRST_SUM, WALKER_ROWS
-from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S, muscle_table
+from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
+from taichi_nmm.kernel.muscle_table import muscle_table
 from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
 from taichi_nmm.outcome import result_rows
 from taichi_nmm.packs import Packs

@@ -1,6 +1,7 @@
 """How fast the simulator is: start-up and run time apart, lane widths, MuJoCo beside it.
 
     python tools/bench.py --samples 100000 --lanes 1,4,8,16 --mujoco
+    taskset -c 0 python tools/bench.py --against ../before   # another checkout, by turns
 
 Each figure comes from a fresh process. "Cold" starts with an empty cache of compiled kernels,
 "warm" with a full one; both import, start the engine and compile. Run the command on an idle
@@ -15,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -31,6 +33,8 @@ CACHE_VARIABLE = "TI_OFFLINE_CACHE_FILE_PATH"  # Taichi's own
 LARGEST_LANES = 64
 LANE_SAMPLES = 8192  # points for a row of the table of lane widths, at most
 MUJOCO_ROLLOUTS = 256  # of a second each
+LOADS = ("steady", "Sobol")  # 512 walkers near K_T, 3 s; 2,048 Sobol points, 5 s, packs compacted
+TURNS = 7
 
 # Seconds for 100,000 points x 5 s, as measured on another 2-core machine (AVX-512).
 REFERENCE_POINTS = 100_000
@@ -42,6 +46,10 @@ Measured = dict[str, Any]
 def main() -> None:
     options = parse()
     with tempfile.TemporaryDirectory() as cache:
+        if options.against:
+            turns = by_turns(options.against, Path(cache))
+            print(json.dumps(turns) if options.json else turns_text(turns))
+            return
         report = measure(options, Path(cache))
     print(json.dumps(report) if options.json else text(report))
 
@@ -51,12 +59,17 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--samples", type=int, default=100_000, metavar="N", help="%(default)s")
     parser.add_argument("--lanes", default="", metavar="1,4,8,16", help="compare widths on the CPU")
     parser.add_argument("--mujoco", action="store_true", help="time MuJoCo's mj_step beside it")
+    parser.add_argument(
+        "--against", type=Path, metavar="CHECKOUT", help="only compare ns a walker-step by turns"
+    )
     parser.add_argument("--arch", choices=ARCHITECTURES, default="auto")
     parser.add_argument("--json", action="store_true", help="print one object")
     options = parser.parse_args()
     options.lanes = lane_widths(options.lanes)
     if options.samples < 1:
         raise InputError("samples", options.samples, "1 or more")
+    if options.against and not (options.against / "taichi_nmm").is_dir():
+        raise InputError("against", options.against, "the folder of a checkout of this project")
     return options
 
 
@@ -138,6 +151,57 @@ def mujoco_steps(run: Measured, rollouts: int) -> Measured:
         "ratio_to_single": run["walker_steps_per_s"] / row["steps_per_s_single"],
         "ratio_to_all": run["walker_steps_per_s"] / row["steps_per_s_all"],
     }
+
+
+def by_turns(other: Path, cache: Path) -> Measured:
+    """CPU ns a walker-step of both checkouts, [turn]: each waits while the other is measured."""
+    roots = {"this": ROOT, "other": other.resolve()}
+    print("compiling both", file=sys.stderr, flush=True)
+    workers = {name: turn_taker(root, cache / name) for name, root in roots.items()}
+    turns: Measured = {load: {name: [] for name in roots} for load in LOADS}
+    for turn in range(TURNS):
+        print(f"turn {turn + 1} of {TURNS}", file=sys.stderr, flush=True)
+        for load in LOADS:
+            for name, process in workers.items():
+                turns[load][name].append(float(answer(process, load)))
+    for process in workers.values():
+        process.communicate()
+    return turns
+
+
+def turn_taker(root: Path, cache: Path) -> "subprocess.Popen[str]":
+    """A process that measures the simulator under `root`, ready to."""
+    process = subprocess.Popen(
+        [sys.executable, str(WORKER), "--arch", "cpu", "--turns", "--root", str(root)],
+        cwd=root,
+        env={**os.environ, CACHE_VARIABLE: str(cache), "PYTHONPATH": str(root)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    answer(process, "")
+    return process
+
+
+def answer(process: "subprocess.Popen[str]", load: str) -> str:
+    """What a turn-taker prints next, having been asked for `load`."""
+    assert process.stdin is not None and process.stdout is not None
+    if load:
+        process.stdin.write(f"{load}\n")
+        process.stdin.flush()
+    line = process.stdout.readline()
+    if not line:
+        raise InputError("against", process.args, "a checkout whose simulator runs")
+    return line
+
+
+def turns_text(turns: Measured) -> str:
+    lines = [f"CPU ns a walker-step, one thread, median of {TURNS} turns: this, the other, ratio"]
+    for load, taken in turns.items():
+        ratio = median(a / b for a, b in zip(taken["this"], taken["other"], strict=True))
+        this, other = median(taken["this"]), median(taken["other"])
+        lines.append(f"{load:8} {this:7.1f}  {other:7.1f}  {ratio:.3f}")
+    return "\n".join(lines)
 
 
 def text(report: Measured) -> str:

@@ -10,14 +10,19 @@ import sys
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 SEED = 2016
 TICK_S = 1e-3
+STEADY, SOBOL = "steady", "Sobol"  # what `--turns` measures
+STEADY_WALKERS, STEADY_S, STEADY_SPREAD = 512, 3.0, 0.02
+SOBOL_POINTS, SOBOL_S = 2048, 5.0
 
 
 def main() -> None:
     options = parse()
+    sys.path.insert(0, options.root)
+    if options.turns:
+        take_turns()
+        return
     began = time.perf_counter()
     start_up(options)
     ready = time.perf_counter()
@@ -27,9 +32,11 @@ def main() -> None:
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--samples", type=int, required=True, help="0 only starts up")
+    parser.add_argument("--samples", type=int, default=0, help="0 only starts up")
     parser.add_argument("--duration", type=float, default=5.0, help="s on flat ground")
     parser.add_argument("--arch", default="auto")
+    parser.add_argument("--root", default=str(Path(__file__).resolve().parents[1]))
+    parser.add_argument("--turns", action="store_true", help="measure at every line of the input")
     parser.add_argument("--lanes", type=int, help="walkers side by side; default: the simulator's")
     return parser.parse_args()
 
@@ -66,6 +73,29 @@ def run(options: argparse.Namespace) -> dict[str, object]:
         "lanes": backend.lanes(),
         **result.metadata,
     }
+
+
+def take_turns() -> None:
+    """For each line of the input, `STEADY` or `SOBOL`, print CPU ns a walker-step, one thread."""
+    import numpy as np
+
+    from storage.sobol import sobol_gains
+    from taichi_nmm import K_T, Settings, simulate
+
+    spread = np.random.default_rng(SEED).uniform(-STEADY_SPREAD, STEADY_SPREAD, (STEADY_WALKERS, 1))
+    batches = {
+        STEADY: (K_T * (1.0 + spread), STEADY_S),
+        SOBOL: (sobol_gains(SEED, 0, SOBOL_POINTS), SOBOL_S),
+    }
+    settings = Settings(arch="cpu", threads=1)
+    simulate(K_T, duration_s=TICK_S, settings=settings)
+    print(flush=True)
+    for line in sys.stdin:
+        gains, duration_s = batches[line.strip()]
+        began_s = time.process_time()
+        result = simulate(gains, duration_s=duration_s, settings=settings)
+        spent_s = time.process_time() - began_s
+        print(1e9 * spent_s * TICK_S / result["duration_s"].sum(), flush=True)
 
 
 def peak_rss_mib() -> float | None:

@@ -6,6 +6,7 @@ by one Coulomb coefficient. Both enter the step linearly implicitly (`dynamics`)
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M
 from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.elementary import larger, smaller
 from taichi_nmm.kernel.layout import CONTACTS, Const, State, Work
 from taichi_nmm.terrain import GRID_NODES, GRID_SPACING_M, GRID_START_M
 
@@ -20,8 +21,8 @@ ANKLE_SHARE_OF_BALL = -HEEL_OFFSET_M / (BALL_OFFSET_M - HEEL_OFFSET_M)
 def ground_under(x, index, heights: Rows):
     """Height and slope of terrain `index` at x: linear between nodes, level outside."""
     cell = (x - GRID_START_M) * (1.0 / GRID_SPACING_M)
-    clamped = ti.min(ti.max(cell, 0.0), LAST_CELL + 1.0)
-    left = ti.min(ti.floor(clamped), LAST_CELL)
+    clamped = smaller(larger(0.0, cell), LAST_CELL + 1.0)  # NaN to 0: it becomes an index
+    left = smaller(ti.floor(clamped), LAST_CELL)
     i = ti.cast(left, ti.i32)
     low = heights[index, i]
     high = heights[index, i + 1]
@@ -133,4 +134,4 @@ def ground_at_ankle(lane, leg: Rows, work: Rows):
 @ti.func
 def on_ground(lane, leg: Rows, state: Rows):
     """1 while heel or ball of the leg is in the ground, else 0."""
-    return ti.max(state[State.touching + 2 * leg, lane], state[State.touching + 2 * leg + 1, lane])
+    return larger(state[State.touching + 2 * leg, lane], state[State.touching + 2 * leg + 1, lane])

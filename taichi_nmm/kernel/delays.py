@@ -6,6 +6,7 @@ delays by n ticks.
 
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.contact import on_ground
+from taichi_nmm.kernel.elementary import larger
 from taichi_nmm.kernel.layout import (
     GAS,
     GLU,
@@ -41,7 +42,7 @@ def sense(lane, state: Rows, muscle: Rows, work: Rows):
         length_ta = muscle[Muscle.length + m + TA, lane] - TA_LENGTH_OFFSET
         work[s + Signal.force_sol + leg, lane] = muscle[Muscle.force + m + SOL, lane]
         work[s + Signal.force_gas + leg, lane] = muscle[Muscle.force + m + GAS, lane]
-        work[s + Signal.length_ta + leg, lane] = ti.max(length_ta, 0.0)
+        work[s + Signal.length_ta + leg, lane] = larger(length_ta, 0.0)
         work[s + Signal.force_vas + leg, lane] = muscle[Muscle.force + m + VAS, lane]
         work[s + Signal.knee + leg, lane] = work[Work.joint + 3 * leg + 1, lane]
         work[s + Signal.knee_rate + leg, lane] = work[Work.joint_rate + 3 * leg + 1, lane]

@@ -13,6 +13,7 @@ from taichi_nmm.body import (
     THIGH_LENGTH_M,
 )
 from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.elementary import larger
 from taichi_nmm.kernel.layout import CONTACTS, COORDINATES, LEGS, STOPS, Const, State, Work
 
 FRICTION_COEFFICIENT = 0.9  # Geyer & Herr 2010, sticking; here sliding too (they: 0.8)
@@ -317,9 +318,9 @@ def revise_contacts(lane, work: Rows):
         )
         stuck = on * (work[Work.friction_0 + c, lane] - work[Work.friction_damping, lane] * u_t)
         pulls = normal < 0.0
-        normal = ti.max(normal, 0.0)
+        normal = larger(normal, 0.0)
         cone = FRICTION_COEFFICIENT * normal
-        breaks = (slip == 0.0) & (pulls == False) & (ti.max(stuck, 0.0 - stuck) > cone)  # noqa: E712
+        breaks = (slip == 0.0) & (pulls == False) & (larger(stuck, 0.0 - stuck) > cone)  # noqa: E712
         slip = ti.select(breaks, ti.select(stuck > 0.0, 1.0, 0.0 - 1.0), slip)
         moves = (slip != 0.0) & (normal != work[Work.normal_force + c, lane])
         changed = ti.select(pulls | breaks | moves, 1.0, changed)

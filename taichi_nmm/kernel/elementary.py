@@ -35,6 +35,23 @@ ARCTANGENT_Q = (
 )  # fmt: skip
 
 
+def terms(coefficients: tuple[float, ...], single: int) -> tuple[float, ...]:
+    """All of a series in float64, its last `single` terms in float32: the rest rounds away."""
+    return coefficients if backend.is_double() else coefficients[-single:]
+
+
+@ti.func
+def larger(x, y):
+    """The larger of both, and x where y is NaN: one instruction, where `ti.max` takes three."""
+    return ti.select(y > x, y, x)
+
+
+@ti.func
+def smaller(x, y):
+    """The smaller of both, and x where y is NaN."""
+    return ti.select(y < x, y, x)
+
+
 @ti.func
 def polynomial(x, coefficients: Rows):
     """Horner's rule; `coefficients` is a tuple, highest power first."""
@@ -50,8 +67,8 @@ def sine_cosine(x):
     k = ti.floor(x * TWO_OVER_PI + 0.5)
     r = (x - k * HALF_PI_HIGH) - k * HALF_PI_LOW
     z = r * r
-    sine = r * polynomial(z, SINE)
-    cosine = polynomial(z, COSINE)
+    sine = r * polynomial(z, ti.static(terms(SINE, 5)))
+    cosine = polynomial(z, ti.static(terms(COSINE, 6)))
     quarter = k - 4.0 * ti.floor(0.25 * k)  # 0, 1, 2 or 3
     odd = (quarter == 1.0) | (quarter == 3.0)
     s = ti.select(odd, cosine, sine)
@@ -64,9 +81,9 @@ def sine_cosine(x):
 @ti.func
 def arctangent2(y, x):
     """Angle of the point (x, y) in (-pi, pi]; the rational approximation of Cephes' atan."""
-    ax = ti.max(x, 0.0 - x)
-    ay = ti.max(y, 0.0 - y)
-    t = ti.min(ax, ay) / ti.max(ti.max(ax, ay), 1e-30)
+    ax = larger(x, 0.0 - x)
+    ay = larger(y, 0.0 - y)
+    t = smaller(ax, ay) / larger(larger(ax, ay), 1e-30)
     reduced = t > 0.66
     u = ti.select(reduced, (t - 1.0) / (t + 1.0), t)
     z = u * u
@@ -79,11 +96,15 @@ def arctangent2(y, x):
 
 @ti.func
 def exponential(x):
-    """exp x, x clamped to [-80, 80]: 2^k times the Taylor series within +-ln 2 / 2."""
-    clamped = ti.min(ti.max(x, -80.0), 80.0)
+    """exp of a vector's elements, each clamped to [-80, 80], NaN to -80.
+
+    2^k times the Taylor series within +-ln 2 / 2.
+    """
+    clamped = smaller(larger(-80.0, x), 80.0)
     k = ti.floor(clamped * LOG2_E + 0.5)
     r = (clamped - k * LN2_HIGH) - k * LN2_LOW
-    return polynomial(r, EXPONENTIAL) * power_of_two(k)
+    power = ti.Vector([power_of_two(k[e]) for e in ti.static(range(k.n))])
+    return polynomial(r, ti.static(terms(EXPONENTIAL, 8))) * power
 
 
 @ti.func

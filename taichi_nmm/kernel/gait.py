@@ -10,6 +10,7 @@ import math
 
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.contact import ground_at_ankle, on_ground
+from taichi_nmm.kernel.elementary import larger
 from taichi_nmm.kernel.layout import LEGS, MUSCLES_PER_LEG, Const, Gait, Muscle, State, Sums, Work
 from taichi_nmm.result import HUMAN_SPEED_MPS
 
@@ -80,7 +81,7 @@ def observe_leg(
     latch(gait, Gait.com_mid + leg, lane, middle, com)
     latch(gait, Gait.past_middle + leg, lane, middle, 1.0)
     follow_contact(lane, leg, tick, down, com, state, const, gait, work)
-    highest = ti.max(gait[Gait.knee_peak + leg, lane], knee)
+    highest = larger(gait[Gait.knee_peak + leg, lane], knee)
     gait[Gait.knee_peak + leg, lane] = ti.select(down, knee, highest)
     latch(gait, Gait.ankle_last + leg, lane, down, ankle)
     air = ti.select(down, 0.0, gait[Gait.air_ticks + leg, lane] + 1.0)
@@ -112,7 +113,7 @@ def follow_contact(
 @ti.func
 def raise_to(gait: Rows, row, lane, condition, value):
     """Keep the larger of a row and `value` where `condition` holds."""
-    latch(gait, row, lane, condition, ti.max(gait[row, lane], value))
+    latch(gait, row, lane, condition, larger(gait[row, lane], value))
 
 
 @ti.func
@@ -155,17 +156,17 @@ def score_step(lane, leg: Rows, scored, gait: Rows, sums: Rows):
         & (gait[Gait.com_last + leg, lane] < middle)
     )
     m4 = gait[Gait.trunk_sum + leg, lane] > 0.0
-    ticks = ti.max(gait[Gait.tick_last + leg, lane] - gait[Gait.tick_strike + leg, lane], 1.0)
+    ticks = larger(gait[Gait.tick_last + leg, lane] - gait[Gait.tick_strike + leg, lane], 1.0)
     progress = gait[Gait.hip_x_last + leg, lane] - gait[Gait.hip_x_strike + leg, lane]
     difference = progress * TICKS_PER_SECOND / ticks - HUMAN_SPEED_MPS
-    deviation = ti.max(difference, 0.0 - difference)
+    deviation = larger(difference, 0.0 - difference)
     add(sums, Sums.steps, lane, scored, 1.0)
     add(sums, Sums.m1, lane, scored & m1, 1.0)
     add(sums, Sums.m2, lane, scored & m2, 1.0)
     add(sums, Sums.m3, lane, scored & m3, 1.0)
     add(sums, Sums.m4, lane, scored & m4, 1.0)
     add(sums, Sums.m5, lane, scored, deviation)
-    add(sums, Sums.m5_corrected, lane, scored, ti.max(1.0 - deviation, 0.0))
+    add(sums, Sums.m5_corrected, lane, scored, larger(1.0 - deviation, 0.0))
     add(sums, Sums.knee_peak_swing, lane, scored, swing_peak)
     add(sums, Sums.knee_peak_stance, lane, scored, gait[Gait.knee_peak_stance + leg, lane])
     add(sums, Sums.ankle_strike, lane, scored, strike)

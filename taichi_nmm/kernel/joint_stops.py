@@ -6,6 +6,7 @@ Source: Geyer & Herr 2010, as in the walker T. Knee and ankle enter the step imp
 import math
 
 from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.elementary import larger, smaller
 from taichi_nmm.kernel.layout import LEGS, Work
 
 STOP_STIFFNESS_NMPRAD = math.degrees(0.3)  # 0.3 N m/deg
@@ -24,9 +25,9 @@ def knee_and_ankle_stops(lane, step_s, work: Rows):
     for leg in ti.static(range(LEGS)):
         knee = work[Work.joint + 3 * leg + 1, lane]
         ankle = work[Work.joint + 3 * leg + 2, lane]
-        bent_back = ti.max(KNEE_STRAIGHTEST_RAD - knee, 0.0)
-        flexed = ti.max(ANKLE_DORSIFLEXION_LIMIT_RAD - ankle, 0.0)
-        pointed = ti.max(ankle - ANKLE_PLANTARFLEXION_LIMIT_RAD, 0.0)
+        bent_back = larger(KNEE_STRAIGHTEST_RAD - knee, 0.0)
+        flexed = larger(ANKLE_DORSIFLEXION_LIMIT_RAD - ankle, 0.0)
+        pointed = larger(ankle - ANKLE_PLANTARFLEXION_LIMIT_RAD, 0.0)
         ankle_excess = flexed - pointed  # positive pushes towards plantarflexion
         work[Work.stop_torque_0 + 2 * leg, lane] = STOP_STIFFNESS_NMPRAD * bent_back
         work[Work.stop_torque_0 + 2 * leg + 1, lane] = STOP_STIFFNESS_NMPRAD * ankle_excess
@@ -41,6 +42,6 @@ def knee_and_ankle_stops(lane, step_s, work: Rows):
 @ti.func
 def hip_stop_torque(angle, rate):
     """Explicit torque of the hip's extension stop."""
-    excess = ti.max(angle - HIP_EXTENSION_LIMIT_RAD, 0.0)
-    factor = ti.min(ti.max(1.0 + rate / HIP_RELAXATION_RADPS, 0.0), HIP_LARGEST_FACTOR)
+    excess = larger(angle - HIP_EXTENSION_LIMIT_RAD, 0.0)
+    factor = smaller(larger(1.0 + rate / HIP_RELAXATION_RADPS, 0.0), HIP_LARGEST_FACTOR)
     return 0.0 - STOP_STIFFNESS_NMPRAD * excess * factor

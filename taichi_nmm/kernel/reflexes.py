@@ -7,6 +7,7 @@ walker T. All signals are the delayed ones.
 import math
 
 from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.elementary import larger, smaller
 from taichi_nmm.kernel.layout import (
     GAS,
     GLU,
@@ -34,7 +35,7 @@ LOAD_FILTER_S = 0.02
 @ti.func
 def clip01(x):
     """x limited to [0, 1]."""
-    return ti.min(ti.max(x, 0.0), 1.0)
+    return smaller(larger(x, 0.0), 1.0)
 
 
 @ti.func
@@ -49,7 +50,7 @@ def stance_weights(lane, state: Rows, work: Rows):
     for leg in ti.static(range(LEGS)):
         flag = work[s + Signal.stance + leg, lane]
         rises = both * ti.select(flag > state[State.stance_before + leg, lane], 1.0, 0.0)
-        state[State.leads + leg, lane] = both * ti.max(state[State.leads + leg, lane], rises)
+        state[State.leads + leg, lane] = both * larger(state[State.leads + leg, lane], rises)
         state[State.stance_before + leg, lane] = flag
     for leg in ti.static(range(LEGS)):
         flag = work[s + Signal.stance + leg, lane]
@@ -75,8 +76,8 @@ def stimulate(lane, state: Rows, const: Rows, muscle: Rows, work: Rows):
         extends = (knee < OVEREXTENSION_RAD) & (work[s + Signal.knee_rate + leg, lane] < 0.0)
         inhibition = const[Const.k_oe, lane] * ti.select(extends, OVEREXTENSION_RAD - knee, 0.0)
         # Forward lean excites the extensors, backward lean the flexor, as the leg carries load.
-        extensor = clip01(load * (PRESTIMULATION_TRUNK + ti.max(balance, 0.0)))
-        flexor = clip01(load * (PRESTIMULATION_TRUNK - ti.min(balance, 0.0)))
+        extensor = clip01(load * (PRESTIMULATION_TRUNK + larger(balance, 0.0)))
+        flexor = clip01(load * (PRESTIMULATION_TRUNK - smaller(balance, 0.0)))
         swing_ta = PRESTIMULATION + const[Const.K_TA, lane] * work[s + Signal.length_ta + leg, lane]
         sol = PRESTIMULATION + const[Const.K_SOL, lane] * force_sol
         ta = swing_ta - const[Const.K_TA_SOL, lane] * force_sol
@@ -109,4 +110,4 @@ def stimulate(lane, state: Rows, const: Rows, muscle: Rows, work: Rows):
 @ti.func
 def mix(weight, stance, swing):
     """Stimulation between stance and swing, within [0.01, 1]."""
-    return ti.min(ti.max(weight * stance + (1.0 - weight) * swing, PRESTIMULATION), 1.0)
+    return smaller(larger(weight * stance + (1.0 - weight) * swing, PRESTIMULATION), 1.0)

@@ -7,6 +7,7 @@ Angles and rates of the leg are present ones; only the stance flags are delayed.
 import math
 
 from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.elementary import larger, smaller
 from taichi_nmm.kernel.layout import LEGS, Const, Signal, State, Work
 
 FLEX, HOLD, STOP, EXTEND = 0.0, 1.0, 2.0, 3.0
@@ -40,7 +41,7 @@ def next_phase(phase, stance, other_stance, length, clearance, angle, threshold,
 @ti.func
 def hold_torque(knee_rate, leg_rate, error, k_hold_1, k_hold_2):
     """Knee torque that keeps the folded leg folded, `error` = leg angle less its target."""
-    extending = ti.max(0.0 - k_hold_2 * knee_rate * error * (leg_rate - knee_rate), 0.0)
+    extending = larger(0.0 - k_hold_2 * knee_rate * error * (leg_rate - knee_rate), 0.0)
     extending = ti.select(knee_rate < leg_rate, extending, 0.0)
     return ti.select(knee_rate >= 0.0, 0.0 - k_hold_1 * knee_rate, extending)
 
@@ -93,7 +94,7 @@ def swing_torques(lane, leg: Rows, state: Rows, const: Rows, work: Rows):
     hold = hold_torque(
         knee_rate, rate, angle - target, const[Const.k_hold_1, lane], const[Const.k_hold_2, lane]
     )
-    flex = 0.0 - const[Const.k_flex, lane] * ti.min(rate, 0.0)
+    flex = 0.0 - const[Const.k_flex, lane] * smaller(rate, 0.0)
     hip = (
         const[Const.Kp_swing, lane] * (target - angle)
         - const[Const.Kd_swing, lane] * rate

@@ -19,6 +19,7 @@ from taichi_nmm.kernel import (
     swing,
 )
 from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.elementary import larger
 from taichi_nmm.kernel.layout import (
     COORDINATES,
     LEGS,
@@ -116,15 +117,14 @@ def start_torques(lane, work: Rows):
 
 @ti.func
 def contract_muscles(step_s, blend, lanes: Rows, muscles: Rows, fibres: Rows, work: Rows):
-    """All muscles, one after another: a run-time loop, since unrolling it costs compile time.
-
-    The legs are unrolled, so that the compiler sees that a muscle's rows do not overlap others.
-    """
-    for leg in ti.static(range(LEGS)):
-        for m in range(MUSCLES_PER_LEG):
-            data = muscle.constants(muscles, m)
-            for lane in range(lanes):
-                muscle.contract(lane, leg, m, data, step_s, blend, fibres, work)
+    """All muscles, pair after pair: a run-time loop, since unrolling it costs compile time."""
+    for pair in range(MUSCLES_PER_LEG // 2):
+        data = muscle.constants(muscles, 2 * pair, 2)
+        for lane in range(lanes):
+            muscle.contract(lane, 2 * pair, 2, data, step_s, blend, fibres, work)
+    last = muscle.constants(muscles, MUSCLES_PER_LEG - 1, 1)
+    for lane in range(lanes):
+        muscle.contract(lane, MUSCLES_PER_LEG - 1, 1, last, step_s, blend, fibres, work)
 
 
 @ti.func
@@ -151,7 +151,7 @@ def settled(lanes: Rows, work: Rows):
     """Whether the last pass changed no contact of any lane; a further pass would change nothing."""
     changed = 0.0
     for lane in range(lanes):
-        changed = ti.max(changed, work[Work.changed, lane])
+        changed = larger(changed, work[Work.changed, lane])
     return changed == 0.0
 
 
@@ -172,7 +172,7 @@ def weigh_legs(lane, blend, state: Rows, const: Rows, work: Rows):
             force_z += normal * nz - friction * nx
         state[State.ground_force + 2 * leg, lane] = force_x
         state[State.ground_force + 2 * leg + 1, lane] = force_z
-        load = ti.max((force_z - const[Const.leg_weight + leg, lane]) / hat_weight, 0.0)
+        load = larger((force_z - const[Const.leg_weight + leg, lane]) / hat_weight, 0.0)
         state[State.load_filter + leg, lane] += blend * (
             load - state[State.load_filter + leg, lane]
         )
@@ -187,7 +187,7 @@ def end_walk(lane, tick, state: Rows, work: Rows):
     size = 0.0
     for i in ti.static(range(2 * COORDINATES)):
         value = state[State.q + i, lane]  # q, then qdot
-        size += ti.max(value, 0.0 - value)
+        size += larger(value, 0.0 - value)
     diverged = (size < LARGEST_SANE) == False  # noqa: E712  (true for NaN too)
     lean = state[State.q + 2, lane]
     upright = (

@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage import merge, open_store
+from storage import merge, open_store, specification
+from storage.precompute import precompute
+from taichi_nmm.errors import InputError
+from tests.storage import fake
 
 OLD_STORE = Path(__file__).parents[1] / "assets" / "store-v1"
 COMPLETED_POINTS = 2
@@ -37,3 +40,15 @@ def test_an_old_shard_and_a_merged_file_of_it_open(tmp_path: Path) -> None:
     assert len(open_store(OLD_STORE / "part-00001.parquet", verify=True)) == 8
     merged = merge(OLD_STORE, tmp_path / "merged.parquet")
     assert merged.table().equals(open_store(OLD_STORE).table().combine_chunks())
+
+
+def test_a_store_of_another_version_is_not_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is still read, but the numbers of two simulators do not mix."""
+    with monkeypatch.context() as before:
+        before.setattr(specification, "__version__", "0.1.0")
+        precompute(fake.specification(), tmp_path, fresh=False)
+    with pytest.raises(InputError, match=r"code_version.*0\.1\.0"):
+        precompute(fake.specification(), tmp_path, fresh=False)
+    assert len(open_store(tmp_path)) == fake.specification().samples

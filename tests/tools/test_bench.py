@@ -63,7 +63,12 @@ def test_mujoco_steps_are_counted_in_the_same_run(report: dict[str, Any]) -> Non
 
 
 @pytest.mark.parametrize(
-    ("arguments", "field"), [(("--samples", "0"), "samples"), (("--lanes", "1,65"), "lanes")]
+    ("arguments", "field"),
+    [
+        (("--samples", "0"), "samples"),
+        (("--lanes", "1,65"), "lanes"),
+        (("--against", "docs"), "against"),
+    ],
 )
 def test_bad_arguments_are_one_line_and_exit_code_2(arguments: tuple[str, ...], field: str) -> None:
     done = bench(*arguments)
@@ -71,6 +76,12 @@ def test_bad_arguments_are_one_line_and_exit_code_2(arguments: tuple[str, ...], 
     assert done.stdout == ""
     assert done.stderr.startswith(f"error: {field}: ")
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_two_checkouts_are_compared_by_their_median_turns() -> None:
+    turns_text = runpy.run_path(str(ROOT / "tools" / "bench.py"))["turns_text"]
+    turns = {"steady": {"this": [100.0, 300.0, 120.0], "other": [200.0, 400.0, 240.0]}}
+    assert turns_text(turns).splitlines()[1].split() == ["steady", "120.0", "240.0", "0.500"]
 
 
 def test_lane_widths_are_read_from_a_list() -> None:

@@ -31,8 +31,15 @@ def test_arctangent_in_all_quadrants(elementary: Any) -> None:
 def test_exponential_and_its_clamp(elementary: Any) -> None:
     x = np.linspace(-80.0, 80.0, 20001)
     exponential = elementary["exponential"]
-    assert np.abs(exponential(x) / np.exp(x) - 1.0).max() < 1e-13
-    assert np.isclose(exponential(np.array([-1e9]))[0], np.exp(-80.0))
+    assert np.abs(exponential(x[None, :]) / np.exp(x) - 1.0).max() < 1e-13
+    ends = exponential(np.array([[-1e9, 1e9, np.nan]]))[0]
+    assert np.allclose(ends, np.exp([-80.0, 80.0, -80.0]))
+
+
+def test_larger_and_smaller_keep_the_first_where_the_second_is_nan(elementary: Any) -> None:
+    x, y = np.array([1.0, 3.0, np.nan, 1.0]), np.array([2.0, 2.0, 2.0, np.nan])
+    assert np.array_equal(elementary["larger"](x, y), [2.0, 3.0, np.nan, 1.0], equal_nan=True)
+    assert np.array_equal(elementary["smaller"](x, y), [1.0, 2.0, np.nan, 1.0], equal_nan=True)
 
 
 def test_compiled_in_float32() -> None:
@@ -49,7 +56,7 @@ def test_compiled_in_float32() -> None:
             s, c = sine_cosine(x[i])
             out[0, i] = s
             out[1, i] = c
-            out[2, i] = exponential(x[i])
+            out[2, i] = exponential(ti.Vector([x[i]]))[0]
             out[3, i] = arctangent2(x[i], 2.0 - x[i])
 
     x = np.linspace(-20.0, 20.0, 4001, dtype=np.float32)

@@ -1,0 +1,135 @@
+"""How far the fibre's speed converges, over states met in walking; float64, interpreted by NumPy.
+
+    python -m tests.taichi_nmm.kernel.convergence
+
+prints a row for each number of iterations: errors of the speed over the states of 256 Sobol gains,
+and how far the walkers are after a second from those of the converged muscle. Some minutes.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.parity.interpreter import AllLanes, interpreted_walker
+
+GAINS = 256
+SEED = 2016  # of the Sobol points
+SAMPLED_TICKS = 20  # a state is recorded so often
+CONVERGED = 8  # iterations
+TOLERANCE = 1e-6  # of a speed over vmax
+SLOWEST, FASTEST = -1.0, 3.0
+N, K = 1.5, 5.0  # Geyer & Herr 2010
+
+Problem = list[NDArray[np.float64]]  # what `muscle.fibre_velocity` takes
+
+
+def walk(walker: Any, ticks: int) -> Iterator[NDArray[np.float64]]:
+    """State rows of the interpreted walkers after each tick of 1 ms on flat ground."""
+    from storage.sobol import sobol_gains
+    from taichi_nmm import terrain
+    from taichi_nmm.constants import constant_rows
+    from taichi_nmm.initial import initial_rows
+    from taichi_nmm.kernel.layout import FIRST_DELAY, FIRST_EVENT, FIRST_FIBRE, Sums, Work
+    from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
+    from taichi_nmm.kernel.muscle_table import muscle_table
+    from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
+    from taichi_nmm.settings import Settings
+    from taichi_nmm.walkers import check_batch
+
+    flat, step_s = terrain.flat(), 1e-3
+    batch = check_batch(sobol_gains(SEED, 0, GAINS), None, flat, None, None)
+    start = np.tile(initial_rows(flat)[:, None], GAINS)
+    blocks = np.split(start, [FIRST_FIBRE, FIRST_DELAY, FIRST_EVENT])
+    const = constant_rows(batch.gains, batch.low_level, batch.bodies).T
+    sums, work = np.zeros((Sums.count, GAINS)), np.zeros((Work.count, GAINS))
+    for tick in range(ticks):
+        with np.errstate(all="ignore"):
+            walker.step(
+                tick, 1, step_s, Settings().contact_relaxation_speed_mps,
+                1.0 - np.exp(-step_s / ACTIVATION_TIME_S), 1.0 - np.exp(-step_s / LOAD_FILTER_S),
+                AllLanes(GAINS), batch.terrain_index, flat.height_m[None, :], muscle_table(),
+                *blocks, sums, const, work,
+            )  # fmt: skip
+        yield blocks[0]
+
+
+def walking_states(ticks: int) -> Problem:
+    """Arguments of `fibre_velocity` met in `ticks` of walking, of all muscles that are up."""
+    from taichi_nmm.kernel.layout import State
+
+    walker = interpreted_walker()
+    muscle = walker.muscle
+    muscle.ITERATIONS = CONVERGED
+    solve, met, recorded = muscle.fibre_velocity, [], []
+
+    def recording(*arguments: Any) -> Any:
+        met.append(np.array(np.broadcast_arrays(*arguments)))
+        return solve(*arguments)
+
+    muscle.fibre_velocity = recording
+    for tick, state in enumerate(walk(walker, ticks)):
+        if tick % SAMPLED_TICKS == SAMPLED_TICKS - 1:
+            up = state[State.active] > 0.5
+            recorded += [arguments[:, :, up].reshape(len(arguments), -1) for arguments in met]
+        met.clear()
+    return list(np.concatenate(recorded, axis=1))
+
+
+def exact_speed(problem: Problem) -> NDArray[np.float64]:
+    """The balance by bisection of the equation as published."""
+    _start, strain, strain_rate, squeeze, squeeze_rate, capacity = problem
+    low, high = np.full_like(strain, SLOWEST), np.full_like(strain, FASTEST)
+    for _ in range(60):
+        v = 0.5 * (low + high)
+        tendon = np.maximum(strain - strain_rate * v, 0.0)
+        buffer = np.maximum(squeeze - squeeze_rate * v, 0.0)
+        pulls = tendon**2 + buffer**2 > capacity * force_velocity(v)
+        low, high = np.where(pulls, v, low), np.where(pulls, high, v)
+    return 0.5 * (low + high)
+
+
+def force_velocity(v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Hill's curve as published, and the line beyond v = 1; lengthening positive."""
+    with np.errstate(divide="ignore"):
+        shortening = (1 + v) / (1 - K * v)
+        lengthening = N + (N - 1) * (v - 1) / (1 + 7.56 * K * v)
+    return np.where(v < 0, shortening, np.where(v < 1, lengthening, N + 100.0 * (v - 1)))
+
+
+def errors(problem: Problem, iterations: int) -> NDArray[np.float64]:
+    """Of the speed that the walker's own source finds in so many iterations."""
+    muscle = interpreted_walker().muscle
+    muscle.ITERATIONS = iterations
+    with np.errstate(all="ignore"):
+        return np.asarray(np.abs(muscle.fibre_velocity(*problem) - exact_speed(problem)))
+
+
+def place_after_1_s(iterations: int) -> NDArray[np.float64]:
+    """Where the hips are after a second, m; NaN where a walker fell."""
+    from taichi_nmm.kernel.layout import State
+
+    walker = interpreted_walker()
+    walker.muscle.ITERATIONS = iterations
+    *_, state = walk(walker, 1000)
+    return np.where(state[State.active] > 0.5, state[State.q], np.nan)
+
+
+def main() -> None:
+    problem, converged = walking_states(2000), place_after_1_s(CONVERGED)
+    print(f"{len(problem[0]):,} states of {GAINS} Sobol gains, 2 s")
+    print("| iterations | over 1e-6 | 99.9 % below | worst | after 1 s: worst, median m |")
+    print("|---|---|---|---|---|")
+    for iterations in (1, 2, 3, 4):
+        error = errors(problem, iterations)
+        off = np.abs(place_after_1_s(iterations) - converged)
+        print(
+            f"| {iterations} | {100 * np.mean(error > TOLERANCE):.3f} % |"
+            f" {np.quantile(error, 0.999):.1e} | {error.max():.1e} |"
+            f" {np.nanmax(off):.1e}, {np.nanmedian(off):.1e} |"
+        )
+
+
+if __name__ == "__main__":
+    main()
