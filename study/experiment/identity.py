@@ -19,7 +19,7 @@ from study.experiment.stores import store_digest, store_path
 from taichi_nmm import __version__
 from taichi_nmm.config import Table
 
-PACKAGES = ("taichi", "optuna", "cma", "cmaes", "numpy", "scipy", "scikit-learn")
+PACKAGES = ("taichi", "optuna", "cma", "cmaes", "numpy", "scipy")
 GROWING = ("ground", "arms", "stores")  # parts that later calls add to
 FINGERPRINT_LENGTH = 16
 LIVE_ATTRIBUTE = "experiment"  # of a live study: its document; of a comparison's: a name

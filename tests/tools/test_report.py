@@ -102,7 +102,7 @@ def test_a_folder_that_does_not_say_its_ground_has_no_strips(
     assert report(monkeypatch, folder) == 0
     assert capsys.readouterr().err == (
         "rough8: no strips (the folder does not say its ground: "
-        "run tools/compare.py on it once more)\n"
+        "it is of version 0.1.0)\n"
     )
     assert not (folder / "report" / "strips.png").exists()
     assert report(monkeypatch, folder, "--no-strips") == 0
