@@ -25,7 +25,7 @@ from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, Bodies
 from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import joint_stops
 from taichi_nmm.kernel.layout import COORDINATES, State
-from taichi_nmm.kernel.muscle import MUSCLE_DATA, MuscleData
+from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, MuscleData
 from taichi_nmm.terrain import flat
 from tests.parity.mujoco_walker import RELATIVE, compile_model, linkage
 
