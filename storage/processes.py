@@ -26,6 +26,9 @@ from typing import Any
 # For the processes that are started: their BLAS reads it when NumPy is imported.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
+END = b""  # what a process is told to end by
+END_S = 10.0  # that an idle one may take
+
 
 class Processes(Executor):
     """Processes of this machine, each started when a call finds no other idle.
@@ -41,7 +44,7 @@ class Processes(Executor):
         """None is started yet."""
         self._threads = ThreadPoolExecutor(most)  # one waits for each process
         self._idle: deque[Connection] = deque()
-        self._started: list[BaseProcess] = []
+        self._started: dict[Connection, BaseProcess] = {}
         self._lock = threading.Lock()  # of starting and ending
         self._over = False
         resource_tracker.ensure_running()  # it would unblock SIGINT within `_quiet_child`
@@ -54,13 +57,23 @@ class Processes(Executor):
         return self._threads.submit(self._call, (fn, args, kwargs))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Kill the processes, whatever they are at."""
+        """Kill the processes that are at something, and let the idle ones end by themselves.
+
+        Only so does Taichi keep what it has compiled.
+        """
         with self._lock:
             self._over = True
-        for process in self._started:
-            process.kill()
+            idle = set(self._idle)
+        for pipe, process in self._started.items():
+            if pipe in idle:
+                with suppress(OSError):
+                    pipe.send_bytes(END)
+            else:
+                process.kill()
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
-        for process in self._started:
+        for process in self._started.values():
+            process.join(END_S)
+            process.kill()
             process.join()
 
     def _call(self, call: tuple[Any, ...]) -> Any:
@@ -84,26 +97,27 @@ class Processes(Executor):
                 raise BrokenExecutor("the processes have been ended")
             process = context.Process(target=_serve, args=(theirs,), daemon=True)
             process.start()
-            self._started.append(process)
+            self._started[ours] = process
         theirs.close()  # or the end of the process would never be seen
         return ours
 
 
 def _serve(pipe: Connection) -> None:
-    """In a process: answer calls, in the main thread, until the other end is closed."""
+    """In a process: answer calls in the main thread, until told to end or the other is gone."""
     calls: SimpleQueue[bytes] = SimpleQueue()
 
     def listen() -> None:
         try:
-            while True:
-                calls.put(pipe.recv_bytes())
+            while (words := pipe.recv_bytes()) != END:
+                calls.put(words)
+            calls.put(END)
         except (EOFError, OSError):
             os._exit(1)
 
     threading.Thread(target=listen, daemon=True).start()
     with suppress(OSError):
-        while True:
-            pipe.send_bytes(_answer(calls.get()))
+        while (words := calls.get()) != END:
+            pipe.send_bytes(_answer(words))
 
 
 def _answer(words: bytes) -> bytes:

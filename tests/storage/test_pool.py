@@ -1,5 +1,6 @@
 """Units of work in this process and in others: results, errors, kills, and a prompt end."""
 
+import atexit
 import os
 import signal
 import subprocess
@@ -185,3 +186,16 @@ def test_no_processes_are_refused(workers: int) -> None:
 def test_cores_are_at_least_one() -> None:
     assert 1 <= cores() <= (os.cpu_count() or 1)
     assert not IN_PROCESS.shares_machine
+
+
+def leave_a_note_at_the_end(path: Path) -> None:
+    atexit.register(path.write_text, "ended by itself")
+
+
+def test_idle_processes_end_by_themselves(tmp_path: Path) -> None:
+    """Taichi writes what it has compiled at the end of a process: a killed one compiles in vain."""
+    notes = [tmp_path / "one", tmp_path / "two"]
+    with local_pool(2) as pool:
+        for _ in pool.results(leave_a_note_at_the_end, deque(notes)):
+            pass
+    assert [note.read_text() for note in notes] == ["ended by itself"] * 2
