@@ -15,6 +15,12 @@ from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from study.sampler.candidate_table import CandidateTable
+from study.sampler.constraints import (
+    ConstraintsFunction,
+    feasibility_with,
+    store_constraints,
+)
+from study.sampler.description import call_text
 from study.sampler.feature_function import Features
 from study.sampler.options import Options
 from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
@@ -90,6 +96,13 @@ class FeatureKernelSampler(BaseSampler):
             that the table does not have (they go to the independent sampler). Those suggested
             after the table's need not be named.
         independent_sampler: for parameters that the features do not cover; by default uniform.
+        nearest: of a table: the distance from its nearest row at which a trial off the table (of an
+            earlier study, or enqueued) is learned from, with the features of that row. The root
+            mean square of the parameters' differences, each as a share of its range (of its
+            logarithm, where it is logarithmic; two choices are 1 apart): 0.05 is a twentieth of
+            the ranges. None: such trials are ignored, unless there is a `feature_function`.
+        constraints_func: of a finished trial, its constraints, feasible where <= 0, as Optuna's own
+            samplers take it; the same as `feasibility="constraints"`.
 
     Raises:
         InputError: an option that cannot be used; in a trial (strict), before its objective has
@@ -123,8 +136,11 @@ class FeatureKernelSampler(BaseSampler):
         strict: bool = True,
         extra_parameters: Collection[str] = (),
         independent_sampler: BaseSampler | None = None,
+        nearest: float | None = None,
+        constraints_func: ConstraintsFunction | None = None,
     ) -> None:
         """Check the options; nothing is computed yet."""
+        given = dict(locals())
         options = Options(
             kernel=kernel or ("euclidean" if features is None else "rbf"),
             mean=mean,
@@ -133,7 +149,7 @@ class FeatureKernelSampler(BaseSampler):
             prior=prior,
             prior_weight=prior_weight,
             mismatch=mismatch,
-            feasibility=feasibility,
+            feasibility=feasibility_with(constraints_func, feasibility),
             cost_transform=cost_transform,
             off_grid=off_grid,
             n_candidates=n_candidates,
@@ -142,6 +158,7 @@ class FeatureKernelSampler(BaseSampler):
             fast=fast,
             strict=strict,
             extra_parameters=frozenset(extra_parameters),
+            nearest=nearest,
             space=None if space is None else dict(space),
         )
         self._seed = new_seed() if seed is None else seed
@@ -149,6 +166,12 @@ class FeatureKernelSampler(BaseSampler):
         self._source = new_source(
             features, feature_function, options, self._seed, self._independent
         )
+        self._constraints_func = constraints_func
+        self._call = call_text(FeatureKernelSampler.__init__, given | {"seed": self._seed})
+
+    def __repr__(self) -> str:
+        """A call that makes one like it: what it was given, and its seed."""
+        return f"{type(self).__name__}({self._call})"
 
     def infer_relative_search_space(
         self, study: optuna.Study, trial: FrozenTrial
@@ -175,7 +198,8 @@ class FeatureKernelSampler(BaseSampler):
         return self._source.propose_one(study, trial, param_name, param_distribution)
 
     def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
-        """Passed on to the independent sampler."""
+        """Note the row of a trial that was enqueued; passed on to the independent sampler."""
+        self._source.before(study, trial)
         self._independent.before_trial(study, trial)
 
     def after_trial(
@@ -185,8 +209,18 @@ class FeatureKernelSampler(BaseSampler):
         state: TrialState,
         values: Sequence[float] | None,
     ) -> None:
-        """Passed on to the independent sampler."""
+        """Keep what is noted true, and constraints; passed on to the independent sampler first.
+
+        Raises:
+            InputError: the objective has not suggested all of a table (strict): with this trial,
+                whose value is stored nevertheless, it is known. Or what `constraints_func` says.
+        """
         self._independent.after_trial(study, trial, state, values)
+        try:
+            if self._constraints_func is not None:
+                store_constraints(self._constraints_func, study, trial, state)
+        finally:
+            self._source.after(study, trial, state)
 
     def reseed_rng(self) -> None:
         """Passed on to the independent sampler; proposals differ by the trials that take them."""

@@ -34,6 +34,7 @@ class Options:
     fast: bool
     strict: bool
     extra_parameters: frozenset[str]
+    nearest: float | None
     space: Mapping[str, BaseDistribution] | None
 
     def __post_init__(self) -> None:
@@ -46,6 +47,8 @@ class Options:
             _at_least(name, getattr(self, name), low)
         for name in ("off_grid", "prior_weight", "exploration"):
             _at_least(name, getattr(self, name), 0)
+        if self.nearest is not None:
+            _at_least("nearest", self.nearest, 0)
 
     @property
     def uses_features(self) -> bool:

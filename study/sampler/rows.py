@@ -8,12 +8,25 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from optuna.distributions import BaseDistribution
 
 from study.sampler.points import Points
-from study.sampler.space import Space
+from study.sampler.space import Space, first_not_taken
 
 Floats = NDArray[np.float64]
 REMEMBERED = 4096  # rows
+# What does not follow from the distributions: rows with others share it.
+SHARED = (
+    "scale",
+    "standard",
+    "offered",
+    "numbers",
+    "features_alone",
+    "extent",
+    "_complete",
+    "_index",
+    "_first",
+)
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Knuth's multiplicative hashing
 
 
@@ -135,18 +148,35 @@ class Rows:
 
     def find(self, values: Mapping[str, Any]) -> int | None:
         """The first row with exactly these values; None where there is none."""
-        if any(name not in values for name in self.names):
+        wanted = self.space.row(values)
+        if wanted is None:
             return None
-        try:
-            wanted = self.space.rows([values])
-        except (TypeError, ValueError):
-            return None  # a choice or a type that no row has
-        key, (sorted_hash, order) = _hash(wanted)[0], self._index
+        key, (sorted_hash, order) = _hash(wanted[None])[0], self._index
         place = int(np.searchsorted(sorted_hash, key))
         if place == len(order) or sorted_hash[place] != key:
             return None
         row = int(order[place])
-        return row if bool((self.parameters[row] == wanted[0]).all()) else None
+        return row if bool((self.parameters[row] == wanted).all()) else None
+
+    def having(self, values: Mapping[str, Any]) -> NDArray[np.bool_]:
+        """Which rows have exactly these values of some parameters, [n]."""
+        have = np.ones(len(self), dtype=bool)
+        for column, name in enumerate(self.names):
+            if name in values:
+                number = self.space.number(column, values[name])
+                have &= self.parameters[:, column] == (np.nan if number is None else number)
+        return have
+
+    def outside(self, column: int, suggested: BaseDistribution) -> int | None:
+        """The first row whose value of one parameter a distribution has not; None: it has all."""
+        return self._outside(column, suggested)
+
+    def with_space(self, space: Space) -> "Rows":
+        """The same rows with other distributions of the same values."""
+        rows = Rows(space, self.parameters, self.feature_names, self.features)
+        known = self.__dict__
+        rows.__dict__.update({name: known[name] for name in SHARED if name in known})
+        return rows
 
     def digest(self) -> str:
         """SHA-256 of names, distributions, parameters and features."""
@@ -164,6 +194,16 @@ class Rows:
     def _native(self) -> Callable[[int], dict[str, Any]]:
         """Native values of a row, remembered: those of a study's trials are asked for each time."""
         return lru_cache(REMEMBERED)(lambda row: self.space.values(self.parameters[row]))
+
+    @cached_property
+    def _outside(self) -> Callable[[int, BaseDistribution], int | None]:
+        """Remembered: each trial of a study is asked about, and all suggest the same."""
+
+        def first(column: int, suggested: BaseDistribution) -> int | None:
+            own = self.space.distributions[column]
+            return first_not_taken(own, self.parameters[:, column], suggested)
+
+        return lru_cache(REMEMBERED)(first)
 
     @cached_property
     def _complete(self) -> NDArray[np.bool_]:

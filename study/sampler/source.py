@@ -13,7 +13,7 @@ import optuna
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
-from optuna.trial import FrozenTrial
+from optuna.trial import FrozenTrial, TrialState
 from threadpoolctl import ThreadpoolController
 
 from study.draws import Purpose, generator
@@ -24,6 +24,7 @@ from study.sampler.mismatch import Mismatch, read_shown
 from study.sampler.model import Constants, Model
 from study.sampler.options import Options
 from study.sampler.points import Points
+from study.sampler.proposals import Proposals
 from study.sampler.rows import Scale
 from taichi_nmm.errors import InputError
 
@@ -47,6 +48,7 @@ class Source(ABC):
         seed: of the sampler.
         independent: sampler for what is not proposed here.
         constants: learned in this process.
+        proposals: for the trials that run in this process.
     """
 
     def __init__(self, options: Options, seed: int, independent: BaseSampler) -> None:
@@ -54,6 +56,7 @@ class Source(ABC):
         self.seed = seed
         self.independent = independent
         self.constants = Constants()
+        self.proposals = Proposals()
         self._said: set[str] = set()
 
     @abstractmethod
@@ -71,6 +74,15 @@ class Source(ABC):
         self, study: optuna.Study, trial: FrozenTrial, name: str, distribution: BaseDistribution
     ) -> Any:
         """The value of one parameter that `propose` has not given."""
+
+    def before(self, study: optuna.Study, trial: FrozenTrial) -> None:  # noqa: B027
+        """What is to be noted at a trial's start, before anything is asked for: nothing."""
+
+    def after(self, study: optuna.Study, trial: FrozenTrial, state: TrialState) -> None:
+        """Take back what was noted in the trial if something else was run."""
+        proposal = self.proposals.take(trial)
+        if proposal is not None and not proposal.was_run(trial.params):
+            set_attributes(study, trial, dict.fromkeys(proposal.notes))
 
     def __getstate__(self) -> dict[str, Any]:
         """Without learned constants, which another process computes again."""

@@ -14,10 +14,17 @@ from study.draws import Purpose, turn
 from study.sampler.acquisition import argmax_random_tie, fading_log_weight
 from study.sampler.candidates import anywhere, nearby, not_among
 from study.sampler.feature_function import Features, call_features
-from study.sampler.history import FEATURES_ATTRIBUTE, OFF_TABLE, History, read_history
+from study.sampler.history import (
+    FEATURES_ATTRIBUTE,
+    OFF_TABLE,
+    History,
+    read_history,
+    values_of,
+)
 from study.sampler.options import Options
 from study.sampler.points import Points
 from study.sampler.prior import FeaturePrior
+from study.sampler.proposals import Proposal
 from study.sampler.rows import Scale
 from study.sampler.source import (
     Candidate,
@@ -67,17 +74,19 @@ class SpaceSource(Source):
         if misfit is not None:
             self.misfit(misfit)
             return self.draw(study, trial, search_space)
-        space = Space.of(search_space)
+        space = Space.of(search_space).pinned(values_of(trial))
         try:
             with one_thread():
                 candidate = self._choose(study, trial, space)
         except InputError as error:  # of the feature function
             self.misfit(error)
             return self.draw(study, trial, search_space)
+        values = space.values(candidate.parameters)
         if len(candidate.features):
             notes = {FEATURES_ATTRIBUTE: candidate.features.tolist()}
             set_attributes(study, trial, notes)
-        return space.values(candidate.parameters)
+            self.proposals.keep(trial, Proposal(values, notes))
+        return values
 
     def propose_one(
         self, study: optuna.Study, trial: FrozenTrial, name: str, distribution: BaseDistribution

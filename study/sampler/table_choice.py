@@ -14,7 +14,7 @@ from study.sampler.acquisition import argmax_random_tie, fading_log_weight
 from study.sampler.candidate_table import CandidateTable
 from study.sampler.candidates import nearby
 from study.sampler.feature_function import Features, call_features
-from study.sampler.history import FEATURES_ATTRIBUTE, OFF_TABLE, History
+from study.sampler.history import OFF_TABLE, History, noted_features
 from study.sampler.mismatch import Mismatch
 from study.sampler.model import Model
 from study.sampler.options import Options
@@ -115,7 +115,7 @@ class TableChoice(Source, ABC):
         incumbents = history.parameters[np.argsort(history.cost, kind="stable")[:INCUMBENTS]]
         centres = np.vstack([self.rows.parameters[self.rows.numbers[best]], incumbents])
         rng = self.rng(Purpose.OFF_GRID, own_turn)
-        return nearby(self.rows.space, centres, self.options.off_grid, rng)
+        return nearby(self.rows.space.pinned(history.fixed), centres, self.options.off_grid, rng)
 
     def _best_of(
         self,
@@ -166,8 +166,8 @@ class TableChoice(Source, ABC):
         off = np.flatnonzero(numbers == OFF_TABLE)
         features[off] = np.nan
         for place in off if trials else ():
-            noted = trials[place].user_attrs.get(FEATURES_ATTRIBUTE)
-            if isinstance(noted, list) and len(noted) == features.shape[1]:
+            noted = noted_features(trials[place])
+            if noted is not None and len(noted) == features.shape[1]:
                 features[place] = noted
         unknown = np.flatnonzero(~np.isfinite(features).any(axis=1))
         if len(unknown) and self.function is not None:

@@ -85,9 +85,9 @@ def test_numbers_of_numpy_are_fine() -> None:
 
 
 def test_what_cannot_be_used_is_refused_at_once() -> None:
-    with pytest.raises(InputError, match="constraints_func: 'int' .* a function"):
+    with pytest.raises(InputError, match=r"constraints_func: 'int' .* a function"):
         new_study(constraints_func=3)
-    with pytest.raises(InputError, match="feasibility: 'fell' .* constraints_func"):
+    with pytest.raises(InputError, match=r"feasibility: 'fell' .* constraints_func"):
         new_study(constraints_func=limits, feasibility="fell")
 
 

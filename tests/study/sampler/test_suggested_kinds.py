@@ -181,9 +181,8 @@ def test_where_it_need_not_fit_it_is_one_warning(how: str) -> None:
     assert all(trial.user_attrs.get("row", -1) == -1 for trial in study.trials)
 
 
-def coordinates(study: optuna.Study, **options: Any) -> NDArray[np.float64]:
-    """What a kernel over the parameters sees of the rows, in the next trial."""
-    study.ask()  # a proposal is not needed: the space is asked for
+def coordinates(study: optuna.Study) -> NDArray[np.float64]:
+    """What a kernel over the parameters saw of the rows in the latest trial."""
     source = study.sampler._source  # type: ignore[attr-defined]
     return np.asarray(source.rows.unit)
 
@@ -262,3 +261,12 @@ def test_given_as_a_choice_a_gap_is_none(values: list[Any]) -> None:
         frame, parameters=["depth"], features=["feature"], space=space
     )
     assert [given.rows.as_parameters(row)["depth"] for row in range(3)] == choices
+
+
+def test_a_list_of_words_and_numbers_keeps_its_numbers() -> None:
+    given = FeatureTable.from_arrays({"gamma": ["scale", 0.1, 1]}, [1.0, 2.0, 4.0])
+    study = new_study(given)
+    study.optimize(
+        lambda trial: float(trial.suggest_categorical("gamma", [0.1, 1, "scale"]) == 1), n_trials=3
+    )
+    assert {trial.params["gamma"] for trial in study.trials} == {"scale", 0.1, 1}

@@ -109,7 +109,7 @@ def test_distances_are_root_mean_squares_of_shares_of_the_ranges() -> None:
     assert of(0.0, 0.1, "x") == (0, pytest.approx(0.25 / 3**0.5))  # a quarter of four decades
     assert of(1.4, 100.0, "y") == (1, pytest.approx(0.4 / 3**0.5))  # outside the range
     assert of(1.0, 1000.0, "y") == (1, pytest.approx(0.25 / 3**0.5))
-    assert of(0.0, -5.0, "x")[1] > 1.0  # no logarithm
+    assert rows.space.row({"a": 0.0, "b": -5.0, "kind": "x"}) is None  # no logarithm
 
 
 def test_a_constant_parameter_is_near_only_where_it_is_equal() -> None:
@@ -134,9 +134,9 @@ def test_how_near_must_be_a_number(nearest: float) -> None:
 
 
 def test_it_is_one_way_or_the_other() -> None:
-    with pytest.raises(InputError, match="nearest: 0.1 .* feature_function"):
+    with pytest.raises(InputError, match=r"nearest: 0.1 .* feature_function"):
         new_study(nearest=0.1, feature_function=lambda params: params)
-    with pytest.raises(InputError, match="nearest: 0.1 .* table"):
+    with pytest.raises(InputError, match=r"nearest: 0.1 .* table"):
         FeatureKernelSampler(nearest=0.1)
-    with pytest.raises(InputError, match="nearest: 0.1 .* table"):
+    with pytest.raises(InputError, match=r"nearest: 0.1 .* table"):
         FeatureKernelSampler(lambda params: params, nearest=0.1)
