@@ -1,5 +1,6 @@
 """Proposals from a table, where it fits what the study suggests."""
 
+from math import isfinite
 from typing import Any
 
 import optuna
@@ -8,6 +9,7 @@ from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from study.draws import turn
+from study.sampler import first_trials
 from study.sampler.candidate_table import CandidateTable
 from study.sampler.claims import withdraw_or_keep
 from study.sampler.feature_function import Features
@@ -248,7 +250,7 @@ class TableSource(TableChoice):
 
     def _notes(self, row: int, features: Floats) -> dict[str, Any]:
         """What is left in a trial: the row and its features."""
-        values = features.tolist()
+        values = [value if isfinite(value) else None for value in features.tolist()]
         notes: dict[str, Any] = {ROW_ATTRIBUTE: row}
         if len(values) == 1:
             notes[SCORE_ATTRIBUTE] = values[0]
@@ -279,7 +281,7 @@ class TableSource(TableChoice):
         if not offered.any() and not (self.options.off_grid and len(history.cost)):
             self._say_none_is_left(history)
             return None
-        if len(history.cost) < self.options.n_startup_trials and offered.any():
+        if len(history.cost) < first_trials.count(self.options) and offered.any():
             return self.startup(offered, own_turn)
         try:
             return self.best(history, offered, own_turn)
