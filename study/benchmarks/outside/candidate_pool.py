@@ -36,17 +36,18 @@ def column(distribution: BaseDistribution, unit: Floats) -> Column:
     """Values of a parameter at places [n] of the unit interval, uniform on its scale."""
     if isinstance(distribution, CategoricalDistribution):
         words = np.array([str(choice) for choice in distribution.choices])
-        return words[np.minimum((unit * len(words)).astype(int), len(words) - 1)]
+        return np.asarray(words[np.minimum((unit * len(words)).astype(int), len(words) - 1)])
     if isinstance(distribution, IntDistribution):
         # Half a step beyond the ends, as Optuna has it: each integer has its whole share.
         ends = np.array([distribution.low - 0.5, distribution.high + 0.5])
         drawn = _between(ends, unit, distribution.log)
-        return np.clip(np.round(drawn), distribution.low, distribution.high).astype(np.int64)
+        whole = np.clip(np.round(drawn), distribution.low, distribution.high)
+        return np.asarray(whole.astype(np.int64))
     assert isinstance(distribution, FloatDistribution)
     ends = np.array([distribution.low, distribution.high])
     drawn = _between(ends, unit, distribution.log)
     rounded = np.array([float(f"{value:.{DIGITS}g}") for value in drawn])
-    return np.clip(rounded, *ends)
+    return np.asarray(np.clip(rounded, *ends))
 
 
 def _between(ends: Floats, unit: Floats, log: bool) -> Floats:
