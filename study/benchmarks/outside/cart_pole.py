@@ -18,22 +18,22 @@ from study.benchmarks.outside.definition import Definition, Feature, Settings
 
 GRAVITY_MPS2 = 9.81
 CART_KG, POLE_KG, HALF_POLE_M = 1.0, 0.2, 0.5
-TRACK_M = 2.0  # to each side
-MOTOR_N = 12.0
-CONTROL_S = 0.02
-COARSE_STEP_S, FINE_STEP_S = 0.02, 0.0025
-SHORT_S, LONG_S = 4.0, 12.0
+TRACK_M = 3.0  # to each side
+MOTOR_N = 15.0
+CONTROL_S = 0.01
+COARSE_STEP_S, FINE_STEP_S = 0.01, 0.005
+SHORT_S, LONG_S = 6.0, 12.0
 UPRIGHT_RAD = 0.2
 
 SPACE = {
     "law": CategoricalDistribution(("proportional", "bang-bang", "saturated")),
-    "pump": FloatDistribution(1.0, 100.0, log=True),  # N a joule of energy missing
-    "centring": FloatDistribution(0.1, 30.0, log=True),  # N/m while pumping
-    "catch": FloatDistribution(0.1, 1.2),  # rad from upright where balancing begins
-    "angle": FloatDistribution(5.0, 300.0, log=True),  # N/rad
-    "rate": FloatDistribution(0.3, 60.0, log=True),  # N s/rad
-    "place": FloatDistribution(0.1, 30.0, log=True),  # N/m
-    "hold": IntDistribution(1, 4),  # control periods between two commands
+    "pump": FloatDistribution(2.0, 50.0, log=True),  # N a joule of energy missing
+    "centring": FloatDistribution(0.3, 10.0, log=True),  # N/m while pumping
+    "catch": FloatDistribution(0.1, 1.0),  # rad from upright where balancing begins
+    "angle": FloatDistribution(10.0, 200.0, log=True),  # N/rad
+    "rate": FloatDistribution(1.0, 40.0, log=True),  # N s/rad
+    "place": FloatDistribution(0.3, 15.0, log=True),  # N/m, and as many N s/m
+    "hold": IntDistribution(1, 5),  # control periods between two commands
 }
 
 
@@ -63,6 +63,7 @@ class Swing:
 
     Attributes:
         upright_s: when the pole was first near upright; infinite: never.
+        standing: share of the run in which it was.
         mean_error: of 1 - cos of the angle from upright, halved, and of the cart's place, over the
             run: 0 is a pole that stands in the middle all the time.
         farthest_m: of the cart from the middle.
@@ -70,15 +71,16 @@ class Swing:
     """
 
     upright_s: float
+    standing: float
     mean_error: float
     farthest_m: float
     effort: float
 
 
 def cheap(settings: Settings) -> tuple[float, ...]:
-    """When upright, error, farthest place and effort of the short run."""
+    """When first and how long upright, error, farthest place and effort of the short run."""
     swing = _swing(settings, DRAWN, SHORT_S, COARSE_STEP_S)
-    return swing.upright_s, swing.mean_error, swing.farthest_m, swing.effort
+    return swing.upright_s, swing.standing, swing.mean_error, swing.farthest_m, swing.effort
 
 
 def costly(settings: Settings) -> float:
@@ -95,7 +97,7 @@ def _swing(settings: Settings, body: Body, duration_s: float, step_s: float) -> 
     controls = round(duration_s / CONTROL_S)
     steps = round(CONTROL_S / step_s)
     waiting = [0.0] * (body.late + 1)  # forces under way
-    upright_s, error, farthest, effort, force = float("inf"), 0.0, 0.0, 0.0, 0.0
+    upright_s, standing, error, farthest, effort, force = float("inf"), 0, 0.0, 0.0, 0.0, 0.0
     for control in range(controls):
         (place, angle), (speed, rate) = data.qpos.tolist(), data.qvel.tolist()
         if control % int(settings["hold"]) == 0:
@@ -109,7 +111,8 @@ def _swing(settings: Settings, body: Body, duration_s: float, step_s: float) -> 
         effort += force**2
         if abs(sin(angle)) < sin(UPRIGHT_RAD) and cos(angle) > 0.0:
             upright_s = min(upright_s, control * CONTROL_S)
-    return Swing(upright_s, error / controls, farthest, effort / controls)
+            standing += 1
+    return Swing(upright_s, standing / controls, error / controls, farthest, effort / controls)
 
 
 def _force(settings: Settings, place: float, angle: float, speed: float, rate: float) -> float:
@@ -173,8 +176,9 @@ DEFINITION = Definition(
     cost_meaning="error of angle and place over 12 s, mean of four bodies; 0: stands in the middle",
     space=SPACE,
     features={
-        "upright_s": Feature("low", "when the pole is first upright, s; infinite: not within 4 s"),
-        "error": Feature("low", "error of angle and place over these 4 s"),
+        "upright_s": Feature("low", "when the pole is first upright, s; infinite: not within 6 s"),
+        "standing": Feature("high", "share of these 6 s in which it is"),
+        "error": Feature("low", "error of angle and place over these 6 s"),
         "farthest_m": Feature("low", "of the cart from the middle, m"),
         "effort": Feature("low", "mean square of the force, N^2"),
     },
