@@ -242,9 +242,9 @@ def test_another_store_or_definition_of_the_arm_is_refused(
     other = replace(toy, stores=dict(toy.stores) | {"flat": tmp_path / "other"})
     with pytest.raises(InputError, match=r"toy/dog/run-000: stores\.flat: "):
         run(other, "dog", 3, storage)
-    options = dict(ARMS["dog"].options) | {"acquisition": "ucb"}
+    options = dict(ARMS["dog"].options) | {"kernel": "additive"}
     monkeypatch.setitem(ARMS, "dog", replace(ARMS["dog"], options=options))
-    with pytest.raises(InputError, match=r"arms\.dog\.options\.acquisition: 'ucb' .* 'ei'"):
+    with pytest.raises(InputError, match=r"arms\.dog\.options\.kernel: 'additive' .* 'rbf'"):
         run(toy, "dog", 3, storage)
 
 

@@ -51,7 +51,7 @@ def test_rows_and_features_are_the_stores(store: Path) -> None:
 
 def test_options_may_differ(store: Path) -> None:
     table = survival_table(store, ("up", "down"))
-    assert len(proposals(SurvivalSampler(table, seed=1, prior_weight=1.0, kernel="rbf"), 3)) == 3
+    assert len(proposals(SurvivalSampler(table, seed=1, kernel="rbf"), 3)) == 3
 
 
 def test_a_store_without_families_is_one_line(store: Path, tmp_path: Path) -> None:

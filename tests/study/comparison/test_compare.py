@@ -97,7 +97,7 @@ def test_the_footer_is_the_experiment(comparisons: Comparisons) -> None:
     assert written["name"] == "toy"
     assert set(written["stores"]) == {"flat", "robust"}
     assert set(written["arms"]) == {"random", "dog", "score-first"}
-    assert written["arms"]["dog"]["options"]["acquisition"] == "ei"
+    assert written["arms"]["dog"]["options"] == {"kernel": "rbf"}
     assert "optuna" in written["versions"]
 
 

@@ -91,7 +91,7 @@ def test_another_definition_of_an_arm_in_the_folder(
     comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     comparisons.run("out", arms=("dog",), trials=1)
-    changed = replace(arms.ARMS["dog"], options={"acquisition": "ucb"})
+    changed = replace(arms.ARMS["dog"], options={"kernel": "additive"})
     monkeypatch.setitem(arms.ARMS, "dog", changed)
     with pytest.raises(InputError, match=r"arms\.dog\.options.*another --out"):
         comparisons.run("out", arms=("dog",), trials=2)

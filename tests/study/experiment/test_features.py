@@ -78,7 +78,7 @@ def test_the_best_arm_is_what_its_definition_says() -> None:
     assert definition["options"] == BEST
     assert definition["features"] == [
         ["survival", *FAMILIES, "survivors only"],
-        *([name, name] for name in FAMILIES),
+        *([name, name, "survivors only"] for name in FAMILIES),
         "mean_speed_mps",
     ]
 
