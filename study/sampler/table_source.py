@@ -1,5 +1,6 @@
 """Proposals from a table, where it fits what the study suggests."""
 
+from math import isfinite
 from typing import Any
 
 import optuna
@@ -30,7 +31,7 @@ from study.sampler.proposals import NOTHING, Proposal
 from study.sampler.rows import Rows
 from study.sampler.source import Candidate, one_thread, set_attributes
 from study.sampler.space import as_suggested
-from study.sampler.suggested import as_suggested_rows, suggested_so_far
+from study.sampler.suggested import Inferred, as_suggested_rows, suggested_so_far
 from study.sampler.table_choice import TableChoice
 from taichi_nmm.errors import InputError
 
@@ -45,8 +46,7 @@ class TableSource(TableChoice):
     """Proposals of rows of a table that no trial has taken and, if asked for, of points near.
 
     A trial's row is chosen when the first of the table's parameters is suggested that nobody has
-    fixed. Its values are handed out one by one, by what the study suggests each as: before a first
-    trial has shown that, Optuna would hold a proposal made at once to the table's own.
+    fixed. Its values are handed out one by one, each as the study suggests it (see `Inferred`).
     """
 
     def __init__(
@@ -74,37 +74,33 @@ class TableSource(TableChoice):
         return super().__getstate__() | {"_suggested": None, "_nearest": None}
 
     def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
-        """The table's parameters, each as the study suggests it or, until it has, as a column."""
-        own = self.table.rows.space.as_dict()
-        return own | suggested_so_far(own, study)
+        """The table's parameters."""
+        return Inferred(self.table.rows.space.as_dict())
 
     def propose(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
-        """Values of all that the study is known to suggest; `propose_one` gives the others."""
-        own = self.table.rows.space.as_dict()
-        known = {n: d for n, d in search_space.items() if d is not own.get(n)}
-        self._adopt(known)
+        """What is wrong is said here; of the table, `propose_one` gives the values."""
+        asked = {} if isinstance(search_space, Inferred) else search_space
         fixed = values_of(trial)
-        if all(name in fixed for name in own):
+        if all(name in fixed for name in self.table.rows.names):
             return {}  # nothing of the table is left to choose
+        suggested = suggested_so_far(self.table.rows.names, study)
+        self._adopt(suggested)
         if not self.options.strict:
             self._warn_of_foreign(study)
-        misfit = self._misfit(study, search_space, known)
+        misfit = self._misfit(study, search_space, suggested)
         if misfit is not None:
             self._refuse(study, trial, misfit)
-            return self.draw(study, trial, known)
-        if not any(name in own for name in known):
-            return self.draw(study, trial, known)
-        proposal = self._proposal(study, trial)
+        proposal = self._proposal(study, trial) if asked else NOTHING
         if not proposal.values:
-            return self.draw(study, trial, known)
+            return self.draw(study, trial, asked)
         values = {}
-        for name, distribution in known.items():
+        for name, distribution in asked.items():
             try:
                 values[name] = as_suggested(distribution, proposal.values[name])
             except (KeyError, ValueError):
-                continue  # this trial may suggest it in another range
+                continue  # of another table, or not held: for `propose_one`
         return values
 
     def propose_one(
@@ -170,7 +166,7 @@ class TableSource(TableChoice):
         self,
         study: optuna.Study,
         search_space: dict[str, BaseDistribution],
-        known: dict[str, BaseDistribution],
+        suggested: dict[str, BaseDistribution],
     ) -> InputError | None:
         """What is wrong before anything is chosen.
 
@@ -181,7 +177,7 @@ class TableSource(TableChoice):
         for name in self.rows.names:
             if name not in search_space:
                 return InputError(name, "fixed", "a parameter left free: rows are proposed whole")
-        return None if self.options.strict else shown_misfit(self.table.rows, known, study)
+        return None if self.options.strict else shown_misfit(self.table.rows, suggested, study)
 
     def _refuse(self, study: optuna.Study, trial: FrozenTrial, error: InputError) -> None:
         """Propose nothing of the table for this trial; an error, or a warning (not strict)."""
@@ -191,9 +187,9 @@ class TableSource(TableChoice):
         self.proposals.keep(trial, NOTHING)
         self.misfit(error)
 
-    def _adopt(self, known: dict[str, BaseDistribution]) -> None:
+    def _adopt(self, suggested: dict[str, BaseDistribution]) -> None:
         """Put the rows on the scales that the study is known to suggest."""
-        rows = as_suggested_rows(self.table.rows, known)
+        rows = as_suggested_rows(self.table.rows, suggested)
         if rows.space.distributions != self.rows.space.distributions:
             self._suggested = rows
 
@@ -247,8 +243,8 @@ class TableSource(TableChoice):
             self._take_back(study, trial)
 
     def _notes(self, row: int, features: Floats) -> dict[str, Any]:
-        """What is left in a trial: the row and its features."""
-        values = features.tolist()
+        """What is left in a trial: the row and its features, those unknown as None."""
+        values = [value if isfinite(value) else None for value in features.tolist()]
         notes: dict[str, Any] = {ROW_ATTRIBUTE: row}
         if len(values) == 1:
             notes[SCORE_ATTRIBUTE] = values[0]

@@ -223,6 +223,15 @@ def test_an_enqueued_row_of_one_feature_has_its_score() -> None:
     assert study.trials[0].user_attrs == {"row": 7, "score": 1.5}
 
 
+@pytest.mark.filterwarnings("ignore:FeatureTable")
+def test_what_is_not_known_of_an_enqueued_row_is_none() -> None:
+    gap = FeatureTable.from_arrays({"a": A, "b": B}, np.where(FEATURES == 1.5, np.nan, FEATURES))
+    study = new_study(gap)
+    study.enqueue_trial(gap.rows.as_parameters(7))
+    study.optimize(both, n_trials=5)
+    assert study.trials[0].user_attrs == {"row": 7, "features": [None, -0.5]}
+
+
 def test_a_point_off_the_table_has_no_row() -> None:
     study = new_study()
     study.enqueue_trial({"a": 0.25, "b": 0.25})
