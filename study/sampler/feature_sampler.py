@@ -106,8 +106,10 @@ class FeatureKernelSampler(BaseSampler):
 
     Raises:
         InputError: an option that cannot be used; in a trial (strict), before its objective has
-            all parameters: names or ranges of the study that do not fit the table or the space, or
-            a function that raises or returns other than finite [n, k].
+            all parameters: names or ranges of the study that do not fit the table or the space,
+            values enqueued that no row has, or a function that raises or returns other than finite
+            [n, k]. At a trial's end: it has not suggested all of the table (strict), or what
+            `constraints_func` returned.
         TableExhaustedError: in a trial, when no row is left (strict).
         ValueError: in a trial of a study with several objectives.
     """
