@@ -26,7 +26,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tqdm import tqdm
 
 from storage.commit import commit_text, writable
-from study.benchmarks import comparison_report, peers, sampler_timing
+from study.benchmarks import comparison_report, sampler_timing
+from study.benchmarks.run_cache import torch_is_installed
 from study.benchmarks.sampler_timing import Case, Measured
 from study.command import run_command
 from taichi_nmm.errors import InputError
@@ -132,7 +133,7 @@ def measure(options: argparse.Namespace) -> Timings:
 
 
 def peer_can_run() -> bool:
-    if peers.torch_is_installed():
+    if torch_is_installed():
         return True
     print("GPSampler is left out: it needs PyTorch (pip install torch)", file=sys.stderr)
     return False

@@ -1,6 +1,5 @@
 """Samplers side by side on a synthetic problem: ours, Optuna's, and controls without a model."""
 
-import importlib.util
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,11 +36,6 @@ class Peer:
     kind: str
     uses_feature: bool = False
     sampler: Callable[[Problem], BaseSampler] | None = None
-
-
-def torch_is_installed() -> bool:
-    """Whether GPSampler can run: it needs PyTorch, which this project does not."""
-    return importlib.util.find_spec("torch") is not None
 
 
 def run(arm: str, problem: Problem, trials: int) -> Floats:

@@ -44,7 +44,7 @@ def parameter_column(
 
 
 def feature_matrix(features: ArrayLike, names: Sequence[str] | None) -> Floats:
-    """Features as [n, k]; what is not finite is NaN."""
+    """Features as [n, k]; NaN is a gap, infinity a value."""
     try:
         matrix = np.array(features, dtype=np.float64)
     except (TypeError, ValueError):
@@ -54,7 +54,6 @@ def feature_matrix(features: ArrayLike, names: Sequence[str] | None) -> Floats:
         raise InputError("table.features.shape", matrix.shape, "[n, k], n and k at least 1")
     if names is not None and len(names) != matrix.shape[1]:
         raise InputError("table.feature_names", list(names), f"{matrix.shape[1]} names")
-    matrix[~np.isfinite(matrix)] = np.nan
     return matrix
 
 

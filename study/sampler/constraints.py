@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 import optuna
 from optuna.trial import FrozenTrial, TrialState
 
-from study.sampler.options import CONSTRAINTS
 from taichi_nmm.errors import InputError
 
 ConstraintsFunction = Callable[[FrozenTrial], Sequence[float]]
@@ -18,21 +17,16 @@ ConstraintsFunction = Callable[[FrozenTrial], Sequence[float]]
 STORED_AS = "constraints"  # system attribute; Optuna's own samplers write it and all read it
 
 
-def feasibility_with(function: ConstraintsFunction | None, feasibility: str | None) -> str | None:
-    """The option `feasibility`, given a function or not.
+def checked(function: ConstraintsFunction | None) -> ConstraintsFunction | None:
+    """The function, or none.
 
     Raises:
-        InputError: not a function, or feasibility is to be read elsewhere.
+        InputError: not a function.
     """
-    if function is None:
-        return feasibility
-    if not callable(function):
+    if function is not None and not callable(function):
         name = type(function).__name__
         raise InputError("constraints_func", name, "a function of a finished trial")
-    if feasibility not in (None, CONSTRAINTS):
-        allowed = f"{CONSTRAINTS!r}, or none, with a constraints_func"
-        raise InputError("feasibility", feasibility, allowed)
-    return CONSTRAINTS
+    return function
 
 
 def store_constraints(

@@ -180,4 +180,6 @@ def noted_features(trial: FrozenTrial) -> list[float] | None:
     noted = trial.user_attrs.get(FEATURES_ATTRIBUTE)
     if trial.user_attrs.get(ROW_ATTRIBUTE, OFF_TABLE) != OFF_TABLE:
         return None
-    return noted if isinstance(noted, list) else None
+    if not isinstance(noted, list):
+        return None
+    return [np.nan if value is None else value for value in noted]

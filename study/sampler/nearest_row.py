@@ -36,7 +36,7 @@ class NearestRow:
 
     def _measure(self, parameters: Floats) -> tuple[int, float]:
         """The same, computed."""
-        numbers, coordinates = self.rows.numbers, self.rows.features_and_coordinates.coordinates
+        numbers, coordinates = self.rows.numbers, self.rows.chosen_unit
         if not len(numbers):
             return 0, np.inf
         point = self.rows.space.unbounded(parameters[None])[0]

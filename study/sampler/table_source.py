@@ -9,6 +9,7 @@ from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from study.draws import turn
+from study.sampler import first_trials
 from study.sampler.candidate_table import CandidateTable
 from study.sampler.claims import withdraw_or_keep
 from study.sampler.feature_function import Features
@@ -263,7 +264,7 @@ class TableSource(TableChoice):
         if not offered.any() and not (self.options.off_grid and len(history.cost)):
             self._say_none_is_left(history)
             return None
-        if len(history.cost) < self.options.n_startup_trials and offered.any():
+        if len(history.cost) < first_trials.count(self.options) and offered.any():
             return self.startup(offered, own_turn)
         try:
             return self.best(history, offered, own_turn)

@@ -1,7 +1,6 @@
 """The comparison with peers on a few tiny runs: what it writes, keeps, and refuses."""
 
 import json
-import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.benchmarks import comparison_report, peers, regret, synthetic
+from study.benchmarks import comparison_report, peers, regret, run_cache, synthetic
+from tests.tools.running import load_tool
 
 pytestmark = pytest.mark.slow
 
@@ -92,17 +92,16 @@ def test_a_second_run_takes_everything_from_the_cache(folder: Path) -> None:
 
 
 def test_a_run_of_other_code_or_a_broken_file_is_not_current(folder: Path, tmp_path: Path) -> None:
-    tool = runpy.run_path(str(ROOT / "tools" / "compare_peers.py"))
-    run = tool["Run"]("informative", "random", 0, TRIALS)
-    assert tool["is_current"](run, folder / "cache")
-    assert not tool["is_current"](run, tmp_path)
+    run = load_tool("compare_peers").Run("informative", "random", 0, TRIALS)
+    assert run_cache.is_current(run, folder / "cache")
+    assert not run_cache.is_current(run, tmp_path)
     file = run.file(tmp_path)
     file.parent.mkdir(parents=True)
     kept = json.loads(run.file(folder / "cache").read_text())
     file.write_text(json.dumps({**kept, "code": "other"}))
-    assert not tool["is_current"](run, tmp_path)
+    assert not run_cache.is_current(run, tmp_path)
     file.write_text("{")
-    assert not tool["is_current"](run, tmp_path)
+    assert not run_cache.is_current(run, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -128,13 +127,12 @@ def test_bad_arguments_are_one_line_and_exit_code_2(
 def test_without_torch_gpsampler_is_left_out_with_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(peers, "torch_is_installed", lambda: False)
-    runnable = runpy.run_path(str(ROOT / "tools" / "compare_peers.py"))["runnable"]
-    assert runnable(["random", "gp"]) == ["random"]
+    monkeypatch.setattr(run_cache, "torch_is_installed", lambda: False)
+    assert run_cache.runnable(["random", "gp"]) == ["random"]
     assert capsys.readouterr().err == (
         "GPSampler is left out: it needs PyTorch (pip install torch)\n"
     )
-    assert runnable(["random"]) == ["random"]
+    assert run_cache.runnable(["random"]) == ["random"]
     assert capsys.readouterr().err == ""
 
 
