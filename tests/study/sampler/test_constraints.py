@@ -51,7 +51,7 @@ def test_it_is_stored_as_optunas_samplers_do() -> None:
 
 
 def test_it_is_the_same_as_telling_them_in_the_objective() -> None:
-    ours, by_hand = new_study(constraints_func=limits), new_study(feasibility="constraints")
+    ours, by_hand = new_study(constraints_func=limits), new_study()
     ours.optimize(cost, n_trials=12)
     by_hand.optimize(told, n_trials=12)
     assert [trial.params for trial in ours.trials] == [trial.params for trial in by_hand.trials]
@@ -87,8 +87,6 @@ def test_numbers_of_numpy_are_fine() -> None:
 def test_what_cannot_be_used_is_refused_at_once() -> None:
     with pytest.raises(InputError, match=r"constraints_func: 'int' .* a function"):
         new_study(constraints_func=3)
-    with pytest.raises(InputError, match=r"feasibility: 'fell' .* constraints_func"):
-        new_study(constraints_func=limits, feasibility="fell")
 
 
 def test_it_travels() -> None:

@@ -66,9 +66,9 @@ def features_learned(study: optuna.Study) -> NDArray[np.float64]:
     seen = []
     made = Model.__init__
 
-    def spied(model: Model, options: Any, kernel: str, parameters: int, evidence: Any, *rest: Any):
+    def spied(model: Model, kernel: Any, guess: Any, parameters: int, evidence: Any, rest: Any):
         seen.append(evidence.points.features)
-        made(model, options, kernel, parameters, evidence, *rest)
+        made(model, kernel, guess, parameters, evidence, rest)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Model, "__init__", spied)
@@ -150,12 +150,14 @@ def test_with_a_function_it_is_learned_with_its_own_features() -> None:
     study.optimize(both, n_trials=3)
     params = study.trials[0].params
     own = compute(np.array([[params["a"], params["b"]]]))
-    assert features_learned(study)[0] == pytest.approx(table().rows.scale.standard(own)[0])
+    assert features_learned(study)[0] == pytest.approx(
+        table().rows.scale(by_order=True).standard(own)[0]
+    )
 
 
 @pytest.mark.parametrize("value", [0.25, 0.5])
 def test_points_near_the_table_keep_the_fixed_value(value: float) -> None:
-    study = new_study(feature_function=compute, off_grid=40, kernel="sum")
+    study = new_study(feature_function=compute, off_grid=40)
     for row in range(18 if value == 0.5 else 5):  # all rows, or some
         study.enqueue_trial(table().rows.as_parameters(row))
     study.optimize(both, n_trials=18 if value == 0.5 else 5)
@@ -170,7 +172,7 @@ def test_points_near_the_table_keep_the_fixed_value(value: float) -> None:
 
 @pytest.mark.parametrize("space", [None, table().rows.space.as_dict()])
 def test_without_a_table_the_features_are_those_of_the_point_that_was_run(space: Any) -> None:
-    study = new_study(compute, n_candidates=100, space=space)
+    study = new_study(compute, space=space)
     study.optimize(both, n_trials=4)
     study.enqueue_trial({"b": 1.25})
     study.optimize(both, n_trials=1)
@@ -181,7 +183,7 @@ def test_without_a_table_the_features_are_those_of_the_point_that_was_run(space:
 
 
 def test_a_space_keeps_a_fixed_value_without_features() -> None:
-    study = optuna.create_study(sampler=FeatureKernelSampler(seed=1, n_candidates=100))
+    study = optuna.create_study(sampler=FeatureKernelSampler(seed=1))
     study.optimize(both, n_trials=5)
     study.enqueue_trial({"a": 0.75})
     study.optimize(both, n_trials=1)
@@ -191,7 +193,7 @@ def test_a_space_keeps_a_fixed_value_without_features() -> None:
 def test_features_of_a_point_that_was_not_run_are_taken_back() -> None:
     """The range shrinks in one trial: one parameter is drawn independently."""
     space = table().rows.space.as_dict()
-    study = new_study(compute, n_candidates=100, space=space, strict=False)
+    study = new_study(compute, space=space, strict=False)
     study.optimize(both, n_trials=4)
     with pytest.warns(UserWarning, match="b: .* the independent sampler takes over"):
         study.optimize(
@@ -371,7 +373,7 @@ def test_a_row_of_another_table_that_came_with_an_enqueued_trial_is_put_right() 
 def test_features_of_a_refused_point_near_the_table_are_taken_back() -> None:
     one = FeatureTable.from_arrays({"a": A, "b": B}, A + B)
     options = {"feature_function": lambda params: params.sum(axis=1), "off_grid": 50}
-    study = new_study(one, strict=False, kernel="sum", n_startup_trials=1, **options)
+    study = new_study(one, strict=False, **options)
     for row in range(18):
         study.enqueue_trial(one.rows.as_parameters(row))
     study.optimize(both, n_trials=18)

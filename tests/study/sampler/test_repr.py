@@ -59,8 +59,8 @@ TABLE = "FeatureTable(600 rows, 16 parameters, 6 features: a, b, c, ...)"
     [
         (lambda: FeatureKernelSampler(table(), seed=3), f"FeatureKernelSampler({TABLE}, seed=3)"),
         (
-            lambda: FeatureKernelSampler(table(), kernel="sum", off_grid=0, nearest=0.1, seed=3),
-            f"FeatureKernelSampler({TABLE}, seed=3, kernel='sum', nearest=0.1)",
+            lambda: FeatureKernelSampler(table(), kernel="rbf", off_grid=0, nearest=0.1, seed=3),
+            f"FeatureKernelSampler({TABLE}, seed=3, kernel='rbf', nearest=0.1)",
         ),
         (
             lambda: FeatureKernelSampler(
@@ -95,5 +95,5 @@ def test_presets_go_by_their_own_names() -> None:
 
 
 def test_a_sampler_that_travelled_shows_the_same() -> None:
-    sampler = FeatureKernelSampler(table(), seed=3, kernel="sum")
+    sampler = FeatureKernelSampler(table(), seed=3, kernel="rbf")
     assert repr(pickle.loads(pickle.dumps(sampler))) == repr(sampler)

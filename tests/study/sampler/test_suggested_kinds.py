@@ -93,7 +93,7 @@ def new_study(given: FeatureTable | None = None, **options: Any) -> optuna.Study
 @pytest.mark.parametrize("how", OTHERWISE)
 def test_what_holds_the_rows_works(how: str, strict: bool) -> None:
     name, suggest = OTHERWISE[how]
-    study = new_study(strict=strict, kernel="sum")
+    study = new_study(strict=strict)
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
         study.optimize(objective(name, suggest), n_trials=12)
@@ -203,7 +203,7 @@ def test_a_logarithmic_scale_is_the_kernels_too() -> None:
 def test_points_near_the_table_are_on_the_logarithmic_scale_and_within_the_range() -> None:
     rate = np.geomspace(1e-4, 1.0, 30)
     given = FeatureTable.from_arrays({"rate": rate}, np.log(rate))
-    study = new_study(given, feature_function=np.log, off_grid=50, kernel="sum")
+    study = new_study(given, feature_function=np.log, off_grid=50)
     study.optimize(
         lambda trial: abs(np.log(trial.suggest_float("rate", 1e-4, 1, log=True)) + 3.3), n_trials=15
     )
@@ -214,7 +214,7 @@ def test_points_near_the_table_are_on_the_logarithmic_scale_and_within_the_range
 def test_points_near_the_table_that_the_study_does_not_take_are_one_line() -> None:
     units = np.arange(1, 60, 2)
     given = FeatureTable.from_arrays({"units": units}, units)
-    study = new_study(given, feature_function=lambda params: params, off_grid=50, kernel="sum")
+    study = new_study(given, feature_function=lambda params: params, off_grid=50)
     with pytest.raises(InputError, match=r"units: .* off the table.*space="):
         study.optimize(
             lambda trial: (trial.suggest_categorical("units", units.tolist()) - 30.2) ** 2,

@@ -84,10 +84,10 @@ def test_resumed_is_uninterrupted_after_a_warm_start() -> None:
         return made
 
     whole, pieces = study(), study()
-    whole.sampler = FeatureKernelSampler(table(), seed=1, nearest=0.5, kernel="sum")
+    whole.sampler = FeatureKernelSampler(table(), seed=1, nearest=0.5)
     whole.optimize(cost, n_trials=6)
     for _ in range(6):
-        pieces.sampler = FeatureKernelSampler(table(), seed=1, nearest=0.5, kernel="sum")
+        pieces.sampler = FeatureKernelSampler(table(), seed=1, nearest=0.5)
         pieces.optimize(cost, n_trials=1)
     assert [trial.params for trial in whole.trials] == [trial.params for trial in pieces.trials]
 
