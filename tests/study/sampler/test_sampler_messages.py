@@ -62,9 +62,9 @@ def run_enqueued(**fixed: float) -> None:
 
 
 def run_points_as_choices() -> None:
-    units = FeatureTable.from_arrays({"a": [1, 3, 9]}, FEATURES)
-    options = {"feature_function": lambda params: params, "off_grid": 50, "n_startup_trials": 1}
-    run(sampler(units, **options), lambda trial: trial.suggest_categorical("a", [1, 3, 9]))
+    units = FeatureTable.from_arrays({"a": [1, 30]}, [1.0, 30.0])
+    options = {"feature_function": lambda params: params, "off_grid": 50}
+    run(sampler(units, **options), lambda trial: trial.suggest_categorical("a", [1, 30]))
 
 
 def frame_without_c() -> None:
