@@ -120,7 +120,7 @@ class Model:
         return (float(cost.std()) or 1.0) * self.guess.cost(points)
 
     def _after(self, points: Points, y: Callable[[slice], Floats]) -> Posterior:
-        """The posterior of something that finished trials showed, y giving what some of them did."""
+        """The posterior of something that trials showed, y giving what some of them did."""
         seen = self._visible(points)
         x = seen.matrix()
         layout = Layout(seen.features.shape[1], seen.coordinates.shape[1], self.parameters)
