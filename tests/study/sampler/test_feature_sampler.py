@@ -178,6 +178,14 @@ def test_points_off_the_table_beat_its_best_row() -> None:
     assert off and all(len(trial.user_attrs["features"]) == 2 for trial in off)
 
 
+def test_points_near_a_table_of_integers_are_not_tried_twice() -> None:
+    table = FeatureTable.from_arrays({"n": [1, 3, 9]}, [1.0, 3.0, 9.0])
+    sampler = FeatureKernelSampler(table, seed=0, off_grid=50, feature_function=lambda p: p)
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(lambda trial: trial.suggest_int("n", 1, 9), n_trials=7)
+    assert len({trial.params["n"] for trial in study.trials}) == 7
+
+
 def test_a_prior_that_is_wrong_is_left() -> None:
     table = small_table()
     size = np.sort(table.rows.features[:, 0])
