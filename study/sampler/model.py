@@ -128,7 +128,7 @@ class Model:
         first = last_refit(len(x))
         theta = self.constants.learned(covariance, x[:first], y(slice(first)))
         # Where features alone are seen, the spread of alike candidates is part of the next one.
-        return condition(covariance, theta, x, y(slice(None)), noisy=not self.kernel.of_parameters)
+        return condition(covariance, theta, x, y(slice(None)), noisy=True)
 
     def _visible(self, points: Points) -> Points:
         """The columns that the kernel looks at."""

@@ -78,7 +78,7 @@ class NormalScores(Scale):
         sd = np.array([_spread(values) for values in known])
         gaps: dict[bytes, tuple[int, float]] = {}
         for column, gap in enumerate(missing.T):
-            share = float(gap.mean())
+            share = float(gap.mean()) if len(gap) else 0.0
             if LEAST_GAPS < share < 1.0 - LEAST_GAPS:
                 gaps.setdefault(gap.tobytes(), (column, share))
         return cls(known, sd, tuple(gaps.values()))

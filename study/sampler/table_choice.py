@@ -11,7 +11,7 @@ from study.draws import Purpose
 from study.sampler import first_trials
 from study.sampler.acquisition import argmax_random_tie
 from study.sampler.candidate_table import CandidateTable
-from study.sampler.candidates import nearby
+from study.sampler.candidates import nearby, not_among
 from study.sampler.feature_function import Features, call_features
 from study.sampler.guess import Guess
 from study.sampler.history import OFF_TABLE, History, noted_features
@@ -94,7 +94,9 @@ class TableChoice(Source, ABC):
         if free.any():
             utility = model.utility(self._points(), free, self.rng(Purpose.CANDIDATES, own_turn))
         if self.options.off_grid:
-            value, off = self._best_of(self._near(history, utility, own_turn), model, own_turn)
+            near = self._near(history, utility, own_turn)
+            new = not_among(near, np.vstack([history.parameters, history.running]))
+            value, off = self._best_of(near, new, model, own_turn)
             if not free.any() or value > utility.max():
                 return off
         best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
@@ -109,14 +111,17 @@ class TableChoice(Source, ABC):
         rng = self.rng(Purpose.OFF_GRID, own_turn)
         return nearby(self.rows.space.pinned(history.fixed), centres, self.options.off_grid, rng)
 
-    def _best_of(self, near: Floats, model: Model, own_turn: int) -> tuple[float, Candidate]:
-        """The best of some points off the table, and its utility."""
+    def _best_of(
+        self, near: Floats, new: Mask, model: Model, own_turn: int
+    ) -> tuple[float, Candidate]:
+        """The best of some points off the table, of those that are new, and its utility."""
         assert self.function is not None  # checked with off_grid
         features = call_features(self.function, near, len(self._names))
         points = Points(self._scale.standard(features), self._unit(near))
         known = np.asarray(np.isfinite(features).all(axis=1))
+        offered = known & new if (known & new).any() else known
         rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
-        utility = model.utility(points, known, rng)
+        utility = model.utility(points, offered, rng)
         best = argmax_random_tie(utility, rng)
         return float(utility[best]), Candidate(OFF_TABLE, near[best], features[best])
 

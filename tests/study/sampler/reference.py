@@ -12,12 +12,15 @@ from sklearn.gaussian_process import GaussianProcessRegressor, kernels
 from study.sampler.composites import Product, Sum
 from study.sampler.covariance import Covariance
 from study.sampler.gaussian_process import ITERATIONS, NOISE_STARTS, SECOND_START_TRIALS
+from study.sampler.kernels import KERNELS, NEARNESS
 from study.sampler.likelihood import JITTER
 from study.sampler.parts import Constant, Linear, Part
 from study.sampler.posterior import Posterior
-from study.sampler.stationary import Matern, Stationary
+from study.sampler.stationary import RBF
 
 Floats = NDArray[np.float64]
+
+FORMS = KERNELS | {"nearness": NEARNESS}  # all that there are, by name
 
 
 class Columns(kernels.Kernel):  # type: ignore[misc]
@@ -70,10 +73,8 @@ def of_part(part: Part) -> Any:
     if isinstance(part, Linear):
         inner: Any = kernels.DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
         return Columns(inner, part.columns)
-    assert isinstance(part, Stationary)
+    assert isinstance(part, RBF)
     scales = part.scales[0] if len(part.scales) == 1 else np.array(part.scales)
-    if isinstance(part, Matern):
-        return Columns(kernels.Matern(scales, part.limits, nu=2.5), part.columns)
     return Columns(kernels.RBF(scales, part.limits), part.columns)
 
 

@@ -140,7 +140,7 @@ def test_categoricals_with_features_are_rows_like_others() -> None:
         {"kind": ["x", "y", "z"] * 5, "n": list(range(15))}, np.arange(15.0)
     )
     study = run(
-        FeatureKernelSampler(table, seed=0, kernel="sum"),
+        FeatureKernelSampler(table, seed=0),
         lambda t: (
             t.suggest_int("n", 0, 14) + (t.suggest_categorical("kind", ["x", "y", "z"]) == "x")
         ),
@@ -260,13 +260,10 @@ def test_a_fixed_parameter() -> None:
     ("options", "message"),
     [
         ({"kernel": "cubic"}, "kernel: 'cubic' .*rbf_ard"),
-        ({"mean": "quadratic"}, "mean"),
-        ({"acquisition": "pi"}, "acquisition"),
-        ({"cost_transform": "sqrt"}, "cost_transform"),
-        ({"n_startup_trials": 0}, "n_startup_trials"),
-        ({"refit_every": 0}, "refit_every"),
-        ({"exploration": float("nan")}, "exploration"),
+        ({"kernel": "nearness"}, "kernel: 'nearness' .*additive"),
         ({"prior": "speed"}, "prior: 'speed' .*feature_0"),
+        ({"prior": "-speed"}, "prior: '-speed' .*feature_0, or one with a minus"),
+        ({"off_grid": -1}, "off_grid: -1 .* 0 or more"),
         ({"off_grid": 5}, "off_grid: 5 .* feature_function"),
         ({"space": {"x": CategoricalDistribution([1])}}, "space"),
     ],
@@ -282,9 +279,8 @@ def test_options_that_cannot_be_used(
     ("features", "options", "message"),
     [
         (None, {"kernel": "rbf"}, "kernel: 'rbf' .*no features"),
-        (None, {"mean": "linear"}, "no features"),
+        (None, {"kernel": "additive"}, "kernel: 'additive' .*no features"),
         (None, {"prior": "p"}, "prior"),
-        (None, {"mismatch": "shown"}, "mismatch"),
         (None, {"off_grid": 3}, "off_grid"),
         (None, {"feature_function": len}, "feature_function"),
         (3, {}, "features: 'int'"),

@@ -27,14 +27,16 @@ def test_arrays_make_rows_of_native_values() -> None:
         CategoricalDistribution(("relu", "tanh")),
     )
     assert rows.feature_names == ("p", "q")
-    assert_allclose(rows.standard.mean(axis=0), 0.0, atol=1e-12)
-    assert_allclose(rows.standard.std(axis=0), 1.0)
+    for by_order in (False, True):
+        standard = rows.scale(by_order=by_order).standard(rows.features)
+        assert_allclose(standard.mean(axis=0), 0.0, atol=1e-12)
+        assert_allclose(standard.std(axis=0), 1.0)
 
 
 def test_one_feature_may_be_a_column() -> None:
     rows = CandidateTable.from_arrays(TWO, [1, 3]).rows
     assert rows.feature_names == ("feature_0",)
-    assert rows.standard.tolist() == [[-1.0], [1.0]]
+    assert rows.standard.standard(rows.features).tolist() == [[-1.0], [1.0]]
 
 
 def test_a_space_says_what_columns_cannot() -> None:
@@ -54,9 +56,9 @@ def test_rows_are_found_by_exact_values() -> None:
 
 def test_a_data_frame_gives_named_columns() -> None:
     frame = pd.DataFrame(MIXED | {"p": [1, 2, 4], "q": [0.5, np.nan, 1.5]})
-    with pytest.warns(UserWarning, match="1 rows with a feature that is not finite"):
-        table = CandidateTable.from_dataframe(frame, parameters=list(MIXED), features=["p", "q"])
-    assert table.rows.offered.tolist() == [True, False, True]
+    table = CandidateTable.from_dataframe(frame, parameters=list(MIXED), features=["p", "q"])
+    assert table.rows.feature_names == ("p", "q")
+    assert_allclose(table.rows.features, [[1.0, 0.5], [2.0, np.nan], [4.0, 1.5]])
     with pytest.raises(InputError, match="column: 'z'"):
         CandidateTable.from_dataframe(frame, parameters=["rate"], features=["z"])
 
@@ -106,8 +108,26 @@ def test_a_feature_without_information_weighs_nothing() -> None:
     features = np.column_stack([[1.0, 2.0, 3.0], [7.0] * 3, [np.nan] * 3])
     with pytest.warns(UserWarning, match="without information are ignored: feature_1, feature_2"):
         rows = CandidateTable.from_arrays(MIXED, features).rows
-    assert_allclose(rows.standard[:, 1:], 0.0)
+    for by_order in (False, True):
+        assert_allclose(rows.scale(by_order=by_order).standard(rows.features)[:, 1:], 0.0)
     assert rows.offered.all()
+
+
+def test_a_row_is_offered_with_half_of_its_informative_features() -> None:
+    nan, inf = np.nan, np.inf
+    features = [[nan, 1.0, 7.0], [2.0, nan, 7.0], [nan, nan, 7.0], [inf, -inf, nan]]
+    with pytest.warns(UserWarning, match="1 rows with a feature .* ignored: feature_2"):
+        table = CandidateTable.from_arrays({"a": np.arange(4.0)}, features)
+    assert table.rows.offered.tolist() == [True, True, False, True]
+    assert table.rows.incomplete == 1
+
+
+def test_infinity_is_a_value_and_no_gap() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rows = CandidateTable.from_arrays({"a": np.arange(3.0)}, [np.inf, 0.0, -np.inf]).rows
+    assert rows.offered.all() and rows.empty_features == ()
+    assert np.argsort(rows.scores.standard(rows.features)[:, 0]).tolist() == [2, 1, 0]
 
 
 def test_repeated_rows_count_once() -> None:
@@ -127,7 +147,9 @@ def test_a_sound_table_makes_no_noise() -> None:
 def test_features_of_any_scale() -> None:
     tiny = CandidateTable.from_arrays(TWO, [1e-30, 3e-30]).rows
     huge = CandidateTable.from_arrays(TWO, [1e30, 3e30]).rows
-    assert_allclose(tiny.standard, huge.standard)
+    for by_order in (False, True):
+        scales = [rows.scale(by_order=by_order) for rows in (tiny, huge)]
+        assert_allclose(scales[0].standard(tiny.features), scales[1].standard(huge.features))
 
 
 @pytest.mark.parametrize(

@@ -239,15 +239,13 @@ def test_trials_off_the_table_are_ignored_with_one_warning(table: FeatureTable) 
     assert len(set(rows_of_placed(study))) == 5
 
 
-def test_startup_rows_are_random_and_counted(table: FeatureTable) -> None:
+def test_startup_rows_are_random(table: FeatureTable) -> None:
     first = set()
     for seed in range(10):
         study = new_study(table, seed=seed)
         study.optimize(bowl, n_trials=1)
         first.add(rows_of(study)[0])
     assert len(first) > 5
-    with pytest.raises(InputError, match="n_startup_trials"):
-        DoGSampler(table, n_startup_trials=0)
 
 
 def test_what_is_stored_are_plain_numbers(table: FeatureTable) -> None:

@@ -5,26 +5,29 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import approx_fprime
 
+from study.sampler.covariance import Covariance
 from study.sampler.gaussian_process import condition, learn
-from study.sampler.kernels import Layout, feature_only, new_covariance
+from study.sampler.kernels import Layout, new_covariance
 from study.sampler.likelihood import Misfit
-from study.sampler.options import KERNELS
 from study.sampler.parts import Part
 from study.sampler.points import Points
 from tests.study.sampler import reference
 
 LAYOUT = Layout(features=2, coordinates=3, parameters=3)
-FORMS = [(k, m) for k in KERNELS if k != "alternate" for m in ("constant", "linear")]
 X = np.random.default_rng(0).standard_normal((12, 5))
+
+
+def covariance_of(form: str, layout: Layout = LAYOUT) -> Covariance:
+    return new_covariance(reference.FORMS[form], layout)
 
 
 def between(kernel: Part, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.broadcast_to(kernel.towards(a, np.float64)(b), (len(a), len(b)))
 
 
-@pytest.mark.parametrize(("kernel", "mean"), FORMS)
-def test_kernels_are_scikit_learns(kernel: str, mean: str) -> None:
-    ours = new_covariance(kernel, mean, LAYOUT).kernel
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_kernels_are_scikit_learns(form: str) -> None:
+    ours = covariance_of(form).kernel
     theta = ours.theta + np.linspace(-1.0, 1.0, len(ours.theta))
     ours = ours.with_theta(theta)
     theirs = reference.of_part(ours)
@@ -39,9 +42,9 @@ def test_kernels_are_scikit_learns(kernel: str, mean: str) -> None:
     assert_allclose(half, theirs(X, X[:5]), atol=1e-5)
 
 
-@pytest.mark.parametrize(("kernel", "mean"), FORMS)
-def test_a_pull_weighs_the_derivatives_of_all_entries(kernel: str, mean: str) -> None:
-    ours = new_covariance(kernel, mean, LAYOUT).kernel
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_a_pull_weighs_the_derivatives_of_all_entries(form: str) -> None:
+    ours = covariance_of(form).kernel
     weights = np.random.default_rng(1).standard_normal((12, 12))
 
     def weighed(theta: np.ndarray) -> float:
@@ -52,18 +55,24 @@ def test_a_pull_weighs_the_derivatives_of_all_entries(kernel: str, mean: str) ->
     assert_allclose(pull(np.tril(weights)) + pull(np.triu(weights, 1)), pull(weights))
 
 
-@pytest.mark.parametrize(("kernel", "mean"), FORMS)
-def test_every_constant_has_a_prior(kernel: str, mean: str) -> None:
-    covariance = new_covariance(kernel, mean, LAYOUT)
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_every_constant_has_a_prior(form: str) -> None:
+    covariance = covariance_of(form)
     assert len(covariance.priors) == len(covariance.theta) == len(covariance.bounds)
 
 
 @pytest.mark.parametrize(
-    ("kernel", "same_features", "same_parameters"),
-    [("rbf", 1, 0), ("rbf_ard", 1, 0), ("matern_ard", 1, 0), ("euclidean", 0, 1), ("sum", 1, 1)],
+    ("form", "same_features", "same_parameters"),
+    [
+        ("rbf", 1, 0),
+        ("rbf_ard", 1, 0),
+        ("euclidean", 0, 1),
+        ("nearness", 0, 1),
+        ("additive", 1, 1),
+    ],
 )
-def test_kernels_see_their_columns(kernel: str, same_features: int, same_parameters: int) -> None:
-    built = new_covariance(kernel, "constant", LAYOUT).kernel
+def test_kernels_see_their_columns(form: str, same_features: int, same_parameters: int) -> None:
+    built = covariance_of(form).kernel
     a, far = np.zeros((1, 5)), 1e3
     other_parameters, other_features = a.copy(), a.copy()
     other_parameters[:, 2:], other_features[:, :2] = far, far
@@ -71,31 +80,35 @@ def test_kernels_see_their_columns(kernel: str, same_features: int, same_paramet
     assert_allclose(between(built, a, other_features), same_parameters, atol=1e-9)
 
 
-def test_a_product_needs_both() -> None:
-    built = new_covariance("product", "constant", LAYOUT).kernel
-    a, b = np.zeros((1, 5)), np.zeros((1, 5))
-    b[:, 0] = 1e3
-    assert_allclose(between(built, a, b), 0.0, atol=1e-9)
+def test_the_additive_one_is_its_formula() -> None:
+    """v phi^T phi' + s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) + t^2 exp(-|u - u'|^2 / 2L^2)."""
+    v, s2, l1, l2, t2, nearness = constants = np.array([0.2, 1.3, 0.7, 2.0, 0.4, 0.9])
+    built = covariance_of("additive").kernel.with_theta(np.log(constants))
+    phi, u = X[:, :2], X[:, 2:]
+    difference = (phi[:, None] - phi[None]) / [l1, l2]
+    away = ((u[:, None] - u[None]) ** 2).sum(axis=-1) / nearness**2
+    likeness = s2 * np.exp(-0.5 * (difference**2).sum(axis=-1))
+    expected = v * phi @ phi.T + likeness + t2 * np.exp(-0.5 * away)
+    assert_allclose(built.gram(X)[0], expected, rtol=1e-10)
 
 
 def test_a_shared_length_scale_and_one_a_feature() -> None:
-    assert len(new_covariance("rbf", "constant", LAYOUT).theta) == 3
-    assert len(new_covariance("rbf_ard", "constant", LAYOUT).theta) == 4
-    assert len(new_covariance("euclidean", "constant", LAYOUT).theta) == 5
-    assert feature_only("matern_ard") and not feature_only("sum")
+    counts = {"rbf": 3, "rbf_ard": 4, "euclidean": 5, "nearness": 3, "additive": 7}
+    assert {form: len(covariance_of(form).theta) for form in counts} == counts
 
 
 def test_parameters_have_the_dimension_scaled_prior() -> None:
     for d in (1, 16, 100):
-        prior = new_covariance("euclidean", "constant", Layout(0, d, d)).priors[1]
         mu, sigma = np.sqrt(2) + np.log(d) / 2, np.sqrt(3)  # Hvarfner et al. 2024
-        assert_allclose(prior.mode, mu - sigma**2)
-        assert_allclose(prior.sd, sigma)
+        for form, place in (("euclidean", 1), ("nearness", 1), ("additive", 4)):
+            prior = covariance_of(form, Layout(1, d, d)).priors[place]
+            assert_allclose(prior.mode, mu - sigma**2)
+            assert_allclose(prior.sd, sigma)
 
 
 def test_the_posterior_density_is_maximised() -> None:
     """No constant can be moved either way for a better likelihood times prior."""
-    covariance = new_covariance("rbf_ard", "constant", LAYOUT)
+    covariance = covariance_of("rbf_ard")
     y = np.sin(X[:, 0])
     y = (y - y.mean()) / y.std()
     theta = learn(covariance, X, y)
@@ -109,21 +122,21 @@ def test_the_posterior_density_is_maximised() -> None:
 
 
 def test_the_prior_decides_where_there_is_one_trial() -> None:
-    covariance = new_covariance("euclidean", "constant", LAYOUT)
+    covariance = covariance_of("euclidean")
     theta = learn(covariance, X[:1], np.array([2.0]))
     for found, prior in zip(theta[1:4], covariance.priors[1:4], strict=True):
         assert_allclose(found, prior.mode, atol=1e-3)
 
 
-def test_a_linear_mean_carries_beyond_the_trials() -> None:
-    x = np.linspace(-1, 1, 25)[:, None]
-    beyond = Points(np.array([[6.0]]), np.empty((1, 0)))
+def test_slopes_carry_beyond_the_trials() -> None:
+    x = np.hstack([np.linspace(-1, 1, 25)[:, None], np.full((25, 1), 0.5)])
+    beyond = Points(np.array([[6.0]]), np.array([[0.5]]))
 
-    def predicted(mean: str) -> float:
-        covariance = new_covariance("rbf", mean, Layout(1, 0, 1))
+    def predicted(form: str) -> float:
+        covariance = covariance_of(form, Layout(1, 1, 1))
         y = 3.0 * x[:, 0]
         fitted = condition(covariance, learn(covariance, x, y), x, y, noisy=False, fast=False)
         return float(fitted.predict(beyond)[0][0])
 
-    assert abs(predicted("linear") - 18.0) < abs(predicted("constant") - 18.0)
-    assert abs(predicted("linear") - 18.0) < 4.0
+    assert abs(predicted("additive") - 18.0) < abs(predicted("rbf_ard") - 18.0)
+    assert abs(predicted("additive") - 18.0) < 4.0

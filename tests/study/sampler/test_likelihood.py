@@ -7,14 +7,12 @@ from scipy.optimize import approx_fprime
 
 from study.sampler.covariance import Covariance
 from study.sampler.gaussian_process import LIKELIHOOD_TRIALS, learn
-from study.sampler.kernels import SIGNAL_PRIOR, Layout, mismatch_covariance, new_covariance
+from study.sampler.kernels import SIGNAL_PRIOR, Layout, new_covariance
 from study.sampler.likelihood import Misfit
-from study.sampler.options import KERNELS
 from study.sampler.parts import Linear
 from tests.study.sampler import reference
 
 LAYOUT = Layout(features=3, coordinates=4, parameters=4)
-FORMS = [(k, m) for k in KERNELS if k != "alternate" for m in ("constant", "linear")]
 
 
 def trials(count: int, seed: int, outputs: int | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -34,11 +32,9 @@ def anywhere(covariance: Covariance, seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("outputs", [None, 3])
-@pytest.mark.parametrize(("kernel", "mean"), FORMS)
-def test_the_misfit_and_its_gradient_are_scikit_learns(
-    kernel: str, mean: str, outputs: int | None
-) -> None:
-    covariance = new_covariance(kernel, mean, LAYOUT)
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_the_misfit_and_its_gradient_are_scikit_learns(form: str, outputs: int | None) -> None:
+    covariance = new_covariance(reference.FORMS[form], LAYOUT)
     for seed, count in enumerate((1, 2, 9, 40, 120)):
         x, y = trials(count, seed, outputs) if count > 1 else (trials(2, seed)[0][:1], np.zeros(1))
         for draw in range(3):
@@ -49,9 +45,9 @@ def test_the_misfit_and_its_gradient_are_scikit_learns(
             assert_allclose(gradient, slopes, rtol=1e-6, atol=1e-6 * np.abs(slopes).max())
 
 
-@pytest.mark.parametrize(("kernel", "mean"), FORMS)
-def test_the_gradient_is_that_of_the_misfit(kernel: str, mean: str) -> None:
-    covariance = new_covariance(kernel, mean, LAYOUT)
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_the_gradient_is_that_of_the_misfit(form: str) -> None:
+    covariance = new_covariance(reference.FORMS[form], LAYOUT)
     misfit = Misfit(covariance, *trials(25, 0))
     theta = covariance.theta
     slopes = approx_fprime(theta, lambda at: misfit(at)[0], 1e-6)
@@ -59,21 +55,11 @@ def test_the_gradient_is_that_of_the_misfit(kernel: str, mean: str) -> None:
 
 
 @pytest.mark.parametrize("count", [2, 8, 30, 31, LIKELIHOOD_TRIALS])
-@pytest.mark.parametrize(("kernel", "mean"), FORMS)
-def test_the_constants_are_those_that_scikit_learn_finds(
-    kernel: str, mean: str, count: int
-) -> None:
-    covariance = new_covariance(kernel, mean, LAYOUT)
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_the_constants_are_those_that_scikit_learn_finds(form: str, count: int) -> None:
+    covariance = new_covariance(reference.FORMS[form], LAYOUT)
     x, y = trials(count, seed=count)
     assert_allclose(learn(covariance, x, y), reference.learned(covariance, x, y), atol=1e-6)
-
-
-def test_the_constants_of_a_mismatch_are_those_that_scikit_learn_finds() -> None:
-    covariance = mismatch_covariance(Layout(0, 4, 4))
-    x, y = trials(20, 0, outputs=3)
-    y /= np.sqrt(np.mean(y**2))
-    found = learn(covariance, x[:, 3:], y, center=False)
-    assert_allclose(found, reference.learned(covariance, x[:, 3:], y), atol=1e-6)
 
 
 def test_without_a_cholesky_factor_the_misfit_is_infinite() -> None:

@@ -52,13 +52,13 @@ def features(params: NDArray[np.float64]) -> NDArray[np.float64]:
 class TestCallable(Suite):
     @pytest.fixture
     def sampler(self) -> Factory:
-        return lambda: FeatureKernelSampler(features, seed=0, n_candidates=128)
+        return lambda: FeatureKernelSampler(features, seed=0)
 
 
 class TestPlain(Suite):
     @pytest.fixture
     def sampler(self) -> Factory:
-        return lambda: FeatureKernelSampler(seed=0, n_candidates=128)
+        return lambda: FeatureKernelSampler(seed=0)
 
 
 def test_the_suite_needs_no_warning_to_be_silenced_without_a_table() -> None:

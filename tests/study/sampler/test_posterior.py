@@ -8,17 +8,17 @@ from study.sampler.covariance import Covariance
 from study.sampler.gaussian_process import LIKELIHOOD_TRIALS, condition, learn
 from study.sampler.kernels import Layout, new_covariance
 from study.sampler.one_dimension import Shared
-from study.sampler.options import KERNELS
 from study.sampler.points import Points
 from study.sampler.posterior import BLOCK, Posterior
 from tests.study.sampler import reference
 
-FORMS = [
-    (kernel, mean) for kernel in KERNELS if kernel != "alternate" for mean in ("constant", "linear")
-]
 LAYOUT = Layout(features=3, coordinates=4, parameters=4)
 EXACT = 1e-8
 FAST = 1e-4  # of the prior's scale
+
+
+def covariance_of(form: str, layout: Layout = LAYOUT) -> Covariance:
+    return new_covariance(reference.FORMS[form], layout)
 
 
 def some_points(count: int, seed: int) -> Points:
@@ -50,9 +50,9 @@ def prior_variance(posterior: Posterior, x: np.ndarray) -> np.ndarray:
     return posterior.cost_sd**2 * (posterior.kernel.variance(x) + posterior.noise) * np.ones(len(x))
 
 
-@pytest.mark.parametrize(("kernel", "mean"), FORMS)
-def test_the_exact_posterior_is_scikit_learns(kernel: str, mean: str) -> None:
-    posterior = fitted(new_covariance(kernel, mean, LAYOUT), 40, fast=False)
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_the_exact_posterior_is_scikit_learns(form: str) -> None:
+    posterior = fitted(covariance_of(form), 40, fast=False)
     candidates = some_points(2 * BLOCK + 17, seed=2)
     expected_mean, expected_variance = oracle(posterior, candidates)
     found_mean, found_variance = posterior.predict(candidates)
@@ -61,9 +61,9 @@ def test_the_exact_posterior_is_scikit_learns(kernel: str, mean: str) -> None:
     assert_allclose(posterior.mean(candidates), expected_mean, rtol=EXACT)
 
 
-@pytest.mark.parametrize(("kernel", "mean"), FORMS)
-def test_the_fast_posterior_is_nearly_scikit_learns(kernel: str, mean: str) -> None:
-    posterior = fitted(new_covariance(kernel, mean, LAYOUT), 100, fast=True)
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_the_fast_posterior_is_nearly_scikit_learns(form: str) -> None:
+    posterior = fitted(covariance_of(form), 100, fast=True)
     candidates = some_points(2 * BLOCK + 17, seed=2)
     expected_mean, expected_variance = oracle(posterior, candidates)
     found_mean, found_variance = posterior.predict(candidates)
@@ -74,7 +74,7 @@ def test_the_fast_posterior_is_nearly_scikit_learns(kernel: str, mean: str) -> N
 
 @pytest.mark.parametrize("count", [1, 2, 7, 1000])
 def test_any_number_of_trials_will_do(count: int) -> None:
-    posterior = fitted(new_covariance("euclidean", "constant", LAYOUT), count, fast=False)
+    posterior = fitted(covariance_of("euclidean"), count, fast=False)
     candidates = some_points(50, seed=2)
     mean, variance = oracle(posterior, candidates)
     assert_allclose(posterior.predict(candidates)[0], mean, rtol=EXACT)
@@ -85,7 +85,7 @@ def along_a_feature(count: int, *, fast: bool) -> Posterior:
     rng = np.random.default_rng(0)
     x = rng.uniform(-1, 4, (count, 1))
     y = 5.0 + 2.0 * np.sin(x[:, 0]) + 0.3 * rng.standard_normal(count)
-    covariance = new_covariance("rbf", "constant", Layout(1, 0, 2))
+    covariance = covariance_of("rbf", Layout(1, 0, 2))
     return condition(covariance, learn(covariance, x, y), x, y, noisy=True, fast=fast)
 
 
@@ -103,21 +103,8 @@ def test_along_one_feature(fast: bool, tolerance: float, values: int) -> None:
     assert np.max(np.abs(variance - expected_variance) / prior) < tolerance
 
 
-def test_the_joint_posterior_agrees_with_itself_and_with_scikit_learn() -> None:
-    posterior = fitted(new_covariance("sum", "linear", LAYOUT), 30, fast=False, noisy=False)
-    candidates = some_points(40, seed=2)
-    mean, covariance = posterior.joint(candidates)
-    alone_mean, alone_variance = posterior.predict(candidates)
-    assert_allclose(mean, alone_mean, rtol=EXACT)
-    assert_allclose(np.diag(covariance), alone_variance, rtol=1e-6)
-    theirs = reference.of_posterior(posterior)
-    _, expected = theirs.predict(candidates.matrix(), return_cov=True)
-    noise = posterior.noise * np.eye(40)
-    assert_allclose(covariance, posterior.cost_sd**2 * (expected - noise), atol=1e-7)
-
-
 def test_believing_adds_trials_and_keeps_constants() -> None:
-    posterior = fitted(new_covariance("rbf", "constant", LAYOUT), 20, fast=False)
+    posterior = fitted(covariance_of("rbf"), 20, fast=False)
     more = some_points(3, seed=5)
     believed = posterior.believing(more)
     candidates = some_points(200, seed=6)
@@ -131,7 +118,7 @@ def test_believing_adds_trials_and_keeps_constants() -> None:
 def test_the_spread_of_equal_features_is_learned_as_noise() -> None:
     x = np.repeat([[0.0], [1.0], [2.0]], 30, axis=0)
     y = 10.0 * x[:, 0] + 1.5 * np.random.default_rng(2).standard_normal(90)
-    covariance = new_covariance("rbf", "constant", Layout(1, 0, 1))
+    covariance = covariance_of("rbf", Layout(1, 0, 1))
     posterior = condition(covariance, learn(covariance, x, y), x, y, noisy=True, fast=False)
     mean, variance = posterior.predict(Points(x[::30], np.empty((3, 0))))
     assert_allclose(mean, [0, 10, 20], atol=1.0)
@@ -140,7 +127,7 @@ def test_the_spread_of_equal_features_is_learned_as_noise() -> None:
 
 def test_equal_costs_are_no_accident() -> None:
     points = some_points(2, seed=0)
-    covariance = new_covariance("rbf_ard", "linear", LAYOUT)
+    covariance = covariance_of("additive")
     x, y = points.matrix(), np.array([3.0, 3.0])
     mean, variance = condition(
         covariance, learn(covariance, x, y), x, y, noisy=True, fast=True
@@ -151,7 +138,7 @@ def test_equal_costs_are_no_accident() -> None:
 
 def test_the_unit_of_cost_does_not_matter() -> None:
     points, candidates = some_points(20, seed=1), some_points(50, seed=2)
-    x, y, covariance = points.matrix(), costs(points), new_covariance("product", "constant", LAYOUT)
+    x, y, covariance = points.matrix(), costs(points), covariance_of("additive")
     ours, scaled = (
         condition(covariance, learn(covariance, x, c), x, c, noisy=True, fast=False).predict(
             candidates
@@ -165,6 +152,6 @@ def test_the_unit_of_cost_does_not_matter() -> None:
 def test_constants_are_learned_from_a_part_of_many_trials() -> None:
     points = some_points(2 * LIKELIHOOD_TRIALS, seed=1)
     x, y = points.matrix(), costs(points)
-    covariance = new_covariance("rbf", "constant", LAYOUT)
+    covariance = covariance_of("rbf")
     assert_allclose(learn(covariance, x, y), learn(covariance, x, y))
     assert np.isfinite(learn(covariance, x, y)).all()

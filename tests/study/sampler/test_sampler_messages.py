@@ -104,9 +104,8 @@ CASES: dict[str, Callable[[], object]] = {
     ),
     "features without information are ignored: …": lambda: table([[0, 1], [1, 1], [4, 1]]),
     "kernel: … allowed: one of …": lambda: sampler(kernel="gauss"),
-    "n_startup_trials: 0 cannot be used; allowed: 1 or more": lambda: sampler(n_startup_trials=0),
-    "kernel: … allowed: euclidean, with a constant mean: no features": (
-        lambda: FeatureKernelSampler(kernel="rbf")
+    "kernel: … allowed: euclidean: there are no features": lambda: FeatureKernelSampler(
+        kernel="rbf"
     ),
     "prior: … allowed: one of …, or one with a minus": lambda: sampler(prior="phi"),
     "nearest: … allowed: none with a feature_function, …": lambda: sampler(
@@ -154,9 +153,6 @@ CASES: dict[str, Callable[[], object]] = {
         sampler(lambda params: params * np.nan, space=SPACE)
     ),
     "… the independent sampler takes over": lambda: run(sampler(strict=False)),
-    "… is left out: no finished trial reports it (…)": lambda: run(
-        sampler(mismatch="misspelt", n_startup_trials=1), trials=3
-    ),
     "trials whose parameters are no row of the table are ignored: …": (
         run_after_a_point_off_the_table
     ),

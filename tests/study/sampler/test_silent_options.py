@@ -1,6 +1,4 @@
-"""Options and tables that a study never serves are not ignored in silence."""
-
-import warnings
+"""Tables and spaces that a study never serves are not ignored in silence."""
 
 import numpy as np
 import optuna
@@ -14,25 +12,6 @@ from taichi_nmm.errors import InputError
 def table() -> FeatureTable:
     rng = np.random.default_rng(0)
     return FeatureTable.from_arrays({"x": rng.random(40), "y": rng.random(40)}, rng.random((40, 1)))
-
-
-def objective(trial: optuna.Trial) -> float:
-    return trial.suggest_float("x", 0, 1) + trial.suggest_float("y", 0, 1)
-
-
-def messages(sampler: FeatureKernelSampler, trials: int = 8) -> list[str]:
-    study = optuna.create_study(sampler=sampler)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        study.optimize(objective, n_trials=trials)
-    return [str(warning.message) for warning in caught if warning.category is UserWarning]
-
-
-@pytest.mark.parametrize("option", ["mismatch", "feasibility"])
-def test_an_attribute_that_no_trial_reports_is_one_warning(option: str) -> None:
-    said = messages(FeatureKernelSampler(table(), seed=1, **{option: "misspelt"}))
-    assert len(said) == 1
-    assert said[0].startswith(f"{option} is left out: no finished trial reports it (misspelt")
 
 
 def test_a_table_of_other_names_is_one_warning_where_it_need_not_fit() -> None:

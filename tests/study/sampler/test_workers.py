@@ -41,7 +41,7 @@ def cost(trial: optuna.Trial) -> float:
 
 def work(kind: str, folder: Path, trials: int) -> None:
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    sampler = DoGSampler(small_table(), seed=1, refit_every=50)
+    sampler = DoGSampler(small_table(), seed=1)
     study = optuna.load_study(study_name="s", storage=open_storage(kind, folder), sampler=sampler)
     study.optimize(cost, n_trials=trials)
 
@@ -82,7 +82,7 @@ def test_of_two_that_want_one_row_the_later_gives_way() -> None:
 
 def test_threads_share_a_sampler() -> None:
     table = small_table()
-    study = optuna.create_study(sampler=DoGSampler(table, seed=0, refit_every=20))
+    study = optuna.create_study(sampler=DoGSampler(table, seed=0))
 
     def slow(trial: optuna.Trial) -> float:
         time.sleep(0.002)

@@ -1,0 +1,97 @@
+"""What the user says of a feature, in the model's mean."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from study.sampler.evidence import Evidence
+from study.sampler.guess import SLOPE, Guess
+from study.sampler.kernels import KERNELS
+from study.sampler.model import Constants, Model
+from study.sampler.points import Points
+from study.sampler.transforms import log_excess
+from taichi_nmm.errors import InputError
+
+NAMES = ("score", "error", "-odd")
+
+
+@pytest.mark.parametrize(
+    ("prior", "guess"),
+    [("score", (0, 1.0)), ("-error", (1, -1.0)), ("-odd", (2, 1.0)), ("--odd", (2, -1.0))],
+)
+def test_a_minus_stands_for_low_values(prior: str, guess: tuple[int, float]) -> None:
+    found = Guess.of(prior, NAMES)
+    assert (found.column, found.sign) == guess
+    features = np.arange(12.0).reshape(4, 3)
+    assert_allclose(found.merit(features), guess[1] * features[:, guess[0]])
+
+
+@pytest.mark.parametrize("prior", ["", "-", "speed", "-speed", "+score"])
+def test_what_is_no_feature_is_refused(prior: str) -> None:
+    with pytest.raises(InputError, match=r"prior: .* one of score, error, -odd, or one with a mi"):
+        Guess.of(prior, NAMES)
+
+
+def no_limits(trials: int) -> np.ndarray:
+    return np.empty((trials, 0))
+
+
+def points(scores: np.ndarray, seed: int) -> Points:
+    """With the score as the second of two features, and two coordinates."""
+    rng = np.random.default_rng(seed)
+    other = rng.standard_normal(len(scores))
+    return Points(np.column_stack([other, scores]), rng.uniform(size=(len(scores), 2)))
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_where_nothing_is_left_to_explain_the_cost_falls_by_the_slope(
+    kernel: str, sign: float
+) -> None:
+    """Costs that follow the guess exactly: only their scale, and no residual, is left to learn.
+
+    The scores of the trials have unit variance, so that the costs' own spread is their slope.
+    """
+    scores = np.array([-1.5, -0.7, 0.1, 0.4, 0.9, 1.6])
+    scores = (scores - scores.mean()) / scores.std()
+    fall = (sign * scores).max() - sign * scores  # 0 of the best
+    if KERNELS[kernel].by_order:
+        fall *= np.log(2.0) / np.median(fall[fall > 0])
+        cost = np.expm1(fall)  # of which log_excess is `fall`: its median excess is 1
+        assert_allclose(log_excess(cost), fall, atol=1e-12)
+    else:
+        fall *= 3.0
+        cost = 100.0 + fall
+    seen = points(scores, 0)
+    none = points(np.empty(0), 0)
+    evidence = Evidence(seen, cost, no_limits(6), none)
+    model = Model(KERNELS[kernel], Guess(1, sign), 2, evidence, Constants())
+    some = points(np.array([-3.0, -0.2, 0.0, 0.7, 5.0]), 1)
+    mean, _ = model.posterior.predict(model._visible(some))
+    predicted = mean + model._guessed(some)
+    expected = -SLOPE * fall.std() * sign * (some.features[:, 1] - some.features[0, 1])
+    assert_allclose(predicted - predicted[0], expected, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("cost", [0.0, 1e9])
+def test_after_one_trial_the_ranking_is_the_order_of_the_utility(cost: float) -> None:
+    """One cost has no spread: it is taken to be one, and like candidates differ by the guess."""
+    evidence = Evidence(
+        points(np.zeros(1), 0), np.array([cost]), no_limits(1), points(np.empty(0), 0)
+    )
+    model = Model(KERNELS["additive"], Guess(1, 1.0), 2, evidence, Constants())
+    features = np.column_stack([np.zeros(5), [0.0, 0.1, 0.2, 0.3, 0.4]])
+    alike = Points(features, np.full((5, 2), 0.5))
+    assert np.all(np.diff(model._guessed(alike)) == pytest.approx(-SLOPE * 0.1))
+    utility = model.utility(alike, np.ones(5, dtype=bool), np.random.default_rng(0))
+    assert np.all(np.diff(utility) > 0)
+
+
+def test_a_guess_that_trials_contradict_is_turned() -> None:
+    scores = np.linspace(-2, 2, 15)
+    seen = points(scores, 0)
+    evidence = Evidence(seen, np.exp(scores), no_limits(15), points(np.empty(0), 0))
+    model = Model(KERNELS["additive"], Guess(1, 1.0), 2, evidence, Constants())
+    some = points(np.array([-1.8, 1.8]), 1)
+    predicted = model.posterior.predict(some)[0] + model._guessed(some)
+    assert predicted[0] < predicted[1]
