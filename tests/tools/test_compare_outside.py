@@ -122,10 +122,10 @@ def report(ours: list[float], tpe: list[float], ranking: list[float]) -> Outside
 
 def test_bars_hold_where_ours_leads_and_name_where_it_does_not() -> None:
     good = report(ours=[2.0, 1.0], tpe=[3.0, 2.0], ranking=[1.5, 1.4])
-    assert [bar.holds for bar in good.bars()] == [True] * len(good.bars())
+    assert [bar.holds for bar in good.bars] == [True] * len(good.bars)
     bad = report(ours=[2.0, 1.9], tpe=[1.0, 1.0], ranking=[1.5, 1.4])
-    assert not any(bar.holds for bar in bad.bars())
-    assert bad.bars()[0].fails[0] == f"{PROBLEM}, TPESampler, 5 (0 : 12)"
+    assert not any(bar.holds for bar in bad.bars)
+    assert bad.bars[0].fails[0] == f"{PROBLEM}, TPESampler, 5 (0 : 12)"
     test = bad.versus(PROBLEM, "ours", "tpe", 10)
     assert (test.wins, test.losses) == (0, 12) and test.is_behind and not test.is_ahead
     assert bad.median(PROBLEM, "tpe", 5) == pytest.approx(1.0055)

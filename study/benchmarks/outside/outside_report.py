@@ -1,6 +1,7 @@
 """What the runs on problems from outside say: medians, paired tests, and the bars to pass."""
 
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -120,6 +121,7 @@ class OutsideReport:
         p = wilcoxon(mine, theirs).p
         return Versus(problem, ours, other, trial, at, wins, losses, p, ahead)
 
+    @cached_property
     def tests(self) -> list[Versus]:
         """Each of our arms against every arm that is not ours, at every checkpoint."""
         others = [arm for arm in self.arms() if ARMS[arm].kind != "ours"]
@@ -131,6 +133,7 @@ class OutsideReport:
             for trial in self.checkpoints
         ]
 
+    @cached_property
     def bars(self) -> list[Bar]:
         """What our arms must show, of what was run."""
         found = []
@@ -186,8 +189,8 @@ class OutsideReport:
                  "median": self.median(problem.name, arm, trial)}
                 for problem in self.problems for arm in self.arms() for trial in self.checkpoints
             ],
-            "tests": [asdict(test) for test in self.tests()],
-            "bars": [{**asdict(bar), "holds": bar.holds} for bar in self.bars()],
+            "tests": [asdict(test) for test in self.tests],
+            "bars": [{**asdict(bar), "holds": bar.holds} for bar in self.bars],
         }  # fmt: skip
 
 
