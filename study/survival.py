@@ -16,23 +16,15 @@ from study.sampler.feature_sampler import FeatureKernelSampler
 FAMILIES = ("rough", "blocks", "up", "down")
 SPEED = "mean_speed_mps"  # on the base setting
 MEAN = Survival().name  # the feature that is also the prior
-OPTIONS: dict[str, Any] = {
-    "kernel": "rbf_ard",
-    "mean": "constant",
-    "acquisition": "log_ei",
-    "prior": MEAN,
-    "prior_weight": 200.0,
-    "cost_transform": "log",
-    "n_startup_trials": 1,
-}
+OPTIONS: dict[str, Any] = {"prior": MEAN}
 
 
 def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ...]:
     """Mean survival of these families, survival of each, and the speed on the base setting.
 
-    Rows that fell on the base setting have none of them.
+    Rows that fell on the base setting have no survival, and are not proposed.
     """
-    each = (Survival((family,), family) for family in families)
+    each = (Survival((family,), family, survivors=True) for family in families)
     return (Survival(families, survivors=True), *each, SPEED)
 
 
@@ -57,9 +49,7 @@ def survival_table(path: str | Path, families: tuple[str, ...] = FAMILIES) -> Fe
 
 
 class SurvivalSampler(FeatureKernelSampler):
-    """A length scale a feature, log expected improvement of the log cost, a prior by mean survival.
-
-    Costs must be positive, and there is to be one to minimise.
+    """Survival of each family as features, and their mean as the ranking that is tried first.
 
     Args:
         table: of `survival_table`, or any with a feature "survival" whose high values are good.

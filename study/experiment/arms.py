@@ -215,7 +215,7 @@ _ALL = (
     ),
     _table_arm(
         "ei-prior", "plain BO, score prior",
-        "Euclidean expected improvement times a prior from the score", "robust", ROBUST,
+        "plain Bayesian optimisation, its mean a slope of the score", "robust", ROBUST,
         kind="control", kernel="euclidean", prior=SURVIVAL.name,
     ),
     _paper_arm(

@@ -1,13 +1,10 @@
-"""Which candidate to try next: acquisition functions of a posterior, ties broken at random.
-
-All are of a cost, lower is better, and are themselves to be maximised.
-"""
+"""Which candidate to try next: the largest expected improvement, ties broken at random."""
 
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erfcx, log_ndtr, ndtr
+from scipy.special import erfcx, log_ndtr
 
 Floats = NDArray[np.float64]
 
@@ -22,23 +19,12 @@ NODES_FROM, NODES_TO = -40, 10
 NODES_A_UNIT = 64
 
 
-def expected_improvement(mean: Floats, sd: Floats, best: float) -> Floats:
-    """E[max(best - f, 0)] for f ~ N(mean, sd^2): how far below `best` a cost is expected, [m].
-
-    = sd (z Phi(z) + phi(z)), z = (best - mean) / sd (Jones, Schonlau, Welch 1998, eq. 15).
-    """
-    gain = best - mean
-    with np.errstate(divide="ignore", invalid="ignore"):
-        z = gain / sd
-        density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
-        uncertain = gain * ndtr(z) + sd * density
-    return np.maximum(np.where(sd > 0, uncertain, gain), 0.0)
-
-
 def log_expected_improvement(mean: Floats, sd: Floats, best: float) -> Floats:
-    """log of `expected_improvement`, finite where that underflows, [m].
+    """log E[max(best - f, 0)] for f ~ N(mean, sd^2): how far below `best` a cost may come, [m].
 
-    log sd + log h(z), h(z) = phi(z) + z Phi(z) (Ament et al. 2023, eq. 9 and appendix A.1).
+    = log sd + log h(z), h(z) = phi(z) + z Phi(z), z = (best - mean) / sd: expected improvement
+    (Jones, Schonlau, Welch 1998, eq. 15), which has the same maximum, but underflows; the
+    logarithm does not (Ament et al. 2023, eq. 9 and appendix A.1).
     """
     gain = best - mean
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -97,29 +83,6 @@ def _exact_log_h(z: Floats) -> Floats:
     square = z[far] ** 2
     log_h[far] = np.log1p(-3.0 / square) - np.log(square) - 0.5 * square - LOG_SQRT_2PI
     return log_h
-
-
-def confidence_bound(mean: Floats, sd: Floats, exploration: float) -> Floats:
-    """-(mean - exploration sd): how low a cost may well be, [m] (Srinivas et al. 2010, eq. 6)."""
-    return exploration * sd - mean
-
-
-def thompson(mean: Floats, covariance: Floats, rng: np.random.Generator) -> Floats:
-    """Minus one draw from the joint posterior, [m] (Thompson 1933)."""
-    values, vectors = np.linalg.eigh(covariance)
-    spread = vectors * np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(-(mean + spread @ rng.standard_normal(len(mean))))
-
-
-def fading_log_weight(log_rank: Floats, prior_weight: float, trials: int) -> Floats:
-    """log of rank^(prior_weight / n), [m]: piBO's weight (Hvarfner et al. 2022, eq. 6).
-
-    Args:
-        log_rank: of the share of candidates that the prior thinks no better, [m].
-        prior_weight: its beta.
-        trials: finished so far, n; 0 counts as 1.
-    """
-    return np.asarray(prior_weight / max(trials, 1) * log_rank)
 
 
 def argmax_random_tie(values: Floats, rng: np.random.Generator) -> int:

@@ -16,6 +16,7 @@ from optuna.distributions import BaseDistribution
 
 from study.sampler.checked_rows import Bounds, make_rows
 from study.sampler.columns import feature_matrix
+from study.sampler.description import table_text
 from study.sampler.rows import Rows
 from taichi_nmm.errors import InputError
 
@@ -46,6 +47,7 @@ class CandidateTable:
         self._reload = reload
         self.source = source
         self.digest = rows.digest()
+        self._size = table_text(len(rows), len(rows.names), rows.feature_names)
         _warn_of(rows, type(self).__name__)
 
     @classmethod
@@ -94,9 +96,10 @@ class CandidateTable:
         """Columns of parameters by name, each [n], and features [n, k] or, for one, [n].
 
         Args:
-            parameters: columns without gaps. Floats are suggested by `suggest_float`, integers by
-                `suggest_int`, anything else by `suggest_categorical`, unless `space` says
-                otherwise.
+            parameters: columns without gaps (None among words or flags is a choice). A study may
+                suggest each in its own way, on a logarithmic scale or as choices, if that holds all
+                rows; where none has said otherwise, floats are taken for such, integers for
+                integers, and anything else for choices.
             features: higher or lower, better or worse, of any scale: only likeness counts, unless
                 a linear mean or a prior is asked for.
             feature_names: k names; by default feature_0, feature_1, ...
@@ -144,6 +147,10 @@ class CandidateTable:
     def __len__(self) -> int:
         """Number of rows, n."""
         return len(self.rows)
+
+    def __repr__(self) -> str:
+        """Its size and features; nothing is read for it."""
+        return f"{type(self).__name__}({self._size})"
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the content, where it can be read again."""

@@ -29,6 +29,8 @@ def parameter_column(
         given: its distribution; None: floats, integers or choices, as the values are.
     """
     column = np.asarray(values)
+    if column.dtype.kind in "US":  # made words of numbers and gaps among words, if there were any
+        column = np.asarray(values, dtype=object)
     if column.ndim != 1 or not len(column):
         raise InputError(f"table.{name}.shape", column.shape, "[n], n at least 1")
     if len(column) != length:
@@ -42,7 +44,7 @@ def parameter_column(
 
 
 def feature_matrix(features: ArrayLike, names: Sequence[str] | None) -> Floats:
-    """Features as [n, k]; what is not finite is NaN."""
+    """Features as [n, k]; NaN is a gap, infinity a value."""
     try:
         matrix = np.array(features, dtype=np.float64)
     except (TypeError, ValueError):
@@ -52,7 +54,6 @@ def feature_matrix(features: ArrayLike, names: Sequence[str] | None) -> Floats:
         raise InputError("table.features.shape", matrix.shape, "[n, k], n and k at least 1")
     if names is not None and len(names) != matrix.shape[1]:
         raise InputError("table.feature_names", list(names), f"{matrix.shape[1]} names")
-    matrix[~np.isfinite(matrix)] = np.nan
     return matrix
 
 
@@ -80,13 +81,30 @@ def _choices(
     name: str, column: NDArray[Any], given: CategoricalDistribution | None
 ) -> tuple[Floats, CategoricalDistribution]:
     """Indices of choices: those given, or the values in the order in which they appear."""
-    listed = column.tolist()
-    missing = [i for i, v in enumerate(listed) if v is None or v != v]
-    if missing and given is None:
-        raise InputError(f"table.{name}[{missing[0]}]", listed[missing[0]], "a value")
+    listed = [_choice(value, given) for value in column.tolist()]
+    if given is None:
+        _require_no_gap(name, listed)
     choices = tuple(dict.fromkeys(listed)) if given is None else given.choices
     index = {choice: float(place) for place, choice in enumerate(choices)}
     for row, value in enumerate(listed):
         if value not in index:
             raise InputError(f"table.{name}[{row}]", value, f"one of {choices}")
     return np.array([index[value] for value in listed]), given or CategoricalDistribution(choices)
+
+
+def _choice(value: Any, given: CategoricalDistribution | None) -> Any:
+    """A value of a column; a gap is None where None is among the choices: pandas has NaN for it."""
+    missing = given is not None and value != value and None in given.choices
+    return None if missing else value
+
+
+def _require_no_gap(name: str, values: list[Any]) -> None:
+    """Refuse what may be a gap: NaN, and None that does not stand among words or flags."""
+    others = [value for value in values if value is not None and value == value]
+    words = bool(others) and all(isinstance(value, str | bool) for value in others)
+    for row, value in enumerate(values):
+        if value != value or (value is None and not words):
+            allowed = (
+                f"a value; or None as a choice: space={{{name!r}: CategoricalDistribution([...])}}"
+            )
+            raise InputError(f"table.{name}[{row}]", value, allowed)

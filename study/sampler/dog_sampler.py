@@ -13,13 +13,14 @@ from study.sampler.candidate_table import CandidateTable
 from study.sampler.feature_sampler import FeatureKernelSampler
 
 # Options of `FeatureKernelSampler`; those that are not named keep their defaults.
-PAPER: dict[str, Any] = {"kernel": "rbf", "mean": "constant", "acquisition": "ei"}
+PAPER: dict[str, Any] = {"kernel": "rbf"}
 
 
 class DoGSampler(FeatureKernelSampler):
     """A squared exponential on the table's score, a constant mean, expected improvement.
 
-    Scale, length scale and noise are learned; everything else is as in the paper.
+    Scale, length scale and noise are learned; everything else is as in the paper. Expected
+    improvement is compared by its logarithm, which has the same maximum and does not underflow.
 
     Args:
         table: parameter sets and their score (or scores, with one length scale for all).

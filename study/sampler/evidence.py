@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.trial import FrozenTrial
 
-from study.sampler.options import CONSTRAINTS
 from study.sampler.points import Points
 from study.sampler.transforms import clip_infinities
 
@@ -36,23 +35,11 @@ class Evidence:
         return np.asarray(~(self.limits > 0).any(axis=1))
 
 
-def read_limits(trials: Sequence[FrozenTrial], feasibility: str | None) -> Floats:
-    """The constraints of trials, [n, c]: c = 0 without any, 1 for a named attribute.
-
-    Args:
-        trials: finished ones.
-        feasibility: as the option of `FeatureKernelSampler`; of an attribute, true is 1 (failed)
-            and false is -1.
-    """
-    if feasibility is None:
-        return np.empty((len(trials), 0))
-    if feasibility == CONSTRAINTS:
-        told = [trial.constraints for trial in trials]
-        keys = sorted({key for constraints in told for key in constraints})
-        limits = [[constraints.get(key, np.nan) for key in keys] for constraints in told]
-        columns = np.array(limits, dtype=np.float64).reshape(len(trials), len(keys)).T
-        clipped = [clip_infinities(column) for column in columns]
-        return np.array(clipped).reshape(len(keys), len(trials)).T
-    failed = [trial.user_attrs.get(feasibility) for trial in trials]
-    signs = [np.nan if flag is None else (1.0 if flag else -1.0) for flag in failed]
-    return np.array(signs).reshape(len(trials), 1)
+def read_limits(trials: Sequence[FrozenTrial]) -> Floats:
+    """The constraints of trials, [n, c]: what `trial.set_constraint` or `constraints_func` said."""
+    told = [trial.constraints for trial in trials]
+    keys = sorted({key for constraints in told for key in constraints})
+    limits = [[constraints.get(key, np.nan) for key in keys] for constraints in told]
+    columns = np.array(limits, dtype=np.float64).reshape(len(trials), len(keys)).T
+    clipped = [clip_infinities(column) for column in columns]
+    return np.array(clipped).reshape(len(keys), len(trials)).T

@@ -13,8 +13,8 @@ Floats = NDArray[np.float64]
 def log_kept(mean: Floats, variance: Floats) -> Floats:
     """log P(limit <= 0) of a limit ~ N(mean, variance), [m].
 
-    Gelbart, Snoek, Adams 2014, section 3. Of a mere failed / did not fail, coded 1 / -1, it is the
-    least-squares classifier (Rasmussen, Williams 2006, section 6.5).
+    Gelbart, Snoek, Adams 2014, section 3. Of a mere failed / did not fail, told as 1 / -1, it is
+    the least-squares classifier (Rasmussen, Williams 2006, section 6.5).
     """
     sd = np.sqrt(np.maximum(variance, 1e-24))
     return np.asarray(log_ndtr(-mean / sd))

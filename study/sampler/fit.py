@@ -1,73 +1,73 @@
 """Whether a table fits what a study suggests, as far as its trials show."""
 
-import numpy as np
+from collections.abc import Mapping
+
 import optuna
 from optuna.distributions import BaseDistribution, CategoricalDistribution
 from optuna.trial import FrozenTrial, TrialState
 
-from study.sampler.history import ROW_ATTRIBUTE
 from study.sampler.rows import Rows
-from study.sampler.space import same_kind
 from taichi_nmm.errors import InputError
 
 
-def first_misfit(rows: Rows, study: optuna.Study, before: FrozenTrial) -> InputError | None:
-    """What the latest finished trial says against the table; None if nothing, or none has finished.
+def shown_misfit(
+    rows: Rows, suggested: Mapping[str, BaseDistribution], study: optuna.Study
+) -> InputError | None:
+    """What trials have shown against a table that need not fit; None if nothing.
 
-    Only a trial that was proposed from the table tells that a parameter is never suggested: others
-    may be anything.
+    Args:
+        rows: of the table.
+        suggested: how the study is known to suggest its parameters, or some of them.
+        study: whose latest finished trial may have suggested some of them only.
     """
-    trial = _latest(study, before)
-    if trial is None:
-        return None
-    proposed = ROW_ATTRIBUTE in trial.user_attrs
-    if not proposed and not all(name in trial.params for name in rows.names):
-        return None
     for column, name in enumerate(rows.names):
-        error = _misfit(rows, column, name, trial)
+        error = distribution_misfit(rows, column, suggested[name]) if name in suggested else None
         if error is not None:
             return error
-    return None
+    trial = _latest(study)
+    some = trial is not None and any(name in trial.params for name in rows.names)
+    return not_suggested(rows, trial) if trial is not None and some else None
 
 
-def proves_fit(rows: Rows, study: optuna.Study, before: FrozenTrial) -> bool:
-    """Whether the latest finished trial suggested all parameters of the table, in its ranges."""
-    trial = _latest(study, before)
+def proves_fit(rows: Rows, study: optuna.Study) -> bool:
+    """Whether the latest finished trial suggested all parameters of the table, and holds them."""
+    trial = _latest(study)
     return trial is not None and all(
-        _misfit(rows, column, name, trial) is None for column, name in enumerate(rows.names)
+        name in trial.distributions
+        and distribution_misfit(rows, column, trial.distributions[name]) is None
+        for column, name in enumerate(rows.names)
     )
 
 
-def _latest(study: optuna.Study, before: FrozenTrial) -> FrozenTrial | None:
-    """The finished trial of the highest number, other than `before`."""
-    trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    others = [trial for trial in trials if trial.number != before.number]
-    return others[-1] if others else None
+def not_suggested(rows: Rows, trial: FrozenTrial) -> InputError | None:
+    """What a trial without some parameter of the table says against it; None if it has all."""
+    for name in rows.names:
+        if name not in trial.params:
+            allowed = f"an objective that suggests all of {', '.join(rows.names)}"
+            return InputError(name, f"not suggested in trial {trial.number}", allowed)
+    return None
 
 
-def _misfit(rows: Rows, column: int, name: str, trial: FrozenTrial) -> InputError | None:
-    """What the trial says against one parameter of the table; None if nothing."""
-    suggested = trial.distributions.get(name)
-    if suggested is None:
-        allowed = f"an objective that suggests all of {', '.join(rows.names)}"
-        return InputError(name, f"not suggested in trial {trial.number}", allowed)
-    own = rows.space.distributions[column]
-    if not same_kind(own, suggested):
-        return InputError(name, str(suggested), f"the table's kind: {own}")
-    return _range_misfit(rows, column, name, suggested)
+def distribution_misfit(rows: Rows, column: int, suggested: BaseDistribution) -> InputError | None:
+    """An error if what is suggested for one parameter leaves rows out; None if it holds all.
 
-
-def _range_misfit(
-    rows: Rows, column: int, name: str, suggested: BaseDistribution
-) -> InputError | None:
-    """An error if the range that was suggested leaves rows out."""
-    if isinstance(suggested, CategoricalDistribution):
+    Kind, scale and order of choices may be others than the table's: its values count.
+    """
+    outside = rows.outside(column, suggested)
+    if outside is None:
         return None
-    low, high = suggested.low, suggested.high  # type: ignore[attr-defined]
-    least, most = rows.extent[0][column], rows.extent[1][column]
-    if low <= least and most <= high:
-        return None
-    values = rows.parameters[:, column]
-    outside = int(np.flatnonzero((values < low) | (values > high))[0])
-    allowed = f"a range that holds all rows: row {outside} has {float(values[outside]):g}"
+    name, own = rows.names[column], rows.space.distributions[column]
+    value = rows.as_parameters(outside)[name]
+    what = (
+        "choices that hold"
+        if isinstance(suggested, CategoricalDistribution)
+        else "a range that holds"
+    )
+    allowed = f"{what} all rows: row {outside} has {value!r} (the table: {own}, or as space= says)"
     return InputError(name, str(suggested), allowed)
+
+
+def _latest(study: optuna.Study) -> FrozenTrial | None:
+    """The finished trial of the highest number."""
+    trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    return trials[-1] if trials else None

@@ -20,13 +20,13 @@ NOISE_STARTS = (0.0, 3.0)  # added to the log noise: the likelihood has a mode t
 SECOND_START_TRIALS = 30  # up to so many: with more, the modes are rarely two
 
 
-def learn(covariance: Covariance, x: Floats, y: Floats, *, center: bool = True) -> Floats:
+def learn(covariance: Covariance, x: Floats, y: Floats) -> Floats:
     """The constants [t], as logarithms, from trials x [n, p] with costs y [n] or [n, outputs].
 
-    `center` takes the mean of the process to be that of the costs; else it is zero.
+    The mean of the process is taken to be that of the costs.
     """
     some = _informative(y)
-    scaled, _, _ = _standard(y, center)
+    scaled, _, _ = _standard(y)
     misfit = Misfit(covariance, x[some], scaled[some])
     starts = NOISE_STARTS if len(y) <= SECOND_START_TRIALS else NOISE_STARTS[:1]
     found = [_descend(misfit, shift) for shift in starts]
@@ -39,12 +39,11 @@ def condition(
     x: Floats,
     y: Floats,
     *,
-    center: bool = True,
     noisy: bool,
-    fast: bool,
+    fast: bool = True,
 ) -> Posterior:
     """The posterior under given constants, after trials x [n, p] with costs y [n]."""
-    scaled, mean, sd = _standard(y, center)
+    scaled, mean, sd = _standard(y)
     return Posterior(covariance.with_theta(theta), x, scaled, mean, sd, noisy, fast)
 
 
@@ -62,9 +61,9 @@ def _descend(misfit: Misfit, noise_shift: float) -> OptimizeResult:
     )
 
 
-def _standard(y: Floats, center: bool) -> tuple[Floats, float, float]:
+def _standard(y: Floats) -> tuple[Floats, float, float]:
     """Costs in standard units, their mean and their standard deviation (one if they are equal)."""
-    mean = float(y.mean()) if center else 0.0
+    mean = float(y.mean())
     sd = float(np.sqrt(np.mean((y - mean) ** 2)))
     sd = sd if sd > 1e-12 * abs(mean) and sd > 0 else 1.0
     return (y - mean) / sd, mean, sd

@@ -1,7 +1,8 @@
 """What a study's trials say to a sampler: where they were, and the costs they showed."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import optuna
@@ -18,7 +19,17 @@ Floats = NDArray[np.float64]
 ROW_ATTRIBUTE = "row"  # of the table; -1 for a point off it
 SCORE_ATTRIBUTE = "score"  # the feature, where there is one
 FEATURES_ATTRIBUTE = "features"  # as a list, where there are several, or no table
+FIXED_ATTRIBUTE = "fixed_params"  # Optuna's, of the system: what `enqueue_trial` was given
 OFF_TABLE = -1
+
+# Of a trial that is no row, with its parameters [d]: the row whose features it is taken to have,
+# OFF_TABLE if it has its own (or none are needed), None if it cannot be learned from.
+FeaturesOf = Callable[[FrozenTrial, Floats], int | None]
+
+
+def _own(trial: FrozenTrial, parameters: Floats) -> int | None:
+    """Every trial has features of its own."""
+    return OFF_TABLE
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +39,13 @@ class History:
     Attributes:
         trials: the n finished ones that can be learned from, in the order of their numbers.
         parameters: of each, [n, d].
-        rows: of each, OFF_TABLE where it is no row, [n].
+        rows: of each, the row whose features it has, OFF_TABLE where these are its own, [n].
         cost: of each, lower is better, finite, [n].
         running: parameters of those running elsewhere, [r, d].
         running_rows: of each, [r].
         tried: rows that any trial has taken, whatever became of it, bool [rows of the table].
-        unplaced: numbers of finished trials left out, being no row of the table.
+        unplaced: finished trials left out, being no row of the table.
+        fixed: values of `before` that are settled: the user's, or suggested already.
     """
 
     trials: tuple[FrozenTrial, ...]
@@ -43,7 +55,17 @@ class History:
     running: Floats
     running_rows: NDArray[np.int64]
     tried: NDArray[np.bool_]
-    unplaced: tuple[int, ...]
+    unplaced: tuple[FrozenTrial, ...]
+    fixed: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """A trial with its parameters [d], and the row whose features it has."""
+
+    trial: FrozenTrial
+    parameters: Floats
+    row: int
 
 
 def read_history(
@@ -51,7 +73,7 @@ def read_history(
     before: FrozenTrial,
     space: Space,
     table: Rows | None = None,
-    usable: Callable[[FrozenTrial], bool] = lambda trial: True,
+    features_of: FeaturesOf = _own,
 ) -> History:
     """The history that the trial `before` is proposed from.
 
@@ -60,11 +82,11 @@ def read_history(
         before: left out itself.
         space: parameters that a trial must have to be learned from.
         table: where rows are looked up.
-        usable: of a trial that is no row of the table: whether it can be learned from.
+        features_of: trials that are no row of the table.
     """
     tried = np.zeros(0 if table is None else len(table), dtype=bool)
-    finished: list[tuple[FrozenTrial, int]] = []
-    running: list[tuple[FrozenTrial, int]] = []
+    finished: list[_Placed] = []
+    running: list[_Placed] = []
     unplaced = []
     for trial in study.get_trials(deepcopy=False):
         if trial.number == before.number:
@@ -72,49 +94,92 @@ def read_history(
         row = None if table is None else row_of(table, trial)
         if row is not None:
             tried[row] = True
-        if trial.state is TrialState.COMPLETE:
-            if row is not None or (space.holds(trial) and usable(trial)):
-                finished.append((trial, OFF_TABLE if row is None else row))
-            elif table is not None:
-                unplaced.append(trial.number)
-        elif trial.state is TrialState.RUNNING and (row is not None or space.holds(trial)):
-            running.append((trial, OFF_TABLE if row is None else row))
-    values = np.array([trial.values[0] for trial, _ in finished], dtype=np.float64)
+        if trial.state not in (TrialState.COMPLETE, TrialState.RUNNING):
+            continue
+        placed = _place(trial, row, space, table, features_of)
+        if trial.state is TrialState.RUNNING:
+            running += [] if placed is None else [placed]
+        elif placed is not None:
+            finished.append(placed)
+        elif table is not None:
+            unplaced.append(trial)
+    values = np.array([placed.trial.values[0] for placed in finished], dtype=np.float64)
     sign = -1.0 if study.direction is StudyDirection.MAXIMIZE else 1.0
+    fixed = values_of(before)
     return History(
-        tuple(trial for trial, _ in finished),
-        _parameters(finished, space, table),
-        np.array([row for _, row in finished], dtype=np.int64),
+        tuple(placed.trial for placed in finished),
+        _parameters(finished, space),
+        np.array([placed.row for placed in finished], dtype=np.int64),
         sign * clip_infinities(values),
-        _parameters(running, space, table),
-        np.array([row for _, row in running], dtype=np.int64),
+        _parameters(running, space),
+        np.array([placed.row for placed in running], dtype=np.int64),
         tried,
         tuple(unplaced),
+        {name: fixed[name] for name in space.names if name in fixed},
     )
 
 
-def _parameters(placed: list[tuple[FrozenTrial, int]], space: Space, table: Rows | None) -> Floats:
-    """Of trials with their rows, [n, d]."""
-    parameters = np.empty((len(placed), len(space)))
-    for place, (trial, row) in enumerate(placed):
-        if row == OFF_TABLE or table is None:
-            parameters[place] = space.rows([trial.params])[0]
-        else:
-            parameters[place] = table.parameters[row]
-    return parameters
+def _place(
+    trial: FrozenTrial,
+    row: int | None,
+    space: Space,
+    table: Rows | None,
+    features_of: FeaturesOf,
+) -> _Placed | None:
+    """A trial as a model sees it; None if it cannot be learned from.
+
+    Args:
+        trial: finished or running.
+        row: that it is, if any.
+        space: as of `read_history`, and so on.
+    """
+    if row is not None and table is not None:
+        return _Placed(trial, table.parameters[row], row)
+    parameters = space.row(trial.params)
+    lent = None if parameters is None else features_of(trial, parameters)
+    return None if parameters is None or lent is None else _Placed(trial, parameters, lent)
+
+
+def _parameters(placed: list[_Placed], space: Space) -> Floats:
+    """Of trials, [n, d]."""
+    rows = [one.parameters for one in placed]
+    return np.array(rows, dtype=np.float64).reshape(len(rows), len(space))
+
+
+def values_of(trial: FrozenTrial) -> dict[str, Any]:
+    """What a trial has, or is sure to have: its parameters and, until it ends, the user's."""
+    if trial.state.is_finished():
+        return trial.params
+    fixed = trial.system_attrs.get(FIXED_ATTRIBUTE)
+    return fixed | trial.params if fixed else trial.params
 
 
 def row_of(table: Rows, trial: FrozenTrial) -> int | None:
     """The row that a trial is, or is about to be; None where its parameters are no row.
 
-    The number that the sampler left in the trial counts if the parameters suggested so far are
-    that row's. A trial without one (enqueued by hand) is looked up by its exact values.
+    The number that was left in the trial counts if what the trial has is that row's; of a COMPLETE
+    one that is all of it. A trial without a number is looked up by its exact values.
     """
-    row = trial.user_attrs.get(ROW_ATTRIBUTE)
+    row, values = trial.user_attrs.get(ROW_ATTRIBUTE), values_of(trial)
     if isinstance(row, int) and 0 <= row < len(table):
-        suggested, wanted = trial.params, table.as_parameters(row)
-        if suggested == wanted:  # nearly always; the rest is for those that have more, or fewer
+        wanted = table.as_parameters(row)
+        if values == wanted:  # nearly always; the rest is for those that have more, or fewer
             return row
-        if all(suggested.get(name, value) == value for name, value in wanted.items()):
+        partial = trial.state is not TrialState.COMPLETE
+        if all(values[name] == v if name in values else partial for name, v in wanted.items()):
             return row
-    return table.find(trial.params)
+    return table.find(values)
+
+
+def noted_features(trial: FrozenTrial) -> list[float] | None:
+    """The features that were left in a trial of a point off the table; None without such a note.
+
+    What was left with the number of a row is that row's: a trial that did something else has not
+    these features.
+    """
+    noted = trial.user_attrs.get(FEATURES_ATTRIBUTE)
+    if trial.user_attrs.get(ROW_ATTRIBUTE, OFF_TABLE) != OFF_TABLE:
+        return None
+    if not isinstance(noted, list):
+        return None
+    return [np.nan if value is None else value for value in noted]

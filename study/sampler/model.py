@@ -1,29 +1,33 @@
-"""How good each candidate is, after some trials: the model, and the acquisition function on it."""
+"""How good each candidate is, after some trials: the model, and what may be gained by it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from study.sampler import acquisition
+from study.sampler.acquisition import log_expected_improvement
 from study.sampler.covariance import Covariance
 from study.sampler.evidence import Evidence
 from study.sampler.feasibility import log_all_kept
 from study.sampler.gaussian_process import condition, learn
-from study.sampler.kernels import Layout, feature_only, new_covariance
+from study.sampler.guess import Guess
+from study.sampler.kernels import Kernel, Layout, new_covariance
 from study.sampler.one_dimension import Shared
-from study.sampler.options import Options
 from study.sampler.points import Points
 from study.sampler.posterior import Posterior
-from study.sampler.transforms import transformed
+from study.sampler.transforms import log_excess
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-WORK = 1e10  # multiplications for the variance of all candidates; beyond, a random part of them
-THOMPSON_CANDIDATES = 1000  # of one joint draw
+WORK = 1e10  # multiplications for the variance of all candidates; beyond, a part of them
+LEAST_CANDIDATES = 1000
+MOST_CANDIDATES = 4096  # of a kernel over features and parameters
 CACHED_CONSTANTS = 8
+REFITS = ((32, 1), (128, 4))  # up to so many trials, constants are learned anew after so many
+LAST_EVERY = 16
 
 
 @dataclass
@@ -44,50 +48,42 @@ class Constants:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """The posterior after some trials, and what an acquisition function makes of it.
+    """The posterior after some trials, and the improvement that it lets expect.
 
     Attributes:
-        options: of the sampler.
-        kernel: of this trial ("alternate" has been decided).
+        kernel: of this trial.
+        guess: what the user says of a feature; None: nothing, or it is not believed.
         parameters: d.
         evidence: at least one finished trial.
         constants: known so far.
     """
 
-    options: Options
-    kernel: str
+    kernel: Kernel
+    guess: Guess | None
     parameters: int
     evidence: Evidence
     constants: Constants
 
-    def utility(
-        self, points: Points, offered: Mask, log_weight: Floats | None, rng: np.random.Generator
-    ) -> Floats:
+    def utility(self, points: Points, offered: Mask, rng: np.random.Generator) -> Floats:
         """How good each of m candidates is, [m]; minus infinity where not offered or not looked at.
+
+        The log of the expected improvement times the probability that all limits are kept.
 
         Args:
             points: the candidates.
             offered: which may be taken, [m].
-            log_weight: of a prior, [m].
             rng: of this trial.
         """
         seen = self._looked_at(points, offered, rng)
-        some = self._visible(points if len(seen) == len(points) else points.take(seen))
-        log_weight = np.zeros(len(points)) if log_weight is None else log_weight
+        some = points if len(seen) == len(points) else points.take(seen)
         utility = np.full(len(points), -np.inf)
-        if self.options.acquisition == "thompson":
-            drawn, values = self._thompson(some, rng)
-            log_kept = log_all_kept(self.limits, some.take(drawn))
-            utility[seen[drawn]] = _weighted(values, log_kept + log_weight[seen[drawn]])
-        else:
-            values, log_kept = self._values(some)
-            utility[seen] = self._combined(values, log_kept + log_weight[seen])
+        utility[seen] = self._values(some)
         return np.where(offered, utility, -np.inf)
 
     @cached_property
     def posterior(self) -> Posterior:
-        """Of the transformed cost, running trials taken to show what is expected of them."""
-        posterior = self._after(self.evidence.points, self._cost)
+        """Of the cost less what was guessed, running trials taken to show what is expected."""
+        posterior = self._after(self.evidence.points, self._unguessed)
         running = self._visible(self.evidence.running)
         return posterior.believing(running) if len(running) else posterior
 
@@ -98,104 +94,104 @@ class Model:
         for limit in self.evidence.limits.T:
             known = np.isfinite(limit)
             if known.any():
-                posteriors.append(self._after(self.evidence.points.take(known), limit[known]))
+                points = self.evidence.points.take(known)
+                posteriors.append(self._after(points, limit[known].__getitem__))
         return posteriors
 
     @cached_property
     def one_dimensional(self) -> bool:
         """Whether candidates differ by one number only."""
-        return feature_only(self.kernel) and self.evidence.points.features.shape[1] == 1
+        return not self.kernel.of_parameters and self.evidence.points.features.shape[1] == 1
 
-    @cached_property
-    def _cost(self) -> Floats:
-        """The costs as the process sees them, [n]."""
-        return transformed(self.evidence.cost, self.options.cost_transform)
+    def _cost(self, some: slice = slice(None)) -> Floats:
+        """The costs of some trials as the process sees them, [n]."""
+        cost = self.evidence.cost[some]
+        return log_excess(cost) if self.kernel.by_order else cost
 
-    def _after(self, points: Points, y: Floats) -> Posterior:
-        """The posterior of something that finished trials showed."""
+    def _unguessed(self, some: slice) -> Floats:
+        """The same less what was guessed."""
+        cost = self._cost(some)
+        return cost - self._guessed(self.evidence.points, cost)[some]
+
+    def _guessed(self, points: Points, cost: Floats) -> Floats:
+        """What the user says of the costs of points, [m], in the unit of these costs."""
+        if self.guess is None:
+            return np.zeros(len(points))
+        return (float(cost.std()) or 1.0) * self.guess.cost(points)
+
+    def _after(self, points: Points, y: Callable[[slice], Floats]) -> Posterior:
+        """The posterior of something that trials showed, y giving what some of them did."""
         seen = self._visible(points)
         x = seen.matrix()
         layout = Layout(seen.features.shape[1], seen.coordinates.shape[1], self.parameters)
-        covariance = new_covariance(self.kernel, self._mean, layout)
-        learned_from = _last_refit(len(y), self.options.refit_every)
-        theta = self.constants.learned(covariance, x[:learned_from], y[:learned_from])
-        noisy = feature_only(self.kernel)  # the spread of alike candidates is part of the next one
-        return condition(covariance, theta, x, y, noisy=noisy, fast=self.options.fast)
-
-    @property
-    def _mean(self) -> str:
-        """The mean to use: without features there is nothing that a linear one could follow."""
-        return self.options.mean if self.evidence.points.features.shape[1] else "constant"
+        covariance = new_covariance(self.kernel, layout)
+        first = last_refit(len(x))
+        theta = self.constants.learned(covariance, x[:first], y(slice(first)))
+        # Where features alone are seen, the spread of alike candidates is part of the next one.
+        return condition(covariance, theta, x, y(slice(None)), noisy=not self.kernel.of_parameters)
 
     def _visible(self, points: Points) -> Points:
-        """The columns that the kernel and the mean look at."""
-        return points.only(
-            features=self.kernel != "euclidean" or self._mean == "linear",
-            coordinates=not feature_only(self.kernel),
-        )
+        """The columns that the kernel looks at."""
+        return points.only(features=self.kernel.of_features, coordinates=self.kernel.of_parameters)
 
     def _looked_at(
         self, points: Points, offered: Mask, rng: np.random.Generator
     ) -> NDArray[np.int64]:
-        """Numbers of the candidates whose posterior is computed."""
+        """Numbers of the candidates whose posterior is computed.
+
+        Where they are too many, half of them are those that a straight line through the trials
+        (`_merit`) thinks best, the others are drawn.
+        """
+        if self.one_dimensional:
+            return np.arange(len(points))
         trials = len(self.evidence.cost) + len(self.evidence.running)
-        most = max(int(WORK / trials**2), THOMPSON_CANDIDATES)
+        most = max(int(WORK / trials**2), LEAST_CANDIDATES)
+        if self.kernel.by_order:
+            most = min(most, MOST_CANDIDATES)
         free = np.flatnonzero(offered)
-        if self.one_dimensional or (len(points) <= most and len(free) > len(points) // 2):
+        if len(points) <= most and len(free) > len(points) // 2:
             return np.arange(len(points))  # leaving out a few would cost a copy of the others
-        return free if len(free) <= most else np.sort(rng.choice(free, most, replace=False))
+        if len(free) <= most:
+            return free
+        if not self.kernel.of_features:
+            return np.sort(rng.choice(free, most, replace=False))
+        split = len(free) - most // 2
+        order = np.argpartition(self._merit(points)[free], split)
+        drawn = rng.choice(order[:split], most - most // 2, replace=False)
+        return np.sort(free[np.concatenate([order[split:], drawn])])
 
-    def _values(self, points: Points) -> tuple[Floats, Floats]:
-        """Acquisition without weights, and the log of the probability to hold, [m] each."""
+    def _merit(self, points: Points) -> Floats:
+        """Minus the costs by a ridge regression on the features, unit slopes against unit noise."""
+        seen, residual = self.evidence.points.features, self.posterior.y
+        seen = seen[: len(residual)]
+        residual = residual[: len(seen)]
+        slopes = np.linalg.solve(seen.T @ seen + np.eye(seen.shape[1]), seen.T @ residual)
+        guessed = 0.0 if self.guess is None else self.guess.cost(points)
+        return -(points.features @ slopes + guessed)
+
+    def _values(self, points: Points) -> Floats:
+        """The utility of candidates, [m]."""
         if not self.one_dimensional:
-            return self._acquisition(points), log_all_kept(self.limits, points)
+            return self._improvement(points) + log_all_kept(self.limits, self._visible(points))
         shared = Shared.of(self.posterior, points)
-        values = shared.spread(self._acquisition(shared.points))
-        if not self.limits:
-            return values, np.zeros(len(points))
-        return values, shared.spread(log_all_kept(self.limits, shared.points))
+        values = self._improvement(shared.points) + log_all_kept(self.limits, shared.points)
+        return shared.spread(values)
 
-    def _acquisition(self, points: Points) -> Floats:
-        """Acquisition without weights, [m]; all alike where there is nothing to improve on."""
-        options, feasible = self.options, self.evidence.feasible
-        mean, variance = self.posterior.predict(points)
-        sd = np.sqrt(variance)
-        if options.acquisition == "ucb":
-            return acquisition.confidence_bound(mean, sd, options.exploration)
+    def _improvement(self, points: Points) -> Floats:
+        """log expected improvement, [m]; all alike where there is nothing to improve on."""
+        feasible = self.evidence.feasible
         if not feasible.any():  # first find a candidate that holds
-            return np.ones(len(points)) if options.acquisition == "ei" else np.zeros(len(points))
-        best = float(self._cost[feasible].min())
-        if options.acquisition == "ei":
-            return acquisition.expected_improvement(mean, sd, best)
-        return acquisition.log_expected_improvement(mean, sd, best)
-
-    def _combined(self, values: Floats, log_weight: Floats) -> Floats:
-        """Acquisition and log weights as one utility, on the acquisition's own scale, [m]."""
-        if self.options.acquisition == "log_ei":
-            return values + log_weight
-        if self.options.acquisition == "ei":
-            return np.asarray(values * np.exp(log_weight))
-        return _weighted(values, log_weight)
-
-    def _thompson(
-        self, points: Points, rng: np.random.Generator
-    ) -> tuple[NDArray[np.int64], Floats]:
-        """One draw at some candidates, the most promising and random ones; their numbers first."""
-        drawn = np.arange(len(points))
-        if len(points) > THOMPSON_CANDIDATES:
-            half = THOMPSON_CANDIDATES // 2
-            promising = np.argpartition(self.posterior.mean(points), half)[:half]
-            others = np.setdiff1d(drawn, promising)
-            drawn = np.concatenate([promising, rng.choice(others, half, replace=False)])
-        expected, covariance = self.posterior.joint(points.take(drawn))
-        return drawn, acquisition.thompson(expected, covariance, rng)
+            return np.zeros(len(points))
+        mean, variance = self.posterior.predict(self._visible(points))
+        cost = self._cost()
+        best = float(cost[feasible].min())
+        mean += self._guessed(points, cost)
+        return log_expected_improvement(mean, np.sqrt(variance), best)
 
 
-def _weighted(values: Floats, log_weight: Floats) -> Floats:
-    """Values of any sign, times a weight: above the least of them, so that more is better."""
-    return np.asarray((values - values.min()) * np.exp(log_weight))
-
-
-def _last_refit(trials: int, every: int) -> int:
-    """How many of the first trials the constants are learned from."""
-    return max(trials - trials % every, min(trials, every))
+def last_refit(trials: int) -> int:
+    """How many of the first trials constants are learned from: they change ever more slowly."""
+    for most, every in REFITS:
+        if trials <= most:
+            return trials - trials % every
+    return trials - trials % LAST_EVERY

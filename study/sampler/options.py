@@ -5,13 +5,8 @@ from dataclasses import dataclass
 
 from optuna.distributions import BaseDistribution
 
+from study.sampler.kernels import ADDITIVE, KERNELS, Kernel
 from taichi_nmm.errors import InputError
-
-KERNELS = ("rbf", "rbf_ard", "matern_ard", "euclidean", "sum", "product", "alternate")
-MEANS = ("constant", "linear")
-ACQUISITIONS = ("ei", "log_ei", "ucb", "thompson")
-COST_TRANSFORMS = ("none", "rank", "log")
-CONSTRAINTS = "constraints"  # of `feasibility`: what `trial.set_constraint` was told
 
 
 @dataclass(frozen=True)
@@ -19,44 +14,35 @@ class Options:
     """The options of `FeatureKernelSampler`, where they are explained."""
 
     kernel: str
-    mean: str
-    acquisition: str
-    exploration: float
     prior: str | None
-    prior_weight: float
-    mismatch: str | None
-    feasibility: str | None
-    cost_transform: str
     off_grid: int
-    n_candidates: int
-    n_startup_trials: int
-    refit_every: int
-    fast: bool
-    strict: bool
-    extra_parameters: frozenset[str]
+    nearest: float | None
     space: Mapping[str, BaseDistribution] | None
+    extra_parameters: frozenset[str]
+    strict: bool
 
     def __post_init__(self) -> None:
         """Refuse what no sampler can do."""
-        _one_of("kernel", self.kernel, KERNELS)
-        _one_of("mean", self.mean, MEANS)
-        _one_of("acquisition", self.acquisition, ACQUISITIONS)
-        _one_of("cost_transform", self.cost_transform, COST_TRANSFORMS)
-        for name, low in (("n_startup_trials", 1), ("refit_every", 1), ("n_candidates", 1)):
-            _at_least(name, getattr(self, name), low)
-        for name in ("off_grid", "prior_weight", "exploration"):
-            _at_least(name, getattr(self, name), 0)
+        if self.kernel not in KERNELS:
+            raise InputError("kernel", self.kernel, f"one of {', '.join(KERNELS)}")
+        _at_least("off_grid", self.off_grid, 0)
+        if self.nearest is not None:
+            _at_least("nearest", self.nearest, 0)
+
+    @property
+    def model(self) -> Kernel:
+        """What the kernel's name stands for."""
+        return KERNELS[self.kernel]
+
+    @property
+    def learns_trust(self) -> bool:
+        """Whether features are trusted as far as trials bear them out."""
+        return self.model is ADDITIVE
 
     @property
     def uses_features(self) -> bool:
-        """Whether likeness of features counts at all."""
-        return self.kernel != "euclidean" or self.mean == "linear"
-
-
-def _one_of(name: str, value: object, allowed: tuple[str, ...]) -> None:
-    """Refuse a value that is none of those allowed."""
-    if value not in allowed:
-        raise InputError(name, value, f"one of {', '.join(allowed)}")
+        """Whether features count at all."""
+        return self.model.of_features or self.prior is not None
 
 
 def _at_least(name: str, value: float, low: int) -> None:

@@ -97,14 +97,6 @@ class Posterior:
             mean[block] = self._cross(x).T @ alpha
         return self.cost_mean + self.cost_sd * mean
 
-    def joint(self, points: Points) -> tuple[Floats, Floats]:
-        """Mean [m] and covariance [m, m] of the expected cost at a few candidates; in 64 bits."""
-        x = points.matrix()
-        whitened = self._inverse @ self.kernel.towards(self.x, np.float64)(x)
-        prior, _ = self.kernel.gram(x)
-        covariance = self.cost_sd**2 * (prior - whitened.T @ whitened)
-        return self.cost_mean + self.cost_sd * (whitened.T @ (self._inverse @ self.y)), covariance
-
     def believing(self, points: Points) -> "Posterior":
         """The same after further trials that showed what is expected; constants are kept."""
         y = (self.mean(points) - self.cost_mean) / self.cost_sd

@@ -8,39 +8,26 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from optuna.distributions import BaseDistribution
 
 from study.sampler.points import Points
-from study.sampler.space import Space
+from study.sampler.scale import NormalScores, Scale, Standard
+from study.sampler.space import Space, first_not_taken
 
 Floats = NDArray[np.float64]
 REMEMBERED = 4096  # rows
+# What does not follow from the distributions: rows with others share it.
+SHARED = (
+    "standard",
+    "scores",
+    "offered",
+    "numbers",
+    "extent",
+    "_known",
+    "_index",
+    "_first",
+)
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Knuth's multiplicative hashing
-
-
-@dataclass(frozen=True)
-class Scale:
-    """What standardises features: subtract the mean, divide by the spread, [k] each.
-
-    A feature without information has the spread infinity: it becomes zero everywhere.
-    """
-
-    mean: Floats
-    sd: Floats
-
-    @classmethod
-    def of(cls, features: Floats) -> "Scale":
-        """The scale of features [n, k], NaN left out."""
-        known = np.isfinite(features)
-        count = np.maximum(known.sum(axis=0), 1)
-        filled = np.where(known, features, 0.0)
-        mean = filled.sum(axis=0) / count
-        sd = np.sqrt((np.where(known, features - mean, 0.0) ** 2).sum(axis=0) / count)
-        return cls(mean, np.where(sd > 1e-12 * np.abs(mean), sd, np.inf))
-
-    def standard(self, features: Floats) -> Floats:
-        """Features [n, k] in standard units; NaN becomes the mean, 0."""
-        scaled = (features - self.mean) / self.sd
-        return np.where(np.isnan(scaled), 0.0, scaled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +38,7 @@ class Rows:
         space: the d parameters.
         parameters: [n, d]; of a categorical, the index of its choice.
         feature_names: k names.
-        features: [n, k], NaN where unknown.
+        features: [n, k], of any scale; NaN where unknown.
     """
 
     space: Space
@@ -73,19 +60,23 @@ class Rows:
         return self.space.names
 
     @cached_property
-    def scale(self) -> Scale:
-        """Mean and spread of each feature over the rows."""
-        return Scale.of(self.features)
+    def standard(self) -> Standard:
+        """The affine scale of the features, of rows that may be proposed."""
+        return Standard.of(self._chosen(self.features))
 
     @cached_property
-    def standard(self) -> Floats:
-        """Features in standard units, [n, k]."""
-        return self.scale.standard(self.features)
+    def scores(self) -> NormalScores:
+        """The scale of their order, among rows that may be proposed."""
+        return NormalScores.of(self._chosen(self.features))
+
+    def scale(self, *, by_order: bool) -> Scale:
+        """One of the two."""
+        return self.scores if by_order else self.standard
 
     @cached_property
     def offered(self) -> NDArray[np.bool_]:
-        """Rows that may be proposed: all features known, no earlier row with equal parameters."""
-        return self._complete & self._first
+        """Rows that may be proposed: half of the features known, parameters of no earlier row."""
+        return self._known & self._first
 
     @cached_property
     def unit(self) -> Floats:
@@ -93,20 +84,26 @@ class Rows:
         return self.space.unit(self.parameters)
 
     @cached_property
+    def chosen_unit(self) -> Floats:
+        """The same of rows that may be proposed, [m, e]."""
+        return self._chosen(self.unit)
+
+    @cached_property
     def numbers(self) -> NDArray[np.int64]:
         """Of the rows that may be proposed, ascending, [m]."""
         return np.flatnonzero(self.offered)
 
-    @cached_property
-    def features_alone(self) -> Points:
-        """Rows that may be proposed as points without coordinates."""
-        features = self._chosen(self.standard)
-        return Points(features, np.empty((len(features), 0)))
-
-    @cached_property
-    def features_and_coordinates(self) -> Points:
-        """Rows that may be proposed as points."""
-        return Points(self.features_alone.features, self._chosen(self.unit))
+    def points(self, *, by_order: bool, coordinates: bool) -> Points:
+        """Rows that may be proposed as points, on one of the scales; made once."""
+        key = (by_order, coordinates)
+        if key not in self._points:
+            if coordinates:
+                features = self.points(by_order=by_order, coordinates=False).features
+                self._points[key] = Points(features, self.chosen_unit)
+            else:
+                features = self.scale(by_order=by_order).standard(self._chosen(self.features))
+                self._points[key] = Points(features, np.empty((len(features), 0)))
+        return self._points[key]
 
     @cached_property
     def extent(self) -> tuple[Floats, Floats]:
@@ -115,8 +112,8 @@ class Rows:
 
     @property
     def incomplete(self) -> int:
-        """Number of rows with a feature that is not known."""
-        return int((~self._complete).sum())
+        """Number of rows that lack more than half of the features."""
+        return int((~self._known).sum())
 
     @property
     def duplicates(self) -> int:
@@ -126,8 +123,8 @@ class Rows:
     @property
     def empty_features(self) -> tuple[str, ...]:
         """Features that are constant or unknown everywhere."""
-        flags = zip(self.feature_names, np.isinf(self.scale.sd), strict=True)
-        return tuple(name for name, empty in flags if empty)
+        flags = zip(self.feature_names, self._informative, strict=True)
+        return tuple(name for name, informative in flags if not informative)
 
     def as_parameters(self, row: int) -> dict[str, Any]:
         """One row as Optuna wants it: native values by name."""
@@ -135,18 +132,35 @@ class Rows:
 
     def find(self, values: Mapping[str, Any]) -> int | None:
         """The first row with exactly these values; None where there is none."""
-        if any(name not in values for name in self.names):
+        wanted = self.space.row(values)
+        if wanted is None:
             return None
-        try:
-            wanted = self.space.rows([values])
-        except (TypeError, ValueError):
-            return None  # a choice or a type that no row has
-        key, (sorted_hash, order) = _hash(wanted)[0], self._index
+        key, (sorted_hash, order) = _hash(wanted[None])[0], self._index
         place = int(np.searchsorted(sorted_hash, key))
         if place == len(order) or sorted_hash[place] != key:
             return None
         row = int(order[place])
-        return row if bool((self.parameters[row] == wanted[0]).all()) else None
+        return row if bool((self.parameters[row] == wanted).all()) else None
+
+    def having(self, values: Mapping[str, Any]) -> NDArray[np.bool_]:
+        """Which rows have exactly these values of some parameters, [n]."""
+        have = np.ones(len(self), dtype=bool)
+        for column, name in enumerate(self.names):
+            if name in values:
+                number = self.space.number(column, values[name])
+                have &= self.parameters[:, column] == (np.nan if number is None else number)
+        return have
+
+    def outside(self, column: int, suggested: BaseDistribution) -> int | None:
+        """The first row whose value of one parameter a distribution has not; None: it has all."""
+        return self._outside(column, suggested)
+
+    def with_space(self, space: Space) -> "Rows":
+        """The same rows with other distributions of the same values."""
+        rows = Rows(space, self.parameters, self.feature_names, self.features)
+        known = self.__dict__
+        rows.__dict__.update({name: known[name] for name in SHARED if name in known})
+        return rows
 
     def digest(self) -> str:
         """SHA-256 of names, distributions, parameters and features."""
@@ -166,10 +180,32 @@ class Rows:
         return lru_cache(REMEMBERED)(lambda row: self.space.values(self.parameters[row]))
 
     @cached_property
-    def _complete(self) -> NDArray[np.bool_]:
-        """Rows whose informative features are all finite, [n]."""
-        informed = self.features[:, np.isfinite(self.scale.sd)]
-        return np.asarray(np.isfinite(informed).all(axis=1))
+    def _outside(self) -> Callable[[int, BaseDistribution], int | None]:
+        """Remembered: each trial of a study is asked about, and all suggest the same."""
+
+        def first(column: int, suggested: BaseDistribution) -> int | None:
+            own = self.space.distributions[column]
+            return first_not_taken(own, self.parameters[:, column], suggested)
+
+        return lru_cache(REMEMBERED)(first)
+
+    @cached_property
+    def _known(self) -> NDArray[np.bool_]:
+        """Rows with at least half of the informative features, [n]."""
+        informed = self.features[:, self._informative]
+        return np.asarray(2 * np.isnan(informed).sum(axis=1) <= informed.shape[1])
+
+    @cached_property
+    def _informative(self) -> NDArray[np.bool_]:
+        """Features that have more than one value, [k]."""
+        least = np.where(np.isnan(self.features), np.inf, self.features).min(axis=0)
+        most = np.where(np.isnan(self.features), -np.inf, self.features).max(axis=0)
+        return np.asarray(least < most)
+
+    @cached_property
+    def _points(self) -> dict[tuple[bool, bool], Points]:
+        """What `points` has made."""
+        return {}
 
     @cached_property
     def _index(self) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:

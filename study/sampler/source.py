@@ -13,18 +13,19 @@ import optuna
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
-from optuna.trial import FrozenTrial
+from optuna.trial import FrozenTrial, TrialState
 from threadpoolctl import ThreadpoolController
 
 from study.draws import Purpose, generator
 from study.sampler.evidence import Evidence, read_limits
+from study.sampler.guess import Guess
 from study.sampler.history import History
-from study.sampler.kernels import feature_only
-from study.sampler.mismatch import Mismatch, read_shown
+from study.sampler.kernels import NEARNESS, Kernel
 from study.sampler.model import Constants, Model
 from study.sampler.options import Options
 from study.sampler.points import Points
-from study.sampler.rows import Scale
+from study.sampler.proposals import Proposals
+from study.sampler.trust import is_doubtful
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -47,6 +48,7 @@ class Source(ABC):
         seed: of the sampler.
         independent: sampler for what is not proposed here.
         constants: learned in this process.
+        proposals: for the trials that run in this process.
     """
 
     def __init__(self, options: Options, seed: int, independent: BaseSampler) -> None:
@@ -54,6 +56,7 @@ class Source(ABC):
         self.seed = seed
         self.independent = independent
         self.constants = Constants()
+        self.proposals = Proposals()
         self._said: set[str] = set()
 
     @abstractmethod
@@ -72,53 +75,34 @@ class Source(ABC):
     ) -> Any:
         """The value of one parameter that `propose` has not given."""
 
+    def before(self, study: optuna.Study, trial: FrozenTrial) -> None:  # noqa: B027
+        """What is to be noted at a trial's start, before anything is asked for: nothing."""
+
+    def after(self, study: optuna.Study, trial: FrozenTrial, state: TrialState) -> None:
+        """Take back what was noted in the trial if something else was run."""
+        proposal = self.proposals.take(trial)
+        if proposal is not None and not proposal.was_run(trial.params):
+            set_attributes(study, trial, dict.fromkeys(proposal.notes))
+
     def __getstate__(self) -> dict[str, Any]:
         """Without learned constants, which another process computes again."""
         return self.__dict__ | {"constants": Constants()}
 
-    def kernel(self, turn: int) -> str:
-        """The kernel of a trial: "alternate" is two of them."""
-        if self.options.kernel != "alternate":
-            return self.options.kernel
-        return "rbf_ard" if turn % 2 == 0 else "euclidean"
-
-    def needs_coordinates(self, kernel: str) -> bool:
-        """Whether parameters are looked at, and not features alone."""
-        return not feature_only(kernel) or self.options.mismatch is not None
-
     def model(
-        self, kernel: str, parameters: int, history: History, seen: Points, running: Points
+        self,
+        guess: Guess | None,
+        parameters: int,
+        history: History,
+        seen: Points,
+        running: Points,
+        own_turn: int,
     ) -> Model:
-        """The model after the trials of a history, at the points where they were seen."""
-        limits = read_limits(history.trials, self.options.feasibility)
-        if self.options.feasibility is not None and not np.isfinite(limits).any():
-            self._warn_silent(history, "feasibility", self.options.feasibility)
-        evidence = Evidence(seen, history.cost, limits, running)
-        return Model(self.options, kernel, parameters, evidence, self.constants)
-
-    def correction(
-        self, history: History, simulated: Points, scale: Scale, parameters: int
-    ) -> tuple[Mismatch | None, Points]:
-        """The mismatch learned from finished trials, and these as they showed themselves."""
-        if self.options.mismatch is None:
-            return None, simulated
-        width = simulated.features.shape[1]
-        reported = read_shown(history.trials, self.options.mismatch, width)
-        known = np.asarray(np.isfinite(reported).all(axis=1))
-        if not known.any():
-            self._warn_silent(history, "mismatch", f"{self.options.mismatch}, {width} numbers")
-        shown = np.where(known[:, None], scale.standard(reported), np.nan)
-        found = Mismatch.fit(simulated, shown, parameters, self.options.fast)
-        if found is None:
-            return None, simulated
-        corrected = found.corrected(simulated).features
-        features = np.where(known[:, None], shown, corrected)
-        return found, Points(features, simulated.coordinates)
-
-    def _warn_silent(self, history: History, option: str, wanted: str) -> None:
-        """Once start-up is over: an option that no finished trial has given anything to."""
-        if len(history.trials) >= self.options.n_startup_trials:
-            self.warn(f"{option} is left out: no finished trial reports it ({wanted})")
+        """The model of one trial, after the trials of a history, at the points where they were."""
+        evidence = Evidence(seen, history.cost, read_limits(history.trials), running)
+        kernel: Kernel = self.options.model
+        if self.options.learns_trust and is_doubtful(history.cost, own_turn, guess is not None):
+            kernel, guess = NEARNESS, None
+        return Model(kernel, guess, parameters, evidence, self.constants)
 
     def rng(self, purpose: Purpose, turn: int) -> np.random.Generator:
         """The generator of one draw of one trial."""
@@ -162,11 +146,6 @@ def set_attributes(study: optuna.Study, trial: FrozenTrial, attributes: dict[str
     """Leave notes in a running trial: samplers are given no public way, Optuna's own do this."""
     for key, value in attributes.items():
         study._storage.set_trial_user_attr(trial._trial_id, key, value)
-
-
-def gumbel_choice(log_weight: Floats, rng: np.random.Generator) -> int:
-    """One index, drawn with probability in proportion to exp(log_weight) (Gumbel 1954)."""
-    return int(np.argmax(log_weight + rng.gumbel(size=len(log_weight))))
 
 
 def missing_in(

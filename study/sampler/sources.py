@@ -36,6 +36,8 @@ def new_source(
         raise InputError(
             "feature_function", "given", "none: only a table needs it beside `features`"
         )
+    if options.nearest is not None:
+        raise InputError("nearest", options.nearest, "none without a table: it has no rows")
     if features is not None and not callable(features):
         raise InputError("features", type(features).__name__, "a FeatureTable, a function, or None")
     return SpaceSource(features, options, seed, independent)

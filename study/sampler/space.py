@@ -11,7 +11,8 @@ different choices are 1 apart.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from optuna.distributions import (
     FloatDistribution,
     IntDistribution,
 )
-from optuna.trial import FrozenTrial
 
 Floats = NDArray[np.float64]
 Number = FloatDistribution | IntDistribution
@@ -33,10 +33,17 @@ CHOICE_LENGTH = np.sqrt(0.5)  # of a one-hot code: two of them are 1 apart
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Parameters by name, in a fixed order, with their distributions."""
+    """Parameters by name, in a fixed order, with their distributions.
+
+    Attributes:
+        names: of the d parameters.
+        distributions: of each.
+        pins: (column, number) of parameters whose value is settled: all new points have it.
+    """
 
     names: tuple[str, ...]
     distributions: tuple[BaseDistribution, ...]
+    pins: tuple[tuple[int, float], ...] = ()
 
     @classmethod
     def of(cls, distributions: Mapping[str, BaseDistribution]) -> "Space":
@@ -51,16 +58,32 @@ class Space:
         """Distributions by name, as Optuna has them."""
         return dict(zip(self.names, self.distributions, strict=True))
 
-    def holds(self, trial: FrozenTrial) -> bool:
-        """Whether a trial has a value of the right kind for every parameter."""
-        return all(
-            type(trial.distributions.get(name)) is type(distribution)
-            and (
-                not isinstance(distribution, CategoricalDistribution)
-                or trial.distributions[name] == distribution
-            )
-            for name, distribution in zip(self.names, self.distributions, strict=True)
-        )
+    def row(self, values: Mapping[str, Any]) -> Floats | None:
+        """A trial's values as one row [d]; None where one is missing, or of no use here."""
+        row = np.empty(len(self))
+        for column, name in enumerate(self.names):
+            number = self.number(column, values[name]) if name in values else None
+            if number is None:
+                return None
+            row[column] = number
+        return row
+
+    def number(self, column: int, value: Any) -> float | None:
+        """A value of one parameter as a row has it; None for a choice or a kind it has not."""
+        distribution = self.distributions[column]
+        if not isinstance(distribution, CategoricalDistribution) and not _is_number(value):
+            return None
+        try:
+            return _internal(distribution, value)
+        except (TypeError, ValueError):
+            return None
+
+    def pinned(self, values: Mapping[str, Any]) -> "Space":
+        """The same space, new points of which have these values of some of its parameters."""
+        columns = [c for c, name in enumerate(self.names) if name in values]
+        numbers = [self.number(c, values[self.names[c]]) for c in columns]
+        pins = zip(columns, numbers, strict=True)
+        return replace(self, pins=tuple((c, n) for c, n in pins if n is not None))
 
     def rows(self, trials: Iterable[Mapping[str, Any]]) -> Floats:
         """Values of trials as rows, [n, d]."""
@@ -76,6 +99,14 @@ class Space:
     def unit(self, rows: Floats) -> Floats:
         """Rows [n, d] in the unit cube, [n, e]; values outside the ranges are moved to the edge."""
         parts = [
+            _to_unit(distribution, _moved_inside(distribution, rows[:, column]))
+            for column, distribution in enumerate(self.distributions)
+        ]
+        return np.clip(np.hstack(parts), 0.0, 1.0) if parts else np.zeros((len(rows), 0))
+
+    def unbounded(self, rows: Floats) -> Floats:
+        """The same, [n, e], but values outside the ranges lie outside the cube."""
+        parts = [
             _to_unit(distribution, rows[:, column])
             for column, distribution in enumerate(self.distributions)
         ]
@@ -86,6 +117,8 @@ class Space:
         rows = np.empty_like(fractions)
         for column, distribution in enumerate(self.distributions):
             rows[:, column] = _from_fraction(distribution, fractions[:, column])
+        for column, number in self.pins:
+            rows[:, column] = number
         return rows
 
     def fractions(self, rows: Floats) -> Floats:
@@ -96,30 +129,60 @@ class Space:
             if isinstance(distribution, CategoricalDistribution):
                 fractions[:, column] = (values + 0.5) / len(distribution.choices)
             else:
-                fractions[:, column] = _to_unit(distribution, values)[:, 0]
+                inside = _to_unit(distribution, _moved_inside(distribution, values))
+                fractions[:, column] = np.clip(inside[:, 0], 0.0, 1.0)
         return fractions
 
 
-def same_kind(first: BaseDistribution, second: BaseDistribution) -> bool:
-    """Whether Optuna lets one parameter have both distributions."""
-    if type(first) is not type(second):
-        return False
-    if isinstance(first, CategoricalDistribution):
-        return bool(first == second)
-    return bool(first.log == second.log)  # type: ignore[attr-defined]
+def as_suggested(distribution: BaseDistribution, value: Any) -> Any:
+    """A value as a distribution has it: of its type, or the equal one of its choices.
 
-
-def takes(distribution: BaseDistribution, value: Any) -> bool:
-    """Whether a value, of the kind that a distribution has, lies in it and on its steps."""
+    Raises:
+        ValueError: the distribution does not have it.
+    """
     if isinstance(distribution, CategoricalDistribution):
-        return value in distribution.choices
+        return distribution.choices[int(distribution.to_internal_repr(value))]
     assert isinstance(distribution, FloatDistribution | IntDistribution)
-    if not distribution.low <= value <= distribution.high:
-        return False
+    if not _is_number(value) or not bool(_taken(distribution, np.array([value], float))[0]):
+        raise ValueError(f"{value!r} is not in {distribution}")
+    return round(value) if isinstance(distribution, IntDistribution) else float(value)
+
+
+def first_not_taken(
+    own: BaseDistribution, values: Floats, suggested: BaseDistribution
+) -> int | None:
+    """The first of the values [n] of one parameter that another distribution has not.
+
+    Args:
+        own: the distribution that the values are of.
+        values: as rows have them.
+        suggested: the other.
+    """
+    numeric = FloatDistribution | IntDistribution
+    if isinstance(own, numeric) and isinstance(suggested, numeric):
+        outside = np.flatnonzero(~_taken(suggested, values))
+        return int(outside[0]) if len(outside) else None
+    distinct, first = np.unique(values, return_index=True)
+    for value, place in sorted(zip(distinct, first, strict=True), key=lambda pair: pair[1]):
+        try:
+            as_suggested(suggested, _external(own, float(value)))
+        except ValueError:
+            return int(place)
+    return None
+
+
+def _taken(distribution: Number, values: Floats) -> NDArray[np.bool_]:
+    """Which numbers [n] lie in a distribution, and on its steps."""
+    inside = (distribution.low <= values) & (values <= distribution.high)
     if distribution.step is None:
-        return True
-    steps = (value - distribution.low) / distribution.step
-    return bool(abs(steps - round(steps)) < STEP_TOLERANCE)
+        return np.asarray(inside)
+    steps = (values - distribution.low) / distribution.step
+    return np.asarray(inside & (np.abs(steps - np.round(steps)) < STEP_TOLERANCE))
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is a number, and not a flag that counts as one."""
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def _internal(distribution: BaseDistribution, value: Any) -> float:
@@ -134,6 +197,14 @@ def _external(distribution: BaseDistribution, value: float) -> Any:
     return distribution.to_external_repr(value)
 
 
+def _moved_inside(distribution: BaseDistribution, values: Floats) -> Floats:
+    """One parameter [n], numbers outside its range moved to its ends."""
+    if isinstance(distribution, CategoricalDistribution):
+        return values
+    assert isinstance(distribution, FloatDistribution | IntDistribution)
+    return np.clip(values, distribution.low, distribution.high)
+
+
 def _to_unit(distribution: BaseDistribution, values: Floats) -> Floats:
     """One parameter in the unit cube, [n, 1] or, categorical, [n, choices]."""
     if isinstance(distribution, CategoricalDistribution):
@@ -141,11 +212,10 @@ def _to_unit(distribution: BaseDistribution, values: Floats) -> Floats:
         return np.asarray(CHOICE_LENGTH * (values[:, None] == choices).astype(np.float64))
     assert isinstance(distribution, FloatDistribution | IntDistribution)
     low, high = _ends(distribution)
-    if high <= low:
-        return np.zeros((len(values), 1))
-    values = np.clip(values, distribution.low, distribution.high)
-    values = np.log(values) if distribution.log else values
-    return np.clip((values - low) / (high - low), 0.0, 1.0)[:, None]
+    if high <= low:  # a range of one value: any other is as far away as can be
+        return np.where(values == distribution.low, 0.0, np.inf)[:, None]
+    values = np.log(np.maximum(values, np.finfo(float).tiny)) if distribution.log else values
+    return np.asarray((values - low) / (high - low))[:, None]
 
 
 def _from_fraction(distribution: BaseDistribution, fractions: Floats) -> Floats:

@@ -11,18 +11,25 @@ from optuna.search_space import intersection_search_space
 from optuna.trial import FrozenTrial
 
 from study.draws import Purpose, turn
-from study.sampler.acquisition import argmax_random_tie, fading_log_weight
+from study.sampler import first_trials
+from study.sampler.acquisition import argmax_random_tie
 from study.sampler.candidates import anywhere, nearby, not_among
 from study.sampler.feature_function import Features, call_features
-from study.sampler.history import FEATURES_ATTRIBUTE, OFF_TABLE, History, read_history
+from study.sampler.guess import Guess
+from study.sampler.history import (
+    FEATURES_ATTRIBUTE,
+    OFF_TABLE,
+    History,
+    read_history,
+    values_of,
+)
 from study.sampler.options import Options
 from study.sampler.points import Points
-from study.sampler.prior import FeaturePrior
-from study.sampler.rows import Scale
+from study.sampler.proposals import Proposal
+from study.sampler.scale import NormalScores, Scale, Standard
 from study.sampler.source import (
     Candidate,
     Source,
-    gumbel_choice,
     missing_in,
     one_thread,
     set_attributes,
@@ -32,6 +39,7 @@ from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
 
+CANDIDATES = 2048  # points anywhere, a trial
 INCUMBENTS = 5  # best trials that points are near to
 LOCAL_SHARE = 4  # one point near them for so many anywhere
 REFINEMENTS = 3  # rounds of points near the best candidates, where features cost nothing
@@ -67,17 +75,19 @@ class SpaceSource(Source):
         if misfit is not None:
             self.misfit(misfit)
             return self.draw(study, trial, search_space)
-        space = Space.of(search_space)
+        space = Space.of(search_space).pinned(values_of(trial))
         try:
             with one_thread():
                 candidate = self._choose(study, trial, space)
         except InputError as error:  # of the feature function
             self.misfit(error)
             return self.draw(study, trial, search_space)
+        values = space.values(candidate.parameters)
         if len(candidate.features):
             notes = {FEATURES_ATTRIBUTE: candidate.features.tolist()}
             set_attributes(study, trial, notes)
-        return space.values(candidate.parameters)
+            self.proposals.keep(trial, Proposal(values, notes))
+        return values
 
     def propose_one(
         self, study: optuna.Study, trial: FrozenTrial, name: str, distribution: BaseDistribution
@@ -108,22 +118,23 @@ class SpaceSource(Source):
         """A random point at first, then the best by the model."""
         own_turn = turn(study, trial)
         history = read_history(study, trial, space)
-        if len(history.cost) < self.options.n_startup_trials:
+        if len(history.cost) < first_trials.count(self.options):
             return self._startup(space, own_turn)
         if self.function is None:
             return self._best_point(space, history, own_turn)
         return self._best_featured(space, history, own_turn)
 
     def _startup(self, space: Space, own_turn: int) -> Candidate:
-        """A point at random, the likelier the better the prior thinks of it."""
+        """A point before there is a model."""
         rng = self.rng(Purpose.STARTUP_POINT, own_turn)
         if self.function is None:
             return Candidate(OFF_TABLE, anywhere(space, 1, rng)[0], np.empty(0))
-        count = 1 if self.options.prior is None else self.options.n_candidates
-        points = anywhere(space, count, rng)
+        points = anywhere(space, CANDIDATES, rng)
         features = call_features(self.function, points)
-        weight = self._log_weight(features, 0)
-        best = 0 if weight is None else gumbel_choice(weight, rng)
+        standard = self._scale(features).standard(features)
+        merit = first_trials.merit(self.options, self._guess(features), standard, own_turn)
+        merit[np.isnan(features).any(axis=1)] = -np.inf
+        best = argmax_random_tie(merit, rng)
         return Candidate(OFF_TABLE, points[best], features[best])
 
     def _best_point(self, space: Space, history: History, own_turn: int) -> Candidate:
@@ -131,14 +142,14 @@ class SpaceSource(Source):
         rng = self.rng(Purpose.CANDIDATES, own_turn)
         taken = np.vstack([history.parameters, history.running])
         seen, running = _bare(space, history.parameters), _bare(space, history.running)
-        model = self.model("euclidean", len(space), history, seen, running)
+        model = self.model(None, len(space), history, seen, running, own_turn)
         points = self._candidates(space, history, rng)
-        utility = model.utility(_bare(space, points), not_among(points, taken), None, rng)
+        utility = model.utility(_bare(space, points), not_among(points, taken), rng)
         for _ in range(REFINEMENTS):
             best = np.argsort(-utility, kind="stable")[:INCUMBENTS]
-            near = nearby(space, points[best], self.options.n_candidates // LOCAL_SHARE, rng)
+            near = nearby(space, points[best], CANDIDATES // LOCAL_SHARE, rng)
             points = np.vstack([points[best], near])
-            utility = model.utility(_bare(space, points), not_among(points, taken), None, rng)
+            utility = model.utility(_bare(space, points), not_among(points, taken), rng)
         best_one = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
         return Candidate(OFF_TABLE, points[best_one], np.empty(0))
 
@@ -147,29 +158,25 @@ class SpaceSource(Source):
         rng = self.rng(Purpose.CANDIDATES, own_turn)
         points = self._candidates(space, history, rng)
         features, known, running = self._features(points, history)
-        scale = Scale.of(features)
-        simulated = Points(scale.standard(known), space.unit(history.parameters))
-        mismatch, seen = self.correction(history, simulated, scale, len(space))
-        candidates = Points(scale.standard(features), space.unit(points))
+        scale = self._scale(features)
+        seen = Points(scale.standard(known), space.unit(history.parameters))
         elsewhere = Points(scale.standard(running), space.unit(history.running))
-        if mismatch is not None:
-            candidates, elsewhere = mismatch.corrected(candidates), mismatch.corrected(elsewhere)
-        model = self.model(self.kernel(own_turn), len(space), history, seen, elsewhere)
+        candidates = Points(scale.standard(features), space.unit(points))
+        guess = self._guess(features)
+        model = self.model(guess, len(space), history, seen, elsewhere, own_turn)
         taken = np.vstack([history.parameters, history.running])
         offered = not_among(points, taken) & np.isfinite(features).all(axis=1)
         if not offered.any():
             offered = np.asarray(np.isfinite(features).all(axis=1))
-        weight = self._log_weight(features, len(history.cost))
-        utility = model.utility(candidates, offered, weight, rng)
+        utility = model.utility(candidates, offered, rng)
         best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
         return Candidate(OFF_TABLE, points[best], features[best])
 
     def _candidates(self, space: Space, history: History, rng: np.random.Generator) -> Floats:
         """Points anywhere, and near the best trials, [m, d]."""
         incumbents = history.parameters[np.argsort(history.cost, kind="stable")[:INCUMBENTS]]
-        count = self.options.n_candidates
-        local = max(count // LOCAL_SHARE, self.options.off_grid, 1)
-        return np.vstack([anywhere(space, count, rng), nearby(space, incumbents, local, rng)])
+        local = max(CANDIDATES // LOCAL_SHARE, self.options.off_grid)
+        return np.vstack([anywhere(space, CANDIDATES, rng), nearby(space, incumbents, local, rng)])
 
     def _features(self, points: Floats, history: History) -> tuple[Floats, Floats, Floats]:
         """Of candidates, of finished trials (noted in them, or computed), of running ones."""
@@ -190,13 +197,17 @@ class SpaceSource(Source):
             known[place] = values
         return features[:m], known, features[m : m + r]
 
-    def _log_weight(self, features: Floats, trials: int) -> Floats | None:
-        """The prior's weights of features [m, k], as logarithms, [m]; None without a prior."""
+    def _scale(self, features: Floats) -> Scale:
+        """Of features [m, k] of points anywhere, as the kernel wants them."""
+        by_order = self.options.model.by_order
+        return NormalScores.of(features) if by_order else Standard.of(features)
+
+    def _guess(self, features: Floats) -> Guess | None:
+        """What the user says of one of the k features."""
         if self.options.prior is None:
             return None
         names = tuple(f"feature_{column}" for column in range(features.shape[1]))
-        log_rank = FeaturePrior.of(self.options.prior, names, features).log_rank(features)
-        return fading_log_weight(log_rank, self.options.prior_weight, trials)
+        return Guess.of(self.options.prior, names)
 
 
 def _bare(space: Space, points: Floats) -> Points:
@@ -206,11 +217,10 @@ def _bare(space: Space, points: Floats) -> Points:
 
 def _refuse_features(options: Options) -> None:
     """Options that mean nothing where there are no features."""
-    if options.uses_features:
-        raise InputError("kernel", options.kernel, "euclidean, with a constant mean: no features")
-    for name in ("prior", "mismatch"):
-        if getattr(options, name) is not None:
-            raise InputError(name, getattr(options, name), "none without features")
+    if options.model.of_features:
+        raise InputError("kernel", options.kernel, "euclidean: there are no features")
+    if options.prior is not None:
+        raise InputError("prior", options.prior, "none without features")
     if options.off_grid:
         raise InputError(
             "off_grid", options.off_grid, "0: points are off any grid without features"

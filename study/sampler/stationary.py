@@ -106,23 +106,6 @@ class RBF(Stationary):
         return value, value
 
 
-@dataclass(frozen=True)
-class Matern(Stationary):
-    """Matern with nu = 5/2: (1 + d + d^2/3) exp(-d), d = sqrt5 r."""
-
-    def of_half(self, half: AnyFloats) -> AnyFloats:
-        """Without the slope."""
-        distance = np.sqrt(-10.0 * np.minimum(half, 0.0))
-        return np.asarray((1.0 + distance + distance**2 / 3.0) * np.exp(-distance))
-
-    def with_slope(self, half: Floats) -> tuple[Floats, Floats]:
-        """The slope is 5/3 (1 + d) exp(-d)."""
-        distance = np.sqrt(-10.0 * np.minimum(half, 0.0))
-        decay = np.exp(-distance)
-        slope = (5.0 / 3.0) * (1.0 + distance) * decay
-        return (1.0 + distance + distance**2 / 3.0) * decay, slope
-
-
 def _left(scaled: Floats) -> Floats:
     """a, -|a|^2/2 and -1/2 on top of each other, [k + 2, n]; `_left`^T `_right` is -r^2/2."""
     extended = _right(scaled)

@@ -11,7 +11,7 @@ from optuna.distributions import (
 )
 
 from study.sampler.candidates import anywhere, nearby, not_among
-from study.sampler.space import Space, same_kind
+from study.sampler.space import Space, as_suggested, first_not_taken
 
 DISTRIBUTIONS: dict[str, BaseDistribution] = {
     "plain": FloatDistribution(-2.0, 3.0),
@@ -87,13 +87,74 @@ def test_taken_points_are_left_out_unless_nothing_is_left() -> None:
 
 
 @pytest.mark.parametrize(
-    ("other", "same"),
+    ("distribution", "value", "expected"),
     [
-        (FloatDistribution(0, 1), True),
-        (FloatDistribution(1, 2, log=True), False),
-        (IntDistribution(0, 1), False),
+        (FloatDistribution(0, 1), 1, 1.0),
+        (FloatDistribution(0, 1), 1.5, None),
+        (FloatDistribution(0, 1), True, None),
+        (FloatDistribution(0, 1), "1", None),
+        (FloatDistribution(1, 2, log=True), 2.0, 2.0),
+        (FloatDistribution(0, 1, step=0.1), 0.3, 0.3),
+        (FloatDistribution(0, 1, step=0.1), 0.35, None),
+        (IntDistribution(0, 9), 3.0, 3),
+        (IntDistribution(0, 9), 3.5, None),
+        (IntDistribution(0, 9, step=3), 4, None),
+        (IntDistribution(1, 9, log=True), 0, None),
+        (CategoricalDistribution([4, 2, "x"]), 2.0, 2),
+        (CategoricalDistribution([4, 2, "x"]), "y", None),
+        (CategoricalDistribution([True, False]), 1, True),
     ],
 )
-def test_kinds_are_optunas(other: BaseDistribution, same: bool) -> None:
-    assert same_kind(DISTRIBUTIONS["plain"], other) is same
-    assert not same_kind(DISTRIBUTIONS["choice"], CategoricalDistribution(["x"]))
+def test_values_become_what_another_distribution_has(
+    distribution: BaseDistribution, value: object, expected: object
+) -> None:
+    own = CategoricalDistribution([value])  # type: ignore[list-item]
+    assert first_not_taken(own, np.zeros(2), distribution) == (0 if expected is None else None)
+    if isinstance(value, int | float):
+        numeric, numbers = FloatDistribution(-9, 9), np.array([float(value)])
+        flag = isinstance(value, bool)  # a number to NumPy
+        fits = first_not_taken(numeric, numbers, distribution) is None
+        assert flag or fits == (expected is not None)
+    if expected is None:
+        with pytest.raises(ValueError):
+            as_suggested(distribution, value)
+        return
+    found = as_suggested(distribution, value)
+    assert found == expected and type(found) is type(expected)
+
+
+def test_the_first_row_that_does_not_fit_is_found() -> None:
+    kinds = CategoricalDistribution(["x", "y", "z"])
+    values = np.array([2.0, 0.0, 2.0, 1.0, 1.0])
+    assert first_not_taken(kinds, values, CategoricalDistribution(["z", "x"])) == 3
+    assert first_not_taken(FloatDistribution(0, 9), values, IntDistribution(1, 9)) == 1
+
+
+@pytest.mark.parametrize(
+    "values", [{}, {"plain": "0"}, {"plain": True}, {"plain": None}, {"choice": "q"}, {"log": -1.0}]
+)
+def test_what_a_space_has_no_number_for_is_no_row(values: dict[str, object]) -> None:
+    whole = SPACE.values(anywhere(SPACE, 1, np.random.default_rng(0))[0])
+    assert SPACE.row(whole) is not None
+    broken = {name: v for name, v in whole.items() if name != "int"} if not values else whole
+    assert SPACE.row(broken | values) is None
+
+
+def test_pinned_values_are_those_of_all_new_points() -> None:
+    rng = np.random.default_rng(0)
+    pinned = SPACE.pinned({"plain": 7.0, "choice": "y", "int": "no number", "other": 1})
+    points = anywhere(pinned, 50, rng)
+    for new in (points, nearby(pinned, points[:3], 50, rng)):
+        assert (new[:, 0] == 7.0).all()
+        assert (new[:, 6] == 1.0).all()
+        assert len(set(new[:, 3])) > 3
+
+
+def test_outside_the_ranges_the_cube_has_edges_or_goes_on() -> None:
+    space = Space.of({name: DISTRIBUTIONS[name] for name in ("plain", "log", "int", "single")})
+    rows = np.array([[5.5, 1e3, 9.0, 4.0], [0.5, 1e-2, 12.0, 5.0]])
+    edges = [[1.0, 1.0, 6.5 / 7, 0.0], [0.5, 0.5, 6.5 / 7, 0.0]]
+    np.testing.assert_allclose(space.unit(rows), edges)
+    beyond = space.unbounded(rows)
+    assert beyond[0] == pytest.approx([1.5, 8 / 6, 6.5 / 7, 0.0])
+    assert beyond[1] == pytest.approx([0.5, 0.5, 9.5 / 7, np.inf])

@@ -54,6 +54,19 @@ def run_after_a_point_off_the_table() -> None:
     study.optimize(both, n_trials=3)
 
 
+def run_enqueued(**fixed: float) -> None:
+    study = optuna.create_study(sampler=sampler())
+    study.enqueue_trial(fixed)
+    study.enqueue_trial(fixed)
+    study.optimize(both, n_trials=2)
+
+
+def run_points_as_choices() -> None:
+    units = FeatureTable.from_arrays({"a": [1, 30]}, [1.0, 30.0])
+    options = {"feature_function": lambda params: params, "off_grid": 50}
+    run(sampler(units, **options), lambda trial: trial.suggest_categorical("a", [1, 30]))
+
+
 def frame_without_c() -> None:
     FeatureTable.from_dataframe(pd.DataFrame(PARAMETERS), parameters=["a"], features=["c"])
 
@@ -75,6 +88,9 @@ CASES: dict[str, Callable[[], object]] = {
     "table.…: … allowed: a value of …": lambda: table(
         space={"a": FloatDistribution(0, 1, step=0.25)}
     ),
+    "table.…: … allowed: a value; or None as a choice: space=…": lambda: FeatureTable.from_arrays(
+        {"a": [1, None, 3]}, FEATURES
+    ),
     "table.…: … allowed: one of (…)": lambda: FeatureTable.from_arrays(
         {"a": ["x", "y", "z"]}, FEATURES, space={"a": CategoricalDistribution(["x", "y"])}
     ),
@@ -93,20 +109,27 @@ CASES: dict[str, Callable[[], object]] = {
         lambda: FeatureKernelSampler(kernel="rbf")
     ),
     "prior: … allowed: one of …, or one with a minus": lambda: sampler(prior="phi"),
+    "nearest: … allowed: none with a feature_function, …": lambda: sampler(
+        nearest=0.1, feature_function=len
+    ),
+    "constraints_func: … allowed: a function of a finished trial": lambda: sampler(
+        constraints_func=3
+    ),
     "off_grid: … allowed: 0 without a feature_function": lambda: sampler(off_grid=9),
     "space: … allowed: none: a table knows its own": lambda: sampler(space=SPACE),
     "features: … allowed: a FeatureTable, a function, or None": lambda: sampler(FEATURES),
     "If the study is being used for multi-objective optimization, … cannot be used.": lambda: run(
         sampler(), lambda trial: (both(trial), 0.0), objectives=2
     ),
-    "Cannot set different distribution kind to the same parameter name.": lambda: run(
-        sampler(), lambda trial: trial.suggest_int("a", 0, 1)
-    ),
-    "Cannot set different log configuration to the same parameter name.": lambda: run(
-        sampler(), lambda trial: trial.suggest_float("a", 0.01, 1, log=True)
-    ),
-    "…: … allowed: the table's range: …": lambda: run(sampler(), a_within(0, 0.01)),
     "…: … allowed: a range that holds all rows: …": lambda: run(sampler(), a_within(0, 0.7)),
+    "…: … allowed: choices that hold all rows: …": lambda: run(
+        sampler(), lambda trial: trial.suggest_categorical("a", [0.1, 0.5])
+    ),
+    "…: … allowed: what has …, a point off the table …": run_points_as_choices,
+    "…: … allowed: a value that a row of the table has…; or all parameters, in enqueue_trial": (
+        lambda: run_enqueued(a=0.2)
+    ),
+    "…: … allowed: values of a row that has not been tried; …": lambda: run_enqueued(a=0.1),
     "…: 'suggested, and not in the table' …": lambda: run(
         sampler(), lambda trial: trial.suggest_float("A", 0, 1)
     ),
@@ -114,6 +137,9 @@ CASES: dict[str, Callable[[], object]] = {
         sampler(), lambda trial: trial.suggest_float("a", 0, 1)
     ),
     "…: 'fixed' cannot be used; …": lambda: run(PartialFixedSampler({"a": 0.5}, sampler())),
+    "constraints_func(trial): … allowed: a list of numbers, …": lambda: run(
+        sampler(constraints_func=lambda trial: trial.values)
+    ),
     "all … rows of the table have been tried": lambda: run(sampler()),
     "…: … allowed: the range declared in …": lambda: run(
         FeatureKernelSampler(space=SPACE, seed=1), a_within(0, 0.001)

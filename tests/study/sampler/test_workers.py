@@ -74,9 +74,9 @@ def test_of_two_that_want_one_row_the_later_gives_way() -> None:
     first, second = study.ask(), study.ask()
     first.set_user_attr("row", 7)
     withdrawn: set[int] = set()
-    assert withdraw_or_keep(study, study.trials[first.number], 7, withdrawn)
+    assert withdraw_or_keep(study, study.trials[first.number], table.rows, 7, withdrawn)
     second.set_user_attr("row", 7)
-    assert not withdraw_or_keep(study, study.trials[second.number], 7, withdrawn)
+    assert not withdraw_or_keep(study, study.trials[second.number], table.rows, 7, withdrawn)
     assert withdrawn == {7}
 
 
