@@ -131,6 +131,12 @@ def test_bars_hold_where_ours_leads_and_name_where_it_does_not() -> None:
     assert bad.median(PROBLEM, "tpe", 5) == pytest.approx(1.0055)
 
 
+def test_runs_that_repeat_each_other_are_counted_once() -> None:
+    costs = np.array([[3.0, 2.0, 5.0], [3.0, 2.0, 4.0], [3.0, 2.0, 5.0]])
+    made = OutsideReport.of({(PROBLEM, "ours"): costs, (PROBLEM, "tpe"): costs[:1].repeat(3, 0)})
+    assert made.different == {(PROBLEM, "ours"): 2, (PROBLEM, "tpe"): 1}
+
+
 def test_equal_runs_are_neither_ahead_nor_behind() -> None:
     same = report(ours=[2.0, 1.0], tpe=[2.0, 1.0], ranking=[2.0, 1.0])
     test = same.versus(PROBLEM, "ours", "tpe", 10)

@@ -67,9 +67,9 @@ def markdown(report: OutsideReport, command: str) -> str:
         "The median over seeds of how many rows of the pool are as good as the best found.",
         "",
         "Tests are Wilcoxon's signed ranks, two-sided, seeds in pairs, not corrected for their"
-        " number; bold: ours is behind (p < 0.05). The ranking alone is one order of rows, the same"
-        " for each seed but for ties: a test against it is of our seeds against one stroke of luck,"
-        " good or bad.",
+        " number; bold: ours is behind (p < 0.05). They take seeds for a sample, which they are not"
+        " of an arm that draws little or nothing: where there are fewer different runs than seeds,"
+        " such as of the ranking alone, one stroke of luck, good or bad, is counted many times.",
         *_bars(report),
     ]
     for problem in report.problems:
@@ -107,10 +107,12 @@ def _problem(report: OutsideReport, problem: OutsideProblem) -> list[str]:
         lines.append(f"| {feature} | {said.good} | {said.meaning} | {worths[feature]:.2f} |")
     lines.append(f"| ranking | low | mean rank of these | {worths['ranking']:.2f} |")
     head = " | ".join(f"after {trial}" for trial in at)
-    lines += ["", f"| median of the best | told | {head} |", "|---|---|" + "---|" * len(at)]
+    lines += ["", f"| median of the best | told | different runs | {head} |",
+              "|---|---|---|" + "---|" * len(at)]  # fmt: skip
     for arm in report.arms():
         cells = " | ".join(f"{report.median(name, arm, trial):.4g}" for trial in at)
-        lines.append(f"| {ARMS[arm].label} | {ARMS[arm].sees} | {cells} |")
+        runs = report.different[name, arm]
+        lines.append(f"| {ARMS[arm].label} | {ARMS[arm].sees} | {runs} | {cells} |")
     tests = [test for test in report.tests if test.problem == name]
     for ours in report.arms(*OURS):
         mine = [test for test in tests if test.ours == ours]

@@ -78,17 +78,21 @@ class OutsideReport:
     Attributes:
         best: least cost so far, [seeds, trials] for each (problem, arm).
         checkpoints: trials at which arms are compared.
+        different: how many of the seeds' runs differ at all, for each (problem, arm); a sampler
+            that draws nothing repeats one run, and its seeds are then no sample.
     """
 
     best: Costs
     checkpoints: tuple[int, ...]
+    different: dict[tuple[str, str], int]
 
     @classmethod
     def of(cls, costs: Costs) -> "OutsideReport":
         """The report of costs, [seeds, trials] for each (problem, arm)."""
         trials = next(iter(costs.values())).shape[1]
         best = {key: np.minimum.accumulate(values, axis=1) for key, values in costs.items()}
-        return cls(best, (*(at for at in CHECKPOINTS if at < trials), trials))
+        checkpoints = (*(at for at in CHECKPOINTS if at < trials), trials)
+        return cls(best, checkpoints, {k: len(np.unique(v, axis=0)) for k, v in costs.items()})
 
     @property
     def seeds(self) -> int:
@@ -188,6 +192,10 @@ class OutsideReport:
                 {"problem": problem.name, "arm": arm, "trial": trial,
                  "median": self.median(problem.name, arm, trial)}
                 for problem in self.problems for arm in self.arms() for trial in self.checkpoints
+            ],
+            "different_runs": [
+                {"problem": problem, "arm": arm, "runs": runs}
+                for (problem, arm), runs in self.different.items()
             ],
             "tests": [asdict(test) for test in self.tests],
             "bars": [{**asdict(bar), "holds": bar.holds} for bar in self.bars],
