@@ -48,7 +48,7 @@ class FeatureKernelSampler(BaseSampler):
     v, s, t, the length scales and the noise maximise the marginal likelihood times a prior
     (`study.sampler.kernels`): what explains nothing gets no weight. Once no trial has been better
     than all before for some time, every other one is left to g alone (`study.sampler.trust`), so
-    that features that mislead cost half the trials at most. Trials running elsewhere are
+    that features that mislead cost half the trials from then on. Trials running elsewhere are
     conditioned on as if they had shown what is expected of them.
 
     What it promises: everything is recomputed from the study's trials, and each draw is seeded by

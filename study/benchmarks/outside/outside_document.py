@@ -55,8 +55,8 @@ def markdown(report: OutsideReport, command: str) -> str:
         "Nobody here invented these problems. Of each, the costly objective was computed once for"
         " every candidate of a pool (`study/benchmarks/outside/data`, one Parquet file each, with"
         f" the command that made it). {report.seeds} seeds an arm, all arms with their defaults."
-        " The seed is the sampler's; of the ranking alone it only breaks ties. Ours propose rows of"
-        " the pool. Peers propose any point, and are told the cost of the nearest row: Euclidean in"
+        " A seed draws half of the pool, which is then the problem for every arm. Ours propose rows"
+        " of it. Peers propose any point, and are told the cost of the nearest row: Euclidean in"
         " the unit cube, logarithmic parameters by their logarithm, a choice as one coordinate a"
         " choice, 0 or 1. CMA-ES draws choices at random, as it does everywhere in Optuna. The"
         " ranking is the mean rank of the features, each from its good end in the eyes of users;"
@@ -67,9 +67,8 @@ def markdown(report: OutsideReport, command: str) -> str:
         "The median over seeds of how many rows of the pool are as good as the best found.",
         "",
         "Tests are Wilcoxon's signed ranks, two-sided, seeds in pairs, not corrected for their"
-        " number; bold: ours is behind (p < 0.05). They take seeds for a sample, which they are not"
-        " of an arm that draws little or nothing: where there are fewer different runs than seeds,"
-        " such as of the ranking alone, one stroke of luck, good or bad, is counted many times.",
+        " number; bold: ours is behind (p < 0.05). Two halves"
+        " of a pool share rows: the tests are of this pool, not of all that there might be.",
         *_bars(report),
     ]
     for problem in report.problems:

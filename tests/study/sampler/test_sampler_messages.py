@@ -96,7 +96,7 @@ CASES: dict[str, Callable[[], object]] = {
     ),
     "column: … allowed: one of …": frame_without_c,
     "…: … allowed: a Parquet file, or a folder of them, that exists": no_file,
-    "… rows with a feature that is not finite are not proposed": lambda: table(
+    "… rows that lack more than half of their features are not proposed": lambda: table(
         [[0.0], [1.0], [np.nan]]
     ),
     "… rows repeat the parameters of another and are not proposed": (
