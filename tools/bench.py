@@ -1,6 +1,6 @@
 """How fast the simulator is: start-up and run time apart, lane widths, MuJoCo beside it.
 
-    python tools/bench.py --samples 100000 --lanes 1,4,8,16 --mujoco
+    python tools/bench.py --lanes 1,4,8,16 --threads --mujoco
     taskset -c 0 python tools/bench.py --against ../before   # another checkout, by turns
 
 Each figure comes from a fresh process. "Cold" starts with an empty cache of compiled kernels,
@@ -58,6 +58,7 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--samples", type=int, default=100_000, metavar="N", help="%(default)s")
     parser.add_argument("--lanes", default="", metavar="1,4,8,16", help="compare widths on the CPU")
+    parser.add_argument("--threads", action="store_true", help="few walkers on one thread, on all")
     parser.add_argument("--mujoco", action="store_true", help="time MuJoCo's mj_step beside it")
     parser.add_argument(
         "--against", type=Path, metavar="CHECKOUT", help="only compare ns a walker-step by turns"
@@ -99,6 +100,11 @@ def measure(options: argparse.Namespace, cache: Path) -> Measured:
     if options.lanes:
         samples = min(options.samples, LANE_SAMPLES)
         report["lanes"] = [lane_row(cache, width, samples) for width in options.lanes]
+    if options.threads:
+        counts = sorted({1, os.cpu_count() or 1})
+        report["threads"] = [
+            worker(f"{count} threads", cache / "main", "--threads", str(count)) for count in counts
+        ]
     if options.mujoco:
         report["mujoco"] = mujoco_steps(run, min(options.samples, MUJOCO_ROLLOUTS))
     return report
@@ -208,6 +214,7 @@ def text(report: Measured) -> str:
     return "\n\n".join(
         [main_text(report)]
         + ([lanes_text(report["lanes"])] if "lanes" in report else [])
+        + ([threads_text(report["threads"])] if "threads" in report else [])
         + ([mujoco_text(report["mujoco"])] if "mujoco" in report else [])
     )
 
@@ -242,6 +249,14 @@ def lanes_text(rows: list[Measured]) -> str:
         for row in rows
     ]
     return "\n".join([f"{rows[0]['samples']:,} points, CPU", head, *body])
+
+
+def threads_text(rows: list[Measured]) -> str:
+    one_s = rows[0]["run_s"]
+    body = [
+        f"{row['threads']:7d}  {row['run_s']:8.2f}  {one_s / row['run_s']:6.2f} x" for row in rows
+    ]
+    return "\n".join(["400 walkers near K_T x 10 s, CPU", "threads     run s  faster", *body])
 
 
 def mujoco_text(row: Measured) -> str:

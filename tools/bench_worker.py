@@ -9,11 +9,18 @@ import json
 import sys
 import time
 from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 SEED = 2016
 TICK_S = 1e-3
 STEADY, SOBOL = "steady", "Sobol"  # what `--turns` measures
 STEADY_WALKERS, STEADY_S, STEADY_SPREAD = 512, 3.0, 0.02
+FEW_WALKERS, FEW_S, FEW_REPEATS = 400, 10.0, 5  # a round of a comparison
 SOBOL_POINTS, SOBOL_S = 2048, 5.0
 
 
@@ -22,6 +29,9 @@ def main() -> None:
     sys.path.insert(0, options.root)
     if options.turns:
         take_turns()
+        return
+    if options.threads:
+        print(json.dumps({"threads": options.threads, "run_s": few_walkers_s(options.threads)}))
         return
     began = time.perf_counter()
     start_up(options)
@@ -37,6 +47,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--arch", default="auto")
     parser.add_argument("--root", default=str(Path(__file__).resolve().parents[1]))
     parser.add_argument("--turns", action="store_true", help="measure at every line of the input")
+    parser.add_argument("--threads", type=int, help="only time few walkers on so many")
     parser.add_argument("--lanes", type=int, help="walkers side by side; default: the simulator's")
     return parser.parse_args()
 
@@ -77,14 +88,11 @@ def run(options: argparse.Namespace) -> dict[str, object]:
 
 def take_turns() -> None:
     """For each line of the input, `STEADY` or `SOBOL`, print CPU ns a walker-step, one thread."""
-    import numpy as np
-
     from storage.sobol import sobol_gains
     from taichi_nmm import K_T, Settings, simulate
 
-    spread = np.random.default_rng(SEED).uniform(-STEADY_SPREAD, STEADY_SPREAD, (STEADY_WALKERS, 1))
     batches = {
-        STEADY: (K_T * (1.0 + spread), STEADY_S),
+        STEADY: (near_reference(STEADY_WALKERS), STEADY_S),
         SOBOL: (sobol_gains(SEED, 0, SOBOL_POINTS), SOBOL_S),
     }
     settings = Settings(arch="cpu", threads=1)
@@ -96,6 +104,30 @@ def take_turns() -> None:
         result = simulate(gains, duration_s=duration_s, settings=settings)
         spent_s = time.process_time() - began_s
         print(1e9 * spent_s * TICK_S / result["duration_s"].sum(), flush=True)
+
+
+def near_reference(walkers: int) -> "NDArray[np.float64]":
+    """Gains near K_T, all of which walk, [walkers, 16]."""
+    import numpy as np
+
+    from taichi_nmm import K_T
+
+    spread = np.random.default_rng(SEED).uniform(-STEADY_SPREAD, STEADY_SPREAD, (walkers, 1))
+    return K_T * (1.0 + spread)
+
+
+def few_walkers_s(threads: int) -> float:
+    """Seconds of `FEW_WALKERS` walkers on the CPU, median of some runs."""
+    from taichi_nmm import K_T, Settings, simulate
+
+    settings = Settings(arch="cpu", threads=threads)
+    simulate(K_T, duration_s=TICK_S, settings=settings)
+    gains, spent_s = near_reference(FEW_WALKERS), []
+    for _ in range(FEW_REPEATS):
+        began_s = time.perf_counter()
+        simulate(gains, duration_s=FEW_S, settings=settings)
+        spent_s.append(time.perf_counter() - began_s)
+    return median(spent_s)
 
 
 def peak_rss_mib() -> float | None:

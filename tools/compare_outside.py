@@ -72,7 +72,8 @@ class Run:
 
     def costs(self) -> np.ndarray:
         """Costs of its trials, [trials]."""
-        return outside_arms.run(self.arm, outside_problem(self.problem), self.seed, self.trials)
+        problem = outside_problem(self.problem).drawn(self.seed)
+        return outside_arms.run(self.arm, problem, self.seed, self.trials)
 
 
 def main() -> None:

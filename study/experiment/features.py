@@ -102,7 +102,7 @@ def feature_table(
     columns = store.table(parameters)
     with warnings.catch_warnings():
         # Rows are left out on purpose; stores themselves have no gaps.
-        warnings.filterwarnings("ignore", ".* not finite are not proposed", UserWarning)
+        warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)
         return FeatureTable.from_arrays(
             {name: columns[name].to_numpy() for name in parameters},
             np.column_stack([feature_values(feature, store) for feature in features]),

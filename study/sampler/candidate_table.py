@@ -29,7 +29,8 @@ class CandidateTable:
 
     What becomes of imperfect columns (each with one warning when the table is made):
 
-    - a row with a feature that is not finite is kept out of the proposals;
+    - infinity is a value, the largest or the least; NaN is a gap;
+    - a row that lacks more than half of its features is kept out of the proposals;
     - a feature without a finite value, or with one value only, says nothing and weighs nothing;
     - of rows with equal parameters, the first counts.
 
@@ -100,8 +101,7 @@ class CandidateTable:
                 suggest each in its own way, on a logarithmic scale or as choices, if that holds all
                 rows; where none has said otherwise, floats are taken for such, integers for
                 integers, and anything else for choices.
-            features: higher or lower, better or worse, of any scale: only likeness counts, unless
-                a linear mean or a prior is asked for.
+            features: higher or lower, better or worse, of any scale: their order counts.
             feature_names: k names; by default feature_0, feature_1, ...
             bounds: (low, high) of numeric parameters; by default those of the columns.
             space: distributions of parameters, where columns do not say enough: a logarithmic
@@ -164,7 +164,9 @@ def _warn_of(rows: Rows, table: str) -> None:
     """Say once what the table leaves out."""
     said = []
     if rows.incomplete:
-        said.append(f"{rows.incomplete} rows with a feature that is not finite are not proposed")
+        said.append(
+            f"{rows.incomplete} rows that lack more than half of their features are not proposed"
+        )
     if rows.duplicates:
         said.append(f"{rows.duplicates} rows repeat the parameters of another and are not proposed")
     if rows.empty_features:

@@ -12,7 +12,7 @@ Features = Callable[[Floats], Floats]
 
 
 def call_features(function: Features, points: Floats, width: int | None = None) -> Floats:
-    """Features [n, k] of points [n, d]; what is not finite is NaN.
+    """Features [n, k] of points [n, d]; NaN is a gap, infinity a value.
 
     Args:
         function: of the user.
@@ -38,7 +38,6 @@ def call_features(function: Features, points: Floats, width: int | None = None) 
         raise InputError("features(params).shape", features.shape, expected)
     if not features.shape[1]:
         raise InputError("features(params).shape", features.shape, "at least one feature")
-    features[~np.isfinite(features)] = np.nan
     if len(features) and np.isnan(features).any(axis=1).all():
         raise InputError("features(params)", "no row without NaN", f"finite numbers {expected}")
     return features

@@ -48,7 +48,7 @@ class FeatureKernelSampler(BaseSampler):
     v, s, t, the length scales and the noise maximise the marginal likelihood times a prior
     (`study.sampler.kernels`): what explains nothing gets no weight. Once no trial has been better
     than all before for some time, every other one is left to g alone (`study.sampler.trust`), so
-    that features that mislead cost half the trials at most. Trials running elsewhere are
+    that features that mislead cost half the trials from then on. Trials running elsewhere are
     conditioned on as if they had shown what is expected of them.
 
     What it promises: everything is recomputed from the study's trials, and each draw is seeded by
@@ -89,8 +89,10 @@ class FeatureKernelSampler(BaseSampler):
 
     Raises:
         InputError: an option that cannot be used; in a trial (strict), before its objective has
-            all parameters: names or ranges of the study that do not fit the table or the space, or
-            a function that raises or returns other than finite [n, k].
+            all parameters: names or ranges of the study that do not fit the table or the space,
+            values enqueued that no row has, or a function that raises or returns other than finite
+            [n, k]. At a trial's end: it has not suggested all of the table (strict), or what
+            `constraints_func` returned.
         TableExhaustedError: in a trial, when no row is left (strict).
         ValueError: in a trial of a study with several objectives.
     """

@@ -1,5 +1,6 @@
 """How good each candidate is, after some trials: the model, and what may be gained by it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -21,9 +22,12 @@ from study.sampler.transforms import log_excess
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-WORK = 1e10  # multiplications for the variance of all candidates; beyond, a random part of them
+WORK = 1e10  # multiplications for the variance of all candidates; beyond, a part of them
 LEAST_CANDIDATES = 1000
+MOST_CANDIDATES = 4096  # of a kernel over features and parameters
 CACHED_CONSTANTS = 8
+REFITS = ((32, 1), (128, 4))  # up to so many trials, constants are learned anew after so many
+LAST_EVERY = 16
 
 
 @dataclass
@@ -79,9 +83,7 @@ class Model:
     @cached_property
     def posterior(self) -> Posterior:
         """Of the cost less what was guessed, running trials taken to show what is expected."""
-        posterior = self._after(
-            self.evidence.points, self._cost - self._guessed(self.evidence.points)
-        )
+        posterior = self._after(self.evidence.points, self._unguessed)
         running = self._visible(self.evidence.running)
         return posterior.believing(running) if len(running) else posterior
 
@@ -92,7 +94,8 @@ class Model:
         for limit in self.evidence.limits.T:
             known = np.isfinite(limit)
             if known.any():
-                posteriors.append(self._after(self.evidence.points.take(known), limit[known]))
+                points = self.evidence.points.take(known)
+                posteriors.append(self._after(points, limit[known].__getitem__))
         return posteriors
 
     @cached_property
@@ -100,28 +103,32 @@ class Model:
         """Whether candidates differ by one number only."""
         return not self.kernel.of_parameters and self.evidence.points.features.shape[1] == 1
 
-    @cached_property
-    def _cost(self) -> Floats:
-        """The costs as the process sees them, [n]."""
-        cost = self.evidence.cost
+    def _cost(self, some: slice = slice(None)) -> Floats:
+        """The costs of some trials as the process sees them, [n]."""
+        cost = self.evidence.cost[some]
         return log_excess(cost) if self.kernel.by_order else cost
 
-    def _guessed(self, points: Points) -> Floats | float:
-        """What the user says of the costs of points, [m], in the unit of `_cost`."""
-        if self.guess is None:
-            return 0.0
-        spread = float(self._cost.std())
-        return (spread or 1.0) * self.guess.cost(points)
+    def _unguessed(self, some: slice) -> Floats:
+        """The same less what was guessed."""
+        cost = self._cost(some)
+        return cost - self._guessed(self.evidence.points, cost)[some]
 
-    def _after(self, points: Points, y: Floats) -> Posterior:
-        """The posterior of something that finished trials showed."""
+    def _guessed(self, points: Points, cost: Floats) -> Floats:
+        """What the user says of the costs of points, [m], in the unit of these costs."""
+        if self.guess is None:
+            return np.zeros(len(points))
+        return (float(cost.std()) or 1.0) * self.guess.cost(points)
+
+    def _after(self, points: Points, y: Callable[[slice], Floats]) -> Posterior:
+        """The posterior of something that trials showed, y giving what some of them did."""
         seen = self._visible(points)
         x = seen.matrix()
         layout = Layout(seen.features.shape[1], seen.coordinates.shape[1], self.parameters)
         covariance = new_covariance(self.kernel, layout)
-        theta = self.constants.learned(covariance, x, y)
+        first = last_refit(len(x))
+        theta = self.constants.learned(covariance, x[:first], y(slice(first)))
         # Where features alone are seen, the spread of alike candidates is part of the next one.
-        return condition(covariance, theta, x, y, noisy=not self.kernel.of_parameters)
+        return condition(covariance, theta, x, y(slice(None)), noisy=True)
 
     def _visible(self, points: Points) -> Points:
         """The columns that the kernel looks at."""
@@ -130,13 +137,37 @@ class Model:
     def _looked_at(
         self, points: Points, offered: Mask, rng: np.random.Generator
     ) -> NDArray[np.int64]:
-        """Numbers of the candidates whose posterior is computed."""
+        """Numbers of the candidates whose posterior is computed.
+
+        Where they are too many, half of them are those that a straight line through the trials
+        (`_merit`) thinks best, the others are drawn.
+        """
+        if self.one_dimensional:
+            return np.arange(len(points))
         trials = len(self.evidence.cost) + len(self.evidence.running)
         most = max(int(WORK / trials**2), LEAST_CANDIDATES)
+        if self.kernel.by_order:
+            most = min(most, MOST_CANDIDATES)
         free = np.flatnonzero(offered)
-        if self.one_dimensional or (len(points) <= most and len(free) > len(points) // 2):
+        if len(points) <= most and len(free) > len(points) // 2:
             return np.arange(len(points))  # leaving out a few would cost a copy of the others
-        return free if len(free) <= most else np.sort(rng.choice(free, most, replace=False))
+        if len(free) <= most:
+            return free
+        if not self.kernel.of_features:
+            return np.sort(rng.choice(free, most, replace=False))
+        split = len(free) - most // 2
+        order = np.argpartition(self._merit(points)[free], split)
+        drawn = rng.choice(order[:split], most - most // 2, replace=False)
+        return np.sort(free[np.concatenate([order[split:], drawn])])
+
+    def _merit(self, points: Points) -> Floats:
+        """Minus the costs by a ridge regression on the features, unit slopes against unit noise."""
+        seen, residual = self.evidence.points.features, self.posterior.y
+        seen = seen[: len(residual)]
+        residual = residual[: len(seen)]
+        slopes = np.linalg.solve(seen.T @ seen + np.eye(seen.shape[1]), seen.T @ residual)
+        guessed = 0.0 if self.guess is None else self.guess.cost(points)
+        return -(points.features @ slopes + guessed)
 
     def _values(self, points: Points) -> Floats:
         """The utility of candidates, [m]."""
@@ -152,5 +183,15 @@ class Model:
         if not feasible.any():  # first find a candidate that holds
             return np.zeros(len(points))
         mean, variance = self.posterior.predict(self._visible(points))
-        best = float(self._cost[feasible].min())
-        return log_expected_improvement(mean + self._guessed(points), np.sqrt(variance), best)
+        cost = self._cost()
+        best = float(cost[feasible].min())
+        mean += self._guessed(points, cost)
+        return log_expected_improvement(mean, np.sqrt(variance), best)
+
+
+def last_refit(trials: int) -> int:
+    """How many of the first trials constants are learned from: they change ever more slowly."""
+    for most, every in REFITS:
+        if trials <= most:
+            return trials - trials % every
+    return trials - trials % LAST_EVERY

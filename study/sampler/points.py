@@ -28,9 +28,14 @@ class Points:
 
     def matrix(self, block: slice = slice(None)) -> Floats:
         """All or some of them, [m, k + e]."""
+        return self._stacked[block]
+
+    @cached_property
+    def _stacked(self) -> Floats:
+        """All of them, made once."""
         if not self.coordinates.shape[1]:
-            return self.features[block]
-        return np.hstack([self.features[block], self.coordinates[block]])
+            return self.features
+        return np.hstack([self.features, self.coordinates])
 
     @cached_property
     def distinct(self) -> tuple[Floats, NDArray[np.int64]]:

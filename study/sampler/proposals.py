@@ -28,6 +28,11 @@ class Proposal:
         """Whether a trial of these parameters had all of the values."""
         return all(name in params and params[name] == v for name, v in self.values.items())
 
+    def other_in(self, params: Mapping[str, Any]) -> str | None:
+        """The first parameter that a trial of these had with another value; None without any."""
+        others = (name for name, v in self.values.items() if name in params and params[name] != v)
+        return next(others, None)
+
 
 NOTHING = Proposal({}, {})
 

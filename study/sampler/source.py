@@ -100,7 +100,8 @@ class Source(ABC):
         """The model of one trial, after the trials of a history, at the points where they were."""
         evidence = Evidence(seen, history.cost, read_limits(history.trials), running)
         kernel: Kernel = self.options.model
-        if self.options.learns_trust and is_doubtful(history.cost, own_turn, guess is not None):
+        kept = history.cost[evidence.feasible]
+        if self.options.learns_trust and is_doubtful(kept, own_turn, guess is not None):
             kernel, guess = NEARNESS, None
         return Model(kernel, guess, parameters, evidence, self.constants)
 

@@ -165,9 +165,9 @@ class SpaceSource(Source):
         guess = self._guess(features)
         model = self.model(guess, len(space), history, seen, elsewhere, own_turn)
         taken = np.vstack([history.parameters, history.running])
-        offered = not_among(points, taken) & np.isfinite(features).all(axis=1)
+        offered = not_among(points, taken) & ~np.isnan(features).any(axis=1)
         if not offered.any():
-            offered = np.asarray(np.isfinite(features).all(axis=1))
+            offered = np.asarray(~np.isnan(features).any(axis=1))
         utility = model.utility(candidates, offered, rng)
         best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
         return Candidate(OFF_TABLE, points[best], features[best])

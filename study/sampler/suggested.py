@@ -10,6 +10,15 @@ from study.sampler.rows import Rows
 from study.sampler.space import Space
 
 
+class Inferred(dict[str, BaseDistribution]):
+    """The search space of a table, as it is given to Optuna: distributions by name.
+
+    Optuna holds what is proposed at once to these distributions, and a study that suggests another
+    scale, kind, or order of choices fails with them. Values are therefore handed out one by one
+    where the space is this one; who asks for another space gets values of that.
+    """
+
+
 def suggested_so_far(names: Iterable[str], study: optuna.Study) -> dict[str, BaseDistribution]:
     """Distributions by name, of the latest trial that has each; names that none has are left out.
 

@@ -118,7 +118,7 @@ class TableChoice(Source, ABC):
         assert self.function is not None  # checked with off_grid
         features = call_features(self.function, near, len(self._names))
         points = Points(self._scale.standard(features), self._unit(near))
-        known = np.asarray(np.isfinite(features).all(axis=1))
+        known = np.asarray(~np.isnan(features).any(axis=1))
         offered = known & new if (known & new).any() else known
         rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
         utility = model.utility(points, offered, rng)

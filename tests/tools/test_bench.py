@@ -1,6 +1,7 @@
 """The benchmark command on a few walkers: what it reports, and what it refuses."""
 
 import json
+import os
 import runpy
 import subprocess
 import sys
@@ -24,7 +25,7 @@ def bench(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def report() -> dict[str, Any]:
-    done = bench("--samples", str(SAMPLES), "--arch", "cpu", "--mujoco", "--json")
+    done = bench("--samples", str(SAMPLES), "--arch", "cpu", "--threads", "--mujoco", "--json")
     assert done.returncode == 0, done.stderr
     parsed: dict[str, Any] = json.loads(done.stdout)
     return parsed
@@ -53,6 +54,12 @@ def test_ratios_compare_with_the_references(report: dict[str, Any]) -> None:
     per_s = report["run"]["walkers_per_s"]
     assert ratios["scalar C, float64"] == pytest.approx(per_s / (100_000 / 234.0))
     assert ratios["hand-written AVX-512, float32"] == pytest.approx(per_s / (100_000 / 14.9))
+
+
+def test_few_walkers_are_timed_on_one_thread_and_on_all(report: dict[str, Any]) -> None:
+    threads = [row["threads"] for row in report["threads"]]
+    assert threads == sorted({1, os.cpu_count() or 1})
+    assert all(row["run_s"] > 0.0 for row in report["threads"])
 
 
 def test_mujoco_steps_are_counted_in_the_same_run(report: dict[str, Any]) -> None:

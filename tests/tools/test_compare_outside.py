@@ -122,13 +122,19 @@ def report(ours: list[float], tpe: list[float], ranking: list[float]) -> Outside
 
 def test_bars_hold_where_ours_leads_and_name_where_it_does_not() -> None:
     good = report(ours=[2.0, 1.0], tpe=[3.0, 2.0], ranking=[1.5, 1.4])
-    assert [bar.holds for bar in good.bars()] == [True] * len(good.bars())
+    assert [bar.holds for bar in good.bars] == [True] * len(good.bars)
     bad = report(ours=[2.0, 1.9], tpe=[1.0, 1.0], ranking=[1.5, 1.4])
-    assert not any(bar.holds for bar in bad.bars())
-    assert bad.bars()[0].fails[0] == f"{PROBLEM}, TPESampler, 5 (0 : 12)"
+    assert not any(bar.holds for bar in bad.bars)
+    assert bad.bars[0].fails[0] == f"{PROBLEM}, TPESampler, 5 (0 : 12)"
     test = bad.versus(PROBLEM, "ours", "tpe", 10)
     assert (test.wins, test.losses) == (0, 12) and test.is_behind and not test.is_ahead
     assert bad.median(PROBLEM, "tpe", 5) == pytest.approx(1.0055)
+
+
+def test_runs_that_repeat_each_other_are_counted_once() -> None:
+    costs = np.array([[3.0, 2.0, 5.0], [3.0, 2.0, 4.0], [3.0, 2.0, 5.0]])
+    made = OutsideReport.of({(PROBLEM, "ours"): costs, (PROBLEM, "tpe"): costs[:1].repeat(3, 0)})
+    assert made.different == {(PROBLEM, "ours"): 2, (PROBLEM, "tpe"): 1}
 
 
 def test_equal_runs_are_neither_ahead_nor_behind() -> None:

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
@@ -89,6 +89,17 @@ class OutsideProblem:
     def ranking(self) -> Floats:
         """Mean rank of a candidate over the features, [n]: a guess of anybody who has them."""
         return np.asarray(self.ranks.mean(axis=1))
+
+    def drawn(self, seed: int) -> "OutsideProblem":
+        """The same problem with half of the candidates, drawn by the seed: a sample of problems."""
+        rng = np.random.default_rng(np.random.SeedSequence(seed))
+        rows = np.sort(rng.choice(len(self), len(self) // 2, replace=False))
+        return replace(
+            self,
+            columns={name: column[rows] for name, column in self.columns.items()},
+            features=self.features[rows],
+            cost=self.cost[rows],
+        )
 
     def settings(self, row: int) -> dict[str, float | int | str]:
         """The parameters of a candidate, as plain Python values."""

@@ -1,6 +1,7 @@
 """What the runs on problems from outside say: medians, paired tests, and the bars to pass."""
 
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -77,17 +78,21 @@ class OutsideReport:
     Attributes:
         best: least cost so far, [seeds, trials] for each (problem, arm).
         checkpoints: trials at which arms are compared.
+        different: how many of the seeds' runs differ at all, for each (problem, arm); a sampler
+            that draws nothing repeats one run, and its seeds are then no sample.
     """
 
     best: Costs
     checkpoints: tuple[int, ...]
+    different: dict[tuple[str, str], int]
 
     @classmethod
     def of(cls, costs: Costs) -> "OutsideReport":
         """The report of costs, [seeds, trials] for each (problem, arm)."""
         trials = next(iter(costs.values())).shape[1]
         best = {key: np.minimum.accumulate(values, axis=1) for key, values in costs.items()}
-        return cls(best, (*(at for at in CHECKPOINTS if at < trials), trials))
+        checkpoints = (*(at for at in CHECKPOINTS if at < trials), trials)
+        return cls(best, checkpoints, {k: len(np.unique(v, axis=0)) for k, v in costs.items()})
 
     @property
     def seeds(self) -> int:
@@ -120,6 +125,7 @@ class OutsideReport:
         p = wilcoxon(mine, theirs).p
         return Versus(problem, ours, other, trial, at, wins, losses, p, ahead)
 
+    @cached_property
     def tests(self) -> list[Versus]:
         """Each of our arms against every arm that is not ours, at every checkpoint."""
         others = [arm for arm in self.arms() if ARMS[arm].kind != "ours"]
@@ -131,6 +137,7 @@ class OutsideReport:
             for trial in self.checkpoints
         ]
 
+    @cached_property
     def bars(self) -> list[Bar]:
         """What our arms must show, of what was run."""
         found = []
@@ -186,8 +193,12 @@ class OutsideReport:
                  "median": self.median(problem.name, arm, trial)}
                 for problem in self.problems for arm in self.arms() for trial in self.checkpoints
             ],
-            "tests": [asdict(test) for test in self.tests()],
-            "bars": [{**asdict(bar), "holds": bar.holds} for bar in self.bars()],
+            "different_runs": [
+                {"problem": problem, "arm": arm, "runs": runs}
+                for (problem, arm), runs in self.different.items()
+            ],
+            "tests": [asdict(test) for test in self.tests],
+            "bars": [{**asdict(bar), "holds": bar.holds} for bar in self.bars],
         }  # fmt: skip
 
 

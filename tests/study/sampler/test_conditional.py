@@ -48,6 +48,14 @@ def test_asked_and_told_too() -> None:
         study.tell(trial, value)
 
 
+def test_an_objective_that_suggests_none_of_the_table_is_one_too() -> None:
+    sampler = FeatureKernelSampler(table(), seed=1, extra_parameters=["n"])
+    study = optuna.create_study(sampler=sampler)
+    with pytest.raises(InputError, match="a: 'not suggested in trial 0'"):
+        study.optimize(lambda trial: trial.suggest_int("n", 1, 9), n_trials=1)
+    study.tell(study.ask(), 1.0)  # nothing at all was suggested: nothing is known
+
+
 def test_an_enqueued_row_tells_it_too() -> None:
     study = optuna.create_study(sampler=FeatureKernelSampler(table(), seed=1))
     study.enqueue_trial(table().rows.as_parameters(3))

@@ -225,6 +225,15 @@ def test_an_enqueued_row_of_one_feature_has_its_score() -> None:
     assert study.trials[0].user_attrs == {"row": 7, "score": 1.5}
 
 
+@pytest.mark.filterwarnings("ignore:FeatureTable")
+def test_what_is_not_known_of_an_enqueued_row_is_none() -> None:
+    gap = FeatureTable.from_arrays({"a": A, "b": B}, np.where(FEATURES == 1.5, np.nan, FEATURES))
+    study = new_study(gap)
+    study.enqueue_trial(gap.rows.as_parameters(7))
+    study.optimize(both, n_trials=5)
+    assert study.trials[0].user_attrs == {"row": 7, "features": [None, -0.5]}
+
+
 def test_a_point_off_the_table_has_no_row() -> None:
     study = new_study()
     study.enqueue_trial({"a": 0.25, "b": 0.25})
@@ -323,18 +332,57 @@ def features_learned_before_the_end(study: optuna.Study) -> list[FrozenTrial]:
 
 def test_a_value_that_was_not_left_to_the_sampler_takes_the_note_back() -> None:
     """A range of one value: Optuna asks no sampler."""
+
+    def pinned(value: float) -> Callable[[optuna.Trial], float]:
+        return lambda trial: trial.suggest_float("b", 0, 5) + trial.suggest_float("a", value, value)
+
     study = new_study()
-    study.optimize(
-        lambda trial: trial.suggest_float("b", 0, 5) + trial.suggest_float("a", 0.25, 0.25),
-        n_trials=1,
-    )
+    with pytest.raises(InputError, match=r"a: .*low=0.25.* a range that holds all rows"):
+        study.optimize(pinned(0.25), n_trials=1)
     assert study.trials[0].user_attrs == {"row": -1, "features": None}
+    study = new_study(strict=False)
+    run_quietly(study, 3, pinned(0.5))
+    assert {trial.params["a"] for trial in study.trials} == {0.5}
+    assert_rows_were_run(study)
+
+
+def test_a_range_of_one_value_that_comes_first_is_as_if_it_were_fixed() -> None:
     study = new_study()
     study.optimize(
-        lambda trial: trial.suggest_float("b", 0, 5) + trial.suggest_float("a", 0.5, 0.5),
-        n_trials=1,
+        lambda trial: trial.suggest_float("a", 0.5, 0.5) + trial.suggest_float("b", 0, 5),
+        n_trials=6,
     )
-    assert_rows_were_run(study)
+    assert sorted(trial.user_attrs["row"] for trial in study.trials) == list(range(6, 12))
+    with pytest.raises(InputError, match=r"a: 0.5 .* a row that has not been tried"):
+        study.optimize(
+            lambda trial: trial.suggest_float("a", 0.5, 0.5) + trial.suggest_float("b", 0, 5),
+            n_trials=1,
+        )
+
+
+def test_a_row_of_another_table_that_came_with_an_enqueued_trial_is_put_right() -> None:
+    study = new_study()
+    study.enqueue_trial({"a": 0.5, "b": 3.0}, user_attrs={"row": 2, "mood": "good"})
+    study.enqueue_trial({"a": 0.25, "b": 3.0}, user_attrs={"row": 2})
+    study.ask()
+    assert study.trials[0].user_attrs == {"row": 9, "features": [3.5, -2.5], "mood": "good"}
+    study.optimize(both, n_trials=1)
+    assert study.trials[1].user_attrs["row"] == -1
+
+
+def test_features_of_a_refused_point_near_the_table_are_taken_back() -> None:
+    one = FeatureTable.from_arrays({"a": A, "b": B}, A + B)
+    options = {"feature_function": lambda params: params.sum(axis=1), "off_grid": 50}
+    study = new_study(one, strict=False, **options)
+    for row in range(18):
+        study.enqueue_trial(one.rows.as_parameters(row))
+    study.optimize(both, n_trials=18)
+    with pytest.warns(UserWarning, match="a: .* a range that holds all rows"):
+        study.optimize(
+            lambda trial: trial.suggest_float("b", 0, 5) + trial.suggest_float("a", 2, 3),
+            n_trials=1,
+        )
+    assert study.trials[-1].user_attrs == {"row": -1, "score": None, "features": None}
 
 
 def test_a_trial_that_is_refused_keeps_no_row() -> None:

@@ -140,3 +140,18 @@ def test_it_is_one_way_or_the_other() -> None:
         FeatureKernelSampler(nearest=0.1)
     with pytest.raises(InputError, match=r"nearest: 0.1 .* table"):
         FeatureKernelSampler(lambda params: params, nearest=0.1)
+
+
+def test_an_earlier_study_may_have_suggested_otherwise() -> None:
+    """Another scale and narrower ranges: Optuna's own samplers fail on the first."""
+    rate = np.geomspace(1e-3, 1, 30)
+    given = FeatureTable.from_arrays({"rate": rate}, np.log(rate))
+    before = optuna.create_study(sampler=FeatureKernelSampler(given, seed=2))
+    before.optimize(lambda trial: trial.suggest_float("rate", 1e-3, 1), n_trials=3)
+    before.enqueue_trial({"rate": 0.4})
+    before.optimize(lambda trial: trial.suggest_float("rate", 0.3, 0.5), n_trials=1)
+    study = optuna.create_study(sampler=FeatureKernelSampler(given, seed=1, nearest=0.1))
+    study.add_trials(before.trials)
+    study.optimize(lambda trial: trial.suggest_float("rate", 1e-3, 1, log=True), n_trials=5)
+    assert len({trial.user_attrs["row"] for trial in study.trials if trial.user_attrs}) == 8
+    assert study.best_value == rate[0]

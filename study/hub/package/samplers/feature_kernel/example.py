@@ -46,8 +46,9 @@ def main() -> optuna.Study:
     module = optunahub.load_local_module("samplers/feature_kernel", registry_root=str(REGISTRY))
     rng = np.random.default_rng(0)
     pull, angle = rng.uniform(0.1, 1.0, 2000), rng.uniform(10.0, 80.0, 2000)
-    landing = throw(pull, angle)[:, None]  # the feature: where the wrong simulator lands
-    table = module.FeatureTable.from_arrays({"pull_m": pull, "angle_deg": angle}, landing)
+    landing = throw(pull, angle)  # of the wrong simulator
+    features = np.column_stack([landing, abs(landing - TARGET_M)])
+    table = module.FeatureTable.from_arrays({"pull_m": pull, "angle_deg": angle}, features)
     study = optuna.create_study(sampler=module.FeatureKernelSampler(table, seed=1))
     study.optimize(objective, n_trials=20)
     print(f"best miss {study.best_value:.2f} m with {study.best_params}")
