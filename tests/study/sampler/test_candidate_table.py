@@ -116,7 +116,7 @@ def test_a_feature_without_information_weighs_nothing() -> None:
 def test_a_row_is_offered_with_half_of_its_informative_features() -> None:
     nan, inf = np.nan, np.inf
     features = [[nan, 1.0, 7.0], [2.0, nan, 7.0], [nan, nan, 7.0], [inf, -inf, nan]]
-    with pytest.warns(UserWarning, match="1 rows with a feature .* ignored: feature_2"):
+    with pytest.warns(UserWarning, match="1 rows that lack more than half .* ignored: feature_2"):
         table = CandidateTable.from_arrays({"a": np.arange(4.0)}, features)
     assert table.rows.offered.tolist() == [True, True, False, True]
     assert table.rows.incomplete == 1
