@@ -163,11 +163,10 @@ class Model:
     def _merit(self, points: Points) -> Floats:
         """Minus the costs by a ridge regression on the features, unit slopes against unit noise."""
         seen, residual = self.evidence.points.features, self.posterior.y
-        seen = seen[: len(residual)]
-        residual = residual[: len(seen)]
+        residual = residual[: len(seen)]  # less what running trials are believed to show
         slopes = np.linalg.solve(seen.T @ seen + np.eye(seen.shape[1]), seen.T @ residual)
-        guessed = 0.0 if self.guess is None else self.guess.cost(points)
-        return -(points.features @ slopes + guessed)
+        learned = self.posterior.cost_sd * (points.features @ slopes)
+        return -(learned + self._guessed(points, self._cost()))
 
     def _values(self, points: Points) -> Floats:
         """The utility of candidates, [m]."""

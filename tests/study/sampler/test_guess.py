@@ -8,7 +8,7 @@ from study.sampler.acquisition import log_expected_improvement
 from study.sampler.evidence import Evidence
 from study.sampler.guess import SLOPE, Guess
 from study.sampler.kernels import KERNELS
-from study.sampler.model import Constants, Model
+from study.sampler.model import MOST_CANDIDATES, Constants, Model
 from study.sampler.points import Points
 from study.sampler.transforms import log_excess
 from taichi_nmm.errors import InputError
@@ -47,6 +47,15 @@ def predicted(model: Model, points: Points) -> np.ndarray:
     return np.asarray(means[0])
 
 
+def costs_that_fall_by(shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Costs whose `log_excess` has this shape, [n], and that logarithm; n is even."""
+    fall = shape - shape.min()
+    fall *= np.log(2.0) / np.median(fall[fall > 0])
+    cost = np.expm1(fall)  # the median excess is 1
+    assert_allclose(log_excess(cost), fall, atol=1e-12)
+    return cost, fall
+
+
 def no_limits(trials: int) -> np.ndarray:
     return np.empty((trials, 0))
 
@@ -69,14 +78,12 @@ def test_where_nothing_is_left_to_explain_the_cost_falls_by_the_slope(
     """
     scores = np.array([-1.5, -0.7, 0.1, 0.4, 0.9, 1.6])
     scores = (scores - scores.mean()) / scores.std()
-    fall = (sign * scores).max() - sign * scores  # 0 of the best
+    fall = -sign * scores
     if KERNELS[kernel].by_order:
-        fall *= np.log(2.0) / np.median(fall[fall > 0])
-        cost = np.expm1(fall)  # of which log_excess is `fall`: its median excess is 1
-        assert_allclose(log_excess(cost), fall, atol=1e-12)
+        cost, fall = costs_that_fall_by(fall)
     else:
-        fall *= 3.0
-        cost = 100.0 + fall
+        cost = 100.0 + 3.0 * fall
+        fall = cost
     seen = points(scores, 0)
     none = points(np.empty(0), 0)
     evidence = Evidence(seen, cost, no_limits(6), none)
@@ -109,3 +116,19 @@ def test_a_guess_that_trials_contradict_is_turned() -> None:
     some = points(np.array([-1.8, 1.8]), 1)
     mean = predicted(model, some)
     assert mean[0] < mean[1]
+
+
+def test_of_many_candidates_those_that_the_guess_thinks_best_are_looked_at() -> None:
+    """Costs follow it but for a hundredth, which another feature explains."""
+    scores = np.linspace(-2, 2, 12)
+    seen = points(scores / scores.std(), 0)
+    other, scores = seen.features.T
+    cost, _ = costs_that_fall_by(-scores + 0.01 * other)
+    evidence = Evidence(seen, cost, no_limits(12), points(np.empty(0), 0))
+    model = Model(KERNELS["additive"], Guess(1, 1.0), 2, evidence, Constants())
+    many = points(np.random.default_rng(1).standard_normal(2 * MOST_CANDIDATES), 2)
+    offered = np.ones(len(many), dtype=bool)
+    looked_at = model._looked_at(many, offered, np.random.default_rng(0))
+    assert len(looked_at) == MOST_CANDIDATES
+    best = np.argsort(-many.features[:, 1])[:200]  # half of what is looked at: ten times as many
+    assert set(best) <= set(looked_at)
