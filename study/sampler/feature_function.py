@@ -11,13 +11,16 @@ Floats = NDArray[np.float64]
 Features = Callable[[Floats], Floats]
 
 
-def call_features(function: Features, points: Floats, width: int | None = None) -> Floats:
+def call_features(
+    function: Features, points: Floats, width: int | None = None, *, to_choose: bool = True
+) -> Floats:
     """Features [n, k] of points [n, d]; NaN is a gap, infinity a value.
 
     Args:
         function: of the user.
         points: as rows of `study.sampler.space`.
         width: k, where it is known.
+        to_choose: one of the points is to be proposed; else gaps in all of them are no error.
 
     Raises:
         InputError: the function raised (its exception is the cause), or returned something else.
@@ -38,6 +41,6 @@ def call_features(function: Features, points: Floats, width: int | None = None) 
         raise InputError("features(params).shape", features.shape, expected)
     if not features.shape[1]:
         raise InputError("features(params).shape", features.shape, "at least one feature")
-    if len(features) and np.isnan(features).any(axis=1).all():
+    if to_choose and len(features) and np.isnan(features).any(axis=1).all():
         raise InputError("features(params)", "no row without NaN", f"finite numbers {expected}")
     return features

@@ -160,7 +160,10 @@ class TableChoice(Source, ABC):
             noted = noted_features(trials[place])
             if noted is not None and len(noted) == features.shape[1]:
                 features[place] = noted
-        unknown = np.flatnonzero(np.isnan(features).all(axis=1))
-        if len(unknown) and self.function is not None:
-            features[unknown] = call_features(self.function, parameters[unknown], features.shape[1])
+        missing = np.isnan(features)  # of points off the table also infinities: none are noted
+        unknown = missing.all(axis=1) | (missing.any(axis=1) & (numbers == OFF_TABLE))
+        if unknown.any() and self.function is not None:
+            features[unknown] = call_features(
+                self.function, parameters[unknown], features.shape[1], to_choose=False
+            )
         return Points(self._scale.standard(features), self._unit(parameters))

@@ -172,7 +172,7 @@ def test_a_table_of_one_row_of_one_feature() -> None:
 
 def test_rows_without_features_or_repeated_are_never_proposed() -> None:
     a = [0.0, 0.1, 0.2, 0.3, 0.1]
-    with pytest.warns(UserWarning, match="1 rows with .* 1 rows repeat"):
+    with pytest.warns(UserWarning, match="1 rows that lack .* 1 rows repeat"):
         table = FeatureTable.from_arrays({"a": a}, [1.0, 2.0, np.nan, 4.0, 5.0])
     sampler = FeatureKernelSampler(table, seed=0)
     study = run(sampler, lambda t: t.suggest_float("a", 0, 1), trials=3)

@@ -178,6 +178,48 @@ def test_points_off_the_table_beat_its_best_row() -> None:
     assert off and all(len(trial.user_attrs["features"]) == 2 for trial in off)
 
 
+def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What is noted in trials has no infinity."""
+
+    def function(params: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.column_stack([np.where(params[:, 0] < 0.5, -np.inf, 1.0), params[:, 1]])
+
+    learned: list[Any] = []
+    looked_at = Model._looked_at
+
+    def spied(model: Model, *rest: Any) -> Any:
+        learned.append(model.evidence.points.features)
+        return looked_at(model, *rest)
+
+    table = FeatureTable.from_arrays({"a": [0.1, 0.9, 0.2], "b": [0.0, 0.5, 1.0]}, np.eye(3)[:, :2])
+    sampler = FeatureKernelSampler(table, seed=0, off_grid=30, feature_function=function)
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(lambda t: t.suggest_float("a", 0.1, 0.9) + t.suggest_float("b", 0, 1), 8)
+    off = [t.number for t in study.trials if t.user_attrs["row"] == -1 and t.params["a"] < 0.5]
+    assert off
+    monkeypatch.setattr(Model, "_looked_at", spied)
+    study.ask(table.rows.space.as_dict())
+    lowest = table.rows.scores.standard(np.array([[-np.inf, 0.0]]))[0, 0]
+    assert learned[0][off, 0] == pytest.approx(lowest)
+
+
+@pytest.mark.parametrize("gaps", [[np.nan, 1.0], [np.nan, np.nan]])
+def test_a_trial_off_the_table_may_have_gaps(gaps: list[float]) -> None:
+    """As a function may return for a point that it cannot do, here one that a user enqueued."""
+
+    def function(params: NDArray[np.float64]) -> NDArray[np.float64]:
+        outside = (params[:, 0] < -0.5)[:, None]
+        return np.where(outside, gaps, features(params))
+
+    sampler = FeatureKernelSampler(small_table(), seed=0, feature_function=function)
+    study = optuna.create_study(sampler=sampler)
+    study.enqueue_trial({"a": -0.77, "b": 1.0})
+    study.optimize(bowl, n_trials=6)
+    assert len({trial.user_attrs.get("row") for trial in study.trials}) == 6
+
+
 def test_points_near_a_table_of_integers_are_not_tried_twice() -> None:
     table = FeatureTable.from_arrays({"n": [1, 3, 9]}, [1.0, 3.0, 9.0])
     sampler = FeatureKernelSampler(table, seed=0, off_grid=50, feature_function=lambda p: p)
