@@ -30,6 +30,7 @@ def test_every_other_trial_is_doubtful_once_patience_is_over(told: bool, patienc
         for age in (patience, patience + 1, patience + 40):
             assert is_doubtful(after(age), turn, told) is (turn % 2 == 1)
     assert not is_doubtful(np.array([3.0]), 1, told)
+    assert not is_doubtful(np.empty(0), 1, told)  # no trial has kept its limits
 
 
 ROWS = 60
@@ -48,12 +49,8 @@ def without_success(trial: optuna.Trial) -> float:
     return 0.0 if trial.number == 1 else 1.0 + 0.01 * trial.number
 
 
-@pytest.mark.parametrize(
-    ("prior", "first"), [(None, 5), ("feature_0", 23)]  # 3, or 20, trials after number 1; then odd
-)  # fmt: skip
-def test_a_doubtful_trial_looks_at_parameters_alone(
-    prior: str | None, first: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def kernels_asked(study: optuna.Study, objective: Any, trials: int) -> dict[int, tuple[Any, Any]]:
+    """Kernel and guess of the model of each trial, by its number."""
     asked: dict[int, tuple[Any, Any]] = {}
     made = Model.__init__
 
@@ -61,14 +58,35 @@ def test_a_doubtful_trial_looks_at_parameters_alone(
         asked[len(evidence.cost)] = (kernel, guess)
         made(model, kernel, guess, parameters, evidence, *rest)
 
-    monkeypatch.setattr(Model, "__init__", spied)
-    study = study_of(FEATURES, prior=prior)
-    study.optimize(without_success, n_trials=first + 5)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Model, "__init__", spied)
+        study.optimize(objective, n_trials=trials)
+    return asked
+
+
+@pytest.mark.parametrize(
+    ("prior", "first"), [(None, 5), ("feature_0", 23)]  # 3, or 20, trials after number 1; then odd
+)  # fmt: skip
+def test_a_doubtful_trial_looks_at_parameters_alone(prior: str | None, first: int) -> None:
+    asked = kernels_asked(study_of(FEATURES, prior=prior), without_success, first + 5)
     for turn, (kernel, guess) in asked.items():
         doubtful = turn >= first and turn % 2 == 1
         assert kernel is (NEARNESS if doubtful else ADDITIVE)
         assert (guess is None) is (doubtful or prior is None)
     assert sum(kernel is NEARNESS for kernel, _ in asked.values()) == 3
+
+
+def test_trials_that_broke_their_limits_are_neither_success_nor_failure() -> None:
+    """They cost less and less; of those that kept them, number 1 is the best."""
+
+    def objective(trial: optuna.Trial) -> float:
+        broken = trial.number % 3 == 2
+        trial.set_constraint("limit", 1.0 if broken else -1.0)
+        return without_success(trial) - (100.0 * trial.number if broken else 0.0)
+
+    asked = kernels_asked(study_of(FEATURES), objective, 10)
+    # Kept after number 1: 3, 4, 6, 7, ...; the third of them is told before number 7.
+    assert [turn for turn, (kernel, _) in asked.items() if kernel is NEARNESS] == [7, 9]
 
 
 @pytest.mark.parametrize("number", [5, 6])
