@@ -1,7 +1,7 @@
 """Compare our samplers with Optuna's on synthetic problems, and write a table and a plot.
 
     python tools/compare_peers.py                  # everything; a quarter of an hour or more
-    python tools/compare_peers.py --seeds 3 --arms random,tpe,feature
+    python tools/compare_peers.py --seeds 3 --arms random,tpe,ours
 
 Finished runs are kept in the cache's folder: the same command goes on where it was stopped, and a
 run is repeated only where the code that made it has changed. GPSampler needs PyTorch, which this

@@ -15,7 +15,7 @@ from tests.tools.running import load_tool
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
-ARMS = "random,random-rows,score-first,euclidean-rows,feature,alternate"
+ARMS = "random,random-rows,score-first,euclidean-rows,ours,paper"
 TRIALS, SEEDS = 8, 2
 
 
@@ -50,15 +50,15 @@ def test_the_document_has_a_row_an_arm_and_its_bars(folder: Path) -> None:
     assert "python tools/compare_peers.py --seeds 2" in text
     for arm in ARMS.split(","):
         assert text.count(f"| {peers.PEERS[arm].label} | {peers.PEERS[arm].sees} |") == 2
-    assert "| informative: feature after 4 / RandomSampler after 8 |" in text
-    assert "| misleading: alternation / ours, Euclidean, rows, after 8 |" in text
+    assert "| informative: ours after 4 / RandomSampler after 8 |" in text
+    assert "mean regret of ours" not in text  # that bar is of 60 trials
     assert (folder / "docs" / "sampler-comparison.png").stat().st_size > 10_000
 
 
 def test_runs_that_see_no_feature_are_shared_by_problems_of_one_cost(folder: Path) -> None:
     names = runs(folder)
     assert f"cache/rastrigin/random/{TRIALS}-trials-seed-001.json" in names
-    assert f"cache/misleading/feature/{TRIALS}-trials-seed-001.json" in names
+    assert f"cache/misleading/ours/{TRIALS}-trials-seed-001.json" in names
     assert len(names) == 2 * SEEDS * len(ARMS.split(","))
 
 
@@ -70,7 +70,7 @@ def test_costs_are_those_of_the_problem(folder: Path) -> None:
     order = np.argsort(problem.features(problem.rows())[:, 0], kind="stable")[:TRIALS]
     kept = names[f"cache/informative/score-first/{TRIALS}-trials-seed-001.json"]["costs"]
     np.testing.assert_allclose(kept, costs[order])
-    for arm in ("feature", "alternate"):
+    for arm in ("ours", "paper"):
         proposed = names[f"cache/informative/{arm}/{TRIALS}-trials-seed-001.json"]["costs"]
         assert len(set(proposed)) == TRIALS
         distance = np.abs(costs - np.array(proposed)[:, None]).min(axis=1)
@@ -86,9 +86,9 @@ def test_a_second_run_takes_everything_from_the_cache(folder: Path) -> None:
     assert report["seeds"] == SEEDS
     rows = {(row["problem"], row["arm"], row["trial"]): row for row in report["regret"]}
     assert len(rows) == 2 * len(ARMS.split(",")) * 2
-    costs = [run["costs"] for name, run in runs(folder).items() if "informative/feature" in name]
+    costs = [run["costs"] for name, run in runs(folder).items() if "informative/ours" in name]
     best = np.min(costs, axis=1).mean()
-    assert rows["informative", "feature", TRIALS]["mean"]["value"] == pytest.approx(best)
+    assert rows["informative", "ours", TRIALS]["mean"]["value"] == pytest.approx(best)
 
 
 def test_a_run_of_other_code_or_a_broken_file_is_not_current(folder: Path, tmp_path: Path) -> None:
@@ -154,22 +154,27 @@ def test_a_ratio_is_resampled_in_pairs() -> None:
     assert (ratio.low, ratio.value, ratio.high) == pytest.approx((1.5, 1.5, 1.5))
 
 
+def constant(first: float, second: float, trials: int = 60) -> np.ndarray:
+    """Costs of three seeds: one in the first half of the trials, another in the second."""
+    return np.tile(np.repeat([first, second], trials // 2), (3, 1))
+
+
 def test_bars_are_of_the_arms_and_trials_that_they_name() -> None:
-    """Constant costs: the ratios are known."""
-
-    def costs(first: float, second: float) -> np.ndarray:
-        return np.tile([first, first, second, second], (3, 1))
-
-    report = comparison_report.Report.of(
-        {
-            ("informative", "random"): costs(9.0, 4.0),
-            ("informative", "feature"): costs(6.0, 1.0),
-            ("useless", "euclidean"): costs(9.0, 5.0),
-            ("useless", "alternate"): costs(9.0, 5.4),
-        }
-    )
-    informative, useless = report.bars
+    costs = {
+        ("informative", "random"): constant(9.0, 4.0),
+        ("informative", "random-rows"): constant(1.0, 1.0),  # a control: no bar
+        ("informative", "ours"): constant(6.0, 1.0),
+        ("misleading", "ours"): constant(240.0, 203.5),
+        ("useless", "ours"): constant(240.0, 204.5),
+    }
+    informative, misleading, useless = comparison_report.Report.of(costs).bars
+    assert informative.what == "informative: ours after 30 / RandomSampler after 60"
     assert informative.measured.value == pytest.approx(6.0 / 4.0)
-    assert not informative.holds
-    assert useless.measured.value == pytest.approx(5.4 / 5.0)
-    assert useless.holds
+    assert (misleading.measured.value, misleading.at_most) == pytest.approx((203.5, 203.0))
+    assert (useless.measured.value, useless.at_most) == pytest.approx((204.5, 205.0))
+    assert [bar.holds for bar in (informative, misleading, useless)] == [False, False, True]
+
+
+def test_what_was_measured_after_60_trials_is_no_bar_after_others() -> None:
+    costs = {("misleading", "ours"): constant(240.0, 300.0, trials=40)}
+    assert comparison_report.Report.of(costs).bars == ()
