@@ -1,7 +1,8 @@
-"""Optuna's own tests of samplers, on all three forms."""
+"""Optuna's own tests of samplers, on all forms of ours."""
 
 import warnings
 from collections.abc import Callable
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -20,6 +21,10 @@ pytestmark = pytest.mark.slow
 Factory = Callable[[], BaseSampler]
 
 
+def one_feature(params: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(params[:, 0])
+
+
 class Suite(BasicSamplerTestCase, RelativeSamplerTestCase, SingleOnlySamplerTestCase):
     """What Optuna asks of a sampler for one objective."""
 
@@ -29,11 +34,31 @@ class Suite(BasicSamplerTestCase, RelativeSamplerTestCase, SingleOnlySamplerTest
 class TestTable(Suite):
     """The suite has spaces of its own, with the table's names (x, y) and with others."""
 
+    options: ClassVar[dict[str, Any]] = {}
+
     @pytest.fixture
     def sampler(self) -> Factory:
         column = np.linspace(0.1, 0.2, 8)
         table = FeatureTable.from_arrays({"x": column, "y": column[::-1]}, column)
-        return lambda: FeatureKernelSampler(table, seed=0, strict=False)
+        return lambda: FeatureKernelSampler(table, seed=0, strict=False, **self.options)
+
+
+class TestRankedTable(TestTable):
+    """With what the user says of a feature."""
+
+    options: ClassVar[dict[str, Any]] = {"prior": "-feature_0"}
+
+
+class TestPaper(TestTable):
+    """The paper's kernel."""
+
+    options: ClassVar[dict[str, Any]] = {"kernel": "rbf"}
+
+
+class TestOffGrid(TestTable):
+    """Points near the rows as well."""
+
+    options: ClassVar[dict[str, Any]] = {"feature_function": one_feature, "off_grid": 16}
 
 
 @pytest.mark.filterwarnings("ignore:.*the independent sampler takes over")
