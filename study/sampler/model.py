@@ -103,17 +103,17 @@ class Model:
         """Whether candidates differ by one number only."""
         return not self.kernel.of_parameters and self.evidence.points.features.shape[1] == 1
 
-    def _cost(self, some: slice = slice(None)) -> Floats:
+    def cost(self, some: slice = slice(None)) -> Floats:
         """The costs of some trials as the process sees them, [n]."""
         cost = self.evidence.cost[some]
         return log_excess(cost) if self.kernel.by_order else cost
 
     def _unguessed(self, some: slice) -> Floats:
         """The same less what was guessed."""
-        cost = self._cost(some)
-        return cost - self._guessed(self.evidence.points, cost)[some]
+        cost = self.cost(some)
+        return cost - self.guessed(self.evidence.points, cost)[some]
 
-    def _guessed(self, points: Points, cost: Floats) -> Floats:
+    def guessed(self, points: Points, cost: Floats) -> Floats:
         """What the user says of the costs of points, [m], in the unit of these costs."""
         if self.guess is None:
             return np.zeros(len(points))
@@ -182,9 +182,9 @@ class Model:
         if not feasible.any():  # first find a candidate that holds
             return np.zeros(len(points))
         mean, variance = self.posterior.predict(self._visible(points))
-        cost = self._cost()
+        cost = self.cost()
         best = float(cost[feasible].min())
-        mean += self._guessed(points, cost)
+        mean += self.guessed(points, cost)
         return log_expected_improvement(mean, np.sqrt(variance), best)
 
 
