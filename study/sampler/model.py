@@ -127,8 +127,8 @@ class Model:
         covariance = new_covariance(self.kernel, layout)
         first = last_refit(len(x))
         theta = self.constants.learned(covariance, x[:first], y(slice(first)))
-        # Where features alone are seen, the spread of alike candidates is part of the next one.
-        return condition(covariance, theta, x, y(slice(None)), noisy=True)
+        # Over features, the spread of alike candidates is part of what the next one shows.
+        return condition(covariance, theta, x, y(slice(None)), noisy=self.kernel.of_features)
 
     def _visible(self, points: Points) -> Points:
         """The columns that the kernel looks at."""
@@ -166,7 +166,7 @@ class Model:
         residual = residual[: len(seen)]  # less what running trials are believed to show
         slopes = np.linalg.solve(seen.T @ seen + np.eye(seen.shape[1]), seen.T @ residual)
         learned = self.posterior.cost_sd * (points.features @ slopes)
-        return -(learned + self._guessed(points, self._cost()))
+        return np.asarray(-(learned + self.guessed(points, self.cost())))
 
     def _values(self, points: Points) -> Floats:
         """The utility of candidates, [m]."""
