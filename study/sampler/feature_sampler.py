@@ -12,6 +12,7 @@ from typing import Any
 import optuna
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
+from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
 from study.sampler.candidate_table import CandidateTable
@@ -21,10 +22,14 @@ from study.sampler.constraints import (
     store_constraints,
 )
 from study.sampler.description import call_text
+from study.sampler.examination import worth_of
 from study.sampler.feature_function import Features
 from study.sampler.options import Options
 from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
+from study.sampler.source import one_thread
 from study.sampler.sources import new_source
+from study.sampler.worth import Worth
+from taichi_nmm.errors import InputError
 
 
 class FeatureKernelSampler(BaseSampler):
@@ -135,6 +140,33 @@ class FeatureKernelSampler(BaseSampler):
     def __repr__(self) -> str:
         """A call that makes one like it: what it was given, and its seed."""
         return f"{type(self).__name__}({self._call})"
+
+    @property
+    def has_features(self) -> bool:
+        """Whether it takes candidates for alike by features, whose worth can be told."""
+        return self._source.options.model.of_features
+
+    def worth(self, study: optuna.Study) -> Worth:
+        """What the features are worth, by the finished trials of a study, which stays as it is.
+
+        To be printed, or shown in the dashboard: `optuna_dashboard.save_note(study,
+        sampler.worth(study).markdown())`.
+
+        Args:
+            study: of these parameters; its sampler may be another.
+
+        Raises:
+            InputError: there are no features, or their function raises.
+            ValueError: the study has several objectives.
+        """
+        self._raise_error_if_multi_objective(study)
+        if not self.has_features:
+            kernel = self._source.options.kernel
+            raise InputError("kernel", kernel, "one of features: there are none")
+        with one_thread():
+            present = self._source.present(study)
+            maximised = study.direction is StudyDirection.MAXIMIZE
+            return worth_of(present, maximised=maximised)
 
     def infer_relative_search_space(
         self, study: optuna.Study, trial: FrozenTrial

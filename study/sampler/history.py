@@ -1,14 +1,14 @@
 """What a study's trials say to a sampler: where they were, and the costs they showed."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import optuna
 from numpy.typing import NDArray
 from optuna.study import StudyDirection
-from optuna.trial import FrozenTrial, TrialState
+from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from study.sampler.rows import Rows
 from study.sampler.space import Space
@@ -57,6 +57,18 @@ class History:
     tried: NDArray[np.bool_]
     unplaced: tuple[FrozenTrial, ...]
     fixed: Mapping[str, Any]
+
+    @property
+    def finished(self) -> "History":
+        """The same as if no trial were running."""
+        return replace(self, running=self.running[:0], running_rows=self.running_rows[:0])
+
+
+def next_trial(study: optuna.Study) -> FrozenTrial:
+    """The trial that would come next, of which nothing is known; the study stays as it is."""
+    trial = create_trial(state=TrialState.RUNNING)
+    trial.number = len(study.get_trials(deepcopy=False))
+    return trial
 
 
 @dataclass(frozen=True, eq=False)

@@ -103,17 +103,17 @@ class Model:
         """Whether candidates differ by one number only."""
         return not self.kernel.of_parameters and self.evidence.points.features.shape[1] == 1
 
-    def _cost(self, some: slice = slice(None)) -> Floats:
+    def cost(self, some: slice = slice(None)) -> Floats:
         """The costs of some trials as the process sees them, [n]."""
         cost = self.evidence.cost[some]
         return log_excess(cost) if self.kernel.by_order else cost
 
     def _unguessed(self, some: slice) -> Floats:
         """The same less what was guessed."""
-        cost = self._cost(some)
-        return cost - self._guessed(self.evidence.points, cost)[some]
+        cost = self.cost(some)
+        return cost - self.guessed(self.evidence.points, cost)[some]
 
-    def _guessed(self, points: Points, cost: Floats) -> Floats:
+    def guessed(self, points: Points, cost: Floats) -> Floats:
         """What the user says of the costs of points, [m], in the unit of these costs."""
         if self.guess is None:
             return np.zeros(len(points))
@@ -127,8 +127,8 @@ class Model:
         covariance = new_covariance(self.kernel, layout)
         first = last_refit(len(x))
         theta = self.constants.learned(covariance, x[:first], y(slice(first)))
-        # Where features alone are seen, the spread of alike candidates is part of the next one.
-        return condition(covariance, theta, x, y(slice(None)), noisy=True)
+        # Over features, the spread of alike candidates is part of what the next one shows.
+        return condition(covariance, theta, x, y(slice(None)), noisy=self.kernel.of_features)
 
     def _visible(self, points: Points) -> Points:
         """The columns that the kernel looks at."""
@@ -166,7 +166,7 @@ class Model:
         residual = residual[: len(seen)]  # less what running trials are believed to show
         slopes = np.linalg.solve(seen.T @ seen + np.eye(seen.shape[1]), seen.T @ residual)
         learned = self.posterior.cost_sd * (points.features @ slopes)
-        return -(learned + self._guessed(points, self._cost()))
+        return np.asarray(-(learned + self.guessed(points, self.cost())))
 
     def _values(self, points: Points) -> Floats:
         """The utility of candidates, [m]."""
@@ -182,9 +182,9 @@ class Model:
         if not feasible.any():  # first find a candidate that holds
             return np.zeros(len(points))
         mean, variance = self.posterior.predict(self._visible(points))
-        cost = self._cost()
+        cost = self.cost()
         best = float(cost[feasible].min())
-        mean += self._guessed(points, cost)
+        mean += self.guessed(points, cost)
         return log_expected_improvement(mean, np.sqrt(variance), best)
 
 

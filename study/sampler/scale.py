@@ -24,6 +24,11 @@ class Scale(ABC):
     def standard(self, features: Floats) -> Floats:
         """Features [m, k] as columns of about unit variance, [m, k or more]; a gap becomes 0."""
 
+    @property
+    @abstractmethod
+    def owners(self) -> tuple[int, ...]:
+        """Of each of these columns, the number of the feature that it comes from."""
+
 
 @dataclass(frozen=True)
 class Standard(Scale):
@@ -49,6 +54,11 @@ class Standard(Scale):
         """Affine; [m, k]."""
         scaled = (np.where(np.isfinite(features), features, self.mean) - self.mean) / self.sd
         return np.asarray(scaled)
+
+    @property
+    def owners(self) -> tuple[int, ...]:
+        """A column a feature."""
+        return tuple(range(len(self.mean)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +103,11 @@ class NormalScores(Scale):
             missing = np.isnan(features[:, column])
             columns.append((missing - share) / sqrt(share * (1.0 - share)))
         return np.column_stack(columns)
+
+    @property
+    def owners(self) -> tuple[int, ...]:
+        """A column a feature, then those of the gaps."""
+        return (*range(len(self.known)), *(column for column, _ in self.gaps))
 
 
 def _scores(known: Floats, values: Floats) -> Floats:

@@ -24,6 +24,7 @@ from study.sampler.kernels import NEARNESS, Kernel
 from study.sampler.model import Constants, Model
 from study.sampler.options import Options
 from study.sampler.points import Points
+from study.sampler.present import Present
 from study.sampler.proposals import Proposals
 from study.sampler.trust import is_doubtful
 from taichi_nmm.errors import InputError
@@ -74,6 +75,14 @@ class Source(ABC):
         self, study: optuna.Study, trial: FrozenTrial, name: str, distribution: BaseDistribution
     ) -> Any:
         """The value of one parameter that `propose` has not given."""
+
+    @abstractmethod
+    def present(self, study: optuna.Study) -> Present | None:
+        """What is known of the features at present; None: nothing, there is no trial.
+
+        Raises:
+            InputError: of the feature function.
+        """
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:  # noqa: B027
         """What is to be noted at a trial's start, before anything is asked for: nothing."""

@@ -20,11 +20,13 @@ from study.sampler.history import (
     FEATURES_ATTRIBUTE,
     OFF_TABLE,
     History,
+    next_trial,
     read_history,
     values_of,
 )
 from study.sampler.options import Options
 from study.sampler.points import Points
+from study.sampler.present import Present
 from study.sampler.proposals import Proposal
 from study.sampler.scale import NormalScores, Scale, Standard
 from study.sampler.source import (
@@ -98,6 +100,36 @@ class SpaceSource(Source):
             allowed = f"the range declared in `space`: {declared}"
             self.misfit(InputError(name, str(distribution), allowed))
         return self.independent.sample_independent(study, trial, name, distribution)
+
+    def present(self, study: optuna.Study) -> Present | None:
+        """With the candidates that the next trial would have."""
+        trial = next_trial(study)
+        known = self.search_space(study, trial)
+        if not known or self.function is None:
+            return None
+        space = Space.of(known)
+        history = read_history(study, trial, space).finished
+        if not len(history.cost):
+            return None
+        rng = self.rng(Purpose.CANDIDATES, turn(study, trial))
+        points = self._candidates(space, history, rng)
+        features, shown, _ = self._features(points, history)
+        scale = self._scale(features)
+        seen = Points(scale.standard(shown), space.unit(history.parameters))
+        candidates = Points(scale.standard(features), space.unit(points))
+        return Present(
+            _names(features),
+            shown,
+            seen,
+            history.cost,
+            candidates,
+            scale.owners,
+            len(space),
+            self.options.model,
+            self._guess(features),
+            self.options.learns_trust,
+            self.constants,
+        )
 
     def _misfit(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
@@ -206,8 +238,12 @@ class SpaceSource(Source):
         """What the user says of one of the k features."""
         if self.options.prior is None:
             return None
-        names = tuple(f"feature_{column}" for column in range(features.shape[1]))
-        return Guess.of(self.options.prior, names)
+        return Guess.of(self.options.prior, _names(features))
+
+
+def _names(features: Floats) -> tuple[str, ...]:
+    """Of features [m, k], which a function does not name."""
+    return tuple(f"feature_{column}" for column in range(features.shape[1]))
 
 
 def _bare(space: Space, points: Floats) -> Points:

@@ -18,6 +18,7 @@ from study.sampler.history import OFF_TABLE, History, noted_features
 from study.sampler.model import Model
 from study.sampler.options import Options
 from study.sampler.points import Points
+from study.sampler.present import Present
 from study.sampler.rows import Rows
 from study.sampler.scale import Scale
 from study.sampler.source import Candidate, Source
@@ -102,6 +103,23 @@ class TableChoice(Source, ABC):
         best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
         return self._row(int(rows.numbers[best]))
 
+    def known(self, history: History) -> Present:
+        """What is known of the features after the finished trials of a history."""
+        features = self._shown(history.parameters, history.rows, history.trials)
+        return Present(
+            self._names,
+            features,
+            Points(self._scale.standard(features), self._unit(history.parameters)),
+            history.cost,
+            self._points(),
+            self._scale.owners,
+            len(self.rows.space),
+            self.options.model,
+            self.guess,
+            self.options.learns_trust,
+            self.constants,
+        )
+
     def _near(self, history: History, utility: Floats, own_turn: int) -> Floats:
         """Points near the best rows and the best trials, [off_grid, d]."""
         best = np.argsort(-utility, kind="stable")[:CENTRES]
@@ -151,7 +169,17 @@ class TableChoice(Source, ABC):
         numbers: NDArray[np.int64],
         trials: tuple[FrozenTrial, ...],
     ) -> Points:
-        """Trials as points: features of the table, or as noted, or by the function."""
+        """Trials as points, with the features of `_shown`."""
+        features = self._shown(parameters, numbers, trials)
+        return Points(self._scale.standard(features), self._unit(parameters))
+
+    def _shown(
+        self,
+        parameters: Floats,
+        numbers: NDArray[np.int64],
+        trials: tuple[FrozenTrial, ...],
+    ) -> Floats:
+        """Features of trials, [n, k]: of the table, or as noted, or by the function."""
         rows = self.rows
         features = rows.features[numbers]
         off = np.flatnonzero(numbers == OFF_TABLE)
@@ -166,4 +194,4 @@ class TableChoice(Source, ABC):
             features[unknown] = call_features(
                 self.function, parameters[unknown], features.shape[1], to_choose=False
             )
-        return Points(self._scale.standard(features), self._unit(parameters))
+        return features

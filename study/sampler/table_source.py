@@ -20,12 +20,14 @@ from study.sampler.history import (
     OFF_TABLE,
     ROW_ATTRIBUTE,
     History,
+    next_trial,
     read_history,
     row_of,
     values_of,
 )
 from study.sampler.off_table import IGNORED, OffTable
 from study.sampler.options import Options
+from study.sampler.present import Present
 from study.sampler.proposals import NOTHING, Proposal
 from study.sampler.row_notes import notes_of, taken_back
 from study.sampler.rows import Rows
@@ -117,6 +119,11 @@ class TableSource(TableChoice):
                 error = InputError(name, str(distribution), allowed)
             self._refuse(study, trial, error)
         return self.independent.sample_independent(study, trial, name, distribution)
+
+    def present(self, study: optuna.Study) -> Present:
+        """With all rows that may be proposed, tried or not."""
+        self._adopt(suggested_so_far(self.table.rows.names, study))
+        return self.known(self._history(study, next_trial(study)).finished)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.
@@ -253,9 +260,7 @@ class TableSource(TableChoice):
     ) -> Candidate | None:
         """A row that no trial has taken, or a point off the table."""
         rows, own_turn = self.rows, turn(study, trial)
-        history = read_history(
-            study, trial, rows.space, rows, partial(self._off_table.features_of, rows)
-        )
+        history = self._history(study, trial)
         self._warn_of(history)
         offered = rows.offered & ~history.tried
         offered[list(withdrawn)] = False
@@ -271,6 +276,12 @@ class TableSource(TableChoice):
         except InputError as error:  # of the feature function
             self.misfit(error)
             return None
+
+    def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
+        """What a trial is proposed from."""
+        rows = self.rows
+        features_of = partial(self._off_table.features_of, rows)
+        return read_history(study, trial, rows.space, rows, features_of)
 
     def _say_none_is_left(self, history: History) -> None:
         """An error or a warning: no row may be proposed, or none that has the fixed values."""

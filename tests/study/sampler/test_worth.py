@@ -1,0 +1,449 @@
+"""What `sampler.worth(study)` says: its closed forms, features of known worth, and its texts."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+from optuna.distributions import FloatDistribution
+from optuna.samplers import RandomSampler
+from optuna.trial import TrialState, create_trial
+from scipy import stats
+
+from study import DoGSampler, FeatureKernelSampler, FeatureTable
+from study.sampler.gaussian_process import condition
+from study.sampler.leave_one_out import residuals, residuals_of_constant
+from study.sampler.points import Points
+from study.sampler.present import Present
+from study.sampler.rank_correlation import RankCorrelation
+from study.sampler.scale import NormalScores, Standard
+from study.sampler.weights import percents
+from study.sampler.worth import Worth
+from taichi_nmm.errors import InputError
+
+Floats = NDArray[np.float64]
+
+pytestmark = pytest.mark.filterwarnings("ignore:FeatureTable")  # features that are constant
+
+ROWS = 200
+NAMES = ("error", "nothing", "constant")
+SPACE = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
+KERNELS = ("additive", "rbf", "rbf_ard")
+
+
+def cost_of(a: Any, b: Any) -> Any:
+    """Rough, so that likeness of the parameters says little of it."""
+    return np.abs(a) + np.sin(40.0 * a) * np.cos(30.0 * b)
+
+
+def objective(trial: optuna.Trial) -> float:
+    return float(cost_of(trial.suggest_float("a", -1, 1), trial.suggest_float("b", 0, 5)))
+
+
+def columns() -> dict[str, Floats]:
+    rng = np.random.default_rng(0)
+    return {"a": rng.uniform(-1, 1, ROWS), "b": rng.uniform(0, 5, ROWS)}
+
+
+def good_features() -> Floats:
+    """The cost itself, slightly wrong and on another scale; noise; a constant."""
+    rng = np.random.default_rng(1)
+    cost = cost_of(**columns())
+    error = np.exp(2.0 * cost + rng.normal(0, 0.1, ROWS))
+    return np.column_stack([error, rng.normal(size=ROWS), np.ones(ROWS)])
+
+
+def table(features: Floats | None = None, names: tuple[str, ...] = NAMES) -> FeatureTable:
+    made = good_features() if features is None else features
+    return FeatureTable.from_arrays(columns(), made, list(names), space=SPACE)
+
+
+def drawn_rows(
+    of: FeatureTable, trials: int, rng: np.random.Generator | None = None
+) -> optuna.Study:
+    """Rows drawn at random; without a generator the first ones, whose order is none."""
+    study = optuna.create_study(sampler=RandomSampler(seed=0))
+    rows = np.arange(ROWS) if rng is None else rng.permutation(ROWS)
+    for row in rows[:trials].tolist():
+        study.enqueue_trial(of.rows.as_parameters(row))
+    study.optimize(objective, n_trials=trials)
+    return study
+
+
+def present(sampler: FeatureKernelSampler, study: optuna.Study) -> Present:
+    known = sampler._source.present(study)
+    assert known is not None
+    return known
+
+
+def weights(worth: Worth) -> tuple[float, ...]:
+    assert worth.weights is not None
+    return (*worth.weights.features, worth.weights.parameters, worth.weights.noise)
+
+
+# Closed forms.
+
+
+@pytest.mark.parametrize("n", [4, 7, 40])
+def test_the_correlation_is_spearmans_with_its_interval(n: int) -> None:
+    rng = np.random.default_rng(n)
+    feature, cost = rng.integers(0, 6, n).astype(float), rng.normal(size=n)
+    found = RankCorrelation.of(feature, cost)
+    assert found is not None
+    r = stats.spearmanr(feature, cost).statistic
+    assert found.value == pytest.approx(r)
+    error = np.sqrt((1 + r**2 / 2) / (n - 3))
+    ends = np.tanh(np.arctanh(r) + stats.norm.ppf(0.975) * error * np.array([-1, 1]))
+    assert_allclose([found.low, found.high], ends, rtol=1e-5)
+    assert found.errors == pytest.approx(np.arctanh(r) / error)
+
+
+@pytest.mark.slow
+def test_the_interval_holds_the_correlation_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(0)
+    for rho in (0.0, 0.7):
+        spearman = 6 / np.pi * np.arcsin(rho / 2)  # of a normal pair
+        draws = rng.multivariate_normal([0, 0], [[1, rho], [rho, 1]], (2000, 20))
+        found = [RankCorrelation.of(*draw.T) for draw in draws]
+        held = np.mean([r is not None and r.low <= spearman <= r.high for r in found])
+        assert 0.93 < held < 0.97
+
+
+def test_infinite_features_are_extreme_and_missing_ones_left_out() -> None:
+    feature = np.array([1.0, np.inf, 2.0, np.nan, -np.inf, 3.0])
+    cost = np.array([1.0, 4.0, 2.0, -9.0, 0.0, 3.0])
+    found = RankCorrelation.of(feature, cost)
+    assert found is not None and found.value == 1.0
+
+
+@pytest.mark.parametrize(
+    ("feature", "cost"),
+    [
+        (np.arange(3.0), np.arange(3.0)),
+        (np.ones(9), np.arange(9.0)),
+        (np.arange(9.0), np.ones(9)),
+        (np.array([1.0, 2, 3, np.nan, np.nan]), np.arange(5.0)),
+    ],
+)
+def test_without_enough_there_is_no_correlation(feature: Floats, cost: Floats) -> None:
+    assert RankCorrelation.of(feature, cost) is None
+
+
+def test_perfect_order_of_few_trials_is_not_certainty() -> None:
+    few, many = (RankCorrelation.of(np.arange(n), -np.arange(n)) for n in (4.0, 40.0))
+    assert few is not None and many is not None
+    assert few.value == many.value == few.low == many.low == -1.0
+    assert few.high > 0.5 and many.high < -0.95
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("prior", [None, "-error"])
+def test_leaving_out_is_that_of_refits_with_the_same_constants(
+    kernel: str, prior: str | None
+) -> None:
+    sampler = FeatureKernelSampler(table(), seed=1, kernel=kernel, prior=prior)
+    posterior = present(sampler, drawn_rows(table(), 12)).model.posterior
+    y = posterior.cost_mean + posterior.cost_sd * posterior.y
+    theta = posterior.covariance.theta
+    missed = []
+    for left in range(len(y)):
+        others = np.arange(len(y)) != left
+        refit = condition(
+            posterior.covariance, theta, posterior.x[others], y[others], noisy=False, fast=False
+        )
+        out = posterior.x[[left]]
+        missed.append(y[left] - refit.mean(Points(out, out[:, :0]))[0])
+    assert_allclose(residuals(posterior), missed, rtol=1e-6, atol=1e-9)
+
+
+def test_a_constant_leaves_out_too() -> None:
+    cost = np.array([1.0, 2.0, 6.0])
+    assert_allclose(residuals_of_constant(cost), [1 - 4, 2 - 3.5, 6 - 1.5])
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("prior", [None, "error", "-nothing"])
+def test_weights_are_shares(kernel: str, prior: str | None) -> None:
+    sampler = FeatureKernelSampler(table(), seed=1, kernel=kernel, prior=prior)
+    found = weights(sampler.worth(drawn_rows(table(), 15)))
+    assert sum(found) == pytest.approx(1.0)
+    assert min(found) >= 0.0
+    assert found[2] == 0.0  # the constant
+    assert (found[3] > 0.0) == (kernel == "additive")
+
+
+@pytest.mark.parametrize("shares", [(1.0,), (0.5, 0.5), (1 / 3,) * 3, (0.005,) * 100 + (0.5,)])
+def test_percents_sum_to_100(shares: tuple[float, ...]) -> None:
+    found = percents(shares)
+    assert sum(found) == 100
+    assert np.abs(np.array(found) - 100 * np.array(shares)).max() < 1
+
+
+def test_likeness_is_split_by_the_length_scales() -> None:
+    """With the formula written out, of the model of one score a feature."""
+    sampler = FeatureKernelSampler(table(), seed=1, kernel="rbf_ard")
+    study = drawn_rows(table(), 15)
+    covariance = present(sampler, study).model.posterior.covariance
+    s2, *scales, noise = np.exp(covariance.theta)
+    x = Standard.of(good_features()).standard(good_features())
+    squared = ((x[:, None] - x[None]) ** 2 / np.array(scales) ** 2).sum(axis=2)
+    likeness = s2 * (1 - np.exp(-squared / 2).mean())
+    relative = np.array([1, 1, 0]) / np.array(scales) ** 2
+    parts = np.append(likeness * relative / relative.sum(), [0.0, noise])
+    assert_allclose(weights(sampler.worth(study)), parts / parts.sum(), rtol=1e-6)
+
+
+def test_owners_are_the_features_of_the_columns() -> None:
+    features = np.column_stack([np.arange(10.0), np.arange(10.0), np.ones(10)])
+    features[:4, 1] = np.nan
+    scale = NormalScores.of(features)
+    assert scale.owners == (0, 1, 2, 1)
+    assert len(scale.owners) == scale.standard(features).shape[1]
+    assert Standard.of(features).owners == (0, 1, 2)
+
+
+# Features of known worth.
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_feature_that_tells_the_cost_is_worth_something(kernel: str) -> None:
+    sampler = FeatureKernelSampler(table(), seed=1, kernel=kernel)
+    worth = sampler.worth(drawn_rows(table(), 30))
+    good, useless, constant = worth.correlations
+    assert good is not None and good.low > 0.8
+    assert useless is not None and useless.low < 0.0 < useless.high
+    assert constant is None
+    assert worth.errors is not None and worth.errors.model < 0.6
+    assert (worth.errors.without is None) == (kernel != "additive")
+    assert worth.verdict.startswith("The features explain part of the costs")
+    found = weights(worth)
+    if kernel != "rbf":  # which has one length scale for all
+        assert found[0] > 0.5 > 0.2 > found[1]
+    assert found[2] == 0.0
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_features_without_worth_are_rarely_praised(kernel: str) -> None:
+    """One in ten may be mistaken: 5 % by their correlations, as many by the model."""
+    praised, ratios = 0, []
+    for seed in range(60):
+        rng = np.random.default_rng([7, seed])
+        useless = table(rng.normal(size=(ROWS, 3)), ("one", "two", "three"))
+        worth = FeatureKernelSampler(useless, seed=1, kernel=kernel).worth(
+            drawn_rows(useless, 20, rng)
+        )
+        assert worth.errors is not None
+        ratios.append(worth.errors.model / (worth.errors.without or 1.0))
+        praised += worth.verdict.startswith(("The features explain", "The costs follow"))
+    assert stats.binomtest(praised, 60, 0.1, alternative="greater").pvalue > 0.001
+    assert np.median(ratios) > 0.9
+
+
+def test_a_told_feature_that_trials_contradict_loses_its_weight() -> None:
+    study = drawn_rows(table(), 40)
+    told = FeatureKernelSampler(table(), seed=1, prior="nothing")
+    assert weights(told.worth(study))[1] < 0.25
+
+
+def test_one_constant_feature_is_worth_nothing() -> None:
+    constant = table(np.ones((ROWS, 1)), ("constant",))
+    worth = FeatureKernelSampler(constant, seed=1).worth(drawn_rows(constant, 12))
+    assert worth.correlations == (None,)
+    assert weights(worth)[0] == 0.0
+    assert "not (yet) worth anything" in worth.verdict
+
+
+def test_missing_and_infinite_features_are_borne() -> None:
+    features = good_features()
+    features[::3, 1] = np.nan
+    features[::5, 0] = np.inf
+    features[::7, 0] = np.nan
+    gaps = table(features)
+    for kernel in KERNELS:
+        worth = FeatureKernelSampler(gaps, seed=1, kernel=kernel).worth(drawn_rows(gaps, 20))
+        assert sum(weights(worth)) == pytest.approx(1.0)
+        assert worth.errors is not None and np.isfinite(worth.errors.model)
+        assert "nan" not in str(worth)
+
+
+# The study, and how it is left.
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("trials", [0, 1, 3, 4])
+def test_few_trials_are_no_error(kernel: str, trials: int) -> None:
+    worth = FeatureKernelSampler(table(), seed=1, kernel=kernel).worth(drawn_rows(table(), trials))
+    assert worth.verdict == f"too few trials: {trials} of 5"
+    assert worth.weights is None and worth.errors is None
+    assert (worth.correlations[0] is not None) == (trials == 4)
+    assert worth.names == NAMES
+    assert str(worth).startswith(worth.verdict) and worth.verdict in worth.markdown()
+
+
+def test_trials_that_cost_the_same_say_nothing() -> None:
+    study = optuna.create_study(sampler=FeatureKernelSampler(table(), seed=1))
+
+    def level(trial: optuna.Trial) -> float:
+        return 0.0 * objective(trial)
+
+    study.optimize(level, n_trials=8)
+    worth = study.sampler.worth(study)  # type: ignore[attr-defined]
+    assert worth.verdict == "nothing is known of the features: all 8 trials cost the same"
+    assert worth.correlations == (None, None, None)
+
+
+def test_infinite_costs_are_borne() -> None:
+    study = drawn_rows(table(), 10)
+    for row, value in ((50, np.inf), (51, -np.inf)):
+        params = table().rows.as_parameters(row)
+        study.add_trial(create_trial(params=params, distributions=dict(SPACE), value=value))
+    worth = FeatureKernelSampler(table(), seed=1).worth(study)
+    assert worth.trials == 12
+    assert worth.errors is not None and np.isfinite(worth.errors.model)
+
+
+def by_hand(points: Floats) -> Floats:
+    return np.column_stack([cost_of(*points.T), points[:, 1] % 0.3])
+
+
+FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
+    "table": lambda: FeatureKernelSampler(table(), seed=1),
+    "told": lambda: FeatureKernelSampler(table(), seed=1, prior="-error"),
+    "dog": lambda: DoGSampler(table(good_features()[:, :1], ("error",)), seed=1),
+    "off_grid": lambda: FeatureKernelSampler(
+        table(by_hand(np.column_stack(list(columns().values()))), ("error", "b")),
+        seed=1,
+        feature_function=by_hand,
+        off_grid=20,
+    ),
+    "function": lambda: FeatureKernelSampler(by_hand, seed=1, space=SPACE),
+    "function, told": lambda: FeatureKernelSampler(
+        by_hand, seed=1, space=SPACE, prior="-feature_0"
+    ),
+    "function, found": lambda: FeatureKernelSampler(by_hand, seed=1),
+    "function, rbf": lambda: FeatureKernelSampler(by_hand, seed=1, kernel="rbf_ard"),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_tells_the_same_twice_and_leaves_the_study(form: str) -> None:
+    sampler = FORMS[form]()
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(objective, n_trials=9)
+    study.tell(study.ask(), state=TrialState.FAIL)
+    before = study.get_trials()
+    worth = sampler.worth(study)
+    assert worth.trials == 9
+    assert sum(weights(worth)) == pytest.approx(1.0)
+    assert worth.errors is not None and np.isfinite(worth.errors.model)
+    assert worth.correlations[0] is not None and worth.correlations[0].value > 0.5
+    assert FORMS[form]().worth(study) == worth == sampler.worth(study)
+    assert study.get_trials() == before
+    assert not study.user_attrs and not study._storage.get_study_system_attrs(study._study_id)
+    study.ask().suggest_float("a", -1, 1)  # one that is running is not counted
+    assert sampler.worth(study).trials == 9
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_looking_does_not_change_what_is_proposed(form: str) -> None:
+    looked, not_looked = (optuna.create_study(sampler=FORMS[form]()) for _ in range(2))
+    for study in (looked, not_looked):
+        for _ in range(8):
+            study.optimize(objective, n_trials=1)
+            if study is looked:
+                study.sampler.worth(study)  # type: ignore[attr-defined]
+    assert [t.params for t in looked.trials] == [t.params for t in not_looked.trials]
+
+
+@pytest.mark.parametrize("trials", [0, 1, 4])
+def test_a_function_with_few_trials_is_no_error(trials: int) -> None:
+    for space in (None, SPACE):
+        sampler = FeatureKernelSampler(by_hand, seed=1, space=space)
+        study = optuna.create_study(sampler=sampler)
+        study.optimize(objective, n_trials=trials)
+        worth = sampler.worth(study)
+        assert worth.verdict == f"too few trials: {trials} of 5"
+        assert worth.names == (("feature_0", "feature_1") if trials else ())
+        assert str(worth) and worth.markdown()
+
+
+def test_a_function_is_asked_of_trials_without_a_note() -> None:
+    study = drawn_rows(table(), 20)
+    worth = FeatureKernelSampler(by_hand, seed=1, space=SPACE).worth(study)
+    first = worth.correlations[0]
+    assert first is not None and first.value == 1.0
+
+
+def test_a_maximised_study_is_the_same_with_the_sign_turned() -> None:
+    down, up = drawn_rows(table(), 15), optuna.create_study(direction="maximize")
+    for trial in down.trials:
+        value = -trial.values[0]
+        up.add_trial(
+            create_trial(params=trial.params, distributions=trial.distributions, value=value)
+        )
+    of_down, of_up = (FeatureKernelSampler(table(), seed=1).worth(study) for study in (down, up))
+    assert of_up.correlations == of_down.correlations
+    assert weights(of_up) == weights(of_down) and of_up.errors == of_down.errors
+    assert "minus the study's value" in str(of_up) and "minus" not in str(of_down)
+
+
+def test_trials_off_the_table_are_not_counted() -> None:
+    study = drawn_rows(table(), 6)
+    study.enqueue_trial({"a": 0.123, "b": 4.5})
+    study.optimize(objective, n_trials=1)
+    assert FeatureKernelSampler(table(), seed=1).worth(study).trials == 6
+
+
+@pytest.mark.parametrize(
+    "sampler",
+    [FeatureKernelSampler, lambda: FeatureKernelSampler(table(), kernel="euclidean")],
+)
+def test_without_features_there_is_no_worth(sampler: Callable[[], FeatureKernelSampler]) -> None:
+    with pytest.raises(InputError, match=r"^kernel: 'euclidean'.*there are none$") as caught:
+        sampler().worth(optuna.create_study())
+    assert "\n" not in str(caught.value)
+    assert not sampler().has_features and FORMS["table"]().has_features
+
+
+def test_several_objectives_are_refused() -> None:
+    study = optuna.create_study(directions=["minimize", "maximize"])
+    with pytest.raises(ValueError, match="multi-objective"):
+        FORMS["table"]().worth(study)
+
+
+# What people read.
+
+
+def test_the_table_has_a_row_a_feature() -> None:
+    worth = FORMS["table"]().worth(drawn_rows(table(), 20))
+    lines = str(worth).splitlines()
+    assert lines[0] == worth.verdict
+    assert lines[2].split() == ["feature", "rank", "correlation", "with", "the", "cost", "weight"]
+    assert [line.split()[0] for line in lines[3:8]] == [*NAMES, "(parameters)", "(noise)"]
+    assert sum(int(line.split()[-2]) for line in lines[3:8]) == 100
+    assert "20 trials" in lines[8] and "chosen, not drawn" in lines[8]
+
+
+def test_the_note_is_a_table_in_markdown() -> None:
+    piped = table(names=("a|b", *NAMES[1:]))
+    note = FeatureKernelSampler(piped, seed=1).worth(drawn_rows(piped, 20)).markdown()
+    assert note.startswith("## Are the features worth anything?\n")
+    assert "\n| feature | rank correlation with the cost | weight |\n|---|---|--:|\n" in note
+    assert "\n| a\\|b | +" in note and "\n| constant | - | 0 % |\n" in note
+
+
+def test_turns_that_are_left_to_the_parameters_are_said() -> None:
+    study, sampler = drawn_rows(table(), 10), FORMS["table"]()
+    params = table().rows.as_parameters(100)
+    study.add_trial(create_trial(params=params, distributions=dict(SPACE), value=-99.0))
+    assert "left to the parameters" not in str(sampler.worth(study))
+    for row in (101, 102, 103):
+        params = table().rows.as_parameters(row)
+        study.add_trial(create_trial(params=params, distributions=dict(SPACE), value=9.0))
+    assert "left to the parameters" in str(sampler.worth(study))
+    assert "left to the parameters" not in str(
+        FeatureKernelSampler(table(), seed=1, kernel="rbf").worth(study)
+    )
