@@ -20,8 +20,8 @@ from study.experiment.task import Task
 from study.sampler.source import one_thread
 from taichi_nmm.errors import InputError
 
-FELL_ATTRIBUTE = "fell"  # for samplers with feasibility="fell"
-SHOWN_ATTRIBUTE = "shown"  # for samplers with mismatch="shown"
+FELL_ATTRIBUTE = "fell"  # of a trial: whether it did not last
+SHOWN_ATTRIBUTE = "shown"  # of a trial: the features that it showed itself
 
 
 def sampler_seed(experiment_seed: int, arm: str, run: int) -> int:
