@@ -21,6 +21,7 @@ from study.experiment.identity import LIVE_ATTRIBUTE, document
 from study.experiment.objective import attributes, costs, finite
 from study.experiment.one_study import OneStudy
 from study.experiment.simulation import simulate_trials
+from study.experiment.worth_note import note_worth
 from taichi_nmm.errors import InputError
 
 Report = Callable[[optuna.Study, FrozenTrial], None]
@@ -35,6 +36,8 @@ def run_study(
     report: Report | None = None,
 ) -> optuna.Study:
     """Run the study until it has `trials` finished trials, and return it.
+
+    At the end its note in the dashboard says what the arm's features were worth, if it has any.
 
     Finished means COMPLETE. Trials found running are taken for dead (the caller sees to it that no
     other process runs this study: `storage.databases.studies.only_run`); they are marked failed and
@@ -58,6 +61,7 @@ def run_study(
         told = _run_trial(experiment, one)
         if report is not None:
             report(one.study, told)
+    note_worth(experiment, arm, run, one.study)
     return one.study
 
 

@@ -18,6 +18,7 @@ from study.comparison.database import Summarise, check_database, export
 from study.comparison.experiment_folder import DATABASE_NAME, ExperimentFolder
 from study.comparison.finished import FinishedTrials, Progress
 from study.comparison.results import Key
+from study.comparison.worth_notes import note_worths
 from study.experiment.check import check_arms
 from study.experiment.experiment import Experiment
 from study.experiment.identity import document, machine
@@ -124,6 +125,7 @@ def compare(
                 session.note()
             results = folder.write_results()
             export(experiment, results, url, summarise, final=True)
+            note_worths(experiment, arms, range(runs), url, renew=session.computed > 0)
             session.note()
             if request.artifacts:
                 from study.comparison.artifacts import FILM_RUNS, make_artifacts  # Matplotlib

@@ -83,9 +83,10 @@ class Worth:
             return f"The features explain part of the costs of these trials: {error}."
         if (found := self._strongest()) is not None:
             name, r = found
+            gain = "may gain" if better else "does not gain"
             return (
-                f"The costs follow a feature ({name}, {r.value:+.2f}), though the model does not "
-                f"clearly gain by the features among these trials: {error}."
+                f"The costs follow a feature ({name}, {r.value:+.2f}); among these trials, the "
+                f"model {gain} by the features: {error}."
             )
         if better:
             return (

@@ -76,4 +76,5 @@ def comparisons(
     """The database has tests of its own; here it would take most of the time."""
     monkeypatch.setattr(comparing, "check_database", lambda *_: None)
     monkeypatch.setattr(comparing, "export", lambda *_, **__: None)
+    monkeypatch.setattr(comparing, "note_worths", lambda *_, **__: None)
     return Comparisons(tmp_path)

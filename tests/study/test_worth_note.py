@@ -1,0 +1,137 @@
+"""The worth of features as the note of live studies, of a comparison's, and of anybody's."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+from optuna.storages import InMemoryStorage
+from optuna_dashboard import get_note, save_note
+
+from storage.databases.bulk import trial_counts
+from storage.databases.studies import open_studies
+from study import FeatureKernelSampler, FeatureTable
+from study.comparison.compare import Request, compare
+from study.experiment.arms import ARMS, find_arm
+from study.experiment.experiment import Experiment, study_name
+from study.experiment.worth_note import worth_of_study
+from study.runner import run_study
+
+TITLE = "## Are the features worth anything?"
+NOTED = ("dog", "dog-kd", "best")  # of the live ones below, those whose sampler has features
+
+
+@pytest.mark.parametrize("arm", [*NOTED, "random", "bo-euclidean", "ei-prior", "score-first"])
+def test_a_live_study_has_it_at_its_end(toy: Experiment, arm: str) -> None:
+    study = run_study(toy, find_arm(arm), 0, 6, InMemoryStorage())
+    note = get_note(study)
+    assert note.startswith(TITLE) == (arm in NOTED)
+    assert ("6 trials." in note) == (arm in NOTED)
+    if arm in NOTED:
+        for name in find_arm(arm).columns:
+            assert f"\n| {name} | " in note
+    else:
+        assert note == ""
+
+
+def test_it_is_renewed_and_a_note_of_the_users_stays(toy: Experiment) -> None:
+    storage = InMemoryStorage()
+    study = run_study(toy, find_arm("dog"), 0, 3, storage)
+    assert "too few trials: 3 of 5" in get_note(study)
+    study = run_study(toy, find_arm("dog"), 0, 6, storage)
+    assert "too few" not in get_note(study)
+    again = run_study(toy, find_arm("dog"), 0, 6, storage)
+    assert get_note(again) == get_note(study)
+    save_note(study, "mine")
+    assert get_note(run_study(toy, find_arm("dog"), 0, 7, storage)) == "mine"
+
+
+def test_trials_are_what_they_were(toy: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    noted = run_study(toy, find_arm("best"), 0, 6, InMemoryStorage())
+    monkeypatch.setattr("study.runner.note_worth", lambda *_: None)
+    bare = run_study(toy, find_arm("best"), 0, 6, InMemoryStorage())
+    facts = [[(t.params, t.values, t.user_attrs) for t in study.trials] for study in (noted, bare)]
+    assert facts[0] == facts[1]
+    assert noted.user_attrs == bare.user_attrs
+
+
+def test_every_arm_over_features_can_tell(toy: Experiment) -> None:
+    for arm in ARMS.values():
+        if arm.off_grid or arm.needs:
+            continue
+        study = run_study(toy, find_arm("random"), 0, 1, InMemoryStorage())
+        worth = worth_of_study(toy, arm, 0, study)
+        assert worth is None or worth.names == arm.columns
+        if arm.name.startswith(("dog", "best")):
+            assert worth is not None
+
+
+def refuse(*_: Any) -> None:
+    raise AssertionError("a note was made")
+
+
+class TestComparison:
+    """One whole comparison on SQLite, pictures apart."""
+
+    @pytest.fixture
+    def outcome(self, toy: Experiment, tmp_path: Path) -> Any:
+        return lambda **changes: compare(
+            toy,
+            Request(tmp_path / "out", **{"artifacts": False, "runs": 2, "trials": 6} | changes),
+            lambda progress: None,
+        )
+
+    def notes(self, url: str) -> dict[str, str]:
+        storage = open_studies(url)
+        return {
+            name: get_note(optuna.load_study(study_name=name, storage=storage))
+            for name in trial_counts(storage)
+        }
+
+    def test_each_study_over_features_has_its_own(
+        self,
+        toy: Experiment,
+        outcome: Any,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        url = outcome(arms=("dog", "random")).storage
+        notes = self.notes(url)
+        dogs = [notes[study_name("toy", "dog", run)] for run in range(2)]
+        assert all(note.startswith(TITLE) and "6 trials." in note for note in dogs)
+        assert [notes[study_name("toy", "random", run)] for run in range(2)] == ["", ""]
+        live = run_study(toy, find_arm("dog"), 1, 6, InMemoryStorage())
+        assert get_note(live) == dogs[1]  # to the letter
+        before = (tmp_path / "out" / "trials.parquet").read_bytes()
+        with monkeypatch.context() as context:
+            context.setattr("study.comparison.worth_notes.note_worth", refuse)
+            outcome(arms=("dog",))  # no new trials, no new notes
+        assert self.notes(url) == notes
+        assert (tmp_path / "out" / "trials.parquet").read_bytes() == before
+        outcome(arms=("dog",), trials=7)
+        assert "7 trials." in self.notes(url)[study_name("toy", "dog", 0)]
+
+    def test_arms_of_earlier_sessions_need_no_store(self, toy: Experiment, tmp_path: Path) -> None:
+        request = Request(tmp_path / "out", artifacts=False, runs=1, trials=3, arms=("dog",))
+        compare(toy, request, lambda progress: None)
+        without = replace(toy, stores={})
+        outcome = compare(without, replace(request, arms=("random",)), lambda progress: None)
+        assert TITLE in self.notes(outcome.storage)[study_name("toy", "dog", 0)]
+
+
+def test_anybodys_study_shows_it_by_one_line(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    x = rng.uniform(0, 1, 50)
+    names = ["a-feature-with-a-long-name-" * 8 + str(number) for number in range(30)]
+    features = rng.normal(size=(50, 30))  # a note of more than the 2 kB that an attribute holds
+    table = FeatureTable.from_arrays({"x": x}, features, names, bounds={"x": (0, 1)})
+    sampler = FeatureKernelSampler(table, seed=1)
+    study = optuna.create_study(
+        sampler=sampler, storage=open_studies(f"sqlite:///{tmp_path}/studies.db")
+    )
+    study.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=6)
+    save_note(study, sampler.worth(study).markdown())
+    assert get_note(study) == sampler.worth(study).markdown()
+    assert all(f"| {name} | " in get_note(study) for name in names)
