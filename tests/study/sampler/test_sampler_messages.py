@@ -107,6 +107,9 @@ CASES: dict[str, Callable[[], object]] = {
     "kernel: … allowed: euclidean: there are no features": lambda: FeatureKernelSampler(
         kernel="rbf"
     ),
+    "kernel: … allowed: one of features: there are none": lambda: FeatureKernelSampler().worth(
+        optuna.create_study()
+    ),
     "prior: … allowed: one of …, or one with a minus": lambda: sampler(prior="phi"),
     "nearest: … allowed: none with a feature_function, …": lambda: sampler(
         nearest=0.1, feature_function=len

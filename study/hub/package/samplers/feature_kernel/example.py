@@ -42,7 +42,7 @@ def objective(trial: optuna.Trial) -> float:
 
 
 def main() -> optuna.Study:
-    """Throw twenty times."""
+    """Throw thirty times."""
     module = optunahub.load_local_module("samplers/feature_kernel", registry_root=str(REGISTRY))
     rng = np.random.default_rng(0)
     pull, angle = rng.uniform(0.1, 1.0, 2000), rng.uniform(10.0, 80.0, 2000)
@@ -50,7 +50,7 @@ def main() -> optuna.Study:
     features = np.column_stack([landing, abs(landing - TARGET_M)])
     table = module.FeatureTable.from_arrays({"pull_m": pull, "angle_deg": angle}, features)
     study = optuna.create_study(sampler=module.FeatureKernelSampler(table, seed=1))
-    study.optimize(objective, n_trials=20)
+    study.optimize(objective, n_trials=30)
     print(f"best miss {study.best_value:.2f} m with {study.best_params}")
     return study
 
