@@ -6,6 +6,7 @@ by one Coulomb coefficient. Both enter the step linearly implicitly (`dynamics`)
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M
 from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.dynamics import point_velocity
 from taichi_nmm.kernel.elementary import larger, smaller
 from taichi_nmm.kernel.layout import CONTACTS, Const, State, Work
 from taichi_nmm.terrain import GRID_NODES, GRID_SPACING_M, GRID_START_M
@@ -102,25 +103,6 @@ def drag_anchors(lane, step_s, state: Rows, const: Rows, work: Rows):
         slips = (work[Work.slip + c, lane] != 0.0) | (work[Work.normal_on + c, lane] == 0.0)
         state[State.anchor_x + c, lane] = ti.select(slips, new_x, state[State.anchor_x + c, lane])
         state[State.anchor_z + c, lane] = ti.select(slips, new_z, state[State.anchor_z + c, lane])
-
-
-@ti.func
-def point_velocity(lane, c: Rows, work: Rows):
-    """Velocity of contact point c after the step, from normal and tangential Jacobians."""
-    leg = ti.static(c // 2)
-    base_x = work[Work.new_qdot + 0, lane]
-    base_z = work[Work.new_qdot + 1, lane]
-    normal_x, normal_z = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
-    along_normal = base_x * normal_x + base_z * normal_z
-    along_tangent = base_x * normal_z - base_z * normal_x
-    for i in ti.static(range(3)):
-        rate = work[Work.new_qdot + 3 + 3 * leg + i, lane]
-        along_normal += work[Work.jacobian_n + 3 * c + i, lane] * rate
-        along_tangent += work[Work.jacobian_t + 3 * c + i, lane] * rate
-    return (
-        along_normal * normal_x + along_tangent * normal_z,
-        along_normal * normal_z - along_tangent * normal_x,
-    )
 
 
 @ti.func

@@ -67,7 +67,6 @@ def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_bl
             contact.spring_forces(lane, step_s, relaxation_speed_mps, state, const, work)
             joint_stops.knee_and_ankle_stops(lane, step_s, work)
             dynamics.momentum_after_free_step(lane, step_s, 1.0, state, const, work)
-            dynamics.contact_jacobians(lane, work)
         for _ in range(CONTACT_PASSES):
             for lane in range(lanes):
                 dynamics.solve(lane, step_s, const, work)
