@@ -19,37 +19,51 @@ ANKLE_SHARE_OF_BALL = -HEEL_OFFSET_M / (BALL_OFFSET_M - HEEL_OFFSET_M)
 
 
 @ti.func
-def ground_under(x, index, heights: Rows):
-    """Height and slope of terrain `index` at x: linear between nodes, level outside."""
-    cell = (x - GRID_START_M) * (1.0 / GRID_SPACING_M)
-    clamped = smaller(larger(0.0, cell), LAST_CELL + 1.0)  # NaN to 0: it becomes an index
-    left = smaller(ti.floor(clamped), LAST_CELL)
-    i = ti.cast(left, ti.i32)
-    low = heights[index, i]
-    high = heights[index, i + 1]
-    inside = (cell >= 0.0) & (cell <= LAST_CELL + 1.0)
-    slope = ti.select(inside, (high - low) * (1.0 / GRID_SPACING_M), 0.0)
-    return low + (high - low) * (clamped - left), slope
+def find_cells(lane, state: Rows, work: Rows):
+    """The cells of the terrain's grid under the four contact points and the hip."""
+    for p in ti.static(range(CONTACTS)):
+        find_cell(lane, p, work[Work.point_x + p, lane], work)
+    find_cell(lane, CONTACTS, state[State.q + 0, lane], work)
 
 
 @ti.func
-def look_up_ground(lane, index, heights: Rows, state: Rows, work: Rows):
-    """Ground under the four contact points and the hip; the only phase that reads the terrain."""
-    for c in ti.static(range(CONTACTS)):
-        height, slope = ground_under(work[Work.point_x + c, lane], index, heights)
-        work[Work.ground + c, lane] = height
-        work[Work.ground_slope + c, lane] = slope
-    height_hip, _slope_hip = ground_under(state[State.q + 0, lane], index, heights)
-    work[Work.ground_hip, lane] = height_hip
+def find_cell(lane, p: Rows, x, work: Rows):
+    """Cell p holds x; level outside of the grid."""
+    cell = (x - GRID_START_M) * (1.0 / GRID_SPACING_M)
+    clamped = smaller(larger(0.0, cell), LAST_CELL + 1.0)  # NaN to 0: it becomes an index
+    left = smaller(ti.floor(clamped), LAST_CELL)
+    work[Work.cell + p, lane] = left
+    work[Work.along_cell + p, lane] = clamped - left
+    work[Work.per_cell + p, lane] = ti.select(cell == clamped, 1.0 / GRID_SPACING_M, 0.0)
+
+
+@ti.func
+def read_terrain(lane, index, heights: Rows, work: Rows):
+    """Heights at the ends of the cells on terrain `index`; the only phase that reads the terrain."""
+    for p in ti.static(range(CONTACTS + 1)):
+        i = ti.cast(work[Work.cell + p, lane], ti.i32)
+        work[Work.cell_low + p, lane] = heights[index, i]
+        work[Work.cell_high + p, lane] = heights[index, i + 1]
+
+
+@ti.func
+def ground_under(lane, p: Rows, work: Rows):
+    """Height and slope of the ground at p's place in its cell: linear between nodes."""
+    low = work[Work.cell_low + p, lane]
+    rise = work[Work.cell_high + p, lane] - low
+    return low + rise * work[Work.along_cell + p, lane], rise * work[Work.per_cell + p, lane]
 
 
 @ti.func
 def gaps(lane, state: Rows, work: Rows):
     """Depth of each point along the ground's normal; a fresh touch-down sets the anchor."""
+    height_hip, _slope_hip = ground_under(lane, CONTACTS, work)
+    work[Work.ground_hip, lane] = height_hip
     for c in ti.static(range(CONTACTS)):
-        slope = work[Work.ground_slope + c, lane]
+        height, slope = ground_under(lane, c, work)
+        work[Work.ground + c, lane] = height
         cosine = 1.0 / ti.sqrt(1.0 + slope * slope)
-        gap = (work[Work.ground + c, lane] - work[Work.point_z + c, lane]) * cosine
+        gap = (height - work[Work.point_z + c, lane]) * cosine
         work[Work.gap + c, lane] = gap
         work[Work.normal_x + c, lane] = 0.0 - slope * cosine
         work[Work.normal_z + c, lane] = cosine

@@ -52,9 +52,10 @@ def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_bl
         for lane in range(lanes):
             kinematics.directions(lane, state, work)
             kinematics.contact_points(lane, state, work)
+            contact.find_cells(lane, state, work)
             kinematics.joints(lane, state, work)
         for lane in range(lanes):
-            contact.look_up_ground(lane, terrain[lane], heights, state, work)
+            contact.read_terrain(lane, terrain[lane], heights, work)
         for lane in range(lanes):
             contact.gaps(lane, state, work)
         if substep == 0:
