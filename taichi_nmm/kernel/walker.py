@@ -95,11 +95,17 @@ def control(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, events: R
         gait.add_up_posture(lane, state, fibres, sums, work)
     for lane in range(lanes):
         delays.sense(lane, state, fibres, work)
-    slot_long = tick % LONG_DELAY_TICKS
-    slot_mid = tick % MID_DELAY_TICKS
-    slot_short = tick % SHORT_DELAY_TICKS
+    # A ring length a loop, and a remainder that LLVM knows the range of: else it cannot tell that
+    # the rows of different rings lie apart, and takes one lane after the other.
+    slot_long = ti.raw_mod(tick, LONG_DELAY_TICKS)
+    slot_mid = ti.raw_mod(tick, MID_DELAY_TICKS)
+    slot_short = ti.raw_mod(tick, SHORT_DELAY_TICKS)
     for lane in range(lanes):
-        delays.exchange(lane, slot_long, slot_mid, slot_short, delay, work)
+        delays.exchange_long(lane, slot_long, delay, work)
+    for lane in range(lanes):
+        delays.exchange_mid(lane, slot_mid, delay, work)
+    for lane in range(lanes):
+        delays.exchange_short(lane, slot_short, delay, work)
     for lane in range(lanes):
         reflexes.stance_weights(lane, state, work)
         reflexes.stimulate(lane, state, const, fibres, work)

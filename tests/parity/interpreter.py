@@ -71,6 +71,7 @@ NUMPY_TAICHI = SimpleNamespace(
     floor=np.floor,
     sqrt=np.sqrt,
     cast=_cast,
+    raw_mod=np.fmod,
     bit_cast=lambda value, dtype: value.view(dtype),
     Vector=vector,
     i32=np.int32,
