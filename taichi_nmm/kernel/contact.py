@@ -20,7 +20,7 @@ ANKLE_SHARE_OF_BALL = -HEEL_OFFSET_M / (BALL_OFFSET_M - HEEL_OFFSET_M)
 
 @ti.func
 def find_cells(lane, state: Rows, work: Rows):
-    """The cells of the terrain's grid under the four contact points and the hip."""
+    """Cells of the terrain's grid under the four contact points and the hip."""
     for p in ti.static(range(CONTACTS)):
         find_cell(lane, p, work[Work.point_x + p, lane], work)
     find_cell(lane, CONTACTS, state[State.q + 0, lane], work)
@@ -28,30 +28,33 @@ def find_cells(lane, state: Rows, work: Rows):
 
 @ti.func
 def find_cell(lane, p: Rows, x, work: Rows):
-    """Cell p holds x; level outside of the grid."""
+    """The cell that holds x is that of point p; the ground is level outside of the grid."""
     cell = (x - GRID_START_M) * (1.0 / GRID_SPACING_M)
     clamped = smaller(larger(0.0, cell), LAST_CELL + 1.0)  # NaN to 0: it becomes an index
     left = smaller(ti.floor(clamped), LAST_CELL)
     work[Work.cell + p, lane] = left
     work[Work.along_cell + p, lane] = clamped - left
-    work[Work.per_cell + p, lane] = ti.select(cell == clamped, 1.0 / GRID_SPACING_M, 0.0)
+    work[Work.slope_per_rise + p, lane] = ti.select(cell == clamped, 1.0 / GRID_SPACING_M, 0.0)
 
 
 @ti.func
 def read_terrain(lane, index, heights: Rows, work: Rows):
-    """Heights at the ends of the cells on terrain `index`; the only phase that reads the terrain."""
+    """Heights of terrain `index` at the ends of the cells; the only phase that reads it.
+
+    Reading takes one lane after the other, so nothing else is done here.
+    """
     for p in ti.static(range(CONTACTS + 1)):
         i = ti.cast(work[Work.cell + p, lane], ti.i32)
-        work[Work.cell_low + p, lane] = heights[index, i]
-        work[Work.cell_high + p, lane] = heights[index, i + 1]
+        work[Work.height_left + p, lane] = heights[index, i]
+        work[Work.height_right + p, lane] = heights[index, i + 1]
 
 
 @ti.func
 def ground_under(lane, p: Rows, work: Rows):
-    """Height and slope of the ground at p's place in its cell: linear between nodes."""
-    low = work[Work.cell_low + p, lane]
-    rise = work[Work.cell_high + p, lane] - low
-    return low + rise * work[Work.along_cell + p, lane], rise * work[Work.per_cell + p, lane]
+    """Height and slope of the ground at point p: linear between nodes."""
+    low = work[Work.height_left + p, lane]
+    rise = work[Work.height_right + p, lane] - low
+    return low + rise * work[Work.along_cell + p, lane], rise * work[Work.slope_per_rise + p, lane]
 
 
 @ti.func
