@@ -25,17 +25,7 @@ from taichi_nmm.kernel.layout import (
     State,
 )
 from taichi_nmm.kernel.muscle import ACTIVATION_FLOOR
-from taichi_nmm.kernel.muscle_table import (
-    T_ANKLE_COSINE,
-    T_ANKLE_SINE,
-    T_HIP_SLOPE,
-    T_KNEE_COSINE,
-    T_KNEE_SINE,
-    T_LENGTH,
-    T_OPTIMAL,
-    T_SLACK,
-    muscle_table,
-)
+from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, unit_lengths
 from taichi_nmm.kernel.swing import HOLD
 from taichi_nmm.terrain import Terrain
 
@@ -100,21 +90,14 @@ def _state(terrain: Terrain) -> NDArray[np.float64]:
 
 def _fibres() -> NDArray[np.float64]:
     """Relaxed muscles with slack tendons: the fibre takes the unit's length less the slack."""
-    table = muscle_table()
     fibres = np.zeros(Muscle.count)
     fibres[Muscle.activation : Muscle.activation + MUSCLE_COUNT] = ACTIVATION_FLOOR
     fibres[Muscle.stimulation : Muscle.stimulation + MUSCLE_COUNT] = ACTIVATION_FLOOR
-    for leg, (hip, knee, ankle) in enumerate(JOINTS_RAD):
-        unit = (
-            table[:, T_LENGTH]
-            + table[:, T_HIP_SLOPE] * hip
-            + table[:, T_KNEE_SINE] * np.sin(knee)
-            + table[:, T_KNEE_COSINE] * np.cos(knee)
-            + table[:, T_ANKLE_SINE] * np.sin(ankle)
-            + table[:, T_ANKLE_COSINE] * np.cos(ankle)
-        )
+    slack_m = np.array([data.slack_length_m for data in MUSCLE_DATA.values()])
+    optimal_m = np.array([data.optimal_length_m for data in MUSCLE_DATA.values()])
+    for leg, joints_rad in enumerate(JOINTS_RAD):
         first = Muscle.length + MUSCLES_PER_LEG * leg
-        fibres[first : first + MUSCLES_PER_LEG] = (unit - table[:, T_SLACK]) / table[:, T_OPTIMAL]
+        fibres[first : first + MUSCLES_PER_LEG] = (unit_lengths(*joints_rad) - slack_m) / optimal_m
     return fibres
 
 

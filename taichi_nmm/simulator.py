@@ -107,8 +107,8 @@ def launcher(batch: Batch, settings: Settings) -> Callable[[Packs, int, int], No
     """The kernel with everything that stays the same from launch to launch."""
     real = backend.real_dtype()
     heights = np.array([terrain.height_m for terrain in batch.terrains], dtype=real)
-    muscles = muscle_table().astype(real)
     step_s = settings.physics_step_s
+    muscles = muscle_table(step_s).astype(real)
     activation_blend = 1.0 - np.exp(-step_s / ACTIVATION_TIME_S)
     load_blend = 1.0 - np.exp(-step_s / LOAD_FILTER_S)
 

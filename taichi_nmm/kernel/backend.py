@@ -36,6 +36,10 @@ LANES_GPU = 1  # a thread is a walker
 CFG_OPTIMIZATION = False
 FAST_MATH = False
 
+# Taichi's own simplifications take most of a compilation, since their time grows with the square of
+# a kernel's size. LLVM, which follows, finds the same in seconds (docs/speed.md).
+TAICHI_OPTIMIZATION = False
+
 # Taichi cuts a parallel loop into blocks of at least 512 turns, and a turn of the kernels is a
 # pack: 4,096 walkers and fewer would run on one thread. Without that cut, a turn is a task.
 SPLIT_LOOPS = False
@@ -153,6 +157,7 @@ def _initialise(arch: str, settings: Settings) -> bool:
                 default_fp=ti.f64 if settings.precision == "float64" else ti.f32,
                 default_ip=ti.i32,
                 cfg_optimization=CFG_OPTIMIZATION,
+                advanced_optimization=TAICHI_OPTIMIZATION,
                 make_cpu_multithreading_loop=SPLIT_LOOPS,
                 fast_math=FAST_MATH,
                 offline_cache=True,

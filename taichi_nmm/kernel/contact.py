@@ -6,6 +6,7 @@ by one Coulomb coefficient. Both enter the step linearly implicitly (`dynamics`)
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M
 from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.dynamics import point_velocity
 from taichi_nmm.kernel.elementary import larger, smaller
 from taichi_nmm.kernel.layout import CONTACTS, Const, State, Work
 from taichi_nmm.terrain import GRID_NODES, GRID_SPACING_M, GRID_START_M
@@ -18,37 +19,54 @@ ANKLE_SHARE_OF_BALL = -HEEL_OFFSET_M / (BALL_OFFSET_M - HEEL_OFFSET_M)
 
 
 @ti.func
-def ground_under(x, index, heights: Rows):
-    """Height and slope of terrain `index` at x: linear between nodes, level outside."""
-    cell = (x - GRID_START_M) * (1.0 / GRID_SPACING_M)
-    clamped = smaller(larger(0.0, cell), LAST_CELL + 1.0)  # NaN to 0: it becomes an index
-    left = smaller(ti.floor(clamped), LAST_CELL)
-    i = ti.cast(left, ti.i32)
-    low = heights[index, i]
-    high = heights[index, i + 1]
-    inside = (cell >= 0.0) & (cell <= LAST_CELL + 1.0)
-    slope = ti.select(inside, (high - low) * (1.0 / GRID_SPACING_M), 0.0)
-    return low + (high - low) * (clamped - left), slope
+def find_cells(lane, state: Rows, work: Rows):
+    """Cells of the terrain's grid under the four contact points and the hip."""
+    for p in ti.static(range(CONTACTS)):
+        find_cell(lane, p, work[Work.point_x + p, lane], work)
+    find_cell(lane, CONTACTS, state[State.q + 0, lane], work)
 
 
 @ti.func
-def look_up_ground(lane, index, heights: Rows, state: Rows, work: Rows):
-    """Ground under the four contact points and the hip; the only phase that reads the terrain."""
-    for c in ti.static(range(CONTACTS)):
-        height, slope = ground_under(work[Work.point_x + c, lane], index, heights)
-        work[Work.ground + c, lane] = height
-        work[Work.ground_slope + c, lane] = slope
-    height_hip, _slope_hip = ground_under(state[State.q + 0, lane], index, heights)
-    work[Work.ground_hip, lane] = height_hip
+def find_cell(lane, p: Rows, x, work: Rows):
+    """The cell that holds x is that of point p; the ground is level outside of the grid."""
+    cell = (x - GRID_START_M) * (1.0 / GRID_SPACING_M)
+    clamped = smaller(larger(0.0, cell), LAST_CELL + 1.0)  # NaN to 0: it becomes an index
+    left = smaller(ti.floor(clamped), LAST_CELL)
+    work[Work.cell + p, lane] = left
+    work[Work.along_cell + p, lane] = clamped - left
+    work[Work.slope_per_rise + p, lane] = ti.select(cell == clamped, 1.0 / GRID_SPACING_M, 0.0)
+
+
+@ti.func
+def read_terrain(lane, index, heights: Rows, work: Rows):
+    """Heights of terrain `index` at the ends of the cells; the only phase that reads it.
+
+    Reading takes one lane after the other, so nothing else is done here.
+    """
+    for p in ti.static(range(CONTACTS + 1)):
+        i = ti.cast(work[Work.cell + p, lane], ti.i32)
+        work[Work.height_left + p, lane] = heights[index, i]
+        work[Work.height_right + p, lane] = heights[index, i + 1]
+
+
+@ti.func
+def ground_under(lane, p: Rows, work: Rows):
+    """Height and slope of the ground at point p: linear between nodes."""
+    low = work[Work.height_left + p, lane]
+    rise = work[Work.height_right + p, lane] - low
+    return low + rise * work[Work.along_cell + p, lane], rise * work[Work.slope_per_rise + p, lane]
 
 
 @ti.func
 def gaps(lane, state: Rows, work: Rows):
     """Depth of each point along the ground's normal; a fresh touch-down sets the anchor."""
+    height_hip, _slope_hip = ground_under(lane, CONTACTS, work)
+    work[Work.ground_hip, lane] = height_hip
     for c in ti.static(range(CONTACTS)):
-        slope = work[Work.ground_slope + c, lane]
+        height, slope = ground_under(lane, c, work)
+        work[Work.ground + c, lane] = height
         cosine = 1.0 / ti.sqrt(1.0 + slope * slope)
-        gap = (work[Work.ground + c, lane] - work[Work.point_z + c, lane]) * cosine
+        gap = (height - work[Work.point_z + c, lane]) * cosine
         work[Work.gap + c, lane] = gap
         work[Work.normal_x + c, lane] = 0.0 - slope * cosine
         work[Work.normal_z + c, lane] = cosine
@@ -102,25 +120,6 @@ def drag_anchors(lane, step_s, state: Rows, const: Rows, work: Rows):
         slips = (work[Work.slip + c, lane] != 0.0) | (work[Work.normal_on + c, lane] == 0.0)
         state[State.anchor_x + c, lane] = ti.select(slips, new_x, state[State.anchor_x + c, lane])
         state[State.anchor_z + c, lane] = ti.select(slips, new_z, state[State.anchor_z + c, lane])
-
-
-@ti.func
-def point_velocity(lane, c: Rows, work: Rows):
-    """Velocity of contact point c after the step, from normal and tangential Jacobians."""
-    leg = ti.static(c // 2)
-    base_x = work[Work.new_qdot + 0, lane]
-    base_z = work[Work.new_qdot + 1, lane]
-    normal_x, normal_z = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
-    along_normal = base_x * normal_x + base_z * normal_z
-    along_tangent = base_x * normal_z - base_z * normal_x
-    for i in ti.static(range(3)):
-        rate = work[Work.new_qdot + 3 + 3 * leg + i, lane]
-        along_normal += work[Work.jacobian_n + 3 * c + i, lane] * rate
-        along_tangent += work[Work.jacobian_t + 3 * c + i, lane] * rate
-    return (
-        along_normal * normal_x + along_tangent * normal_z,
-        along_normal * normal_z - along_tangent * normal_x,
-    )
 
 
 @ti.func

@@ -55,21 +55,30 @@ def sense(lane, state: Rows, muscle: Rows, work: Rows):
 
 
 @ti.func
-def exchange(lane, slot_long, slot_mid, slot_short, delay: Rows, work: Rows):
-    """Put the present signals into their rings and take the delayed ones out, in place."""
-    s = ti.static(Work.sensed)
+def exchange_long(lane, slot, delay: Rows, work: Rows):
+    """Put the present signals of 20 ms into their rings and take the delayed ones out, in place."""
     for i in ti.static(range(LONG_SIGNALS)):
-        row = Delay.long + i * LONG_DELAY_TICKS + slot_long
-        old = delay[row, lane]
-        delay[row, lane] = work[s + i, lane]
-        work[s + i, lane] = old
+        exchange(lane, i, Delay.long + i * LONG_DELAY_TICKS + slot, delay, work)
+
+
+@ti.func
+def exchange_mid(lane, slot, delay: Rows, work: Rows):
+    """Those of 10 ms."""
     for i in ti.static(range(MID_SIGNALS)):
-        row = Delay.mid + i * MID_DELAY_TICKS + slot_mid
-        old = delay[row, lane]
-        delay[row, lane] = work[s + LONG_SIGNALS + i, lane]
-        work[s + LONG_SIGNALS + i, lane] = old
+        exchange(lane, LONG_SIGNALS + i, Delay.mid + i * MID_DELAY_TICKS + slot, delay, work)
+
+
+@ti.func
+def exchange_short(lane, slot, delay: Rows, work: Rows):
+    """Those of 5 ms."""
+    first = ti.static(LONG_SIGNALS + MID_SIGNALS)
     for i in ti.static(range(SHORT_SIGNALS)):
-        row = Delay.short + i * SHORT_DELAY_TICKS + slot_short
-        old = delay[row, lane]
-        delay[row, lane] = work[s + LONG_SIGNALS + MID_SIGNALS + i, lane]
-        work[s + LONG_SIGNALS + MID_SIGNALS + i, lane] = old
+        exchange(lane, first + i, Delay.short + i * SHORT_DELAY_TICKS + slot, delay, work)
+
+
+@ti.func
+def exchange(lane, signal: Rows, row, delay: Rows, work: Rows):
+    """One signal and one slot of its ring."""
+    old = delay[row, lane]
+    delay[row, lane] = work[Work.sensed + signal, lane]
+    work[Work.sensed + signal, lane] = old

@@ -105,21 +105,8 @@ def momentum_after_free_step(lane, step_s, mass_scale, state: Rows, const: Rows,
 
 
 @ti.func
-def contact_jacobians(lane, work: Rows):
-    """Leg parts of the points' Jacobians, (L1 e1, L2 e2, r e3) along normal and tangent."""
-    for c in ti.static(range(CONTACTS)):
-        leg = ti.static(c // 2)
-        lever = ti.static((THIGH_LENGTH_M, SHANK_LENGTH_M, (HEEL_OFFSET_M, BALL_OFFSET_M)[c % 2]))
-        nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
-        for i in ti.static(range(3)):
-            x, z = slope_vector(lane, 1 + 3 * leg + i, work)
-            work[Work.jacobian_n + 3 * c + i, lane] = lever[i] * (x * nx + z * nz)
-            work[Work.jacobian_t + 3 * c + i, lane] = lever[i] * (x * nz - z * nx)
-
-
-@ti.func
 def solve(lane, step_s, const: Rows, work: Rows):
-    """New velocities: (M + h sum c J J^T) v = momentum + h sum J f0, over the active contacts.
+    """New velocities: (M + h sum J^T C J) v = momentum + h sum J^T f0, over the active contacts.
 
     HAT and legs are eliminated one after another (Schur complement), which leaves two equations in
     the base's velocity; the rest follows from it.
@@ -127,8 +114,7 @@ def solve(lane, step_s, const: Rows, work: Rows):
     eliminate_hat(lane, const, work)
     for leg in ti.static(range(LEGS)):
         start_leg(lane, leg, const, work)
-        for c in ti.static((2 * leg, 2 * leg + 1)):
-            add_contact(lane, c, step_s, work)
+        add_foot(lane, leg, step_s, work)
         add_stops(lane, leg, step_s, work)
         eliminate_leg(lane, leg, work)
     b = ti.static(Work.base)
@@ -183,49 +169,86 @@ def start_leg(lane, leg: Rows, const: Rows, work: Rows):
 
 
 @ti.func
-def add_contact(lane, c: Rows, step_s, work: Rows):
-    """Normal and friction of one point; a slipping one's friction is a given force."""
+def point_spring(lane, c: Rows, step_s, work: Rows):
+    """Damping matrix xx, xz, zz and force x, z of one point in the world, both times the step.
+
+    Along normal n and tangent t = (n_z, -n_x); a slipping point's friction is a given force.
+    """
     nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
-    on, sticks = work[Work.normal_on + c, lane], work[Work.slip + c, lane] == 0.0
-    add_rank_one(
-        lane, ti.static(Work.jacobian_n + 3 * c), nx, nz,
-        on * step_s * work[Work.normal_damping + c, lane],
-        on * step_s * work[Work.normal_force_0 + c, lane], work,
-    )  # fmt: skip
-    friction = ti.select(sticks, work[Work.friction_0 + c, lane], work[Work.friction + c, lane])
-    damping = ti.select(sticks, work[Work.friction_damping, lane], 0.0)
-    add_rank_one(
-        lane, ti.static(Work.jacobian_t + 3 * c), nz, 0.0 - nx,
-        on * step_s * damping, on * step_s * friction, work,
-    )  # fmt: skip
+    on, sticks = step_s * work[Work.normal_on + c, lane], work[Work.slip + c, lane] == 0.0
+    damping_n = on * work[Work.normal_damping + c, lane]
+    damping_t = ti.select(sticks, on * work[Work.friction_damping, lane], 0.0)
+    force_n = on * work[Work.normal_force_0 + c, lane]
+    force_t = on * ti.select(sticks, work[Work.friction_0 + c, lane], work[Work.friction + c, lane])
+    return (
+        damping_n * nx * nx + damping_t * nz * nz,
+        (damping_n - damping_t) * nx * nz,
+        damping_n * nz * nz + damping_t * nx * nx,
+        force_n * nx + force_t * nz,
+        force_n * nz - force_t * nx,
+    )
 
 
 @ti.func
-def add_rank_one(lane, jacobian: Rows, jx, jz, weight, force, work: Rows):
-    """Add weight J J^T and force J, J = (jx, jz, the leg's three rows from `jacobian` on)."""
+def add_foot(lane, leg: Rows, step_s, work: Rows):
+    """Heel and ball of a leg: J^T C J and J^T f, where J = (1, L1 e1, L2 e2, r e3) moves a point.
+
+    They differ in r alone, so C, r C, r^2 C, f and r f are summed over both first.
+    """
+    hxx, hxz, hzz, hx, hz = point_spring(lane, 2 * leg, step_s, work)
+    bxx, bxz, bzz, bx, bz = point_spring(lane, 2 * leg + 1, step_s, work)
+    rh, rb = ti.static(HEEL_OFFSET_M, BALL_OFFSET_M)
+    xx, xz, zz = hxx + bxx, hxz + bxz, hzz + bzz
+    rxx, rxz, rzz = rh * hxx + rb * bxx, rh * hxz + rb * bxz, rh * hzz + rb * bzz
+    fx, fz = hx + bx, hz + bz
+    x1, z1 = slope_vector(lane, 1 + 3 * leg, work)
+    x2, z2 = slope_vector(lane, 2 + 3 * leg, work)
+    x3, z3 = slope_vector(lane, 3 + 3 * leg, work)
+    lx1, lz1 = THIGH_LENGTH_M * x1, THIGH_LENGTH_M * z1
+    lx2, lz2 = SHANK_LENGTH_M * x2, SHANK_LENGTH_M * z2
+    # Columns C L1 e1, C L2 e2 and r C e3 couple the links to the base.
+    ux1, uz1 = xx * lx1 + xz * lz1, xz * lx1 + zz * lz1
+    ux2, uz2 = xx * lx2 + xz * lz2, xz * lx2 + zz * lz2
+    ux3, uz3 = rxx * x3 + rxz * z3, rxz * x3 + rzz * z3
     m, g, r, b = ti.static(Work.leg_inertia, Work.leg_coupling, Work.leg_rhs, Work.base)
-    j1, j2, j3 = work[jacobian, lane], work[jacobian + 1, lane], work[jacobian + 2, lane]
-    u1, u2, u3, ux, uz = weight * j1, weight * j2, weight * j3, weight * jx, weight * jz
-    work[m + 0, lane] += u1 * j1
-    work[m + 1, lane] += u2 * j2
-    work[m + 2, lane] += u3 * j3
-    work[m + 3, lane] += u1 * j2
-    work[m + 4, lane] += u1 * j3
-    work[m + 5, lane] += u2 * j3
-    work[g + 0, lane] += ux * j1
-    work[g + 1, lane] += ux * j2
-    work[g + 2, lane] += ux * j3
-    work[g + 3, lane] += uz * j1
-    work[g + 4, lane] += uz * j2
-    work[g + 5, lane] += uz * j3
-    work[r + 0, lane] += force * j1
-    work[r + 1, lane] += force * j2
-    work[r + 2, lane] += force * j3
-    work[b + 0, lane] += ux * jx
-    work[b + 1, lane] += ux * jz
-    work[b + 2, lane] += uz * jz
-    work[b + 3, lane] += force * jx
-    work[b + 4, lane] += force * jz
+    work[m + 0, lane] += ux1 * lx1 + uz1 * lz1
+    work[m + 1, lane] += ux2 * lx2 + uz2 * lz2
+    work[m + 2, lane] += (
+        (rh * rh * hxx + rb * rb * bxx) * x3 * x3
+        + 2.0 * (rh * rh * hxz + rb * rb * bxz) * x3 * z3
+        + (rh * rh * hzz + rb * rb * bzz) * z3 * z3
+    )
+    work[m + 3, lane] += ux1 * lx2 + uz1 * lz2
+    work[m + 4, lane] += ux3 * lx1 + uz3 * lz1
+    work[m + 5, lane] += ux3 * lx2 + uz3 * lz2
+    work[g + 0, lane] += ux1
+    work[g + 1, lane] += ux2
+    work[g + 2, lane] += ux3
+    work[g + 3, lane] += uz1
+    work[g + 4, lane] += uz2
+    work[g + 5, lane] += uz3
+    work[r + 0, lane] += fx * lx1 + fz * lz1
+    work[r + 1, lane] += fx * lx2 + fz * lz2
+    work[r + 2, lane] += (rh * hx + rb * bx) * x3 + (rh * hz + rb * bz) * z3
+    work[b + 0, lane] += xx
+    work[b + 1, lane] += xz
+    work[b + 2, lane] += zz
+    work[b + 3, lane] += fx
+    work[b + 4, lane] += fz
+
+
+@ti.func
+def point_velocity(lane, c: Rows, work: Rows):
+    """Velocity x, z of contact point c after the step: hip + L1 e1 w1 + L2 e2 w2 + r e3 w3."""
+    leg = ti.static(c // 2)
+    lever = ti.static((THIGH_LENGTH_M, SHANK_LENGTH_M, (HEEL_OFFSET_M, BALL_OFFSET_M)[c % 2]))
+    vx, vz = work[Work.new_qdot + 0, lane], work[Work.new_qdot + 1, lane]
+    for i in ti.static(range(3)):
+        x, z = slope_vector(lane, 1 + 3 * leg + i, work)
+        speed = lever[i] * work[Work.new_qdot + 3 + 3 * leg + i, lane]
+        vx += speed * x
+        vz += speed * z
+    return vx, vz
 
 
 @ti.func
@@ -302,15 +325,10 @@ def revise_contacts(lane, work: Rows):
     """
     changed = 0.0
     for c in ti.static(range(CONTACTS)):
-        leg = ti.static(c // 2)
-        vx, vz = work[Work.new_qdot + 0, lane], work[Work.new_qdot + 1, lane]
+        vx, vz = point_velocity(lane, c, work)
         nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
         u_n = vx * nx + vz * nz
         u_t = vx * nz - vz * nx
-        for i in ti.static(range(3)):
-            rate = work[Work.new_qdot + 3 + 3 * leg + i, lane]
-            u_n += work[Work.jacobian_n + 3 * c + i, lane] * rate
-            u_t += work[Work.jacobian_t + 3 * c + i, lane] * rate
         on = work[Work.normal_on + c, lane]
         slip = work[Work.slip + c, lane]
         normal = on * (

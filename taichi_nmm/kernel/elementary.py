@@ -4,7 +4,7 @@ Library functions are calls, and a call stops LLVM's loop vectoriser. Accurate t
 float64 and to rounding in float32 over the ranges named; tested against NumPy.
 """
 
-from math import factorial
+from math import factorial, log
 
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.backend import Rows, ti
@@ -16,13 +16,11 @@ HALF_PI_LOW = 4.838267948966190e-4
 HALF_PI = 1.5707963267948966
 
 LOG2_E = 1.4426950408889634
-LN2_HIGH = 0.693359375
-LN2_LOW = -2.1219444005469057e-4
 
 # Taylor coefficients, highest power first; sine and cosine in powers of the square.
 SINE = tuple((-1) ** k / factorial(2 * k + 1) for k in reversed(range(8)))
 COSINE = tuple((-1) ** k / factorial(2 * k) for k in reversed(range(8)))
-EXPONENTIAL = tuple(1 / factorial(k) for k in reversed(range(12)))
+EXPONENTIAL = tuple(log(2.0) ** k / factorial(k) for k in reversed(range(12)))  # of 2^x
 
 # Cephes, atan.c: atan u = u + u z P(z)/Q(z) with z = u^2, for |u| <= 0.66.
 ARCTANGENT_P = (
@@ -95,16 +93,11 @@ def arctangent2(y, x):
 
 
 @ti.func
-def exponential(x):
-    """exp of a vector's elements, each clamped to [-80, 80], NaN to -80.
-
-    2^k times the Taylor series within +-ln 2 / 2.
-    """
-    clamped = smaller(larger(-80.0, x), 80.0)
-    k = ti.floor(clamped * LOG2_E + 0.5)
-    r = (clamped - k * LN2_HIGH) - k * LN2_LOW
-    power = ti.Vector([power_of_two(k[e]) for e in ti.static(range(k.n))])
-    return polynomial(r, ti.static(terms(EXPONENTIAL, 8))) * power
+def two_to(x):
+    """2^x, x clamped to [-120, 120], NaN to -120: a whole power, times the series of the rest."""
+    clamped = smaller(larger(-120.0, x), 120.0)
+    k = ti.floor(clamped + 0.5)
+    return polynomial(clamped - k, ti.static(terms(EXPONENTIAL, 8))) * power_of_two(k)
 
 
 @ti.func

@@ -12,6 +12,7 @@ from taichi_nmm.kernel.layout import (
     FIRST_EVENT,
     FIRST_FIBRE,
     FIRST_SUM,
+    MUSCLES_PER_LEG,
     Const,
     Delay,
     Gait,
@@ -20,6 +21,7 @@ from taichi_nmm.kernel.layout import (
     Sums,
     Work,
 )
+from taichi_nmm.kernel.muscle_table import TABLE_COLUMNS
 
 PACKS_PER_TASK = 1  # of the CPU's thread pool; packs are few and long
 
@@ -70,6 +72,10 @@ def advance(
         sums = ti.Matrix.zero(float, Sums.count, lanes)
         const = ti.Matrix.zero(float, Const.count, lanes)
         work = ti.Matrix.zero(float, Work.count, lanes)
+        table = ti.Matrix.zero(float, MUSCLES_PER_LEG, TABLE_COLUMNS)
+        for m in ti.static(range(MUSCLES_PER_LEG)):
+            for c in ti.static(range(TABLE_COLUMNS)):
+                table[m, c] = muscles[m, c]
         terrain = ti.Vector.zero(ti.i32, lanes)
         load(packs, p, 0, State.count, lanes, state)
         load(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
@@ -82,7 +88,7 @@ def advance(
         for tick in range(first_tick, first_tick + ticks):
             walker.step(
                 tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_blend,
-                lanes, terrain, heights, muscles,
+                lanes, terrain, heights, table,
                 state, fibres, delay, events, sums, const, work,
             )  # fmt: skip
         save(packs, p, 0, State.count, lanes, state)

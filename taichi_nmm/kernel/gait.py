@@ -11,7 +11,17 @@ import math
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.contact import ground_at_ankle, on_ground
 from taichi_nmm.kernel.elementary import larger
-from taichi_nmm.kernel.layout import LEGS, MUSCLES_PER_LEG, Const, Gait, Muscle, State, Sums, Work
+from taichi_nmm.kernel.layout import (
+    LEGS,
+    MUSCLE_COUNT,
+    MUSCLES_PER_LEG,
+    Const,
+    Gait,
+    Muscle,
+    State,
+    Sums,
+    Work,
+)
 from taichi_nmm.result import HUMAN_SPEED_MPS
 
 DEBOUNCE_TICKS = 100.0  # 0.1 s
@@ -204,6 +214,9 @@ def add_up_posture(lane, state: Rows, muscle: Rows, sums: Rows, work: Rows):
 def add_up_forces(lane, step_s, state: Rows, sums: Rows, work: Rows):
     """Impulses of the ground and metabolic energy over one physics step."""
     up = state[State.active, lane] > 0.5
-    add(sums, Sums.metabolic_energy, lane, up, step_s * work[Work.metabolic_power, lane])
+    power_w = 0.0
+    for m in ti.static(range(MUSCLE_COUNT)):
+        power_w += work[Work.metabolic_power + m, lane]
+    add(sums, Sums.metabolic_energy, lane, up, step_s * power_w)
     for i in ti.static(range(2 * LEGS)):
         add(sums, Sums.impulse + i, lane, up, step_s * state[State.ground_force + i, lane])

@@ -1,4 +1,4 @@
-"""The seven muscles of a leg, and the table of their constants that the kernel reads.
+"""The seven muscles of a leg, and the tables of their constants that the kernel takes.
 
 Source: Geyer & Herr 2010, as in the walker T. What the kernel would multiply or divide at every
 step from constants alone is multiplied out here.
@@ -62,65 +62,83 @@ assert tuple(MUSCLE_DATA) == MUSCLES
 
 FMAX_N: NDArray[np.float64] = np.array([data.fmax_n for data in MUSCLE_DATA.values()])
 
-# Columns of the table, one row a muscle. The unit is fibre and tendon; its length and the torques
-# at Fmax are linear in the hip angle, and in sine and cosine of knee and ankle angle.
+# Columns of `muscle_table`, one row a muscle.
 (
-    T_OPTIMAL, T_SLACK, T_VMAX,  # m, m, 1/s
-    T_STRAIN, T_STRAIN_RATE,  # of the tendon over its reference: per m, and at vmax per s
+    T_STRETCH,  # optimal lengths that the fibre lengthens in a step at its largest speed
+    T_STRAIN,  # of the tendon over its reference, for each optimal length of the fibre
     T_POWER,  # Fmax times largest speed, W
-    T_LENGTH, T_HIP_SLOPE, T_KNEE_SINE, T_KNEE_COSINE, T_ANKLE_SINE, T_ANKLE_COSINE,  # m
-    T_HIP_TORQUE, T_KNEE_TORQUE_COSINE, T_KNEE_TORQUE_SINE,  # N m at Fmax
-    T_ANKLE_TORQUE_COSINE, T_ANKLE_TORQUE_SINE,
     TABLE_COLUMNS,
-) = range(18)  # fmt: skip
+) = range(4)
 
 
-def muscle_table() -> NDArray[np.float64]:
-    """Constants of the seven muscles for the kernel, [7, TABLE_COLUMNS].
-
-    With a cosine arm, dl = rho r (sin(ref - max) - sin(phi - max)) and arm = r cos(phi - max); with
-    a constant one, dl = rho r (ref - phi).
-    """
+def muscle_table(step_s: float) -> NDArray[np.float64]:
+    """Constants of contraction for a physics step, [7, TABLE_COLUMNS]."""
     table = np.zeros((MUSCLES_PER_LEG, TABLE_COLUMNS))
     for row, data in zip(table, MUSCLE_DATA.values(), strict=True):
-        largest_speed_mps = data.optimal_length_m * data.vmax_per_s
-        row[[T_OPTIMAL, T_SLACK, T_VMAX]] = (
-            data.optimal_length_m, data.slack_length_m, data.vmax_per_s,
-        )  # fmt: skip
-        row[T_STRAIN] = 1.0 / (data.slack_length_m * REFERENCE_STRAIN)
-        row[T_STRAIN_RATE] = row[T_STRAIN] * largest_speed_mps
-        row[T_POWER] = data.fmax_n * largest_speed_mps
-        row[T_LENGTH] = data.optimal_length_m + data.slack_length_m
-        if data.hip is not None:
-            _constant_arm(row, data.hip, data.fmax_n)
-        if data.knee is not None:
-            _cosine_arm(row, data.knee, data.fmax_n, T_KNEE_SINE, T_KNEE_TORQUE_COSINE)
-        if data.ankle is not None:
-            _cosine_arm(row, data.ankle, data.fmax_n, T_ANKLE_SINE, T_ANKLE_TORQUE_COSINE)
+        row[T_STRETCH] = step_s * data.vmax_per_s
+        row[T_STRAIN] = data.optimal_length_m / (data.slack_length_m * REFERENCE_STRAIN)
+        row[T_POWER] = data.fmax_n * data.optimal_length_m * data.vmax_per_s
     return table
 
 
-def _constant_arm(row: NDArray[np.float64], hip: Attachment, fmax_n: float) -> None:
-    scale = hip.sign * hip.pennation * hip.arm_m
-    row[T_LENGTH] += scale * np.deg2rad(hip.reference_angle_deg)
-    row[T_HIP_SLOPE] = -scale
-    row[T_HIP_TORQUE] = hip.sign * hip.arm_m * fmax_n
+def unit_lengths(hip_rad: float, knee_rad: float, ankle_rad: float) -> NDArray[np.float64]:
+    """Length of fibre and tendon together of a leg's muscles, m, [7]."""
+    knee, ankle = (np.sin(knee_rad), np.cos(knee_rad)), (np.sin(ankle_rad), np.cos(ankle_rad))
+    return np.asarray(LENGTHS_M @ np.array([1.0, hip_rad, *knee, *ankle]))
 
 
-def _cosine_arm(
-    row: NDArray[np.float64],
-    attachment: Attachment,
-    fmax_n: float,
-    sine: int,
-    torque_cosine: int,
-) -> None:
+def _length_table() -> NDArray[np.float64]:
+    """Factors of 1, hip angle, sine and cosine of the knee, of the ankle in the lengths, m, [7, 6].
+
+    With a cosine arm, dl = rho r (sin(ref - max) - sin(phi - max)); with a constant one,
+    dl = rho r (ref - phi).
+    """
+    table = np.zeros((MUSCLES_PER_LEG, 6))
+    for row, data in zip(table, MUSCLE_DATA.values(), strict=True):
+        row[0] = data.optimal_length_m + data.slack_length_m
+        if data.hip is not None:
+            scale = data.hip.sign * data.hip.pennation * data.hip.arm_m
+            row[0] += scale * np.deg2rad(data.hip.reference_angle_deg)
+            row[1] = -scale
+        for first, attachment in ((2, data.knee), (4, data.ankle)):
+            if attachment is not None:
+                scale = attachment.sign * attachment.pennation * attachment.arm_m
+                largest = _largest_arm_rad(attachment)
+                row[0] += scale * np.sin(np.deg2rad(attachment.reference_angle_deg) - largest)
+                row[first : first + 2] = -scale * np.cos(largest), scale * np.sin(largest)
+    return table
+
+
+def _strain_table() -> NDArray[np.float64]:
+    """The same factors in the tendons' strains over the reference at fibre length 0, [7, 6]."""
+    slack_m = np.array([data.slack_length_m for data in MUSCLE_DATA.values()])
+    stretched_m = LENGTHS_M.copy()
+    stretched_m[:, 0] -= slack_m
+    return np.asarray(stretched_m / (slack_m * REFERENCE_STRAIN)[:, None])
+
+
+def _torque_table() -> NDArray[np.float64]:
+    """Factors of 1, cosine and sine of the knee, of the ankle in the torques at Fmax, N m, [7, 5].
+
+    The arm is r cos(phi - max), or constant: that of the hip.
+    """
+    table = np.zeros((MUSCLES_PER_LEG, 5))
+    for row, data in zip(table, MUSCLE_DATA.values(), strict=True):
+        if data.hip is not None:
+            row[0] = data.hip.sign * data.hip.arm_m * data.fmax_n
+        for first, attachment in ((1, data.knee), (3, data.ankle)):
+            if attachment is not None:
+                torque_nm = attachment.sign * attachment.arm_m * data.fmax_n
+                largest = _largest_arm_rad(attachment)
+                row[first : first + 2] = torque_nm * np.cos(largest), torque_nm * np.sin(largest)
+    return table
+
+
+def _largest_arm_rad(attachment: Attachment) -> float:
     assert attachment.angle_of_largest_arm_deg is not None
-    largest = np.deg2rad(attachment.angle_of_largest_arm_deg)
-    reference = np.deg2rad(attachment.reference_angle_deg)
-    scale = attachment.sign * attachment.pennation * attachment.arm_m
-    torque = attachment.sign * attachment.arm_m * fmax_n
-    row[T_LENGTH] += scale * np.sin(reference - largest)
-    row[sine] = -scale * np.cos(largest)
-    row[sine + 1] = scale * np.sin(largest)
-    row[torque_cosine] = torque * np.cos(largest)
-    row[torque_cosine + 1] = torque * np.sin(largest)
+    return float(np.deg2rad(attachment.angle_of_largest_arm_deg))
+
+
+LENGTHS_M = _length_table()
+STRAINS = _strain_table()
+TORQUES_NM = _torque_table()

@@ -8,6 +8,7 @@ and delays are the same for all lanes, since a batch starts together.
 import math
 
 from taichi_nmm.kernel import (
+    attachments,
     contact,
     delays,
     dynamics,
@@ -52,22 +53,22 @@ def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_bl
         for lane in range(lanes):
             kinematics.directions(lane, state, work)
             kinematics.contact_points(lane, state, work)
+            contact.find_cells(lane, state, work)
             kinematics.joints(lane, state, work)
+            attachments.stretch_tendons(lane, work)
         for lane in range(lanes):
-            contact.look_up_ground(lane, terrain[lane], heights, state, work)
+            contact.read_terrain(lane, terrain[lane], heights, work)
         for lane in range(lanes):
             contact.gaps(lane, state, work)
         if substep == 0:
             control(tick, lanes, state, fibres, delay, events, sums, const, work)
+        contract_muscles(activation_blend, lanes, muscles, fibres, work)
         for lane in range(lanes):
-            start_torques(lane, work)
-        contract_muscles(step_s, activation_blend, lanes, muscles, fibres, work)
-        for lane in range(lanes):
+            attachments.turn_joints(lane, fibres, work)
             add_ideal_torques(lane, state, work)
             contact.spring_forces(lane, step_s, relaxation_speed_mps, state, const, work)
             joint_stops.knee_and_ankle_stops(lane, step_s, work)
             dynamics.momentum_after_free_step(lane, step_s, 1.0, state, const, work)
-            dynamics.contact_jacobians(lane, work)
         for _ in range(CONTACT_PASSES):
             for lane in range(lanes):
                 dynamics.solve(lane, step_s, const, work)
@@ -95,11 +96,17 @@ def control(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, events: R
         gait.add_up_posture(lane, state, fibres, sums, work)
     for lane in range(lanes):
         delays.sense(lane, state, fibres, work)
-    slot_long = tick % LONG_DELAY_TICKS
-    slot_mid = tick % MID_DELAY_TICKS
-    slot_short = tick % SHORT_DELAY_TICKS
+    # A ring length a loop, and a remainder that LLVM knows the range of: else it cannot tell that
+    # the rows of different rings lie apart, and takes one lane after the other.
+    slot_long = ti.raw_mod(tick, LONG_DELAY_TICKS)
+    slot_mid = ti.raw_mod(tick, MID_DELAY_TICKS)
+    slot_short = ti.raw_mod(tick, SHORT_DELAY_TICKS)
     for lane in range(lanes):
-        delays.exchange(lane, slot_long, slot_mid, slot_short, delay, work)
+        delays.exchange_long(lane, slot_long, delay, work)
+    for lane in range(lanes):
+        delays.exchange_mid(lane, slot_mid, delay, work)
+    for lane in range(lanes):
+        delays.exchange_short(lane, slot_short, delay, work)
     for lane in range(lanes):
         reflexes.stance_weights(lane, state, work)
         reflexes.stimulate(lane, state, const, fibres, work)
@@ -108,23 +115,21 @@ def control(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, events: R
 
 
 @ti.func
-def start_torques(lane, work: Rows):
-    """Clear the sums that the muscles add to."""
-    work[Work.metabolic_power, lane] = 0.0
-    for i in ti.static(range(3 * LEGS)):
-        work[Work.joint_torque + i, lane] = 0.0
-
-
-@ti.func
-def contract_muscles(step_s, blend, lanes: Rows, muscles: Rows, fibres: Rows, work: Rows):
-    """All muscles, pair after pair: a run-time loop, since unrolling it costs compile time."""
-    for pair in range(MUSCLES_PER_LEG // 2):
-        data = muscle.constants(muscles, 2 * pair, 2)
+def contract_muscles(blend, lanes: Rows, muscles: Rows, fibres: Rows, work: Rows):
+    """All muscles, phase by phase. Run-time loops: their code is read from the nearest cache."""
+    for m in range(MUSCLES_PER_LEG):
+        data = muscle.constants(muscles, m)
         for lane in range(lanes):
-            muscle.contract(lane, 2 * pair, 2, data, step_s, blend, fibres, work)
-    last = muscle.constants(muscles, MUSCLES_PER_LEG - 1, 1)
-    for lane in range(lanes):
-        muscle.contract(lane, MUSCLES_PER_LEG - 1, 1, last, step_s, blend, fibres, work)
+            muscle.activate(lane, m, data, blend, fibres, work)
+    for _ in range(muscle.ITERATIONS):
+        for m in range(MUSCLES_PER_LEG):
+            data = muscle.constants(muscles, m)
+            for lane in range(lanes):
+                muscle.balance(lane, m, data, fibres, work)
+    for m in range(MUSCLES_PER_LEG):
+        data = muscle.constants(muscles, m)
+        for lane in range(lanes):
+            muscle.contract(lane, m, data, fibres, work)
 
 
 @ti.func

@@ -1,8 +1,7 @@
 """The walker interpreted by NumPy: the simulator's own modules, with NumPy in Taichi's place.
 
 The leaf physics has no branch on a value, so it runs as it stands on arrays of walkers: a lane
-index becomes the index array of all walkers, and a vector of quantities an array [element, walker].
-That checks the compiler, not the equations.
+index becomes the index array of all walkers. That checks the compiler, not the equations.
 """
 
 import builtins
@@ -16,8 +15,8 @@ import numpy as np
 from taichi_nmm import kernel
 
 INTERPRETED = (
-    "elementary", "kinematics", "muscle_table", "muscle", "contact", "joint_stops", "dynamics",
-    "delays", "reflexes", "swing", "gait", "walker",
+    "elementary", "kinematics", "muscle_table", "attachments", "muscle", "dynamics", "contact",
+    "joint_stops", "delays", "reflexes", "swing", "gait", "walker",
 )  # fmt: skip
 
 
@@ -35,25 +34,6 @@ def lane_range(*arguments: Any) -> Any:
     return builtins.range(*arguments)
 
 
-class Vector(np.ndarray):
-    """An array [element, walker] that knows its number of elements, as a Taichi vector does."""
-
-    @property
-    def n(self) -> int:
-        """How many elements."""
-        return self.shape[0]
-
-
-def vector(elements: list[Any]) -> Vector:
-    """Quantities side by side; numbers that are the same for all walkers make one column."""
-    columns = np.broadcast_arrays(*(np.atleast_1d(element) for element in elements))
-    return np.stack(columns).view(Vector)
-
-
-def _select(condition: Any, x: Any, y: Any) -> Vector:
-    return np.where(condition, x, y).view(Vector)
-
-
 def _cast(value: Any, dtype: Any) -> Any:
     return np.asarray(value).astype(dtype)
 
@@ -65,14 +45,15 @@ def _static(*values: Any) -> Any:
 NUMPY_TAICHI = SimpleNamespace(
     func=lambda function: function,
     static=_static,
-    select=_select,
+    select=np.where,
     max=np.maximum,
     min=np.minimum,
     floor=np.floor,
     sqrt=np.sqrt,
     cast=_cast,
+    raw_mod=np.fmod,
     bit_cast=lambda value, dtype: value.view(dtype),
-    Vector=vector,
+    Vector=list,
     i32=np.int32,
     i64=np.int64,
     f32=np.float32,

@@ -82,7 +82,7 @@ def interpreted(request: Any, step_s: float) -> NDArray[np.float64]:
             walker.step(
                 tick, settings.substeps, step_s, settings.contact_relaxation_speed_mps,
                 1.0 - np.exp(-step_s / ACTIVATION_TIME_S), 1.0 - np.exp(-step_s / LOAD_FILTER_S),
-                AllLanes(WALKERS), batch.terrain_index, heights, muscle_table(),
+                AllLanes(WALKERS), batch.terrain_index, heights, muscle_table(step_s),
                 *blocks, const, work,
             )  # fmt: skip
     return np.vstack(blocks).T

@@ -75,6 +75,21 @@ def test_another_experiment_in_the_folder(
     assert comparisons.content("out") == before
 
 
+def test_a_folder_of_version_0_1_0(comparisons: Comparisons) -> None:
+    """Its document says the version, and not yet the ground."""
+    comparisons.run("out", arms=("random",), trials=1)
+    before = comparisons.content("out")
+    file = comparisons.folder / "out" / "experiment.json"
+    document = json.loads(file.read_text())
+    del document["ground"]
+    document["versions"]["taichi-nmm"] = "0.1.0"
+    file.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=r"versions\.taichi-nmm: .* '0\.1\.0'") as caught:
+        comparisons.run("out", arms=("random",), trials=2)
+    assert "\n" not in str(caught.value)
+    assert comparisons.content("out") == before
+
+
 def test_another_store_in_the_folder(comparisons: Comparisons) -> None:
     comparisons.run("out", arms=("dog",), trials=1)
     fake_walker.write_store(comparisons.folder / "other", seed=4)

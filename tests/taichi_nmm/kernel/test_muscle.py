@@ -36,8 +36,8 @@ def inverse_force_velocity(f: float) -> float:
 def test_force_length_is_a_bell(muscle: Any) -> None:
     length = np.linspace(0.2, 1.9, 200)
     expected = np.exp(np.log(C) * np.abs((length - 1) / W) ** 3)
-    assert np.allclose(muscle.force_length(length[None, :]), expected, rtol=1e-12)
-    assert np.isclose(muscle.force_length(np.array([[1 + W]]))[0, 0], C)
+    assert np.allclose(muscle.force_length(length), expected, rtol=1e-12)
+    assert np.isclose(muscle.force_length(np.array([1 + W]))[0], C)
 
 
 def quotient(muscle: Any, v: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -55,25 +55,33 @@ def test_force_velocity_is_the_published_curve_and_joins(muscle: Any) -> None:
     assert np.allclose(just_below, [1.0, N])
 
 
-def isometric(muscle: Any, m: int, angles: NDArray[np.float64], activation: float) -> Any:
+def isometric(m: int, angles: NDArray[np.float64], activation: float) -> Any:
     """Contract muscle m at fixed joint angles (hip, knee, ankle) until it rests."""
-    rows = interpreted_rows(angles)
-    fibres, work = rows
     from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Muscle
-    from taichi_nmm.kernel.muscle_table import T_OPTIMAL, T_SLACK, muscle_table
+    from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, muscle_table, unit_lengths
 
-    data = muscle_table()[m]
-    unit = unit_length(data, angles)
+    walker, lane = interpreted_walker(), np.arange(1)
+    muscle = walker.muscle
+    fibres, work = interpreted_rows(angles)
+    data = list(MUSCLE_DATA.values())[m]
+    unit = unit_lengths(*angles)[m]
     for i in (m, m + MUSCLES_PER_LEG):
         fibres[Muscle.activation + i] = fibres[Muscle.stimulation + i] = activation
-        fibres[Muscle.length + i] = (unit - data[T_SLACK]) / data[T_OPTIMAL]
-    lane, constants = np.arange(1), muscle.constants(muscle_table(), m, 1)
+        fibres[Muscle.length + i] = (unit - data.slack_length_m) / data.optimal_length_m
+    constants = muscle.constants(muscle_table(1e-3), m)
+    walker.attachments.stretch_tendons(lane, work)
+    relaxed = work.copy()
     for _ in range(3000):
-        muscle.contract(lane, m, 1, constants, 1e-3, 1 - np.exp(-0.1), fibres, work)
-    return unit, fibres[Muscle.length + m, 0], fibres[Muscle.force + m, 0]
+        muscle.activate(lane, m, constants, 1 - np.exp(-0.1), fibres, work)
+        for _ in range(muscle.ITERATIONS):
+            muscle.balance(lane, m, constants, fibres, work)
+        muscle.contract(lane, m, constants, fibres, work)
+        work[:] = relaxed
+    return data, unit, fibres[Muscle.length + m, 0], fibres[Muscle.force + m, 0]
 
 
 def interpreted_rows(angles: NDArray[np.float64]) -> tuple[Any, Any]:
+    """Rows of muscles, and of `Work` with both legs at these joint angles; one walker."""
     from taichi_nmm.kernel.layout import Muscle, Work
 
     fibres, work = np.zeros((Muscle.count, 1)), np.zeros((Work.count, 1))
@@ -83,34 +91,12 @@ def interpreted_rows(angles: NDArray[np.float64]) -> tuple[Any, Any]:
     return fibres, work
 
 
-def data_lengths(m: int) -> tuple[float, float]:
-    """Optimal fibre and tendon slack length of muscle m, m."""
-    from taichi_nmm.kernel.muscle_table import T_OPTIMAL, T_SLACK, muscle_table
-
-    return float(muscle_table()[m, T_OPTIMAL]), float(muscle_table()[m, T_SLACK])
-
-
-def unit_length(data: NDArray[np.float64], angles: NDArray[np.float64]) -> float:
-    from taichi_nmm.kernel import muscle_table as real
-
-    hip, knee, ankle = angles
-    return float(
-        data[real.T_LENGTH]
-        + data[real.T_HIP_SLOPE] * hip
-        + data[real.T_KNEE_SINE] * np.sin(knee)
-        + data[real.T_KNEE_COSINE] * np.cos(knee)
-        + data[real.T_ANKLE_SINE] * np.sin(ankle)
-        + data[real.T_ANKLE_COSINE] * np.cos(ankle)
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("m", range(len(MUSCLES)), ids=MUSCLES)
 @pytest.mark.parametrize("activation", [0.05, 0.5, 1.0])
-def test_isometric_force_solves_the_static_balance(muscle: Any, m: int, activation: float) -> None:
-    angles = np.deg2rad([-10.0, 15.0, 0.0])
-    unit, length, force = isometric(muscle, m, angles, activation)
-    optimal, slack = data_lengths(m)
+def test_isometric_force_solves_the_static_balance(m: int, activation: float) -> None:
+    data, unit, length, force = isometric(m, np.deg2rad([-10.0, 15.0, 0.0]), activation)
+    optimal, slack = data.optimal_length_m, data.slack_length_m
 
     def balance(x: float) -> float:
         tendon = max((unit - x * optimal) / slack - 1, 0.0) / REFERENCE
@@ -133,7 +119,7 @@ def test_quick_release_moves_at_the_inverse_of_the_force_velocity_curve(
     length, activation = 0.9, 1.0
     capacity = activation * np.exp(np.log(C) * abs((length - 1) / W) ** 3)
     problem = [np.array([x]) for x in (0.0, np.sqrt(tendon_force), 0.0, 0.0, 0.0, capacity)]
-    v = muscle.fibre_velocity(*problem)
+    v = convergence.fibre_speed(muscle, problem, muscle.ITERATIONS)
     assert v[0] == pytest.approx(inverse_force_velocity(tendon_force / capacity), abs=1e-9)
 
 
@@ -141,11 +127,11 @@ def test_tension_and_its_derivatives(muscle: Any) -> None:
     """A tendon that goes slack and a buffer that lets go within the range."""
     v = np.linspace(-1.0, 3.0, 2001)
     lines = (0.1, 0.08, 0.02, 0.04)
-    force, fall, bend = muscle.tension(v, *lines)
-    assert (np.diff(force) <= 0).all() and (fall >= 0).all()
+    force, half_fall, bend = muscle.tension(v, *lines)
+    assert (np.diff(force) <= 0).all() and (half_fall >= 0).all()
     assert np.isclose(force[0], 0.18**2 + 0.06**2) and force[-1] == 0.0
     step = v[1] - v[0]
-    assert np.allclose(fall[1:-1], (force[:-2] - force[2:]) / (2 * step), atol=1e-4)
+    assert np.allclose(2 * half_fall[1:-1], (force[:-2] - force[2:]) / (2 * step), atol=1e-4)
     smooth = np.abs(v[:, None] - [0.5, 1.25]).min(axis=1) > 2 * step
     second = (force[2:] - 2 * force[1:-1] + force[:-2]) / step**2
     assert np.allclose(2 * bend[1:-1][smooth[1:-1]], second[smooth[1:-1]], atol=1e-6)
@@ -165,32 +151,45 @@ def test_fibre_speed_converges_on_walking_states() -> None:
     assert convergence.errors(problem, convergence.CONVERGED).max() < convergence.TOLERANCE
 
 
-def test_signed_arms_and_lengths_follow_the_table(muscle: Any) -> None:
-    """The signed arm is minus the slope of the unit's length over rho (rho scales length only)."""
-    from taichi_nmm.kernel import muscle_table as real
+@pytest.mark.parametrize("joint", range(3), ids=["hip", "knee", "ankle"])
+def test_torques_do_the_work_of_the_lengths(joint: int) -> None:
+    """A torque is minus the length's slope times Fmax over rho (rho scales length only)."""
+    from taichi_nmm.kernel.layout import Muscle, Work
+    from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, unit_lengths
 
-    table = real.muscle_table()
-    step = 1e-6
-    joints = {"knee": 1, "ankle": 2}
-    torques = {"knee": real.T_KNEE_TORQUE_COSINE, "ankle": real.T_ANKLE_TORQUE_COSINE}
-    for row, (_name, data) in zip(table, real.MUSCLE_DATA.items(), strict=True):
-        for joint, index in joints.items():
-            attachment = getattr(data, joint)
-            if attachment is None:
-                continue
-            angles = np.deg2rad([-10.0, 25.0, 5.0])
-            up, down = angles.copy(), angles.copy()
-            up[index] += step
-            down[index] -= step
-            slope = (unit_length(row, up) - unit_length(row, down)) / (2 * step)
-            cosine, angle = torques[joint], angles[index]
-            torque = row[cosine] * np.cos(angle) + row[cosine + 1] * np.sin(angle)
-            arm = torque / data.fmax_n
-            assert slope == pytest.approx(-attachment.pennation * arm, abs=1e-8)
+    attachments, step = interpreted_walker().attachments, 1e-6
+    angles = np.deg2rad([-10.0, 25.0, 5.0])
+    turn = step * np.eye(3)[joint]
+    slopes = (unit_lengths(*(angles + turn)) - unit_lengths(*(angles - turn))) / (2 * step)
+    for m, (data, slope) in enumerate(zip(MUSCLE_DATA.values(), slopes, strict=True)):
+        fibres, work = interpreted_rows(angles)
+        fibres[Muscle.force + m] = 1.0
+        attachments.turn_joints(np.arange(1), fibres, work)
+        attachment = (data.hip, data.knee, data.ankle)[joint]
+        pennation = 1.0 if attachment is None else attachment.pennation
+        torque_nm = work[Work.joint_torque + joint, 0]
+        assert torque_nm == pytest.approx(-slope * data.fmax_n / pennation, abs=1e-4)
+        assert (attachment is None) == (torque_nm == 0.0)
+    assert not work[Work.joint_torque + 3 : Work.joint_torque + 6].any()  # the other leg's
+
+
+def test_strains_follow_the_lengths() -> None:
+    """Of each tendon over its reference, at fibre length 0."""
+    from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Work
+    from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, unit_lengths
+
+    angles = np.deg2rad([-10.0, 25.0, 5.0])
+    _fibres, work = interpreted_rows(angles)
+    interpreted_walker().attachments.stretch_tendons(np.arange(1), work)
+    slack = np.array([data.slack_length_m for data in MUSCLE_DATA.values()])
+    expected = (unit_lengths(*angles) / slack - 1.0) / REFERENCE
+    for leg in range(2):
+        first = Work.strain + MUSCLES_PER_LEG * leg
+        assert np.allclose(work[first : first + MUSCLES_PER_LEG, 0], expected, rtol=1e-12)
 
 
 def test_metabolic_rate_is_continuous_and_positive(muscle: Any) -> None:
     v = np.linspace(-1.0, 1.0, 401)
-    rate = muscle.metabolic_rate(v[None, :])[0]
+    rate = muscle.metabolic_rate(v)
     assert (rate > 0).all()
     assert rate[200] == pytest.approx(0.07, abs=1e-12)  # 0.01 + 0.06, and 0.23 - 0.16
