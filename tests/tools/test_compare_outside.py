@@ -57,12 +57,12 @@ def test_the_document_has_the_problem_its_arms_and_its_tests(folder: Path) -> No
 
 @pytest.mark.slow
 def test_every_arm_shows_costs_of_the_pool(folder: Path) -> None:
-    problem = outside_problem(PROBLEM)
     for arm in RUN_ARMS:
         for seed in range(SEEDS):
             costs = kept(folder, arm, seed)["costs"]
             assert len(costs) == TRIALS
-            assert set(costs) <= set(problem.cost.tolist())
+            assert set(costs) <= set(outside_problem(PROBLEM).drawn(seed).cost.tolist())
+    problem = outside_problem(PROBLEM).drawn(1)
     first = problem.cost[rows_by_ranking(problem, 1)]
     np.testing.assert_array_equal(kept(folder, "ranking", 1)["costs"], first[:TRIALS])
     np.testing.assert_array_equal(kept(folder, "tpe-ranking", 1)["costs"][:3], first[:3])
@@ -91,6 +91,17 @@ def test_other_numbers_are_other_runs(folder: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(tool, "digest", lambda _: "other")
     tool.code_of.cache_clear()
     assert not run_cache.is_current(tool.Run(PROBLEM, "random", 0, TRIALS), folder / "cache")
+
+
+def test_a_seed_draws_half_of_the_pool() -> None:
+    whole = outside_problem(PROBLEM)
+    one, again, other = whole.drawn(1), whole.drawn(1), whole.drawn(2)
+    assert (
+        len(one) == len(whole) // 2 == len(one.features) == len(one.columns[next(iter(one.space))])
+    )
+    np.testing.assert_array_equal(one.cost, again.cost)
+    assert set(one.cost) <= set(whole.cost)
+    assert set(one.cost) != set(other.cost)
 
 
 def test_ties_of_the_ranking_are_broken_by_the_seed_and_nothing_else() -> None:
