@@ -23,6 +23,7 @@ from taichi_nmm.terrain import Terrain
 
 if TYPE_CHECKING:
     from taichi_nmm.forward import forward_dynamics
+    from taichi_nmm.controller import Controller, Muscles, Sensed
     from taichi_nmm.simulator import simulate
 
 __version__ = "0.2.0"
@@ -34,8 +35,11 @@ __all__ = [
     "K_T",
     "LOW_LEVEL_GAINS",
     "Bodies",
+    "Controller",
     "InputError",
+    "Muscles",
     "Result",
+    "Sensed",
     "Settings",
     "Terrain",
     "Trajectory",
@@ -48,6 +52,9 @@ __all__ = [
 ]
 
 _NEEDS_TAICHI = {
+    "Controller": "taichi_nmm.controller",
+    "Muscles": "taichi_nmm.controller",
+    "Sensed": "taichi_nmm.controller",
     "forward_dynamics": "taichi_nmm.forward",
     "simulate": "taichi_nmm.simulator",
 }

@@ -10,7 +10,7 @@ import numpy as np
 
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table
-from taichi_nmm.settings import Settings
+from taichi_nmm.settings import ENGINES, MujocoSettings, Settings
 from taichi_nmm.terrain import Ground, Terrain, read_ground
 
 MOST_DISTURBANCE = 0.9  # of a configuration; beyond it masses come near zero
@@ -96,14 +96,33 @@ def read_settings(table: Table, arch: str | None = None) -> Settings:
     """`Settings` from the table [simulation], less its other keys; `arch` overrides the file's."""
     configured = table.text("arch", "auto")
     default = Settings()
+    own: dict[str, Any] = {}
+    engine = table.text("engine", default.engine, ENGINES)
+    if engine == "mujoco":
+        own["mujoco"] = _read_mujoco(table.table("mujoco"))
+    else:
+        own["contact_relaxation_speed_mps"] = table.number(
+            "contact_relaxation_speed_mps", default.contact_relaxation_speed_mps
+        )
     return Settings(
         physics_step_s=table.number("physics_step_s", default.physics_step_s),
-        contact_relaxation_speed_mps=table.number(
-            "contact_relaxation_speed_mps", default.contact_relaxation_speed_mps
-        ),
         precision=table.text("precision", default.precision),
+        engine=engine,
         arch=arch or configured,
+        **own,
     )
+
+
+def _read_mujoco(table: Table) -> MujocoSettings:
+    """The table [simulation.mujoco]. Reads every key."""
+    default = MujocoSettings()
+    settings = MujocoSettings(
+        time_constant_s=table.number("time_constant_s", default.time_constant_s),
+        damping_ratio=table.number("damping_ratio", default.damping_ratio),
+        limits=table.text("limits", default.limits),
+    )
+    table.done()
+    return settings
 
 
 def read_disturbance(table: Table) -> float:

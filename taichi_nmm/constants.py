@@ -1,4 +1,4 @@
-"""The rows of a walker that no step writes: its gains, and its body's coefficients."""
+"""What no step writes: a walker's gains, its body's coefficients, and how far filters go a step."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,6 +6,8 @@ from numpy.typing import NDArray
 from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
 from taichi_nmm.kernel.contact import STATIC_DEFLECTION_M
 from taichi_nmm.kernel.layout import GAIN_ROWS, LEGS, LOW_LEVEL_ROWS, Const
+from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
+from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
 from taichi_nmm.parameters import LOW_LEVEL_NAMES
 from taichi_nmm.settings import CONTROL_TICK_S
 
@@ -58,3 +60,8 @@ def leg_coefficients(
         ]
     )
     return a, b
+
+
+def blends(step_s: float) -> tuple[float, float]:
+    """What a physics step takes of the way to a new activation, and of the loads' low pass."""
+    return 1.0 - np.exp(-step_s / ACTIVATION_TIME_S), 1.0 - np.exp(-step_s / LOAD_FILTER_S)

@@ -38,8 +38,9 @@ JOINTS_RAD = np.deg2rad([[-5.0, 5.0, -5.0], [-30.0, 5.0, 0.0]])  # hip, knee, an
 def initial_rows(terrain: Terrain) -> NDArray[np.float64]:
     """State, muscles, delays, gait memory and (empty) sums of a walker on this terrain, [rows]."""
     state = _state(terrain)
-    fibres = _fibres()
-    delay = _delays(state, fibres)
+    fibres = relaxed_fibres(JOINTS_RAD)
+    stance = state[State.stance_before : State.stance_before + LEGS]
+    delay = filled_delays(first_signals(fibres, JOINTS_RAD[:, 1], stance))
     events = np.zeros(Gait.count)
     events[Gait.in_stance] = 1.0
     events[Gait.last_strike_tick] = -1.0
@@ -88,28 +89,38 @@ def _state(terrain: Terrain) -> NDArray[np.float64]:
     return state
 
 
-def _fibres() -> NDArray[np.float64]:
-    """Relaxed muscles with slack tendons: the fibre takes the unit's length less the slack."""
+def relaxed_fibres(joints_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows of `Muscle` of relaxed muscles: the fibre takes the unit's length less the slack.
+
+    Hip, knee and ankle of both legs, [2, 3].
+    """
     fibres = np.zeros(Muscle.count)
     fibres[Muscle.activation : Muscle.activation + MUSCLE_COUNT] = ACTIVATION_FLOOR
     fibres[Muscle.stimulation : Muscle.stimulation + MUSCLE_COUNT] = ACTIVATION_FLOOR
     slack_m = np.array([data.slack_length_m for data in MUSCLE_DATA.values()])
     optimal_m = np.array([data.optimal_length_m for data in MUSCLE_DATA.values()])
-    for leg, joints_rad in enumerate(JOINTS_RAD):
+    for leg, angles_rad in enumerate(joints_rad):
         first = Muscle.length + MUSCLES_PER_LEG * leg
-        fibres[first : first + MUSCLES_PER_LEG] = (unit_lengths(*joints_rad) - slack_m) / optimal_m
+        fibres[first : first + MUSCLES_PER_LEG] = (unit_lengths(*angles_rad) - slack_m) / optimal_m
     return fibres
 
 
-def _delays(state: NDArray[np.float64], fibres: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows of `Delay`: rings in which every slot holds the signal of the first tick."""
-    sample = np.zeros(Signal.count)
+def first_signals(
+    fibres: NDArray[np.float64], knees_rad: NDArray[np.float64], stance: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Rows of `Signal` at rest: fibres, knee angles [2] and stance flags [2]; the others zero."""
+    signals = np.zeros(Signal.count)
     for leg in range(LEGS):
         length_ta = fibres[Muscle.length + MUSCLES_PER_LEG * leg + TA]
-        sample[Signal.length_ta + leg] = max(length_ta - TA_LENGTH_OFFSET, 0.0)
-        sample[Signal.knee + leg] = JOINTS_RAD[leg, 1]
-        sample[Signal.stance + leg] = state[State.stance_before + leg]
-    long, mid, short = np.split(sample, [LONG_SIGNALS, LONG_SIGNALS + MID_SIGNALS])
+        signals[Signal.length_ta + leg] = max(length_ta - TA_LENGTH_OFFSET, 0.0)
+    signals[Signal.knee : Signal.knee + LEGS] = knees_rad
+    signals[Signal.stance : Signal.stance + LEGS] = stance
+    return signals
+
+
+def filled_delays(signals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows of `Delay`: rings in which every slot holds the signal of the first tick."""
+    long, mid, short = np.split(signals, [LONG_SIGNALS, LONG_SIGNALS + MID_SIGNALS])
     rings = np.concatenate(
         [
             np.repeat(long, LONG_DELAY_TICKS),

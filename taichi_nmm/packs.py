@@ -31,35 +31,35 @@ class Packs:
     ) -> None:
         self.lanes = lanes
         self.walkers = np.arange(len(rows))
-        self.rows = self._fold(rows.astype(real))
-        self.constants = self._fold(constants.astype(real))
-        self.terrains = self._fold(terrains[:, None])[:, 0, :].copy()
+        self.rows = self.fold(rows.astype(real))
+        self.constants = self.fold(constants.astype(real))
+        self.terrains = self.fold(terrains[:, None])[:, 0, :].copy()
         self._final = np.zeros((len(rows), State.count))
         self._sums = np.zeros((len(rows), Sums.count))
 
     @property
     def active(self) -> int:
         """How many walkers have neither fallen nor diverged."""
-        return int(np.count_nonzero(self._still_up()))
+        return int(np.count_nonzero(self.up()))
 
     def drain(self) -> None:
         """Move the kernel's sums into float64 totals, so that long walks lose no digits."""
-        sums = self._unfold(self.rows[:, FIRST_SUM:, :])
+        sums = self.unfold(self.rows[:, FIRST_SUM:, :])
         self._sums[self.walkers] += sums
         self.rows[:, FIRST_SUM:, :] = 0.0
 
     def compact(self) -> None:
         """Let the walkers that have ended go once they leave enough lanes idle."""
-        up = self._still_up()
+        up = self.up()
         if np.count_nonzero(up) > FULL_ENOUGH * len(up):
             return
         self._keep_final(~up)
-        rows, constants = self._unfold(self.rows)[up], self._unfold(self.constants)[up]
-        terrains = self._unfold(self.terrains[:, None, :])[up]
+        rows, constants = self.unfold(self.rows)[up], self.unfold(self.constants)[up]
+        terrains = self.unfold(self.terrains[:, None, :])[up]
         self.walkers = self.walkers[up]
-        self.rows = self._fold(rows)
-        self.constants = self._fold(constants)
-        self.terrains = self._fold(terrains)[:, 0, :].copy()
+        self.rows = self.fold(rows)
+        self.constants = self.fold(constants)
+        self.terrains = self.fold(terrains)[:, 0, :].copy()
 
     def collect(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Final state rows [n, State.count] and summed rows [n, Sums.count] of every walker."""
@@ -73,21 +73,21 @@ class Packs:
             return None
         return divmod(position, self.lanes)
 
-    def _still_up(self) -> NDArray[np.bool_]:
-        return self._unfold(self.rows[:, State.active : State.active + 1, :])[:, 0] > 0.5
+    def up(self) -> NDArray[np.bool_]:
+        return self.unfold(self.rows[:, State.active : State.active + 1, :])[:, 0] > 0.5
 
     def _keep_final(self, which: NDArray[np.bool_]) -> None:
-        final = self._unfold(self.rows[:, : State.count, :])
+        final = self.unfold(self.rows[:, : State.count, :])
         self._final[self.walkers[which]] = final[which]
 
-    def _fold(self, flat: NDArray[Any]) -> NDArray[Any]:
+    def fold(self, flat: NDArray[Any]) -> NDArray[Any]:
         """[n, row] to [pack, row, lane]; the last pack is filled up with its last walker."""
         count = -(-len(flat) // self.lanes) * self.lanes
         padded = flat[np.minimum(np.arange(count), len(flat) - 1)] if len(flat) else flat
         folded = padded.reshape(-1, self.lanes, flat.shape[1]).transpose(0, 2, 1)
         return np.ascontiguousarray(folded)
 
-    def _unfold(self, folded: NDArray[Any]) -> NDArray[Any]:
+    def unfold(self, folded: NDArray[Any]) -> NDArray[Any]:
         """[pack, row, lane] to [n, row], without the fill."""
         flat = folded.transpose(0, 2, 1).reshape(-1, folded.shape[1])
         return flat[: len(self.walkers)]

@@ -6,20 +6,20 @@ batch, on its order, on the chunks or on the number of threads.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from taichi_nmm.body import Bodies
-from taichi_nmm.constants import constant_rows
+from taichi_nmm.constants import blends, constant_rows
 from taichi_nmm.errors import InputError
 from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.entry_points import advance
 from taichi_nmm.kernel.layout import FIRST_SUM, WALKER_ROWS
-from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
 from taichi_nmm.kernel.muscle_table import muscle_table
-from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
+from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.outcome import result_rows
 from taichi_nmm.packs import Packs
 from taichi_nmm.recorder import Recorder
@@ -32,6 +32,8 @@ CHUNK_TICKS = 250  # 0.25 s: fallen walkers leave the packs this often
 LONGEST_WALK_S = 10_000.0  # ticks stay whole numbers in float32
 
 Progress = Callable[[float, int], None]
+Launch = Callable[[Packs, int, int], None]
+"""Advances packs from a first control tick by so many."""
 
 
 def simulate(
@@ -70,9 +72,7 @@ def simulate(
     batch = check_batch(gains, bodies, terrains, terrain_index, low_level_gains)
     ticks = _ticks(duration_s)
     recorder = Recorder(record, record_rate_hz, len(batch))
-    backend.start(settings)
-    packs = start_packs(batch)
-    launch = launcher(batch, settings)
+    launch, packs, engine = _start(batch, settings)
     tick = 0
     while tick < ticks and packs.walkers.size:
         for part in recorder.parts(tick, min(CHUNK_TICKS, ticks - tick)):
@@ -85,7 +85,20 @@ def simulate(
         packs.compact()
     final, sums = packs.collect()
     rows = result_rows(final, sums, batch.bodies, duration_s)
-    return Result(rows, recorder.trajectories(rows), backend.metadata())
+    return Result(rows, recorder.trajectories(rows), engine())
+
+
+def _start(batch: Batch, settings: Settings) -> tuple[Launch, Packs, Callable[[], dict[str, Any]]]:
+    """What advances the walkers, they themselves at the start, and what says how it is done."""
+    if settings.engine == "mujoco":
+        require_mujoco()
+        from taichi_nmm.mujoco_engine import engine
+
+        backend.start(settings.on_processor())
+        packs = start_packs(batch)
+        return engine.launcher(batch, settings, packs), packs, lambda: engine.metadata(settings)
+    backend.start(settings)
+    return launcher(batch, settings), start_packs(batch), backend.metadata
 
 
 def _ticks(duration_s: float) -> int:
@@ -103,21 +116,19 @@ def start_packs(batch: Batch) -> Packs:
     return Packs(rows, constants, batch.terrain_index, backend.lanes(), backend.real_dtype())
 
 
-def launcher(batch: Batch, settings: Settings) -> Callable[[Packs, int, int], None]:
+def launcher(batch: Batch, settings: Settings) -> Launch:
     """The kernel with everything that stays the same from launch to launch."""
     real = backend.real_dtype()
     heights = np.array([terrain.height_m for terrain in batch.terrains], dtype=real)
     step_s = settings.physics_step_s
     muscles = muscle_table(step_s).astype(real)
-    activation_blend = 1.0 - np.exp(-step_s / ACTIVATION_TIME_S)
-    load_blend = 1.0 - np.exp(-step_s / LOAD_FILTER_S)
 
     def launch(packs: Packs, first_tick: int, ticks: int) -> None:
         backend.launch(
             advance,
             packs.lanes, packs.rows, packs.constants, packs.terrains, heights, muscles,
             first_tick, ticks, settings.substeps, step_s,
-            settings.contact_relaxation_speed_mps, activation_blend, load_blend,
+            settings.contact_relaxation_speed_mps, *blends(step_s),
         )  # fmt: skip
 
     return launch

@@ -26,7 +26,9 @@ from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import Settings
 
-__all__ = ["Array", "Rows", "is_double", "lanes", "launch", "metadata", "real_dtype", "start", "ti"]
+__all__ = [
+    "Array", "BoundKernel", "Rows", "is_double", "lanes", "launch", "metadata", "real_dtype", "start", "ti",
+]  # fmt: skip
 
 LANES_CPU = 8  # float32 lanes of a 256-bit register; measured against 1, 4, 16 by tools/bench.py
 LANES_GPU = 1  # a thread is a walker
@@ -54,6 +56,7 @@ else:
 _running: Settings | None = None
 _arch = "cpu"
 _compiled: set[str] = set()
+_session = 0  # how often Taichi was initialised; what was bound in an earlier one is gone
 
 
 def start(settings: Settings) -> None:
@@ -64,11 +67,12 @@ def start(settings: Settings) -> None:
     Raises:
         InputError: the architecture asked for is not on this machine.
     """
-    global _running, _arch
+    global _running, _arch, _session
     if _running is not None and _same_engine(_running, settings):
         return
     _require_main_thread()
     _compiled.clear()
+    _session += 1
     for arch in _candidates(settings.arch):
         if _initialise(arch, settings):
             _running = settings
@@ -97,6 +101,65 @@ def launch(kernel: Callable[..., None], *arguments: Any) -> None:
         allowed = f"a device that runs the kernel ({' '.join(str(error).split())})"
         raise InputError("simulation.arch", _arch, allowed) from error
     _compiled.add(kernel.__name__)
+
+
+class BoundKernel:
+    """A kernel whose arrays stay the same from launch to launch: only whole numbers change.
+
+    Taichi looks at every argument of every launch, which takes longer than a control tick of some
+    walkers. Here that happens once; the arrays must stay contiguous, where they are.
+    """
+
+    def __init__(self, kernel: Callable[..., None], *arguments: Any) -> None:
+        """Bind a kernel, compiling it where it is new; nothing is launched.
+
+        Raises:
+            InputError: as `launch`.
+        """
+        if kernel.__name__ not in _compiled:
+            _require_main_thread()
+        self._session = _session
+        self._arguments = arguments  # the arrays must outlive the launches
+        primal = kernel._primal  # type: ignore[attr-defined]
+        function = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
+        self._program = ti.lang.impl.get_runtime().prog
+        self._context = function.make_launch_context()
+        self._slots: dict[str, tuple[int]] = {}
+        slot = 0
+        for argument, value in zip(primal.arguments, arguments, strict=True):
+            if argument.annotation is Rows:
+                continue
+            self._slots[argument.name] = (slot,)
+            self._set(argument.name, value)
+            slot += 1
+        self._compiled = self._program.compile_kernel(
+            self._program.config(), self._program.get_device_caps(), function
+        )
+        _compiled.add(kernel.__name__)
+
+    @property
+    def stale(self) -> bool:
+        """Whether Taichi was started again since, with other settings."""
+        return self._session != _session
+
+    def launch(self, **numbers: int) -> None:
+        """Run the kernel with these whole numbers in place of those it was bound with."""
+        assert not self.stale
+        for name, value in numbers.items():
+            self._context.set_arg_int(self._slots[name], value)
+        self._program.launch_kernel(self._compiled, self._context)
+
+    def _set(self, name: str, value: Any) -> None:
+        slot = self._slots[name]
+        if isinstance(value, np.ndarray):
+            assert value.flags.c_contiguous
+            self._context.set_arg_external_array_with_shape(
+                slot, int(value.ctypes.data), value.nbytes, value.shape, 0
+            )
+        elif isinstance(value, int):
+            self._context.set_arg_int(slot, value)
+        else:
+            self._context.set_arg_float(slot, float(value))
 
 
 def _require_main_thread() -> None:

@@ -8,7 +8,7 @@ from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.dynamics import point_velocity
 from taichi_nmm.kernel.elementary import larger, smaller
-from taichi_nmm.kernel.layout import CONTACTS, Const, State, Work
+from taichi_nmm.kernel.layout import CONTACTS, LEGS, Const, State, Work
 from taichi_nmm.terrain import GRID_NODES, GRID_SPACING_M, GRID_START_M
 
 STATIC_DEFLECTION_M = 0.01  # Geyer & Herr 2010: kn = M g / this; kt the same, as in the walker T
@@ -58,13 +58,21 @@ def ground_under(lane, p: Rows, work: Rows):
 
 
 @ti.func
-def gaps(lane, state: Rows, work: Rows):
-    """Depth of each point along the ground's normal; a fresh touch-down sets the anchor."""
+def ground_heights(lane, work: Rows):
+    """Height of the ground under hip and contact points, and its slope under the latter."""
     height_hip, _slope_hip = ground_under(lane, CONTACTS, work)
     work[Work.ground_hip, lane] = height_hip
     for c in ti.static(range(CONTACTS)):
         height, slope = ground_under(lane, c, work)
         work[Work.ground + c, lane] = height
+        work[Work.slope + c, lane] = slope
+
+
+@ti.func
+def gaps(lane, state: Rows, work: Rows):
+    """Depth of each point along the ground's normal; a fresh touch-down sets the anchor."""
+    for c in ti.static(range(CONTACTS)):
+        height, slope = work[Work.ground + c, lane], work[Work.slope + c, lane]
         cosine = 1.0 / ti.sqrt(1.0 + slope * slope)
         gap = (height - work[Work.point_z + c, lane]) * cosine
         work[Work.gap + c, lane] = gap
@@ -120,6 +128,22 @@ def drag_anchors(lane, step_s, state: Rows, const: Rows, work: Rows):
         slips = (work[Work.slip + c, lane] != 0.0) | (work[Work.normal_on + c, lane] == 0.0)
         state[State.anchor_x + c, lane] = ti.select(slips, new_x, state[State.anchor_x + c, lane])
         state[State.anchor_z + c, lane] = ti.select(slips, new_z, state[State.anchor_z + c, lane])
+
+
+@ti.func
+def add_up_legs(lane, state: Rows, work: Rows):
+    """Ground force x, z of each leg: of its heel and ball together."""
+    for leg in ti.static(range(LEGS)):
+        force_x = 0.0
+        force_z = 0.0
+        for end in ti.static(range(2)):
+            c = ti.static(2 * leg + end)
+            normal, friction = work[Work.normal_force + c, lane], work[Work.friction + c, lane]
+            nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
+            force_x += normal * nx + friction * nz
+            force_z += normal * nz - friction * nx
+        state[State.ground_force + 2 * leg, lane] = force_x
+        state[State.ground_force + 2 * leg + 1, lane] = force_z
 
 
 @ti.func

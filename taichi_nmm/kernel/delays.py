@@ -55,6 +55,21 @@ def sense(lane, state: Rows, muscle: Rows, work: Rows):
 
 
 @ti.func
+def slot_row(signal: Rows, tick):
+    """The row of a signal's ring that a tick exchanges."""
+    row = 0
+    if ti.static(signal < LONG_SIGNALS):
+        row = Delay.long + signal * LONG_DELAY_TICKS + ti.raw_mod(tick, LONG_DELAY_TICKS)
+    elif ti.static(signal < LONG_SIGNALS + MID_SIGNALS):
+        ring = ti.static(signal - LONG_SIGNALS)
+        row = Delay.mid + ring * MID_DELAY_TICKS + ti.raw_mod(tick, MID_DELAY_TICKS)
+    else:
+        ring = ti.static(signal - LONG_SIGNALS - MID_SIGNALS)
+        row = Delay.short + ring * SHORT_DELAY_TICKS + ti.raw_mod(tick, SHORT_DELAY_TICKS)
+    return row
+
+
+@ti.func
 def exchange_long(lane, slot, delay: Rows, work: Rows):
     """Put the present signals of 20 ms into their rings and take the delayed ones out, in place."""
     for i in ti.static(range(LONG_SIGNALS)):

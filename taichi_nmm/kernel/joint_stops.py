@@ -40,6 +40,16 @@ def knee_and_ankle_stops(lane, step_s, work: Rows):
 
 
 @ti.func
+def hip_stops(lane, work: Rows):
+    """Add the explicit torque of the extension stop to both hips' torques."""
+    for leg in ti.static(range(LEGS)):
+        hip = ti.static(3 * leg)
+        work[Work.joint_torque + hip, lane] += hip_stop_torque(
+            work[Work.joint + hip, lane], work[Work.joint_rate + hip, lane]
+        )
+
+
+@ti.func
 def hip_stop_torque(angle, rate):
     """Explicit torque of the hip's extension stop."""
     excess = larger(angle - HIP_EXTENSION_LIMIT_RAD, 0.0)

@@ -98,6 +98,7 @@ Work = blocks(
     height_left=CONTACTS + 1,  # of the ground at the cell's ends, m
     height_right=CONTACTS + 1,
     ground=CONTACTS,  # ground height under a contact point
+    slope=CONTACTS,  # of the ground there
     ground_hip=1,
     gap=CONTACTS,  # depth in the ground along its normal
     normal_x=CONTACTS,
@@ -152,6 +153,31 @@ Delay = blocks(
     long=LONG_SIGNALS * LONG_DELAY_TICKS,
     mid=MID_SIGNALS * MID_DELAY_TICKS,
     short=SHORT_SIGNALS * SHORT_DELAY_TICKS,
+)
+
+# What a controller senses of a body that is not this simulator's (`kernel.controller`).
+Sense = blocks(
+    angle=SEGMENT_COUNT,
+    rate=SEGMENT_COUNT,
+    contact=LEGS,
+    load=LEGS,  # vertical ground force, N
+    leg_length=LEGS,
+    leg_angle=LEGS,
+    com_ahead=LEGS,  # of each ankle, horizontally
+    com_speed=1,
+)
+
+# What this simulator hands to another engine for a physics step, and what comes back (`carried`).
+Drive = blocks(
+    joint_torque=3 * LEGS,
+    metabolic_power=1,  # W
+    ground_hip=1,
+)
+Motion = blocks(
+    q=COORDINATES,
+    qdot=COORDINATES,
+    touching=LEGS,
+    ground_force=2 * LEGS,
 )
 
 # Gait events: what a leg remembers of its step (`Gait`), and sums that the host drains (`Sums`).

@@ -59,6 +59,7 @@ def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_bl
         for lane in range(lanes):
             contact.read_terrain(lane, terrain[lane], heights, work)
         for lane in range(lanes):
+            contact.ground_heights(lane, work)
             contact.gaps(lane, state, work)
         if substep == 0:
             control(tick, lanes, state, fibres, delay, events, sums, const, work)
@@ -66,6 +67,7 @@ def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_bl
         for lane in range(lanes):
             attachments.turn_joints(lane, fibres, work)
             add_ideal_torques(lane, state, work)
+            joint_stops.hip_stops(lane, work)
             contact.spring_forces(lane, step_s, relaxation_speed_mps, state, const, work)
             joint_stops.knee_and_ankle_stops(lane, step_s, work)
             dynamics.momentum_after_free_step(lane, step_s, 1.0, state, const, work)
@@ -77,7 +79,8 @@ def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_bl
                 break
         for lane in range(lanes):
             contact.drag_anchors(lane, step_s, state, const, work)
-            weigh_legs(lane, load_blend, state, const, work)
+            contact.add_up_legs(lane, state, work)
+            filter_loads(lane, load_blend, state, const)
             gait.add_up_forces(lane, step_s, state, sums, work)
             dynamics.step_coordinates(lane, step_s, state, work)
     for lane in range(lanes):
@@ -87,13 +90,20 @@ def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_bl
 @ti.func
 def control(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
             const: Rows, work: Rows):  # fmt: skip
-    """What happens once a tick: events, delayed senses, reflexes, swing-leg placement."""
+    """What happens once a tick: events of the gait are noted, and the muscles get their orders."""
     time = ti.cast(tick, float)
     for lane in range(lanes):
         kinematics.centre_of_mass(lane, state, const, work)
         for leg in ti.static(range(LEGS)):
             gait.observe_leg(lane, leg, time, state, const, events, sums, work)
         gait.add_up_posture(lane, state, fibres, sums, work)
+    command(tick, lanes, state, fibres, delay, const, work)
+
+
+@ti.func
+def command(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, const: Rows, work: Rows):
+    """Delayed senses, reflexes, swing-leg placement: stimulations and ideal torques of a tick."""
+    time = ti.cast(tick, float)
     for lane in range(lanes):
         delays.sense(lane, state, fibres, work)
     # A ring length a loop, and a remainder that LLVM knows the range of: else it cannot tell that
@@ -134,17 +144,12 @@ def contract_muscles(blend, lanes: Rows, muscles: Rows, fibres: Rows, work: Rows
 
 @ti.func
 def add_ideal_torques(lane, state: Rows, work: Rows):
-    """Hip and knee torques: muscles by their share of stance, ideal parts, the hip's stop."""
+    """Hip and knee torques: the muscles' by their share of stance, and the ideal parts."""
     for leg in ti.static(range(LEGS)):
         weight = state[State.stance_weight + leg, lane]
         hip, knee = ti.static(3 * leg, 3 * leg + 1)
-        stop = joint_stops.hip_stop_torque(
-            work[Work.joint + hip, lane], work[Work.joint_rate + hip, lane]
-        )
         work[Work.joint_torque + hip, lane] = (
-            weight * work[Work.joint_torque + hip, lane]
-            + state[State.hip_torque + leg, lane]
-            + stop
+            weight * work[Work.joint_torque + hip, lane] + state[State.hip_torque + leg, lane]
         )
         work[Work.joint_torque + knee, lane] = (
             weight * work[Work.joint_torque + knee, lane] + state[State.knee_torque + leg, lane]
@@ -161,22 +166,14 @@ def settled(lanes: Rows, work: Rows):
 
 
 @ti.func
-def weigh_legs(lane, blend, state: Rows, const: Rows, work: Rows):
-    """Ground forces of the legs, and their low pass. At the physics rate: a heel strike's spike is
-    shorter than a tick, and aliasing it ruins the convergence with the step.
+def filter_loads(lane, blend, state: Rows, const: Rows):
+    """Low pass of the legs' ground forces. At the physics rate: a heel strike's spike is shorter
+    than a tick, and aliasing it ruins the convergence with the step.
     """
     hat_weight = const[Const.hat_weight, lane]
     for leg in ti.static(range(LEGS)):
-        force_x = 0.0
-        force_z = 0.0
-        for end in ti.static(range(2)):
-            c = ti.static(2 * leg + end)
-            normal, friction = work[Work.normal_force + c, lane], work[Work.friction + c, lane]
-            nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
-            force_x += normal * nx + friction * nz
-            force_z += normal * nz - friction * nx
-        state[State.ground_force + 2 * leg, lane] = force_x
-        state[State.ground_force + 2 * leg + 1, lane] = force_z
+        force_x = state[State.ground_force + 2 * leg, lane]
+        force_z = state[State.ground_force + 2 * leg + 1, lane]
         load = larger((force_z - const[Const.leg_weight + leg, lane]) / hat_weight, 0.0)
         state[State.load_filter + leg, lane] += blend * (
             load - state[State.load_filter + leg, lane]

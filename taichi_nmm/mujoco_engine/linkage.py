@@ -20,7 +20,6 @@ from taichi_nmm.body import (
     THIGH_LENGTH_M,
     Bodies,
 )
-from tests.parity.numpy_dynamics import JOINT_CHILD, JOINT_PARENT
 
 Array = NDArray[np.float64]
 
@@ -32,10 +31,11 @@ DIRECTIONS = ((0, 1), (0, -1), (0, -1), (1, 0))  # HAT up, thigh and shank down,
 def relative_coordinates() -> Array:
     """RELATIVE [9, 9]: child minus parent at the six joints, the rest unchanged."""
     relative = np.eye(9)
-    relative[JOINT_CHILD, JOINT_PARENT] = -1.0
+    relative[range(3, 9), JOINT_PARENT] = -1.0
     return relative
 
 
+JOINT_PARENT = (2, 3, 4, 2, 6, 7)  # coordinate of the segment above hip, knee and ankle
 RELATIVE = relative_coordinates()
 
 
@@ -61,21 +61,6 @@ def linkage(bodies: Bodies, row: int = 0) -> ElementTree.Element:
 def compile_model(root: ElementTree.Element) -> mujoco.MjModel:
     """The model of an MJCF tree."""
     return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
-
-
-def forward_dynamics(q: Array, qdot: Array, joint_torque: Array, bodies: Bodies) -> Array:
-    """Accelerations [n, 9] by `mj_forward`, in our coordinates; one body a state."""
-    states = zip(q, qdot, joint_torque, strict=True)
-    return np.array([_accelerate(bodies, row, *state) for row, state in enumerate(states)])
-
-
-def _accelerate(bodies: Bodies, row: int, q: Array, qdot: Array, joint_torque: Array) -> Array:
-    model = compile_model(linkage(bodies, row))
-    data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:] = RELATIVE @ q, RELATIVE @ qdot
-    data.qfrc_applied[3:] = joint_torque
-    mujoco.mj_forward(model, data)
-    return np.linalg.solve(RELATIVE, data.qacc)
 
 
 def _links(bodies: Bodies, row: int) -> Iterator[tuple[str, str, str, dict[str, str]]]:

@@ -1,0 +1,172 @@
+"""Walkers whose bodies another engine moves: what this simulator does before and after its step.
+
+The same functions as in `walker.step`, less dynamics, contacts and joint stops. `drive` gives the
+torques of a physics step, `follow` takes in where the bodies are after it.
+"""
+
+from taichi_nmm.kernel import attachments, contact, gait, kinematics, walker
+from taichi_nmm.kernel.backend import Array, Rows, ti
+from taichi_nmm.kernel.entry_points import PACKS_PER_TASK, load, load_slots, save, save_slots
+from taichi_nmm.kernel.layout import (
+    COORDINATES,
+    FIRST_EVENT,
+    FIRST_FIBRE,
+    FIRST_SUM,
+    LEGS,
+    MUSCLE_COUNT,
+    MUSCLES_PER_LEG,
+    Const,
+    Delay,
+    Drive,
+    Gait,
+    Motion,
+    Muscle,
+    State,
+    Sums,
+    Work,
+)
+from taichi_nmm.kernel.muscle_table import TABLE_COLUMNS
+
+
+@ti.func
+def before(tick, commands, activation_blend,
+           lanes: Rows, terrain: Rows, heights: Rows, muscles: Rows,
+           state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
+           const: Rows, work: Rows):  # fmt: skip
+    """Senses, control where `commands` is 1, muscles: the joint torques of a physics step."""
+    for lane in range(lanes):
+        kinematics.directions(lane, state, work)
+        kinematics.contact_points(lane, state, work)
+        contact.find_cells(lane, state, work)
+        kinematics.joints(lane, state, work)
+        attachments.stretch_tendons(lane, work)
+    for lane in range(lanes):
+        contact.read_terrain(lane, terrain[lane], heights, work)
+    for lane in range(lanes):
+        contact.ground_heights(lane, work)
+    if commands == 1:
+        walker.control(tick, lanes, state, fibres, delay, events, sums, const, work)
+    walker.contract_muscles(activation_blend, lanes, muscles, fibres, work)
+    for lane in range(lanes):
+        attachments.turn_joints(lane, fibres, work)
+        walker.add_ideal_torques(lane, state, work)
+
+
+@ti.func
+def after(tick, ends, step_s, load_blend,
+          lanes: Rows, drive_rows: Rows, motion: Rows,
+          state: Rows, sums: Rows, const: Rows, work: Rows):  # fmt: skip
+    """Positions, contacts and ground forces after the step; falls where `ends` is 1."""
+    for lane in range(lanes):
+        for i in ti.static(range(COORDINATES)):
+            state[State.q + i, lane] = motion[Motion.q + i, lane]
+            state[State.qdot + i, lane] = motion[Motion.qdot + i, lane]
+        for leg in ti.static(range(LEGS)):
+            state[State.touching + 2 * leg, lane] = motion[Motion.touching + leg, lane]
+        for i in ti.static(range(2 * LEGS)):
+            state[State.ground_force + i, lane] = motion[Motion.ground_force + i, lane]
+        work[Work.metabolic_power, lane] = drive_rows[Drive.metabolic_power, lane]
+        work[Work.ground_hip, lane] = drive_rows[Drive.ground_hip, lane]
+    for lane in range(lanes):
+        walker.filter_loads(lane, load_blend, state, const)
+        gait.add_up_forces(lane, step_s, state, sums, work)
+    if ends == 1:
+        for lane in range(lanes):
+            walker.end_walk(lane, tick, state, work)
+
+
+@ti.kernel
+def drive(
+    lanes: Rows,
+    packs: Array,
+    constants: Array,
+    terrains: Array,
+    heights: Array,
+    muscles: Array,
+    drives: Array,
+    tick: int,
+    commands: int,
+    activation_blend: float,
+):
+    """What drives the bodies of all packs during a physics step: `drives` [p, Drive.count, lanes].
+
+    packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], terrains [p, lanes] (rows of
+    `heights` [terrain, node]), muscles [7, TABLE_COLUMNS].
+    """
+    ti.loop_config(block_dim=PACKS_PER_TASK)
+    for p in range(packs.shape[0]):
+        state = ti.Matrix.zero(float, State.count, lanes)
+        fibres = ti.Matrix.zero(float, Muscle.count, lanes)
+        delay = ti.Matrix.zero(float, Delay.count, lanes)
+        events = ti.Matrix.zero(float, Gait.count, lanes)
+        sums = ti.Matrix.zero(float, Sums.count, lanes)
+        const = ti.Matrix.zero(float, Const.count, lanes)
+        work = ti.Matrix.zero(float, Work.count, lanes)
+        table = ti.Matrix.zero(float, MUSCLES_PER_LEG, TABLE_COLUMNS)
+        for m in ti.static(range(MUSCLES_PER_LEG)):
+            for c in ti.static(range(TABLE_COLUMNS)):
+                table[m, c] = muscles[m, c]
+        terrain = ti.Vector.zero(ti.i32, lanes)
+        load(packs, p, 0, State.count, lanes, state)
+        load(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
+        load_slots(packs, p, tick, lanes, delay)
+        load(packs, p, FIRST_EVENT, Gait.count, lanes, events)
+        load(packs, p, FIRST_SUM, Sums.count, lanes, sums)
+        load(constants, p, 0, Const.count, lanes, const)
+        for lane in range(lanes):
+            terrain[lane] = terrains[p, lane]
+        before(
+            tick, commands, activation_blend, lanes, terrain, heights, table,
+            state, fibres, delay, events, sums, const, work,
+        )  # fmt: skip
+        save(packs, p, 0, State.count, lanes, state)
+        save(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
+        save_slots(packs, p, tick, lanes, delay)
+        save(packs, p, FIRST_EVENT, Gait.count, lanes, events)
+        save(packs, p, FIRST_SUM, Sums.count, lanes, sums)
+        for lane in range(lanes):
+            power_w = 0.0
+            for m in ti.static(range(MUSCLE_COUNT)):
+                power_w += work[Work.metabolic_power + m, lane]
+            for joint in ti.static(range(3 * LEGS)):
+                drives[p, Drive.joint_torque + joint, lane] = work[Work.joint_torque + joint, lane]
+            drives[p, Drive.metabolic_power, lane] = power_w
+            drives[p, Drive.ground_hip, lane] = work[Work.ground_hip, lane]
+
+
+@ti.kernel
+def follow(
+    lanes: Rows,
+    packs: Array,
+    constants: Array,
+    drives: Array,
+    motions: Array,
+    tick: int,
+    ends: int,
+    step_s: float,
+    load_blend: float,
+):
+    """Take in where the bodies of all packs are after a physics step.
+
+    packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], drives as `drive` left them,
+    motions [p, Motion.count, lanes].
+    """
+    ti.loop_config(block_dim=PACKS_PER_TASK)
+    for p in range(packs.shape[0]):
+        state = ti.Matrix.zero(float, State.count, lanes)
+        sums = ti.Matrix.zero(float, Sums.count, lanes)
+        const = ti.Matrix.zero(float, Const.count, lanes)
+        work = ti.Matrix.zero(float, Work.count, lanes)
+        drive_rows = ti.Matrix.zero(float, Drive.count, lanes)
+        motion = ti.Matrix.zero(float, Motion.count, lanes)
+        load(packs, p, 0, State.count, lanes, state)
+        load(packs, p, FIRST_SUM, Sums.count, lanes, sums)
+        load(constants, p, 0, Const.count, lanes, const)
+        load(drives, p, 0, Drive.count, lanes, drive_rows)
+        load(motions, p, 0, Motion.count, lanes, motion)
+        after(
+            tick, ends, step_s, load_blend,
+            lanes, drive_rows, motion, state, sums, const, work,
+        )  # fmt: skip
+        save(packs, p, 0, State.count, lanes, state)
+        save(packs, p, FIRST_SUM, Sums.count, lanes, sums)

@@ -1,0 +1,107 @@
+"""The controller of a body that somebody else simulates: senses in, joint torques out.
+
+Muscles, delays, reflexes and swing-leg placement are the walker's own functions; only what they
+sense comes from outside. `actuate` is what the host launches.
+"""
+
+from taichi_nmm.kernel import attachments, kinematics, walker
+from taichi_nmm.kernel.backend import Array, Rows, ti
+from taichi_nmm.kernel.entry_points import PACKS_PER_TASK, load, load_slots, save, save_slots
+from taichi_nmm.kernel.layout import (
+    FIRST_FIBRE,
+    LEGS,
+    MUSCLES_PER_LEG,
+    SEGMENT_COUNT,
+    Const,
+    Delay,
+    Muscle,
+    Sense,
+    State,
+    Work,
+)
+from taichi_nmm.kernel.muscle_table import TABLE_COLUMNS
+
+
+@ti.func
+def step(tick, commands, activation_blend, load_blend,
+         lanes: Rows, muscles: Rows, senses: Rows,
+         state: Rows, fibres: Rows, delay: Rows, const: Rows, work: Rows):  # fmt: skip
+    """One physics step of the muscles, their orders being new where `commands` is 1."""
+    for lane in range(lanes):
+        take_in(lane, senses, state, work)
+        kinematics.directions(lane, state, work)
+        kinematics.joints(lane, state, work)
+        attachments.stretch_tendons(lane, work)
+        walker.filter_loads(lane, load_blend, state, const)
+    if commands == 1:
+        walker.command(tick, lanes, state, fibres, delay, const, work)
+    walker.contract_muscles(activation_blend, lanes, muscles, fibres, work)
+    for lane in range(lanes):
+        attachments.turn_joints(lane, fibres, work)
+        walker.add_ideal_torques(lane, state, work)
+
+
+@ti.func
+def take_in(lane, senses: Rows, state: Rows, work: Rows):
+    """Put what is sensed where the walker's own functions look for it.
+
+    They ask how far the centre of mass is ahead of an ankle: here it lies at zero.
+    """
+    for i in ti.static(range(SEGMENT_COUNT)):
+        state[State.q + 2 + i, lane] = senses[Sense.angle + i, lane]
+        state[State.qdot + 2 + i, lane] = senses[Sense.rate + i, lane]
+    work[Work.com_x, lane] = 0.0
+    work[Work.com_speed, lane] = senses[Sense.com_speed, lane]
+    for leg in ti.static(range(LEGS)):
+        state[State.touching + 2 * leg, lane] = senses[Sense.contact + leg, lane]
+        state[State.ground_force + 2 * leg + 1, lane] = senses[Sense.load + leg, lane]
+        work[Work.leg_length + leg, lane] = senses[Sense.leg_length + leg, lane]
+        work[Work.leg_angle + leg, lane] = senses[Sense.leg_angle + leg, lane]
+        work[Work.ankle_x + leg, lane] = 0.0 - senses[Sense.com_ahead + leg, lane]
+
+
+@ti.kernel
+def actuate(
+    lanes: Rows,
+    packs: Array,
+    constants: Array,
+    muscles: Array,
+    sensed: Array,
+    torques: Array,
+    tick: int,
+    commands: int,
+    activation_blend: float,
+    load_blend: float,
+):
+    """Joint torques of all packs for one physics step, N m.
+
+    packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], muscles [7, TABLE_COLUMNS],
+    sensed [p, Sense.count, lanes], torques [p, 6, lanes].
+    """
+    ti.loop_config(block_dim=PACKS_PER_TASK)
+    for p in range(packs.shape[0]):
+        state = ti.Matrix.zero(float, State.count, lanes)
+        fibres = ti.Matrix.zero(float, Muscle.count, lanes)
+        delay = ti.Matrix.zero(float, Delay.count, lanes)
+        const = ti.Matrix.zero(float, Const.count, lanes)
+        work = ti.Matrix.zero(float, Work.count, lanes)
+        senses = ti.Matrix.zero(float, Sense.count, lanes)
+        table = ti.Matrix.zero(float, MUSCLES_PER_LEG, TABLE_COLUMNS)
+        for m in ti.static(range(MUSCLES_PER_LEG)):
+            for c in ti.static(range(TABLE_COLUMNS)):
+                table[m, c] = muscles[m, c]
+        load(packs, p, 0, State.count, lanes, state)
+        load(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
+        load_slots(packs, p, tick, lanes, delay)
+        load(constants, p, 0, Const.count, lanes, const)
+        load(sensed, p, 0, Sense.count, lanes, senses)
+        step(
+            tick, commands, activation_blend, load_blend,
+            lanes, table, senses, state, fibres, delay, const, work,
+        )  # fmt: skip
+        save(packs, p, 0, State.count, lanes, state)
+        save(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
+        save_slots(packs, p, tick, lanes, delay)
+        for lane in range(lanes):
+            for joint in ti.static(range(3 * LEGS)):
+                torques[p, joint, lane] = work[Work.joint_torque + joint, lane]

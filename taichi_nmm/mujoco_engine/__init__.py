@@ -1,0 +1,20 @@
+"""MuJoCo as the engine of a walk: its bodies, contacts and joint limits under our controller.
+
+`linkage` is the seven links, `model` adds feet, limits, motors and the ground, `ground` cuts a
+terrain into boxes, `engine` advances a batch. All of them need the package mujoco, an extra.
+"""
+
+from importlib.util import find_spec
+
+from taichi_nmm.errors import InputError
+
+
+def require_mujoco() -> None:
+    """Refuse an environment without MuJoCo.
+
+    Raises:
+        InputError: the package is not there.
+    """
+    if find_spec("mujoco") is None:
+        allowed = "an environment with mujoco: pip install 'taichi-nmm[mujoco]'"
+        raise InputError("simulation.engine", "mujoco", allowed)

@@ -1,0 +1,216 @@
+"""A batch of walkers whose bodies MuJoCo moves, one model each, and one controller batch for all.
+
+A physics step is: our kernel senses, controls and contracts the muscles of all (`carried.drive`);
+MuJoCo steps each body; our kernel takes in where they are (`carried.follow`).
+"""
+
+from collections.abc import Callable, Iterator
+from copy import copy
+from functools import lru_cache
+from contextlib import contextmanager
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_nmm.body import Bodies
+from taichi_nmm.constants import blends
+from taichi_nmm.initial import PENETRATION_M, initial_rows
+from taichi_nmm.kernel import backend
+from taichi_nmm.kernel.carried import drive, follow
+from taichi_nmm.kernel.layout import COORDINATES, LEGS, Drive, Motion, State
+from taichi_nmm.kernel.muscle_table import muscle_table
+from taichi_nmm.mujoco_engine.ground import Boxes, boxes
+from taichi_nmm.mujoco_engine.linkage import RELATIVE
+from taichi_nmm.mujoco_engine.model import FOOT_SENSOR, compiled, walker_xml
+from taichi_nmm.packs import Packs
+from taichi_nmm.settings import Settings
+from taichi_nmm.terrain import Terrain
+from taichi_nmm.walkers import Batch
+
+Array = NDArray[np.float64]
+
+VIEW_TICKS = 250  # how often the boxes move along
+# Around the hip: a leg and a foot, and what the fastest fall covers until the boxes move along.
+VIEW_M = 2.5
+CACHED = 256  # models and grounds: those of an experiment's runs come again with every trial
+
+
+class Carried:
+    """One walker in MuJoCo: its model with the ground around it, and its data."""
+
+    def __init__(self, model: mujoco.MjModel, ground: Boxes, start: Array) -> None:
+        self._ground = ground
+        self._count = boxes_in_view(ground)
+        self._first = 0
+        self.model = copy(model)  # its boxes move
+        self.data = mujoco.MjData(self.model)
+        self.data.qpos[:], self.data.qvel[:] = start[:COORDINATES], start[COORDINATES:]
+
+    def look_around(self) -> None:
+        """Move the boxes to where the walker is."""
+        hip_m = float(self.data.qpos[0])
+        near = self._ground.between(hip_m - VIEW_M, hip_m + VIEW_M)
+        first = max(min(near.start, len(self._ground) - self._count), 0)
+        if first == self._first:
+            return
+        self._first = first
+        here = slice(first, first + self._count)
+        geoms = slice(0, self._count)  # the world's geoms come first
+        size = self._ground.half_size[here]
+        self.model.geom_pos[geoms] = self._ground.position[here]
+        self.model.geom_quat[geoms] = self._ground.quaternion[here]
+        self.model.geom_size[geoms] = size
+        self.model.geom_rbound[geoms] = np.linalg.norm(size, axis=1)
+        self.model.geom_aabb[geoms, 3:] = size
+
+
+def boxes_in_view(ground: Boxes) -> int:
+    """How many boxes a model needs so that those around a walker are always there."""
+    return min(ground.most_within(2 * VIEW_M), len(ground))
+
+
+@lru_cache(maxsize=CACHED)
+def _boxes(terrain: Terrain) -> Boxes:
+    return boxes(terrain)
+
+
+@lru_cache(maxsize=CACHED)
+def _model(terrain: Terrain, body: tuple[float, ...], settings: Settings) -> mujoco.MjModel:
+    """The model of a body (masses, inertias, centres of mass) with the first boxes of a ground."""
+    mass, inertia, com = np.array(body).reshape(3, 1, -1)
+    ground = _boxes(terrain)
+    count = boxes_in_view(ground)
+    first = Boxes(*(values[:count] for values in vars(ground).values()))
+    return compiled(walker_xml(Bodies(mass, inertia, com), 0, first, settings))
+
+
+def carried(batch: Batch, walker: int, settings: Settings) -> Carried:
+    """A walker of a batch at the start."""
+    terrain, bodies = batch.terrains[batch.terrain_index[walker]], batch.bodies
+    columns = (bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m)
+    body = tuple(float(x) for values in columns for x in values[walker])
+    return Carried(_model(terrain, body, settings), _boxes(terrain), start_state(terrain))
+
+
+def start_state(terrain: Terrain) -> Array:
+    """The start of every walk, the stance foot on the ground and not in it: qpos, qvel, [18]."""
+    rows = initial_rows(terrain)
+    q = rows[State.q : State.q + COORDINATES].copy()
+    q[1] += PENETRATION_M
+    qdot = rows[State.qdot : State.qdot + COORDINATES]
+    return np.concatenate([RELATIVE @ q, RELATIVE @ qdot])
+
+
+def launcher(
+    batch: Batch, settings: Settings, packs: Packs
+) -> Callable[[Packs, int, int], None]:
+    """What advances the packs, which are at the start; here it is, too, that MuJoCo's starts."""
+    begin(packs)
+    return _Engine(batch, settings).launch
+
+
+def begin(packs: Packs) -> None:
+    """Put the packs' walkers where MuJoCo's start: the foot touches, and is not in the ground."""
+    rows = packs.unfold(packs.rows).copy()
+    rows[:, [State.q + 1, State.end_z]] += PENETRATION_M
+    for leg in range(LEGS):
+        rows[:, State.touching + 2 * leg] = rows[:, State.stance_before + leg]
+    packs.rows = packs.fold(rows)
+
+
+class _Engine:
+    """What stays the same from launch to launch."""
+
+    def __init__(self, batch: Batch, settings: Settings) -> None:
+        self._settings = settings
+        self._heights = np.array(
+            [ground.height_m for ground in batch.terrains], dtype=backend.real_dtype()
+        )
+        self._walkers = [carried(batch, n, settings) for n in range(len(batch))]
+        self._motions = np.zeros((len(batch), Motion.count))
+        self._bound: NDArray[Any] | None = None
+
+    def launch(self, packs: Packs, first_tick: int, ticks: int) -> None:
+        """Advance the walkers of the packs, those that are up."""
+        backend.start(self._settings.on_processor())
+        if packs.rows is not self._bound or self._drive.stale:
+            self._bind(packs)
+        with _no_warnings():
+            for tick in range(first_tick, first_tick + ticks):
+                up = packs.up()
+                walkers = [self._walkers[n] for n in packs.walkers[up]]
+                if not walkers:
+                    return
+                if tick % VIEW_TICKS == 0:
+                    for walker in walkers:
+                        walker.look_around()
+                for substep in range(self._settings.substeps):
+                    self._drive.launch(tick=tick, commands=int(substep == 0))
+                    torques = packs.unfold(self._drives)[up, : 3 * LEGS]
+                    self._motions[packs.walkers[up]] = _step(walkers, torques.astype(np.float64))
+                    self._moved[...] = packs.fold(self._motions[packs.walkers])
+                    ends = int(substep == self._settings.substeps - 1)
+                    self._follow.launch(tick=tick, ends=ends)
+
+    def _bind(self, packs: Packs) -> None:
+        """Bind the kernels to the packs' arrays, which change when walkers leave."""
+        self._bound, real = packs.rows, backend.real_dtype()
+        count, lanes, step_s = len(packs.rows), packs.lanes, self._settings.physics_step_s
+        activation_blend, load_blend = blends(step_s)
+        self._drives = np.zeros((count, Drive.count, lanes), dtype=real)
+        self._moved = np.zeros((count, Motion.count, lanes), dtype=real)
+        self._drive = backend.BoundKernel(
+            drive, lanes, packs.rows, packs.constants, packs.terrains, self._heights,
+            muscle_table(step_s).astype(real), self._drives, 0, 1, activation_blend,
+        )  # fmt: skip
+        self._follow = backend.BoundKernel(
+            follow, lanes, packs.rows, packs.constants, self._drives, self._moved,
+            0, 1, step_s, load_blend,
+        )  # fmt: skip
+
+
+def _step(walkers: list[Carried], torques: Array) -> Array:
+    """MuJoCo's step of each walker under its torques [n, 6]: rows of `layout.Motion`, [n, rows]."""
+    step = mujoco.mj_step
+    for walker, torque in zip(walkers, torques, strict=True):
+        walker.data.ctrl = torque
+        step(walker.model, walker.data)
+    rows = np.empty((len(walkers), Motion.count))
+    rows[:, Motion.q : Motion.q + COORDINATES] = _absolute([w.data.qpos for w in walkers])
+    rows[:, Motion.qdot : Motion.qdot + COORDINATES] = _absolute([w.data.qvel for w in walkers])
+    sensed = np.array([w.data.sensordata for w in walkers]).reshape(-1, LEGS, FOOT_SENSOR)
+    rows[:, Motion.touching : Motion.touching + LEGS] = sensed[:, :, 0] > 0.0
+    force = rows[:, Motion.ground_force : Motion.ground_force + 2 * LEGS]
+    force[:, 0::2], force[:, 1::2] = -sensed[:, :, 1], -sensed[:, :, 3]  # the foot's on the ground
+    return rows
+
+
+def _absolute(relative: list[Array]) -> Array:
+    """Our coordinates from MuJoCo's, [n, 9]: angles of the segments in place of the joints'."""
+    own = np.array(relative)
+    legs = np.cumsum(own[:, 3:].reshape(-1, LEGS, 3), axis=2) + own[:, 2, None, None]
+    own[:, 3:] = legs.reshape(-1, 3 * LEGS)
+    return own
+
+
+@contextmanager
+def _no_warnings() -> Iterator[None]:
+    """Without MuJoCo's lines, on the screen and in a file, about walkers that diverge."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def metadata(settings: Settings) -> dict[str, Any]:
+    """What produced a result: engine, version, numerics; the controller's engine beside it."""
+    return {
+        "engine": "mujoco",
+        "engine_version": mujoco.__version__,
+        **settings.document(),
+        "controller": backend.metadata(),
+    }

@@ -1,0 +1,125 @@
+"""The walker as a MuJoCo model: links, feet, joint limits, motors, ground, and what is sensed.
+
+Feet are two spheres each, their soles on the line from heel to ball. Contacts are elliptic cones
+with the walker's friction; a motor turns each joint; a sensor of each foot says whether it touches,
+and the force.
+"""
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, Bodies
+from taichi_nmm.kernel.dynamics import FRICTION_COEFFICIENT
+from taichi_nmm.mujoco_engine.ground import Boxes
+from taichi_nmm.mujoco_engine.limits import STOPS, limit
+from taichi_nmm.mujoco_engine.linkage import compile_model, linkage
+from taichi_nmm.settings import LIMITS_AS_STOPS, Settings
+
+SOLE_RADIUS_M = 0.01
+IMPRATIO = 10.0  # of friction to normal impedance: feet creep less
+SIDES = ("l", "r")
+JOINTS = tuple(f"{segment}_{side}" for side in SIDES for segment in STOPS)
+FOOT_SENSOR = 4  # numbers: contacts found, then the force x, y, z
+
+
+def walker_xml(bodies: Bodies, row: int, ground: Boxes, settings: Settings) -> ElementTree.Element:
+    """MJCF of one body on a ground."""
+    root = linkage(bodies, row)
+    invweights = compile_model(root).dof_invweight0
+    _set_options(root, settings)
+    _add_feet(root)
+    for index, joint in enumerate(JOINTS):
+        _limit_joint(root, joint, float(invweights[3 + index]), settings)
+    world = _find(root, "worldbody")
+    for box in range(len(ground)):
+        ElementTree.SubElement(
+            world, "geom",
+            type="box", contype="0", conaffinity="1", rgba="0.6 0.6 0.55 1",
+            size=_numbers(ground.half_size[box]), pos=_numbers(ground.position[box]),
+            quat=_numbers(ground.quaternion[box]),
+        )  # fmt: skip
+    _add_motors_and_sensors(root)
+    return root
+
+
+def write_mjcf(
+    path: Path, bodies: Bodies, ground: Boxes, settings: Settings, start: np.ndarray
+) -> None:
+    """Write the model, with the whole ground and the start as key frame, for MuJoCo's viewer.
+
+    `start` is qpos then qvel, [18].
+    """
+    root = walker_xml(bodies, 0, ground, settings)
+    keyframe = ElementTree.SubElement(root, "keyframe")
+    ElementTree.SubElement(
+        keyframe, "key", name="start", qpos=_numbers(start[:9]), qvel=_numbers(start[9:])
+    )
+    ElementTree.indent(root)
+    path.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
+
+
+def compiled(root: ElementTree.Element) -> mujoco.MjModel:
+    """The model of an MJCF tree."""
+    return compile_model(root)
+
+
+def _set_options(root: ElementTree.Element, settings: Settings) -> None:
+    option = _find(root, "option")
+    option.set("timestep", repr(settings.physics_step_s))
+    option.set("integrator", "implicitfast")
+    option.set("cone", "elliptic")
+    option.set("impratio", repr(IMPRATIO))
+    # A walker that diverges is to be seen, not put back to the start; boxes of the ground move
+    # along with the walker, which the midphase's tree of bounding boxes would not notice.
+    ElementTree.SubElement(option, "flag", autoreset="disable", midphase="disable")
+    default = ElementTree.SubElement(root, "default")
+    ElementTree.SubElement(
+        default, "geom",
+        friction=_numbers((FRICTION_COEFFICIENT, 0.0, 0.0)),
+        solref=_numbers((settings.mujoco.time_constant_s, settings.mujoco.damping_ratio)),
+    )  # fmt: skip
+
+
+def _add_feet(root: ElementTree.Element) -> None:
+    for side in SIDES:
+        foot = _find(root, "body", f"foot_{side}")
+        for x_m in (HEEL_OFFSET_M, BALL_OFFSET_M):
+            ElementTree.SubElement(
+                foot, "geom",
+                type="sphere", size=repr(SOLE_RADIUS_M), pos=_numbers((x_m, 0.0, SOLE_RADIUS_M)),
+                contype="1", conaffinity="0", group="0",
+            )  # fmt: skip
+
+
+def _limit_joint(
+    root: ElementTree.Element, joint: str, inverse_inertia: float, settings: Settings
+) -> None:
+    hinge, stop = _find(root, "joint", joint), STOPS[joint.split("_")[0]]
+    hinge.set("limited", "true")
+    hinge.set("range", _numbers((stop.low_rad, stop.high_rad)))
+    if settings.mujoco.limits == LIMITS_AS_STOPS:
+        solref, solimp = limit(stop, inverse_inertia, settings.physics_step_s)
+        hinge.set("solreflimit", _numbers(solref))
+        hinge.set("solimplimit", _numbers(solimp))
+
+
+def _add_motors_and_sensors(root: ElementTree.Element) -> None:
+    actuator, sensor = (ElementTree.SubElement(root, tag) for tag in ("actuator", "sensor"))
+    for joint in JOINTS:
+        ElementTree.SubElement(actuator, "motor", name=joint, joint=joint)
+    for side in SIDES:
+        ElementTree.SubElement(
+            sensor, "contact",
+            body1=f"foot_{side}", data="found force", reduce="netforce", num="1",
+        )  # fmt: skip
+
+
+def _find(root: ElementTree.Element, tag: str, name: str | None = None) -> ElementTree.Element:
+    return next(e for e in root.iter(tag) if name is None or e.get("name") == name)
+
+
+def _numbers(values: object) -> str:
+    return " ".join(repr(float(value)) for value in np.asarray(values))
