@@ -7,6 +7,7 @@ from ctypes.util import find_library
 from storage.pool import cores
 from taichi_nmm.errors import InputError
 from taichi_nmm.kernel_cache import require_kernel_cache
+from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.settings import Settings
 
 EXIT_BAD_INPUT = 2
@@ -34,9 +35,12 @@ def require_engine(settings: Settings) -> None:
     """Refuse a machine on which the simulator cannot run, before any file is touched.
 
     Raises:
-        InputError: no place for compiled kernels, or a GPU that is not there.
+        InputError: no place for compiled kernels, a GPU that is not there, or MuJoCo is asked for
+            and is not.
     """
     require_kernel_cache()
+    if settings.engine == "mujoco":
+        require_mujoco()
     if settings.arch in GPUS:
         _started_arch(settings)
 

@@ -47,7 +47,8 @@ def run_study(
         experiment: of the study.
         arm: that proposes; found able to by `study.experiment.check`.
         run: whose body and ground it is about.
-        trials: the total, not the number to add.
+        trials: the total, not the number to add; an experiment may end a study before, with its
+            first walker.
         storage: of Optuna.
         report: called after each finished trial.
 
@@ -57,12 +58,18 @@ def run_study(
     experiment.require_run(run)
     one = OneStudy(experiment, arm, run, open_study(experiment, arm, run, storage))
     _repeat_running(experiment, one.study)
-    while one.trials < trials:
+    while one.trials < trials and not _ended(experiment, one):
         told = _run_trial(experiment, one)
         if report is not None:
             report(one.study, told)
     note_worth(experiment, arm, run, one.study)
     return one.study
+
+
+def _ended(experiment: Experiment, one: OneStudy) -> bool:
+    """Whether a study that ends with its first walker has one."""
+    walkers = (trial.user_attrs.get("walked") for trial in one.finished())
+    return experiment.until_walker and any(walkers)
 
 
 def open_study(experiment: Experiment, arm: Arm, run: int, storage: BaseStorage) -> optuna.Study:

@@ -24,6 +24,7 @@ from study.comparison.results import (
     gains_of,
     outcomes_of,
     state_table,
+    walkers,
 )
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment
@@ -81,9 +82,16 @@ def advance(block: Block) -> Advanced:
         }
         for arm, run, table in by_study(block.known):
             _restore(experiment, studies[arm, run], table)
+        ended = walkers(block.known) if experiment.until_walker else set()
         tables = [STATE_SCHEMA.empty_table()]
-        while open_studies := [s for s in studies.values() if s.trials < block.trials]:
+        while open_studies := [
+            study
+            for key, study in studies.items()
+            if study.trials < block.trials and key not in ended
+        ]:
             tables.append(_round(experiment, open_studies))
+            if experiment.until_walker:
+                ended |= walkers(tables[-1])
         return Advanced(pa.concat_tables(tables), tuple(s.hand_on() for s in studies.values()))
 
 

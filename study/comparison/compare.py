@@ -4,10 +4,11 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+import optuna
 import pyarrow as pa
 
 from storage.databases.studies import URL_PREFIX
@@ -109,7 +110,8 @@ def compare(
     with ExperimentFolder.claim(request.out, identity) as folder:
         url = request.storage or f"{URL_PREFIX}{folder.path / DATABASE_NAME}"
         check_database(experiment, url)
-        finished = FinishedTrials(folder, [(arm.name, run) for run in range(runs) for arm in arms])
+        studies = [(arm.name, run) for run in range(runs) for arm in arms]
+        finished = FinishedTrials(folder, studies, experiment.until_walker)
         session = _Session(experiment, folder, finished)
         with nullcontext(pool) if pool else local_pool(request.workers) as chosen:
             exported_s = time.monotonic()
@@ -158,15 +160,23 @@ def _checkpoints(
             experiment, studies, finished.known(studies), min(least + STRETCH_TRIALS, trials)
         )
 
-    unfinished = [key for key in finished.studies if finished.done(key) < trials]
+    def next_stretch(block: Block, studies: Sequence[optuna.Study]) -> Iterator[Block]:
+        going_on = [
+            (key, study)
+            for key, study in zip(block.studies, studies, strict=True)
+            if finished.lacks(key, trials)
+        ]
+        if going_on:
+            keys, handed_on = zip(*going_on, strict=True)
+            target = min(block.trials + STRETCH_TRIALS, trials)
+            yield Block(experiment, keys, block.known.slice(0, 0), target, handed_on)
+
+    unfinished = [key for key in finished.studies if finished.lacks(key, trials)]
     units = deque(map(first_stretch, cut(unfinished, pool.slots)))
     written_s = time.monotonic()
     for block, advanced in pool.results(advance, units):
         finished.add(advanced.table)
-        if block.trials < trials:
-            target = min(block.trials + STRETCH_TRIALS, trials)
-            nothing = block.known.slice(0, 0)
-            units.append(replace(block, known=nothing, trials=target, handed_on=advanced.studies))
+        units.extend(next_stretch(block, advanced.studies))
         report(finished.progress(trials))
         if time.monotonic() - written_s >= CHECKPOINT_S:
             finished.commit()

@@ -12,7 +12,7 @@ from optuna.trial import FrozenTrial, create_trial
 
 from storage.databases.bulk import FinishedStudy, study_attributes, trial_counts, write_studies
 from storage.databases.studies import open_studies, shown_url, storage_errors
-from study.comparison.results import by_study
+from study.comparison.results import as_if_gone_on, by_study
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.identity import LIVE_ATTRIBUTE, fingerprint
 from study.experiment.objective import ATTRIBUTES
@@ -62,7 +62,8 @@ def export(
             counts = trial_counts(storage)
             write_studies(storage, _new_studies(experiment, trials, counts))
             if summarise is not None:
-                _show(experiment, storage, summarise(experiment.name, trials, final))
+                shown = as_if_gone_on(trials) if experiment.until_walker else trials
+                _show(experiment, storage, summarise(experiment.name, shown, final))
     finally:
         storage.engine.dispose()
 

@@ -3,11 +3,10 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
 import pyarrow as pa
 
 from study.comparison.experiment_folder import ExperimentFolder
-from study.comparison.results import RESULT_SCHEMA, STATE_SCHEMA, Key, by_study, in_order
+from study.comparison.results import RESULT_SCHEMA, STATE_SCHEMA, Key, by_study, in_order, walkers
 
 
 @dataclass(frozen=True)
@@ -33,11 +32,16 @@ class FinishedTrials:
     Args:
         folder: whose arms are read and written.
         studies: arm and run of each study of this call; others of their arms are kept too.
+        until_walker: whether a study ends with its first walker.
     """
 
-    def __init__(self, folder: ExperimentFolder, studies: Iterable[Key]) -> None:
+    def __init__(
+        self, folder: ExperimentFolder, studies: Iterable[Key], until_walker: bool = False
+    ) -> None:
         """Read what is finished."""
         self.studies = tuple(studies)
+        self._until_walker = until_walker
+        self._walkers: set[Key] = set()
         self._folder = folder
         self._tables: dict[Key, list[pa.Table]] = {key: [] for key in self.studies}
         self._uncommitted: set[str] = set()
@@ -58,6 +62,11 @@ class FinishedTrials:
         """How many trials a study has."""
         return sum(len(table) for table in self._tables[key])
 
+    def lacks(self, key: Key, trials: int) -> bool:
+        """Whether a study has not yet come to its end, if each is to have so many trials."""
+        ended = self._until_walker and key in self._walkers
+        return self.done(key) < trials and not ended
+
     @property
     def count(self) -> int:
         """Trials of the studies of this call."""
@@ -65,12 +74,9 @@ class FinishedTrials:
 
     def progress(self, trials: int) -> Progress:
         """How far they are, if each is to have so many trials."""
-        walkers = sum(
-            any(np.any(table["walked"].to_numpy(zero_copy_only=False)) for table in tables)
-            for tables in (self._tables[key] for key in self.studies)
-        )
-        total = sum(max(trials, self.done(key)) for key in self.studies)
-        return Progress(self.count, total, len(self.studies), walkers)
+        found = sum(key in self._walkers for key in self.studies)
+        total = sum(trials if self.lacks(key, trials) else self.done(key) for key in self.studies)
+        return Progress(self.count, total, len(self.studies), found)
 
     def results(self) -> pa.Table:
         """All trials of the arms of this call, `RESULT_SCHEMA`."""
@@ -84,5 +90,6 @@ class FinishedTrials:
         self._uncommitted.clear()
 
     def _take(self, table: pa.Table) -> None:
+        self._walkers |= walkers(table)
         for arm, run, rows in by_study(table):
             self._tables.setdefault((arm, run), []).append(rows)

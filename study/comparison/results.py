@@ -74,6 +74,35 @@ def state_table(experiment: Experiment, columns: dict[str, Any], gains: Floats) 
     return pa.Table.from_arrays(made, schema=STATE_SCHEMA)
 
 
+def walkers(table: pa.Table) -> set[Key]:
+    """The studies that have a trial which walked."""
+    found = table.filter(table["walked"])
+    return set(zip(found["arm"].to_pylist(), found["run"].to_pylist(), strict=True))
+
+
+def as_if_gone_on(table: pa.Table) -> pa.Table:
+    """Studies that ended with a walker, its trial again in place of those that others needed.
+
+    Args:
+        table: trials of an experiment with `until_walker`, of any columns with arm, run, trial and
+            walked, without gaps; in any order.
+    """
+    ordered = table.sort_by([("arm", "ascending"), ("run", "ascending"), ("trial", "ascending")])
+    arm, run, trial = (ordered[name].to_numpy() for name in ("arm", "run", "trial"))
+    last = np.append((run[1:] != run[:-1]) | (arm[1:] != arm[:-1]), len(table) > 0)
+    ended = np.flatnonzero(last & ordered["walked"].to_numpy(zero_copy_only=False))
+    most = int(trial.max()) + 1 if len(trial) else 0
+    repeats = np.ones(len(table), dtype=np.int64)
+    repeats[ended] += most - 1 - trial[ended]
+    index = np.repeat(np.arange(len(table)), repeats)
+    first = np.repeat(np.cumsum(repeats) - repeats, repeats)
+    longer = ordered.take(index)
+    numbers = pa.array(
+        trial[index] + np.arange(len(index)) - first, longer.schema.field("trial").type
+    )
+    return longer.set_column(longer.schema.get_field_index("trial"), "trial", numbers)
+
+
 def _contiguous(values: Any) -> Any:
     return values if isinstance(values, list) else np.ascontiguousarray(values)
 

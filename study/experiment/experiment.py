@@ -64,8 +64,9 @@ class Experiment:
         cost: "smooth" or "walking", the paper's two.
         conditions: of every trial: its length, the simulation, and what bodies and grounds are
             drawn from.
+        until_walker: a study ends with its first trial that walks, where others have all trials.
         runs: how many, each a body and a ground.
-        trials: of each arm in each run.
+        trials: of each arm in each run, at most.
         arms: names of `study.experiment.arms` that a comparison takes.
         stores: folders of scores, by the name that arms know them by.
         cmaes: of the estimate of the optimum.
@@ -76,6 +77,7 @@ class Experiment:
     searched: tuple[str, ...]
     cost: str = field(metadata={TABLE: "objective"})
     conditions: Conditions
+    until_walker: bool = False
     runs: int = field(default=50, metadata=DECIDES_NOTHING)
     trials: int = field(default=100, metadata=DECIDES_NOTHING)
     arms: tuple[str, ...] = field(default=(), metadata=DECIDES_NOTHING)
@@ -161,6 +163,7 @@ def experiment_of(
         conditions=read_conditions(
             table, duration_s=100.0, shortest_s=0.1, longest_s=LONGEST_TRIAL_S, arch=arch
         ),
+        until_walker=table.boolean("until_walker", False),
         runs=table.integer("runs", 50, 1, MOST_RUNS),
         trials=table.integer("trials", 100, 1, MOST_TRIALS),
         arms=table.texts("arms"),
@@ -204,6 +207,8 @@ def as_written(experiment: Experiment) -> dict[str, Any]:
     tables: dict[str, Any] = {}
     for each in fields(experiment):
         value = getattr(experiment, each.name)
+        if value is False:  # a switch that is off changes no digest of before there was one
+            continue
         if isinstance(value, Conditions):
             tables |= value.as_written()
         elif TABLE in each.metadata:

@@ -18,6 +18,7 @@ from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.stores import store_digest, store_path
 from taichi_nmm import __version__
 from taichi_nmm.config import Table
+from taichi_nmm.settings import Settings
 
 PACKAGES = ("taichi", "optuna", "cma", "cmaes", "numpy", "scipy")
 GROWING = ("ground", "arms", "stores")  # parts that later calls add to
@@ -37,7 +38,7 @@ def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
     stores = sorted({arm.store for arm in by_name if arm.store})
     return {
         "format": FORMAT,
-        "versions": versions(*PACKAGES),
+        "versions": versions(*PACKAGES, *engine_packages(experiment.conditions.settings)),
         **tables,
         "terrain": terrain_document((experiment.terrain(0),)),
         "ground": ground,
@@ -45,6 +46,11 @@ def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
         "arms": {arm.name: arm.definition for arm in by_name},
         "stores": {key: store_digest(store_path(experiment, key)) for key in stores},
     }
+
+
+def engine_packages(settings: Settings) -> tuple[str, ...]:
+    """Packages that decide results beside those that always do."""
+    return ("mujoco",) if settings.engine == "mujoco" else ()
 
 
 @cache
@@ -69,6 +75,7 @@ def documented_experiment(known: dict[str, Any]) -> Experiment | None:
         return None
     names = ("name", "seed", "searched", "objective", "simulation", "body")
     tables = {name: known.get(name) for name in names} | {"terrain": known["ground"]}
+    tables["until_walker"] = known.get("until_walker", False)
     return experiment_of(Table(tables), "")
 
 

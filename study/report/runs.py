@@ -16,6 +16,7 @@ from study.comparison.experiment_folder import (
     RUN_NAME,
     TIMES_NAME,
 )
+from study.comparison.results import as_if_gone_on
 from study.report.files import read_document, read_trials, table_files
 from taichi_nmm.errors import InputError
 
@@ -129,10 +130,12 @@ def read_results(folder: str | Path) -> Results:
     if not arms:
         raise InputError("folder", str(folder), f"the output of tools/compare.py: {RESULTS_NAME}")
     times = _proposal_times(folder)
-    runs = {arm: _arm_runs(str(folder), arm, rows, times.get(arm)) for arm, rows in arms.items()}
     facts = {
         key: value for name in DOCUMENTS for key, value in read_document(folder / name).items()
     }
+    if facts.get("until_walker"):
+        arms = _by_arm(as_if_gone_on(pa.concat_tables(arms.values())))
+    runs = {arm: _arm_runs(str(folder), arm, rows, times.get(arm)) for arm, rows in arms.items()}
     first = next(iter(arms.values()))
     return Results(folder, first["experiment"][0].as_py(), _cost(facts, runs), runs, facts)
 

@@ -6,7 +6,7 @@ torques of a physics step, `follow` takes in where the bodies are after it.
 
 from taichi_nmm.kernel import attachments, contact, gait, kinematics, walker
 from taichi_nmm.kernel.backend import Array, Rows, ti
-from taichi_nmm.kernel.entry_points import PACKS_PER_TASK, load, load_slots, save, save_slots
+from taichi_nmm.kernel.entry_points import load, load_slots, save, save_slots
 from taichi_nmm.kernel.layout import (
     COORDINATES,
     FIRST_EVENT,
@@ -93,7 +93,7 @@ def drive(
     packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], terrains [p, lanes] (rows of
     `heights` [terrain, node]), muscles [7, TABLE_COLUMNS].
     """
-    ti.loop_config(block_dim=PACKS_PER_TASK)
+    ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for p in range(packs.shape[0]):
         state = ti.Matrix.zero(float, State.count, lanes)
         fibres = ti.Matrix.zero(float, Muscle.count, lanes)
@@ -151,7 +151,7 @@ def follow(
     packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], drives as `drive` left them,
     motions [p, Motion.count, lanes].
     """
-    ti.loop_config(block_dim=PACKS_PER_TASK)
+    ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for p in range(packs.shape[0]):
         state = ti.Matrix.zero(float, State.count, lanes)
         sums = ti.Matrix.zero(float, Sums.count, lanes)

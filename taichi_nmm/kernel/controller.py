@@ -6,7 +6,7 @@ sense comes from outside. `actuate` is what the host launches.
 
 from taichi_nmm.kernel import attachments, kinematics, walker
 from taichi_nmm.kernel.backend import Array, Rows, ti
-from taichi_nmm.kernel.entry_points import PACKS_PER_TASK, load, load_slots, save, save_slots
+from taichi_nmm.kernel.entry_points import load, load_slots, save, save_slots
 from taichi_nmm.kernel.layout import (
     FIRST_FIBRE,
     LEGS,
@@ -78,7 +78,7 @@ def actuate(
     packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], muscles [7, TABLE_COLUMNS],
     sensed [p, Sense.count, lanes], torques [p, 6, lanes].
     """
-    ti.loop_config(block_dim=PACKS_PER_TASK)
+    ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for p in range(packs.shape[0]):
         state = ti.Matrix.zero(float, State.count, lanes)
         fibres = ti.Matrix.zero(float, Muscle.count, lanes)

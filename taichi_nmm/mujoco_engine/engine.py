@@ -38,7 +38,7 @@ CACHED = 256  # models and grounds: those of an experiment's runs come again wit
 
 
 class Carried:
-    """One walker in MuJoCo: its model with the ground around it, and its data."""
+    """One walker in MuJoCo: its model with the ground around it, its data, and views of them."""
 
     def __init__(self, model: mujoco.MjModel, ground: Boxes, start: Array) -> None:
         self._ground = ground
@@ -47,6 +47,8 @@ class Carried:
         self.model = copy(model)  # its boxes move
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:], self.data.qvel[:] = start[:COORDINATES], start[COORDINATES:]
+        self.torque = self.data.ctrl
+        self.seen = (self.data.qpos, self.data.qvel, self.data.sensordata)
 
     def look_around(self) -> None:
         """Move the boxes to where the walker is."""
@@ -103,9 +105,7 @@ def start_state(terrain: Terrain) -> Array:
     return np.concatenate([RELATIVE @ q, RELATIVE @ qdot])
 
 
-def launcher(
-    batch: Batch, settings: Settings, packs: Packs
-) -> Callable[[Packs, int, int], None]:
+def launcher(batch: Batch, settings: Settings, packs: Packs) -> Callable[[Packs, int, int], None]:
     """What advances the packs, which are at the start; here it is, too, that MuJoCo's starts."""
     begin(packs)
     return _Engine(batch, settings).launch
@@ -121,7 +121,7 @@ def begin(packs: Packs) -> None:
 
 
 class _Engine:
-    """What stays the same from launch to launch."""
+    """What stays the same from launch to launch, and who sits where while nobody falls."""
 
     def __init__(self, batch: Batch, settings: Settings) -> None:
         self._settings = settings
@@ -129,7 +129,6 @@ class _Engine:
             [ground.height_m for ground in batch.terrains], dtype=backend.real_dtype()
         )
         self._walkers = [carried(batch, n, settings) for n in range(len(batch))]
-        self._motions = np.zeros((len(batch), Motion.count))
         self._bound: NDArray[Any] | None = None
 
     def launch(self, packs: Packs, first_tick: int, ticks: int) -> None:
@@ -137,62 +136,77 @@ class _Engine:
         backend.start(self._settings.on_processor())
         if packs.rows is not self._bound or self._drive.stale:
             self._bind(packs)
+        active, substeps = packs.rows[:, State.active], self._settings.substeps
         with _no_warnings():
             for tick in range(first_tick, first_tick + ticks):
-                up = packs.up()
-                walkers = [self._walkers[n] for n in packs.walkers[up]]
-                if not walkers:
+                if np.count_nonzero(active) != self._active:
+                    self._seat(packs)
+                if not self._up:
                     return
                 if tick % VIEW_TICKS == 0:
-                    for walker in walkers:
+                    for walker in self._up:
                         walker.look_around()
-                for substep in range(self._settings.substeps):
+                for substep in range(substeps):
                     self._drive.launch(tick=tick, commands=int(substep == 0))
-                    torques = packs.unfold(self._drives)[up, : 3 * LEGS]
-                    self._motions[packs.walkers[up]] = _step(walkers, torques.astype(np.float64))
-                    self._moved[...] = packs.fold(self._motions[packs.walkers])
-                    ends = int(substep == self._settings.substeps - 1)
-                    self._follow.launch(tick=tick, ends=ends)
+                    self._move()
+                    self._follow.launch(tick=tick, ends=int(substep == substeps - 1))
 
     def _bind(self, packs: Packs) -> None:
         """Bind the kernels to the packs' arrays, which change when walkers leave."""
         self._bound, real = packs.rows, backend.real_dtype()
         count, lanes, step_s = len(packs.rows), packs.lanes, self._settings.physics_step_s
         activation_blend, load_blend = blends(step_s)
-        self._drives = np.zeros((count, Drive.count, lanes), dtype=real)
-        self._moved = np.zeros((count, Motion.count, lanes), dtype=real)
+        drives = np.zeros((count, Drive.count, lanes), dtype=real)
+        motions = np.zeros((count, Motion.count, lanes), dtype=real)
         self._drive = backend.BoundKernel(
             drive, lanes, packs.rows, packs.constants, packs.terrains, self._heights,
-            muscle_table(step_s).astype(real), self._drives, 0, 1, activation_blend,
+            muscle_table(step_s).astype(real), drives, 0, 1, activation_blend,
         )  # fmt: skip
         self._follow = backend.BoundKernel(
-            follow, lanes, packs.rows, packs.constants, self._drives, self._moved,
-            0, 1, step_s, load_blend,
-        )  # fmt: skip
+            follow, lanes, packs.rows, packs.constants, drives, motions, 0, 1, step_s, load_blend
+        )
+        # [pack, lane, row] of the same memory
+        self._torques = drives[:, : 3 * LEGS].transpose(0, 2, 1)
+        self._motions = motions.transpose(0, 2, 1)
+        self._seat(packs)
+
+    def _seat(self, packs: Packs) -> None:
+        """Note who is up, and in which pack and lane."""
+        places = np.flatnonzero(packs.up())
+        self._active = np.count_nonzero(packs.rows[:, State.active])
+        self._up = [self._walkers[n] for n in packs.walkers[places]]
+        self._places = np.divmod(places, packs.lanes)
+        self._seen = np.empty((len(places), 2 * COORDINATES + LEGS * FOOT_SENSOR))
+        self._views = [view for walker in self._up for view in walker.seen]
+
+    def _move(self) -> None:
+        """MuJoCo's step of each walker that is up."""
+        step = mujoco.mj_step
+        torques = self._torques[self._places]
+        for walker, torque in zip(self._up, torques, strict=True):
+            walker.torque[:] = torque
+            step(walker.model, walker.data)
+        np.concatenate(self._views, out=self._seen.reshape(-1))
+        self._motions[self._places] = motion_rows(self._seen)
 
 
-def _step(walkers: list[Carried], torques: Array) -> Array:
-    """MuJoCo's step of each walker under its torques [n, 6]: rows of `layout.Motion`, [n, rows]."""
-    step = mujoco.mj_step
-    for walker, torque in zip(walkers, torques, strict=True):
-        walker.data.ctrl = torque
-        step(walker.model, walker.data)
-    rows = np.empty((len(walkers), Motion.count))
-    rows[:, Motion.q : Motion.q + COORDINATES] = _absolute([w.data.qpos for w in walkers])
-    rows[:, Motion.qdot : Motion.qdot + COORDINATES] = _absolute([w.data.qvel for w in walkers])
-    sensed = np.array([w.data.sensordata for w in walkers]).reshape(-1, LEGS, FOOT_SENSOR)
-    rows[:, Motion.touching : Motion.touching + LEGS] = sensed[:, :, 0] > 0.0
-    force = rows[:, Motion.ground_force : Motion.ground_force + 2 * LEGS]
-    force[:, 0::2], force[:, 1::2] = -sensed[:, :, 1], -sensed[:, :, 3]  # the foot's on the ground
+def motion_rows(seen: Array) -> Array:
+    """Rows of `layout.Motion`, [n, rows], from MuJoCo's qpos, qvel and sensors, [n, 26].
+
+    Angles of the segments take the place of the joints', in `seen` itself.
+    """
+    coordinates = seen[:, : 2 * COORDINATES].reshape(-1, 2, COORDINATES)
+    coordinates[:, :, 3::3] += coordinates[:, :, 2:3]
+    coordinates[:, :, 4::3] += coordinates[:, :, 3::3]
+    coordinates[:, :, 5::3] += coordinates[:, :, 4::3]
+    feet = seen[:, 2 * COORDINATES :].reshape(-1, LEGS, FOOT_SENSOR)
+    rows = np.empty((len(seen), Motion.count))
+    rows[:, : 2 * COORDINATES] = coordinates.reshape(len(seen), -1)
+    rows[:, Motion.touching : Motion.touching + LEGS] = feet[:, :, 0] > 0.0
+    # What the foot does to the ground is sensed.
+    rows[:, Motion.ground_force :: LEGS] = -feet[:, :, 1]
+    rows[:, Motion.ground_force + 1 :: LEGS] = -feet[:, :, 3]
     return rows
-
-
-def _absolute(relative: list[Array]) -> Array:
-    """Our coordinates from MuJoCo's, [n, 9]: angles of the segments in place of the joints'."""
-    own = np.array(relative)
-    legs = np.cumsum(own[:, 3:].reshape(-1, LEGS, 3), axis=2) + own[:, 2, None, None]
-    own[:, 3:] = legs.reshape(-1, 3 * LEGS)
-    return own
 
 
 @contextmanager

@@ -39,9 +39,7 @@ class Stop:
 
 
 STOPS: dict[str, Stop] = {
-    "thigh": Stop(
-        -NO_LIMIT_RAD, stops.HIP_EXTENSION_LIMIT_RAD, stops.HIP_RELAXATION_RADPS
-    ),
+    "thigh": Stop(-NO_LIMIT_RAD, stops.HIP_EXTENSION_LIMIT_RAD, stops.HIP_RELAXATION_RADPS),
     "shank": Stop(stops.KNEE_STRAIGHTEST_RAD, NO_LIMIT_RAD, stops.STOP_RELAXATION_RADPS),
     "foot": Stop(
         stops.ANKLE_DORSIFLEXION_LIMIT_RAD,
