@@ -22,8 +22,9 @@ from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
 
 if TYPE_CHECKING:
+    from taichi_nmm.controller import Controller, Muscles
     from taichi_nmm.forward import forward_dynamics
-    from taichi_nmm.controller import Controller, Muscles, Sensed
+    from taichi_nmm.sensed import Sensed
     from taichi_nmm.simulator import simulate
 
 __version__ = "0.2.0"
@@ -54,7 +55,7 @@ __all__ = [
 _NEEDS_TAICHI = {
     "Controller": "taichi_nmm.controller",
     "Muscles": "taichi_nmm.controller",
-    "Sensed": "taichi_nmm.controller",
+    "Sensed": "taichi_nmm.sensed",
     "forward_dynamics": "taichi_nmm.forward",
     "simulate": "taichi_nmm.simulator",
 }

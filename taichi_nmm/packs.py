@@ -23,7 +23,7 @@ class Packs:
 
     def __init__(
         self,
-        rows: NDArray[np.float64],
+        rows: NDArray[Any],
         constants: NDArray[np.float64],
         terrains: NDArray[np.int32],
         lanes: int,
@@ -74,6 +74,7 @@ class Packs:
         return divmod(position, self.lanes)
 
     def up(self) -> NDArray[np.bool_]:
+        """Which of `walkers` have neither fallen nor diverged."""
         return self.unfold(self.rows[:, State.active : State.active + 1, :])[:, 0] > 0.5
 
     def _keep_final(self, which: NDArray[np.bool_]) -> None:

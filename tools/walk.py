@@ -7,6 +7,7 @@
 
 writes strip.png, gait_cycle.png and movie.mp4 to the folder. Gains are a name (reference, K_T), a
 JSON file of gains, a row of a store, or a finished trial of a study database or of a comparison.
+With --engine mujoco the body is MuJoCo's; --mjcf writes it, on its ground, for MuJoCo's own viewer.
 Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
@@ -33,7 +34,8 @@ from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_tria
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
 from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.errors import InputError
-from taichi_nmm.settings import ARCHITECTURES
+from taichi_nmm.mujoco_engine import require_mujoco
+from taichi_nmm.settings import ARCHITECTURES, ENGINES
 
 ANGLES = (
     "knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad",
@@ -66,6 +68,8 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--movie-seconds", type=float, default=8.0, help="length; 0: no movie (%(default)s)"
     )
+    parser.add_argument("--engine", choices=ENGINES, help="overrides the config's")
+    parser.add_argument("--mjcf", type=Path, metavar="FILE", help="write MuJoCo's model there too")
     parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     return parser.parse_args()
@@ -88,12 +92,15 @@ def find_gains(args: argparse.Namespace) -> NamedGains:
 
 
 def read(args: argparse.Namespace) -> Experiment:
-    """The experiment, with the duration that was asked for."""
+    """The experiment, with the duration and the engine that were asked for."""
     experiment = read_experiment(args.config, args.arch, args.seed)
     experiment.require_run(args.run)
-    if args.duration is None:
-        return experiment
-    conditions = replace(experiment.conditions, duration_s=args.duration)
+    conditions = experiment.conditions
+    if args.duration is not None:
+        conditions = replace(conditions, duration_s=args.duration)
+    if args.engine is not None:
+        settings = replace(conditions.settings, engine=args.engine)
+        conditions = replace(conditions, settings=settings)
     return replace(experiment, conditions=conditions)
 
 
@@ -127,6 +134,18 @@ def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.
             record_rate_hz=RECORD_RATE_HZ,
             progress=progress,
         )
+
+
+def write_model(path: Path, experiment: Experiment, run: int) -> None:
+    """MuJoCo's model of a run's body and ground, standing where the walk starts."""
+    require_mujoco()
+    from taichi_nmm.mujoco_engine.engine import start_state
+    from taichi_nmm.mujoco_engine.ground import boxes
+    from taichi_nmm.mujoco_engine.model import write_mjcf
+
+    terrain, settings = experiment.terrain(run), experiment.conditions.settings
+    with writable(path):
+        write_mjcf(path, experiment.body(run), boxes(terrain), settings, start_state(terrain))
 
 
 def write_pictures(
@@ -195,11 +214,15 @@ def main() -> None:
     require_engine(experiment.conditions.settings)
     folder = args.out or Path("out") / "walk" / gains.name
     make_folder(folder)
+    if args.mjcf is not None:
+        write_model(args.mjcf, experiment, args.run)
     result = simulate(gains, experiment, args.run)
     row, end_reason = result.rows[0], str(result.end_reason[0])
     shown = {name: row[name] for name in MEASURES} | {"end_reason": end_reason}
     title = f"{gains.name} on {experiment.terrain(args.run).name}: {outcome_text(shown)}"
     paths = write_pictures(result, experiment, args.run, folder, title, args.movie_seconds)
+    if args.mjcf is not None:
+        paths["mjcf"] = str(args.mjcf)
     if args.json:
         print(json.dumps(report(gains, row, end_reason, paths)))
         return

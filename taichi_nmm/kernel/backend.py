@@ -27,7 +27,8 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.settings import Settings
 
 __all__ = [
-    "Array", "BoundKernel", "Rows", "is_double", "lanes", "launch", "metadata", "real_dtype", "start", "ti",
+    "Array", "BoundKernel", "Rows", "is_double", "lanes", "launch", "metadata", "real_dtype",
+    "start", "ti",
 ]  # fmt: skip
 
 LANES_CPU = 8  # float32 lanes of a 256-bit register; measured against 1, 4, 16 by tools/bench.py

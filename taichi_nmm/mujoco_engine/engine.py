@@ -5,9 +5,9 @@ MuJoCo steps each body; our kernel takes in where they are (`carried.follow`).
 """
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from copy import copy
 from functools import lru_cache
-from contextlib import contextmanager
 from typing import Any
 
 import mujoco
