@@ -6,11 +6,9 @@ precisions. About twelve minutes for 20,000 points on two cores.
 
 import argparse
 import json
-import platform
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from datetime import date
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +22,7 @@ from tqdm import tqdm
 
 import taichi_nmm
 from storage.sobol import sobol_gains
+from study.benchmarks.figure import Figure, page
 from study.command import run_command
 from taichi_nmm import Bodies, InputError, Settings, terrain
 from taichi_nmm.result import COMPLETED
@@ -31,28 +30,6 @@ from taichi_nmm.result import COMPLETED
 SHORT_S, LONG_S = 5.0, 100.0
 TOP_FRACTION = 0.05
 AGREEMENT_POINTS = 4096
-
-
-@dataclass(frozen=True)
-class Figure:
-    """One measured number beside what it must be."""
-
-    what: str
-    value: float
-    low: float
-    high: float
-    unit: str = ""
-
-    @property
-    def holds(self) -> bool:
-        """Whether the number lies within its bar."""
-        return self.low <= self.value <= self.high
-
-    def row(self) -> str:
-        """A row of a Markdown table."""
-        high = "" if self.high == np.inf else f" to {self.high:g}"
-        verdict = "yes" if self.holds else "**no**"
-        return f"| {self.what} | {self.value:.4g} {self.unit} | {self.low:g}{high} | {verdict} |"
 
 
 def main() -> None:
@@ -68,7 +45,8 @@ def main() -> None:
     if options.json:
         print(json.dumps([{**asdict(figure), "holds": figure.holds} for figure in figures]))
     else:
-        print(report(figures, options.samples))
+        how = f"{options.samples} Sobol points, float32, 1 ms where not said otherwise"
+        print(page(figures, how))
 
 
 def parse() -> argparse.Namespace:
@@ -78,18 +56,6 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=2016, help="of the Sobol points and draws")
     parser.add_argument("--json", action="store_true", help="print one list of objects")
     return parser.parse_args()
-
-
-def report(figures: list[Figure], samples: int) -> str:
-    lines = [
-        f"{samples} Sobol points, {date.today()}, {platform.machine()}, Python "
-        f"{platform.python_version()}, float32, 1 ms where not said otherwise.",
-        "",
-        "| what | measured | bar | holds |",
-        "|---|---|---|---|",
-        *(figure.row() for figure in figures),
-    ]
-    return "\n".join(lines)
 
 
 def measure(samples: int, draws: int, seed: int) -> Iterator[Figure]:

@@ -1,0 +1,170 @@
+"""Measure MuJoCo as the engine of a walk against the figures it must show, as a Markdown table.
+
+Standing load, the two known gaits, agreement with our own engine over the search space and of
+MuJoCo with itself at half the step, speed of the engine and of the controller. Needs the package
+mujoco. About ten minutes for 1,000 points; the speeds want an idle machine. Exit codes: 0, 2 bad
+input, 130 interrupted.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+# The repository comes before tools/, where study.py would hide the package of its name.
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tqdm import tqdm
+
+import taichi_nmm
+from storage.pool import cores
+from storage.sobol import sobol_gains
+from study.benchmarks.figure import Figure, page
+from study.command import require_engine, run_command
+from study.experiment.objective import walked
+from taichi_nmm import K_T, Bodies, Controller, InputError, Sensed, Settings, load_gains, terrain
+
+LONG_S = 100.0
+ALIVE_S = 5.0
+OURS = Settings()
+MUJOCO = Settings(engine="mujoco")
+HALF_STEP = Settings(engine="mujoco", physics_step_s=0.5e-3)
+BATCH = 250  # Sobol points at once
+
+WALKERS = 64  # of the speeds
+TIMED_S = 3.0  # of walking
+TIMED_TICKS = 2000
+GENTLE = 0.02  # roughness, m, and disturbance: so that all stay up while they are timed
+
+
+def main() -> None:
+    options = parse()
+    if options.samples < 1:
+        raise InputError("samples", options.samples, "1 or more")
+    require_engine(MUJOCO)
+    figures = []
+    with tqdm(unit="figure") as bar:
+        for figure in measure(options.samples, options.seed):
+            figures.append(figure)
+            bar.set_postfix_str(figure.what)
+            bar.update()
+    if options.json:
+        print(json.dumps([{**asdict(figure), "holds": figure.holds} for figure in figures]))
+    else:
+        print(page(figures, f"{options.samples} Sobol points, MuJoCo's default contact, 1 ms"))
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--samples", type=int, default=1000, metavar="N", help="(%(default)s)")
+    parser.add_argument("--seed", type=int, default=2016, help="of the Sobol points (%(default)s)")
+    parser.add_argument("--json", action="store_true", help="print one list of objects")
+    return parser.parse_args()
+
+
+def measure(samples: int, seed: int) -> Iterator[Figure]:
+    yield from speeds()
+    yield from known_gaits()
+    gains = sobol_gains(seed, 0, samples)
+    ours, mujoco, half = (verdicts(gains, settings) for settings in (OURS, MUJOCO, HALF_STEP))
+    yield Figure("alive at 5 s", share(mujoco[0]), unit="%")
+    yield Figure("walk 100 s", share(mujoco[1]), unit="%")
+    yield Figure(
+        "same verdict 'walks 100 s' as our engine", share(mujoco[1] == ours[1]), 93, 100, "%"
+    )
+    for name, one, other in zip(("alive at 5 s", "walks 100 s"), mujoco, half, strict=True):
+        yield Figure(f"same verdict '{name}' at 1 and 0.5 ms", share(one == other), unit="%")
+
+
+def known_gaits() -> Iterator[Figure]:
+    gaits = np.array([K_T, load_gains("reference")])
+    rows = taichi_nmm.simulate(gaits, duration_s=LONG_S, settings=MUJOCO).rows
+    for row, name, (low, high) in zip(
+        rows, ("K_T", "reference"), ((1.37, 1.43), (1.23, 1.31)), strict=True
+    ):
+        yield Figure(f"{name}, level ground: walked", row["duration_s"], LONG_S, LONG_S, "s")
+        yield Figure(f"{name}: mean speed", row["mean_speed_mps"], low, high, "m/s")
+        load = row["grf_vertical_mean_bw"]
+        yield Figure(f"{name}: mean vertical ground force", load, 0.998, 1.002, "BW")
+
+
+def verdicts(
+    gains: NDArray[np.float64], settings: Settings
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether each point is alive at 5 s, and whether it walks 100 s."""
+    parts = [
+        taichi_nmm.simulate(gains[first : first + BATCH], duration_s=LONG_S, settings=settings).rows
+        for first in range(0, len(gains), BATCH)
+    ]
+    rows = np.concatenate(parts)
+    return rows["duration_s"] >= ALIVE_S, walked(rows)
+
+
+def share(which: NDArray[np.bool_]) -> float:
+    return 100.0 * float(np.mean(which))
+
+
+def speeds() -> Iterator[Figure]:
+    """Walker-steps a second of processes side by side, and what a tick of the controller takes."""
+    context = get_context("spawn")
+    alone, together = [], []
+    with ProcessPoolExecutor(2, mp_context=context) as pool:
+        list(pool.map(walker_steps_per_s, range(2)))  # compiles
+        alone = list(pool.map(walker_steps_per_s, range(1)))
+        if cores() > 1:
+            together = list(pool.map(walker_steps_per_s, range(2)))
+    what = f"walker-steps a second, {WALKERS} walkers on rough ground, one core"
+    yield Figure(what, alone[0], 45_000)
+    if together:
+        yield Figure("two processes on two cores, over one", sum(together) / alone[0], 1.8)
+    yield Figure(f"controller: a tick of {WALKERS} walkers", tick_us(), 0, 200, "us")
+
+
+def walker_steps_per_s(index: int) -> float:
+    """Of `WALKERS` walkers that stay up, on one thread; setting up is not timed."""
+    settings = Settings(engine="mujoco", threads=1)
+    grounds = [terrain.rough(seed, amplitude_m=GENTLE) for seed in range(WALKERS)]
+    bodies = Bodies.disturbed(range(WALKERS), GENTLE)
+    times: dict[float, float] = {}
+
+    def note(simulated_s: float, active: int) -> None:
+        times[simulated_s] = time.perf_counter()
+        if active < WALKERS:
+            raise RuntimeError("a walker fell while it was timed")
+
+    taichi_nmm.simulate(
+        np.tile(K_T, (WALKERS, 1)),
+        duration_s=TIMED_S, bodies=bodies, terrains=grounds, settings=settings, progress=note,
+    )  # fmt: skip
+    first, last = min(times), max(times)
+    return WALKERS * 1e3 * (last - first) / (times[last] - times[first])
+
+
+def tick_us() -> float:
+    """Median time of `Controller.step` for `WALKERS` standing walkers."""
+    pairs, joints = np.ones((WALKERS, 2)), np.zeros((WALKERS, 6))
+    zeros = np.zeros(WALKERS)
+    sensed = Sensed(
+        joints, joints, zeros, zeros, pairs, 400.0 * pairs,
+        pairs, 0.5 * np.pi * pairs, 0.0 * pairs, zeros,
+    )  # fmt: skip
+    controller = Controller(np.tile(K_T, (WALKERS, 1)), settings=Settings(threads=1))
+    controller.step(sensed)
+    took = []
+    for _ in range(TIMED_TICKS):
+        began_s = time.perf_counter()
+        controller.step(sensed)
+        took.append(time.perf_counter() - began_s)
+    return 1e6 * float(np.median(took))
+
+
+if __name__ == "__main__":
+    run_command(main)
