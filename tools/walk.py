@@ -7,7 +7,8 @@
 
 writes strip.png, gait_cycle.png and movie.mp4 to the folder. Gains are a name (reference, K_T), a
 JSON file of gains, a row of a store, or a finished trial of a study database or of a comparison.
-With --engine mujoco the body is MuJoCo's; --mjcf writes it, on its ground, for MuJoCo's own viewer.
+With --engine mujoco the body is MuJoCo's; with both, strips.png shows one walk above the other.
+--mjcf writes MuJoCo's model, on its ground, for MuJoCo's own viewer.
 Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
@@ -32,6 +33,8 @@ from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experi
 from study.experiment.objective import outcome_text
 from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
+from study.report.before_after import Pair, Shown
+from study.report.strips import write_strips
 from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
@@ -43,6 +46,7 @@ ANGLES = (
 REPOSITORY = Path(__file__).resolve().parents[1]
 LONGEST_MOVIE_S = 120.0
 RECORD_RATE_HZ = 200.0
+BOTH = "both"  # engines
 MEASURES = ("duration_s", "distance_m", "mean_speed_mps")
 REPORTED = (
     *MEASURES, "cost_of_transport_jpkgpm", "step_count",
@@ -68,7 +72,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--movie-seconds", type=float, default=8.0, help="length; 0: no movie (%(default)s)"
     )
-    parser.add_argument("--engine", choices=ENGINES, help="overrides the config's")
+    parser.add_argument("--engine", choices=(*ENGINES, BOTH), help="overrides the config's")
     parser.add_argument("--mjcf", type=Path, metavar="FILE", help="write MuJoCo's model there too")
     parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
@@ -98,10 +102,17 @@ def read(args: argparse.Namespace) -> Experiment:
     conditions = experiment.conditions
     if args.duration is not None:
         conditions = replace(conditions, duration_s=args.duration)
-    if args.engine is not None:
-        settings = replace(conditions.settings, engine=args.engine)
-        conditions = replace(conditions, settings=settings)
-    return replace(experiment, conditions=conditions)
+    experiment = replace(experiment, conditions=conditions)
+    if args.engine in ENGINES:
+        return on_engine(experiment, args.engine)
+    return on_engine(experiment, "taichi") if args.engine == BOTH else experiment
+
+
+def on_engine(experiment: Experiment, engine: str) -> Experiment:
+    """The same on an engine; what is an engine's own is as configured, or as it is by default."""
+    conditions = experiment.conditions
+    settings = replace(conditions.settings, engine=engine)
+    return replace(experiment, conditions=replace(conditions, settings=settings))
 
 
 def check_range(name: str, value: float, low: float, high: float) -> None:
@@ -138,7 +149,6 @@ def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.
 
 def write_model(path: Path, experiment: Experiment, run: int) -> None:
     """MuJoCo's model of a run's body and ground, standing where the walk starts."""
-    require_mujoco()
     from taichi_nmm.mujoco_engine.engine import start_state
     from taichi_nmm.mujoco_engine.ground import boxes
     from taichi_nmm.mujoco_engine.model import write_mjcf
@@ -146,6 +156,27 @@ def write_model(path: Path, experiment: Experiment, run: int) -> None:
     terrain, settings = experiment.terrain(run), experiment.conditions.settings
     with writable(path):
         write_mjcf(path, experiment.body(run), boxes(terrain), settings, start_state(terrain))
+
+
+def write_engines(
+    gains: NamedGains, result: taichi_nmm.Result, experiment: Experiment, run: int, folder: Path
+) -> dict[str, str]:
+    """The same gains once more, on MuJoCo: both walks one above the other."""
+    other = simulate(gains, on_engine(experiment, "mujoco"), run)
+    first, second = (
+        Shown(engine, f"{engine}: {outcome(walk)}", walk.trajectories[0])
+        for engine, walk in zip(ENGINES, (result, other), strict=True)
+    )
+    terrain = experiment.terrain(run)
+    title = f"{gains.name} on {terrain.name}, run {run}: two engines"
+    write_strips(folder, title, Pair(run, terrain, first, second))
+    return {"strips": str(folder / "strips.png")}
+
+
+def outcome(result: taichi_nmm.Result) -> str:
+    """How the one walk of a result ended, in words."""
+    shown = {name: result.rows[0][name] for name in MEASURES}
+    return outcome_text(shown | {"end_reason": str(result.end_reason[0])})
 
 
 def write_pictures(
@@ -212,15 +243,18 @@ def main() -> None:
     if args.movie_seconds > 0:
         find_ffmpeg()
     require_engine(experiment.conditions.settings)
+    if args.engine == BOTH or args.mjcf is not None:
+        require_mujoco()
     folder = args.out or Path("out") / "walk" / gains.name
     make_folder(folder)
     if args.mjcf is not None:
         write_model(args.mjcf, experiment, args.run)
     result = simulate(gains, experiment, args.run)
     row, end_reason = result.rows[0], str(result.end_reason[0])
-    shown = {name: row[name] for name in MEASURES} | {"end_reason": end_reason}
-    title = f"{gains.name} on {experiment.terrain(args.run).name}: {outcome_text(shown)}"
+    title = f"{gains.name} on {experiment.terrain(args.run).name}: {outcome(result)}"
     paths = write_pictures(result, experiment, args.run, folder, title, args.movie_seconds)
+    if args.engine == BOTH:
+        paths |= write_engines(gains, result, experiment, args.run, folder)
     if args.mjcf is not None:
         paths["mjcf"] = str(args.mjcf)
     if args.json:

@@ -34,34 +34,34 @@ class Chosen:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A trial as it was simulated again.
+    """A walk as it was simulated for a figure.
 
     Attributes:
-        when: "before" or "after".
+        label: a word for it, such as "before".
         title: what it is, and what became of it.
         trajectory: 50 samples a second.
     """
 
-    when: str
+    label: str
     title: str
     trajectory: Trajectory
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two walks of one run.
+    """Two walks of one run, as before and after.
 
     Attributes:
         run: its number.
         terrain: its ground.
-        before: one that fell.
-        after: one that walked.
+        first: drawn above.
+        second: drawn below.
     """
 
     run: int
     terrain: Terrain
-    before: Shown
-    after: Shown
+    first: Shown
+    second: Shown
 
 
 def before_and_after(results: Results, experiment: Experiment) -> Pair | None:

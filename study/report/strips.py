@@ -1,4 +1,4 @@
-"""Figure: a walker before and after optimisation, as poses over the ground of one run."""
+"""Figure: two walks of one run, as poses over its ground: before and after, or on two engines."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ SHOWN_M = 6.8
 SCALE_IN_PER_M = 1.05
 LEFT_IN, RIGHT_IN, PROFILE_IN = 0.75, 1.0, 0.85
 ABOVE_HIP_M, BELOW_GROUND_M = 0.95, 0.14
-COLOURS = {"before": VERMILION, "after": BLUE}
+COLOURS = (VERMILION, BLUE)  # of the first walk and the second
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +33,15 @@ class Panel:
     """One of the two walks: what is drawn of it, and where.
 
     Attributes:
-        shown: which trial it is.
+        shown: which it is.
+        colour: of its mark in the profile.
         trajectory: of it, as far as its pose is finite.
         poses_s: times of the poses.
         frame: x from, to; z from, to, in m.
     """
 
     shown: Shown
+    colour: str
     trajectory: Trajectory
     poses_s: Floats
     frame: tuple[float, float, float, float]
@@ -50,15 +52,18 @@ class Panel:
         return (self.frame[3] - self.frame[2]) * SCALE_IN_PER_M
 
 
-def write_strips(folder: Path, name: str, pair: Pair) -> list[Path]:
+def write_strips(folder: Path, title: str, pair: Pair) -> list[Path]:
     """Draw both walks and, below them, the profile of the ground, as strips.png and .svg.
 
     Args:
         folder: where to.
-        name: of the experiment.
+        title: of the figure.
         pair: the walks and their ground.
     """
-    panels = [_panel(shown, pair.terrain) for shown in (pair.before, pair.after)]
+    panels = [
+        _panel(shown, colour, pair.terrain)
+        for shown, colour in zip((pair.first, pair.second), COLOURS, strict=True)
+    ]
     width = WIDTH_M * SCALE_IN_PER_M + LEFT_IN + RIGHT_IN
     height = sum(panel.height_in + 0.62 for panel in panels) + PROFILE_IN + 0.95
     figure = style.new_figure(width, height)
@@ -79,20 +84,20 @@ def write_strips(folder: Path, name: str, pair: Pair) -> list[Path]:
     activation_bar(bar, figure_of)
     _draw_profile(axes_at(top + 0.1, PROFILE_IN), panels, pair.terrain)
     figure.text(
-        LEFT_IN / width, 1.0 - 0.25 / height, f"{name}, run {pair.run}: before and after",
+        LEFT_IN / width, 1.0 - 0.25 / height, title,
         fontsize=style.TITLE_PT, color=style.INK, va="center",
     )  # fmt: skip
     return save(figure, folder, "strips")
 
 
-def _panel(shown: Shown, terrain: Terrain) -> Panel:
+def _panel(shown: Shown, colour: str, terrain: Terrain) -> Panel:
     trajectory = finite(shown.trajectory)
     poses_s = pose_times(trajectory, SHOWN_M)
     q = at_times(trajectory, trajectory.q, poses_s)
     low_x = 0.5 * (q[:, 0].min() + q[:, 0].max() - WIDTH_M)
     ground = terrain.height(np.linspace(low_x, low_x + WIDTH_M, 200))
     frame = (low_x, low_x + WIDTH_M, ground.min() - BELOW_GROUND_M, q[:, 1].max() + ABOVE_HIP_M)
-    return Panel(shown, trajectory, poses_s, frame)
+    return Panel(shown, colour, trajectory, poses_s, frame)
 
 
 def _draw_panel(axes: Axes, panel: Panel, terrain: Terrain) -> StickFigure:
@@ -102,7 +107,7 @@ def _draw_panel(axes: Axes, panel: Panel, terrain: Terrain) -> StickFigure:
     axes.grid(False)
     axes.set(xlim=(low_x, high_x), ylim=(low_z, high_z))
     last = draw_poses(axes, panel.trajectory, panel.poses_s)
-    draw_ghosts(axes, panel.trajectory, panel.poses_s, COLOURS[panel.shown.when])
+    draw_ghosts(axes, panel.trajectory, panel.poses_s, panel.colour)
     x = np.linspace(low_x, high_x, 2000)
     draw_ground(axes, x, terrain.height(x), low_z)
     axes.set_title(panel.shown.title, loc="left", fontsize=style.TEXT_PT, color=style.INK)
@@ -117,11 +122,10 @@ def _draw_profile(axes: Axes, panels: Sequence[Panel], terrain: Terrain) -> None
     height = terrain.height(x)
     draw_profile(axes, x, height, margin_m=0.1 * max(float(np.ptp(height)), 0.5))
     for panel in panels:
-        colour = COLOURS[panel.shown.when]
-        axes.axvspan(*panel.frame[:2], color=colour, alpha=0.25, linewidth=0, zorder=3)
+        axes.axvspan(*panel.frame[:2], color=panel.colour, alpha=0.25, linewidth=0, zorder=3)
         axes.annotate(
-            panel.shown.when, xy=(np.mean(panel.frame[:2]), 1.0), xytext=(0, 2),
+            panel.shown.label, xy=(np.mean(panel.frame[:2]), 1.0), xytext=(0, 2),
             xycoords=("data", "axes fraction"), textcoords="offset points", ha="center",
-            fontsize=style.SMALL_PT, color=colour,
+            fontsize=style.SMALL_PT, color=panel.colour,
         )  # fmt: skip
     axes.set_xlabel("distance (m)", fontsize=style.TEXT_PT, color=style.INK)

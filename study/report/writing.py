@@ -43,7 +43,8 @@ def write_report(
     write_walkers(folder, results)
     write_first_walker(folder, results)
     if pair is not None:
-        write_strips(folder, results.name, pair)
+        title = f"{results.name}, run {pair.run}: before and after"
+        write_strips(folder, title, pair)
     commit_json(
         folder / "summary.json",
         {
@@ -77,7 +78,7 @@ def write_overview(folder: Path, experiments: Sequence[Numbers]) -> None:
 
 
 def _strips(pair: Pair | None) -> str:
-    return "" if pair is None else f"{pair.before.title}. {pair.after.title}. Run {pair.run}."
+    return "" if pair is None else f"{pair.first.title}. {pair.second.title}. Run {pair.run}."
 
 
 def _made(folder: Path) -> Path:

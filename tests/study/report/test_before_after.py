@@ -108,5 +108,5 @@ def test_both_walks_are_of_the_gains_and_the_run_of_the_table(
         )
         np.testing.assert_array_equal(seen["gains"][number], [row[name] for name in GAIN_NAMES])
     assert seen["bodies"].mass_kg[0].tolist() == made.body(1).mass_kg[0].tolist()
-    assert pair.before.title == "Before: best combination, trial 1: fell after 2 s, 1.5 m"
-    assert pair.after.title == "After: best combination, trial 5: 100 s, 130 m at 1.30 m/s"
+    assert pair.first.title == "Before: best combination, trial 1: fell after 2 s, 1.5 m"
+    assert pair.second.title == "After: best combination, trial 5: 100 s, 130 m at 1.30 m/s"
