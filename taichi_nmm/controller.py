@@ -15,7 +15,7 @@ from taichi_nmm.constants import blends, constant_rows
 from taichi_nmm.errors import InputError
 from taichi_nmm.initial import filled_delays, first_signals, relaxed_fibres
 from taichi_nmm.kernel import backend
-from taichi_nmm.kernel.controller import actuate
+from taichi_nmm.kernel.actuation import actuate
 from taichi_nmm.kernel.layout import (
     FIRST_DELAY,
     FIRST_EVENT,
