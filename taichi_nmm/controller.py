@@ -15,7 +15,7 @@ from taichi_nmm.constants import blends, constant_rows
 from taichi_nmm.errors import InputError
 from taichi_nmm.initial import filled_delays, first_signals, relaxed_fibres
 from taichi_nmm.kernel import backend
-from taichi_nmm.kernel.controller import actuate
+from taichi_nmm.kernel.actuation import actuate
 from taichi_nmm.kernel.layout import (
     FIRST_DELAY,
     FIRST_EVENT,
@@ -112,7 +112,12 @@ class Controller:
         Raises:
             InputError: a row that is not there.
         """
-        index = np.asarray(rows)
+        try:
+            index = np.asarray(rows)
+        except ValueError:  # rows of different lengths
+            raise InputError("rows", rows, "whole numbers, [k]") from None
+        if index.shape == (0,):
+            index = index.astype(np.intp)  # of nothing, NumPy makes numbers that are not whole
         if index.ndim != 1 or index.dtype.kind not in "iu":
             raise InputError("rows", rows, "whole numbers, [k]")
         if len(index) and not (index.min() >= 0 and index.max() < len(self)):

@@ -48,16 +48,29 @@ class Sensed:
         """The arrays by name.
 
         Raises:
-            InputError: an array of another shape, or one with NaN or infinity.
+            InputError: an array of another shape, one with NaN or infinity, or a contact that is
+                neither 0 nor 1.
         """
-        arrays = {name: np.asarray(getattr(self, name)) for name in WIDTHS}
-        for (name, width), array in zip(WIDTHS.items(), arrays.values(), strict=True):
+        arrays = {}
+        for name, width in WIDTHS.items():
             shape = (count, width) if width else (count,)
+            array = arrays[name] = _array(name, getattr(self, name), shape)
             if array.shape != shape:
                 raise InputError(f"sensed.{name}.shape", array.shape, f"{list(shape)}")
             if array.dtype.kind not in "biuf" or not np.isfinite(array).all():
                 raise InputError(f"sensed.{name}", "nan, inf or no number", "finite numbers")
+        contact = arrays["contact"]
+        if not np.all((contact == 0) | (contact == 1)):
+            other = contact[(contact != 0) & (contact != 1)][0].item()
+            raise InputError("sensed.contact", other, "0 or 1: whether, not how many or how much")
         return arrays
+
+
+def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    try:
+        return np.asarray(values)
+    except ValueError:  # rows of different lengths
+        raise InputError(f"sensed.{name}.shape", "ragged", f"{list(shape)}") from None
 
 
 WIDTHS = {

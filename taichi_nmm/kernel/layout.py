@@ -155,7 +155,7 @@ Delay = blocks(
     short=SHORT_SIGNALS * SHORT_DELAY_TICKS,
 )
 
-# What a controller senses of a body that is not this simulator's (`kernel.controller`).
+# What a controller senses of a body that is not this simulator's (`kernel.actuation`).
 Sense = blocks(
     angle=SEGMENT_COUNT,
     rate=SEGMENT_COUNT,

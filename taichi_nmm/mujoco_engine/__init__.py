@@ -1,6 +1,6 @@
 """MuJoCo as the engine of a walk: its bodies, contacts and joint limits under our controller.
 
-`linkage` is the seven links, `model` adds feet, limits, motors and the ground, `ground` cuts a
+`linkage` is the seven links, `mjcf` adds feet, limits, motors and the ground, `ground` cuts a
 terrain into boxes, `engine` advances a batch. All of them need the package mujoco, an extra.
 """
 

@@ -16,7 +16,8 @@ from taichi_nmm import kernel
 
 INTERPRETED = (
     "elementary", "kinematics", "muscle_table", "attachments", "muscle", "dynamics", "contact",
-    "joint_stops", "delays", "reflexes", "swing", "gait", "walker",
+    "joint_stops", "delays", "reflexes", "swing", "gait", "walker", "entry_points", "carried",
+    "actuation",
 )  # fmt: skip
 
 
@@ -44,6 +45,7 @@ def _static(*values: Any) -> Any:
 
 NUMPY_TAICHI = SimpleNamespace(
     func=lambda function: function,
+    kernel=lambda function: function,
     static=_static,
     select=np.where,
     max=np.maximum,
@@ -62,23 +64,32 @@ NUMPY_TAICHI = SimpleNamespace(
 
 
 def interpreted_walker() -> Any:
-    """The module `walker`, and all it imports, over NumPy in float64.
+    """The module `walker`, and all it imports, over NumPy in float64."""
+    (walker,) = interpreted("walker")
+    return walker
 
-    The real modules are put back before returning.
+
+def interpreted(*names: str, double: bool = True) -> tuple[Any, ...]:
+    """Modules of the kernel, and all they import, over NumPy in float64, or in float32.
+
+    Sums and products are of the arrays' own type. The real modules are put back before returning.
     """
     shim: Any = ModuleType("taichi_nmm.kernel.backend")
-    shim.ti, shim.Rows, shim.is_double = NUMPY_TAICHI, Any, lambda: True
+    shim.ti, shim.Rows, shim.Array, shim.is_double = NUMPY_TAICHI, Any, Any, lambda: double
     replaced = ("backend", *INTERPRETED)
     real = {name: sys.modules.pop(f"{kernel.__name__}.{name}", None) for name in replaced}
     for name in replaced:
         vars(kernel).pop(name, None)
     sys.modules[shim.__name__] = kernel.backend = shim
     try:
-        walker: Any = importlib.import_module("taichi_nmm.kernel.walker")
-        walker.range = lane_range
+        modules = {
+            name: importlib.import_module(f"{kernel.__name__}.{name}") for name in INTERPRETED
+        }
+        for name in ("walker", "carried", "actuation"):
+            vars(modules[name])["range"] = lane_range
         # Without the early exit: a settled pass repeats itself, bit for bit.
-        walker.settled = lambda lanes, work: False
-        return walker
+        vars(modules["walker"])["settled"] = lambda lanes, work: False
+        return tuple(modules[name] for name in names)
     finally:
         for name, module in real.items():
             sys.modules.pop(f"{kernel.__name__}.{name}", None)

@@ -2,11 +2,11 @@
 
     python -m tests.parity.mujoco_bench_model --rollouts 256
 
-The linkage of `mujoco_walker` with 14 of MuJoCo's muscles (fixed tendons with the largest moment
-arms of the walker's muscles, the cheapest transmission there is), joint limits, and a sphere at
-each heel and ball that meets a plane. MuJoCo has no delays, reflexes, swing control or score to
-compute: its muscles get constant excitation, so every rollout of a second ends in a fall, as most
-random gains do.
+The linkage of `taichi_nmm.mujoco_engine` with 14 of MuJoCo's muscles (fixed tendons with the
+largest moment arms of the walker's muscles, the cheapest transmission there is), joint limits, and
+a sphere at each heel and ball that meets a plane. MuJoCo has no delays, reflexes, swing control or
+score to compute: its muscles get constant excitation, so every rollout of a second ends in a fall,
+as most random gains do.
 """
 
 import argparse
@@ -26,8 +26,8 @@ from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import joint_stops
 from taichi_nmm.kernel.layout import COORDINATES, State
 from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, MuscleData
+from taichi_nmm.mujoco_engine.linkage import RELATIVE, compile_model, linkage
 from taichi_nmm.terrain import flat
-from tests.parity.mujoco_walker import RELATIVE, compile_model, linkage
 
 STEP_S = 1e-3
 ROLLOUT_STEPS = 1000

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 import taichi_nmm
 from taichi_nmm.body import Bodies
 from taichi_nmm.errors import InputError
-from tests.parity import mujoco_walker, numpy_dynamics
+from tests.parity import mujoco_dynamics, numpy_dynamics
 from tests.parity.states import States, random_states
 
 pytestmark = pytest.mark.slow
@@ -23,7 +23,9 @@ def states() -> States:
 
 @pytest.fixture(scope="module")
 def expected(states: States) -> NDArray[np.float64]:
-    return mujoco_walker.forward_dynamics(states.q, states.qdot, states.joint_torque, states.bodies)
+    return mujoco_dynamics.forward_dynamics(
+        states.q, states.qdot, states.joint_torque, states.bodies
+    )
 
 
 def simulated(states: States) -> NDArray[np.float64]:

@@ -1,0 +1,203 @@
+"""`Controller`: what it refuses, and that nothing but its own senses decides its torques."""
+
+from dataclasses import fields, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taichi_nmm
+from taichi_nmm import Controller, Sensed
+from taichi_nmm.body import Bodies
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import K_T, lower_bounds, upper_bounds
+from taichi_nmm.settings import Settings
+
+COUNT = 11  # two packs of eight lanes, one of them not full
+STEPS = 60
+NAMES = tuple(field.name for field in fields(Sensed))
+MUSCLES = ("activation", "stimulation", "length", "force_n")
+FLOAT32 = Settings(precision="float32", arch="cpu")
+
+
+def gains() -> np.ndarray:
+    rng = np.random.default_rng(2)
+    return np.vstack([K_T, rng.uniform(lower_bounds(), upper_bounds(), (COUNT - 1, 16))])
+
+
+def states(count: int = COUNT, steps: int = STEPS) -> list[Sensed]:
+    """Something that bodies may sense, other in each step; of fewer steps, its beginning."""
+    rng = np.random.default_rng(1)
+    return [
+        Sensed(
+            joint_rad=rng.uniform(-0.1, 0.4, (COUNT, 6))[:count],
+            joint_rate_radps=rng.uniform(-1, 1, (COUNT, 6))[:count],
+            trunk_rad=rng.uniform(-0.1, 0.1, COUNT)[:count],
+            trunk_rate_radps=rng.uniform(-0.5, 0.5, COUNT)[:count],
+            contact=(rng.random((COUNT, 2)) < 0.7)[:count],
+            load_n=rng.uniform(0, 900, (COUNT, 2))[:count],
+            leg_length_m=rng.uniform(0.8, 1.0, (COUNT, 2))[:count],
+            leg_angle_rad=rng.uniform(1.2, 1.9, (COUNT, 2))[:count],
+            com_ahead_m=rng.uniform(-0.3, 0.3, (COUNT, 2))[:count],
+            com_speed_mps=rng.uniform(0.5, 1.5, COUNT)[:count],
+        )
+        for _ in range(steps)
+    ]
+
+
+def part(sensed: Sensed, rows: Any) -> Sensed:
+    return Sensed(*(np.asarray(getattr(sensed, name))[rows] for name in NAMES))
+
+
+def torques(controller: Controller, sensed: list[Sensed]) -> np.ndarray:
+    return np.array([controller.step(state) for state in sensed])
+
+
+@pytest.fixture(scope="module")
+def undisturbed() -> np.ndarray:
+    """[steps, n, 6] of all controllers together."""
+    return torques(Controller(gains(), settings=FLOAT32), states())
+
+
+# What is refused.
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        ({"gains": np.zeros((2, 15))}, "gains"),
+        ({"gains": np.full((2, 16), np.nan)}, r"gains\[0\]\.K_GAS"),
+        ({"gains": np.tile(K_T, (2, 1)), "bodies": Bodies.nominal(3)}, "bodies"),
+        ({"gains": K_T, "low_level_gains": [1.0]}, "low_level_gains"),
+    ],
+)
+def test_arguments_that_cannot_be_used(arguments: dict[str, Any], field: str) -> None:
+    with pytest.raises(InputError, match=field) as caught:
+        Controller(arguments.pop("gains"), **arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_muscles_before_the_first_step() -> None:
+    with pytest.raises(InputError, match=r"controller\.muscles: .* a first step"):
+        _ = Controller(K_T).muscles
+
+
+@pytest.mark.slow
+def test_a_refused_step_leaves_no_trace(undisturbed: np.ndarray) -> None:
+    controller = Controller(gains(), settings=FLOAT32)
+    found = []
+    for number, state in enumerate(states()):
+        for bad in (
+            replace(state, trunk_rad=np.full(COUNT, np.nan)),
+            replace(state, load_n=np.zeros((COUNT, 3))),
+            replace(state, contact=["no"] * COUNT),
+        ):
+            with pytest.raises(InputError):
+                controller.step(bad)
+        if number:
+            with pytest.raises(InputError):
+                controller.keep([COUNT])
+        found.append(controller.step(state))
+    np.testing.assert_array_equal(found, undisturbed)
+
+
+# What decides the torques.
+
+
+@pytest.mark.slow
+def test_torques_do_not_depend_on_the_others(undisturbed: np.ndarray) -> None:
+    """Batch order and batch size; the last pack is full or not."""
+    for rows in (np.arange(COUNT)[::-1], np.array([7, 2]), np.array([0]), np.arange(8)):
+        controller = Controller(gains()[rows], settings=FLOAT32)
+        found = torques(controller, [part(state, rows) for state in states()])
+        np.testing.assert_array_equal(found, undisturbed[:, rows])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rows", [[10, 3, 3, 0], [4], np.arange(9), np.zeros(0, int)])
+def test_those_who_are_kept_go_on(undisturbed: np.ndarray, rows: Any) -> None:
+    controller, half = Controller(gains(), settings=FLOAT32), STEPS // 2
+    torques(controller, states()[:half])
+    before = controller.muscles
+    controller.keep(rows)
+    assert len(controller) == len(rows)
+    for name in MUSCLES:
+        np.testing.assert_array_equal(
+            getattr(controller.muscles, name), getattr(before, name)[rows]
+        )
+    found = [controller.step(part(state, rows)) for state in states()[half:]]
+    np.testing.assert_array_equal(found, undisturbed[half:, rows])
+
+
+@pytest.mark.slow
+def test_keeping_before_the_first_step(undisturbed: np.ndarray) -> None:
+    controller, rows = Controller(gains(), settings=FLOAT32), [5, 1]
+    controller.keep(rows)
+    found = torques(controller, [part(state, rows) for state in states()])
+    np.testing.assert_array_equal(found, undisturbed[:, rows])
+
+
+@pytest.mark.parametrize(
+    "rows", [[-1], [COUNT], [[0]], [0.5], [True] * COUNT, 3, ["a"], [[0], [1, 2]]]
+)
+def test_rows_that_are_not_there(rows: Any) -> None:
+    controller = Controller(gains())
+    with pytest.raises(InputError, match=r"^rows: ") as caught:
+        controller.keep(rows)
+    assert "\n" not in str(caught.value)
+    assert len(controller) == COUNT
+
+
+def test_nobody_is_kept() -> None:
+    controller = Controller(gains())
+    controller.keep([])
+    assert len(controller) == 0
+
+
+@pytest.mark.slow
+def test_another_simulation_in_between_changes_nothing(undisturbed: np.ndarray) -> None:
+    """One with other settings starts Taichi again: what was bound to it is gone."""
+    controller, found = Controller(gains(), settings=FLOAT32), []
+    for number, state in enumerate(states()):
+        found.append(controller.step(state))
+        if number == STEPS // 2:
+            other = Settings(precision="float64", arch="cpu", physics_step_s=0.5e-3)
+            taichi_nmm.simulate([K_T], duration_s=0.01, settings=other)
+    np.testing.assert_array_equal(found, undisturbed)
+
+
+@pytest.mark.slow
+def test_two_controllers_by_turns(undisturbed: np.ndarray) -> None:
+    first, second = (Controller(gains(), settings=FLOAT32) for _ in range(2))
+    for state, expected in zip(states(), undisturbed, strict=True):
+        np.testing.assert_array_equal(first.step(state), expected)
+        np.testing.assert_array_equal(second.step(state), expected)
+
+
+@pytest.mark.slow
+def test_orders_come_every_millisecond() -> None:
+    half = Controller(gains(), settings=replace(FLOAT32, physics_step_s=0.5e-3))
+    orders = []
+    for state in states():
+        half.step(state)
+        orders.append(half.muscles.stimulation)
+    changed = [np.any(now != before) for before, now in pairwise(orders)]
+    assert not any(changed[::2])  # from an even step to the next
+    # Nerves take 5 ms and more: until then the orders are those of the first moment.
+    assert all(changed[2 * 6 + 1 :: 2])
+
+
+@pytest.mark.slow
+def test_muscles_are_in_their_units() -> None:
+    """Relaxed at first, within their ranges always; a force is one in N."""
+    controller = Controller(gains(), settings=FLOAT32)
+    for state in states():
+        controller.step(state)
+        muscles = controller.muscles
+        assert all(getattr(muscles, name).shape == (COUNT, 14) for name in MUSCLES)
+        for values in (muscles.activation, muscles.stimulation):
+            assert values.min() >= 0.01 - 1e-7 and values.max() <= 1.0
+        assert muscles.length.min() > 0.0
+        assert muscles.force_n.min() >= 0.0
+    assert muscles.force_n.max() > 50.0

@@ -1,0 +1,46 @@
+"""What bodies sense: an array that cannot be used is named, in one line."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taichi_nmm.errors import InputError
+from taichi_nmm.sensed import WIDTHS, Sensed
+
+
+def two_bodies() -> Sensed:
+    return Sensed(**{name: np.zeros((2, width) if width else 2) for name, width in WIDTHS.items()})
+
+
+def bad_values() -> list[tuple[str, object]]:
+    bad: list[tuple[str, object]] = []
+    for name, width in WIDTHS.items():
+        good = np.zeros((2, width) if width else 2)
+        spoilt = [good.copy(), good.copy()]
+        spoilt[0].flat[-1], spoilt[1].flat[0] = np.nan, np.inf
+        bad += [(name, value) for value in (*spoilt, good[:1], good[None], 0.0, "much", None)]
+        bad += [(name, good.astype(str)), (name, good.astype(complex)), (name, [[1.0], [1.0, 2.0]])]
+    return bad
+
+
+@pytest.mark.parametrize(("name", "value"), bad_values())
+def test_an_array_that_cannot_be_used_is_named(name: str, value: object) -> None:
+    good = two_bodies()
+    good.checked(2)
+    with pytest.raises(InputError) as caught:
+        replace(good, **{name: value}).checked(2)
+    assert caught.value.field.removesuffix(".shape") == f"sensed.{name}"
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", [2, -1, 0.5])
+def test_a_contact_says_whether_not_how_many(value: float) -> None:
+    contacts = np.array([[0.0, 1.0], [1.0, value]])
+    with pytest.raises(InputError, match=rf"^sensed\.contact: {value}.* 0 or 1: whether"):
+        replace(two_bodies(), contact=contacts).checked(2)
+
+
+def test_a_number_of_bodies_that_is_another() -> None:
+    with pytest.raises(InputError, match=r"^sensed\.joint_rad\.shape: \(2, 6\) .* \[3, 6\]$"):
+        two_bodies().checked(3)
