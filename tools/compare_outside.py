@@ -26,22 +26,20 @@ from study.benchmarks.outside import catalogue, outside_arms, outside_document
 from study.benchmarks.outside.outside_problem import digest, outside_problem
 from study.benchmarks.outside.outside_report import OutsideReport
 from study.benchmarks.run_cache import (
+    ONE_THREAD,
     OUR_PACKAGES,
     OUR_SOURCES,
     PEER_PACKAGES,
+    ROOT,
     chosen,
     collect,
     execute,
     fingerprint,
     runnable,
 )
+from study.benchmarks.run_options import command, parsed, run_parser
 from study.command import run_command
-from taichi_nmm.errors import InputError
 
-ROOT = Path(__file__).resolve().parents[1]
-
-# For the processes that are started: their BLAS reads it when NumPy is imported.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 DEFAULT_ARMS = tuple(outside_arms.ARMS)
 GROUPS = {
     "tuning": catalogue.TUNING,
@@ -97,25 +95,14 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=30, help="of each arm; %(default)s")
-    parser.add_argument("--trials", type=int, default=40, help="of a run; %(default)s")
-    parser.add_argument("--arms", default=",".join(DEFAULT_ARMS), help="%(default)s")
+    parser = run_parser(__doc__, DEFAULT_ARMS, trials=40, cache="outside")
     names = ",".join(catalogue.PROBLEMS)
     parser.add_argument(
         "--problems", default="tuning", help=f"{', '.join(GROUPS)}, or some of {names}; %(default)s"
     )
-    parser.add_argument("--processes", type=int, default=2, help="runs at a time; %(default)s")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs", help="of the table and plot")
-    parser.add_argument("--cache", type=Path, default=ROOT / "out" / "outside", help="of the runs")
-    parser.add_argument("--json", action="store_true", help="print one object, write no document")
-    options = parser.parse_args()
-    options.arms = chosen("arms", options.arms, DEFAULT_ARMS)
+    options = parsed(parser, DEFAULT_ARMS)
     group = GROUPS.get(options.problems)
     options.problems = group or chosen("problems", options.problems, catalogue.PROBLEMS)
-    for name, least in (("seeds", 1), ("trials", 2), ("processes", 1)):
-        if getattr(options, name) < least:
-            raise InputError(name, getattr(options, name), f"{least} or more")
     return options
 
 
@@ -126,10 +113,6 @@ def code_of(arm: str, problem: str) -> str:
         ours = [*sources, ROOT / "study" / "feature_table.py", *OUR_SOURCES]
         return fingerprint(ours, OUR_PACKAGES, digest(problem))
     return fingerprint(sources, PEER_PACKAGES, digest(problem))
-
-
-def command() -> str:
-    return " ".join(["python", "tools/compare_outside.py", *sys.argv[1:]])
 
 
 if __name__ == "__main__":

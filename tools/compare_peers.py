@@ -23,22 +23,20 @@ import numpy as np
 
 from study.benchmarks import comparison_report, peers, synthetic
 from study.benchmarks.run_cache import (
+    ONE_THREAD,
     OUR_PACKAGES,
     OUR_SOURCES,
     PEER_PACKAGES,
+    ROOT,
     chosen,
     collect,
     execute,
     fingerprint,
     runnable,
 )
+from study.benchmarks.run_options import command, parsed, run_parser
 from study.command import run_command
-from taichi_nmm.errors import InputError
 
-ROOT = Path(__file__).resolve().parents[1]
-
-# For the processes that are started: their BLAS reads it when NumPy is imported.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 DEFAULT_ARMS = tuple(peers.PEERS)
 
 
@@ -87,21 +85,10 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=30, help="instances, each with its own seed")
-    parser.add_argument("--trials", type=int, default=60, help="of a run; %(default)s")
-    parser.add_argument("--arms", default=",".join(DEFAULT_ARMS), help="%(default)s")
+    parser = run_parser(__doc__, DEFAULT_ARMS, trials=60, cache="peers")
     parser.add_argument("--problems", default=",".join(synthetic.PROBLEMS), help="%(default)s")
-    parser.add_argument("--processes", type=int, default=2, help="runs at a time; %(default)s")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs", help="of the table and plot")
-    parser.add_argument("--cache", type=Path, default=ROOT / "out" / "peers", help="of the runs")
-    parser.add_argument("--json", action="store_true", help="print one object, write no document")
-    options = parser.parse_args()
-    options.arms = chosen("arms", options.arms, DEFAULT_ARMS)
+    options = parsed(parser, DEFAULT_ARMS)
     options.problems = chosen("problems", options.problems, synthetic.PROBLEMS)
-    for name, least in (("seeds", 1), ("trials", 2), ("processes", 1)):
-        if getattr(options, name) < least:
-            raise InputError(name, getattr(options, name), f"{least} or more")
     return options
 
 
@@ -111,10 +98,6 @@ def code_of(arm: str) -> str:
     if peers.PEERS[arm].kind == "ours":
         return fingerprint([*sources, *OUR_SOURCES], OUR_PACKAGES)
     return fingerprint(sources, PEER_PACKAGES)
-
-
-def command() -> str:
-    return " ".join(["python", "tools/compare_peers.py", *sys.argv[1:]])
 
 
 if __name__ == "__main__":

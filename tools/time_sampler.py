@@ -27,15 +27,11 @@ from tqdm import tqdm
 
 from storage.commit import commit_text, writable
 from study.benchmarks import comparison_report, sampler_timing
-from study.benchmarks.run_cache import torch_is_installed
+from study.benchmarks.run_cache import ONE_THREAD, ROOT, torch_is_installed
 from study.benchmarks.sampler_timing import Case, Measured
 from study.command import run_command
 from taichi_nmm.errors import InputError
 
-ROOT = Path(__file__).resolve().parents[1]
-
-# For the processes that are started: their BLAS reads it when NumPy is imported.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 # Milliseconds of the processor, by sampler and number of features.
 BARS_MS = {("ours", 1): 10.0, ("ours", 5): 45.0, ("rbf", 1): 10.0}
 MOST_FEATURES = 5

@@ -33,6 +33,8 @@ OUR_SOURCES = (
 )
 OUR_PACKAGES = ("numpy", "scipy", "optuna", "scikit-learn")
 PEER_PACKAGES = ("numpy", "scipy", "optuna", "cmaes", "torch")
+# For the processes that are started: their BLAS reads it when NumPy is imported.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class Run(Protocol):

@@ -21,7 +21,7 @@ SECOND_START_TRIALS = 30  # up to so many: with more, the modes are rarely two
 
 
 def learn(covariance: Covariance, x: Floats, y: Floats) -> Floats:
-    """The constants [t], as logarithms, from trials x [n, p] with costs y [n] or [n, outputs].
+    """The constants [t], as logarithms, from trials x [n, p] with costs y [n].
 
     The mean of the process is taken to be that of the costs.
     """
@@ -73,7 +73,7 @@ def _informative(y: Floats) -> NDArray[np.int64]:
     """Trials that the constants are learned from: the best half of the limit, the rest evenly."""
     if len(y) <= LIKELIHOOD_TRIALS:
         return np.arange(len(y))
-    order = np.argsort(y if y.ndim == 1 else np.abs(y).sum(axis=1), kind="stable")
+    order = np.argsort(y, kind="stable")
     best, others = np.split(order, [LIKELIHOOD_TRIALS // 2])
     spread = np.linspace(0, len(others) - 1, LIKELIHOOD_TRIALS - len(best)).astype(np.int64)
     return np.sort(np.concatenate([best, others[spread]]))

@@ -19,7 +19,8 @@ log l and up to a factor, a normal density around mu - sigma^2; so is BoTorch's 
 the noise around -5.
 
 Parameter sets with the same features differ in cost, and no repetition would show it: over
-features, noise is that spread, and is expected to be large.
+features, noise is that spread, and is expected to be large. Where nothing else tells such sets
+apart, it is also a chance that the next one is better (`Model`).
 """
 
 from collections.abc import Callable

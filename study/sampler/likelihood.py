@@ -3,13 +3,13 @@
 | symbol | shape | meaning |
 |---|---|---|
 | X | [n, p] | the trials |
-| Y | [n, o] | their costs in standard units; o = 1, or several outputs with constants in common |
+| y | [n] | their costs in standard units |
 | K | [n, n] | covariance of the trials, noise included |
-| A | [n, o] | K^-1 Y |
+| a | [n] | K^-1 y |
 | W | [n, n] | derivative of what is returned by each entry of K |
 
-log p(Y | X, theta) = -tr(Y^T A) / 2 - o (log det K + n log 2 pi) / 2, and its derivative by K is
-(A A^T - o K^-1) / 2 (Rasmussen, Williams 2006, equations 2.30 and 5.9). The priors are normal
+log p(y | X, theta) = -(y^T a + log det K + n log 2 pi) / 2, and its derivative by K is
+(a a^T - K^-1) / 2 (Rasmussen, Williams 2006, equations 2.30 and 5.9). The priors are normal
 densities of theta, the logarithms of the constants.
 """
 
@@ -25,13 +25,13 @@ JITTER = 1e-10  # variance that is added to the noise, so that equal rows do no 
 
 
 class Misfit:
-    """-log p(Y | X, theta) - sum_i log N(theta_i; mode_i, sd_i^2), a constant left out."""
+    """-log p(y | X, theta) - sum_i log N(theta_i; mode_i, sd_i^2), a constant left out."""
 
     def __init__(self, covariance: Covariance, x: Floats, y: Floats) -> None:
-        """Of trials x [n, p] with costs y [n] or [n, o] in standard units."""
+        """Of trials x [n, p] with costs y [n] in standard units."""
         self.covariance = covariance
         self.x = x
-        self.y = np.asfortranarray(y.reshape(len(y), -1))
+        self.y = y
 
     def __call__(self, theta: Floats) -> tuple[float, Floats]:
         """The misfit of constants [t], given as logarithms, and its gradient [t].
@@ -43,14 +43,13 @@ class Misfit:
         factor, failed = cholesky(k, there.noise)
         if failed:
             return np.inf, np.zeros_like(theta)
-        n, outputs = self.y.shape
         alpha = lapack.dpotrs(factor, self.y, lower=1)[0]
         log_root = np.log(factor.diagonal()).sum()  # of det K
-        misfit = 0.5 * np.vdot(self.y, alpha) + outputs * (log_root + 0.5 * n * np.log(2 * np.pi))
-        # The lower halves of K^-1 and of o K^-1 - A A^T. K is symmetric: one half, of which the
+        misfit = 0.5 * self.y @ alpha + (log_root + 0.5 * len(self.y) * np.log(2 * np.pi))
+        # The lower halves of K^-1 and of K^-1 - a a^T. K is symmetric: one half, of which the
         # diagonal counts once and the rest twice, stands for both.
         inverse = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
-        w = blas.dsyrk(-1.0, alpha, beta=outputs, c=inverse, lower=1, overwrite_c=1).T
+        w = blas.dsyrk(-1.0, alpha[:, None], beta=1.0, c=inverse, lower=1, overwrite_c=1).T
         np.einsum("ii->i", w)[:] *= 0.5
         gradient = np.append(pull(w), there.noise * np.trace(w))
         z = (theta - self.covariance.modes) / self.covariance.spreads

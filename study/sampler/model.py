@@ -127,8 +127,9 @@ class Model:
         covariance = new_covariance(self.kernel, layout)
         first = last_refit(len(x))
         theta = self.constants.learned(covariance, x[:first], y(slice(first)))
-        # Over features, the spread of alike candidates is part of what the next one shows.
-        return condition(covariance, theta, x, y(slice(None)), noisy=self.kernel.of_features)
+        # Over features alone, noise is the spread of alike candidates: the next one shows it too.
+        noisy = not self.kernel.of_parameters
+        return condition(covariance, theta, x, y(slice(None)), noisy=noisy)
 
     def _visible(self, points: Points) -> Points:
         """The columns that the kernel looks at."""

@@ -43,7 +43,7 @@ class Posterior:
     Attributes:
         covariance: with the constants that were learned.
         x: X, the trials.
-        y: [n] or [n, outputs].
+        y: their costs in standard units, [n].
         cost_mean: what `y` was centred by.
         cost_sd: what `y` was divided by.
         noisy: whether the variance is that of the next trial, noise included, or that of its
@@ -90,8 +90,8 @@ class Posterior:
         return self.cost_mean + self.cost_sd * mean, self.cost_sd**2 * variance
 
     def mean(self, points: Points) -> Floats:
-        """The mean alone, [m] or [m, outputs]."""
-        mean = np.empty((len(points), *self.y.shape[1:]))
+        """The mean alone, [m]."""
+        mean = np.empty(len(points))
         alpha = self._inverse.T @ (self._inverse @ self.y)
         for block, x in blocks(points):
             mean[block] = self._cross(x).T @ alpha

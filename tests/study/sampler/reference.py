@@ -85,7 +85,7 @@ def of_covariance(covariance: Covariance) -> Any:
 
 
 def conditioned(covariance: Covariance, x: Floats, y: Floats) -> GaussianProcessRegressor:
-    """After trials x [n, p] with y [n] or [n, o] in standard units; constants are kept."""
+    """After trials x [n, p] with y [n] in standard units; constants are kept."""
     kernel = of_covariance(covariance)
     return GaussianProcessRegressor(kernel, alpha=JITTER, optimizer=None).fit(x, y)
 
