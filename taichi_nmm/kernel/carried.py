@@ -4,7 +4,7 @@ The same functions as in `walker.step`, less dynamics, contacts and joint stops.
 torques of a physics step, `follow` takes in where the bodies are after it.
 """
 
-from taichi_nmm.kernel import attachments, contact, gait, kinematics, walker
+from taichi_nmm.kernel import attachments, gait, walker
 from taichi_nmm.kernel.backend import Array, Rows, ti
 from taichi_nmm.kernel.entry_points import load, load_slots, save, save_slots
 from taichi_nmm.kernel.layout import (
@@ -34,16 +34,7 @@ def before(tick, commands, activation_blend,
            state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
            const: Rows, work: Rows):  # fmt: skip
     """Senses, control where `commands` is 1, muscles: the joint torques of a physics step."""
-    for lane in range(lanes):
-        kinematics.directions(lane, state, work)
-        kinematics.contact_points(lane, state, work)
-        contact.find_cells(lane, state, work)
-        kinematics.joints(lane, state, work)
-        attachments.stretch_tendons(lane, work)
-    for lane in range(lanes):
-        contact.read_terrain(lane, terrain[lane], heights, work)
-    for lane in range(lanes):
-        contact.ground_heights(lane, work)
+    walker.locate(lanes, terrain, heights, state, work)
     if commands == 1:
         walker.control(tick, lanes, state, fibres, delay, events, sums, const, work)
     walker.contract_muscles(activation_blend, lanes, muscles, fibres, work)

@@ -50,16 +50,8 @@ def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_bl
          const: Rows, work: Rows):  # fmt: skip
     """One control tick of 1 ms of all walkers in a pack: senses and control, then the physics."""
     for substep in range(substeps):
+        locate(lanes, terrain, heights, state, work)
         for lane in range(lanes):
-            kinematics.directions(lane, state, work)
-            kinematics.contact_points(lane, state, work)
-            contact.find_cells(lane, state, work)
-            kinematics.joints(lane, state, work)
-            attachments.stretch_tendons(lane, work)
-        for lane in range(lanes):
-            contact.read_terrain(lane, terrain[lane], heights, work)
-        for lane in range(lanes):
-            contact.ground_heights(lane, work)
             contact.gaps(lane, state, work)
         if substep == 0:
             control(tick, lanes, state, fibres, delay, events, sums, const, work)
@@ -85,6 +77,21 @@ def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_bl
             dynamics.step_coordinates(lane, step_s, state, work)
     for lane in range(lanes):
         end_walk(lane, tick, state, work)
+
+
+@ti.func
+def locate(lanes: Rows, terrain: Rows, heights: Rows, state: Rows, work: Rows):
+    """Where the links, the joints and the tendons are, and the ground under them."""
+    for lane in range(lanes):
+        kinematics.directions(lane, state, work)
+        kinematics.contact_points(lane, state, work)
+        contact.find_cells(lane, state, work)
+        kinematics.joints(lane, state, work)
+        attachments.stretch_tendons(lane, work)
+    for lane in range(lanes):
+        contact.read_terrain(lane, terrain[lane], heights, work)
+    for lane in range(lanes):
+        contact.ground_heights(lane, work)
 
 
 @ti.func
