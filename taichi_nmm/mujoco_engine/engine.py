@@ -55,16 +55,17 @@ class Carried:
         hip_m = float(self.data.qpos[0])
         near = self._ground.between(hip_m - VIEW_M, hip_m + VIEW_M)
         first = max(min(near.start, len(self._ground) - self._count), 0)
-        here = self._ground.around(first, self._count, hip_m, VIEW_M)
-        geoms = slice(0, self._count)  # the world's geoms come first
-        self.model.geom_pos[geoms] = here.position
         if first == self._first:
             return
         self._first = first
-        self.model.geom_quat[geoms] = here.quaternion
-        self.model.geom_size[geoms] = here.half_size
-        self.model.geom_rbound[geoms] = np.linalg.norm(here.half_size, axis=1)
-        self.model.geom_aabb[geoms, 3:] = here.half_size
+        here = slice(first, first + self._count)
+        geoms = slice(0, self._count)  # the world's geoms come first
+        size = self._ground.half_size[here]
+        self.model.geom_pos[geoms] = self._ground.position[here]
+        self.model.geom_quat[geoms] = self._ground.quaternion[here]
+        self.model.geom_size[geoms] = size
+        self.model.geom_rbound[geoms] = np.linalg.norm(size, axis=1)
+        self.model.geom_aabb[geoms, 3:] = size
 
 
 def boxes_in_view(ground: Boxes) -> int:
@@ -83,7 +84,7 @@ def _model(terrain: Terrain, body: tuple[float, ...], settings: Settings) -> muj
     mass, inertia, com = np.array(body).reshape(3, 1, -1)
     ground = _boxes(terrain)
     count = boxes_in_view(ground)
-    first = ground.around(0, count, 0.0, VIEW_M)
+    first = Boxes(*(values[:count] for values in vars(ground).values()))
     return compiled(walker_xml(Bodies(mass, inertia, com), 0, first, settings))
 
 

@@ -3,7 +3,7 @@
 A height field of MuJoCo's would have a seam at each of its columns, where a foot catches.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from taichi_nmm.terrain import GRID_SPACING_M, GRID_X_M, Terrain
 Array = NDArray[np.float64]
 
 SAME_SLOPE = 1e-9  # cells of the table whose slopes differ by less are one piece
-APRON_M = 20.0  # level ground before and behind the table; who walks on takes it along
+APRON_M = 20.0  # level ground before and behind the table
 HALF_WIDTH_M = 1.0
 THICKNESSES_M = (0.2, 0.1, 0.05, 0.02, 0.01, 0.005)  # the first that nowhere comes out again
 SAMPLES = 9  # of a box's end, to see that
@@ -43,17 +43,6 @@ class Boxes:
         """The boxes whose tops lie, wholly or in part, between two places."""
         first = max(int(np.searchsorted(self.start_m, low_m, side="right")) - 1, 0)
         return slice(first, int(np.searchsorted(self.start_m, high_m, side="left")))
-
-    def around(self, first: int, count: int, x_m: float, reach_m: float) -> "Boxes":
-        """`count` boxes from the first; an apron goes along with who comes to its end."""
-        part = Boxes(*(values[first : first + count] for values in vars(self).values()))
-        position = part.position.copy()
-        half_m = part.half_size[:, 0]
-        if first + count == len(self) and x_m + reach_m > position[-1, 0] + half_m[-1]:
-            position[-1, 0] = x_m
-        if first == 0 and x_m - reach_m < position[0, 0] - half_m[0]:
-            position[0, 0] = x_m
-        return replace(part, position=position)
 
     def most_within(self, length_m: float) -> int:
         """The largest number of boxes in any stretch of that length."""

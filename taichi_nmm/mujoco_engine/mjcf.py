@@ -57,7 +57,6 @@ def write_mjcf(
     ElementTree.SubElement(
         keyframe, "key", name="start", qpos=_numbers(start[:9]), qvel=_numbers(start[9:])
     )
-    ElementTree.SubElement(root, "statistic", center="2 0 1", extent="4")  # for the eye
     ElementTree.indent(root)
     path.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
 
