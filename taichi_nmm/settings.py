@@ -56,19 +56,19 @@ class Settings:
         physics_step_s: 1, 0.5 or 0.25 ms; the controller ticks every 1 ms.
         contact_relaxation_speed_mps: outward speed at which a contact lets go.
         precision: "float32" or "float64".
-        engine: what moves the bodies: "taichi", this simulator's own, or "mujoco".
-        mujoco: what is MuJoCo's own.
         arch: "auto" (a GPU when there is one, else the CPU), "cpu", "cuda" or "vulkan".
         threads: CPU threads; None takes every core. Results do not depend on it.
+        engine: what moves the bodies: "taichi", this simulator's own, or "mujoco".
+        mujoco: what is MuJoCo's own.
     """
 
     physics_step_s: float = 1e-3
     contact_relaxation_speed_mps: float = CONTACT_RELAXATION_SPEED_MPS
     precision: str = "float32"
-    engine: str = "taichi"
-    mujoco: MujocoSettings = MujocoSettings()
     arch: str = field(default="auto", metadata=MACHINE)
     threads: int | None = field(default=None, metadata=MACHINE)
+    engine: str = "taichi"
+    mujoco: MujocoSettings = MujocoSettings()
 
     def __post_init__(self) -> None:
         if self.physics_step_s not in PHYSICS_STEPS_S:

@@ -85,7 +85,10 @@ def _model(terrain: Terrain, body: tuple[float, ...], settings: Settings) -> muj
     ground = _boxes(terrain)
     count = boxes_in_view(ground)
     first = Boxes(*(values[:count] for values in vars(ground).values()))
-    return compiled(walker_xml(Bodies(mass, inertia, com), 0, first, settings))
+    model = compiled(walker_xml(Bodies(mass, inertia, com), 0, first, settings))
+    # A box that is level here is taken as level wherever it moves, unless it is told otherwise.
+    model.geom_sameframe[:count] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    return model
 
 
 def carried(batch: Batch, walker: int, settings: Settings) -> Carried:

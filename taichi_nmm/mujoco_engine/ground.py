@@ -14,7 +14,7 @@ from taichi_nmm.terrain import GRID_SPACING_M, GRID_X_M, Terrain
 Array = NDArray[np.float64]
 
 SAME_SLOPE = 1e-9  # cells of the table whose slopes differ by less are one piece
-APRON_M = 20.0  # level ground before and behind the table
+APRON_M = 30e3  # level ground before and behind the table: beyond the longest walk
 HALF_WIDTH_M = 1.0
 THICKNESSES_M = (0.2, 0.1, 0.05, 0.02, 0.01, 0.005)  # the first that nowhere comes out again
 SAMPLES = 9  # of a box's end, to see that

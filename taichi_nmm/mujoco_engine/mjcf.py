@@ -22,6 +22,7 @@ SOLE_RADIUS_M = 0.01
 IMPRATIO = 10.0  # of friction to normal impedance: feet creep less
 SIDES = ("l", "r")
 JOINTS = tuple(f"{segment}_{side}" for side in SIDES for segment in STOPS)
+VIEWED_M = 2.0  # of a file opened in MuJoCo's viewer
 FOOT_SENSOR = 4  # numbers: contacts found, then the force x, y, z
 
 
@@ -56,6 +57,10 @@ def write_mjcf(
     keyframe = ElementTree.SubElement(root, "keyframe")
     ElementTree.SubElement(
         keyframe, "key", name="start", qpos=_numbers(start[:9]), qvel=_numbers(start[9:])
+    )
+    # Where the viewer looks, and from how far: not at the whole ground.
+    ElementTree.SubElement(
+        root, "statistic", extent=repr(VIEWED_M), center=_numbers((start[0], 0.0, start[1]))
     )
     ElementTree.indent(root)
     path.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")

@@ -1,0 +1,184 @@
+"""Walks whose bodies MuJoCo moves: how they go, and that no walker feels another."""
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+import taichi_nmm
+from taichi_nmm import terrain
+from taichi_nmm.body import GRAVITY_MPS2, Bodies
+from taichi_nmm.parameters import K_T, load_gains, lower_bounds, upper_bounds
+from taichi_nmm.result import Result, Trajectory
+from taichi_nmm.settings import MujocoSettings, Settings
+
+pytestmark = pytest.mark.slow
+
+MUJOCO = Settings(engine="mujoco", arch="cpu")
+WALKERS = 10  # two packs, one of them not full
+SHORT_S = 1.0
+LONG_S = 30.0
+
+
+@pytest.fixture(scope="module")
+def long_walk() -> Result:
+    """K_T and the reference on level ground."""
+    return taichi_nmm.simulate(
+        [K_T, load_gains("reference")],
+        duration_s=LONG_S,
+        settings=MUJOCO,
+        record=[0, 1],
+        record_rate_hz=100.0,
+    )
+
+
+def test_gaits_walk_at_their_speeds(long_walk: Result) -> None:
+    assert long_walk.end_reason.tolist() == ["completed"] * 2
+    assert long_walk["mean_speed_mps"][0] == pytest.approx(1.40, abs=0.03)
+    assert long_walk["mean_speed_mps"][1] == pytest.approx(1.27, abs=0.04)
+
+
+def test_the_ground_carries_the_body(long_walk: Result) -> None:
+    """Over a long walk the mean vertical force is the weight."""
+    np.testing.assert_allclose(long_walk["grf_vertical_mean_bw"], 1.0, rtol=0, atol=0.002)
+
+
+def test_a_trajectory_is_recorded(long_walk: Result) -> None:
+    weight_n = Bodies.nominal().mass_kg.sum() * GRAVITY_MPS2
+    for row, path in zip(long_walk.rows, long_walk.trajectories, strict=True):
+        assert np.isfinite(path.q).all() and np.isfinite(path.qdot).all()
+        assert path.q[-1, 0] == pytest.approx(row["hip_x_m"], abs=0.05)
+        walked_m = np.trapezoid(path.qdot[:, 0], path.time_s)
+        assert walked_m == pytest.approx(path.q[-1, 0] - path.q[0, 0], abs=0.05)
+        forces = path.ground_force_n
+        assert forces[:, [1, 3]].sum(axis=1).mean() == pytest.approx(weight_n, rel=0.01)
+        # Forces act on feet that are on the ground, and swing alternates with stance.
+        both_up = ~path.stance.any(axis=1)
+        assert both_up.mean() < 0.05 and 0.5 < path.stance.mean() < 0.7
+        assert set(path.events["kind"]) == set(path.events["side"]) == {0, 1}
+        assert np.abs(path.joint_rad).max() < 2.0
+
+
+def test_it_says_what_made_it(long_walk: Result) -> None:
+    metadata = long_walk.metadata
+    assert metadata["engine"] == "mujoco" and metadata["engine_version"] == mujoco.__version__
+    assert metadata["mujoco"] == {"time_constant_s": 0.02, "damping_ratio": 1.0, "limits": "stops"}
+    assert metadata["physics_step_s"] == 1e-3 and metadata["precision"] == "float32"
+    assert metadata["controller"]["engine"] == "taichi"
+
+
+# Bits.
+
+
+def some(rows: Any = slice(None), **options: Any) -> Result:
+    """Short walks of some of ten walkers, each on its body and its ground; most of them fall."""
+    rng = np.random.default_rng(6)
+    gains = rng.uniform(lower_bounds(), upper_bounds(), (WALKERS, 16))
+    gains[:4] = K_T
+    kinds = (
+        terrain.rough(3, flat_start_m=0.0),
+        terrain.blocks(4, spacing_m=0.3, flat_start_m=0.0),
+        terrain.ramp(direction="down", segment_m=0.5),
+    )
+    index = np.arange(WALKERS)[rows]
+    return taichi_nmm.simulate(
+        gains[index], bodies=options.pop("bodies", bodies()).take(index), terrains=kinds,
+        terrain_index=index % len(kinds), duration_s=SHORT_S,
+        settings=options.pop("settings", MUJOCO), **options,
+    )  # fmt: skip
+
+
+def bodies() -> Bodies:
+    return Bodies.disturbed(range(WALKERS))
+
+
+@pytest.fixture(scope="module")
+def together() -> Result:
+    return some()
+
+
+def test_nobody_feels_the_others(together: Result) -> None:
+    for rows in ([0], [9], [8, 3], np.arange(WALKERS)[::-1], np.arange(8)):
+        assert some(rows).rows.tobytes() == together.rows[rows].tobytes()
+
+
+def test_recording_changes_nothing(together: Result) -> None:
+    recorded = some(record=[1, 7], record_rate_hz=500.0, progress=lambda *_: None)
+    assert recorded.rows.tobytes() == together.rows.tobytes()
+
+
+def test_another_simulation_changes_nothing(together: Result) -> None:
+    other = Settings(precision="float64", arch="cpu")
+    taichi_nmm.simulate(K_T, duration_s=0.01, settings=other)
+    assert some().rows.tobytes() == together.rows.tobytes()
+
+
+def test_settings_matter(together: Result) -> None:
+    for own in (MujocoSettings(time_constant_s=0.01), MujocoSettings(limits="mujoco"),
+                MujocoSettings(damping_ratio=0.5)):  # fmt: skip
+        settings = Settings(engine="mujoco", arch="cpu", mujoco=own)
+        other = some([0, 1], settings=settings)
+        assert (other["hip_x_m"] != together["hip_x_m"][:2]).all()
+
+
+# A walker that diverges.
+
+
+def assert_only_this_one(found: Result, together: Result, walker: int) -> None:
+    assert found.end_reason[walker] == "diverged"
+    others = np.arange(WALKERS) != walker
+    assert found.rows[others].tobytes() == together.rows[others].tobytes()
+    assert found["duration_s"][walker] < SHORT_S
+    assert np.isfinite(found["distance_m"][walker])
+
+
+def test_a_walker_that_becomes_no_number(
+    together: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    """It is coded, is heard of nowhere else, and touches nobody."""
+    monkeypatch.chdir(tmp_path)
+    mass_kg, step = bodies().mass_kg[2, 0], mujoco.mj_step
+
+    def spoilt(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        if model.body_mass[1] == mass_kg and data.time > 0.3:
+            data.ctrl[:] = np.nan
+            data.qvel[0] = np.nan
+        step(model, data)
+
+    handler = mujoco.get_mju_user_warning()
+    monkeypatch.setattr(mujoco, "mj_step", spoilt)
+    assert_only_this_one(some(), together, 2)
+    assert mujoco.get_mju_user_warning() is handler
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_body_that_no_engine_can_move(
+    together: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    light = bodies()
+    mass, inertia = light.mass_kg.copy(), light.inertia_kgm2.copy()
+    mass[5], inertia[5] = 1e-9, 1e-12
+    found = some(bodies=Bodies(mass, inertia, light.com_m))
+    assert found.end_reason[5] in ("diverged", "fell")
+    others = np.arange(WALKERS) != 5
+    assert found.rows[others].tobytes() == together.rows[others].tobytes()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_recording_one_that_diverges(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    step = mujoco.mj_step
+
+    def spoilt(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        data.qvel[0] *= 1e9 if data.time > 0.2 else 1.0
+        step(model, data)
+
+    monkeypatch.setattr(mujoco, "mj_step", spoilt)
+    found = some([0], record=[0])
+    assert found.end_reason.tolist() == ["diverged"]
+    path: Trajectory = found.trajectories[0]
+    assert 0.15 <= path.time_s[-1] <= 0.25
