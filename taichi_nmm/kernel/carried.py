@@ -4,7 +4,7 @@ The same functions as in `walker.step`, less dynamics, contacts and joint stops.
 torques of a physics step, `follow` takes in where the bodies are after it.
 """
 
-from taichi_nmm.kernel import attachments, gait, walker
+from taichi_nmm.kernel import attachments, contact, gait, walker
 from taichi_nmm.kernel.backend import Array, Rows, ti
 from taichi_nmm.kernel.entry_points import load, load_slots, save, save_slots
 from taichi_nmm.kernel.layout import (
@@ -35,6 +35,8 @@ def before(tick, commands, activation_blend,
            const: Rows, work: Rows):  # fmt: skip
     """Senses, control where `commands` is 1, muscles: the joint torques of a physics step."""
     walker.locate(lanes, terrain, heights, state, work)
+    for lane in range(lanes):
+        contact.ground_heights(lane, work)
     if commands == 1:
         walker.control(tick, lanes, state, fibres, delay, events, sums, const, work)
     walker.contract_muscles(activation_blend, lanes, muscles, fibres, work)

@@ -52,6 +52,7 @@ def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_bl
     for substep in range(substeps):
         locate(lanes, terrain, heights, state, work)
         for lane in range(lanes):
+            contact.ground_heights(lane, work)
             contact.gaps(lane, state, work)
         if substep == 0:
             control(tick, lanes, state, fibres, delay, events, sums, const, work)
@@ -81,7 +82,7 @@ def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_bl
 
 @ti.func
 def locate(lanes: Rows, terrain: Rows, heights: Rows, state: Rows, work: Rows):
-    """Where the links, the joints and the tendons are, and the ground under them."""
+    """Where the links, the joints and the tendons are, and the table's heights around the feet."""
     for lane in range(lanes):
         kinematics.directions(lane, state, work)
         kinematics.contact_points(lane, state, work)
@@ -90,8 +91,6 @@ def locate(lanes: Rows, terrain: Rows, heights: Rows, state: Rows, work: Rows):
         attachments.stretch_tendons(lane, work)
     for lane in range(lanes):
         contact.read_terrain(lane, terrain[lane], heights, work)
-    for lane in range(lanes):
-        contact.ground_heights(lane, work)
 
 
 @ti.func
