@@ -54,13 +54,13 @@ def commit_json(path: Path, document: dict[str, Any]) -> None:
 
 
 @contextmanager
-def writable(path: Path) -> Iterator[None]:
-    """Turn the system's refusal to write at `path` into one line for the user."""
+def writable(path: Path, field: str = "out") -> Iterator[None]:
+    """Turn the system's refusal to write at `path`, which `field` names, into one line."""
     try:
         yield
     except OSError as error:
         allowed = f"a place that can be written, with space left ({error.strerror or error})"
-        raise InputError("out", str(path), allowed) from None
+        raise InputError(field, str(path), allowed) from None
 
 
 def _sync(path: Path) -> None:

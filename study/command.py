@@ -51,7 +51,8 @@ def default_workers(settings: Settings) -> int:
     Raises:
         InputError: a GPU that is not there.
     """
-    no_gpu = settings.arch == "cpu" or (settings.arch == "auto" and not find_library("cuda"))
+    cpu = settings.arch == "cpu" or settings.engine == "mujoco"
+    no_gpu = cpu or (settings.arch == "auto" and not find_library("cuda"))
     return cores() if no_gpu or _started_arch(settings) == "cpu" else 1
 
 

@@ -154,7 +154,7 @@ def write_model(path: Path, experiment: Experiment, run: int) -> None:
     from taichi_nmm.mujoco_engine.mjcf import write_mjcf
 
     terrain, settings = experiment.terrain(run), experiment.conditions.settings
-    with writable(path):
+    with writable(path, "mjcf"):
         write_mjcf(path, experiment.body(run), boxes(terrain), settings, start_state(terrain))
 
 
@@ -246,9 +246,9 @@ def main() -> None:
     if args.engine == BOTH or args.mjcf is not None:
         require_mujoco()
     folder = args.out or Path("out") / "walk" / gains.name
-    make_folder(folder)
     if args.mjcf is not None:
         write_model(args.mjcf, experiment, args.run)
+    make_folder(folder)
     result = simulate(gains, experiment, args.run)
     row, end_reason = result.rows[0], str(result.end_reason[0])
     title = f"{gains.name} on {experiment.terrain(args.run).name}: {outcome(result)}"

@@ -201,6 +201,20 @@ def test_a_finished_study_is_left_alone(toy: Experiment) -> None:
     assert run(toy, "dog", 5, storage) == run(toy, "dog", 3, storage)
 
 
+def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: Experiment) -> None:
+    """Also in pieces; it is then left alone, whatever is asked for."""
+    until = replace(toy, until_walker=True)
+    for arm in ("random", "dog", "cmaes-cold"):
+        whole = run(toy, arm, TRIALS, InMemoryStorage())
+        walked = [bool(trial.user_attrs["walked"]) for trial in whole]
+        count = walked.index(True) + 1 if any(walked) else TRIALS
+        storage = InMemoryStorage()
+        for trials in (1, 4, TRIALS, TRIALS + 9 if any(walked) else TRIALS):
+            found = run(until, arm, trials, storage)
+            assert facts(found) == facts(whole[: min(trials, count)])
+    assert any(walked)
+
+
 @pytest.mark.parametrize("number", [-1, 3, 50])
 def test_a_run_out_of_range(toy: Experiment, number: int) -> None:
     storage = InMemoryStorage()

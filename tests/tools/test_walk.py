@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import pytest
 
 import taichi_nmm
@@ -60,6 +61,28 @@ def test_a_walker_that_falls_is_shown_too_from_another_folder(
     assert "fell after" in said and "cost of transport" in said
     folder = tmp_path / "out" / "walk" / "gains"
     assert {path.name for path in folder.iterdir()} == {"strip.png", "gait_cycle.png", "movie.mp4"}
+
+
+@pytest.mark.slow
+def test_mujoco_moves_the_body_and_opens_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "walker.xml"
+    given = ("--gains", "K_T", "--config", ROUGH8, "--run", 3, "--duration", 3)
+    where = ("--out", tmp_path / "out", "--movie-seconds", 0, "--json")
+    engine = ("--engine", "mujoco", "--mjcf", model)
+    assert run_tool(monkeypatch, "walk", *given, *where, *engine) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["duration_s"] == 3.0 and 2.0 < report["distance_m"] < 6.0
+    assert set(report["pictures"]) == {"strip", "gait_cycle", "mjcf"}
+    assert report["pictures"]["mjcf"] == str(model)
+    opened = mujoco.MjModel.from_xml_path(str(model))
+    body = read_experiment(ROUGH8).body(3)
+    assert opened.body_mass[1:].tolist() == body.mass_kg[0].tolist()
+    assert opened.nkey == 1 and opened.nu == 6
+    # The other engine is another walk.
+    assert run_tool(monkeypatch, "walk", *given, *where) == 0
+    assert json.loads(capsys.readouterr().out)["distance_m"] != report["distance_m"]
 
 
 # With the simulator and the painters replaced.
@@ -121,6 +144,22 @@ def test_a_row_of_a_store(walk: Walk, tmp_path: Path, searched: tuple[str, ...])
     found = walk("--store", tmp_path / "store", "--row", 17)["gains"]
     table = open_store(tmp_path / "store").table()
     assert found == {name: table[name][17].as_py() for name in (*GAIN_NAMES, *searched)}
+
+
+def test_the_engine_and_its_model_file_are_those_asked_for(walk: Walk, tmp_path: Path) -> None:
+    """The file is written whatever moves the body in this walk; an existing one is replaced."""
+    configured = ROOT / "configs" / "mujoco-rough8-hard.toml"
+    model = tmp_path / "walker.xml"
+    model.write_text("old")
+    report = walk("--config", configured, "--mjcf", model)
+    settings = fake_walker.calls[-1]["settings"]
+    assert (settings.engine, settings.mujoco.time_constant_s) == ("mujoco", 0.005)
+    opened = mujoco.MjModel.from_xml_path(report["pictures"]["mjcf"])
+    assert opened.opt.timestep == 0.5e-3 and (opened.geom_solref[:, 0] == 0.005).all()
+    walk("--config", configured, "--engine", "taichi", "--mjcf", model)
+    assert fake_walker.calls[-1]["settings"].engine == "taichi"
+    walk("--config", ROUGH8, "--engine", "mujoco")
+    assert fake_walker.calls[-1]["settings"].engine == "mujoco"
 
 
 # Bad input: one line, exit code 2, and nothing written.
@@ -253,6 +292,20 @@ def test_a_row_or_store_that_is_not_there(
 def test_folder_that_cannot_be_written(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     assert "out: " in refused("--out", tmp_path / "file" / "below")
+
+
+def test_a_model_file_that_cannot_be_written(refused: Refused, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    for path in (tmp_path / "file" / "walker.xml", tmp_path / "nowhere" / "walker.xml", tmp_path):
+        assert f"error: mjcf: '{path}'" in refused("--mjcf", path)
+    assert (tmp_path / "file").read_text(encoding="utf-8") == "in the way"
+
+
+def test_engines_that_cannot_be_had(refused: Refused, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "simulation.arch: 'cuda'" in refused("--engine", "mujoco", "--arch", "cuda")
+    monkeypatch.setattr("taichi_nmm.mujoco_engine.find_spec", lambda name: None)
+    for given in (("--engine", "mujoco"), ("--mjcf", "walker.xml")):
+        assert "pip install 'taichi-nmm[mujoco]'" in refused(*given)
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from optuna_dashboard._custom_plot_data import get_plotly_graph_objects
 from storage.databases.bulk import trial_counts
 from storage.databases.studies import open_studies
 from study.comparison.database import check_database, export
+from study.comparison.results import as_if_gone_on
 from study.experiment.identity import fingerprint
 from study.report.notes import dashboard_summary
 from taichi_nmm.errors import InputError
@@ -24,6 +25,7 @@ from tests.study.comparison.fake_results import experiment, results
 
 TINY = experiment()
 SIX = ("tiny/dog/run-000", "tiny/dog/run-001", "tiny/random/run-000", "tiny/random/run-001")
+GONE = ("dog", 0, 2)  # after a trial that walked
 
 
 @pytest.fixture
@@ -94,6 +96,19 @@ def test_the_summary_compares_the_arms(url: str) -> None:
     traces = json.loads(get_plotly_graph_objects(attributes)["best-cost"])["data"]
     assert [trace["name"] for trace in traces] == ["dog", "random"]
     assert traces[0]["x"] == [1, 2, 3] and traces[0]["y"] == [295.0, 185.0, 185.0]
+
+
+def test_studies_that_ended_with_a_walker(url: str) -> None:
+    """The database has the trials that were; the summary compares the arms as if all went on."""
+    until, table = experiment(until_walker=True), results(TINY)
+    rows = [row for row in table.to_pylist() if (row["arm"], row["run"], row["trial"]) != GONE]
+    ended = pa.Table.from_pylist(rows, schema=table.schema)
+    export(until, ended, url, dashboard_summary, final=True)
+    assert trial_counts(open_studies(url)) == {
+        **dict.fromkeys(SIX, 3), "tiny/dog/run-000": 2, "tiny/summary": 0,
+    }  # fmt: skip
+    wanted = dashboard_summary("tiny", as_if_gone_on(ended), True)
+    assert get_note(load(url, "tiny/summary")) == wanted.note
 
 
 def test_a_long_note_and_a_long_figure_come_back_whole(url: str) -> None:

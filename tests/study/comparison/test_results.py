@@ -1,10 +1,12 @@
 """Tables of trials: rows stay with the study that they are of."""
 
+from typing import Any
+
 import numpy as np
 import pyarrow as pa
 import pytest
 
-from study.comparison.results import by_study
+from study.comparison.results import as_if_gone_on, by_study
 from study.experiment.arms import ARMS
 
 
@@ -33,3 +35,47 @@ def test_an_empty_table_has_no_studies() -> None:
     empty = pa.table({"arm": pa.array([], pa.string()), "run": pa.array([], pa.int32()),
                       "trial": pa.array([], pa.int32())})  # fmt: skip
     assert list(by_study(empty)) == []
+
+
+# As if studies had gone on.
+
+
+def trials(*studies: tuple[str, int, str]) -> pa.Table:
+    """Studies as words, a letter a trial: w walked, f fell."""
+    rows = [
+        {"arm": arm, "run": run, "trial": trial, "walked": letter == "w", "cost": run + 0.1 * trial}
+        for arm, run, word in studies
+        for trial, letter in enumerate(word)
+    ]
+    schema = pa.schema({"arm": pa.string(), "run": pa.int32(), "trial": pa.int32(),
+                        "walked": pa.bool_(), "cost": pa.float64()})  # fmt: skip
+    return pa.Table.from_pylist(rows, schema=schema)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ((), ()),
+        ((("a", 0, "w"),), (("a", 0, "w"),)),
+        ((("a", 0, "ff"),), (("a", 0, "ff"),)),
+        ((("a", 0, "w"), ("a", 1, "fff")), (("a", 0, "www"), ("a", 1, "fff"))),
+        ((("a", 0, "fw"), ("b", 0, "ffff")), (("a", 0, "fwww"), ("b", 0, "ffff"))),
+        # One that has not ended is as short as it is; neighbours of one number do not mix.
+        ((("a", 1, "fw"), ("b", 1, "f"), ("b", 2, "ffw")),
+         (("a", 1, "fww"), ("b", 1, "f"), ("b", 2, "ffw"))),
+    ],
+)  # fmt: skip
+def test_as_if_gone_on(before: Any, after: Any) -> None:
+    given, expected = trials(*before), trials(*after)
+    for shuffled in (given, given.take(np.random.default_rng(0).permutation(len(given)))):
+        found = as_if_gone_on(shuffled)
+        assert found.schema == given.schema
+        for name in ("arm", "run", "trial", "walked"):
+            assert found[name].to_pylist() == expected[name].to_pylist()
+    # What is repeated is the last trial.
+    own: dict[tuple[str, int], list[float]] = {}
+    for row in given.to_pylist():
+        own.setdefault((row["arm"], row["run"]), []).append(row["cost"])
+    for row in found.to_pylist():
+        costs = own[row["arm"], row["run"]]
+        assert row["cost"] == costs[min(row["trial"], len(costs) - 1)]

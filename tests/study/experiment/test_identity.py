@@ -19,7 +19,7 @@ from study.experiment.identity import (
 )
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.errors import InputError
-from taichi_nmm.settings import Settings
+from taichi_nmm.settings import MujocoSettings, Settings
 from taichi_nmm.terrain import KINDS, Ground
 from tests.study import fake_walker
 from tests.study.comparison.fake_results import experiment
@@ -29,10 +29,14 @@ TINY = experiment()
 # Another value of every field there is. A new field is missing here until somebody says, by its
 # place, whether it decides trials; that it then does, or does not, is tested.
 DECIDING: dict[type, dict[str, Any]] = {
-    Experiment: {"name": "other", "seed": 8, "searched": ("theta_ref",), "cost": "walking"},
+    Experiment: {
+        "name": "other", "seed": 8, "searched": ("theta_ref",), "cost": "walking",
+        "until_walker": True,
+    },
     Conditions: {"duration_s": 3.0, "disturbance": 0.2, "ground": Ground("rough")},
     Settings: {
         "physics_step_s": 0.5e-3, "contact_relaxation_speed_mps": 0.2, "precision": "float64",
+        "engine": "mujoco",
     },
 }  # fmt: skip
 IDLE: dict[type, dict[str, Any]] = {
@@ -41,7 +45,8 @@ IDLE: dict[type, dict[str, Any]] = {
         "cmaes": CmaesOptions(sigma=0.5),
     },
     Conditions: {},
-    Settings: {"arch": "cuda", "threads": 1},
+    # Of another engine than the tiny experiment's.
+    Settings: {"arch": "cuda", "threads": 1, "mujoco": MujocoSettings(limits="mujoco")},
 }  # fmt: skip
 PARTS: dict[type, str] = {Experiment: "", Conditions: "conditions", Settings: "settings"}
 
@@ -100,6 +105,33 @@ def test_the_document_is_json_and_says_the_versions_and_the_space() -> None:
     assert list(ours["parameters"]) == list(TINY.names)
     assert ours["terrain"]["name"] == "rough +-0.02 m every 1 m"
     assert ours["ground"] == {"kind": "rough", "amplitude_m": 0.02}
+
+
+def test_a_switch_that_is_off_is_not_in_the_document() -> None:
+    """Folders of before there was one go on."""
+    assert "until_walker" not in document(TINY, ())
+    until = replace(TINY, until_walker=True)
+    assert document(until, ())["until_walker"] is True
+    for ours in (TINY, until):
+        read = documented_experiment(json.loads(json.dumps(document(ours, ()))))
+        assert read is not None and read.until_walker == ours.until_walker
+
+
+@pytest.mark.parametrize(
+    "own",
+    [MujocoSettings(0.01), MujocoSettings(damping_ratio=0.5), MujocoSettings(limits="mujoco")],
+)
+def test_an_experiment_on_mujoco_says_so_and_with_which_version(own: MujocoSettings) -> None:
+    assert "mujoco" not in json.dumps(document(TINY, ()))
+    usual = changed(Settings, "engine", "mujoco")
+    settings = replace(usual.conditions.settings, mujoco=own)
+    other = replace(usual, conditions=replace(usual.conditions, settings=settings))
+    ours = document(other, ())
+    assert ours["versions"] == document(TINY, ())["versions"] | versions("mujoco")
+    assert fingerprint(other) != fingerprint(usual)
+    read = documented_experiment(json.loads(json.dumps(ours)))
+    assert read is not None and read.conditions.settings.mujoco == own
+    assert document(read, ()) == ours
 
 
 def test_arms_and_the_stores_that_they_read_are_those_of_the_call(toy: Experiment) -> None:
