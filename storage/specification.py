@@ -5,6 +5,7 @@ Architecture and threads are not part of it, so a store begun on one machine is 
 
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.metadata import version
 from typing import Any
 
 import pyarrow as pa
@@ -27,7 +28,9 @@ from taichi_nmm.body import Bodies
 from taichi_nmm.conditions import Conditions, read_conditions
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
+from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
+from taichi_nmm.settings import OWN_ENGINE
 from taichi_nmm.terrain import Terrain
 
 DURATION_S = 5.0  # of the base setting, where the file names none
@@ -109,6 +112,7 @@ class Specification:
             "terrain": terrain_document((self.terrain,)),
             "body": body_document(self.conditions.disturbance, self.body),
             **self._family_documents(),
+            **self._engine_document(),
             "columns": columns_of(self.schema),
         }
 
@@ -116,6 +120,14 @@ class Specification:
     def hash(self) -> str:
         """SHA-256 of the document."""
         return document_hash(self.document)
+
+    def _engine_document(self) -> dict[str, Any]:
+        """The version of another engine than our own: shards of two must not mix."""
+        engine = self.conditions.settings.engine
+        if engine == OWN_ENGINE:
+            return {}
+        require_mujoco()
+        return {"engine_version": version(engine)}
 
     def _family_documents(self) -> dict[str, Any]:
         """The key "families" is newer than many stores, so it appears only where it is needed."""

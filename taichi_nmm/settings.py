@@ -17,7 +17,8 @@ CONTACT_RELAXATION_SPEED_MPS = (
 )
 MACHINE = {"machine": True}  # metadata of a setting that no result depends on
 
-ENGINES = ("taichi", "mujoco")
+OWN_ENGINE = "taichi"
+ENGINES = (OWN_ENGINE, "mujoco")
 LIMITS_AS_STOPS = "stops"
 LIMITS = (LIMITS_AS_STOPS, "mujoco")
 STEPS_PER_TIME_CONSTANT = 5  # a contact that is shorter than some steps is not what it says
@@ -67,7 +68,7 @@ class Settings:
     precision: str = "float32"
     arch: str = field(default="auto", metadata=MACHINE)
     threads: int | None = field(default=None, metadata=MACHINE)
-    engine: str = "taichi"
+    engine: str = OWN_ENGINE
     mujoco: MujocoSettings = MujocoSettings()
 
     def __post_init__(self) -> None:

@@ -82,11 +82,14 @@ FIGURES = {
 
 def _state(results: Results) -> str:
     if results.complete:
-        return f"{len(results.arms)} arms, {results.runs} runs of {results.trials} trials each."
+        most = f"{results.runs} runs of {results.trials} trials"
+        until = results.facts.get("until_walker")
+        how = f"{most} at most, until the first walker" if until else f"{most} each"
+        return f"{len(results.arms)} arms, {how}."
     behind = [
         f"{name} {len(arm.runs)} x {arm.trials}"
         for name, arm in results.arms.items()
-        if arm.found < results.runs * results.trials
+        if arm.found + arm.repeated < results.runs * results.trials
     ]
     return (
         f"**Unfinished: {results.found:,} of {results.planned:,} trials are there.** Figures are "

@@ -35,7 +35,8 @@ class ArmRuns:
         runs: their numbers, ascending, [r].
         best: the best cost so far, [r, t].
         walks: whether a trial walked, bool [r, t].
-        found: trials in the table; r t of them are in the arrays.
+        found: trials in the table.
+        repeated: trials in the arrays that stand for those after a run's end with its first walker.
         proposal_ms: median time that the sampler took for a trial; None where it is not known.
     """
 
@@ -45,6 +46,7 @@ class ArmRuns:
     walks: NDArray[np.bool_]
     found: int
     proposal_ms: float | None = None
+    repeated: int = 0
 
     @property
     def trials(self) -> int:
@@ -103,8 +105,12 @@ class Results:
 
     @property
     def planned(self) -> int:
-        """Trials that the table would have if every arm had as many runs and trials as the most."""
-        return len(self.arms) * self.runs * self.trials
+        """Trials that the table would have if every arm had as many runs and trials as the most.
+
+        Runs that ended with their first walker lack none.
+        """
+        repeated = sum(arm.repeated for arm in self.arms.values())
+        return len(self.arms) * self.runs * self.trials - repeated
 
     @property
     def complete(self) -> bool:
@@ -133,9 +139,13 @@ def read_results(folder: str | Path) -> Results:
     facts = {
         key: value for name in DOCUMENTS for key, value in read_document(folder / name).items()
     }
+    found = {arm: len(rows) for arm, rows in arms.items()}
     if facts.get("until_walker"):
         arms = _by_arm(as_if_gone_on(pa.concat_tables(arms.values())))
-    runs = {arm: _arm_runs(str(folder), arm, rows, times.get(arm)) for arm, rows in arms.items()}
+    runs = {
+        arm: _arm_runs(str(folder), arm, rows, times.get(arm), found[arm])
+        for arm, rows in arms.items()
+    }
     first = next(iter(arms.values()))
     return Results(folder, first["experiment"][0].as_py(), _cost(facts, runs), runs, facts)
 
@@ -150,7 +160,7 @@ def runs_of(trials: pa.Table) -> dict[str, ArmRuns]:
         InputError: a run lacks a trial between others, or has one twice.
     """
     arms = _by_arm(trials.select(COLUMNS))
-    return {arm: _arm_runs("trials", arm, rows, None) for arm, rows in arms.items()}
+    return {arm: _arm_runs("trials", arm, rows, None, len(rows)) for arm, rows in arms.items()}
 
 
 def _by_arm(table: pa.Table) -> dict[str, pa.Table]:
@@ -164,7 +174,10 @@ def _by_arm(table: pa.Table) -> dict[str, pa.Table]:
     }
 
 
-def _arm_runs(source: str, arm: str, table: pa.Table, proposal_ms: float | None) -> ArmRuns:
+def _arm_runs(
+    source: str, arm: str, table: pa.Table, proposal_ms: float | None, found: int
+) -> ArmRuns:
+    """Arrays of a table of which `found` trials were made, the others repeated."""
     runs, counts = np.unique(table["run"].to_numpy(), return_counts=True)
     trial = table["trial"].to_numpy()
     if not np.array_equal(trial, np.concatenate([np.arange(count) for count in counts])):
@@ -179,8 +192,9 @@ def _arm_runs(source: str, arm: str, table: pa.Table, proposal_ms: float | None)
         runs=runs.astype(np.int64),
         best=square("best_cost"),
         walks=square("walked").astype(bool),
-        found=len(table),
+        found=found,
         proposal_ms=proposal_ms,
+        repeated=len(table) - found,
     )
 
 

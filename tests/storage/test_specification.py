@@ -1,5 +1,6 @@
 import copy
 import tomllib
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +57,16 @@ def test_hash_ignores_machine_and_notices_everything_else() -> None:
     ]
     hashes = {specification(**change).hash for change in changes}
     assert len(hashes | {plain.hash}) == len(changes) + 1
+
+
+def test_a_store_on_another_engine_says_which_version_of_it() -> None:
+    plain = specification().document
+    assert "engine_version" not in plain
+    other = specification(simulation={"engine": "mujoco"}).document
+    assert other["engine_version"] == version("mujoco")
+    assert other["simulation"]["engine"] == "mujoco"
+    changed = {key for key in other if other[key] != plain.get(key)}
+    assert changed == {"engine_version", "simulation"}
 
 
 def test_hash_follows_the_drawn_terrain_not_its_name() -> None:

@@ -134,7 +134,9 @@ def test_the_report_reads_ragged_runs(comparisons: Comparisons) -> None:
     results = read_results(comparisons.folder / "out")
     assert results.complete and results.trials == TRIALS and results.runs == 3
     rows = frame(comparisons.table("out"))
+    assert results.found == results.planned == len(rows) < 3 * TRIALS * len(ARMS)
     for name, arm in results.arms.items():
+        assert arm.found == (rows.arm == name).sum()
         assert arm.best.shape == (3, TRIALS)
         for run in range(3):
             mine = rows[(rows.arm == name) & (rows.run == run)]
