@@ -17,6 +17,7 @@ import pytest
 import taichi_nmm
 from storage.store import open_store
 from study import pictures
+from study.report import strips
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_NAMES
 from tests.study import fake_walker
 from tests.tools.running import ROOT, run_tool
@@ -85,6 +86,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         request = ("--arms", "dog", "--runs", 8, "--trials", 13, "--no-artifacts", "--workers", 1)
         config = "configs/rough8-smooth.toml"
         assert run_tool(patch, "compare", "--config", config, *request) == 0
+        request = ("--arms", "score-first-diverse", "--runs", 1, "--trials", 1, *request[-3:])
+        config = "configs/mujoco-rough8-soft.toml"
+        assert run_tool(patch, "compare", "--config", config, *request) == 0
     return folder
 
 
@@ -92,6 +96,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PAINTERS:
         monkeypatch.setattr(pictures, name, lambda path, *_: path)
+    monkeypatch.setattr(strips, "write_strips", lambda folder, *_: [folder])
 
 
 @pytest.mark.slow
