@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from taichi_nmm.body import Bodies
 from taichi_nmm.terrain import Terrain
+from taichi_nmm.world import WorldRanges, Worlds
 
 DIGEST_DECIMALS = 9  # nanometres: below what another machine's last bit can change
 
@@ -30,3 +31,16 @@ def body_document(disturbance: float, bodies: Bodies) -> dict[str, Any]:
     """Bodies by their largest relative disturbance and the digest of all their numbers."""
     numbers = array_digest(bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m)
     return {"disturbance": disturbance, "sha256": numbers}
+
+
+def world_document(ranges: WorldRanges, worlds: Worlds) -> dict[str, Any]:
+    """Worlds by what they were drawn from and the digest of all their numbers; {}: nominal ones.
+
+    The key "world" is newer than many stores, so it appears only where it is needed.
+    """
+    if not (drawn_from := ranges.document()):
+        return {}
+    numbers = array_digest(
+        worlds.contact_stiffness, worlds.relaxation_speed, worlds.friction, worlds.strength
+    )
+    return {"world": drawn_from | {"sha256": numbers}}

@@ -19,7 +19,9 @@ from taichi_nmm.result import SCORE_FIELDS, Result
 Report = Callable[[float], None]
 """Called with the fraction of the shard that is done."""
 
+SURVIVED = "survived_fraction"
 TYPICAL_ALIVE = 0.1  # of random points, at the age from which families run them
+TYPICAL_KEPT = 0.01  # of random points, where a family comes after another one
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +44,16 @@ def score_shard(specification: Specification, number: int, report: Report) -> Sc
         parts[0],
         duration_s=specification.conditions.duration_s,
         bodies=specification.body,
+        worlds=specification.world,
         terrains=specification.terrain,
     )
     columns: dict[str, NDArray[Any]] = {}
     for family, part in zip(families, parts[1:], strict=True):
-        alive = base.rows["duration_s"] >= family.min_survival_s
-        columns |= score_family(specification, family, points, alive, part)
+        chosen = base.rows["duration_s"] >= family.min_survival_s
+        if family.after:
+            survived = columns[family_names(family.after, SURVIVED)[0]]
+            chosen &= survived >= family.min_survived_fraction
+        columns |= score_family(specification, family, points, chosen, part)
         part(1.0)
     names = [parameter.name for parameter in parameters]
     table = shard_table(specification.schema, first, names, points, base.rows, columns)
@@ -58,7 +64,7 @@ def score_family(
     specification: Specification,
     family: Family,
     points: NDArray[np.float64],
-    alive: NDArray[np.bool_],
+    chosen: NDArray[np.bool_],
     report: Report,
 ) -> dict[str, NDArray[Any]]:
     """Mean and spread of every score component over the settings of a family.
@@ -67,40 +73,44 @@ def score_family(
         specification: the store that the family belongs to.
         family: one of its families.
         points: [n, 16 + k].
-        alive: the points to run, [n]; the others get zeros.
+        chosen: the points to run, [n]; the others get zeros.
         report: called with the fraction of this family that is done.
 
     Returns:
         Columns by name, [n] each.
     """
-    columns: dict[str, NDArray[Any]] = {evaluated_name(family.name): alive}
+    columns: dict[str, NDArray[Any]] = {evaluated_name(family.name): chosen}
     names = [family_names(family.name, component) for component, _ in SCORE_FIELDS]
     columns |= {name: np.zeros(len(points)) for pair in names for name in pair}
-    chosen, count = np.flatnonzero(alive), family.settings
-    if not len(chosen):
+    rows_chosen, count = np.flatnonzero(chosen), family.settings
+    if not len(rows_chosen):
         return columns
-    setting = np.tile(np.arange(count), len(chosen))
+    setting = np.tile(np.arange(count), len(rows_chosen))
     result = _simulate(
         specification,
-        np.repeat(points[chosen], count, axis=0),
+        np.repeat(points[rows_chosen], count, axis=0),
         report,
         duration_s=family.horizon_s,
         bodies=family.bodies.take(setting),
+        worlds=family.worlds.take(setting),
         terrains=family.terrains,
         terrain_index=setting,
     )
-    rows = result.rows.reshape(len(chosen), count)
+    rows = result.rows.reshape(len(rows_chosen), count)
     for (component, _), (mean, spread) in zip(SCORE_FIELDS, names, strict=True):
         values = rows[component].astype(np.float64)
-        columns[mean][chosen] = values.mean(axis=1)
-        columns[spread][chosen] = values.std(axis=1)
+        columns[mean][rows_chosen] = values.mean(axis=1)
+        columns[spread][rows_chosen] = values.std(axis=1)
     return columns
 
 
 def progress_parts(specification: Specification, report: Report) -> list[Report]:
     """`report` cut into one for the base setting and one a family, in proportion to their work."""
     work = [specification.conditions.duration_s]
-    work += [TYPICAL_ALIVE * family.walk_s for family in specification.families]
+    work += [
+        (TYPICAL_KEPT if family.after else TYPICAL_ALIVE) * family.walk_s
+        for family in specification.families
+    ]
     ends = np.cumsum([0.0, *work]) / sum(work)
     ends[-1] = 1.0
 

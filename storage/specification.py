@@ -10,7 +10,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from storage.digests import body_document, terrain_document
+from storage.digests import body_document, terrain_document, world_document
 from storage.document import FORMAT, document_hash
 from storage.families import (
     LONGEST_DURATION_S,
@@ -21,7 +21,7 @@ from storage.families import (
 )
 from storage.schema import arrow_schema, columns_of
 from storage.searched import searched_parameters
-from storage.seeds import BODY, TERRAIN, seed_sequence
+from storage.seeds import BODY, TERRAIN, WORLD, seed_sequence
 from storage.sobol import LARGEST_SEQUENCE
 from taichi_nmm import __version__
 from taichi_nmm.body import Bodies
@@ -32,6 +32,7 @@ from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
 from taichi_nmm.settings import OWN_ENGINE
 from taichi_nmm.terrain import Terrain
+from taichi_nmm.world import Worlds
 
 DURATION_S = 5.0  # of the base setting, where the file names none
 SHARD_ROWS = 4096  # seconds of work on two cores, and a few MB
@@ -68,6 +69,11 @@ class Specification:
     def terrain(self) -> Terrain:
         """The one of the base setting."""
         return self.conditions.terrain(seed_sequence(self.seed, TERRAIN))
+
+    @cached_property
+    def world(self) -> Worlds:
+        """The one of the base setting."""
+        return self.conditions.world(seed_sequence(self.seed, WORLD))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -111,6 +117,7 @@ class Specification:
             "simulation": self.conditions.simulation_document(),
             "terrain": terrain_document((self.terrain,)),
             "body": body_document(self.conditions.disturbance, self.body),
+            **world_document(self.conditions.world_ranges, self.world),
             **self._family_documents(),
             **self._engine_document(),
             "columns": columns_of(self.schema),

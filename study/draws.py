@@ -30,6 +30,7 @@ class Purpose(IntEnum):
     OFF_GRID_UTILITY = 10
     STARTUP_POINT = 11
     SAMPLER = 12
+    WORLD = 13
 
 
 def stream(seed: int, purpose: Purpose, *key: int) -> np.random.SeedSequence:

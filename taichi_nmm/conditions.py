@@ -1,4 +1,4 @@
-"""Under which conditions walkers walk: simulation, body and ground, as a configuration has them.
+"""Under which conditions walkers walk: simulation, body, ground and world, as configured.
 
 Which seed draws a body and a terrain is the caller's to say.
 """
@@ -10,31 +10,41 @@ import numpy as np
 
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table
-from taichi_nmm.settings import ENGINES, MujocoSettings, Settings
+from taichi_nmm.errors import InputError
+from taichi_nmm.settings import ENGINES, OWN_ENGINE, MujocoSettings, Settings
 from taichi_nmm.terrain import Ground, Terrain, read_ground
+from taichi_nmm.world import NOMINAL, NOT_OURS, OWN_CONTACT, WorldRanges, Worlds, read_world
 
 MOST_DISTURBANCE = 0.9  # of a configuration; beyond it masses come near zero
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """The tables [simulation], [body] and [terrain] of a configuration. They pickle and hash.
+    """The tables [simulation], [body], [terrain] and [world] of a configuration.
+
+    They pickle and hash.
 
     Attributes:
         duration_s: how long a walker may walk.
         settings: how the simulation is integrated, and on which machine.
         disturbance: largest relative disturbance of a body, as in `Bodies.disturbed`.
         ground: kind of terrain, with its options.
+        world_ranges: what a walker's world is drawn from.
     """
 
     duration_s: float
     settings: Settings
     disturbance: float
     ground: Ground
+    world_ranges: WorldRanges = NOMINAL
 
     def body(self, seed: int | np.random.SeedSequence) -> Bodies:
         """The one body of this seed."""
         return Bodies.disturbed([seed], self.disturbance)
+
+    def world(self, seed: int | np.random.SeedSequence) -> Worlds:
+        """The one world of this seed."""
+        return self.world_ranges.draw([seed])
 
     def terrain(self, seed: int | np.random.SeedSequence) -> Terrain:
         """The terrain of this seed."""
@@ -52,11 +62,13 @@ class Conditions:
         return {"duration_s": self.duration_s, **self.settings.document()}
 
     def as_written(self) -> dict[str, Any]:
-        """The three tables as a configuration has them, less what belongs to the machine."""
+        """The tables as a configuration has them, less what belongs to the machine."""
+        world = self.world_ranges.document()
         return {
             "simulation": self.simulation_document(),
             "body": {"disturbance": self.disturbance},
             "terrain": {"kind": self.ground.kind, **self.ground.options},
+            **({"world": world} if world else {}),
         }
 
 
@@ -68,7 +80,7 @@ def read_conditions(
     longest_s: float,
     arch: str | None = None,
 ) -> Conditions:
-    """The conditions in a configuration. Reads every key of their three tables.
+    """The conditions in a configuration. Reads every key of their four tables.
 
     Args:
         table: the configuration's top table.
@@ -84,11 +96,16 @@ def read_conditions(
     duration_s = simulation.number("duration_s", duration_s, shortest_s, longest_s)
     settings = read_settings(simulation, arch)
     simulation.done()
+    world_ranges = read_world(table.table("world"))
+    if settings.engine != OWN_ENGINE:
+        for name in set(world_ranges.document()) & set(OWN_CONTACT):
+            raise InputError(f"world.{name}", getattr(world_ranges, name), NOT_OURS)
     return Conditions(
         duration_s=duration_s,
         settings=settings,
         disturbance=read_disturbance(table.table("body")),
         ground=read_ground(table.table("terrain")),
+        world_ranges=world_ranges,
     )
 
 

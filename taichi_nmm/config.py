@@ -28,11 +28,22 @@ class Table:
         """A finite number within [low, high]."""
         value = self._take(key, default)
         allowed = f"a number from {low:g} to {high:g}"
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(self.path(key), value, allowed)
-        if not (math.isfinite(value) and low <= value <= high):
+        if not _is_number(value) or not (math.isfinite(value) and low <= value <= high):
             raise InputError(self.path(key), value, allowed)
         return float(value)
+
+    def range(
+        self, key: str, default: tuple[float, float], low: float, high: float
+    ) -> tuple[float, float]:
+        """Two finite numbers within [low, high], the second no less than the first."""
+        value = self._take(key, list(default))
+        allowed = f"[lowest, highest], two numbers from {low:g} to {high:g} in this order"
+        if not isinstance(value, list) or not all(map(_is_number, value)) or len(value) != 2:
+            raise InputError(self.path(key), value, allowed)
+        lowest, highest = map(float, value)
+        if not low <= lowest <= highest <= high:
+            raise InputError(self.path(key), value, allowed)
+        return lowest, highest
 
     def integer(
         self, key: str, default: Any = REQUIRED, low: int = 0, high: int = 2**63 - 1
@@ -99,6 +110,10 @@ class Table:
         if default is REQUIRED:
             raise InputError(self.path(key), "missing", "a value: the key is required")
         return default
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def read_toml(path: str | Path) -> Table:

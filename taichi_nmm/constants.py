@@ -1,30 +1,36 @@
-"""What no step writes: a walker's gains, its body's coefficients, and how far filters go a step."""
+"""What no step writes: gains, coefficients of body and world, and how far filters go a step."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
+from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M
 from taichi_nmm.kernel.contact import STATIC_DEFLECTION_M
-from taichi_nmm.kernel.layout import GAIN_ROWS, LEGS, LOW_LEVEL_ROWS, Const
+from taichi_nmm.kernel.layout import GAIN_ROWS, LEGS, LOW_LEVEL_ROWS, MUSCLE_COUNT, Const
 from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
 from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
 from taichi_nmm.parameters import LOW_LEVEL_NAMES
-from taichi_nmm.settings import CONTROL_TICK_S
+from taichi_nmm.settings import CONTROL_TICK_S, Settings
+from taichi_nmm.walkers import Batch
 
 W_FILTER = LOW_LEVEL_NAMES.index("w_filter")
 
 
-def constant_rows(
-    gains: NDArray[np.float64], low_level: NDArray[np.float64], bodies: Bodies
-) -> NDArray[np.float64]:
+def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
     """`layout.Const` of each walker, [n, Const.count]."""
+    bodies, worlds = batch.bodies, batch.worlds
     mass, inertia, com = bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m
-    rows = np.zeros((len(gains), Const.count))
-    rows[:, GAIN_ROWS] = gains
-    rows[:, LOW_LEVEL_ROWS] = low_level
-    rows[:, Const.leg_angle_blend] = 1.0 - np.exp(-low_level[:, W_FILTER] * CONTROL_TICK_S)
+    rows = np.zeros((len(batch), Const.count))
+    rows[:, GAIN_ROWS] = batch.gains
+    rows[:, LOW_LEVEL_ROWS] = batch.low_level
+    rows[:, Const.leg_angle_blend] = 1.0 - np.exp(-batch.low_level[:, W_FILTER] * CONTROL_TICK_S)
     rows[:, Const.total_mass] = mass.sum(axis=1)
-    rows[:, Const.contact_stiffness] = mass.sum(axis=1) * GRAVITY_MPS2 / STATIC_DEFLECTION_M
+    nominal_n_per_m = mass.sum(axis=1) * GRAVITY_MPS2 / STATIC_DEFLECTION_M
+    rows[:, Const.contact_stiffness] = nominal_n_per_m * worlds.contact_stiffness
+    rows[:, Const.relaxation_speed] = (
+        settings.contact_relaxation_speed_mps * worlds.relaxation_speed
+    )
+    rows[:, Const.friction] = worlds.friction
+    rows[:, Const.strength : Const.strength + MUSCLE_COUNT] = worlds.strength
     rows[:, Const.hat_weight] = mass[:, 0] * GRAVITY_MPS2
     # The HAT's centre of mass lies above the hip while D points down: hence the sign.
     rows[:, Const.a_hat] = -mass[:, 0] * com[:, 0]

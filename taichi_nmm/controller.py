@@ -79,8 +79,8 @@ class Controller:
         settings: Settings | None = None,
     ) -> None:
         self._settings = (settings or Settings()).on_processor()
-        batch = check_batch(gains, bodies, None, None, low_level_gains)
-        self._constants = constant_rows(batch.gains, batch.low_level, batch.bodies)
+        batch = check_batch(gains, bodies, low_level_gains=low_level_gains)
+        self._constants = constant_rows(batch, self._settings)
         self._running: _Running | None = None
         self._step = 0
 

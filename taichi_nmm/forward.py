@@ -9,8 +9,9 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.entry_points import accelerate
 from taichi_nmm.kernel.layout import COORDINATES
-from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
+from taichi_nmm.parameters import K_T
 from taichi_nmm.settings import Settings
+from taichi_nmm.walkers import check_batch
 
 JOINTS = 6
 
@@ -38,12 +39,9 @@ def forward_dynamics(
     bodies = bodies or Bodies.nominal()
     if len(bodies) not in (1, count):
         raise InputError("bodies", len(bodies), f"one body, or {count}")
-    backend.start(Settings(precision="float64", arch="cpu"))
-    constants = constant_rows(
-        np.zeros((count, len(GAINS))),
-        np.zeros((count, len(LOW_LEVEL_GAINS))),
-        bodies.take(np.arange(count) % len(bodies)),
-    )
+    settings = Settings(precision="float64", arch="cpu")
+    backend.start(settings)
+    constants = constant_rows(check_batch(np.tile(K_T, (count, 1)), bodies), settings)
     lanes = backend.lanes()
     padded = -(-count // lanes) * lanes
     accelerations = np.zeros((padded // lanes, COORDINATES, lanes))

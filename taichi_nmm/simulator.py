@@ -27,6 +27,7 @@ from taichi_nmm.result import Result
 from taichi_nmm.settings import CONTROL_TICK_S, Settings
 from taichi_nmm.terrain import Terrain
 from taichi_nmm.walkers import Batch, check_batch
+from taichi_nmm.world import Worlds
 
 CHUNK_TICKS = 250  # 0.25 s: fallen walkers leave the packs this often
 LONGEST_WALK_S = 10_000.0  # ticks stay whole numbers in float32
@@ -44,6 +45,7 @@ def simulate(
     terrains: Terrain | Sequence[Terrain] | None = None,
     terrain_index: ArrayLike | None = None,
     low_level_gains: ArrayLike | None = None,
+    worlds: Worlds | None = None,
     settings: Settings | None = None,
     record: Sequence[int] = (),
     record_rate_hz: float = 100.0,
@@ -59,6 +61,7 @@ def simulate(
         terrain_index: each walker's row of `terrains`, [n]; by default one terrain serves all, and
             n terrains serve a walker each.
         low_level_gains: [n, gain] or [gain], in the order of `parameters.LOW_LEVEL_GAINS`.
+        worlds: one for all or n of them; None is the nominal world.
         settings: precision, step, contact, machine; None is `Settings()`.
         record: rows of the walkers whose `Trajectory` is wanted.
         record_rate_hz: samples a second of the trajectories; a divisor of 1000.
@@ -69,7 +72,7 @@ def simulate(
         KeyboardInterrupt: between chunks.
     """
     settings = settings or Settings()
-    batch = check_batch(gains, bodies, terrains, terrain_index, low_level_gains)
+    batch = check_batch(gains, bodies, terrains, terrain_index, low_level_gains, worlds)
     ticks = _ticks(duration_s)
     recorder = Recorder(record, record_rate_hz, len(batch))
     launch, packs, engine = _start(batch, settings)
@@ -95,10 +98,10 @@ def _start(batch: Batch, settings: Settings) -> tuple[Launch, Packs, Callable[[]
         from taichi_nmm.mujoco_engine import engine
 
         backend.start(settings.on_processor())
-        packs = start_packs(batch)
+        packs = start_packs(batch, settings)
         return engine.launcher(batch, settings, packs), packs, lambda: engine.metadata(settings)
     backend.start(settings)
-    return launcher(batch, settings), start_packs(batch), backend.metadata
+    return launcher(batch, settings), start_packs(batch, settings), backend.metadata
 
 
 def _ticks(duration_s: float) -> int:
@@ -107,12 +110,12 @@ def _ticks(duration_s: float) -> int:
     return round(duration_s / CONTROL_TICK_S)
 
 
-def start_packs(batch: Batch) -> Packs:
+def start_packs(batch: Batch, settings: Settings) -> Packs:
     """The walkers at the start. The backend runs already: it sets lanes and precision."""
     rows = np.zeros((len(batch), WALKER_ROWS))
     starts = np.array([initial_rows(terrain) for terrain in batch.terrains])
     rows[:, :FIRST_SUM] = starts[batch.terrain_index]
-    constants = constant_rows(batch.gains, batch.low_level, batch.bodies)
+    constants = constant_rows(batch, settings)
     return Packs(rows, constants, batch.terrain_index, backend.lanes(), backend.real_dtype())
 
 
@@ -128,7 +131,7 @@ def launcher(batch: Batch, settings: Settings) -> Launch:
             advance,
             packs.lanes, packs.rows, packs.constants, packs.terrains, heights, muscles,
             first_tick, ticks, settings.substeps, step_s,
-            settings.contact_relaxation_speed_mps, *blends(step_s),
+            *blends(step_s),
         )  # fmt: skip
 
     return launch

@@ -10,6 +10,7 @@ from taichi_nmm.body import Bodies
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import LOW_LEVEL_GAINS, gain_rows
 from taichi_nmm.terrain import Terrain, flat
+from taichi_nmm.world import Worlds
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +21,7 @@ class Batch:
         gains: in the order of `parameters.GAINS`, [n, gain].
         low_level: in the order of `parameters.LOW_LEVEL_GAINS`, [n, gain].
         bodies: n of them.
+        worlds: n of them.
         terrains: the different grounds.
         terrain_index: each walker's, [n].
     """
@@ -27,6 +29,7 @@ class Batch:
     gains: NDArray[np.float64]
     low_level: NDArray[np.float64]
     bodies: Bodies
+    worlds: Worlds
     terrains: tuple[Terrain, ...]
     terrain_index: NDArray[np.int32]
 
@@ -36,10 +39,11 @@ class Batch:
 
 def check_batch(
     gains: ArrayLike,
-    bodies: Bodies | None,
-    terrains: Terrain | Sequence[Terrain] | None,
-    terrain_index: ArrayLike | None,
-    low_level_gains: ArrayLike | None,
+    bodies: Bodies | None = None,
+    terrains: Terrain | Sequence[Terrain] | None = None,
+    terrain_index: ArrayLike | None = None,
+    low_level_gains: ArrayLike | None = None,
+    worlds: Worlds | None = None,
 ) -> Batch:
     """A `Batch` from what `simulate` takes; see there for defaults.
 
@@ -57,12 +61,16 @@ def check_batch(
     bodies = bodies or Bodies.nominal()
     if len(bodies) not in (1, count):
         raise InputError("bodies", len(bodies), f"one body, or {count}: one a walker")
+    worlds = worlds or Worlds.nominal()
+    if len(worlds) not in (1, count):
+        raise InputError("worlds", len(worlds), f"one world, or {count}: one a walker")
     grounds, index = _check_terrains(terrains, terrain_index, count)
     everyone = np.arange(count)
     return Batch(
         rows,
         low_level[everyone % len(low_level)],
         bodies.take(everyone % len(bodies)),
+        worlds.take(everyone % len(worlds)),
         grounds,
         index,
     )

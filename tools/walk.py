@@ -139,6 +139,7 @@ def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.
             low_level_gains=gains.low_level,
             duration_s=conditions.duration_s,
             bodies=experiment.body(run),
+            worlds=experiment.world(run),
             terrains=experiment.terrain(run),
             settings=conditions.settings,
             record=[0],
@@ -155,7 +156,8 @@ def write_model(path: Path, experiment: Experiment, run: int) -> None:
 
     terrain, settings = experiment.terrain(run), experiment.conditions.settings
     with writable(path, "mjcf"):
-        write_mjcf(path, experiment.body(run), boxes(terrain), settings, start_state(terrain))
+        body, friction = experiment.body(run), float(experiment.world(run).friction[0])
+        write_mjcf(path, body, friction, boxes(terrain), settings, start_state(terrain))
 
 
 def write_engines(

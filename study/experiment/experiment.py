@@ -22,6 +22,7 @@ from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS, Parameter
 from taichi_nmm.terrain import Terrain
+from taichi_nmm.world import Worlds
 
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 MOST_RUNS = 10_000
@@ -102,6 +103,10 @@ class Experiment:
     def body(self, run: int) -> Bodies:
         """The one body of a run."""
         return self.conditions.body(stream(self.seed, Purpose.BODY, run))
+
+    def world(self, run: int) -> Worlds:
+        """The one world of a run."""
+        return self.conditions.world(stream(self.seed, Purpose.WORLD, run))
 
     def terrain(self, run: int) -> Terrain:
         """The ground of a run."""

@@ -75,6 +75,7 @@ def documented_experiment(known: dict[str, Any]) -> Experiment | None:
         return None
     names = ("name", "seed", "searched", "objective", "simulation", "body")
     tables = {name: known.get(name) for name in names} | {"terrain": known["ground"]}
+    tables["world"] = known.get("world", {})
     tables["until_walker"] = known.get("until_walker", False)
     return experiment_of(Table(tables), "")
 

@@ -11,6 +11,7 @@ from study.experiment.experiment import Experiment
 from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import GAINS
 from taichi_nmm.result import Result
+from taichi_nmm.world import Worlds
 
 
 def simulate_trials(
@@ -44,6 +45,7 @@ def simulate_trials(
         own,
         duration_s=conditions.duration_s if duration_s is None else duration_s,
         bodies=_stacked(bodies).take(index),
+        worlds=Worlds.stacked(experiment.world(int(run)) for run in different).take(index),
         terrains=[experiment.terrain(int(run)) for run in different],
         terrain_index=index.astype(np.int32),
         low_level_gains=low_level if experiment.searched else None,

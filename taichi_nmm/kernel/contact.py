@@ -90,12 +90,13 @@ def gaps(lane, state: Rows, work: Rows):
 
 
 @ti.func
-def spring_forces(lane, step_s, relaxation_speed_mps, state: Rows, const: Rows, work: Rows):
+def spring_forces(lane, step_s, state: Rows, const: Rows, work: Rows):
     """Contact forces at zero velocity and their damping by the new one, c = k d/vmax + k h.
 
     Every touching point starts the complementarity passes as sticking.
     """
     stiffness = const[Const.contact_stiffness, lane]
+    relaxation_speed_mps = const[Const.relaxation_speed, lane]
     work[Work.friction_damping, lane] = stiffness * (FRICTION_DAMPING_S + step_s)
     for c in ti.static(range(CONTACTS)):
         tangent_x = work[Work.normal_z + c, lane]

@@ -16,8 +16,6 @@ from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.elementary import larger
 from taichi_nmm.kernel.layout import CONTACTS, COORDINATES, LEGS, STOPS, Const, State, Work
 
-FRICTION_COEFFICIENT = 0.9  # Geyer & Herr 2010, sticking; here sliding too (they: 0.8)
-
 
 @ti.func
 def slope_vector(lane, i: Rows, work: Rows):
@@ -317,7 +315,7 @@ def substitute(b1, b2, b3, l21, l31, l32, i1, i2, i3):
 
 
 @ti.func
-def revise_contacts(lane, work: Rows):
+def revise_contacts(lane, const: Rows, work: Rows):
     """One complementarity pass: drop contacts that pull, let slip what exceeds the cone.
 
     Without the drop the linearised damper would glue the foot to the ground. A slipping point's
@@ -337,7 +335,7 @@ def revise_contacts(lane, work: Rows):
         stuck = on * (work[Work.friction_0 + c, lane] - work[Work.friction_damping, lane] * u_t)
         pulls = normal < 0.0
         normal = larger(normal, 0.0)
-        cone = FRICTION_COEFFICIENT * normal
+        cone = const[Const.friction, lane] * normal
         breaks = (slip == 0.0) & (pulls == False) & (larger(stuck, 0.0 - stuck) > cone)  # noqa: E712
         slip = ti.select(breaks, ti.select(stuck > 0.0, 1.0, 0.0 - 1.0), slip)
         moves = (slip != 0.0) & (normal != work[Work.normal_force + c, lane])

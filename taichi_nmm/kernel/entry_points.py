@@ -73,7 +73,6 @@ def advance(
     ticks: int,
     substeps: int,
     step_s: float,
-    relaxation_speed_mps: float,
     activation_blend: float,
     load_blend: float,
 ):
@@ -106,7 +105,7 @@ def advance(
             terrain[lane] = terrains[p, lane]
         for tick in range(first_tick, first_tick + ticks):
             walker.step(
-                tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_blend,
+                tick, substeps, step_s, activation_blend, load_blend,
                 lanes, terrain, heights, table,
                 state, fibres, delay, events, sums, const, work,
             )  # fmt: skip

@@ -59,10 +59,11 @@ Muscle = blocks(
     stimulation=MUSCLE_COUNT,
     length=MUSCLE_COUNT,  # contractile element over its optimal length
     velocity=MUSCLE_COUNT,  # optimal lengths a second over the largest, lengthening positive
-    force=MUSCLE_COUNT,  # over Fmax
+    force=MUSCLE_COUNT,  # over the nominal Fmax
 )
 
-# Never written by a step: each gain by its name (`Const.K_SOL`), and what follows from the body.
+# Never written by a step: each gain by its name (`Const.K_SOL`), what follows from the body, and
+# the world.
 # A_i and B_ij multiply the directions of the links in the mass matrix: see `dynamics`.
 Const = blocks(
     **dict.fromkeys((*GAIN_NAMES, *LOW_LEVEL_NAMES), 1),
@@ -72,6 +73,9 @@ Const = blocks(
     a_leg=3 * LEGS,  # A1 A2 A3, kg m
     b_leg=6 * LEGS,  # B11 B22 B33 B12 B13 B23, kg m2
     contact_stiffness=1,  # N/m
+    relaxation_speed=1,  # of a contact, m/s
+    friction=1,  # Coulomb's coefficient
+    strength=MUSCLE_COUNT,  # largest force over the nominal
     hat_weight=1,  # N
     leg_weight=LEGS,  # N
     leg_angle_blend=1,  # 1 - exp(-w_filter tick)

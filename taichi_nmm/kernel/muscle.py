@@ -10,7 +10,7 @@ import numpy as np
 
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.elementary import LOG2_E, larger, smaller, two_to
-from taichi_nmm.kernel.layout import LEGS, MUSCLES_PER_LEG, Muscle, Work
+from taichi_nmm.kernel.layout import LEGS, MUSCLES_PER_LEG, Const, Muscle, Work
 from taichi_nmm.kernel.muscle_table import T_POWER, T_STRAIN, T_STRETCH, TABLE_COLUMNS
 
 WIDTH = 0.56  # w of the force-length curve
@@ -170,16 +170,19 @@ def balance(lane, m, data: Rows, muscle: Rows, work: Rows):
 
 
 @ti.func
-def contract(lane, m, data: Rows, muscle: Rows, work: Rows):
-    """Length and force of muscle m of both legs after the step, and its metabolic power."""
+def contract(lane, m, data: Rows, muscle: Rows, const: Rows, work: Rows):
+    """Length and force of muscle m of both legs after the step, and its metabolic power.
+
+    A muscle's strength scales its tendon too, so that it contracts as the nominal one does.
+    """
     for leg in ti.static(range(LEGS)):
         row = m + MUSCLES_PER_LEG * leg
-        v = muscle[Muscle.velocity + row, lane]
+        v, strength = muscle[Muscle.velocity + row, lane], const[Const.strength + row, lane]
         strain = work[Work.strain + row, lane] - data[T_STRETCH] * data[T_STRAIN] * v
         tendon = larger(strain, 0.0)
-        muscle[Muscle.force + row, lane] = tendon * tendon
+        muscle[Muscle.force + row, lane] = strength * (tendon * tendon)
         length = muscle[Muscle.length + row, lane] + data[T_STRETCH] * v
         muscle[Muscle.length + row, lane] = larger(length, SHORTEST_FIBRE)
-        work[Work.metabolic_power + row, lane] = (
+        work[Work.metabolic_power + row, lane] = strength * (
             muscle[Muscle.activation + row, lane] * data[T_POWER] * metabolic_rate(v)
         )

@@ -44,7 +44,7 @@ FELL, DIVERGED = 1.0, 2.0  # result.END_REASONS; 0 completes
 
 
 @ti.func
-def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_blend,
+def step(tick, substeps, step_s, activation_blend, load_blend,
          lanes: Rows, terrain: Rows, heights: Rows, muscles: Rows,
          state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
          const: Rows, work: Rows):  # fmt: skip
@@ -56,18 +56,18 @@ def step(tick, substeps, step_s, relaxation_speed_mps, activation_blend, load_bl
             contact.gaps(lane, state, work)
         if substep == 0:
             control(tick, lanes, state, fibres, delay, events, sums, const, work)
-        contract_muscles(activation_blend, lanes, muscles, fibres, work)
+        contract_muscles(activation_blend, lanes, muscles, fibres, const, work)
         for lane in range(lanes):
             attachments.turn_joints(lane, fibres, work)
             add_ideal_torques(lane, state, work)
             joint_stops.hip_stops(lane, work)
-            contact.spring_forces(lane, step_s, relaxation_speed_mps, state, const, work)
+            contact.spring_forces(lane, step_s, state, const, work)
             joint_stops.knee_and_ankle_stops(lane, step_s, work)
             dynamics.momentum_after_free_step(lane, step_s, 1.0, state, const, work)
         for _ in range(CONTACT_PASSES):
             for lane in range(lanes):
                 dynamics.solve(lane, step_s, const, work)
-                dynamics.revise_contacts(lane, work)
+                dynamics.revise_contacts(lane, const, work)
             if settled(lanes, work):
                 break
         for lane in range(lanes):
@@ -131,7 +131,7 @@ def command(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, const: Ro
 
 
 @ti.func
-def contract_muscles(blend, lanes: Rows, muscles: Rows, fibres: Rows, work: Rows):
+def contract_muscles(blend, lanes: Rows, muscles: Rows, fibres: Rows, const: Rows, work: Rows):
     """All muscles, phase by phase. Run-time loops: their code is read from the nearest cache."""
     for m in range(MUSCLES_PER_LEG):
         data = muscle.constants(muscles, m)
@@ -145,7 +145,7 @@ def contract_muscles(blend, lanes: Rows, muscles: Rows, fibres: Rows, work: Rows
     for m in range(MUSCLES_PER_LEG):
         data = muscle.constants(muscles, m)
         for lane in range(lanes):
-            muscle.contract(lane, m, data, fibres, work)
+            muscle.contract(lane, m, data, fibres, const, work)
 
 
 @ti.func

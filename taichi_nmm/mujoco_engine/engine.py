@@ -12,10 +12,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from mujoco.batch import Batch as Simulations
+from mujoco.batch import SimulationError
 from numpy.typing import NDArray
 
 from taichi_nmm.body import Bodies
 from taichi_nmm.constants import blends
+from taichi_nmm.errors import InputError
 from taichi_nmm.initial import PENETRATION_M, initial_rows
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.carried import drive, follow
@@ -28,8 +31,10 @@ from taichi_nmm.packs import Packs
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
 from taichi_nmm.walkers import Batch
+from taichi_nmm.world import NOT_OURS, OWN_CONTACT
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
 
 VIEW_TICKS = 250  # how often the boxes move along
 # Around the hip: a leg and a foot, and what the fastest fall covers until the boxes move along.
@@ -38,34 +43,76 @@ CACHED = 256  # models and grounds: those of an experiment's runs come again wit
 
 
 class Carried:
-    """One walker in MuJoCo: its model with the ground around it, its data, and views of them."""
+    """One walker in MuJoCo: its model with the ground around it, and where it starts."""
 
     def __init__(self, model: mujoco.MjModel, ground: Boxes, start: Array) -> None:
         self._ground = ground
-        self._count = boxes_in_view(ground)
         self._first = 0
+        self.boxes = boxes_in_view(ground)
         self.model = copy(model)  # its boxes move
-        self.data = mujoco.MjData(self.model)
-        self.data.qpos[:], self.data.qvel[:] = start[:COORDINATES], start[COORDINATES:]
-        self.torque = self.data.ctrl
-        self.seen = (self.data.qpos, self.data.qvel, self.data.sensordata)
+        self.start = start
 
-    def look_around(self) -> None:
-        """Move the boxes to where the walker is."""
-        hip_m = float(self.data.qpos[0])
+    def look_around(self, hip_m: float) -> bool:
+        """Move the boxes to where the hip is; whether any has moved."""
         near = self._ground.between(hip_m - VIEW_M, hip_m + VIEW_M)
-        first = max(min(near.start, len(self._ground) - self._count), 0)
+        first = max(min(near.start, len(self._ground) - self.boxes), 0)
         if first == self._first:
-            return
+            return False
         self._first = first
-        here = slice(first, first + self._count)
-        geoms = slice(0, self._count)  # the world's geoms come first
+        here = slice(first, first + self.boxes)
+        geoms = slice(0, self.boxes)  # the world's geoms come first
         size = self._ground.half_size[here]
         self.model.geom_pos[geoms] = self._ground.position[here]
         self.model.geom_quat[geoms] = self._ground.quaternion[here]
         self.model.geom_size[geoms] = size
         self.model.geom_rbound[geoms] = np.linalg.norm(size, axis=1)
         self.model.geom_aabb[geoms, 3:] = size
+        return True
+
+
+class Herd:
+    """Walkers with as many boxes each, which one call of MuJoCo's steps.
+
+    Attributes:
+        numbers: rows of the walkers in the batch.
+    """
+
+    def __init__(self, numbers: Rows, walkers: list[Carried]) -> None:
+        self._seat(numbers, walkers)
+        for row, walker in enumerate(walkers):
+            self._qpos[row], self._qvel[row] = np.split(walker.start, 2)
+
+    def keep(self, still: NDArray[np.bool_]) -> None:
+        """Go on with these walkers alone."""
+        state = self._simulations.state[still]
+        walkers = [walker for walker, stays in zip(self._walkers, still, strict=True) if stays]
+        self._seat(self.numbers[still], walkers)
+        self._simulations.state[:] = state
+
+    def look_around(self) -> None:
+        """Move the boxes along."""
+        pairs = zip(self._walkers, self._qpos[:, 0], strict=True)
+        if any([walker.look_around(float(hip_m)) for walker, hip_m in pairs]):
+            self._simulations.set_models([walker.model for walker in self._walkers])
+
+    def step(self, torque: Array) -> Array:
+        """MuJoCo's step of all with these joint torques: qpos, qvel and sensors, [n, 26].
+
+        Where MuJoCo cannot go on, the velocity is no number.
+        """
+        self._torque[:] = torque
+        try:
+            self._simulations.step()
+        except SimulationError as error:  # those have not moved, the others have
+            self._qvel[error.ids] = np.nan
+        return np.concatenate((self._qpos, self._qvel, self._sensors), axis=1)
+
+    def _seat(self, numbers: Rows, walkers: list[Carried]) -> None:
+        self.numbers, self._walkers = numbers, walkers
+        self._simulations = Simulations(walkers[0].model, len(walkers), nthread=1)
+        self._simulations.set_models([walker.model for walker in walkers])
+        names = ("ctrl", "qpos", "qvel", "sensordata")
+        self._torque, self._qpos, self._qvel, self._sensors = map(self._simulations.bind, names)
 
 
 def boxes_in_view(ground: Boxes) -> int:
@@ -79,13 +126,15 @@ def _boxes(terrain: Terrain) -> Boxes:
 
 
 @lru_cache(maxsize=CACHED)
-def _model(terrain: Terrain, body: tuple[float, ...], settings: Settings) -> mujoco.MjModel:
+def _model(
+    terrain: Terrain, body: tuple[float, ...], friction: float, settings: Settings
+) -> mujoco.MjModel:
     """The model of a body (masses, inertias, centres of mass) with the first boxes of a ground."""
     mass, inertia, com = np.array(body).reshape(3, 1, -1)
     ground = _boxes(terrain)
     count = boxes_in_view(ground)
     first = Boxes(*(values[:count] for values in vars(ground).values()))
-    model = compiled(walker_xml(Bodies(mass, inertia, com), 0, first, settings))
+    model = compiled(walker_xml(Bodies(mass, inertia, com), first, settings, friction))
     # A box that is level here is taken as level wherever it moves, unless it is told otherwise.
     model.geom_sameframe[:count] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     return model
@@ -96,7 +145,8 @@ def carried(batch: Batch, walker: int, settings: Settings) -> Carried:
     terrain, bodies = batch.terrains[batch.terrain_index[walker]], batch.bodies
     columns = (bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m)
     body = tuple(float(x) for values in columns for x in values[walker])
-    return Carried(_model(terrain, body, settings), _boxes(terrain), start_state(terrain))
+    friction = float(batch.worlds.friction[walker])
+    return Carried(_model(terrain, body, friction, settings), _boxes(terrain), start_state(terrain))
 
 
 def start_state(terrain: Terrain) -> Array:
@@ -109,7 +159,15 @@ def start_state(terrain: Terrain) -> Array:
 
 
 def launcher(batch: Batch, settings: Settings, packs: Packs) -> Callable[[Packs, int, int], None]:
-    """What advances the packs, which are at the start; here it is, too, that MuJoCo's starts."""
+    """What advances the packs, which are at the start; here it is, too, that MuJoCo's starts.
+
+    Raises:
+        InputError: worlds that ask for a contact of our own engine.
+    """
+    for name in OWN_CONTACT:
+        asked = getattr(batch.worlds, name)
+        if np.any(asked != 1.0):
+            raise InputError(f"worlds.{name}", float(asked[asked != 1.0][0]), NOT_OURS)
     begin(packs)
     return _Engine(batch, settings).launch
 
@@ -131,7 +189,12 @@ class _Engine:
         self._heights = np.array(
             [ground.height_m for ground in batch.terrains], dtype=backend.real_dtype()
         )
-        self._walkers = [carried(batch, n, settings) for n in range(len(batch))]
+        walkers = [carried(batch, n, settings) for n in range(len(batch))]
+        sizes = np.array([walker.boxes for walker in walkers])
+        self._herds = [
+            Herd(np.flatnonzero(sizes == size), [w for w in walkers if w.boxes == size])
+            for size in np.unique(sizes)
+        ]
         self._bound: NDArray[Any] | None = None
 
     def launch(self, packs: Packs, first_tick: int, ticks: int) -> None:
@@ -147,8 +210,8 @@ class _Engine:
                 if not self._up:
                     return
                 if tick % VIEW_TICKS == 0:
-                    for walker in self._up:
-                        walker.look_around()
+                    for herd, _seats in self._up:
+                        herd.look_around()
                 for substep in range(substeps):
                     self._drive.launch(tick=tick, commands=int(substep == 0))
                     self._move()
@@ -174,23 +237,23 @@ class _Engine:
         self._seat(packs)
 
     def _seat(self, packs: Packs) -> None:
-        """Note who is up, and in which pack and lane."""
+        """Let go who has fallen, and note in which pack and lane the others are."""
         places = np.flatnonzero(packs.up())
         self._active = np.count_nonzero(packs.rows[:, State.active])
-        self._up = [self._walkers[n] for n in packs.walkers[places]]
-        self._places = np.divmod(places, packs.lanes)
-        self._seen = np.empty((len(places), 2 * COORDINATES + LEGS * FOOT_SENSOR))
-        self._views = [view for walker in self._up for view in walker.seen]
+        up = packs.walkers[places]
+        self._herds = [herd for herd in self._herds if np.isin(herd.numbers, up).any()]
+        self._up = []
+        for herd in self._herds:
+            still = np.isin(herd.numbers, up)
+            if not still.all():
+                herd.keep(still)
+            mine = places[np.searchsorted(up, herd.numbers)]
+            self._up.append((herd, np.divmod(mine, packs.lanes)))
 
     def _move(self) -> None:
         """MuJoCo's step of each walker that is up."""
-        step = mujoco.mj_step
-        torques = self._torques[self._places]
-        for walker, torque in zip(self._up, torques, strict=True):
-            walker.torque[:] = torque
-            step(walker.model, walker.data)
-        np.concatenate(self._views, out=self._seen.reshape(-1))
-        self._motions[self._places] = motion_rows(self._seen)
+        for herd, seats in self._up:
+            self._motions[seats] = motion_rows(herd.step(self._torques[seats]))
 
 
 def motion_rows(seen: Array) -> Array:

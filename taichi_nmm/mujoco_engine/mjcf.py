@@ -12,7 +12,6 @@ import mujoco
 import numpy as np
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, Bodies
-from taichi_nmm.kernel.dynamics import FRICTION_COEFFICIENT
 from taichi_nmm.mujoco_engine.ground import Boxes
 from taichi_nmm.mujoco_engine.limits import STOPS, limit
 from taichi_nmm.mujoco_engine.linkage import compile_model, linkage
@@ -26,11 +25,13 @@ VIEWED_M = 2.0  # of a file opened in MuJoCo's viewer
 FOOT_SENSOR = 4  # numbers: contacts found, then the force x, y, z
 
 
-def walker_xml(bodies: Bodies, row: int, ground: Boxes, settings: Settings) -> ElementTree.Element:
-    """MJCF of one body on a ground."""
-    root = linkage(bodies, row)
+def walker_xml(
+    bodies: Bodies, ground: Boxes, settings: Settings, friction: float
+) -> ElementTree.Element:
+    """MJCF of the first of some bodies on a ground of so much friction."""
+    root = linkage(bodies, 0)
     invweights = compile_model(root).dof_invweight0
-    _set_options(root, settings)
+    _set_options(root, settings, friction)
     _add_feet(root)
     for index, joint in enumerate(JOINTS):
         _limit_joint(root, joint, float(invweights[3 + index]), settings)
@@ -47,13 +48,18 @@ def walker_xml(bodies: Bodies, row: int, ground: Boxes, settings: Settings) -> E
 
 
 def write_mjcf(
-    path: Path, bodies: Bodies, ground: Boxes, settings: Settings, start: np.ndarray
+    path: Path,
+    bodies: Bodies,
+    friction: float,
+    ground: Boxes,
+    settings: Settings,
+    start: np.ndarray,
 ) -> None:
     """Write the model, with the whole ground and the start as key frame, for MuJoCo's viewer.
 
     `start` is qpos then qvel, [18].
     """
-    root = walker_xml(bodies, 0, ground, settings)
+    root = walker_xml(bodies, ground, settings, friction)
     keyframe = ElementTree.SubElement(root, "keyframe")
     ElementTree.SubElement(
         keyframe, "key", name="start", qpos=_numbers(start[:9]), qvel=_numbers(start[9:])
@@ -71,7 +77,7 @@ def compiled(root: ElementTree.Element) -> mujoco.MjModel:
     return compile_model(root)
 
 
-def _set_options(root: ElementTree.Element, settings: Settings) -> None:
+def _set_options(root: ElementTree.Element, settings: Settings, friction: float) -> None:
     option = _find(root, "option")
     option.set("timestep", repr(settings.physics_step_s))
     option.set("integrator", "implicitfast")
@@ -83,7 +89,7 @@ def _set_options(root: ElementTree.Element, settings: Settings) -> None:
     default = ElementTree.SubElement(root, "default")
     ElementTree.SubElement(
         default, "geom",
-        friction=_numbers((FRICTION_COEFFICIENT, 0.0, 0.0)),
+        friction=_numbers((friction, 0.0, 0.0)),
         solref=_numbers((settings.mujoco.time_constant_s, settings.mujoco.damping_ratio)),
     )  # fmt: skip
 

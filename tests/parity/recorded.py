@@ -59,9 +59,9 @@ def record(gains: Array, ticks: int, settings: Settings) -> Walks:
     from taichi_nmm.kernel import backend
     from taichi_nmm.walkers import check_batch
 
-    batch = check_batch(gains, None, None, None, None)
+    batch = check_batch(gains)
     backend.start(settings)
-    packs, launch = simulator.start_packs(batch), simulator.launcher(batch, settings)
+    packs, launch = simulator.start_packs(batch, settings), simulator.launcher(batch, settings)
     kept = FIRST_FIBRE + Muscle.count
     rows = np.empty((ticks + 1, len(batch), kept), dtype=backend.real_dtype())
     rows[0] = packs.unfold(packs.rows)[:, :kept]
@@ -81,7 +81,7 @@ def record(gains: Array, ticks: int, settings: Settings) -> Walks:
         load_n=rows_0[..., [State.ground_force + 1, State.ground_force + 3]],
         torque_nm=_torques(rows_0, rows_1),
         up=up,
-        constants=constant_rows(batch.gains, batch.low_level, batch.bodies),
+        constants=constant_rows(batch, settings),
     )
 
 

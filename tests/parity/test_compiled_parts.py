@@ -30,6 +30,7 @@ from taichi_nmm.kernel.layout import (
 from taichi_nmm.kernel.muscle_table import muscle_table
 from taichi_nmm.parameters import K_T, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings
+from taichi_nmm.world import WorldRanges
 from tests.parity.interpreter import AllLanes, interpreted
 
 pytestmark = pytest.mark.slow
@@ -53,17 +54,20 @@ class Both:
         gains[0] = K_T
         grounds = (terrain.flat(), terrain.rough(3, flat_start_m=0.0), terrain.stairs())
         index = np.arange(WALKERS) % len(grounds)
-        batch = check_batch(gains, Bodies.disturbed(range(WALKERS)), grounds, index, None)
+        batch = check_batch(
+            gains, Bodies.disturbed(range(WALKERS)), grounds, index,
+            worlds=WorldRanges(strength=(0.8, 1.1)).draw(range(WALKERS)),
+        )  # fmt: skip
         settings = Settings(precision="float64", arch="cpu", physics_step_s=step_s)
         backend.start(settings)
-        self.packs = simulator.start_packs(batch)
+        self.packs = simulator.start_packs(batch, settings)
         self.substeps, self.blends = settings.substeps, blends(step_s)
         self.table = muscle_table(step_s)
         self.index, self.heights = index, np.array([ground.height_m for ground in grounds])
         firsts = [FIRST_FIBRE, FIRST_DELAY, FIRST_EVENT, FIRST_SUM]
         rows = np.ascontiguousarray(self.rows().T)
         self.state, self.fibres, self.delay, self.events, self.sums = np.split(rows, firsts)
-        self.const = constant_rows(batch.gains, batch.low_level, batch.bodies).T
+        self.const = constant_rows(batch, settings).T
         self.work = np.zeros((Work.count, WALKERS))
         self.lanes = AllLanes(WALKERS)
 

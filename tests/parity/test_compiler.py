@@ -11,6 +11,7 @@ from taichi_nmm import terrain
 from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import K_T, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings
+from taichi_nmm.world import WorldRanges
 from tests.parity.interpreter import AllLanes, interpreted_walker
 
 pytestmark = pytest.mark.slow
@@ -33,7 +34,8 @@ def request_() -> Any:
         terrain.ramp(increment=0.1, segment_m=0.5, direction="down"),
         terrain.stairs(rise_m=0.03, run_m=0.3, flat_start_m=0.2),
     ]
-    return gains, bodies, grounds, np.arange(WALKERS) % len(grounds)
+    worlds = WorldRanges((0.5, 3.0), (0.5, 3.0), (0.5, 1.0), (0.8, 1.1)).draw(range(WALKERS))
+    return gains, bodies, grounds, np.arange(WALKERS) % len(grounds), None, worlds
 
 
 def start(request: Any, step_s: float) -> tuple[Settings, Any, Any]:
@@ -43,9 +45,9 @@ def start(request: Any, step_s: float) -> tuple[Settings, Any, Any]:
     from taichi_nmm.walkers import check_batch
 
     settings = Settings(precision="float64", arch="cpu", physics_step_s=step_s)
-    batch = check_batch(*request, None)
+    batch = check_batch(*request)
     backend.start(settings)
-    return settings, batch, simulator.start_packs(batch)
+    return settings, batch, simulator.start_packs(batch, settings)
 
 
 def walker_rows(packs: Any) -> NDArray[np.float64]:
@@ -73,14 +75,14 @@ def interpreted(request: Any, step_s: float) -> NDArray[np.float64]:
     settings, batch, packs = start(request, step_s)
     firsts = [FIRST_FIBRE, FIRST_DELAY, FIRST_EVENT, FIRST_SUM]
     blocks = np.split(np.ascontiguousarray(walker_rows(packs).T), firsts)
-    const = constant_rows(batch.gains, batch.low_level, batch.bodies).T
+    const = constant_rows(batch, settings).T
     heights = np.array([ground.height_m for ground in batch.terrains])
     work = np.zeros((Work.count, WALKERS))
     walker = interpreted_walker()
     with np.errstate(all="ignore"):
         for tick in range(TICKS):
             walker.step(
-                tick, settings.substeps, step_s, settings.contact_relaxation_speed_mps,
+                tick, settings.substeps, step_s,
                 1.0 - np.exp(-step_s / ACTIVATION_TIME_S), 1.0 - np.exp(-step_s / LOAD_FILTER_S),
                 AllLanes(WALKERS), batch.terrain_index, heights, muscle_table(step_s),
                 *blocks, const, work,

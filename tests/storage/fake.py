@@ -28,6 +28,8 @@ def simulate(gains: Any, **options: Any) -> Result:
     slopes = [terrain.height_m.std() for terrain in np.atleast_1d(np.array(terrains, dtype=object))]
     mass = bodies.mass_kg.sum(axis=1) / 80.0
     fitness = unit * mass - 0.001 * np.array(slopes)[index]
+    if "worlds" in options:
+        fitness = fitness - 0.1 * (0.9 - options["worlds"].friction)
     if "low_level_gains" in options:
         fitness = fitness + 0.1 * options["low_level_gains"][:, -1]  # theta_ref
     rows = np.zeros(len(gains), RESULT_DTYPE)

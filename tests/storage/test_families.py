@@ -85,6 +85,7 @@ def test_family_columns_are_mean_and_spread_over_its_settings() -> None:
             fake.simulate(
                 points,
                 bodies=family.bodies.take([setting] * 8),
+                worlds=family.worlds.take([setting] * 8),
                 terrains=family.terrains[setting],
                 duration_s=family.horizon_s,
                 progress=lambda now_s, active: None,
@@ -138,6 +139,46 @@ def test_numbers_of_a_store_are_those_of_the_simulator(monkeypatch: pytest.Monke
         assert values.any()
         assert np.array_equal(table[mean].to_numpy()[evaluated], values.mean(axis=0))
         assert np.array_equal(table[spread].to_numpy()[evaluated], values.std(axis=0))
+
+
+MIN_SURVIVED = "families.up.min_survived_fraction"
+WORLD = {"friction": [0.3, 0.9], "contact_stiffness": [0.5, 4.0]}
+LATER_TEXT = "settings = 2\nafter = 'down'\nmin_survived_fraction = 0.5"
+LATER = {"after": "down", "min_survived_fraction": 0.6}
+
+
+def test_a_family_draws_a_world_for_each_setting() -> None:
+    ramps = {"up": RAMPS["up"] | {"world": WORLD}}
+    (up,) = fake.specification(families=ramps).families
+    friction = up.worlds.friction
+    assert len(friction) == 2 and friction[0] != friction[1]
+    assert np.all((friction >= 0.3) & (friction <= 0.9)) and np.all(up.worlds.strength == 1.0)
+    document = fake.specification(families=ramps).document["families"]["up"]["world"]
+    assert document.keys() == {"friction", "contact_stiffness", "sha256"}
+    assert document["friction"] == [0.3, 0.9]
+    nominal = fake.specification(families={"up": RAMPS["up"]})
+    assert "world" not in nominal.document["families"]["up"]
+    base = fake.specification(world={"friction": [0.5, 0.5]})
+    assert base.document["world"]["friction"] == [0.5, 0.5] and base.world.friction[0] == 0.5
+    ours, theirs = (
+        score_shard(one, 0, ignore).table["up_survived_fraction_mean"].to_numpy()
+        for one in (nominal, fake.specification(families=ramps))
+    )
+    assert np.all(theirs <= ours) and np.any(theirs < ours)
+
+
+def test_a_later_family_is_run_on_the_survivors_of_another() -> None:
+    """`a_late` comes first by name, and after `down` by what it asks for."""
+    late = RAMPS | {"a_late": fake.family(settings=3, seed=4) | LATER}
+    specification = fake.specification(families=late)
+    assert [family.name for family in specification.families] == ["down", "up", "a_late"]
+    table = score_shard(specification, 0, ignore).table
+    down, evaluated = table["down_survived_fraction_mean"].to_numpy(), table["a_late_evaluated"]
+    assert np.array_equal(evaluated.to_numpy(), table["down_evaluated"].to_numpy() & (down >= 0.6))
+    assert 0 < evaluated.to_numpy().sum() < table["down_evaluated"].to_numpy().sum()
+    document = specification.document["families"]
+    assert document["a_late"] | LATER == document["a_late"]
+    assert "after" not in document["down"]
 
 
 def test_each_family_draws_from_its_own_seed() -> None:
@@ -246,6 +287,15 @@ def test_shipped_controls() -> None:
         ("[families.row]\nsettings = 2", "families"),
         ("[families.theta]\nsettings = 2", "families"),
         ("families = 3", "families"),
+        (f"[families.up]\n{LATER_TEXT}", "families.up.after"),
+        (f"[families.up]\n{LATER_TEXT}\n[families.down]\n{LATER_TEXT}", "families.down.after"),
+        ("[families.up]\nsettings = 2\nafter = 3", "families.up.after"),
+        ("[robust]\nsettings = 2\nafter = 'up'", "robust.after"),
+        ("[families.up]\nsettings = 2\nmin_survived_fraction = 0.5", MIN_SURVIVED),
+        ("[families.up]\nsettings = 2\nafter = 'robust'", MIN_SURVIVED),
+        ("[families.up]\nsettings = 2\nworld = {friction = 0.5}", "families.up.world.friction"),
+        ("[families.up]\nsettings = 2\nworld = {grip = [0, 1]}", "families.up.world.grip"),
+        ("world = {strength = [1, 0.5]}", "world.strength"),
     ],
 )  # fmt: skip
 def test_bad_families_name_the_field(text: str, field: str) -> None:

@@ -24,6 +24,7 @@ from taichi_nmm.parameters import gain_rows, lower_bounds, upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result, Trajectory
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
+from taichi_nmm.world import Worlds
 
 TRIAL_S = float(os.environ.get("FAKE_TRIAL_S", "0"))  # of a call, for those who want to kill it
 WALKS_FROM = 0.7  # quality
@@ -47,6 +48,7 @@ def simulate(
     bodies: Bodies | None = None,
     terrains: Terrain | Sequence[Terrain] | None = None,
     terrain_index: ArrayLike | None = None,
+    worlds: Worlds | None = None,
     low_level_gains: ArrayLike | None = None,
     settings: Settings | None = None,
     record: Sequence[int] = (),

@@ -21,6 +21,7 @@ from taichi_nmm.conditions import Conditions
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import MujocoSettings, Settings
 from taichi_nmm.terrain import KINDS, Ground
+from taichi_nmm.world import WorldRanges
 from tests.study import fake_walker
 from tests.study.comparison.fake_results import experiment
 
@@ -33,7 +34,10 @@ DECIDING: dict[type, dict[str, Any]] = {
         "name": "other", "seed": 8, "searched": ("theta_ref",), "cost": "walking",
         "until_walker": True,
     },
-    Conditions: {"duration_s": 3.0, "disturbance": 0.2, "ground": Ground("rough")},
+    Conditions: {
+        "duration_s": 3.0, "disturbance": 0.2, "ground": Ground("rough"),
+        "world_ranges": WorldRanges(friction=(0.5, 0.5)),
+    },
     Settings: {
         "physics_step_s": 0.5e-3, "contact_relaxation_speed_mps": 0.2, "precision": "float64",
         "engine": "mujoco",

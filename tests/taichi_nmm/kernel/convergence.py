@@ -54,12 +54,12 @@ def walk(walker: Any, ticks: int) -> Iterator[Array]:
     batch = check_batch(sobol_gains(SEED, 0, GAINS), None, flat, None, None)
     start = np.tile(initial_rows(flat)[:, None], GAINS)
     blocks = np.split(start, [FIRST_FIBRE, FIRST_DELAY, FIRST_EVENT])
-    const = constant_rows(batch.gains, batch.low_level, batch.bodies).T
+    const = constant_rows(batch, Settings()).T
     sums, work = np.zeros((Sums.count, GAINS)), np.zeros((Work.count, GAINS))
     for tick in range(ticks):
         with np.errstate(all="ignore"):
             walker.step(
-                tick, 1, step_s, Settings().contact_relaxation_speed_mps,
+                tick, 1, step_s,
                 1.0 - np.exp(-step_s / ACTIVATION_TIME_S), 1.0 - np.exp(-step_s / LOAD_FILTER_S),
                 AllLanes(GAINS), batch.terrain_index, flat.height_m[None, :], muscle_table(step_s),
                 *blocks, sums, const, work,

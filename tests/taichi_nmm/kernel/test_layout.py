@@ -6,6 +6,8 @@ from taichi_nmm.body import Bodies
 from taichi_nmm.constants import constant_rows
 from taichi_nmm.kernel.layout import WALKER_ROWS, Const, Delay, Gait, Muscle, State, Sums, blocks
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_NAMES
+from taichi_nmm.settings import Settings
+from taichi_nmm.walkers import check_batch
 
 
 def test_blocks_follow_each_other() -> None:
@@ -16,7 +18,7 @@ def test_blocks_follow_each_other() -> None:
 def test_each_gain_has_a_row_of_its_name() -> None:
     gains = np.arange(1.0, 1.0 + len(GAIN_NAMES))
     low_level = -np.arange(1.0, 1.0 + len(LOW_LEVEL_NAMES))
-    (rows,) = constant_rows(gains[None], low_level[None], Bodies.nominal())
+    (rows,) = constant_rows(check_batch(gains, low_level_gains=low_level), Settings())
     assert [rows[getattr(Const, name)] for name in GAIN_NAMES] == gains.tolist()
     assert [rows[getattr(Const, name)] for name in LOW_LEVEL_NAMES] == low_level.tolist()
     assert rows[Const.total_mass] == Bodies.nominal().mass_kg.sum()

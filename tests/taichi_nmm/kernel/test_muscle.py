@@ -57,7 +57,7 @@ def test_force_velocity_is_the_published_curve_and_joins(muscle: Any) -> None:
 
 def isometric(m: int, angles: NDArray[np.float64], activation: float) -> Any:
     """Contract muscle m at fixed joint angles (hip, knee, ankle) until it rests."""
-    from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Muscle
+    from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Const, Muscle
     from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, muscle_table, unit_lengths
 
     walker, lane = interpreted_walker(), np.arange(1)
@@ -75,7 +75,7 @@ def isometric(m: int, angles: NDArray[np.float64], activation: float) -> Any:
         muscle.activate(lane, m, constants, 1 - np.exp(-0.1), fibres, work)
         for _ in range(muscle.ITERATIONS):
             muscle.balance(lane, m, constants, fibres, work)
-        muscle.contract(lane, m, constants, fibres, work)
+        muscle.contract(lane, m, constants, fibres, np.ones((Const.count, 1)), work)
         work[:] = relaxed
     return data, unit, fibres[Muscle.length + m, 0], fibres[Muscle.force + m, 0]
 

@@ -6,6 +6,8 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from mujoco.batch import Batch as Simulations
+from mujoco.batch import SimulationError
 
 import taichi_nmm
 from taichi_nmm import terrain
@@ -139,20 +141,39 @@ def test_a_walker_that_becomes_no_number(
 ) -> None:
     """It is coded, is heard of nowhere else, and touches nobody."""
     monkeypatch.chdir(tmp_path)
-    mass_kg, step = bodies().mass_kg[2, 0], mujoco.mj_step
+    mass_kg, step = bodies().mass_kg[2, 0], Simulations.step
 
-    def spoilt(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        if model.body_mass[1] == mass_kg and data.time > 0.3:
-            data.ctrl[:] = np.nan
-            data.qvel[0] = np.nan
-        step(model, data)
+    def spoilt(simulations: Simulations) -> None:
+        late = simulations.time > 0.3
+        for row in np.flatnonzero([m.body_mass[1] == mass_kg for m in simulations.models] & late):
+            simulations.ctrl[row] = np.nan
+            simulations.qvel[row, 0] = np.nan
+        step(simulations)
 
     handler = mujoco.get_mju_user_warning()
-    monkeypatch.setattr(mujoco, "mj_step", spoilt)
+    monkeypatch.setattr(Simulations, "step", spoilt)
     assert_only_this_one(some(), together, 2)
     assert mujoco.get_mju_user_warning() is handler
     assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")
+
+
+def test_an_error_of_the_engine_is_of_its_walker_alone(
+    together: Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MuJoCo leaves such a walker where it was, and has moved the others."""
+    step, walker = Simulations.step, 3
+
+    def failing(simulations: Simulations) -> None:
+        full = len(simulations.state) == WALKERS
+        before = simulations.state[walker].copy() if full else None
+        step(simulations)
+        if full and simulations.time[0] > 0.1:
+            simulations.state[walker] = before
+            raise SimulationError(np.array([walker]), "no memory")
+
+    monkeypatch.setattr(Simulations, "step", failing)
+    assert_only_this_one(some(), together, walker)
 
 
 def test_a_body_that_no_engine_can_move(
@@ -171,13 +192,13 @@ def test_a_body_that_no_engine_can_move(
 
 def test_recording_one_that_diverges(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
-    step = mujoco.mj_step
+    step = Simulations.step
 
-    def spoilt(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        data.qvel[0] *= 1e9 if data.time > 0.2 else 1.0
-        step(model, data)
+    def spoilt(simulations: Simulations) -> None:
+        simulations.qvel[:, 0] *= np.where(simulations.time > 0.2, 1e9, 1.0)
+        step(simulations)
 
-    monkeypatch.setattr(mujoco, "mj_step", spoilt)
+    monkeypatch.setattr(Simulations, "step", spoilt)
     found = some([0], record=[0])
     assert found.end_reason.tolist() == ["diverged"]
     path: Trajectory = found.trajectories[0]

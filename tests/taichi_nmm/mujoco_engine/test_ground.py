@@ -61,7 +61,7 @@ def test_rays_meet_the_height_table(kind: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     x_m = np.concatenate([rng.uniform(-6, 302, 150), rng.choice(GRID_X_M, 50) + 1e-9, [-20.0]])
     for ground in ground_of(kind, tmp_path):
-        model = compiled(walker_xml(Bodies.nominal(), 0, boxes(ground), MUJOCO))
+        model = compiled(walker_xml(Bodies.nominal(), boxes(ground), MUJOCO, 0.9))
         assert errors_m(model, mujoco.MjData(model), ground, x_m) <= TOLERANCE_M, ground.name
 
 
@@ -71,24 +71,25 @@ def test_the_boxes_around_a_walker_are_always_there(kind: str, tmp_path: Path) -
     """Forwards, backwards, and beyond the table."""
     rng = np.random.default_rng(1)
     for ground in ground_of(kind, tmp_path):
-        batch = check_batch(K_T, None, ground, None, None)
+        batch = check_batch(K_T, terrains=ground)
         walker = carried(batch, 0, MUJOCO)
         for hip_m in (0.0, *rng.uniform(-8, 302, 30), 299.0, -5.0):
-            walker.data.qpos[0] = hip_m
-            walker.look_around()
+            walker.look_around(hip_m)
             x_m = hip_m + rng.uniform(-VIEW_M, VIEW_M, 12)
-            assert errors_m(walker.model, walker.data, ground, x_m) <= TOLERANCE_M, ground.name
+            assert (
+                errors_m(walker.model, mujoco.MjData(walker.model), ground, x_m) <= TOLERANCE_M
+            ), ground.name
 
 
 def test_the_ground_goes_on_as_far_as_anybody_walks() -> None:
     """Outside of the table it is level, as in this simulator."""
     ground = terrain.ramp()
-    batch = check_batch(K_T, None, ground, None, None)
+    batch = check_batch(K_T, terrains=ground)
     walker = carried(batch, 0, MUJOCO)
-    walker.data.qpos[0] = far_m = GRID_X_M[0] + FASTEST_MPS * LONGEST_WALK_S
-    walker.look_around()
+    far_m = GRID_X_M[0] + FASTEST_MPS * LONGEST_WALK_S
+    walker.look_around(far_m)
     x_m = far_m + np.linspace(-1.0, 1.0, 5)
-    assert errors_m(walker.model, walker.data, ground, x_m) <= TOLERANCE_M
+    assert errors_m(walker.model, mujoco.MjData(walker.model), ground, x_m) <= TOLERANCE_M
 
 
 def test_a_straight_piece_is_one_box() -> None:

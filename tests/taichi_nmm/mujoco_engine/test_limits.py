@@ -26,7 +26,7 @@ def crept(
     settings = Settings(
         engine="mujoco", physics_step_s=step_s, mujoco=MujocoSettings(limits=limits)
     )
-    model = compiled(walker_xml(Bodies.nominal(), 0, boxes(terrain.flat()), settings))
+    model = compiled(walker_xml(Bodies.nominal(), boxes(terrain.flat()), settings, 0.9))
     model.opt.gravity[:] = 0.0
     data = mujoco.MjData(model)
     index, stop = JOINTS.index(joint), STOPS[joint.split("_")[0]]
@@ -85,7 +85,7 @@ def test_the_law_begins_with_a_root() -> None:
 
 def test_mujocos_own_limits_are_left_as_they_are() -> None:
     settings = Settings(engine="mujoco", mujoco=MujocoSettings(limits="mujoco"))
-    model = compiled(walker_xml(Bodies.nominal(), 0, boxes(terrain.flat()), settings))
+    model = compiled(walker_xml(Bodies.nominal(), boxes(terrain.flat()), settings, 0.9))
     default = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><body><joint limited='true' range='0 1'/><geom size='1'/></body>"
         "</worldbody></mujoco>"

@@ -7,14 +7,15 @@ import pytest
 from taichi_nmm import terrain
 from taichi_nmm.body import GRAVITY_MPS2, SEGMENT_NAMES, Bodies
 from taichi_nmm.initial import SPEED_MPS
-from taichi_nmm.kernel.dynamics import FRICTION_COEFFICIENT
 from taichi_nmm.mujoco_engine.engine import start_state
 from taichi_nmm.mujoco_engine.ground import boxes
 from taichi_nmm.mujoco_engine.limits import STOPS
 from taichi_nmm.mujoco_engine.mjcf import JOINTS, SOLE_RADIUS_M, write_mjcf
 from taichi_nmm.settings import MujocoSettings, Settings
+from taichi_nmm.world import WorldRanges
 
 GROUND = terrain.rough(4, flat_start_m=0.0)
+FRICTION = 0.7
 BODY = Bodies.disturbed([3])
 SETTINGS = Settings(
     engine="mujoco", physics_step_s=0.5e-3, mujoco=MujocoSettings(0.005, damping_ratio=0.7)
@@ -25,7 +26,7 @@ SETTINGS = Settings(
 def model(tmp_path_factory: pytest.TempPathFactory) -> mujoco.MjModel:
     """As MuJoCo's own viewer reads it."""
     path = tmp_path_factory.mktemp("mjcf") / "walker.xml"
-    write_mjcf(path, BODY, boxes(GROUND), SETTINGS, start_state(GROUND))
+    write_mjcf(path, BODY, FRICTION, boxes(GROUND), SETTINGS, start_state(GROUND))
     return mujoco.MjModel.from_xml_path(str(path))
 
 
@@ -59,7 +60,7 @@ def test_contacts_are_as_asked(model: mujoco.MjModel) -> None:
     assert model.opt.timestep == SETTINGS.physics_step_s
     assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
     np.testing.assert_array_equal(model.geom_solref, np.tile([0.005, 0.7], (model.ngeom, 1)))
-    np.testing.assert_array_equal(model.geom_friction[:, 0], FRICTION_COEFFICIENT)
+    np.testing.assert_array_equal(model.geom_friction[:, 0], FRICTION)
     # Feet meet the ground, and nothing else meets anything.
     assert model.ngeom == len(boxes(GROUND)) + 4
     spheres = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
@@ -88,15 +89,17 @@ def test_the_key_frame_is_the_start_of_every_walk(model: mujoco.MjModel) -> None
 
 def test_a_walker_is_advanced_as_its_file_is(model: mujoco.MjModel) -> None:
     """The first steps without torque, from the key frame and by the engine's own model."""
-    from taichi_nmm.mujoco_engine.engine import carried
+    from taichi_nmm.mujoco_engine.engine import Herd, carried
     from taichi_nmm.parameters import K_T
     from taichi_nmm.walkers import check_batch
 
-    walker = carried(check_batch(K_T, BODY, GROUND, None, None), 0, SETTINGS)
-    walker.look_around()
+    worlds = WorldRanges(friction=(FRICTION, FRICTION)).draw([0])
+    walker = carried(check_batch(K_T, BODY, GROUND, worlds=worlds), 0, SETTINGS)
+    herd = Herd(np.arange(1), [walker])
+    herd.look_around()
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     for _ in range(200):
         mujoco.mj_step(model, data)
-        mujoco.mj_step(walker.model, walker.data)
-    np.testing.assert_allclose(walker.data.qpos, data.qpos, rtol=0, atol=1e-6)
+        moved = herd.step(np.zeros((1, 6)))
+    np.testing.assert_allclose(moved[0, :9], data.qpos, rtol=0, atol=1e-6)

@@ -1,0 +1,162 @@
+"""What of a walker's surroundings and muscles may differ from one walker to another: `Worlds`.
+
+Nominal is the published walker. A real one differs in what no model of its links says: how its feet
+meet the ground, and how strong its muscles are.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_nmm.config import Table
+from taichi_nmm.errors import InputError
+from taichi_nmm.result import MUSCLES
+
+FRICTION_COEFFICIENT = 0.9  # Geyer & Herr 2010, sticking; here sliding too (they: 0.8)
+MUSCLE_COUNT = 2 * len(MUSCLES)
+
+Range = tuple[float, float]
+AS_NOMINAL: Range = (1.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Worlds:
+    """A batch of worlds, one row each.
+
+    Attributes:
+        contact_stiffness: over the nominal, with which a body at rest sinks 1 cm into the ground on
+            one point, [n].
+        relaxation_speed: at which a contact lets go, over that of the `Settings`, [n]. The lower,
+            the more a contact damps.
+        friction: Coulomb's coefficient, [n].
+        strength: largest force over the nominal of each muscle of the left leg, then the right,
+            [n, 14]. Nerves feel the force itself: a weaker muscle's reflex gets less.
+    """
+
+    contact_stiffness: NDArray[np.float64]
+    relaxation_speed: NDArray[np.float64]
+    friction: NDArray[np.float64]
+    strength: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            values = _numbers(each.name, getattr(self, each.name))
+            expected = _size(each.name)
+            if values.ndim != 1 + len(expected) or values.shape[1:] != expected:
+                allowed = "[" + ", ".join(["n", *map(str, expected)]) + "]"
+                raise InputError(f"worlds.{each.name}.shape", values.shape, allowed)
+            low, high = LIMITS[each.name]
+            outside = values[~((values >= low) & (values <= high))]
+            if outside.size:
+                allowed = f"{low:g} to {high:g}"
+                raise InputError(f"worlds.{each.name}", float(outside[0]), allowed)
+            object.__setattr__(self, each.name, values)
+        if len({len(getattr(self, each.name)) for each in fields(self)}) != 1:
+            raise InputError("worlds", "arrays of different length", "one row a world in each")
+
+    def __len__(self) -> int:
+        return len(self.friction)
+
+    def take(self, index: ArrayLike) -> "Worlds":
+        """The worlds of these rows, in this order (rows may repeat)."""
+        rows = np.asarray(index)
+        return Worlds(*(getattr(self, each.name)[rows] for each in fields(self)))
+
+    @staticmethod
+    def nominal(count: int = 1) -> "Worlds":
+        """`count` times the published walker's."""
+        ones = np.ones(count)
+        return Worlds(ones, ones, FRICTION_COEFFICIENT * ones, np.ones((count, MUSCLE_COUNT)))
+
+    @staticmethod
+    def stacked(worlds: Iterable["Worlds"]) -> "Worlds":
+        """Several batches as one."""
+        parts = list(worlds)
+        columns = ([getattr(part, each.name) for part in parts] for each in fields(Worlds))
+        return Worlds(*map(np.concatenate, columns))
+
+
+@dataclass(frozen=True)
+class WorldRanges:
+    """What worlds are drawn from: lowest and highest value of each of their numbers.
+
+    Contact stiffness and relaxation speed are drawn log-uniformly, friction and the strength of
+    each muscle uniformly, each from a stream of its own. They pickle and hash.
+    """
+
+    contact_stiffness: Range = AS_NOMINAL
+    relaxation_speed: Range = AS_NOMINAL
+    friction: Range = (FRICTION_COEFFICIENT, FRICTION_COEFFICIENT)
+    strength: Range = AS_NOMINAL
+
+    def draw(self, seeds: Iterable[int | np.random.SeedSequence]) -> Worlds:
+        """One world a seed."""
+        streams = [_streams(seed) for seed in seeds]
+        columns = []
+        for place, each in enumerate(fields(self)):
+            size = _size(each.name)
+            shares = np.array([stream[place].random(size) for stream in streams])
+            low, high = getattr(self, each.name)
+            shares = shares.reshape(-1, *size)
+            drawn = low * (high / low) ** shares if each.name in OWN_CONTACT else None
+            columns.append(low + (high - low) * shares if drawn is None else drawn)
+        return Worlds(*columns)
+
+    def document(self) -> dict[str, list[float]]:
+        """The table [world] that reads as this one: only what is not nominal."""
+        return {
+            each.name: list(getattr(self, each.name))
+            for each in fields(self)
+            if getattr(self, each.name) != getattr(NOMINAL, each.name)
+        }
+
+
+NOMINAL = WorldRanges()
+OWN_CONTACT = ("contact_stiffness", "relaxation_speed")  # numbers of our own engine's contact law
+NOT_OURS = "1 with the engine mujoco, whose contact is a setting of its own"
+LIMITS: dict[str, Range] = {
+    "contact_stiffness": (0.01, 100.0),
+    "relaxation_speed": (0.1, 100.0),
+    "friction": (0.05, 10.0),
+    "strength": (0.1, 10.0),
+}
+
+
+def read_world(table: Table) -> WorldRanges:
+    """The table [world]: a pair of numbers, lowest and highest, for what is not nominal.
+
+    Reads every key.
+
+    Raises:
+        InputError: an unknown key, or a range that is empty or out of bounds.
+    """
+    ranges = {
+        each.name: table.range(each.name, getattr(NOMINAL, each.name), *LIMITS[each.name])
+        for each in fields(NOMINAL)
+    }
+    table.done()
+    return WorldRanges(**ranges)
+
+
+def _streams(seed: int | np.random.SeedSequence) -> list[np.random.Generator]:
+    """A stream for each of a world's numbers, so that a new number would change no other's."""
+    known = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    keys = [(*known.spawn_key, place) for place in range(len(fields(WorldRanges)))]
+    return [
+        np.random.default_rng(np.random.SeedSequence(known.entropy, spawn_key=key)) for key in keys
+    ]
+
+
+def _size(name: str) -> tuple[int, ...]:
+    """Numbers of that name in one world."""
+    return (MUSCLE_COUNT,) if name == "strength" else ()
+
+
+def _numbers(name: str, values: Any) -> NDArray[np.float64]:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"worlds.{name}", "no array", "an array of numbers") from None

@@ -1,0 +1,200 @@
+"""Worlds: what they are drawn from, what is refused, and that each walker walks in its own."""
+
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taichi_nmm
+from study.pictures.skeleton import leg
+from taichi_nmm import K_T, Settings, Worlds, terrain
+from taichi_nmm.config import Table
+from taichi_nmm.errors import InputError
+from taichi_nmm.world import NOMINAL, WorldRanges, read_world
+
+ALL = WorldRanges((0.3, 10.0), (0.5, 8.0), (0.6, 1.0), (0.8, 1.1))
+CPU = Settings(arch="cpu", threads=1)
+
+
+def test_the_nominal_world_is_the_published_one() -> None:
+    worlds = Worlds.nominal(3)
+    assert len(worlds) == 3
+    assert np.all(worlds.contact_stiffness == 1.0) and np.all(worlds.relaxation_speed == 1.0)
+    assert np.all(worlds.friction == 0.9)  # Geyer & Herr 2010
+    assert worlds.strength.shape == (3, 14) and np.all(worlds.strength == 1.0)
+    drawn = NOMINAL.draw([7])
+    for name, values in vars(worlds).items():
+        assert np.array_equal(values[:1], getattr(drawn, name))
+
+
+def test_draws_fill_their_ranges_by_the_documented_rule() -> None:
+    worlds = ALL.draw(np.random.SeedSequence(3).spawn(4000))
+    for values, (low, high) in (
+        (np.log(worlds.contact_stiffness), np.log((0.3, 10.0))),
+        (np.log(worlds.relaxation_speed), np.log((0.5, 8.0))),
+        (worlds.friction, (0.6, 1.0)),
+        (worlds.strength[:, 3], (0.8, 1.1)),
+    ):
+        share = (values - low) / (high - low)
+        assert share.min() >= 0.0 and share.max() <= 1.0
+        quarters = np.quantile(share, [0.25, 0.5, 0.75])
+        np.testing.assert_allclose(quarters, [0.25, 0.5, 0.75], atol=5 * 0.5 / np.sqrt(4000))
+    columns = np.column_stack([*list(vars(worlds).values())[:3], worlds.strength])
+    related = np.abs(np.corrcoef(columns.T) - np.eye(columns.shape[1]))
+    assert related.max() < 5 / np.sqrt(4000)
+
+
+def test_a_seed_is_a_world_whatever_else_is_drawn() -> None:
+    one, both = ALL.draw([5]), ALL.draw([4, 5])
+    wider = WorldRanges((0.3, 20.0), (0.5, 8.0), (0.6, 1.0), (0.8, 1.1)).draw([5])
+    for name, values in vars(one).items():
+        assert np.array_equal(values, getattr(both, name)[1:])
+        same = np.array_equal(values, getattr(wider, name))
+        assert same == (name != "contact_stiffness")
+
+
+def test_worlds_are_taken_and_stacked_by_row() -> None:
+    worlds = ALL.draw([1, 2, 3])
+    again = Worlds.stacked([worlds.take([0]), worlds.take([1, 2])])
+    assert all(
+        np.array_equal(values, getattr(again, name)) for name, values in vars(worlds).items()
+    )
+
+
+def test_the_table_reads_back_what_was_written() -> None:
+    assert read_world(Table({})) == NOMINAL and NOMINAL.document() == {}
+    assert read_world(Table(ALL.document())) == ALL
+    assert list(WorldRanges(friction=(0.5, 0.5)).document()) == ["friction"]
+    assert pickle.loads(pickle.dumps(ALL)) == ALL
+    assert hash(ALL) == hash(read_world(Table(ALL.document())))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "allowed"),
+    [
+        ("friction", [0.6], "two numbers"),
+        ("friction", 0.6, "two numbers"),
+        ("friction", ["a", "b"], "two numbers"),
+        ("friction", [True, True], "two numbers"),
+        ("friction", [1.0, 0.6], "in this order"),
+        ("friction", [0.0, 0.6], "0.05 to 10"),
+        ("strength", [0.8, float("nan")], "0.1 to 10"),
+        ("contact_stiffness", [1.0, 1e9], "0.01 to 100"),
+        ("contact_stifness", [1.0, 2.0], "only the keys contact_stiffness"),
+    ],
+)
+def test_a_bad_table_is_named(key: str, value: Any, allowed: str) -> None:
+    with pytest.raises(InputError) as error:
+        read_world(Table({key: value}, "world"))
+    assert error.value.field == f"world.{key}" and allowed in error.value.allowed
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"friction": np.full((2, 1), 0.9)}, "worlds.friction.shape"),
+        ({"strength": np.ones((2, 7))}, "worlds.strength.shape"),
+        ({"friction": [0.9, -1.0]}, "worlds.friction"),
+        ({"relaxation_speed": [1.0, np.nan]}, "worlds.relaxation_speed"),
+        ({"contact_stiffness": "stiff"}, "worlds.contact_stiffness"),
+        ({"friction": [0.9]}, "worlds"),
+    ],
+)
+def test_bad_worlds_are_named(change: dict[str, Any], field: str) -> None:
+    with pytest.raises(InputError) as error:
+        Worlds(**(vars(Worlds.nominal(2)) | change))
+    assert error.value.field == field
+
+
+def test_another_number_of_worlds_than_walkers_is_refused() -> None:
+    with pytest.raises(InputError, match=r"^worlds: 2 cannot be used; allowed: one world, or 3"):
+        taichi_nmm.simulate([K_T] * 3, worlds=Worlds.nominal(2), settings=CPU)
+
+
+def walk(worlds: Worlds | None, count: int) -> Any:
+    gains = [K_T] * count
+    return taichi_nmm.simulate(
+        gains, duration_s=3.0, terrains=terrain.rough(4), worlds=worlds, settings=CPU
+    ).rows
+
+
+def test_each_walker_walks_in_its_own_world() -> None:
+    worlds = ALL.draw(range(9))
+    together = walk(worlds, 9)
+    alone = [walk(worlds.take([row]), 1) for row in (0, 8)]
+    assert together[0].tobytes() == alone[0].tobytes()
+    assert together[8].tobytes() == alone[1].tobytes()
+    assert len(np.unique(together["mean_speed_mps"])) == 9
+    assert walk(Worlds.nominal(), 9).tobytes() == walk(None, 9).tobytes()
+
+
+@pytest.mark.parametrize("name", ["contact_stiffness", "relaxation_speed", "friction", "strength"])
+def test_every_number_reaches_the_walker(name: str) -> None:
+    nominal = vars(Worlds.nominal())
+    other = Worlds(**(nominal | {name: nominal[name] * 0.7}))
+    assert walk(other, 1).tobytes() != walk(None, 1).tobytes()
+
+
+def one_of(**changes: Any) -> Worlds:
+    """A world that is nominal but for what is said."""
+    return Worlds(**(vars(Worlds.nominal()) | {k: np.array([v]) for k, v in changes.items()}))
+
+
+def recorded(worlds: Worlds) -> Any:
+    """Trajectory of K_T on level ground, every tick."""
+    return taichi_nmm.simulate(
+        K_T, duration_s=3.0, worlds=worlds, settings=CPU, record=[0], record_rate_hz=1000
+    ).trajectories[0]
+
+
+def test_friction_caps_the_horizontal_force() -> None:
+    coefficient = 0.2
+    across, up = recorded(one_of(friction=coefficient)).ground_force_n[:, [0, 1]].T
+    loaded = up > 50.0
+    ratio = np.abs(across[loaded]) / up[loaded]
+    assert ratio.max() <= coefficient * 1.001
+    assert np.mean(ratio > coefficient * 0.999) > 0.05  # it does slip
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "relaxation"), [(1.0, 1.0), (0.4, 1.0), (4.0, 1.0), (1.0, 5.0)]
+)
+def test_the_ground_pushes_by_the_published_law(stiffness: float, relaxation: float) -> None:
+    """Geyer & Herr 2010: k d (1 - u/vmax)+ a point, u outwards; k = M g / 1 cm, vmax 0.1 m/s."""
+    world = one_of(contact_stiffness=stiffness, relaxation_speed=relaxation)
+    walked = recorded(world)
+    left = leg(walked.q, 0)
+    height_m = np.stack([left.heel[:, 1], left.ball[:, 1]])
+    depth_m, speed_mps = np.maximum(-height_m, 0.0), np.diff(height_m, axis=1, prepend=np.nan) * 1e3
+    law = stiffness * 80.0 * 9.81 / 0.01 * depth_m
+    law *= np.maximum(1.0 - speed_mps / (0.1 * relaxation), 0.0)
+    up_n, law_n = walked.ground_force_n[:, 1], law.sum(axis=0)
+    loaded = (up_n > 200.0) & np.isfinite(law_n)
+    assert loaded.sum() > 500
+    assert np.median(up_n[loaded] / law_n[loaded]) == pytest.approx(1.0, abs=0.02)
+    assert np.mean(np.abs(up_n - law_n)[loaded] < 0.1 * up_n[loaded]) > 0.9
+
+
+def test_half_the_muscle_pulls_and_burns_half() -> None:
+    """In the first tick, before the body could move by it."""
+    full, half = (
+        taichi_nmm.simulate(
+            K_T, duration_s=1e-3, worlds=one_of(strength=np.full(14, strength)), settings=CPU,
+            record=[0], record_rate_hz=1000,
+        )
+        for strength in (1.0, 0.5)
+    )  # fmt: skip
+    forces = [result.trajectories[0].muscle_force_n[-1] for result in (full, half)]
+    assert forces[0].max() > 1.0
+    np.testing.assert_allclose(forces[1], 0.5 * forces[0], rtol=1e-5)
+    burnt = [float(result["cost_of_transport_jpkgpm"][0]) for result in (full, half)]
+    assert burnt[1] == pytest.approx(0.5 * burnt[0], rel=1e-3)
+
+
+def test_nerves_feel_the_force_itself() -> None:
+    """Positive force feedback of a muscle of half the strength starts from half the force."""
+    weak = recorded(one_of(strength=np.full(14, 0.5)))
+    strong = recorded(one_of(strength=np.ones(14)))
+    sol = [walked.activation[40:120, 0].mean() for walked in (weak, strong)]
+    assert sol[0] < sol[1]
