@@ -20,7 +20,7 @@ from taichi_nmm.parameters import (
 from taichi_nmm.result import END_REASONS, Result, Trajectory
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
-from taichi_nmm.world import Worlds
+from taichi_nmm.world import WorldRanges, Worlds
 
 if TYPE_CHECKING:
     from taichi_nmm.controller import Controller, Muscles
@@ -45,6 +45,7 @@ __all__ = [
     "Settings",
     "Terrain",
     "Trajectory",
+    "WorldRanges",
     "Worlds",
     "forward_dynamics",
     "load_all_gains",
