@@ -28,7 +28,7 @@ class ArmNumbers:
         walkers: runs with a walker.
         share: the same as a proportion, Wilson's interval.
         first_walker: median trial of the first walker; infinite where most runs have none.
-        within: runs with a walker within so many trials, as far as the trials go.
+        within: runs with a walker within so many trials, as far as the trials go, or all have one.
         cost_after: median best cost after so many trials, as far as the trials go.
         best_cost: median best cost after the last of the trials.
         proposal_ms: median time that the sampler took for a trial; None where it is not known.
@@ -114,11 +114,17 @@ def _arm_numbers(arm: ArmRuns) -> ArmNumbers:
         walkers=arm.walkers,
         share=wilson(arm.walkers, len(arm.runs)),
         first_walker=median(arm.first_walker),
-        within={k: int(arm.has_walker[:, k - 1].sum()) for k in WITHIN if k <= arm.trials},
+        within=_within(arm),
         cost_after={k: median(arm.best[:, k - 1]) for k in COST_AFTER if k <= arm.trials},
         best_cost=median(arm.best[:, -1]),
         proposal_ms=arm.proposal_ms,
     )
+
+
+def _within(arm: ArmRuns) -> dict[int, int]:
+    ended = arm.walkers == len(arm.runs)
+    known = [limit for limit in WITHIN if limit <= arm.trials or ended]
+    return {limit: int(arm.has_walker[:, min(limit, arm.trials) - 1].sum()) for limit in known}
 
 
 def _comparisons(arms: list[ArmRuns], paper: ArmRuns | None) -> list[Comparison]:

@@ -5,13 +5,15 @@ from collections.abc import Sequence
 from study.experiment.arms import BEST_ARM, PAPER_ARM, Kind
 from study.report.appearance import kind_of, label_of
 from study.report.numbers import ArmNumbers, Numbers
-from study.report.words import count_text, table
+from study.report.words import count_text, share_range, table
 
+SOON = (1, 3)  # trials
+ABSENT = "-"
 KINDS: tuple[Kind, ...] = ("peer", "control", "ours")
 
 
 def overview_text(experiments: Sequence[Numbers]) -> str:
-    """Experiments in rows, arms in columns: runs with a walker, median trial of the first."""
+    """Experiments in rows, arms in columns: runs with a walker, and how soon."""
     arms = arms_of(experiments)
     rows = []
     for each in experiments:
@@ -19,8 +21,9 @@ def overview_text(experiments: Sequence[Numbers]) -> str:
         rows.append([each.experiment, *(_cell(by_name.get(arm)) for arm in arms)])
     header = ["experiment", *(label_of(arm) for arm in arms)]
     remark = (
-        "Runs with a walker, and the median trial of the first (`> T`: no more than half of the "
-        "runs had one in T trials)."
+        "Runs with a walker (95 % interval of their share); runs whose first trial walks; one of "
+        "whose first three; median trial of the first walker (`> T`: no more than half of the runs "
+        "had one in T trials)."
     )
     return f"{table(header, rows)}\n\n{remark}\n"
 
@@ -37,4 +40,5 @@ def _cell(arm: ArmNumbers | None) -> str:
     if arm is None:
         return ""
     median = count_text(arm.first_walker.value, arm.trials)
-    return f"{arm.share.value:.0%}, {median}".replace("%", " %")
+    soon = "; ".join(str(arm.within.get(limit, ABSENT)) for limit in SOON)
+    return f"{arm.walkers} of {arm.runs} ({share_range(arm.share)}); {soon}; {median}"

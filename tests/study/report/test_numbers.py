@@ -30,6 +30,12 @@ def test_walkers_are_counted() -> None:
     assert found.best_cost.value == pytest.approx(1.0 + 2)
 
 
+def test_where_all_runs_have_a_walker_later_limits_are_known() -> None:
+    found = numbers(experiment(arm("dog", [1, 2, 5], trials=8))).arms[0]
+    assert found.within == {1: 1, 3: 2, 10: 3, 30: 3, 60: 3, 100: 3}
+    assert 10 not in numbers(experiment(arm("dog", [1, np.inf], trials=8))).arms[0].within
+
+
 def test_arms_are_compared_with_the_papers_method_on_the_same_runs() -> None:
     paper = arm("dog", [40] * 12, cost=2.0)
     better = arm("best", [1] * 10, cost=1.5)
@@ -92,8 +98,8 @@ def test_one_table_of_several_experiments(tmp_path: Path) -> None:
     )
     lines = overview_text([numbers(read_results(each)) for each in (first, second)]).splitlines()
     assert lines[0] == "| experiment | DoG, as printed | best combination | TPE |"
-    assert lines[3].startswith("| b | 0 %, > 10 |  | ")
-    assert lines[2].split(" | ")[2] == "100 %, 1"
+    assert lines[3].startswith("| b | 0 of 4 (0 to 49 %); 0; 0; > 10 |  | ")
+    assert lines[2].split(" | ")[2] == "4 of 4 (51 to 100 %); 4; 4; 1"
 
 
 def test_a_single_arm_of_a_single_run_is_reported(tmp_path: Path) -> None:
