@@ -25,7 +25,7 @@ def test_what_it_says_is_what_the_numbers_are(tmp_path: Path) -> None:
     assert best[2].startswith(f"{arm.first_walker.value:g} (")
     assert best[3].split(", ")[0] == str(arm.within[1])
     assert best[3].endswith(", 20") and best[1].startswith("20 of 20")  # known without 60 trials
-    assert dog[3].endswith(", -")
+    assert rows["`random`"][3].endswith(", -")
     assert float(best[4]) == float(f"{arm.cost_after[30].value:.4g}")
     against = next(each for each in found.comparisons if each.arm == "best")
     assert best[5].startswith(f"{against.difference.value:.3g} (")
