@@ -40,7 +40,5 @@ def world_document(ranges: WorldRanges, worlds: Worlds) -> dict[str, Any]:
     """
     if not (drawn_from := ranges.document()):
         return {}
-    numbers = array_digest(
-        worlds.contact_stiffness, worlds.relaxation_speed, worlds.friction, worlds.strength
-    )
+    numbers = array_digest(*vars(worlds).values())
     return {"world": drawn_from | {"sha256": numbers}}

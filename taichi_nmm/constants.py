@@ -31,6 +31,10 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
     )
     rows[:, Const.friction] = worlds.friction
     rows[:, Const.strength : Const.strength + MUSCLE_COUNT] = worlds.strength
+    with np.errstate(divide="ignore"):  # no lag: all of the way in a tick
+        rows[:, Const.nerve_blend] = 1.0 - np.exp(-CONTROL_TICK_S / worlds.nerve_lag_s)
+    rows[:, Const.sensing_noise] = worlds.sensing_noise
+    rows[:, Const.noise_seed] = worlds.noise_seed
     rows[:, Const.hat_weight] = mass[:, 0] * GRAVITY_MPS2
     # The HAT's centre of mass lies above the hip while D points down: hence the sign.
     rows[:, Const.a_hat] = -mass[:, 0] * com[:, 0]

@@ -193,6 +193,7 @@ def _first_rows(sensed: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
         signals[Signal.knee_rate : Signal.knee_rate + LEGS] = rates[n, :, 1]
         signals[Signal.trunk] = sensed["trunk_rad"][n]
         signals[Signal.trunk_rate] = sensed["trunk_rate_radps"][n]
+        row[State.felt : State.felt + Signal.count] = signals
         row[FIRST_FIBRE:FIRST_DELAY] = fibres
         row[FIRST_DELAY:FIRST_EVENT] = filled_delays(signals)
     return rows

@@ -40,7 +40,9 @@ def initial_rows(terrain: Terrain) -> NDArray[np.float64]:
     state = _state(terrain)
     fibres = relaxed_fibres(JOINTS_RAD)
     stance = state[State.stance_before : State.stance_before + LEGS]
-    delay = filled_delays(first_signals(fibres, JOINTS_RAD[:, 1], stance))
+    signals = first_signals(fibres, JOINTS_RAD[:, 1], stance)
+    state[State.felt : State.felt + Signal.count] = signals
+    delay = filled_delays(signals)
     events = np.zeros(Gait.count)
     events[Gait.in_stance] = 1.0
     events[Gait.last_strike_tick] = -1.0

@@ -1,7 +1,7 @@
 """What of a walker's surroundings and muscles may differ from one walker to another: `Worlds`.
 
 Nominal is the published walker. A real one differs in what no model of its links says: how its feet
-meet the ground, and how strong its muscles are.
+meet the ground, how strong its muscles are, how late and how exactly it feels.
 """
 
 from collections.abc import Iterable
@@ -20,6 +20,8 @@ MUSCLE_COUNT = 2 * len(MUSCLES)
 
 Range = tuple[float, float]
 AS_NOMINAL: Range = (1.0, 1.0)
+NONE: Range = (0.0, 0.0)
+NOISE_SEEDS = 2**24  # whole numbers that float32 holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +36,20 @@ class Worlds:
         friction: Coulomb's coefficient, [n].
         strength: largest force over the nominal of each muscle of the left leg, then the right,
             [n, 14]. Nerves feel the force itself: a weaker muscle's reflex gets less.
+        nerve_lag_s: time constant of a lag that what is felt has besides its delay, [n].
+        sensing_noise: half the width of uniform noise on what is felt, each tick anew, [n]: of
+            forces over Fmax, lengths over the optimal one, loads over body weight, angles in rad,
+            angular rates in 10 rad/s. Contact flags have neither noise nor lag.
+        noise_seed: of the noise, whole numbers below 2^24, [n].
     """
 
     contact_stiffness: NDArray[np.float64]
     relaxation_speed: NDArray[np.float64]
     friction: NDArray[np.float64]
     strength: NDArray[np.float64]
+    nerve_lag_s: NDArray[np.float64]
+    sensing_noise: NDArray[np.float64]
+    noise_seed: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -68,8 +78,8 @@ class Worlds:
     @staticmethod
     def nominal(count: int = 1) -> "Worlds":
         """`count` times the published walker's."""
-        ones = np.ones(count)
-        return Worlds(ones, ones, FRICTION_COEFFICIENT * ones, np.ones((count, MUSCLE_COUNT)))
+        one, zero, strength = np.ones(count), np.zeros(count), np.ones((count, MUSCLE_COUNT))
+        return Worlds(one, one, FRICTION_COEFFICIENT * one, strength, zero, zero, zero)
 
     @staticmethod
     def stacked(worlds: Iterable["Worlds"]) -> "Worlds":
@@ -83,19 +93,21 @@ class Worlds:
 class WorldRanges:
     """What worlds are drawn from: lowest and highest value of each of their numbers.
 
-    Contact stiffness and relaxation speed are drawn log-uniformly, friction and the strength of
-    each muscle uniformly, each from a stream of its own. They pickle and hash.
+    Contact stiffness and relaxation speed are drawn log-uniformly, the others uniformly, each from
+    a stream of its own, and so is the seed of the noise. They pickle and hash.
     """
 
     contact_stiffness: Range = AS_NOMINAL
     relaxation_speed: Range = AS_NOMINAL
     friction: Range = (FRICTION_COEFFICIENT, FRICTION_COEFFICIENT)
     strength: Range = AS_NOMINAL
+    nerve_lag_s: Range = NONE
+    sensing_noise: Range = NONE
 
     def draw(self, seeds: Iterable[int | np.random.SeedSequence]) -> Worlds:
         """One world a seed."""
         streams = [_streams(seed) for seed in seeds]
-        columns = []
+        columns: list[NDArray[np.float64]] = []
         for place, each in enumerate(fields(self)):
             size = _size(each.name)
             shares = np.array([stream[place].random(size) for stream in streams])
@@ -103,6 +115,8 @@ class WorldRanges:
             shares = shares.reshape(-1, *size)
             drawn = low * (high / low) ** shares if each.name in OWN_CONTACT else None
             columns.append(low + (high - low) * shares if drawn is None else drawn)
+        noise_seeds = [stream[-1].integers(NOISE_SEEDS) for stream in streams]
+        columns.append(np.array(noise_seeds, dtype=np.float64))
         return Worlds(*columns)
 
     def document(self) -> dict[str, list[float]]:
@@ -122,6 +136,9 @@ LIMITS: dict[str, Range] = {
     "relaxation_speed": (0.1, 100.0),
     "friction": (0.05, 10.0),
     "strength": (0.1, 10.0),
+    "nerve_lag_s": (0.0, 1.0),
+    "sensing_noise": (0.0, 10.0),
+    "noise_seed": (0.0, NOISE_SEEDS - 1.0),
 }
 
 
@@ -144,7 +161,7 @@ def read_world(table: Table) -> WorldRanges:
 def _streams(seed: int | np.random.SeedSequence) -> list[np.random.Generator]:
     """A stream for each of a world's numbers, so that a new number would change no other's."""
     known = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-    keys = [(*known.spawn_key, place) for place in range(len(fields(WorldRanges)))]
+    keys = [(*known.spawn_key, place) for place in range(len(fields(Worlds)))]
     return [
         np.random.default_rng(np.random.SeedSequence(known.entropy, spawn_key=key)) for key in keys
     ]

@@ -30,6 +30,13 @@ def blocks(**sizes: int) -> SimpleNamespace:
     return rows
 
 
+# Signals that reach the controller late; a leg's two values lie side by side.
+Signal = blocks(
+    force_sol=LEGS, force_gas=LEGS, length_ta=LEGS,  # 20 ms
+    force_vas=LEGS, knee=LEGS, knee_rate=LEGS, stance=LEGS,  # 10 ms
+    force_ham=LEGS, force_glu=LEGS, load=LEGS, trunk=1, trunk_rate=1,  # 5 ms
+)  # fmt: skip
+
 # What the walker carries from step to step.
 State = blocks(
     q=COORDINATES,  # hip x, z; segment angles, clockwise positive
@@ -52,6 +59,7 @@ State = blocks(
     end_tick=1,
     end_x=1,
     end_z=1,
+    felt=Signal.count,  # behind the nerves' lag, at the last tick
 )
 
 Muscle = blocks(
@@ -76,19 +84,15 @@ Const = blocks(
     relaxation_speed=1,  # of a contact, m/s
     friction=1,  # Coulomb's coefficient
     strength=MUSCLE_COUNT,  # largest force over the nominal
+    nerve_blend=1,  # 1 - exp(-tick / lag); 1 without a lag
+    sensing_noise=1,
+    noise_seed=1,
     hat_weight=1,  # N
     leg_weight=LEGS,  # N
     leg_angle_blend=1,  # 1 - exp(-w_filter tick)
 )
 GAIN_ROWS = [getattr(Const, name) for name in GAIN_NAMES]
 LOW_LEVEL_ROWS = [getattr(Const, name) for name in LOW_LEVEL_NAMES]
-
-# Signals that reach the controller late; a leg's two values lie side by side.
-Signal = blocks(
-    force_sol=LEGS, force_gas=LEGS, length_ta=LEGS,  # 20 ms
-    force_vas=LEGS, knee=LEGS, knee_rate=LEGS, stance=LEGS,  # 10 ms
-    force_ham=LEGS, force_glu=LEGS, load=LEGS, trunk=1, trunk_rate=1,  # 5 ms
-)  # fmt: skip
 
 # Scratch of one step.
 Work = blocks(

@@ -16,6 +16,7 @@ from taichi_nmm.kernel import (
     joint_stops,
     kinematics,
     muscle,
+    nerves,
     reflexes,
     swing,
 )
@@ -123,11 +124,24 @@ def command(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, const: Ro
         delays.exchange_mid(lane, slot_mid, delay, work)
     for lane in range(lanes):
         delays.exchange_short(lane, slot_short, delay, work)
+    if nerves_vary(lanes, const):
+        for lane in range(lanes):
+            nerves.feel(lane, tick, state, const, work)
     for lane in range(lanes):
         reflexes.stance_weights(lane, state, work)
         reflexes.stimulate(lane, state, const, fibres, work)
         swing.leg_rates(lane, time, state, const, work)
         swing.place_legs(lane, state, const, work)
+
+
+@ti.func
+def nerves_vary(lanes: Rows, const: Rows):
+    """Whether any lane has lag or noise; `nerves.feel` would change nothing of the others'."""
+    vary = 0.0
+    for lane in range(lanes):
+        vary = larger(vary, 1.0 - const[Const.nerve_blend, lane])
+        vary = larger(vary, const[Const.sensing_noise, lane])
+    return vary > 0.0
 
 
 @ti.func

@@ -16,8 +16,8 @@ from taichi_nmm import kernel
 
 INTERPRETED = (
     "elementary", "kinematics", "muscle_table", "attachments", "muscle", "dynamics", "contact",
-    "joint_stops", "delays", "reflexes", "swing", "gait", "walker", "entry_points", "carried",
-    "actuation",
+    "joint_stops", "delays", "nerves", "reflexes", "swing", "gait", "walker", "entry_points",
+    "carried", "actuation",
 )  # fmt: skip
 
 
@@ -57,6 +57,7 @@ NUMPY_TAICHI = SimpleNamespace(
     bit_cast=lambda value, dtype: value.view(dtype),
     Vector=list,
     i32=np.int32,
+    u32=np.uint32,
     i64=np.int64,
     f32=np.float32,
     f64=np.float64,
@@ -89,6 +90,7 @@ def interpreted(*names: str, double: bool = True) -> tuple[Any, ...]:
             vars(modules[name])["range"] = lane_range
         # Without the early exit: a settled pass repeats itself, bit for bit.
         vars(modules["walker"])["settled"] = lambda lanes, work: False
+        vars(modules["walker"])["nerves_vary"] = lambda lanes, const: True  # of some it is so
         return tuple(modules[name] for name in names)
     finally:
         for name, module in real.items():

@@ -56,7 +56,9 @@ class Both:
         index = np.arange(WALKERS) % len(grounds)
         batch = check_batch(
             gains, Bodies.disturbed(range(WALKERS)), grounds, index,
-            worlds=WorldRanges(strength=(0.8, 1.1)).draw(range(WALKERS)),
+            worlds=WorldRanges(
+                strength=(0.8, 1.1), nerve_lag_s=(0.0, 0.01), sensing_noise=(0.0, 0.01)
+            ).draw(range(WALKERS)),
         )  # fmt: skip
         settings = Settings(precision="float64", arch="cpu", physics_step_s=step_s)
         backend.start(settings)

@@ -34,7 +34,9 @@ def request_() -> Any:
         terrain.ramp(increment=0.1, segment_m=0.5, direction="down"),
         terrain.stairs(rise_m=0.03, run_m=0.3, flat_start_m=0.2),
     ]
-    worlds = WorldRanges((0.5, 3.0), (0.5, 3.0), (0.5, 1.0), (0.8, 1.1)).draw(range(WALKERS))
+    worlds = WorldRanges(
+        (0.5, 3.0), (0.5, 3.0), (0.5, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.01)
+    ).draw(range(WALKERS))
     return gains, bodies, grounds, np.arange(WALKERS) % len(grounds), None, worlds
 
 

@@ -1,6 +1,7 @@
 """Worlds: what they are drawn from, what is refused, and that each walker walks in its own."""
 
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.world import NOMINAL, WorldRanges, read_world
 
-ALL = WorldRanges((0.3, 10.0), (0.5, 8.0), (0.6, 1.0), (0.8, 1.1))
+ALL = WorldRanges((0.3, 10.0), (0.5, 8.0), (0.6, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.02))
 CPU = Settings(arch="cpu", threads=1)
 
 
@@ -23,9 +24,10 @@ def test_the_nominal_world_is_the_published_one() -> None:
     assert np.all(worlds.contact_stiffness == 1.0) and np.all(worlds.relaxation_speed == 1.0)
     assert np.all(worlds.friction == 0.9)  # Geyer & Herr 2010
     assert worlds.strength.shape == (3, 14) and np.all(worlds.strength == 1.0)
+    assert not np.any(worlds.nerve_lag_s) and not np.any(worlds.sensing_noise)
     drawn = NOMINAL.draw([7])
     for name, values in vars(worlds).items():
-        assert np.array_equal(values[:1], getattr(drawn, name))
+        assert name == "noise_seed" or np.array_equal(values[:1], getattr(drawn, name))
 
 
 def test_draws_fill_their_ranges_by_the_documented_rule() -> None:
@@ -35,6 +37,9 @@ def test_draws_fill_their_ranges_by_the_documented_rule() -> None:
         (np.log(worlds.relaxation_speed), np.log((0.5, 8.0))),
         (worlds.friction, (0.6, 1.0)),
         (worlds.strength[:, 3], (0.8, 1.1)),
+        (worlds.nerve_lag_s, (0.0, 0.01)),
+        (worlds.sensing_noise, (0.0, 0.02)),
+        (worlds.noise_seed, (0, 2**24)),
     ):
         share = (values - low) / (high - low)
         assert share.min() >= 0.0 and share.max() <= 1.0
@@ -47,7 +52,7 @@ def test_draws_fill_their_ranges_by_the_documented_rule() -> None:
 
 def test_a_seed_is_a_world_whatever_else_is_drawn() -> None:
     one, both = ALL.draw([5]), ALL.draw([4, 5])
-    wider = WorldRanges((0.3, 20.0), (0.5, 8.0), (0.6, 1.0), (0.8, 1.1)).draw([5])
+    wider = replace(ALL, contact_stiffness=(0.3, 20.0)).draw([5])
     for name, values in vars(one).items():
         assert np.array_equal(values, getattr(both, name)[1:])
         same = np.array_equal(values, getattr(wider, name))
@@ -129,10 +134,11 @@ def test_each_walker_walks_in_its_own_world() -> None:
     assert walk(Worlds.nominal(), 9).tobytes() == walk(None, 9).tobytes()
 
 
-@pytest.mark.parametrize("name", ["contact_stiffness", "relaxation_speed", "friction", "strength"])
+@pytest.mark.parametrize("name", sorted(vars(Worlds.nominal()).keys() - {"noise_seed"}))
 def test_every_number_reaches_the_walker(name: str) -> None:
     nominal = vars(Worlds.nominal())
-    other = Worlds(**(nominal | {name: nominal[name] * 0.7}))
+    value = nominal[name] * 0.7 if np.any(nominal[name]) else nominal[name] + 0.01
+    other = Worlds(**(nominal | {name: value}))
     assert walk(other, 1).tobytes() != walk(None, 1).tobytes()
 
 
@@ -190,6 +196,13 @@ def test_half_the_muscle_pulls_and_burns_half() -> None:
     np.testing.assert_allclose(forces[1], 0.5 * forces[0], rtol=1e-5)
     burnt = [float(result["cost_of_transport_jpkgpm"][0]) for result in (full, half)]
     assert burnt[1] == pytest.approx(0.5 * burnt[0], rel=1e-3)
+
+
+def test_noise_is_of_its_walker_and_its_seed() -> None:
+    noisy = [one_of(sensing_noise=0.01, noise_seed=seed) for seed in (1.0, 1.0, 2.0)]
+    first, again, other = (walk(world, 1).tobytes() for world in noisy)
+    assert first == again != other
+    assert walk(Worlds.stacked(noisy), 3)[2:].tobytes() == other
 
 
 def test_nerves_feel_the_force_itself() -> None:
