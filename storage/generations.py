@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from storage.document import FORMAT
-from storage.gait_measures import MEASURE_NAMES, OBJECTIVE_MPS
+from storage.gait_measures import MEASURE_NAMES, OBJECTIVE
 from storage.shard import footer_of, read_columns, write_table
 from taichi_nmm.errors import InputError
 
@@ -37,7 +37,7 @@ class Generation:
     def columns(self, names: tuple[str, ...]) -> dict[str, NDArray[np.float64]]:
         """All of it by column; `names` are those of the parameters."""
         columns = dict(zip(names, self.points.T, strict=True))
-        columns[OBJECTIVE_MPS] = self.objective
+        columns[OBJECTIVE] = self.objective
         # A gait's measures are on other settings than a row's columns of the same names.
         return columns | {
             tried_name(name): values
@@ -87,7 +87,7 @@ class GenerationFiles:
             table = read_columns(path)
             tried, objective, measures = (
                 np.column_stack([table[name].to_numpy() for name in names])
-                for names in (self.names, (OBJECTIVE_MPS,), map(tried_name, MEASURE_NAMES))
+                for names in (self.names, (OBJECTIVE,), map(tried_name, MEASURE_NAMES))
             )
         except (OSError, KeyError, pa.ArrowException, InputError):
             return None
