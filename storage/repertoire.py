@@ -97,7 +97,7 @@ def library_version() -> str:
     try:
         return version(LIBRARY)
     except PackageNotFoundError:
-        allowed = "an installed package: pip install -c constraints.txt '.[repertoire]'"
+        allowed = f"an environment with {LIBRARY}: pip install 'taichi-nmm[repertoire]'"
         raise InputError(LIBRARY, "missing", allowed) from None
 
 
