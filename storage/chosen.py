@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from storage.document import FORMAT
 from storage.gait_measures import cells
-from storage.generations import Generation
+from storage.generation_files import Generation
 from storage.shard import footer_of, read_columns, write_table
 from taichi_nmm.errors import InputError
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from storage.evolution import Evolution
 from storage.families import Family
 from storage.gait_measures import measures, objective
-from storage.generations import Generation, GenerationFiles
+from storage.generation_files import Generation, GenerationFiles
 from storage.pool import Pool
 from storage.repertoire import Repertoire
 from storage.scoring import walk_family

@@ -13,7 +13,7 @@ import taichi_nmm
 from storage import merge, open_store
 from storage.chosen import NOT_CHOSEN, choose
 from storage.evolution import GENERATION, folded
-from storage.generations import Generation
+from storage.generation_files import Generation
 from storage.pool import Pool
 from storage.precompute import Summary, precompute
 from storage.repertoire import STARTS
