@@ -20,8 +20,10 @@ NOT_CHOSEN = -1
 FAMILY, GENERATION, ROW = "family", "generation", "row"
 
 
-def choose(found: dict[str, list[Generation]], candidates: int) -> dict[str, NDArray[np.int64]]:
-    """Candidates, shared among the families.
+def choose(
+    found: dict[str, list[Generation]], shares: dict[str, int]
+) -> dict[str, NDArray[np.int64]]:
+    """Candidates of each family.
 
     Half of a family's are the best of a cell each, which keeps gaits apart; the others the best of
     all, however alike: of two gaits that do the same on the search's settings, one may walk on a
@@ -29,14 +31,14 @@ def choose(found: dict[str, list[Generation]], candidates: int) -> dict[str, NDA
 
     Args:
         found: generations by family; the first one is the grid's.
-        candidates: how many, of all families.
+        shares: how many of a family, by its name.
 
     Returns:
         By family, numbers of points, counted through its generations; the best come first.
     """
     chosen = {}
-    for index, (family, generations) in enumerate(found.items()):
-        share = (candidates + index) // len(found)
+    for family, generations in found.items():
+        share = shares[family]
         objective = np.concatenate([one.objective for one in generations])
         cell = cells(np.concatenate([one.measures for one in generations]))
         best = np.argsort(-objective, kind="stable")

@@ -9,7 +9,7 @@ from storage.pool import Pool
 from storage.repertoire import STARTS, Repertoire
 from storage.schema import evaluated_name, family_names
 from storage.scoring import SURVIVED
-from storage.search import Starts, Walked, search
+from storage.search import Start, Walked, search
 from storage.shard import read_columns, shard_name
 from storage.specification import Specification
 from storage.store_folder import StoreFolder
@@ -39,7 +39,8 @@ def evolved_points(
     if kept is None:
         starts = grid_starts(folder, repertoire)
         found = search(asked, repertoire, starts, folder.generations, pool, walked)
-        folder.repertoire.write(found, choose(found, repertoire.candidates))
+        lengths = {name: start.generations for name, start in starts.items()}
+        folder.repertoire.write(found, choose(found, shares(repertoire.candidates, lengths)))
         kept = folder.repertoire.read()
     else:
         walked(repertoire.walks, False)
@@ -49,8 +50,10 @@ def evolved_points(
     return kept
 
 
-def grid_starts(folder: StoreFolder, repertoire: Repertoire) -> Starts:
+def grid_starts(folder: StoreFolder, repertoire: Repertoire) -> dict[str, Start]:
     """For each family, the points of the grid that survive it longest.
+
+    The less they survive, the longer is the search: what the grid has needs no finding.
 
     Raises:
         InputError: none was run on a family.
@@ -63,12 +66,26 @@ def grid_starts(folder: StoreFolder, repertoire: Repertoire) -> Starts:
     files = (folder.path / shard_name(number) for number in range(specification.grid_shards))
     table = pa.concat_tables(read_columns(file, wanted) for file in files)
     points = np.column_stack([table[name].to_numpy() for name in names])
-    starts = {}
+    starts, falls = {}, {}
     for name, column in zip(families, survived, strict=True):
         run = np.flatnonzero(table[evaluated_name(name)].to_numpy())
         if not len(run):
             allowed = f"a grid of which some point is run on the family {name}"
             raise InputError("samples", specification.samples, allowed)
-        best = np.argsort(-table[column].to_numpy()[run], kind="stable")[:STARTS]
-        starts[name] = points[run[best]]
-    return starts
+        fraction = table[column].to_numpy()[run]
+        best = np.argsort(-fraction, kind="stable")[:STARTS]
+        starts[name], falls[name] = points[run[best]], 1.0 - float(fraction[best].mean())
+    generations = shares(repertoire.generations, falls)
+    return {name: Start(points, generations[name]) for name, points in starts.items()}
+
+
+def shares(whole: int, weights: dict[str, float] | dict[str, int]) -> dict[str, int]:
+    """Parts of a whole in proportion to weights, each at least 1; the largest remainders go up."""
+    total, rest = sum(weights.values()), whole - len(weights)
+    equal = 1.0 / len(weights)
+    exact = {key: rest * (value / total if total else equal) for key, value in weights.items()}
+    parts = {key: 1 + int(value) for key, value in exact.items()}
+    left = whole - sum(parts.values())
+    for key in sorted(exact, key=lambda key: int(exact[key]) - exact[key])[:left]:
+        parts[key] += 1
+    return parts

@@ -56,15 +56,14 @@ class Repertoire:
 
     @property
     def generations(self) -> int:
-        """Of each family, after the one that is the grid's."""
-        share = self.evaluations // (self.settings * len(self.families))
-        return (share - STARTS) // GENERATION
+        """Of all families, after those that are the grid's."""
+        points = self.evaluations // self.settings
+        return (points - STARTS * len(self.families)) // GENERATION
 
     @property
     def walks(self) -> int:
         """Of the whole search; fewer than were asked for: generations are whole."""
-        points = STARTS + self.generations * GENERATION
-        return points * self.settings * len(self.families)
+        return (STARTS * len(self.families) + self.generations * GENERATION) * self.settings
 
     def stream(self, family: str) -> np.random.SeedSequence:
         """Of the search for a family."""
@@ -138,10 +137,13 @@ def read_repertoire(table: Table, families: tuple[Family, ...]) -> Repertoire | 
 
 
 def _check_evaluations(repertoire: Repertoire) -> None:
-    """Refuse a search that is over before it has found as many candidates as are asked for."""
+    """Refuse a search that would have to keep more than half of what it tries."""
     families = len(repertoire.families)
-    generations = max(1, -(-repertoire.candidates // (families * GENERATION)))
-    least = (STARTS + generations * GENERATION) * repertoire.settings * families
+    if repertoire.candidates < families:
+        allowed = f"at least {families}, one a family"
+        raise InputError("repertoire.candidates", repertoire.candidates, allowed)
+    generations = max(families, -(-2 * repertoire.candidates // GENERATION))
+    least = (STARTS * families + generations * GENERATION) * repertoire.settings
     if repertoire.evaluations < least:
         allowed = f"at least {least} for {repertoire.candidates} candidates"
         raise InputError("repertoire.evaluations", repertoire.evaluations, allowed)

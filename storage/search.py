@@ -20,8 +20,19 @@ from storage.scoring import walk_family
 from storage.specification import Specification
 from taichi_nmm.parameters import lower_bounds, upper_bounds
 
-Starts = dict[str, NDArray[np.float64]]
-"""Points of the grid to begin at, [n, 16 + k], by family."""
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where the search for a family begins, and how long it is.
+
+    Attributes:
+        points: of the grid, [n, 16 + k]: the first generation.
+        generations: after that one.
+    """
+
+    points: NDArray[np.float64]
+    generations: int
+
 
 Walked = Callable[[int, bool], None]
 """Called with the walks of a generation, and whether this run did them or an earlier one."""
@@ -53,7 +64,7 @@ def try_points(unit: Unit) -> Generation:
 def search(
     specification: Specification,
     repertoire: Repertoire,
-    starts: Starts,
+    starts: dict[str, Start],
     files: GenerationFiles,
     pool: Pool,
     walked: Walked,
@@ -63,14 +74,21 @@ def search(
     Args:
         specification: of the store, as units are to be run.
         repertoire: what to search for.
-        starts: the first generation of each family.
+        starts: of each family.
         files: where generations are kept.
         pool: what walks them.
         walked: called for every generation.
     """
     parts = -(-pool.slots // len(repertoire.trials))
     lines = {
-        family.name: Line(specification, family, repertoire, starts[family.name], files, walked)
+        family.name: Line(
+            specification,
+            family,
+            repertoire.stream(family.name),
+            starts[family.name],
+            files,
+            walked,
+        )
         for family in repertoire.trials
     }
     units: deque[Unit] = deque()
@@ -90,8 +108,8 @@ class Line:
     Attributes:
         specification: of the store, as units are to be run.
         family: settings of the search's own.
-        repertoire: that it is part of.
-        starts: the first generation, [n, 16 + k].
+        seed: of its evolution.
+        start: where it begins.
         files: where generations are kept.
         walked: called for every generation.
         generations: that are done.
@@ -99,8 +117,8 @@ class Line:
 
     specification: Specification
     family: Family
-    repertoire: Repertoire
-    starts: NDArray[np.float64]
+    seed: np.random.SeedSequence
+    start: Start
     files: GenerationFiles
     walked: Walked
     generations: list[Generation] = field(default_factory=list)
@@ -108,7 +126,7 @@ class Line:
     def __post_init__(self) -> None:
         parameters = self.specification.parameters
         self._low, self._high = lower_bounds(parameters), upper_bounds(parameters)
-        self._evolution = Evolution(len(parameters), self.repertoire.stream(self.family.name))
+        self._evolution = Evolution(len(parameters), self.seed)
         self._done: dict[int, Generation] = {}
         self._parts = 0
 
@@ -117,7 +135,7 @@ class Line:
 
         Generations that are kept in files are taken from there.
         """
-        while len(self.generations) <= self.repertoire.generations:
+        while len(self.generations) <= self.start.generations:
             points = self._asked()
             kept = self.files.read(self.family.name, len(self.generations), points)
             if kept is None:
@@ -142,7 +160,7 @@ class Line:
 
     def _asked(self) -> NDArray[np.float64]:
         if not self.generations:
-            return self.starts
+            return self.start.points
         points: NDArray[np.float64] = self._low + self._evolution.ask() * (self._high - self._low)
         return points
 

@@ -13,6 +13,7 @@ import taichi_nmm
 from storage import merge, open_store
 from storage.chosen import NOT_CHOSEN, choose
 from storage.evolution import GENERATION, folded
+from storage.evolved import shares
 from storage.generation_files import Generation
 from storage.pool import Pool
 from storage.precompute import Summary, precompute
@@ -119,7 +120,7 @@ def test_the_repertoire_says_what_was_tried_and_where_a_row_comes_from(
         assert tried["generation"][index] > 0
         assert tried["K_GAS"][index] == gains[rows[index], 0]
     families = np.array(tried["family"])[rows != NOT_CHOSEN]
-    assert np.unique(families, return_counts=True)[1].tolist() == [10, 10]
+    assert np.unique(families).tolist() == ["down", "up"]
     assert sorted(file.name for file in path.iterdir() if "search" in file.name) == []
 
 
@@ -205,7 +206,7 @@ def test_candidates_are_tried_on_settings_of_their_own() -> None:
     assert other is not None and other.document != specification.repertoire.document
 
 
-def test_shares_are_even_and_hold_the_best_of_cells_and_of_all() -> None:
+def test_a_share_holds_the_best_of_cells_and_of_all() -> None:
     rng = np.random.default_rng(1)
 
     def generation(count: int) -> Generation:
@@ -213,13 +214,20 @@ def test_shares_are_even_and_hold_the_best_of_cells_and_of_all() -> None:
         return Generation(rng.random((count, 16)), rng.random(count), spread)
 
     found = {name: [generation(10), generation(60)] for name in ("a", "b", "c")}
-    chosen = choose(found, 31)
-    assert sorted(map(len, chosen.values())) == [10, 10, 11]
+    chosen = choose(found, {"a": 10, "b": 31, "c": 1})
+    assert [len(numbers) for numbers in chosen.values()] == [10, 31, 1]
     for name, numbers in chosen.items():
         objective = np.concatenate([one.objective for one in found[name]])
         assert numbers.min() >= 10 and len(set(numbers)) == len(numbers)
         assert np.all(np.diff(objective[numbers]) <= 0)
         assert numbers[0] == 10 + np.argmax(objective[10:])
+
+
+def test_the_search_is_longest_where_the_grid_survives_least() -> None:
+    assert shares(10, {"a": 0.0, "b": 0.0}) == {"a": 5, "b": 5}
+    assert shares(12, {"a": 0.01, "b": 0.9, "c": 0.45}) == {"a": 1, "b": 7, "c": 4}
+    assert sum(shares(101, {"a": 0.3, "b": 0.3, "c": 0.7}).values()) == 101
+    assert shares(2, {"a": 0.0, "b": 1.0}) == {"a": 1, "b": 1}
 
 
 def test_points_beyond_the_cube_are_reflected() -> None:
@@ -235,6 +243,10 @@ def test_points_beyond_the_cube_are_reflected() -> None:
         ("[families.up]\nsettings = 2\n[repertoire]\nevaluations = 0", "repertoire.evaluations"),
         ("[families.up]\nsettings = 2\n[repertoire]\ncandidates = 0", "repertoire.candidates"),
         ("[families.up]\nsettings = 2\n[repertoire]\ncandidates = 1e3", "repertoire.candidates"),
+        (
+            "[families.a]\nsettings = 2\n[families.b]\nsettings = 2\n[repertoire]\ncandidates = 1",
+            "repertoire.candidates",
+        ),
         ("[families.up]\nsettings = 2\n[repertoire]\nsettings = 65", "repertoire.settings"),
         ("[families.up]\nsettings = 2\n[repertoire]\nfamilies = ['u']", "repertoire.families"),
         ("[families.up]\nsettings = 2\n[repertoire]\nfamilies = 'up'", "repertoire.families"),
