@@ -11,6 +11,9 @@ from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
 
 SCORE_UNITS = ("mps",)  # units that end the name of a score component
 
+ORIGIN = "origin"  # column of a store with a repertoire: where a row's point comes from
+SOBOL_ROW, EVOLVED_ROW = ORIGINS = ("sobol", "evolved")
+
 _ARROW_TYPES = {"f8": pa.float64(), "i4": pa.int32()}
 
 
@@ -30,12 +33,15 @@ def family_names(family: str, component: str) -> tuple[str, str]:
     return f"{family}_{stem}_mean_{unit}", f"{family}_{stem}_sd_{unit}"
 
 
-def arrow_schema(searched: Iterable[str] = (), families: Iterable[str] = ()) -> pa.Schema:
+def arrow_schema(
+    searched: Iterable[str] = (), families: Iterable[str] = (), origin: bool = False
+) -> pa.Schema:
     """The schema of a shard.
 
     Args:
         searched: names of the parameters searched besides the 16 gains.
         families: names of the families of settings.
+        origin: whether rows say where their points come from.
     """
     fields = [("row", pa.int64()), *((name, pa.float64()) for name in (*GAIN_NAMES, *searched))]
     fields += list(_result_fields())
@@ -43,6 +49,8 @@ def arrow_schema(searched: Iterable[str] = (), families: Iterable[str] = ()) -> 
         fields.append((evaluated_name(family), pa.bool_()))
         for component, _ in SCORE_FIELDS:
             fields += [(name, pa.float64()) for name in family_names(family, component)]
+    if origin:
+        fields.append((ORIGIN, pa.string()))
     return pa.schema([pa.field(name, kind, nullable=False) for name, kind in fields])
 
 
@@ -58,6 +66,7 @@ def shard_table(
     points: NDArray[np.float64],
     rows: NDArray[np.void],
     families: dict[str, NDArray[np.generic]],
+    origin: str = SOBOL_ROW,
 ) -> pa.Table:
     """The table of one shard.
 
@@ -68,11 +77,13 @@ def shard_table(
         points: [n, 16 + k].
         rows: `RESULT_DTYPE`, [n].
         families: the columns of all families of settings by name, [n] each.
+        origin: where the points come from, one of `ORIGINS`.
     """
     columns = {"row": np.arange(first_row, first_row + len(points))}
     columns |= dict(zip(names, points.T, strict=True))
     columns |= {name: rows[name] for name in RESULT_DTYPE.names or ()}
     columns["end_reason"] = np.array(END_REASONS)[rows["end_reason"]]
+    columns[ORIGIN] = np.full(len(points), origin)
     arrays = [
         pa.array(np.ascontiguousarray((columns | families)[field.name]), field.type)
         for field in schema

@@ -1,4 +1,7 @@
-"""The numbers of one shard: its points on the base setting, the survivors on disturbed ones."""
+"""The numbers of one shard: its points on the base setting, the survivors on disturbed ones.
+
+And of points on the settings of one family, which is also what a search asks for.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +13,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from storage.families import Family
-from storage.schema import evaluated_name, family_names, shard_table
+from storage.schema import EVOLVED_ROW, SOBOL_ROW, evaluated_name, family_names, shard_table
 from storage.searched import split_points
 from storage.sobol import sobol_gains
 from storage.specification import Specification
@@ -32,11 +35,25 @@ class ScoredShard:
     engine: dict[str, Any]
 
 
-def score_shard(specification: Specification, number: int, report: Report) -> ScoredShard:
-    """Simulate the points of shard `number`, which depends on no other shard."""
+def score_shard(
+    specification: Specification,
+    number: int,
+    report: Report,
+    evolved: NDArray[np.float64] | None = None,
+) -> ScoredShard:
+    """Simulate the points of shard `number`, which depends on no other shard.
+
+    Args:
+        specification: of the store.
+        number: of the shard.
+        report: called with the fraction of it that is done.
+        evolved: its points, [n, 16 + k], where it is one of those after the grid's.
+    """
     first, count = specification.shard_range(number)
     parameters, families = specification.parameters, specification.families
-    points = sobol_gains(specification.seed, first, count, parameters)
+    points = evolved
+    if points is None:
+        points = sobol_gains(specification.seed, first, count, parameters)
     parts = progress_parts(specification, report)
     base = _simulate(
         specification,
@@ -56,7 +73,8 @@ def score_shard(specification: Specification, number: int, report: Report) -> Sc
         columns |= score_family(specification, family, points, chosen, part)
         part(1.0)
     names = [parameter.name for parameter in parameters]
-    table = shard_table(specification.schema, first, names, points, base.rows, columns)
+    origin = SOBOL_ROW if evolved is None else EVOLVED_ROW
+    table = shard_table(specification.schema, first, names, points, base.rows, columns, origin)
     return ScoredShard(table, dict(base.metadata))
 
 
@@ -82,13 +100,38 @@ def score_family(
     columns: dict[str, NDArray[Any]] = {evaluated_name(family.name): chosen}
     names = [family_names(family.name, component) for component, _ in SCORE_FIELDS]
     columns |= {name: np.zeros(len(points)) for pair in names for name in pair}
-    rows_chosen, count = np.flatnonzero(chosen), family.settings
+    rows_chosen = np.flatnonzero(chosen)
     if not len(rows_chosen):
         return columns
-    setting = np.tile(np.arange(count), len(rows_chosen))
+    rows = walk_family(specification, family, points[rows_chosen], report)
+    for (component, _), (mean, spread) in zip(SCORE_FIELDS, names, strict=True):
+        values = rows[component].astype(np.float64)
+        columns[mean][rows_chosen] = values.mean(axis=1)
+        columns[spread][rows_chosen] = values.std(axis=1)
+    return columns
+
+
+def walk_family(
+    specification: Specification,
+    family: Family,
+    points: NDArray[np.float64],
+    report: Report,
+) -> NDArray[np.void]:
+    """Walk every point on every setting of a family.
+
+    Args:
+        specification: the store that is being filled.
+        family: the settings.
+        points: [n, 16 + k].
+        report: called with the fraction that is done.
+
+    Returns:
+        `RESULT_DTYPE`, [n, settings].
+    """
+    setting = np.tile(np.arange(family.settings), len(points))
     result = _simulate(
         specification,
-        np.repeat(points[rows_chosen], count, axis=0),
+        np.repeat(points, family.settings, axis=0),
         report,
         duration_s=family.horizon_s,
         bodies=family.bodies.take(setting),
@@ -96,12 +139,8 @@ def score_family(
         terrains=family.terrains,
         terrain_index=setting,
     )
-    rows = result.rows.reshape(len(rows_chosen), count)
-    for (component, _), (mean, spread) in zip(SCORE_FIELDS, names, strict=True):
-        values = rows[component].astype(np.float64)
-        columns[mean][rows_chosen] = values.mean(axis=1)
-        columns[spread][rows_chosen] = values.std(axis=1)
-    return columns
+    rows: NDArray[np.void] = result.rows.reshape(len(points), family.settings)
+    return rows
 
 
 def progress_parts(specification: Specification, report: Report) -> list[Report]:

@@ -19,6 +19,7 @@ from storage.families import (
     Family,
     read_families,
 )
+from storage.repertoire import Repertoire, read_repertoire
 from storage.schema import arrow_schema, columns_of
 from storage.searched import searched_parameters
 from storage.seeds import BODY, TERRAIN, WORLD, seed_sequence
@@ -51,6 +52,7 @@ class Specification:
         conditions: under which every point is run, the base setting.
         families: further settings for the points that survive.
         searched: low-level gains that are part of the points, after the 16 gains.
+        repertoire: how candidates beyond the grid are found; None: there are none.
     """
 
     samples: int
@@ -59,6 +61,7 @@ class Specification:
     conditions: Conditions
     families: tuple[Family, ...] = ()
     searched: tuple[Parameter, ...] = ()
+    repertoire: Repertoire | None = None
 
     @cached_property
     def body(self) -> Bodies:
@@ -84,17 +87,41 @@ class Specification:
     def schema(self) -> pa.Schema:
         """The columns of every shard."""
         searched = [parameter.name for parameter in self.searched]
-        return arrow_schema(searched, [family.name for family in self.families])
+        families = [family.name for family in self.families]
+        return arrow_schema(searched, families, origin=self.repertoire is not None)
+
+    @property
+    def candidates(self) -> int:
+        """Rows after those of the grid."""
+        return self.repertoire.candidates if self.repertoire else 0
+
+    @property
+    def rows(self) -> int:
+        """Rows of the finished store."""
+        return self.samples + self.candidates
+
+    @property
+    def walkers(self) -> int:
+        """What there is to do, as progress counts it: rows, and walks of the search."""
+        return self.rows + (self.repertoire.walks if self.repertoire else 0)
+
+    @property
+    def grid_shards(self) -> int:
+        """Shards of the grid; those of the candidates come after them."""
+        return -(-self.samples // self.shard_rows)
 
     @property
     def shard_count(self) -> int:
         """Shards of the finished store."""
-        return -(-self.samples // self.shard_rows)
+        return self.grid_shards - (-self.candidates // self.shard_rows)
 
     def shard_range(self, number: int) -> tuple[int, int]:
         """First row of a shard, and how many it has."""
-        first = number * self.shard_rows
-        return first, min(self.shard_rows, self.samples - first)
+        if number < self.grid_shards:
+            first, end = number * self.shard_rows, self.samples
+        else:
+            first, end = self.samples + (number - self.grid_shards) * self.shard_rows, self.rows
+        return first, min(self.shard_rows, end - first)
 
     @cached_property
     def document(self) -> dict[str, Any]:
@@ -120,6 +147,7 @@ class Specification:
             **world_document(self.conditions.world_ranges, self.world),
             **self._family_documents(),
             **self._engine_document(),
+            **({"repertoire": self.repertoire.document} if self.repertoire else {}),
             "columns": columns_of(self.schema),
         }
 
@@ -163,6 +191,7 @@ def read_specification(
     )
     families = read_families(table, conditions.duration_s)
     searched = searched_parameters(table.texts("searched"))
+    repertoire = read_repertoire(table, families)
     table.done()
     return Specification(
         samples=_checked_samples(configured if samples is None else samples),
@@ -171,6 +200,7 @@ def read_specification(
         conditions=conditions,
         families=families,
         searched=searched,
+        repertoire=repertoire,
     )
 
 

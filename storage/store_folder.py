@@ -2,6 +2,8 @@
 
 specification.json   written first: what the store is to hold
 part-00000.parquet   a shard; done when it opens, is undamaged and its footer is as expected
+search-up-00000.parquet   a generation of a search under way
+repertoire.parquet   what the search tried and chose; done when the search is over
 manifest.json        written last: SHA-256 of every shard
 .lock                held by the one process that writes
 """
@@ -14,8 +16,10 @@ from typing import Any
 
 import pyarrow as pa
 
+from storage.chosen import REPERTOIRE_NAME, RepertoireFile
 from storage.claim import claimed, remove
 from storage.document import FORMAT, agree
+from storage.generation_files import GENERATION_PATTERN, GenerationFiles
 from storage.manifest import MANIFEST_NAME, Manifest
 from storage.schema import columns_of
 from storage.shard import file_hash, read_columns, read_footer, shard_name, write_table
@@ -45,9 +49,27 @@ class StoreFolder:
         """
         with claimed(path, SPECIFICATION_NAME, "a store"):
             if fresh:
-                remove(path, MANIFEST_NAME, SHARD_PATTERN, SPECIFICATION_NAME)
+                remove(path, MANIFEST_NAME, SHARD_PATTERN, GENERATION_PATTERN)
+                remove(path, REPERTOIRE_NAME, SPECIFICATION_NAME)
             agree(path / SPECIFICATION_NAME, specification.document, remedy=REMEDY)
             yield StoreFolder(path, specification)
+
+    @property
+    def generations(self) -> GenerationFiles:
+        """The files of a search under way."""
+        return GenerationFiles(self.path, self.specification.hash, self._names)
+
+    @property
+    def repertoire(self) -> RepertoireFile:
+        """The file of a search that is over."""
+        first_row = self.specification.samples
+        return RepertoireFile(
+            self.path / REPERTOIRE_NAME, self.specification.hash, self._names, first_row
+        )
+
+    def finish_search(self) -> None:
+        """Remove the generations: the repertoire holds all of them."""
+        remove(self.path, GENERATION_PATTERN)
 
     def missing(self) -> list[int]:
         """Shards that are not done: absent, damaged, or of something else."""
@@ -70,16 +92,29 @@ class StoreFolder:
         names = [shard_name(number) for number in range(self.specification.shard_count)]
         hashes = {name: file_hash(self.path / name) for name in names}
         specification = self.specification
-        Manifest(specification.document, specification.samples, hashes).write(self.path)
+        Manifest(specification.document, specification.rows, hashes).write(self.path)
 
     def _expected_footer(self, number: int) -> dict[str, Any]:
         _, rows = self.specification.shard_range(number)
-        return {
+        footer = {
             "format": FORMAT,
             "specification_hash": self.specification.hash,
             "shard": number,
             "rows": rows,
         }
+        if number < self.specification.grid_shards:
+            return footer
+        # Its points are those of one search; a search on another machine may have found others.
+        return footer | {"repertoire": self._repertoire_hash()}
+
+    def _repertoire_hash(self) -> str | None:
+        """SHA-256 of the repertoire's file; None while it is not there."""
+        path = self.path / REPERTOIRE_NAME
+        return file_hash(path) if path.exists() else None
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(parameter.name for parameter in self.specification.parameters)
 
     def _is_done(self, number: int, known_hashes: dict[str, str]) -> bool:
         path = self.path / shard_name(number)

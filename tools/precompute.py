@@ -1,5 +1,6 @@
 """Compute a store of gait scores: points of a Sobol sequence, simulated and written shard by shard.
 
+With a table [repertoire] in the file, then candidates that a search breeds from their survivors.
 Stop it when you like; the same command goes on where it stopped.
 """
 
@@ -50,7 +51,7 @@ def main() -> None:
     require_engine(settings)
     out = options.out or Path("out") / options.config.stem
     workers = default_workers(settings) if options.workers is None else options.workers
-    with local_pool(workers) as pool, closing(ProgressBar(specification.samples)) as bar:
+    with local_pool(workers) as pool, closing(ProgressBar(specification.walkers)) as bar:
         summary = precompute(specification, out, options.fresh, bar.show, pool)
     print(json.dumps(asdict(summary)) if options.json else text(summary))
 
@@ -75,6 +76,7 @@ def text(summary: Summary) -> str:
         f" ({summary.points_computed} computed now)",
         f"alive       {summary.alive_at_horizon} at the horizon"
         f" ({100 * summary.alive_fraction:.2f} %)",
+        *([f"searched    {summary.walks_searched} walks"] if summary.walks_searched else []),
         *(
             f"{name:<11} {count} points on its disturbed settings"
             for name, count in summary.evaluated.items()

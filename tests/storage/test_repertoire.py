@@ -1,0 +1,278 @@
+"""Stores with candidates beyond the grid: the search, its files, its rows, and what it refuses."""
+
+import tomllib
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import taichi_nmm
+from storage import merge, open_store
+from storage.chosen import NOT_CHOSEN, choose
+from storage.evolution import GENERATION, folded
+from storage.evolved import shares
+from storage.generation_files import Generation
+from storage.pool import Pool
+from storage.precompute import Summary, precompute
+from storage.repertoire import STARTS
+from storage.sobol import sobol_gains
+from storage.specification import Specification, read_specification
+from taichi_nmm.config import Table
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import lower_bounds, upper_bounds
+from taichi_nmm.result import Result
+from tests.storage import fake
+
+pytest.importorskip("ribs")
+
+FAMILIES = {
+    "up": fake.family(settings=3, kind="ramp", segment_m=1.0),
+    "down": fake.family(settings=2, seed=9, kind="ramp", segment_m=1.0, direction="down"),
+}
+GENERATIONS = 3
+STARTERS = 35  # points of the grid that live long enough to be run on the families
+WALKS = 2 * 2 * (STARTERS + GENERATIONS * GENERATION)  # two families, two settings
+REPERTOIRE = {
+    "evaluations": 2 * 2 * (STARTS + GENERATIONS * GENERATION),
+    "settings": 2,
+    "candidates": 20,
+    "seed": 5,
+}
+
+
+def evolving(**changes: Any) -> Specification:
+    repertoire = REPERTOIRE | changes.pop("repertoire", {})
+    return fake.specification(families=FAMILIES, repertoire=repertoire, **changes)
+
+
+def content(path: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in path.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
+    path = tmp_path_factory.mktemp("evolved") / "store"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
+        return path, precompute(evolving(), path)
+
+
+def interrupted(path: Path, after: int) -> None:
+    """A run that is stopped in a call of the simulator."""
+    calls = []
+
+    def simulate(*args: Any, **options: Any) -> Result:
+        calls.append(1)
+        if len(calls) > after:
+            raise KeyboardInterrupt
+        return fake.simulate(*args, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(vars(taichi_nmm), "simulate", simulate)
+        with pytest.raises(KeyboardInterrupt):
+            precompute(evolving(), path)
+
+
+def test_candidates_are_rows_after_the_grid(finished: tuple[Path, Summary]) -> None:
+    path, summary = finished
+    store = open_store(path, verify=True)
+    rows = store.numpy()
+    assert len(store) == summary.points == 70 and summary.shards == 7 + 3
+    assert rows["row"].tolist() == list(range(70))
+    assert rows["origin"].tolist() == ["sobol"] * 50 + ["evolved"] * 20
+    assert np.array_equal(store.gains()[:50], sobol_gains(7, 0, 50))
+    assert np.all((store.gains() >= lower_bounds()) & (store.gains() <= upper_bounds()))
+    assert len(np.unique(store.gains(), axis=0)) == 70
+    assert [footer["rows"] for footer in store.footers] == [8] * 6 + [2, 8, 8, 4]
+    for family in ("up", "down"):  # run like the points of the grid
+        assert np.array_equal(rows[f"{family}_evaluated"], rows["duration_s"] >= 3.0)
+        assert np.all((rows[f"{family}_phi_printed_mean"] > 0) == rows[f"{family}_evaluated"])
+
+
+def test_the_grid_is_that_of_a_store_without_candidates(
+    finished: tuple[Path, Summary], tmp_path: Path
+) -> None:
+    precompute(fake.specification(families=FAMILIES), tmp_path / "plain")
+    plain, evolved = open_store(tmp_path / "plain"), open_store(finished[0])
+    assert plain.columns == tuple(name for name in evolved.columns if name != "origin")
+    assert plain.table().equals(evolved.table(plain.columns).slice(0, 50))
+    grown = {"columns", "repertoire"}
+    assert set(evolved.specification) - set(plain.specification) == {"repertoire"}
+    for key in set(plain.specification) - grown:
+        assert plain.specification[key] == evolved.specification[key]
+    assert not (tmp_path / "plain" / "repertoire.parquet").exists()
+
+
+def test_the_repertoire_says_what_was_tried_and_where_a_row_comes_from(
+    finished: tuple[Path, Summary],
+) -> None:
+    path, summary = finished
+    tried = pq.read_table(path / "repertoire.parquet").to_pydict()
+    rows, walked = np.array(tried["row"]), np.array(tried["walked_fraction"])
+    assert walked[rows != NOT_CHOSEN].mean() > walked[np.array(tried["generation"]) == 0].mean()
+    assert summary.walks_searched == WALKS == 2 * len(rows)
+    assert sorted(rows[rows != NOT_CHOSEN]) == list(range(50, 70))
+    gains = open_store(path).gains()
+    for index in np.flatnonzero(rows != NOT_CHOSEN):
+        assert tried["generation"][index] > 0
+        assert tried["K_GAS"][index] == gains[rows[index], 0]
+    families = np.array(tried["family"])[rows != NOT_CHOSEN]
+    assert np.unique(families).tolist() == ["down", "up"]
+    assert sorted(file.name for file in path.iterdir() if "search" in file.name) == []
+
+
+def test_two_runs_on_any_executor_are_the_same_bytes(
+    finished: tuple[Path, Summary], tmp_path: Path
+) -> None:
+    seen: list[float] = []
+    with ThreadPoolExecutor(3) as executor:  # where the fake simulator is seen
+        precompute(evolving(), tmp_path / "b", progress=seen.append, pool=Pool(executor, 3))
+    assert content(tmp_path / "b") == content(finished[0])
+    assert seen == sorted(seen) and seen[0] == 0
+    assert seen[-1] == 70 + WALKS <= evolving().walkers
+
+
+@pytest.mark.parametrize("after", [7 * 3 - 1, 7 * 3 + 1, 7 * 3 + 6, 7 * 3 + 8, 7 * 3 + 8 + 4])
+def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(
+    finished: tuple[Path, Summary], tmp_path: Path, after: int
+) -> None:
+    """In the grid's last shard, in the search, and in the candidates' shards."""
+    path = tmp_path / "store"
+    interrupted(path, after)
+    summary = precompute(evolving(), path)
+    assert content(path) == content(finished[0])
+    sizes = [STARTERS, STARTERS, *[GENERATION] * 6]  # a call of the simulator each
+    assert summary.walks_searched == WALKS - 2 * sum(sizes[: max(0, after - 7 * 3)])
+
+
+def test_a_finished_store_is_left_alone(finished: tuple[Path, Summary]) -> None:
+    before = content(finished[0])
+    seen: list[float] = []
+    summary = precompute(evolving(), finished[0], progress=seen.append)
+    assert (summary.points_computed, summary.walks_searched) == (0, 0)
+    assert content(finished[0]) == before and seen == sorted(seen)
+
+
+@pytest.mark.parametrize("damaged", ["repertoire.parquet", "part-00008.parquet"])
+def test_damage_is_found_and_mended(
+    finished: tuple[Path, Summary], tmp_path: Path, damaged: str
+) -> None:
+    path = tmp_path / "store"
+    path.mkdir()
+    for name, data in content(finished[0]).items():
+        (path / name).write_bytes(data)
+    fake.flip_a_bit(path / damaged)
+    summary = precompute(evolving(), path)
+    assert content(path) == content(finished[0])
+    assert (summary.walks_searched > 0) == (damaged == "repertoire.parquet")
+
+
+def test_a_damaged_generation_is_tried_again(
+    finished: tuple[Path, Summary], tmp_path: Path
+) -> None:
+    path = tmp_path / "store"
+    interrupted(path, 7 * 3 + 6)
+    files = sorted(path.glob("search-*.parquet"))
+    assert len(files) == 6
+    fake.flip_a_bit(files[1])
+    assert precompute(evolving(), path).walks_searched > 2 * 2 * GENERATION
+    assert content(path) == content(finished[0])
+
+
+def test_fresh_starts_over(tmp_path: Path) -> None:
+    path = tmp_path / "store"
+    interrupted(path, 7 * 3 + 3)
+    precompute(fake.specification(), path, fresh=True)
+    assert not [name for name in content(path) if "search" in name or "repertoire" in name]
+
+
+def test_a_store_with_candidates_merges(finished: tuple[Path, Summary], tmp_path: Path) -> None:
+    merged = merge(finished[0], tmp_path / "merged.parquet")
+    assert merged.table().equals(open_store(finished[0]).table().combine_chunks())
+    assert merged.columns[-1] == "origin"
+
+
+def test_candidates_are_tried_on_settings_of_their_own() -> None:
+    specification = evolving()
+    assert specification.repertoire is not None
+    for trial in specification.repertoire.trials:
+        (own,) = (family for family in specification.families if family.name == trial.name)
+        assert len(trial.bodies) == 2 and trial.horizon_s == own.horizon_s
+        assert not np.any(np.isin(trial.bodies.mass_kg, own.bodies.mass_kg))
+    other = evolving(repertoire={"seed": 6}).repertoire
+    assert other is not None and other.document != specification.repertoire.document
+
+
+def test_a_share_holds_the_best_of_cells_and_of_all() -> None:
+    rng = np.random.default_rng(1)
+
+    def generation(count: int) -> Generation:
+        spread = rng.uniform([0.4, 0.3, 0.5], [2.0, 1.0, 1.8], (count, 3))
+        return Generation(rng.random((count, 16)), rng.random(count), spread)
+
+    found = {name: [generation(10), generation(60)] for name in ("a", "b", "c")}
+    chosen = choose(found, {"a": 10, "b": 31, "c": 1})
+    assert [len(numbers) for numbers in chosen.values()] == [10, 31, 1]
+    for name, numbers in chosen.items():
+        objective = np.concatenate([one.objective for one in found[name]])
+        assert numbers.min() >= 10 and len(set(numbers)) == len(numbers)
+        assert np.all(np.diff(objective[numbers]) <= 0)
+        assert numbers[0] == 10 + np.argmax(objective[10:])
+
+
+def test_the_search_is_longest_where_the_grid_survives_least() -> None:
+    assert shares(10, {"a": 0.0, "b": 0.0}) == {"a": 5, "b": 5}
+    assert shares(12, {"a": 0.01, "b": 0.9, "c": 0.45}) == {"a": 1, "b": 7, "c": 4}
+    assert sum(shares(101, {"a": 0.3, "b": 0.3, "c": 0.7}).values()) == 101
+    assert shares(2, {"a": 0.0, "b": 1.0}) == {"a": 1, "b": 1}
+
+
+def test_points_beyond_the_cube_are_reflected() -> None:
+    points = np.array([-0.1, 0.0, 0.3, 1.0, 1.2, 2.1])
+    assert folded(points) == pytest.approx([0.1, 0.0, 0.3, 1.0, 0.8, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        ("[repertoire]\nseed = 1", "repertoire"),
+        ("[families.up]\nsettings = 2\n[repertoire]\nevaluations = 10", "repertoire.evaluations"),
+        ("[families.up]\nsettings = 2\n[repertoire]\nevaluations = 0", "repertoire.evaluations"),
+        ("[families.up]\nsettings = 2\n[repertoire]\ncandidates = 0", "repertoire.candidates"),
+        ("[families.up]\nsettings = 2\n[repertoire]\ncandidates = 1e3", "repertoire.candidates"),
+        (
+            "[families.a]\nsettings = 2\n[families.b]\nsettings = 2\n[repertoire]\ncandidates = 1",
+            "repertoire.candidates",
+        ),
+        ("[families.up]\nsettings = 2\n[repertoire]\nsettings = 65", "repertoire.settings"),
+        ("[families.up]\nsettings = 2\n[repertoire]\nfamilies = ['u']", "repertoire.families"),
+        ("[families.up]\nsettings = 2\n[repertoire]\nfamilies = 'up'", "repertoire.families"),
+        ("[families.up]\nsettings = 2\n[repertoire]\nseed = -1", "repertoire.seed"),
+        ("[families.up]\nsettings = 2\n[repertoire]\nseed = 1\nsigma = 1", "repertoire.sigma"),
+        ("[families.origin]\nsettings = 2\n[repertoire]\nseed = 1", "families"),
+        ("repertoire = 3", "repertoire"),
+    ],
+)
+def test_bad_repertoires_name_the_field(text: str, field: str) -> None:
+    data = tomllib.loads(f"samples = 5\n{text}")
+    with pytest.raises(InputError) as caught:
+        read_specification(Table(data))
+    assert caught.value.field == field and "\n" not in str(caught.value)
+
+
+def test_a_grid_without_survivors_is_refused_by_name(tmp_path: Path) -> None:
+    weak = {"up": FAMILIES["up"] | {"min_survival_s": 5.0}}
+    falls = fake.configuration(samples=1, seed=10, families=weak, repertoire=REPERTOIRE)
+    store = read_specification(Table(falls))
+    with pytest.raises(InputError, match="family up") as caught:
+        precompute(store, tmp_path / "store")
+    assert caught.value.field == "samples"
+
+
+def test_a_missing_library_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("storage.repertoire.LIBRARY", "no_such_library")
+    with pytest.raises(InputError, match="pip install"):
+        _ = evolving().document
