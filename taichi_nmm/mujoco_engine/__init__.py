@@ -13,8 +13,8 @@ def require_mujoco() -> None:
     """Refuse an environment without MuJoCo.
 
     Raises:
-        InputError: the package is not there.
+        InputError: the package is not there, or is older than its `mujoco.batch`.
     """
-    if find_spec("mujoco") is None:
-        allowed = "an environment with mujoco: pip install 'taichi-nmm[mujoco]'"
+    if find_spec("mujoco") is None or find_spec("mujoco.batch") is None:
+        allowed = "an environment with mujoco 4.0 or newer: pip install 'taichi-nmm[mujoco]'"
         raise InputError("simulation.engine", "mujoco", allowed)

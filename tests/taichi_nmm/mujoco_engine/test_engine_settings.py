@@ -101,12 +101,13 @@ def test_keys_that_the_engine_has_not() -> None:
         refused("simulation.mujoco", engine | {"mujoco": {"time_constant_s": 0.01}})
 
 
-def test_mujoco_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("missing", ["mujoco", "mujoco.batch"])
+def test_mujoco_is_not_installed_or_too_old(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
     def find_spec(name: str, *_: Any) -> Any:
-        return None if name == "mujoco" else importlib.util.find_spec(name)
+        return None if name == missing else importlib.util.find_spec(name)
 
     monkeypatch.setattr(mujoco_engine, "find_spec", find_spec)
-    says = r"^simulation\.engine: 'mujoco' .* pip install 'taichi-nmm\[mujoco\]'$"
+    says = r"^simulation\.engine: 'mujoco' .* mujoco 4\.0 or newer: pip install 'taichi-nmm\[mujoco\]'$"
     with pytest.raises(InputError, match=says) as caught:
         require_mujoco()
     assert "\n" not in str(caught.value)
