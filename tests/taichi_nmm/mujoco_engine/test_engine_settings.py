@@ -107,7 +107,7 @@ def test_mujoco_is_not_installed_or_too_old(monkeypatch: pytest.MonkeyPatch, mis
         return None if name == missing else importlib.util.find_spec(name)
 
     monkeypatch.setattr(mujoco_engine, "find_spec", find_spec)
-    says = r"^simulation\.engine: 'mujoco' .* mujoco 4\.0 or newer: pip install 'taichi-nmm\[mujoco\]'$"
+    says = r"^simulation\.engine: 'mujoco' .* 4\.0 or newer: pip install 'taichi-nmm\[mujoco\]'$"
     with pytest.raises(InputError, match=says) as caught:
         require_mujoco()
     assert "\n" not in str(caught.value)
