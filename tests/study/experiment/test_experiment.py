@@ -155,9 +155,9 @@ def test_an_experiment_can_be_read_and_its_arms_have_their_stores(file: Path) ->
 
 @pytest.mark.parametrize("file", PUBLISHED, ids=lambda file: file.stem)
 def test_a_published_comparison_is_50_runs_of_100_trials_of_disturbed_bodies(file: Path) -> None:
-    """Or, on another engine, of what comes before the first walker, of 40 trials."""
+    """Or of what comes before the first walker, of 40 trials: elsewhere, and on other robots."""
     experiment = read_experiment(file)
-    until_walker = file.stem.startswith("mujoco-")
+    until_walker = file.stem.startswith(("mujoco-", "outside-"))
     assert experiment.until_walker == until_walker
     assert (experiment.runs, experiment.trials) == (50, 40 if until_walker else 100)
     assert experiment.conditions.disturbance > 0
