@@ -37,6 +37,7 @@ from taichi_nmm.world import Worlds
 
 DURATION_S = 5.0  # of the base setting, where the file names none
 SHARD_ROWS = 4096  # seconds of work on two cores, and a few MB
+CANDIDATE_SHARD_ROWS = 64  # at most: nearly all of them walk to the end of every family
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,15 +114,21 @@ class Specification:
     @property
     def shard_count(self) -> int:
         """Shards of the finished store."""
-        return self.grid_shards - (-self.candidates // self.shard_rows)
+        return self.grid_shards - (-self.candidates // self.candidate_shard_rows)
+
+    @property
+    def candidate_shard_rows(self) -> int:
+        """Candidates of a shard; the last may have fewer."""
+        return min(self.shard_rows, CANDIDATE_SHARD_ROWS)
 
     def shard_range(self, number: int) -> tuple[int, int]:
         """First row of a shard, and how many it has."""
-        if number < self.grid_shards:
-            first, end = number * self.shard_rows, self.samples
-        else:
-            first, end = self.samples + (number - self.grid_shards) * self.shard_rows, self.rows
-        return first, min(self.shard_rows, end - first)
+        start, rows, end = 0, self.shard_rows, self.samples
+        if number >= self.grid_shards:
+            start, rows, end = self.samples, self.candidate_shard_rows, self.rows
+            number -= self.grid_shards
+        first = start + number * rows
+        return first, min(rows, end - first)
 
     @cached_property
     def document(self) -> dict[str, Any]:

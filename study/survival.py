@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from storage.store import open_store
-from study.experiment.features import Feature, Survival, check_feature, feature_table
+from study.experiment.features import Coverage, Feature, Survival, check_feature, feature_table
 from study.feature_table import FeatureTable
 from study.sampler.feature_sampler import FeatureKernelSampler
 
@@ -17,6 +17,8 @@ FAMILIES = ("rough", "blocks", "up", "down")
 SPEED = "mean_speed_mps"  # on the base setting
 MEAN = Survival().name  # the feature that is also the prior
 OPTIONS: dict[str, Any] = {"prior": MEAN}
+COVERED_OPTIONS: dict[str, Any] = {"prior": Coverage(()).name}
+LONGER = "_long"  # families of many and long walks, for those that survive the first ones
 
 
 def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ...]:
@@ -26,6 +28,17 @@ def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ..
     """
     each = (Survival((family,), family, survivors=True) for family in families)
     return (Survival(families, survivors=True), *each, SPEED)
+
+
+def covered_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ...]:
+    """Place in the order that covers these grounds, survival of each, and the speed.
+
+    The survival of a ground is that of its two families on average: few walks, and many long ones.
+    """
+    each = tuple(
+        Survival((family, f"{family}{LONGER}"), family, survivors=True) for family in families
+    )
+    return (Coverage(each), *each, SPEED)
 
 
 def survival_table(path: str | Path, families: tuple[str, ...] = FAMILIES) -> FeatureTable:

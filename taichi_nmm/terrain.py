@@ -45,6 +45,7 @@ Amplitude: TypeAlias = Annotated[float, Range(0.0, 1.0)]
 Spacing: TypeAlias = Annotated[float, Range(0.1, 100.0)]
 FlatStart: TypeAlias = Annotated[float, Range(0.0, 100.0)]
 Slope: TypeAlias = Annotated[float, Range(0.001, 1.0)]
+Rise: TypeAlias = Annotated[float, Range(-1.0, 1.0)]
 Direction: TypeAlias = Literal["up", "down"]
 
 
@@ -81,12 +82,16 @@ def rough(
     amplitude_m: Amplitude = 0.08,
     spacing_m: Spacing = 1.0,
     flat_start_m: FlatStart = FLAT_START_M,
+    slope: Rise = 0.0,
 ) -> Terrain:
-    """Knots every `spacing_m`, each +-`amplitude_m` from the last, linear in between."""
+    """Knots every `spacing_m`, each +-`amplitude_m` from the last, linear in between.
+
+    All of it rises by `slope` (0.04 = 4 %) from the end of the flat start on.
+    """
     _positive(spacing_m=spacing_m)
-    knots_x, knots = _random_walk(seed, amplitude_m, spacing_m, flat_start_m)
+    knots_x, knots = _random_walk(seed, amplitude_m, spacing_m, flat_start_m, slope)
     height = np.interp(GRID_X_M, knots_x, knots)
-    return Terrain(f"rough +-{amplitude_m:g} m every {spacing_m:g} m", height)
+    return Terrain(f"rough +-{amplitude_m:g} m every {spacing_m:g} m{_rising(slope)}", height)
 
 
 def blocks(
@@ -95,20 +100,21 @@ def blocks(
     spacing_m: Spacing = 1.0,
     riser_m: Annotated[float, Range(GRID_SPACING_M, 100.0)] = 0.10,
     flat_start_m: FlatStart = FLAT_START_M,
+    slope: Rise = 0.0,
 ) -> Terrain:
     """Level blocks of `spacing_m`, each +-`amplitude_m` from the last, joined by short risers.
 
     A riser lies at the end of its block and is `riser_m` long: from one grid cell to a whole block
-    (which is the rough ground).
+    (which is the rough ground). Each block is higher by `slope` of its length besides.
     """
     _positive(spacing_m=spacing_m)
     if not GRID_SPACING_M <= riser_m <= spacing_m:
         raise InputError("terrain.riser_m", riser_m, f"{GRID_SPACING_M} to {spacing_m} (spacing_m)")
-    knots_x, knots = _random_walk(seed, amplitude_m, spacing_m, flat_start_m)
+    knots_x, knots = _random_walk(seed, amplitude_m, spacing_m, flat_start_m, slope)
     starts = np.column_stack([knots_x[1:] - riser_m, knots_x[1:]]).ravel()
     levels = np.column_stack([knots[:-1], knots[1:]]).ravel()
     height = np.interp(GRID_X_M, starts, levels)
-    return Terrain(f"blocks +-{amplitude_m:g} m, risers {riser_m:g} m", height)
+    return Terrain(f"blocks +-{amplitude_m:g} m, risers {riser_m:g} m{_rising(slope)}", height)
 
 
 def ramp(
@@ -240,17 +246,28 @@ def _check_option(table: Table, hint: Any, parameter: Parameter) -> None:
 
 
 def _random_walk(
-    seed: int | np.random.SeedSequence, amplitude_m: float, spacing_m: float, flat_start_m: float
+    seed: int | np.random.SeedSequence,
+    amplitude_m: float,
+    spacing_m: float,
+    flat_start_m: float,
+    slope: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Knots from the end of the flat start on: positions and heights, [k] and [k]."""
     if not 0 <= amplitude_m < math.inf:
         raise InputError("terrain.amplitude_m", amplitude_m, "a finite number, zero or more")
+    if not math.isfinite(slope):
+        raise InputError("terrain.slope", slope, "a finite number")
     _within_grid(flat_start_m)
     count = int(np.ceil((GRID_END_M - flat_start_m) / spacing_m)) + 1
     rng = np.random.default_rng(seed)
     steps = rng.uniform(-amplitude_m, amplitude_m, count - 1)
     knots_x = flat_start_m + spacing_m * np.arange(count, dtype=np.float64)
-    return knots_x, np.concatenate([[0.0], np.cumsum(steps)])
+    return knots_x, np.concatenate([[0.0], np.cumsum(steps + slope * spacing_m)])
+
+
+def _rising(slope: float) -> str:
+    """What the name of a ground says of its slope; of none, nothing."""
+    return f", rising {100 * slope:g} %" if slope else ""
 
 
 def _positive(**values: float) -> None:

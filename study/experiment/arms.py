@@ -18,7 +18,7 @@ from study.experiment.task import Task
 from study.sampler.dog_sampler import PAPER
 from study.sampler.feature_sampler import FeatureKernelSampler
 from study.sampler.random_sampler import ReproducibleRandomSampler
-from study.survival import FAMILIES, survival_features
+from study.survival import COVERED_OPTIONS, FAMILIES, covered_features, survival_features
 from study.survival import OPTIONS as BEST
 from taichi_nmm.errors import InputError
 
@@ -245,6 +245,15 @@ _ALL = (
     _best_arm("best-ramps", "best, ramps' store", "best, on another family", "ramps",
               ("up", "down")),
     *(_best_without(kind) for kind in RELATIVES),
+    _table_arm(
+        "best-worlds", "best, worlds' store",
+        "best, on worlds that differ, with evolved candidates", "worlds", covered_features(),
+        **COVERED_OPTIONS,
+    ),
+    _ordered_arm(
+        "score-first-worlds", "best covering score first",
+        "rows that cover all grounds of worlds first", "worlds", (covered_features()[0], TIES),
+    ),
 )  # fmt: skip
 
 ARMS: dict[str, Arm] = {arm.name: arm for arm in _ALL}

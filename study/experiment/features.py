@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from storage.schema import evaluated_name
 from storage.store import Store
+from study.experiment.coverage import earliness
 from study.feature_table import FeatureTable
 from taichi_nmm.errors import InputError
 
@@ -47,7 +48,20 @@ class Survival:
         return self.families or known
 
 
-Feature = str | Survival
+@dataclass(frozen=True)
+class Coverage:
+    """How early a row comes in the order that covers several grounds (`covering_order`).
+
+    Attributes:
+        grounds: survival of each.
+        name: of the feature.
+    """
+
+    grounds: tuple[Survival, ...]
+    name: str = "coverage"
+
+
+Feature = str | Survival | Coverage
 """A column's name, or what is computed of several."""
 
 
@@ -56,10 +70,12 @@ def name_of(feature: Feature) -> str:
     return feature if isinstance(feature, str) else feature.name
 
 
-def definition_of(feature: Feature) -> str | list[str]:
+def definition_of(feature: Feature) -> Any:
     """What a feature is, as JSON values."""
     if isinstance(feature, str):
         return feature
+    if isinstance(feature, Coverage):
+        return [feature.name, *map(definition_of, feature.grounds)]
     families = feature.families or ("all families",)
     return [feature.name, *families, *(["survivors only"] if feature.survivors else [])]
 
@@ -70,8 +86,11 @@ def check_feature(feature: Feature, store: Store) -> None:
     Raises:
         InputError: naming the store and the column.
     """
-    if not isinstance(feature, str):
+    if isinstance(feature, Survival):
         feature.families_of(store)
+    elif isinstance(feature, Coverage):
+        for ground in feature.grounds:
+            check_feature(ground, store)
     elif feature not in store.columns:
         raise InputError("store", str(store.path), f"a store with the column {feature}")
 
@@ -80,6 +99,9 @@ def feature_values(feature: Feature, store: Store) -> Floats:
     """The feature of every row, NaN where the row is left out, [n]."""
     if isinstance(feature, str):
         return np.asarray(_columns(store, [feature])[0])
+    if isinstance(feature, Coverage):
+        grounds = [feature_values(ground, store) for ground in feature.grounds]
+        return earliness(np.column_stack(grounds))
     families = feature.families_of(store)
     values = _columns(store, [f"{family}{COLUMN_END}" for family in families]).mean(axis=0)
     if feature.survivors:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.experiment.experiment import Experiment, read_experiment
-from study.survival import FAMILIES
+from study.survival import FAMILIES, LONGER
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table
 from taichi_nmm.parameters import gain_rows, lower_bounds, upper_bounds
@@ -118,6 +118,10 @@ def write_store(path: Path, **changes: Any) -> None:
         "body": {"disturbance": 0.15},
     }
     families = {name: settings | {"seed": seed} for seed, name in enumerate(FAMILIES)}
+    families |= {
+        f"{name}{LONGER}": settings | {"after": name, "min_survived_fraction": 0.5}
+        for name in FAMILIES
+    }
     data = {"samples": STORE_ROWS, "seed": 3, "robust": settings, "families": families} | changes
     precompute(read_specification(Table(data)), path)
 
@@ -143,6 +147,7 @@ robust = "{store}"
 mild = "{store}"
 ramps = "{store}"
 diverse = "{store}"
+worlds = "{store}"
 """
 
 

@@ -99,6 +99,25 @@ def test_no_amplitude_is_flat(make: Callable[..., Terrain]) -> None:
     assert not np.any(make(1, amplitude_m=0.0).height_m)
 
 
+@pytest.mark.parametrize("slope", [0.04, -0.1])
+def test_rough_ground_may_rise_as_a_whole(slope: float) -> None:
+    level, rising = (
+        terrain.rough(5, flat_start_m=3.0),
+        terrain.rough(5, flat_start_m=3.0, slope=slope),
+    )
+    rise = slope * np.maximum(GRID_X_M - 3.0, 0.0)
+    np.testing.assert_allclose(rising.height_m - level.height_m, rise, atol=1e-12)
+
+
+def test_blocks_stay_level_where_they_rise_as_a_whole() -> None:
+    level, rising = terrain.blocks(5), terrain.blocks(5, slope=0.04)
+    on_blocks = np.diff(level.height_m) == 0.0
+    np.testing.assert_allclose(np.diff(rising.height_m)[on_blocks], 0.0, atol=1e-12)
+    ends = np.arange(terrain.FLAT_START_M, 290.0)  # of risers
+    rise = rising.height(ends) - level.height(ends)
+    np.testing.assert_allclose(rise, 0.04 * (ends - terrain.FLAT_START_M), atol=1e-12)
+
+
 @pytest.mark.parametrize(("direction", "sign"), [("up", 1.0), ("down", -1.0)])
 def test_ramp_steepens_by_the_increment_each_segment(direction: str, sign: float) -> None:
     ground = terrain.ramp(0.04, 20.0, 0.20, direction)
@@ -171,6 +190,8 @@ BAD_SETTINGS: list[tuple[Callable[[], Terrain], str]] = [
     (lambda: terrain.rough(1, spacing_m=np.inf), "spacing_m"),
     (lambda: terrain.rough(1, flat_start_m=np.nan), "flat_start_m"),
     (lambda: terrain.rough(1, flat_start_m=400.0), "flat_start_m"),
+    (lambda: terrain.rough(1, slope=np.nan), "slope"),
+    (lambda: terrain.blocks(1, slope=-np.inf), "slope"),
     (lambda: terrain.blocks(1, spacing_m=-1.0), "spacing_m"),
     (lambda: terrain.blocks(1, riser_m=0.04), "riser_m"),
     (lambda: terrain.blocks(1, riser_m=1.1), "riser_m"),
@@ -208,6 +229,7 @@ def test_settings_out_of_range_are_named(make: Callable[[], Terrain], field: str
             {"kind": "blocks", "amplitude_m": 0.03, "riser_m": 0.25},
             terrain.blocks(SEED, 0.03, riser_m=0.25),
         ),
+        ({"kind": "rough", "slope": -0.05}, terrain.rough(SEED, slope=-0.05)),
         (
             {"kind": "ramp", "increment": 0.025, "direction": "down"},
             terrain.ramp(0.025, direction="down"),
@@ -243,6 +265,7 @@ def test_a_terrain_is_read_from_a_file(tmp_path: Path) -> None:
         ({"kind": "rough", "riser_m": 0.1}, "riser_m"),
         ({"kind": "rough", "amplitude_m": -0.1}, "amplitude_m"),
         ({"kind": "rough", "spacing_m": 0.0}, "spacing_m"),
+        ({"kind": "rough", "slope": 1.5}, "slope"),
         ({"kind": "blocks", "riser_m": 0.01}, "riser_m"),
         ({"kind": "blocks", "riser_m": 2.0}, "riser_m"),
         ({"kind": "ramp", "increment": "steep"}, "increment"),

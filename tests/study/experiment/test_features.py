@@ -8,9 +8,10 @@ import pytest
 
 from storage.store import Store, open_store
 from study.experiment.arms import ARMS, RELATIVES
-from study.experiment.features import Survival, check_feature, feature_values
+from study.experiment.coverage import earliness
+from study.experiment.features import Coverage, Feature, Survival, check_feature, feature_values
 from study.experiment.stores import candidates
-from study.survival import FAMILIES
+from study.survival import FAMILIES, LONGER
 from study.survival import OPTIONS as BEST
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
@@ -36,6 +37,15 @@ def test_survival_is_the_mean_over_the_families_of_a_store(
     np.testing.assert_array_equal(feature_values(Survival(("up",)), store), up)
 
 
+def test_coverage_is_of_the_survival_of_each_ground(fake_simulator: None, tmp_path: Path) -> None:
+    store = write(tmp_path / "store", ("up", "down"))
+    grounds = tuple(Survival((name,), name, survivors=True) for name in ("up", "down"))
+    survival = np.column_stack([feature_values(ground, store) for ground in grounds])
+    covered = feature_values(Coverage(grounds), store)
+    np.testing.assert_array_equal(covered, earliness(survival))
+    assert np.isnan(covered).any()
+
+
 @pytest.mark.filterwarnings("error:FeatureTable")
 def test_rows_that_no_family_ran_are_left_out(comparisons: Comparisons) -> None:
     store = write(comparisons.folder / "strict", FAMILIES)
@@ -58,11 +68,12 @@ def test_rows_that_no_family_ran_are_left_out(comparisons: Comparisons) -> None:
         (Survival(), "robust_survived_fraction_mean"),
         (Survival(("up", "rough")), "rough_survived_fraction_mean"),
         (Survival(("rough",), survivors=True), "rough_survived_fraction_mean"),
+        (Coverage((Survival(("up",)), Survival(("down",)))), "down_survived_fraction_mean"),
         ("phi_reprinted", "phi_reprinted"),
     ],
 )
 def test_a_store_without_what_a_feature_needs(
-    feature: str | Survival, column: str, fake_simulator: None, tmp_path: Path
+    feature: Feature, column: str, fake_simulator: None, tmp_path: Path
 ) -> None:
     store = write(tmp_path / "store", () if feature == Survival() else ("up",))
     check_feature("mean_speed_mps", store)
@@ -81,6 +92,14 @@ def test_the_best_arm_is_what_its_definition_says() -> None:
         *([name, name, "survivors only"] for name in FAMILIES),
         "mean_speed_mps",
     ]
+
+
+def test_the_best_arm_of_worlds_takes_each_ground_by_its_few_and_its_long_walks() -> None:
+    each = [[name, name, f"{name}{LONGER}", "survivors only"] for name in FAMILIES]
+    for name, ties in (("best-worlds", "mean_speed_mps"), ("score-first-worlds", "phi_corrected")):
+        coverage, *_, last = ARMS[name].definition["features"]
+        assert coverage == ["coverage", *each] and last == ties
+    assert ARMS["best-worlds"].definition["features"][1:-1] == each
 
 
 @pytest.mark.parametrize("kind", RELATIVES)
