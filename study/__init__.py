@@ -10,13 +10,14 @@ if TYPE_CHECKING:
     from study.feature_table import FeatureTable
     from study.sampler.dog_sampler import DoGSampler
     from study.sampler.feature_sampler import FeatureKernelSampler
-    from study.survival import SurvivalSampler, survival_table
+    from study.survival import SurvivalSampler, covered_table, survival_table
 
 __all__ = [
     "DoGSampler",
     "FeatureKernelSampler",
     "FeatureTable",
     "SurvivalSampler",
+    "covered_table",
     "survival_table",
 ]
 
@@ -25,6 +26,7 @@ _MODULES = {
     "FeatureKernelSampler": "study.sampler.feature_sampler",
     "FeatureTable": "study.feature_table",
     "SurvivalSampler": "study.survival",
+    "covered_table": "study.survival",
     "survival_table": "study.survival",
 }
 

@@ -18,7 +18,9 @@ SPEED = "mean_speed_mps"  # on the base setting
 MEAN = Survival().name  # the feature that is also the prior
 OPTIONS: dict[str, Any] = {"prior": MEAN}
 COVERED_OPTIONS: dict[str, Any] = {"prior": Coverage(()).name}
-LONGER = "_long"  # families of many and long walks, for those that survive the first ones
+# Of a store of worlds, whose grounds also rise a little; each has a family of longer walks.
+GROUNDS = ("rough", "rough_rising", "blocks", "blocks_rising", "up", "down")
+LONGER = "_long"
 
 
 def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ...]:
@@ -30,15 +32,29 @@ def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ..
     return (Survival(families, survivors=True), *each, SPEED)
 
 
-def covered_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ...]:
+def covered_features(grounds: tuple[str, ...] = GROUNDS) -> tuple[Feature, ...]:
     """Place in the order that covers these grounds, survival of each, and the speed.
 
     The survival of a ground is that of its two families on average: few walks, and many long ones.
     """
     each = tuple(
-        Survival((family, f"{family}{LONGER}"), family, survivors=True) for family in families
+        Survival((ground, f"{ground}{LONGER}"), ground, survivors=True) for ground in grounds
     )
     return (Coverage(each), *each, SPEED)
+
+
+def covered_table(path: str | Path, grounds: tuple[str, ...] = GROUNDS) -> FeatureTable:
+    """The rows of a store of worlds with what tells them apart on these grounds.
+
+    Args:
+        path: of a store with a family of each ground, and one of longer walks after it; rows that
+            fell on its base setting are not proposed.
+        grounds: names of families of settings.
+
+    Raises:
+        InputError: no store, or one without these families or with other bounds.
+    """
+    return _table(path, covered_features(grounds))
 
 
 def survival_table(path: str | Path, families: tuple[str, ...] = FAMILIES) -> FeatureTable:
@@ -51,9 +67,12 @@ def survival_table(path: str | Path, families: tuple[str, ...] = FAMILIES) -> Fe
     Raises:
         InputError: no store, or one without these families or with other bounds.
     """
+    return _table(path, survival_features(families))
+
+
+def _table(path: str | Path, features: tuple[Feature, ...]) -> FeatureTable:
     store = open_store(path)
     store.require_bounds()
-    features = survival_features(families)
     for feature in features:
         check_feature(feature, store)
     ranges = store.specification["gains"]
@@ -62,14 +81,16 @@ def survival_table(path: str | Path, families: tuple[str, ...] = FAMILIES) -> Fe
 
 
 class SurvivalSampler(FeatureKernelSampler):
-    """Survival of each family as features, and their mean as the ranking that is tried first.
+    """Survival of each family as features; their mean, or what covers them, ranks the first trials.
 
     Args:
-        table: of `survival_table`, or any with a feature "survival" whose high values are good.
+        table: of `covered_table` or `survival_table`, or any with a feature "coverage" or
+            "survival" whose high values are good.
         seed: of all draws; None takes one from the machine's entropy.
         **options: of `FeatureKernelSampler`, for what is to differ.
     """
 
     def __init__(self, table: FeatureTable, *, seed: int | None = None, **options: Any) -> None:
         """As `FeatureKernelSampler`, with other defaults."""
-        super().__init__(table, seed=seed, **OPTIONS | options)
+        covered = COVERED_OPTIONS["prior"] in table.rows.feature_names
+        super().__init__(table, seed=seed, **(COVERED_OPTIONS if covered else OPTIONS) | options)

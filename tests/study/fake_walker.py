@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.experiment.experiment import Experiment, read_experiment
-from study.survival import FAMILIES, LONGER
+from study.survival import GROUNDS, LONGER
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table
 from taichi_nmm.parameters import gain_rows, lower_bounds, upper_bounds
@@ -117,10 +117,10 @@ def write_store(path: Path, **changes: Any) -> None:
         "terrain": {"kind": "rough", "amplitude_m": 0.08},
         "body": {"disturbance": 0.15},
     }
-    families = {name: settings | {"seed": seed} for seed, name in enumerate(FAMILIES)}
+    families = {name: settings | {"seed": seed} for seed, name in enumerate(GROUNDS)}
     families |= {
         f"{name}{LONGER}": settings | {"after": name, "min_survived_fraction": 0.5}
-        for name in FAMILIES
+        for name in GROUNDS
     }
     data = {"samples": STORE_ROWS, "seed": 3, "robust": settings, "families": families} | changes
     precompute(read_specification(Table(data)), path)

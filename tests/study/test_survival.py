@@ -10,7 +10,14 @@ import study
 from storage.store import open_store
 from study.experiment.arms import ARMS
 from study.experiment.task import Task
-from study.survival import FAMILIES, OPTIONS, SurvivalSampler, survival_table
+from study.survival import (
+    COVERED_OPTIONS,
+    FAMILIES,
+    OPTIONS,
+    SurvivalSampler,
+    covered_table,
+    survival_table,
+)
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 
@@ -38,6 +45,16 @@ def test_it_proposes_what_the_arm_of_the_comparisons_does(store: Path, tmp_path:
     ours = SurvivalSampler(survival_table(experiment.stores["diverse"]), seed=11)
     assert proposals(ours, 12) == proposals(arm.new_sampler(task), 12)
     assert arm.definition["options"] == OPTIONS
+
+
+def test_over_a_store_of_worlds_it_proposes_what_that_arm_does(store: Path, tmp_path: Path) -> None:
+    experiment = fake_walker.experiment(tmp_path)
+    arm = ARMS["best-worlds"]
+    task = Task(experiment, 11, 0, arm.store, arm.features)
+    ours = SurvivalSampler(covered_table(experiment.stores["worlds"]), seed=11)
+    assert proposals(ours, 12) == proposals(arm.new_sampler(task), 12)
+    assert arm.definition["options"] == COVERED_OPTIONS
+    assert ARMS["best"].definition["options"] == OPTIONS
 
 
 def test_rows_and_features_are_the_stores(store: Path) -> None:

@@ -11,7 +11,7 @@ from study.experiment.controls import TOP_ROWS, score_order
 from study.experiment.experiment import Experiment
 from study.experiment.saw import NOTHING, saw
 from study.experiment.task import Task
-from study.survival import FAMILIES
+from study.survival import GROUNDS
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from tests.study.conftest import Comparisons
@@ -129,5 +129,5 @@ def test_arms_say_what_their_stores_saw(comparisons: Comparisons) -> None:
     rough = "rough +-0.08 m every 1 m"
     assert saw(ARMS["best-robust"], stores) == f"{level}; bodies disturbed by 15 %: {rough}"
     # The toy's stores are one, and "robust" reads every family of it.
-    assert saw(ARMS["score-first"], stores).count(rough) == 1 + 2 * len(FAMILIES)
+    assert saw(ARMS["score-first"], stores).count(rough) == 1 + 2 * len(GROUNDS)
     assert saw(ARMS["best-without-ramps"], {}).endswith("families: rough, blocks")

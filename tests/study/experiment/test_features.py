@@ -11,7 +11,7 @@ from study.experiment.arms import ARMS, RELATIVES
 from study.experiment.coverage import earliness
 from study.experiment.features import Coverage, Feature, Survival, check_feature, feature_values
 from study.experiment.stores import candidates
-from study.survival import FAMILIES, LONGER
+from study.survival import FAMILIES, GROUNDS, LONGER
 from study.survival import OPTIONS as BEST
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
@@ -95,7 +95,7 @@ def test_the_best_arm_is_what_its_definition_says() -> None:
 
 
 def test_the_best_arm_of_worlds_takes_each_ground_by_its_few_and_its_long_walks() -> None:
-    each = [[name, name, f"{name}{LONGER}", "survivors only"] for name in FAMILIES]
+    each = [[name, name, f"{name}{LONGER}", "survivors only"] for name in GROUNDS]
     for name, ties in (("best-worlds", "mean_speed_mps"), ("score-first-worlds", "phi_corrected")):
         coverage, *_, last = ARMS[name].definition["features"]
         assert coverage == ["coverage", *each] and last == ties
