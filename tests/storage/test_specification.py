@@ -122,7 +122,7 @@ def test_document_survives_json() -> None:
         ("samples = 5\n[robust]\nsettings = 6\nmin_survival_s = 6", "robust.min_survival_s"),
         ("samples = 5\n[robust]\nsettings = 6\nsurvival = 6", "robust.survival"),
         (
-            "samples = 5\n[robust]\nsettings = 6\n[robust.terrain]\nkind = 'rough'\nslope = 1",
+            "samples = 5\n[robust]\nsettings = 6\n[robust.terrain]\nkind = 'rough'\nslope = 2",
             "robust.terrain.slope",
         ),
         (
