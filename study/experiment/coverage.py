@@ -2,9 +2,9 @@
 
 The ground of a trial is like one of a store's families, and nobody knows which. Each next candidate
 is the one that most raises the chance that at least one of those before it and itself walks, the
-mean over the families of 1 - prod(1 - chance): the greedy rule, which is never worse than 63 % of
-the best order (Nemhauser, Wolsey, Fisher 1978). It is also what Bayes's rule says after each fall:
-families on which the fallen ones hardly ever fall lose weight.
+mean over the families of 1 - prod(1 - chance): the greedy rule. Its first k have at least 63 % of
+the chance of the best k (Nemhauser, Wolsey, Fisher 1978). It is also what Bayes's rule says after
+each fall: families on which the fallen ones hardly ever fall lose weight.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """Features of a store's rows: its columns, and what is computed of several of them."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,6 +63,17 @@ class Coverage:
 
 Feature = str | Survival | Coverage
 """A column's name, or what is computed of several."""
+
+
+def survivals(features: Iterable[Feature]) -> list[Survival]:
+    """Every survival that some features are made of."""
+    found = []
+    for feature in features:
+        if isinstance(feature, Survival):
+            found.append(feature)
+        elif isinstance(feature, Coverage):
+            found.extend(feature.grounds)
+    return found
 
 
 def name_of(feature: Feature) -> str:

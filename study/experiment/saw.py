@@ -6,7 +6,7 @@ from typing import Any
 
 from storage.store import Store, open_store
 from study.experiment.arms import Arm
-from study.experiment.features import Survival
+from study.experiment.features import survivals
 from taichi_nmm.errors import InputError
 
 NOTHING = "nothing but its own trials"
@@ -25,7 +25,9 @@ def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
     try:
         return _of_store(arm, open_store(stores[arm.store]))
     except (KeyError, InputError):
-        asked = [name for survival in _survivals(arm) for name in survival.families or ("all",)]
+        asked = [
+            name for survival in survivals(arm.features) for name in survival.families or ("all",)
+        ]
         names = ", ".join(dict.fromkeys(asked))
         return f"base setting of the store {arm.store}{f'; its families: {names}' * bool(names)}"
 
@@ -33,15 +35,13 @@ def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
 def _of_store(arm: Arm, store: Store) -> str:
     specification = store.specification
     known = {"robust": specification.get("robust"), **specification.get("families", {})}
-    read = {name: known[name] for each in _survivals(arm) for name in each.families_of(store)}
+    read = {
+        name: known[name] for each in survivals(arm.features) for name in each.families_of(store)
+    }
     by_body: dict[str, list[str]] = {}
     for setting in (specification, *read.values()):
         by_body.setdefault(_body(setting), []).append(_ground(setting))
     return "; ".join(f"{body}: {'; '.join(grounds)}" for body, grounds in by_body.items())
-
-
-def _survivals(arm: Arm) -> list[Survival]:
-    return [feature for feature in arm.features if isinstance(feature, Survival)]
 
 
 def _ground(setting: dict[str, Any]) -> str:
@@ -51,4 +51,5 @@ def _ground(setting: dict[str, Any]) -> str:
 
 def _body(setting: dict[str, Any]) -> str:
     percent = 100.0 * setting["body"]["disturbance"]
-    return f"bodies disturbed by {percent:g} %" if percent else "undisturbed body"
+    body = f"bodies disturbed by {percent:g} %" if percent else "undisturbed body"
+    return f"{body}, in worlds that differ" if "world" in setting else body

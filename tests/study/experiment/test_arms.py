@@ -1,6 +1,7 @@
 """Every arm proposes within the bounds, always the same, and goes on after a restart."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from study.experiment.controls import TOP_ROWS, score_order
 from study.experiment.experiment import Experiment
 from study.experiment.saw import NOTHING, saw
 from study.experiment.task import Task
-from study.survival import GROUNDS
+from study.survival import GROUNDS, LONGER
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
+from tests.study import fake_walker
 from tests.study.conftest import Comparisons
 
 pytestmark = pytest.mark.slow
@@ -131,3 +133,20 @@ def test_arms_say_what_their_stores_saw(comparisons: Comparisons) -> None:
     # The toy's stores are one, and "robust" reads every family of it.
     assert saw(ARMS["score-first"], stores).count(rough) == 1 + 2 * len(GROUNDS)
     assert saw(ARMS["best-without-ramps"], {}).endswith("families: rough, blocks")
+
+
+def test_an_order_that_covers_grounds_has_seen_them(tmp_path: Path, fake_simulator: None) -> None:
+    world = {"world": {"friction": [0.6, 1.0]}, "min_survival_s": 1.0}
+    first = world | {"settings": 1, "body": {"disturbance": 0.2}}
+    families = {name: first for name in GROUNDS}
+    families |= {
+        f"{name}{LONGER}": first | {"after": name, "min_survived_fraction": 0.5} for name in GROUNDS
+    }
+    fake_walker.write_store(tmp_path / "worlds", families=families)
+    stores = {"worlds": tmp_path / "worlds"}
+    seen = saw(ARMS["score-first-worlds"], stores)
+    assert seen == saw(ARMS["best-worlds"], stores)
+    grounds = "; ".join(["level ground"] * 2 * len(GROUNDS))
+    assert seen.endswith(f"bodies disturbed by 20 %, in worlds that differ: {grounds}")
+    last = GROUNDS[-1]
+    assert saw(ARMS["score-first-worlds"], {}).endswith(f", {last}, {last}{LONGER}")
