@@ -1,6 +1,8 @@
 """The sampler that did best, outside the comparisons."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import optuna
@@ -10,6 +12,7 @@ import study
 from storage.store import open_store
 from study.experiment.arms import ARMS
 from study.experiment.task import Task
+from study.feature_table import FeatureTable
 from study.survival import (
     COVERED_OPTIONS,
     FAMILIES,
@@ -38,23 +41,26 @@ def proposals(sampler: optuna.samplers.BaseSampler, count: int) -> list[int]:
     return [trial.user_attrs["row"] for trial in made.trials]
 
 
-def test_it_proposes_what_the_arm_of_the_comparisons_does(store: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "table", "options"),
+    [
+        ("best", survival_table, OPTIONS),
+        ("best-worlds", covered_table, COVERED_OPTIONS),
+    ],
+)
+def test_it_proposes_what_the_arm_of_the_comparisons_does(
+    name: str,
+    table: Callable[[Path], FeatureTable],
+    options: dict[str, Any],
+    tmp_path: Path,
+    store: Path,
+) -> None:
     experiment = fake_walker.experiment(tmp_path)
-    arm = ARMS["best"]
+    arm = ARMS[name]
     task = Task(experiment, 11, 0, arm.store, arm.features)
-    ours = SurvivalSampler(survival_table(experiment.stores["diverse"]), seed=11)
+    ours = SurvivalSampler(table(experiment.stores[arm.store]), seed=11)
     assert proposals(ours, 12) == proposals(arm.new_sampler(task), 12)
-    assert arm.definition["options"] == OPTIONS
-
-
-def test_over_a_store_of_worlds_it_proposes_what_that_arm_does(store: Path, tmp_path: Path) -> None:
-    experiment = fake_walker.experiment(tmp_path)
-    arm = ARMS["best-worlds"]
-    task = Task(experiment, 11, 0, arm.store, arm.features)
-    ours = SurvivalSampler(covered_table(experiment.stores["worlds"]), seed=11)
-    assert proposals(ours, 12) == proposals(arm.new_sampler(task), 12)
-    assert arm.definition["options"] == COVERED_OPTIONS
-    assert ARMS["best"].definition["options"] == OPTIONS
+    assert arm.definition["options"] == options
 
 
 def test_rows_and_features_are_the_stores(store: Path) -> None:
