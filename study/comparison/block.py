@@ -9,7 +9,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import optuna
@@ -26,11 +26,10 @@ from study.comparison.results import (
     state_table,
     walkers,
 )
+from study.comparison.walks import Walks
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment
-from study.experiment.objective import costs, finite
 from study.experiment.one_study import OneStudy, shown
-from study.experiment.simulation import simulate_trials
 from study.sampler.history import OFF_TABLE, ROW_ATTRIBUTE
 
 
@@ -44,6 +43,7 @@ class Block:
         known: their finished trials, `STATE_SCHEMA`; of studies that are handed on, none.
         trials: that each is to have.
         handed_on: the studies themselves, of an earlier `Advanced`; None: made of what is known.
+        walks: of that `Advanced`.
     """
 
     experiment: Experiment
@@ -51,6 +51,7 @@ class Block:
     known: pa.Table
     trials: int
     handed_on: tuple[optuna.Study, ...] | None = None
+    walks: Walks = field(default_factory=Walks)
 
 
 @dataclass(frozen=True)
@@ -61,10 +62,12 @@ class Advanced:
         table: the trials that its studies lacked, `STATE_SCHEMA`.
         studies: with all their trials, in the block's order; they spare the next stretch to ask
             again for what libraries keep a state of.
+        walks: all of the block so far; they spare the next stretch to simulate them again.
     """
 
     table: pa.Table
     studies: tuple[optuna.Study, ...]
+    walks: Walks
 
 
 def advance(block: Block) -> Advanced:
@@ -73,7 +76,7 @@ def advance(block: Block) -> Advanced:
     Raises:
         InputError: what a sampler or the simulator refuses.
     """
-    experiment = block.experiment
+    experiment, walks = block.experiment, block.walks
     with _quiet():
         memories = block.handed_on or (None,) * len(block.studies)
         studies = {
@@ -81,7 +84,7 @@ def advance(block: Block) -> Advanced:
             for (arm, run), memory in zip(block.studies, memories, strict=True)
         }
         for arm, run, table in by_study(block.known):
-            _restore(experiment, studies[arm, run], table)
+            _restore(experiment, studies[arm, run], table, walks)
         ended = walkers(block.known) if experiment.until_walker else set()
         tables = [STATE_SCHEMA.empty_table()]
         while open_studies := [
@@ -89,23 +92,23 @@ def advance(block: Block) -> Advanced:
             for key, study in studies.items()
             if study.trials < block.trials and key not in ended
         ]:
-            tables.append(_round(experiment, open_studies))
+            tables.append(_round(experiment, open_studies, walks))
             if experiment.until_walker:
                 ended |= walkers(tables[-1])
-        return Advanced(pa.concat_tables(tables), tuple(s.hand_on() for s in studies.values()))
+        handed_on = tuple(study.hand_on() for study in studies.values())
+        return Advanced(pa.concat_tables(tables), handed_on, walks)
 
 
-def _restore(experiment: Experiment, study: OneStudy, table: pa.Table) -> None:
+def _restore(experiment: Experiment, study: OneStudy, table: pa.Table, walks: Walks) -> None:
     """Give a study its trials of earlier sessions."""
-    gains, rows = gains_of(experiment, table).tolist(), outcomes_of(table)
-    for place, (cost, notes) in enumerate(
-        zip(table["cost"].to_pylist(), table[NOTES].to_pylist(), strict=True)
-    ):
+    gains, rows, cost = gains_of(experiment, table), outcomes_of(table), table["cost"].to_numpy()
+    walks.add(study.run, gains, rows, cost)
+    for place, notes in enumerate(table[NOTES].to_pylist()):
         noted = json.loads(notes) | shown(study.arm, rows[place : place + 1])
-        study.restore(gains[place], cost, noted)
+        study.restore(gains[place].tolist(), float(cost[place]), noted)
 
 
-def _round(experiment: Experiment, studies: list[OneStudy]) -> pa.Table:
+def _round(experiment: Experiment, studies: list[OneStudy], walks: Walks) -> pa.Table:
     """One trial of each study: proposed, simulated together, told, and written down."""
     asked, notes, seconds = [], [], []
     trials = [study.trials for study in studies]
@@ -115,8 +118,7 @@ def _round(experiment: Experiment, studies: list[OneStudy]) -> pa.Table:
         notes.append(study.noted())
         seconds.append(time.perf_counter() - began_s)
     runs, gains = [study.run for study in studies], np.array(asked, dtype=np.float64)
-    rows = finite(simulate_trials(experiment, runs, gains).rows)
-    cost = costs(rows, experiment.cost)
+    rows, cost = walks.walk(experiment, runs, gains)
     for place, study in enumerate(studies):
         study.tell(float(cost[place]), rows[place : place + 1])
     columns = {

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-import optuna
 import pyarrow as pa
 
 from storage.databases.studies import URL_PREFIX
 from storage.pool import Pool, local_pool
 from study.command import require_engine
-from study.comparison.block import Block, advance
+from study.comparison.block import Advanced, Block, advance
 from study.comparison.database import Summarise, check_database, export
 from study.comparison.experiment_folder import DATABASE_NAME, ExperimentFolder
 from study.comparison.finished import FinishedTrials, Progress
@@ -160,23 +159,24 @@ def _checkpoints(
             experiment, studies, finished.known(studies), min(least + STRETCH_TRIALS, trials)
         )
 
-    def next_stretch(block: Block, studies: Sequence[optuna.Study]) -> Iterator[Block]:
+    def next_stretch(block: Block, advanced: Advanced) -> Iterator[Block]:
         going_on = [
             (key, study)
-            for key, study in zip(block.studies, studies, strict=True)
+            for key, study in zip(block.studies, advanced.studies, strict=True)
             if finished.lacks(key, trials)
         ]
         if going_on:
             keys, handed_on = zip(*going_on, strict=True)
             target = min(block.trials + STRETCH_TRIALS, trials)
-            yield Block(experiment, keys, block.known.slice(0, 0), target, handed_on)
+            nothing = block.known.slice(0, 0)
+            yield Block(experiment, keys, nothing, target, handed_on, advanced.walks)
 
     unfinished = [key for key in finished.studies if finished.lacks(key, trials)]
     units = deque(map(first_stretch, cut(unfinished, pool.slots)))
     written_s = time.monotonic()
     for block, advanced in pool.results(advance, units):
         finished.add(advanced.table)
-        units.extend(next_stretch(block, advanced.studies))
+        units.extend(next_stretch(block, advanced))
         report(finished.progress(trials))
         if time.monotonic() - written_s >= CHECKPOINT_S:
             finished.commit()
