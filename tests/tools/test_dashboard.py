@@ -18,7 +18,7 @@ import pytest
 
 from storage.databases.bulk import FinishedStudy, attach, write_studies
 from storage.databases.studies import open_studies
-from study.command import run_command
+from study.guard import run_command
 
 pytestmark = pytest.mark.slow
 
