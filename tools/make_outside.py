@@ -27,7 +27,7 @@ with guarded_imports():
     from study.benchmarks.outside.definition import Settings
     from study.benchmarks.outside.making import make
     from study.benchmarks.outside.outside_problem import file_of
-    from study.options import Options
+    from study.command_options import Options
     from taichi_nmm.errors import InputError
 
 

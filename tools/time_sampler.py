@@ -32,8 +32,8 @@ with guarded_imports():
     from study.benchmarks import comparison_report, sampler_timing
     from study.benchmarks.run_cache import ONE_THREAD, ROOT, torch_is_installed
     from study.benchmarks.sampler_timing import Case, Measured
+    from study.command_options import Options
     from study.experiment.experiment import MOST_TRIALS
-    from study.options import Options
     from taichi_nmm.errors import InputError
 
 # Milliseconds of the processor, by sampler and number of features.

@@ -31,8 +31,8 @@ with guarded_imports():
     from storage.sobol import sobol_gains
     from study.benchmarks.figure import Figure, page
     from study.command import require_engine
+    from study.command_options import LARGEST_SEED, Options
     from study.experiment.objective import walked
-    from study.options import LARGEST_SEED, Options
     from taichi_nmm import (
         K_T,
         Bodies,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from study.benchmarks.run_cache import ROOT, chosen
-from study.options import MOST_WORKERS, Options
+from study.command_options import MOST_WORKERS, Options
 
 MOST_SEEDS, MOST_TRIALS = 10_000, 100_000
 

@@ -4,8 +4,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from study.command_options import summary
 from study.guard import EXIT_BAD_INPUT, run
-from study.options import summary
 
 PROGRAM = "taichi-nmm"
 

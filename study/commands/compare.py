@@ -17,10 +17,10 @@ from tqdm import tqdm
 
 from storage.databases.studies import public_url
 from study.command import default_workers
+from study.command_options import LARGEST_SEED, Options
 from study.comparison.compare import Outcome, Request, compare
 from study.comparison.finished import Progress
 from study.experiment.experiment import MOST_RUNS, MOST_TRIALS, Experiment, read_experiment
-from study.options import LARGEST_SEED, Options
 from study.report.lines import arms_documents, arms_text
 from study.report.notes import dashboard_summary
 from study.report.numbers import numbers

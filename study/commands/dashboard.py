@@ -20,8 +20,8 @@ from optuna.artifacts import FileSystemArtifactStore
 
 from storage.databases.studies import URL_PREFIX as SQLITE
 from storage.databases.studies import open_studies, shown_url, studies_path
+from study.command_options import Options
 from study.comparison.experiment_folder import ARTIFACTS_NAME, DATABASE_NAME
-from study.options import Options
 from taichi_nmm.errors import InputError
 
 EXPERIMENTS = Path("out") / "compare"

@@ -9,7 +9,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from storage.store import open_store
-from study.options import Options
+from study.command_options import Options
 from study.pictures.store_map import draw_store
 from study.pictures.style import save_png
 

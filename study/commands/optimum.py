@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from study.command import default_workers
+from study.command_options import Options
 from study.comparison.finished import Progress
 from study.experiment.experiment import (
     MOST_GENERATIONS,
@@ -25,7 +26,6 @@ from study.experiment.experiment import (
 from study.optimum.estimate import Reports, estimate
 from study.optimum.generations import CmaesProgress
 from study.optimum.optimum_folder import OPTIMUM_NAME
-from study.options import Options
 from taichi_nmm.settings import ARCHITECTURES
 
 

@@ -17,7 +17,7 @@ from storage.precompute import Summary, precompute
 from storage.sobol import LARGEST_SEQUENCE
 from storage.specification import read_specification
 from study.command import default_workers, require_engine
-from study.options import Options
+from study.command_options import Options
 from taichi_nmm.config import read_toml
 from taichi_nmm.settings import ARCHITECTURES
 

@@ -21,10 +21,10 @@ from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.command import require_engine
+from study.command_options import Options
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, read_experiment, study_name
 from study.experiment.simulation import simulate_trials
-from study.options import Options
 from study.runner import run_study
 from study.shipped import config_path
 from study.summary import best_gains, dashboard_command, progress_line, study_line

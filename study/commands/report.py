@@ -12,8 +12,8 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
+from study.command_options import Options
 from study.experiment.identity import documented_experiment
-from study.options import Options
 from study.report.before_after import Pair, before_and_after
 from study.report.estimate_line import find_optimum
 from study.report.facts import known_stores

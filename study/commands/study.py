@@ -18,10 +18,10 @@ import optuna
 from storage.commit import commit_json, writable
 from storage.databases.studies import only_run, open_studies, shown_url, storage_errors
 from study.command import require_engine
+from study.command_options import LARGEST_SEED, Options
 from study.experiment.arms import ARMS, find_arm
 from study.experiment.check import check_arms
 from study.experiment.experiment import MOST_TRIALS, Experiment, read_experiment, study_name
-from study.options import LARGEST_SEED, Options
 from study.runner import run_study
 from study.summary import best_gains, progress_line, summary, summary_text
 from taichi_nmm.errors import InputError

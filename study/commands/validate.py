@@ -17,8 +17,8 @@ from tqdm import tqdm
 import taichi_nmm
 from storage.sobol import sobol_gains
 from study.benchmarks.figure import Figure, page
+from study.command_options import LARGEST_SEED, Options
 from study.experiment.experiment import MOST_RUNS
-from study.options import LARGEST_SEED, Options
 from taichi_nmm import Bodies, Settings, terrain
 from taichi_nmm.result import COMPLETED
 

@@ -25,10 +25,10 @@ from tqdm import tqdm
 import taichi_nmm
 from storage.commit import writable
 from study.command import require_engine
+from study.command_options import LARGEST_SEED, Options
 from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
 from study.experiment.objective import outcome_text
 from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial
-from study.options import LARGEST_SEED, Options
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
 from study.report.before_after import Pair, Shown
 from study.report.strips import write_strips

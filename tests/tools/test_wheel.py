@@ -48,7 +48,7 @@ class Installed:
         sites = subprocess.check_output(
             [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], text=True
         )
-        # Packages of this environment are seen, its .pth files, which lead to the checkout, are not.
+        # Packages of this environment are seen; its .pth files, which know the checkout, are not.
         (Path(sites.strip()) / "others.pth").write_text(sysconfig.get_path("purelib"))
         pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", python]
         options = ["--no-deps", "--no-index", "--ignore-installed"]
@@ -106,9 +106,7 @@ def test_configurations_are_listed_by_name(installed: Installed) -> None:
     names = [line.split()[0] for line in (*stores, *others)]
     assert sorted(names) == sorted(path.stem for path in (ROOT / "configs").glob("*.toml"))
     assert any(line.startswith("store-diverse ") for line in stores)
-    assert any(
-        line.startswith("rough8-smooth ") and "first experiment" in line for line in others
-    )
+    assert any(line.startswith("rough8-smooth ") and "first experiment" in line for line in others)
 
 
 def test_the_main_job_is_done_by_name(installed: Installed) -> None:
