@@ -1,6 +1,6 @@
 """Compare samplers on the walker: the same bodies and grounds for each, going on side by side.
 
-    python tools/compare.py --config configs/rough8-smooth.toml --arms dog,random --runs 10
+    taichi-nmm compare --config rough8-smooth --arms dog,random --runs 10
 
 writes trials.parquet and proposal_times.parquet to the folder --out. Stop it when you like; the
 same command goes on where it stopped, and more arms, runs or trials can be asked for later. Exit

@@ -1,8 +1,8 @@
 """Open optuna-dashboard on an experiment's studies, with their pictures and films.
 
-    python tools/dashboard.py                         # the newest folder in out/compare
-    python tools/dashboard.py out/compare/rough8-smooth
-    python tools/dashboard.py --storage postgresql+psycopg://me@host/walker --artifacts DIR
+    taichi-nmm dashboard                         # the newest folder in out/compare
+    taichi-nmm dashboard out/compare/rough8-smooth
+    taichi-nmm dashboard --storage postgresql+psycopg://me@host/walker --artifacts DIR
 
 It serves this machine only (127.0.0.1), until Ctrl-C. Exit codes: 0, 2 bad input.
 """

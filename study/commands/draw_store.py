@@ -1,6 +1,6 @@
 """A picture of a store: what survives which family of settings, at which speed.
 
-    python tools/draw_store.py out/store-stairs --out out/store-stairs.png
+    taichi-nmm draw-store out/store-stairs --out out/store-stairs.png
 
 Grey dots are points of the grid, red ones candidates that a search bred.
 """

@@ -1,6 +1,6 @@
 """Estimate the optimum as the paper does: level ground, undisturbed body, the best of many runs.
 
-    python tools/optimum.py --config configs/optimum-smooth.toml
+    taichi-nmm optimum --config optimum-smooth
 
 runs CMA-ES until convergence and the determinants-of-gait sampler, and writes optimum.json and
 runs.parquet to the folder --out. Stop it when you like; the same command goes on where it stopped,

@@ -1,6 +1,6 @@
 """From nothing to a walker on rough ground: a small store, two studies, pictures.
 
-It does what tools/precompute.py, tools/study.py and tools/walk.py do, one after the other, and goes
+It does what precompute, study and walk do, one after the other, and goes
 on where it was stopped.
 """
 

@@ -1,7 +1,7 @@
 """Figures and tables of one or several comparisons.
 
-    python tools/report.py out/compare/rough8-smooth
-    python tools/report.py out/compare/* --out out/overview --optimum out/optimum/optimum.json
+    taichi-nmm report out/compare/rough8-smooth
+    taichi-nmm report out/compare/* --out out/overview --optimum out/optimum/optimum.json
 
 Each folder gets a folder `report`; of several, the overview goes to --out. An unfinished comparison
 is reported as far as it is, and says so. Two walks of each are simulated again to be drawn. Exit
@@ -27,11 +27,11 @@ NO_GROUND = "the folder does not say its ground: it is of version 0.1.0"
 def parse() -> Namespace:
     """The options of this process."""
     parser = Options(__file__)
-    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="of tools/compare.py")
+    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="of compare")
     parser.add_argument("--out", type=Path, help="for the overview of several folders")
     parser.add_argument(
         "--optimum", type=Path, action="append", default=[],
-        help="optimum.json of tools/optimum.py, drawn as a line; may be repeated, a cost each",
+        help="optimum.json of optimum, drawn as a line; may be repeated, a cost each",
     )  # fmt: skip
     parser.add_argument("--no-strips", action="store_true", help="simulate and draw no walks")
     return parser.parse_args()

@@ -1,6 +1,6 @@
 """Run one study of the walker, live: an arm proposes gains, the simulator tries them.
 
-    python tools/study.py --config configs/rough8.toml --arm dog --trials 30 \\
+    taichi-nmm study --config rough8 --arm dog --trials 30 \\
         --storage sqlite:///out/studies.db
 
 Its trials are those of the same arm and run in a comparison of the same configuration. The same

@@ -1,9 +1,9 @@
 """Simulate one controller and show how it walks.
 
-    python tools/walk.py --gains reference --config configs/flat.toml --out out/walk/reference
-    python tools/walk.py --store out/store --row 17
-    python tools/walk.py --trial rough8-smooth/dog/run-007/12 --storage out/compare/rough8-smooth \\
-        --config configs/rough8-smooth.toml --run 7
+    taichi-nmm walk --gains reference --config flat --out out/walk/reference
+    taichi-nmm walk --store out/store --row 17
+    taichi-nmm walk --trial rough8-smooth/dog/run-007/12 --storage out/compare/rough8-smooth \\
+        --config rough8-smooth --run 7
 
 writes strip.png, gait_cycle.png and movie.mp4 to the folder. Gains are a name (reference, K_T), a
 JSON file of gains, a row of a store, or a finished trial of a study database or of a comparison.
