@@ -14,6 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import optuna
+
 from study.command import default_workers
 from study.command_options import Options
 from study.comparison.finished import Progress
@@ -57,6 +59,7 @@ def read(args: Namespace) -> Experiment:
 def main() -> None:
     """Estimate, or go on."""
     args = parse()
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
     experiment = read(args)
     out = args.out or Path("out") / "optimum" / experiment.name
     settings = experiment.conditions.settings

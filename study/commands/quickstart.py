@@ -1,7 +1,6 @@
 """From nothing to a walker on rough ground: a small store, two studies, pictures.
 
-It does what precompute, study and walk do, one after the other, and goes
-on where it was stopped.
+It does what precompute, study and walk do, one after the other, and goes on where it was stopped.
 """
 
 import os
