@@ -19,7 +19,7 @@ STDERR = 2  # the file, which needs no object that Ctrl-C may have found half ma
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
-OURS = ("study", "storage", "taichi_nmm", "tests")
+OURS = ("study", "storage", "taichi_nmm")
 
 
 def run(name: str) -> None:
