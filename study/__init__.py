@@ -6,6 +6,8 @@ Importing this package imports neither Taichi nor matplotlib, and the names belo
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from taichi_nmm.neighbours import require_neighbours
+
 if TYPE_CHECKING:
     from study.feature_table import FeatureTable
     from study.sampler.dog_sampler import DoGSampler
@@ -29,6 +31,8 @@ _MODULES = {
     "covered_table": "study.survival",
     "survival_table": "study.survival",
 }
+
+require_neighbours("storage")
 
 
 def __getattr__(name: str) -> Any:

@@ -1,34 +1,13 @@
-"""What every command shares: one line and an exit code for whatever a user can get wrong."""
+"""What a command asks of the machine before it writes anything: an engine, and processes."""
 
-import sys
-from collections.abc import Callable
 from ctypes.util import find_library
 
 from storage.pool import cores
-from taichi_nmm.errors import InputError
 from taichi_nmm.kernel_cache import require_kernel_cache
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.settings import Settings
 
-EXIT_BAD_INPUT = 2
-EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 GPUS = ("cuda", "vulkan")
-
-
-def run_command(main: Callable[[], None]) -> None:
-    """Run a command's `main` and leave the process with its exit code.
-
-    Bad input prints one line on standard error and exits with 2; Ctrl-C exits with 130 and says
-    that what was finished is kept.
-    """
-    try:
-        main()
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(EXIT_BAD_INPUT)
-    except KeyboardInterrupt:
-        print("interrupted: finished work is kept; the same command resumes", file=sys.stderr)
-        sys.exit(EXIT_INTERRUPTED)
 
 
 def require_engine(settings: Settings) -> None:

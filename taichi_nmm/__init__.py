@@ -1,32 +1,32 @@
 """taichi-nmm: thousands of neuromuscular bipeds at once.
 
-Importing the package is cheap: Taichi is imported when a simulation is first asked for.
+Importing the package is cheap: names are loaded when they are first used, and Taichi when a
+simulation is first asked for.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from taichi_nmm.body import Bodies
-from taichi_nmm.cost import smooth_cost, walking_cost
-from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import (
-    GAIN_NAMES,
-    GAINS,
-    K_T,
-    LOW_LEVEL_GAINS,
-    load_all_gains,
-    load_gains,
-)
-from taichi_nmm.result import END_REASONS, Result, Trajectory
-from taichi_nmm.settings import Settings
-from taichi_nmm.terrain import Terrain
-from taichi_nmm.world import WorldRanges, Worlds
-
 if TYPE_CHECKING:
+    from taichi_nmm.body import Bodies
     from taichi_nmm.controller import Controller, Muscles
+    from taichi_nmm.cost import smooth_cost, walking_cost
+    from taichi_nmm.errors import InputError
     from taichi_nmm.forward import forward_dynamics
+    from taichi_nmm.parameters import (
+        GAIN_NAMES,
+        GAINS,
+        K_T,
+        LOW_LEVEL_GAINS,
+        load_all_gains,
+        load_gains,
+    )
+    from taichi_nmm.result import END_REASONS, Result, Trajectory
     from taichi_nmm.sensed import Sensed
+    from taichi_nmm.settings import Settings
     from taichi_nmm.simulator import simulate
+    from taichi_nmm.terrain import Terrain
+    from taichi_nmm.world import WorldRanges, Worlds
 
 __version__ = "0.2.0"
 
@@ -55,16 +55,34 @@ __all__ = [
     "walking_cost",
 ]
 
-_NEEDS_TAICHI = {
-    "Controller": "taichi_nmm.controller",
-    "Muscles": "taichi_nmm.controller",
-    "Sensed": "taichi_nmm.sensed",
-    "forward_dynamics": "taichi_nmm.forward",
-    "simulate": "taichi_nmm.simulator",
-}
+_PLACES = {
+    "body": ("Bodies",),
+    "controller": ("Controller", "Muscles"),
+    "cost": ("smooth_cost", "walking_cost"),
+    "errors": ("InputError",),
+    "forward": ("forward_dynamics",),
+    "parameters": (
+        "GAINS", "GAIN_NAMES", "K_T", "LOW_LEVEL_GAINS", "load_all_gains", "load_gains",
+    ),
+    "result": ("END_REASONS", "Result", "Trajectory"),
+    "sensed": ("Sensed",),
+    "settings": ("Settings",),
+    "simulator": ("simulate",),
+    "terrain": ("Terrain",),
+    "world": ("WorldRanges", "Worlds"),
+}  # fmt: skip
+_MODULES = {name: module for module, names in _PLACES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    if name in _NEEDS_TAICHI:
-        return getattr(import_module(_NEEDS_TAICHI[name]), name)
+    """Load a public name, or one of the modules, when it is first asked for (PEP 562)."""
+    if name in _MODULES:
+        return getattr(import_module(f"taichi_nmm.{_MODULES[name]}"), name)
+    if name in _PLACES:
+        return import_module(f"taichi_nmm.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted([*globals(), *__all__])

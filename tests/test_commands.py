@@ -7,6 +7,7 @@ import json
 import re
 import shlex
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ import pytest
 import taichi_nmm
 from storage.store import open_store
 from study import pictures
+from study.commands import quickstart
 from study.report import strips
+from study.shipped import config_path
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_NAMES
 from tests.study import fake_walker
 from tests.tools.running import ROOT, run_tool
@@ -43,8 +46,10 @@ def named_commands() -> list[Words]:
     documents = [
         ROOT / "README.md", ROOT / "Makefile", *(ROOT / "docs").glob("*.md"),
         *(ROOT / "configs").glob("*.toml"), *(ROOT / "tools").glob("*.py"),
+        *(ROOT / "study" / "commands").glob("*.py"),
     ]  # fmt: skip
-    line = r"python tools/(\w+)\.py\b([^`#\n\\]*(?:\\*\n\s*--[^`#\n\\]*)*)"
+    arguments = r"([^`#\n\\]*(?:\\*\n\s*--[^`#\n\\]*)*)"
+    line = rf"(?:python tools/(?=\w+\.py)|taichi-nmm (?=\w+ -))(\w+)(?:\.py\b)?{arguments}"
     found = set()
     for document in documents:
         for tool, arguments in re.findall(line, document.read_text()):
@@ -57,10 +62,11 @@ COMMANDS = named_commands()
 
 
 def configurations(words: Words) -> set[str]:
-    """Those that a command line names; the quickstart reads two by itself."""
+    """Files that a command line names; the quickstart reads two by itself."""
+    given = {other for word, other in pairwise(words) if word == "--config"}
     if words[0] == "quickstart":
-        return set(re.findall(r"[\w-]+\.toml", (ROOT / "tools" / "quickstart.py").read_text()))
-    return {Path(word).name for word in words if word.endswith(".toml")}
+        given = {quickstart.CONFIG, quickstart.STORE_CONFIG}
+    return {config_path(name).name for name in given}
 
 
 def test_every_configuration_is_named_by_a_command() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import taichi_nmm
+from study.command_options import summary
 from taichi_nmm.config import read_toml
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
 from tests.study import fake_walker
@@ -34,11 +35,15 @@ def test_parameter_table_is_that_of_the_code(parameter: Parameter) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("tool", TOOLS)
 def test_every_command_is_in_the_readme_and_explains_itself(tool: str) -> None:
+    """To a Python without docstrings, too."""
     assert f"tools/{tool}" in (ROOT / "README.md").read_text()
+    body = ROOT / "study" / "commands" / tool
+    says = summary(body if body.is_file() else ROOT / "tools" / tool)
     done = subprocess.run(
-        [sys.executable, ROOT / "tools" / tool, "--help"], capture_output=True, text=True
+        [sys.executable, "-OO", ROOT / "tools" / tool, "--help"], capture_output=True, text=True
     )
     assert done.returncode == 0 and "usage:" in done.stdout
+    assert says and says in " ".join(done.stdout.split())
 
 
 @pytest.mark.parametrize("config", CONFIGS, ids=lambda path: path.name)

@@ -18,6 +18,8 @@ PACKAGES = ("taichi_nmm", "storage", "study")
 OURS = (*PACKAGES, "tools")
 HUB = ROOT / "study" / "hub"  # a package of another registry, of which no module is imported
 MOST_LINES = 600
+DOOR = "taichi_nmm.__main__"  # of the commands: the one module that looks up
+COMMANDS = ("tools", "study.commands")
 
 # A part of the house, and all that it may import of this project.
 ALLOWED = {
@@ -42,6 +44,7 @@ ALLOWED = {
         "storage",
         "taichi_nmm",
     ),
+    "study.commands": PACKAGES,  # the top, which nobody but the door imports
     "study.sampler": ("study.sampler", "study.draws", "taichi_nmm.errors"),
 }
 
@@ -132,7 +135,7 @@ def test_arrows_run_one_way(part: str) -> None:
     wrong = [
         f"{name} imports {other}"
         for name in modules()
-        if within(name, part)
+        if within(name, part) and name != DOOR
         for other in sorted(imported_by(name))
         if not any(within(other, allowed) for allowed in ALLOWED[part])
     ]
@@ -144,9 +147,9 @@ def test_commands_are_imported_by_nobody() -> None:
         f"{name} imports {other}"
         for name in modules()
         for other in sorted(imported_by(name))
-        if within(other, "tools") and not within(name, "tools")
+        if any(within(other, part) and not within(name, part) for part in COMMANDS)
     ]
-    assert not wrong, "; ".join(wrong)
+    assert wrong == [f"{DOOR} imports study.commands"]
 
 
 def test_no_file_is_long() -> None:
@@ -157,7 +160,7 @@ def test_no_file_is_long() -> None:
 def test_no_two_modules_share_a_file_name() -> None:
     places = defaultdict(list)
     for name, file in modules().items():
-        if file.name != "__init__.py" and not within(name, "tools"):
+        if file.name != "__init__.py" and not any(within(name, part) for part in COMMANDS):
             places[file.name].append(name)
     shared = sorted(" and ".join(names) for names in places.values() if len(names) > 1)
     assert not shared, "; ".join(shared)

@@ -21,9 +21,12 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from study.command import run_command
-from taichi_nmm.errors import InputError
-from taichi_nmm.settings import ARCHITECTURES
+from study.guard import guarded_imports, run_command
+
+with guarded_imports():
+    from study.command_options import Options
+    from taichi_nmm.errors import InputError
+    from taichi_nmm.settings import ARCHITECTURES
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKER = ROOT / "tools" / "bench_worker.py"
@@ -31,6 +34,7 @@ MUJOCO_MODULE = "tests.parity.mujoco_bench_model"
 CACHE_VARIABLE = "TI_OFFLINE_CACHE_FILE_PATH"  # Taichi's own
 
 LARGEST_LANES = 64
+MOST_SAMPLES = 10_000_000
 LANE_SAMPLES = 8192  # points for a row of the table of lane widths, at most
 MUJOCO_ROLLOUTS = 256  # of a second each
 LOADS = ("steady", "Sobol")  # 512 walkers near K_T, 3 s; 2,048 Sobol points, 5 s, packs compacted
@@ -55,8 +59,8 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--samples", type=int, default=100_000, metavar="N", help="%(default)s")
+    parser = Options(__file__)
+    parser.whole("--samples", 1, MOST_SAMPLES, default=100_000, help="%(default)s")
     parser.add_argument("--lanes", default="", metavar="1,4,8,16", help="compare widths on the CPU")
     parser.add_argument("--threads", action="store_true", help="few walkers on one thread, on all")
     parser.add_argument("--mujoco", action="store_true", help="time MuJoCo's mj_step beside it")
@@ -67,8 +71,6 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--json", action="store_true", help="print one object")
     options = parser.parse_args()
     options.lanes = lane_widths(options.lanes)
-    if options.samples < 1:
-        raise InputError("samples", options.samples, "1 or more")
     if options.against and not (options.against / "taichi_nmm").is_dir():
         raise InputError("against", options.against, "the folder of a checkout of this project")
     return options

@@ -41,7 +41,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="One measurement, for tools/bench.py")
     parser.add_argument("--samples", type=int, default=0, help="0 only starts up")
     parser.add_argument("--duration", type=float, default=5.0, help="s on flat ground")
     parser.add_argument("--arch", default="auto")

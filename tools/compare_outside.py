@@ -20,25 +20,27 @@ from pathlib import Path
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import numpy as np
+from study.guard import guarded_imports, run_command
 
-from study.benchmarks.outside import catalogue, outside_arms, outside_document
-from study.benchmarks.outside.outside_problem import digest, outside_problem
-from study.benchmarks.outside.outside_report import OutsideReport
-from study.benchmarks.run_cache import (
-    ONE_THREAD,
-    OUR_PACKAGES,
-    OUR_SOURCES,
-    PEER_PACKAGES,
-    ROOT,
-    chosen,
-    collect,
-    execute,
-    fingerprint,
-    runnable,
-)
-from study.benchmarks.run_options import command, parsed, run_parser
-from study.command import run_command
+with guarded_imports():
+    import numpy as np
+
+    from study.benchmarks.outside import catalogue, outside_arms, outside_document
+    from study.benchmarks.outside.outside_problem import digest, outside_problem
+    from study.benchmarks.outside.outside_report import OutsideReport
+    from study.benchmarks.run_cache import (
+        ONE_THREAD,
+        OUR_PACKAGES,
+        OUR_SOURCES,
+        PEER_PACKAGES,
+        ROOT,
+        chosen,
+        collect,
+        execute,
+        fingerprint,
+        runnable,
+    )
+    from study.benchmarks.run_options import command, parsed, run_parser
 
 DEFAULT_ARMS = tuple(outside_arms.ARMS)
 GROUPS = {
@@ -95,7 +97,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    parser = run_parser(__doc__, DEFAULT_ARMS, trials=40, cache="outside")
+    parser = run_parser(__file__, DEFAULT_ARMS, trials=40, cache="outside")
     names = ",".join(catalogue.PROBLEMS)
     parser.add_argument(
         "--problems", default="tuning", help=f"{', '.join(GROUPS)}, or some of {names}; %(default)s"

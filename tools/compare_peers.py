@@ -19,23 +19,25 @@ from pathlib import Path
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import numpy as np
+from study.guard import guarded_imports, run_command
 
-from study.benchmarks import comparison_report, peers, synthetic
-from study.benchmarks.run_cache import (
-    ONE_THREAD,
-    OUR_PACKAGES,
-    OUR_SOURCES,
-    PEER_PACKAGES,
-    ROOT,
-    chosen,
-    collect,
-    execute,
-    fingerprint,
-    runnable,
-)
-from study.benchmarks.run_options import command, parsed, run_parser
-from study.command import run_command
+with guarded_imports():
+    import numpy as np
+
+    from study.benchmarks import comparison_report, peers, synthetic
+    from study.benchmarks.run_cache import (
+        ONE_THREAD,
+        OUR_PACKAGES,
+        OUR_SOURCES,
+        PEER_PACKAGES,
+        ROOT,
+        chosen,
+        collect,
+        execute,
+        fingerprint,
+        runnable,
+    )
+    from study.benchmarks.run_options import command, parsed, run_parser
 
 DEFAULT_ARMS = tuple(peers.PEERS)
 
@@ -85,7 +87,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    parser = run_parser(__doc__, DEFAULT_ARMS, trials=60, cache="peers")
+    parser = run_parser(__file__, DEFAULT_ARMS, trials=60, cache="peers")
     parser.add_argument("--problems", default=",".join(synthetic.PROBLEMS), help="%(default)s")
     options = parsed(parser, DEFAULT_ARMS)
     options.problems = chosen("problems", options.problems, synthetic.PROBLEMS)

@@ -16,22 +16,25 @@ from pathlib import Path
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import numpy as np
-from numpy.typing import NDArray
+from study.guard import guarded_imports, run_command
 
-import taichi_nmm
-from storage.commit import commit_json, writable
-from storage.sobol import sobol_gains
-from study.command import run_command
-from study.experiment.pycma import new_strategy
-from study.pictures import human_ranges
-from study.pictures.strides import PERCENT, left_strides
-from taichi_nmm.body import GRAVITY_MPS2, SEGMENTS, Bodies
-from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, K_T, lower_bounds, upper_bounds
-from taichi_nmm.result import COMPLETED, HUMAN_SPEED_MPS
-from taichi_nmm.settings import ARCHITECTURES, Settings
-from taichi_nmm.terrain import flat, rough
+with guarded_imports():
+    import numpy as np
+    from numpy.typing import NDArray
+
+    import taichi_nmm
+    from storage.commit import commit_json, writable
+    from storage.sobol import sobol_gains
+    from study.command_options import LARGEST_SEED, Options
+    from study.experiment.experiment import MOST_GENERATIONS
+    from study.experiment.pycma import new_strategy
+    from study.pictures import human_ranges
+    from study.pictures.strides import PERCENT, left_strides
+    from taichi_nmm.body import GRAVITY_MPS2, SEGMENTS, Bodies
+    from taichi_nmm.parameters import GAIN_NAMES, K_T, lower_bounds, upper_bounds
+    from taichi_nmm.result import COMPLETED, HUMAN_SPEED_MPS
+    from taichi_nmm.settings import ARCHITECTURES, Settings
+    from taichi_nmm.terrain import flat, rough
 
 Array = NDArray[np.float64]
 
@@ -167,10 +170,10 @@ def say(text: str) -> None:
 
 
 def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--restarts", type=int, default=4, help="searches (%(default)s)")
-    parser.add_argument("--generations", type=int, default=150, help="of each (%(default)s)")
+    parser = Options(__file__)
+    parser.whole("--seed", 0, LARGEST_SEED, default=1, help="%(default)s")
+    parser.whole("--restarts", 1, SWEEP_POINTS, default=4, help="searches (%(default)s)")
+    parser.whole("--generations", 1, MOST_GENERATIONS, default=150, help="of each (%(default)s)")
     parser.add_argument("--out", type=Path, required=True, help="JSON file of the gains")
     parser.add_argument("--arch", choices=ARCHITECTURES, default="auto")
     return parser.parse_args()
@@ -178,11 +181,6 @@ def parse() -> argparse.Namespace:
 
 def main() -> None:
     args = parse()
-    for name in ("restarts", "generations"):
-        if getattr(args, name) < 1:
-            raise InputError(name, getattr(args, name), "1 or more")
-    if args.seed < 0:
-        raise InputError("seed", args.seed, "0 or more")
     with writable(args.out):  # found out before the search, not after
         tempfile.TemporaryFile(dir=args.out.parent).close()
     found = np.vstack([

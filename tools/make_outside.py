@@ -17,15 +17,18 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tqdm import tqdm
+from study.guard import guarded_imports, run_command
 
-from study.benchmarks.outside import catalogue
-from study.benchmarks.outside.candidate_pool import POOL_BITS
-from study.benchmarks.outside.definition import Settings
-from study.benchmarks.outside.making import make
-from study.benchmarks.outside.outside_problem import file_of
-from study.command import run_command
-from taichi_nmm.errors import InputError
+with guarded_imports():
+    from tqdm import tqdm
+
+    from study.benchmarks.outside import catalogue
+    from study.benchmarks.outside.candidate_pool import POOL_BITS
+    from study.benchmarks.outside.definition import Settings
+    from study.benchmarks.outside.making import make
+    from study.benchmarks.outside.outside_problem import file_of
+    from study.command_options import Options
+    from taichi_nmm.errors import InputError
 
 
 def main() -> None:
@@ -37,15 +40,13 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = Options(__file__)
     parser.add_argument("--problem", required=True, help=f"one of {', '.join(catalogue.PROBLEMS)}")
-    parser.add_argument("--rows", type=int, help="the first so many candidates only, with --out")
+    parser.whole("--rows", 1, 2**POOL_BITS, help="the first so many candidates only, with --out")
     parser.add_argument("--out", type=Path, help="file; by default the one in the repository")
     options = parser.parse_args()
     if options.rows is not None and options.out is None:
         raise InputError("rows", options.rows, "--out as well: the repository has whole files")
-    if options.rows is not None and not 1 <= options.rows <= 2**POOL_BITS:
-        raise InputError("rows", options.rows, f"1 to {2**POOL_BITS}")
     return options
 
 

@@ -1,91 +1,12 @@
-"""Compute a store of gait scores: points of a Sobol sequence, simulated and written shard by shard.
+"""The command `taichi-nmm precompute` from a checkout, where nothing has to be installed."""
 
-With a table [repertoire] in the file, then candidates that a search breeds from their survivors.
-Stop it when you like; the same command goes on where it stopped.
-"""
-
-import argparse
-import json
 import sys
-from contextlib import closing
-from dataclasses import asdict
 from pathlib import Path
 
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tqdm import tqdm
-
-from storage.pool import local_pool
-from storage.precompute import Summary, precompute
-from storage.specification import read_specification
-from study.command import default_workers, require_engine, run_command
-from taichi_nmm.config import read_toml
-from taichi_nmm.settings import ARCHITECTURES
-
-
-class ProgressBar:
-    """Walkers a second and the time left; what earlier runs computed is no part of the rate."""
-
-    def __init__(self, total: int) -> None:
-        """A bar of `total` walkers, not shown yet."""
-        self._total = total
-        self._bar: tqdm[None] | None = None
-
-    def show(self, points: float) -> None:
-        """Move to `points`; the first call tells what was there."""
-        if self._bar is None:
-            self._bar = tqdm(total=self._total, initial=int(points), unit="walker", smoothing=0.05)
-        self._bar.update(int(points) - self._bar.n)
-
-    def close(self) -> None:
-        """Leave the line."""
-        if self._bar is not None:
-            self._bar.close()
-
-
-def main() -> None:
-    options = parse()
-    specification = read_specification(read_toml(options.config), options.samples, options.arch)
-    settings = specification.conditions.settings
-    require_engine(settings)
-    out = options.out or Path("out") / options.config.stem
-    workers = default_workers(settings) if options.workers is None else options.workers
-    with local_pool(workers) as pool, closing(ProgressBar(specification.walkers)) as bar:
-        summary = precompute(specification, out, options.fresh, bar.show, pool)
-    print(json.dumps(asdict(summary)) if options.json else text(summary))
-
-
-def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--config", type=Path, default=Path("configs/store.toml"), metavar="FILE")
-    parser.add_argument("--samples", type=int, metavar="N", help="points, instead of the file's")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/<name of the config>")
-    parser.add_argument("--arch", choices=ARCHITECTURES, help="machine, instead of the file's")
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="processes; default: one a core, or 1 for a GPU"
-    )
-    parser.add_argument("--fresh", action="store_true", help="start over")
-    parser.add_argument("--json", action="store_true", help="print the summary as one object")
-    return parser.parse_args()
-
-
-def text(summary: Summary) -> str:
-    lines = [
-        f"points      {summary.points} in {summary.shards} shards"
-        f" ({summary.points_computed} computed now)",
-        f"alive       {summary.alive_at_horizon} at the horizon"
-        f" ({100 * summary.alive_fraction:.2f} %)",
-        *([f"searched    {summary.walks_searched} walks"] if summary.walks_searched else []),
-        *(
-            f"{name:<11} {count} points on its disturbed settings"
-            for name, count in summary.evaluated.items()
-        ),
-        f"speed       {summary.walkers_per_s:.0f} walkers/s over {summary.wall_s:.1f} s",
-        f"store       {summary.path}",
-    ]
-    return "\n".join(lines)
-
+from study.guard import run
 
 if __name__ == "__main__":
-    run_command(main)
+    run("precompute")

@@ -1,71 +1,12 @@
-"""Figures and tables of one or several comparisons.
+"""The command `taichi-nmm report` from a checkout, where nothing has to be installed."""
 
-    python tools/report.py out/compare/rough8-smooth
-    python tools/report.py out/compare/* --out out/overview --optimum out/optimum/optimum.json
-
-Each folder gets a folder `report`; of several, the overview goes to --out. An unfinished comparison
-is reported as far as it is, and says so. Two walks of each are simulated again to be drawn. Exit
-codes: 0, 2 bad input, 130 interrupted.
-"""
-
-import argparse
 import sys
 from pathlib import Path
 
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from study.command import run_command
-from study.experiment.identity import documented_experiment
-from study.report.before_after import Pair, before_and_after
-from study.report.estimate_line import find_optimum
-from study.report.facts import known_stores
-from study.report.runs import Results, read_results
-from study.report.writing import REPORT_NAME, write_overview, write_report
-from taichi_nmm.errors import InputError
-
-NO_GROUND = "the folder does not say its ground: it is of version 0.1.0"
-
-
-def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="of tools/compare.py")
-    parser.add_argument("--out", type=Path, help="for the overview of several folders")
-    parser.add_argument(
-        "--optimum", type=Path, action="append", default=[],
-        help="optimum.json of tools/optimum.py, drawn as a line; may be repeated, a cost each",
-    )  # fmt: skip
-    parser.add_argument("--no-strips", action="store_true", help="simulate and draw no walks")
-    return parser.parse_args()
-
-
-def strips_of(results: Results) -> Pair | None:
-    """The two walks to draw; a folder that does not say its ground only costs the strips."""
-    experiment = documented_experiment(results.facts)
-    if experiment is None:
-        print(f"{results.name}: no strips ({NO_GROUND})", file=sys.stderr)
-        return None
-    return before_and_after(results, experiment)
-
-
-def main() -> None:
-    args = parse()
-    if args.out is not None and len(args.folders) == 1:
-        raise InputError(
-            "out", str(args.out), f"two folders or more; of one, it is DIR/{REPORT_NAME}"
-        )
-    everything = [read_results(folder) for folder in args.folders]
-    optima = [find_optimum(results, args.optimum) for results in everything]
-    found = []
-    for results, optimum in zip(everything, optima, strict=True):
-        pair = None if args.no_strips else strips_of(results)
-        found.append(write_report(results, optimum, pair, stores=known_stores(results)))
-        state = "" if results.complete else f" ({results.found:,} of {results.planned:,} trials)"
-        print(f"{results.folder / REPORT_NAME}: {results.name}{state}", flush=True)
-    if args.out is not None:
-        write_overview(args.out, found)
-        print(f"{args.out}: overview of {len(found)} experiments")
-
+from study.guard import run
 
 if __name__ == "__main__":
-    run_command(main)
+    run("report")

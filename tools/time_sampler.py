@@ -23,18 +23,23 @@ from typing import Any
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tqdm import tqdm
+from study.guard import guarded_imports, run_command
 
-from storage.commit import commit_text, writable
-from study.benchmarks import comparison_report, sampler_timing
-from study.benchmarks.run_cache import ONE_THREAD, ROOT, torch_is_installed
-from study.benchmarks.sampler_timing import Case, Measured
-from study.command import run_command
-from taichi_nmm.errors import InputError
+with guarded_imports():
+    from tqdm import tqdm
+
+    from storage.commit import commit_text, writable
+    from study.benchmarks import comparison_report, sampler_timing
+    from study.benchmarks.run_cache import ONE_THREAD, ROOT, torch_is_installed
+    from study.benchmarks.sampler_timing import Case, Measured
+    from study.command_options import Options
+    from study.experiment.experiment import MOST_TRIALS
+    from taichi_nmm.errors import InputError
 
 # Milliseconds of the processor, by sampler and number of features.
 BARS_MS = {("ours", 1): 10.0, ("ours", 5): 45.0, ("rbf", 1): 10.0}
 MOST_FEATURES = 5
+MOST_ROWS = 10_000_000
 BEST_FEATURES, BEST_BAR_MS = 6, 10.0
 LONG_BAR_MS = 1000.0  # at the largest number of observations
 GP_RATIO_BAR = 5.0  # GPSampler's time over ours with one feature
@@ -80,19 +85,16 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--rows", type=int, default=100_000, help="of the table; %(default)s")
-    parser.add_argument("--observations", type=int, default=100, help="%(default)s")
-    parser.add_argument("--repeats", type=int, default=11, help="of each proposal; %(default)s")
+    parser = Options(__file__)
+    parser.whole("--rows", 1, MOST_ROWS, default=100_000, help="of the table; %(default)s")
+    parser.whole("--observations", 1, MOST_TRIALS, default=100, help="%(default)s")
+    parser.whole("--repeats", 1, MOST_TRIALS, default=11, help="of each proposal; %(default)s")
     parser.add_argument("--sweep", default="10,30,100,300,1000", help="observations; %(default)s")
-    parser.add_argument("--large-rows", type=int, default=1_000_000, help="%(default)s")
+    parser.whole("--large-rows", 1, MOST_ROWS, default=1_000_000, help="%(default)s")
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="of the table and plot")
     parser.add_argument("--json", action="store_true", help="print one object, write no document")
     options = parser.parse_args()
     options.sweep = counts("sweep", options.sweep)
-    for name in ("rows", "observations", "repeats", "large_rows"):
-        if getattr(options, name) < 1:
-            raise InputError(name, getattr(options, name), "1 or more")
     most = max(options.observations, *options.sweep) + options.repeats
     if min(options.rows, options.large_rows) <= most:
         raise InputError("rows", options.rows, f"more than {most}, for the trials to come from")
@@ -105,8 +107,8 @@ def counts(field: str, listed: str) -> list[int]:
         found = sorted({int(count) for count in listed.split(",")})
     except ValueError:
         found = [0]
-    if found[0] < 1:
-        raise InputError(field, listed, "counts of 1 or more, such as 10,100,1000")
+    if not 1 <= found[0] <= found[-1] <= MOST_TRIALS:
+        raise InputError(field, listed, f"counts from 1 to {MOST_TRIALS}, such as 10,100,1000")
     return found
 
 

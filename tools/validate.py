@@ -1,124 +1,12 @@
-"""Measure the walker against the figures it must show, and print them as a Markdown table.
+"""The command `taichi-nmm validate` from a checkout, where nothing has to be installed."""
 
-The population of the search space on flat and on rough ground, the published gait, step sizes and
-precisions. About twelve minutes for 20,000 points on two cores.
-"""
-
-import argparse
-import json
 import sys
-from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from sklearn.metrics import roc_auc_score
-from tqdm import tqdm
-
-import taichi_nmm
-from storage.sobol import sobol_gains
-from study.benchmarks.figure import Figure, page
-from study.command import run_command
-from taichi_nmm import Bodies, InputError, Settings, terrain
-from taichi_nmm.result import COMPLETED
-
-SHORT_S, LONG_S = 5.0, 100.0
-TOP_FRACTION = 0.05
-AGREEMENT_POINTS = 4096
-
-
-def main() -> None:
-    options = parse()
-    if options.samples < 100 or options.draws < 1:
-        raise InputError("samples, draws", (options.samples, options.draws), "100 and 1 or more")
-    figures = []
-    with tqdm(unit="figure") as bar:
-        for figure in measure(options.samples, options.draws, options.seed):
-            figures.append(figure)
-            bar.set_postfix_str(figure.what)
-            bar.update()
-    if options.json:
-        print(json.dumps([{**asdict(figure), "holds": figure.holds} for figure in figures]))
-    else:
-        how = f"{options.samples} Sobol points, float32, 1 ms where not said otherwise"
-        print(page(figures, how))
-
-
-def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samples", type=int, default=20_000, metavar="N")
-    parser.add_argument("--draws", type=int, default=4, help="disturbed bodies on rough grounds")
-    parser.add_argument("--seed", type=int, default=2016, help="of the Sobol points and draws")
-    parser.add_argument("--json", action="store_true", help="print one list of objects")
-    return parser.parse_args()
-
-
-def measure(samples: int, draws: int, seed: int) -> Iterator[Figure]:
-    yield from published_gait()
-    gains = sobol_gains(seed, 0, samples)
-    short = taichi_nmm.simulate(gains, duration_s=SHORT_S).rows
-    alive = short["end_reason"] == COMPLETED
-    walks = np.zeros(samples, dtype=bool)
-    long = taichi_nmm.simulate(gains[alive], duration_s=LONG_S).rows
-    walks[np.flatnonzero(alive)] = long["end_reason"] == COMPLETED
-    yield Figure("alive at 5 s, flat", 100 * alive.mean(), 8.5, 11.5, "%")
-    yield Figure("walk 100 s, flat", 100 * walks.mean(), 4.7, 7.1, "%")
-    for score in ("phi_printed", "phi_corrected"):
-        area = roc_auc_score(walks, short[score])
-        yield Figure(f"area under the ROC curve of {score} for walks 100 s", area, 0.95, 1.0)
-    yield from rough_ground(gains, short["phi_printed"], draws, seed)
-    yield from agreement(gains[:AGREEMENT_POINTS])
-
-
-def published_gait() -> Iterator[Figure]:
-    row = taichi_nmm.simulate(taichi_nmm.K_T, duration_s=LONG_S).rows[0]
-    yield Figure("K_T, flat: walked", row["duration_s"], LONG_S, LONG_S, "s")
-    yield Figure("K_T, flat: mean speed", row["mean_speed_mps"], 1.365, 1.425, "m/s")
-    yield Figure(
-        "K_T: mean vertical ground reaction", row["grf_vertical_mean_bw"], 0.99, 1.01, "BW"
-    )
-
-
-def rough_ground(
-    gains: NDArray[np.float64], score: NDArray[np.float64], draws: int, seed: int
-) -> Iterator[Figure]:
-    """Walkers among all points and among the best by score, over several draws."""
-    best = np.argsort(-score, kind="stable")[: round(TOP_FRACTION * len(gains))]
-    everyone, top = [], []
-    for draw in range(draws):
-        body, ground = np.random.SeedSequence(seed, spawn_key=(draw,)).spawn(2)
-        rows = taichi_nmm.simulate(
-            gains,
-            duration_s=LONG_S,
-            bodies=Bodies.disturbed([body]),
-            terrains=terrain.rough(ground),
-        ).rows
-        walks = rows["end_reason"] == COMPLETED
-        everyone.append(100 * walks.mean())
-        top.append(100 * walks[best].mean())
-    what = f"walk 100 s, rough +-8 cm, disturbed body, mean of {draws} draws"
-    yield Figure(what, float(np.mean(everyone)), 0.4, 1.6, "%")
-    yield Figure("the same among the top 5 % by phi_printed", float(np.mean(top)), 7.0, 15.0, "%")
-
-
-def agreement(gains: NDArray[np.float64]) -> Iterator[Figure]:
-    """Share of points with the same verdict 'alive at 5 s' under another step or precision."""
-
-    def verdicts(settings: Settings) -> NDArray[np.bool_]:
-        rows = taichi_nmm.simulate(gains, duration_s=SHORT_S, settings=settings).rows
-        return np.asarray(rows["end_reason"] == COMPLETED)
-
-    base = verdicts(Settings())
-    fine = verdicts(Settings(physics_step_s=0.25e-3))
-    double = verdicts(Settings(precision="float64"))
-    yield Figure("same verdict at 1 ms and 0.25 ms", 100 * (base == fine).mean(), 94.0, 100.0, "%")
-    yield Figure("same verdict in float32 and float64", 100 * (base == double).mean(), 97, 100, "%")
-
+from study.guard import run
 
 if __name__ == "__main__":
-    run_command(main)
+    run("validate")

@@ -16,23 +16,35 @@ from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tqdm import tqdm
+from study.guard import guarded_imports, run_command
 
-import taichi_nmm
-from storage.pool import cores
-from storage.sobol import sobol_gains
-from study.benchmarks.figure import Figure, page
-from study.command import require_engine, run_command
-from study.experiment.objective import walked
-from taichi_nmm import K_T, Bodies, Controller, InputError, Sensed, Settings, load_gains, terrain
+with guarded_imports():
+    import numpy as np
+    from numpy.typing import NDArray
+    from tqdm import tqdm
+
+    import taichi_nmm
+    from storage.pool import cores
+    from storage.sobol import sobol_gains
+    from study.benchmarks.figure import Figure, page
+    from study.command import require_engine
+    from study.command_options import LARGEST_SEED, Options
+    from study.experiment.objective import walked
+    from taichi_nmm import (
+        K_T,
+        Bodies,
+        Controller,
+        Sensed,
+        Settings,
+        load_gains,
+        terrain,
+    )
 
 LONG_S = 100.0
+MOST_SAMPLES = 100_000
 ALIVE_S = 5.0
 OURS = Settings()
 MUJOCO = Settings(engine="mujoco")
@@ -47,8 +59,6 @@ GENTLE = 0.02  # roughness, m, and disturbance: so that all stay up while they a
 
 def main() -> None:
     options = parse()
-    if options.samples < 1:
-        raise InputError("samples", options.samples, "1 or more")
     require_engine(MUJOCO)
     figures = []
     with tqdm(unit="figure") as bar:
@@ -63,9 +73,9 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--samples", type=int, default=1000, metavar="N", help="(%(default)s)")
-    parser.add_argument("--seed", type=int, default=2016, help="of the Sobol points (%(default)s)")
+    parser = Options(__file__)
+    parser.whole("--samples", 1, MOST_SAMPLES, default=1000, help="(%(default)s)")
+    parser.whole("--seed", 0, LARGEST_SEED, default=2016, help="of the Sobol points (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print one list of objects")
     return parser.parse_args()
 

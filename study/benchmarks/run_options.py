@@ -1,49 +1,44 @@
 """The options that commands have in common which compare samplers on problems."""
 
-import argparse
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
 from study.benchmarks.run_cache import ROOT, chosen
-from taichi_nmm.errors import InputError
+from study.command_options import MOST_WORKERS, Options
 
-LEAST = {"seeds": 1, "trials": 2, "processes": 1}
+MOST_SEEDS, MOST_TRIALS = 10_000, 100_000
 
 
-def run_parser(
-    doc: str | None, arms: Sequence[str], trials: int, cache: str
-) -> argparse.ArgumentParser:
+def run_parser(file: str, arms: Sequence[str], trials: int, cache: str) -> Options:
     """A parser of the common options, to which a command adds its own.
 
     Args:
-        doc: of the command, whose first line tells what it does.
+        file: of the command.
         arms: that it knows, all of them by default.
         trials: of a run, by default.
         cache: folder of finished runs within `out`.
     """
-    parser = argparse.ArgumentParser(description=(doc or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=30, help="of each arm; %(default)s")
-    parser.add_argument("--trials", type=int, default=trials, help="of a run; %(default)s")
+    parser = Options(file)
+    parser.whole("--seeds", 1, MOST_SEEDS, default=30, help="of each arm; %(default)s")
+    parser.whole("--trials", 2, MOST_TRIALS, default=trials, help="of a run; %(default)s")
     parser.add_argument("--arms", default=",".join(arms), help="%(default)s")
-    parser.add_argument("--processes", type=int, default=2, help="runs at a time; %(default)s")
+    parser.whole("--processes", 1, MOST_WORKERS, default=2, help="runs at a time; %(default)s")
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="of the table and plot")
     parser.add_argument("--cache", type=Path, default=ROOT / "out" / cache, help="of the runs")
     parser.add_argument("--json", action="store_true", help="print one object, write no document")
     return parser
 
 
-def parsed(parser: argparse.ArgumentParser, arms: Sequence[str]) -> argparse.Namespace:
+def parsed(parser: Options, arms: Sequence[str]) -> Namespace:
     """The options of this process, the arms as a list in the order of `arms`.
 
     Raises:
-        InputError: an arm that is not known, or too few seeds, trials or processes.
+        InputError: an arm that is not known, or a number out of range.
     """
     options = parser.parse_args()
     options.arms = chosen("arms", options.arms, arms)
-    for name, least in LEAST.items():
-        if getattr(options, name) < least:
-            raise InputError(name, getattr(options, name), f"{least} or more")
     return options
 
 

@@ -18,13 +18,15 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # standard output is the commands'
-import taichi as ti
-from taichi._lib import core as _core
-from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
-
 from taichi_nmm.errors import InputError
+from taichi_nmm.kernel.environment import settled_environment
 from taichi_nmm.settings import Settings
+
+os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # standard output is the commands'
+with settled_environment():
+    import taichi as ti
+    from taichi._lib import core as _core
+    from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
 __all__ = [
     "Array", "BoundKernel", "Rows", "is_double", "lanes", "launch", "metadata", "real_dtype",
@@ -214,7 +216,7 @@ def _initialise(arch: str, settings: Settings) -> bool:
         return False
     threads = {} if settings.threads is None else {"cpu_max_num_threads": settings.threads}
     try:
-        with contextlib.redirect_stdout(io.StringIO()):
+        with contextlib.redirect_stdout(io.StringIO()), settled_environment():
             ti.init(
                 arch=getattr(ti, arch),
                 enable_fallback=False,

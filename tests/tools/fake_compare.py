@@ -9,10 +9,9 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import taichi_nmm
-from study.command import run_command
 from study.comparison import compare
+from study.guard import run
 from tests.study import fake_walker
-from tests.tools.running import load_tool
 
 vars(taichi_nmm)["simulate"] = fake_walker.simulate
 compare.CHECKPOINT_S = 0.0
@@ -20,4 +19,4 @@ compare.EXPORT_S = 1e9
 compare.STRETCH_TRIALS = 2
 
 if __name__ == "__main__":
-    run_command(load_tool("compare").main)
+    run("compare")

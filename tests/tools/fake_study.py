@@ -6,10 +6,9 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import taichi_nmm
-from study.command import run_command
+from study.guard import run
 from tests.study import fake_walker
-from tests.tools.running import load_tool
 
 if __name__ == "__main__":
     vars(taichi_nmm)["simulate"] = fake_walker.simulate
-    run_command(load_tool("study").main)
+    run("study")

@@ -1,8 +1,9 @@
-"""A command of tools/, run in this process, where tests can replace what it calls."""
+"""A command, run in this process, where tests can replace what it calls."""
 
 import importlib.util
 import runpy
 import sys
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
@@ -12,7 +13,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def run_tool(patch: pytest.MonkeyPatch, tool: str, *arguments: object) -> int:
-    """Exit code of tools/TOOL.py."""
+    """Exit code of tools/TOOL.py; its command is imported anew, and so finds what is replaced."""
+    forget_commands()
     patch.setattr(sys, "argv", [f"{tool}.py", *map(str, arguments)])
     patch.setattr(sys, "path", list(sys.path))
     try:
@@ -20,6 +22,18 @@ def run_tool(patch: pytest.MonkeyPatch, tool: str, *arguments: object) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     return 0
+
+
+def forget_commands() -> None:
+    """Have the next import of a command run its file."""
+    for name in [name for name in sys.modules if name.startswith("study.commands.")]:
+        del sys.modules[name]
+
+
+def load_command(command: str) -> ModuleType:
+    """study/commands/COMMAND.py, imported anew."""
+    forget_commands()
+    return import_module(f"study.commands.{command}")
 
 
 def load_tool(tool: str) -> ModuleType:

@@ -1,6 +1,5 @@
 """tools/dashboard.py as its users run it."""
 
-import importlib.util
 import json
 import os
 import shutil
@@ -18,7 +17,8 @@ import pytest
 
 from storage.databases.bulk import FinishedStudy, attach, write_studies
 from storage.databases.studies import open_studies
-from study.command import run_command
+from study.guard import run_command
+from tests.tools.running import load_command
 
 pytestmark = pytest.mark.slow
 
@@ -53,13 +53,8 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    specification = importlib.util.spec_from_file_location("dashboard", DASHBOARD)
-    assert specification is not None and specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    specification.loader.exec_module(module)
-    return module
+def command() -> ModuleType:
+    return load_command("dashboard")
 
 
 @pytest.fixture
@@ -157,7 +152,7 @@ def test_a_file_that_is_no_database(folder: Path, refuse: Callable[..., str]) ->
 
 
 def test_ports_that_cannot_be_had(folder: Path, refuse: Callable[..., str]) -> None:
-    assert "0 to 65535" in refuse(str(folder), "--port", "70000")
+    assert "a whole number from 0 to 65535" in refuse(str(folder), "--port", "70000")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         assert "a free port" in refuse(str(folder), "--port", str(port))

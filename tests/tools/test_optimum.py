@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import optuna
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
@@ -137,7 +138,9 @@ def test_the_result_is_the_best_of_both_methods(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = command.folder / "out"
+    optuna.logging.set_verbosity(optuna.logging.INFO)
     assert command.run("--config", command.config(), "--out", out, "--json") == 0
+    assert optuna.logging.get_verbosity() == optuna.logging.WARNING  # its lines are not among ours
     printed = capsys.readouterr()
     document = json.loads((out / "optimum.json").read_text())
     assert json.loads(printed.out) == document

@@ -1,8 +1,6 @@
 """tools/report.py as its users meet it: files, unfinished folders, refusals."""
 
 import json
-import runpy
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +15,10 @@ from study.experiment.identity import document
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 from tests.study import synthetic_gait
 from tests.study.report import synthetic
+from tests.tools.running import ROOT, run_tool
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[2]
 ARMS = {"dog": (0.05, 0.01), "random": (0.01, 0.0), "best": (0.9, 0.0)}
 FILES = {
     "best-cost.png", "best-cost.svg", "walkers.png", "walkers.svg", "first-walker.png",
@@ -29,13 +27,7 @@ FILES = {
 
 
 def report(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    monkeypatch.setattr(sys, "argv", ["report.py", *map(str, arguments)])
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    try:
-        runpy.run_path(str(ROOT / "tools" / "report.py"), run_name="__main__")
-    except SystemExit as end:
-        return int(end.code or 0)
-    return 0
+    return run_tool(monkeypatch, "report", *arguments)
 
 
 def write(folder: Path, cost: str = "smooth") -> Path:

@@ -1,0 +1,106 @@
+"""Options of commands: whole numbers within the bounds of configurations, configurations by name.
+
+What is wrong with one is an `InputError`, which is one line, as for every other input.
+"""
+
+import argparse
+import ast
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from study.shipped import config_path, shipped_configs
+from taichi_nmm.errors import InputError
+
+MOST_WORKERS = 1024  # processes; each takes hundreds of MB
+LARGEST_SEED = 2**63 - 1  # as in configurations
+
+
+class Options(argparse.ArgumentParser):
+    """The options of a command, that is described by the first line of its file's docstring.
+
+    Args:
+        file: of the command. `python -OO` forgets docstrings, so the file is read.
+    """
+
+    def __init__(self, file: str) -> None:
+        super().__init__(description=summary(Path(file)))
+
+    def error(self, message: str) -> NoReturn:
+        """One line, as for all bad input."""
+        self.exit(2, f"error: {message}\n")
+
+    def whole(self, flag: str, low: int, high: int, **options: Any) -> None:
+        """A whole number from `low` to `high`; further options are argparse's."""
+        options.setdefault("metavar", "N")
+        self.add_argument(flag, action=_Whole, bounds=(low, high), **options)
+
+    def workers(self, what: str = "processes; default: a core each, or 1 for a GPU") -> None:
+        """How many processes of this machine."""
+        self.whole("--workers", 1, MOST_WORKERS, help=what)
+
+    def config(self, default: str | None = None, stores: bool = False) -> None:
+        """A configuration, of an experiment or a store; and the list of those that ship.
+
+        It is required where there is no default.
+        """
+        said = "a shipped configuration's name, or a TOML file"
+        self.add_argument(
+            "--config", type=config_path, metavar="NAME|FILE",
+            required=default is None, default=default and config_path(default),
+            help=said if default is None else f"{said}; default: {default}",
+        )  # fmt: skip
+        self.add_argument(
+            "--list-configs", action=_ListConfigs, nargs=0, const=stores,
+            help="list the shipped ones, and exit",
+        )  # fmt: skip
+
+
+def summary(file: Path) -> str:
+    """The first line of the docstring of a Python file."""
+    docstring = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8")))
+    return (docstring or "").partition("\n")[0]
+
+
+class _Whole(argparse.Action):
+    """A whole number within bounds."""
+
+    def __init__(self, *args: Any, bounds: tuple[int, int], **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._low, self._high = bounds
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: str | Sequence[Any] | None,
+        option_string: str | None = None,
+    ) -> None:
+        """Check and keep the number."""
+        text = str(values)
+        try:
+            value = int(text)
+        except ValueError:  # no number, or one of thousands of digits
+            value = None
+        if value is None or not self._low <= value <= self._high:
+            field = self.dest.replace("_", "-")
+            allowed = f"a whole number from {self._low} to {self._high}"
+            raise InputError(field, text if value is None else value, allowed)
+        setattr(namespace, self.dest, value)
+
+
+class _ListConfigs(argparse.Action):
+    """Prints the shipped configurations and leaves."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: str | Sequence[Any] | None,
+        option_string: str | None = None,
+    ) -> NoReturn:
+        """A line each."""
+        listed = shipped_configs(self.const)
+        width = max(map(len, listed))
+        print(*(f"{name:<{width}}  {says}" for name, says in listed.items()), sep="\n")
+        parser.exit()

@@ -1,0 +1,117 @@
+"""Open optuna-dashboard on an experiment's studies, with their pictures and films.
+
+    taichi-nmm dashboard                         # the newest folder in out/compare
+    taichi-nmm dashboard out/compare/rough8-smooth
+    taichi-nmm dashboard --storage postgresql+psycopg://me@host/walker --artifacts DIR
+
+It serves this machine only (127.0.0.1), until Ctrl-C. Exit codes: 0, 2 bad input.
+"""
+
+import errno
+from argparse import Namespace
+from contextlib import suppress
+from pathlib import Path
+from socketserver import ThreadingMixIn
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
+
+import optuna
+import optuna_dashboard
+from optuna.artifacts import FileSystemArtifactStore
+
+from storage.databases.studies import URL_PREFIX as SQLITE
+from storage.databases.studies import open_studies, shown_url, studies_path
+from study.command_options import Options
+from study.comparison.experiment_folder import ARTIFACTS_NAME, DATABASE_NAME
+from taichi_nmm.errors import InputError
+
+EXPERIMENTS = Path("out") / "compare"
+HOST = "127.0.0.1"  # the dashboard asks nobody who they are
+
+
+class Server(ThreadingMixIn, WSGIServer):
+    """A thread for each request: a film must not hold up the page."""
+
+    daemon_threads = True
+
+
+class QuietHandler(WSGIRequestHandler):
+    """Says nothing about requests."""
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Drop the line."""
+
+
+def parse() -> Namespace:
+    """The options of this process."""
+    parser = Options(__file__)
+    parser.add_argument(
+        "folder", nargs="?", type=Path, metavar="DIR",
+        help=f"of an experiment; default: the newest in {EXPERIMENTS}",
+    )  # fmt: skip
+    parser.add_argument("--storage", metavar="URL", help="default: DIR/studies.db")
+    parser.add_argument("--artifacts", type=Path, metavar="DIR", help="default: DIR/artifacts")
+    parser.whole("--port", 0, 65535, default=8080, help="%(default)s; 0: a free one")
+    return parser.parse_args()
+
+
+def find_database(folder: Path | None, storage: str | None) -> str:
+    """URL of the database that is meant; one that is not there is refused, not made."""
+    if storage is None:
+        folder = folder or newest()
+        if not (folder / DATABASE_NAME).is_file():
+            raise InputError("folder", str(folder), f"an experiment's folder, with {DATABASE_NAME}")
+        return f"{SQLITE}{folder / DATABASE_NAME}"
+    shown_url(storage)  # refuses what is no such URL
+    if storage.startswith(SQLITE) and not studies_path(storage).is_file():
+        raise InputError("storage", storage, "a database that is there")
+    return storage
+
+
+def newest() -> Path:
+    """The experiment whose database was written last."""
+    databases = sorted(EXPERIMENTS.glob(f"*/{DATABASE_NAME}"), key=lambda db: db.stat().st_mtime)
+    if not databases:
+        raise InputError("folder", str(EXPERIMENTS), "a folder with experiments; or give one")
+    return databases[-1].parent
+
+
+def find_artifacts(folder: Path | None, url: str, artifacts: Path | None) -> Path | None:
+    """The folder of pictures and films; None where an experiment has none yet."""
+    if artifacts is not None:
+        if not artifacts.is_dir():
+            raise InputError("artifacts", str(artifacts), "a folder that is there")
+        return artifacts
+    if folder is None and url.startswith(SQLITE):
+        folder = studies_path(url).parent
+    if folder is None or not (folder / ARTIFACTS_NAME).is_dir():
+        return None
+    return folder / ARTIFACTS_NAME
+
+
+def make(url: str, artifacts: Path | None, port: int) -> WSGIServer:
+    """The server, listening but not serving yet."""
+    storage = open_studies(url)
+    store = None if artifacts is None else FileSystemArtifactStore(artifacts)
+    application = optuna_dashboard.wsgi(storage, artifact_store=store)
+    try:
+        return make_server(HOST, port, application, Server, QuietHandler)
+    except OSError as error:
+        if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+            raise
+        raise InputError("port", port, f"a free port ({error.strerror})") from None
+
+
+def main() -> None:
+    """Serve until Ctrl-C."""
+    args = parse()
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    url = find_database(args.folder, args.storage)
+    artifacts = find_artifacts(args.folder, url, args.artifacts)
+    with make(url, artifacts, args.port) as server:
+        print(f"studies    {shown_url(url)}")
+        print(f"artifacts  {artifacts or 'none'}")
+        print(
+            f"dashboard  http://{HOST}:{server.server_port}/dashboard  (Ctrl-C ends it)", flush=True
+        )
+        with suppress(KeyboardInterrupt):
+            server.serve_forever()

@@ -1,0 +1,102 @@
+"""Estimate the optimum as the paper does: level ground, undisturbed body, the best of many runs.
+
+    taichi-nmm optimum --config optimum-smooth
+
+runs CMA-ES until convergence and the determinants-of-gait sampler, and writes optimum.json and
+runs.parquet to the folder --out. Stop it when you like; the same command goes on where it stopped,
+and more runs or generations can be asked for later. Exit codes: 0, 2 bad input, 130 interrupted.
+"""
+
+import json
+import sys
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import optuna
+
+from study.command import default_workers
+from study.command_options import Options
+from study.comparison.finished import Progress
+from study.experiment.experiment import (
+    MOST_GENERATIONS,
+    MOST_RUNS,
+    Experiment,
+    read_experiment,
+)
+from study.optimum.estimate import Reports, estimate
+from study.optimum.generations import CmaesProgress
+from study.optimum.optimum_folder import OPTIMUM_NAME
+from taichi_nmm.settings import ARCHITECTURES
+
+
+def parse() -> Namespace:
+    """The options of this process."""
+    parser = Options(__file__)
+    parser.config()
+    parser.whole("--runs", 1, MOST_RUNS, help="default: the config's")
+    parser.whole(
+        "--max-generations", 1, MOST_GENERATIONS,
+        help="where a run of CMA-ES is cut; default: the config's. More can be asked for later",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/optimum/NAME")
+    parser.workers()
+    parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
+    parser.add_argument("--json", action="store_true", help="print optimum.json")
+    return parser.parse_args()
+
+
+def read(args: Namespace) -> Experiment:
+    """The experiment, with the cut that was asked for."""
+    experiment = read_experiment(args.config, args.arch)
+    most = args.max_generations
+    if most is None:
+        return experiment
+    return replace(experiment, cmaes=replace(experiment.cmaes, max_generations=most))
+
+
+def main() -> None:
+    """Estimate, or go on."""
+    args = parse()
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    experiment = read(args)
+    out = args.out or Path("out") / "optimum" / experiment.name
+    settings = experiment.conditions.settings
+    workers = default_workers(settings) if args.workers is None else args.workers
+    document = estimate(experiment, out, args.runs, workers, Reports(show_dog, show_cmaes))
+    print(json.dumps(document) if args.json else text(document, out))
+
+
+def show_dog(progress: Progress) -> None:
+    """A line on how far the sampler is."""
+    tell(f"dog: {progress.trials} of {progress.total} trials")
+
+
+def show_cmaes(progress: CmaesProgress) -> None:
+    """A line on how far CMA-ES is."""
+    tell(
+        f"cmaes: generation {progress.generation}, {progress.running} of {progress.runs} runs go "
+        f"on, {progress.evaluations} evaluations, best cost {progress.best_cost:.5g}"
+    )
+
+
+def tell(line: str) -> None:
+    """Print on standard error."""
+    print(line, file=sys.stderr, flush=True)
+
+
+def text(document: dict[str, Any], out: Path) -> str:
+    """For people: the best of all, and a line a method."""
+    lines = [
+        f"{document['cost']} cost: {document['best_cost']:.5g} ({document['method']}, run "
+        f"{document['run']}, {document['outcome']['mean_speed_mps']:.2f} m/s): {out / OPTIMUM_NAME}"
+    ]
+    for method, found in document["methods"].items():
+        stops = ", ".join(f"{count} by {stop}" for stop, count in found["stops"].items())
+        middle = found["quartiles"][1]
+        lines.append(
+            f"  {method}: best {found['best']:.5g}, median {middle:.5g} of {found['runs']} runs, "
+            f"{found['runs_that_walk']} walk, {found['evaluations']} evaluations; ended: {stops}"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,134 @@
+"""From nothing to a walker on rough ground: a small store, two studies, pictures.
+
+It does what precompute, study and walk do, one after the other, and goes on where it was stopped.
+"""
+
+import os
+import shlex
+import sys
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import optuna
+from tqdm import tqdm
+
+import taichi_nmm
+from storage.commit import commit_json
+from storage.databases.studies import only_run, open_studies, storage_errors
+from storage.precompute import precompute
+from storage.specification import read_specification
+from study.command import require_engine
+from study.command_options import Options
+from study.experiment.arms import find_arm
+from study.experiment.experiment import Experiment, read_experiment, study_name
+from study.experiment.simulation import simulate_trials
+from study.runner import run_study
+from study.shipped import config_path
+from study.summary import best_gains, dashboard_command, progress_line, study_line
+from taichi_nmm.body import GRAVITY_MPS2, Bodies
+from taichi_nmm.config import read_toml
+from taichi_nmm.result import Result
+from taichi_nmm.terrain import Terrain, flat
+
+CONFIG, STORE_CONFIG = "rough8", "quickstart-store"
+ARMS = ("dog", "random")
+RUN = 0
+REFERENCE_S = 30.0  # of the reference gait, for its pictures
+
+
+def parse() -> Namespace:
+    """The options of this process."""
+    parser = Options(__file__)
+    parser.add_argument("--out", type=Path, default=Path("out/quickstart"), metavar="DIR")
+    return parser.parse_args()
+
+
+def make_store(path: Path) -> None:
+    """The store of scores, or what is missing of it."""
+    specification = read_specification(read_toml(config_path(STORE_CONFIG)))
+    duration_s = specification.conditions.duration_s
+    say(f"1. Scoring {specification.samples} walkers, {duration_s:g} s on flat ground")
+    with tqdm(total=specification.samples, unit="walker") as bar:
+        precompute(specification, path, progress=lambda points: bar.update(int(points) - bar.n))
+
+
+def run_arm(experiment: Experiment, name: str, url: str) -> optuna.Study:
+    """The study of an arm, or what is missing of it."""
+    arm, trials = find_arm(name), experiment.trials
+    storage = open_studies(url)
+    with only_run(url, study_name(experiment.name, name, RUN)), storage_errors(url):
+        return run_study(
+            experiment, arm, RUN, trials, storage,
+            report=lambda study, trial: say(progress_line(study, trial, trials)),
+        )  # fmt: skip
+
+
+def draw_found(out: Path, experiment: Experiment, study: optuna.Study) -> list[Path]:
+    """Pictures of the best trial."""
+    gains = np.array([list(best_gains(study).values())])
+    result = simulate_trials(experiment, [RUN], gains, record=True)
+    title = f"Found by {study.study_name}"
+    return draw(out, "found", title, result, experiment.terrain(RUN), experiment.body(RUN))
+
+
+def draw_reference(out: Path, experiment: Experiment) -> list[Path]:
+    """Pictures of the reference gait on flat ground."""
+    result = taichi_nmm.simulate(
+        taichi_nmm.load_gains("reference"),
+        duration_s=REFERENCE_S,
+        settings=experiment.conditions.settings,
+        record=(0,),
+    )
+    return draw(out, "reference", "Reference gait", result, flat(), Bodies.nominal())
+
+
+def draw(
+    out: Path, name: str, title: str, result: Result, ground: Terrain, bodies: Bodies
+) -> list[Path]:
+    """A strip and a gait cycle of a walk."""
+    from study import pictures  # here, where matplotlib is needed
+
+    trajectory, weight_n = result.trajectories[0], float(bodies.mass_kg.sum()) * GRAVITY_MPS2
+    title = f"{title}: {result.end_reason[0]} {result['duration_s'][0]:.0f} s"
+    return [
+        pictures.write_strip(out / f"{name}_strip.png", trajectory, ground, title),
+        pictures.write_gait_cycle(out / f"{name}_gait_cycle.png", trajectory, weight_n, title),
+    ]
+
+
+def say(*lines: str) -> None:
+    """Print lines at once."""
+    print(*lines, sep="\n", flush=True)
+
+
+def film_command(out: Path) -> str:
+    """The line that films the walker found on the ground and body of the studies."""
+    words = ["-m", "taichi_nmm", "walk", "--gains", str(out / "found.json"), "--config", CONFIG]
+    return f"{os.path.relpath(sys.executable)} {shlex.join(words)}"
+
+
+def main() -> None:
+    """All of it, or what is missing."""
+    out: Path = parse().out
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    experiment = replace(read_experiment(config_path(CONFIG)), stores={"flat": out / "store"})
+    require_engine(experiment.conditions.settings)
+    make_store(out / "store")
+    url = f"sqlite:///{out / 'studies.db'}"
+    ground, duration_s = experiment.terrain(RUN).name, experiment.conditions.duration_s
+    say(f"2. {experiment.trials} trials with each sampler: {duration_s:g} s on {ground}")
+    studies = [run_arm(experiment, arm, url) for arm in ARMS]
+    best = min(studies, key=lambda study: study.best_value)
+    commit_json(out / "found.json", best_gains(best))
+    say("3. Drawing the best walker found, and the reference gait")
+    paths = draw_found(out, experiment, best) + draw_reference(out, experiment)
+    say(
+        "",
+        *(study_line(study) for study in studies),
+        f"Gains of the best: {out / 'found.json'}",
+        f"Pictures: {', '.join(str(path) for path in paths)}",
+        f"A film of it: {film_command(out)}",
+        f"All trials in a browser: {dashboard_command(url)}",
+    )

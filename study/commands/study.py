@@ -1,0 +1,84 @@
+"""Run one study of the walker, live: an arm proposes gains, the simulator tries them.
+
+    taichi-nmm study --config rough8 --arm dog --trials 30 \\
+        --storage sqlite:///out/studies.db
+
+Its trials are those of the same arm and run in a comparison of the same configuration. The same
+command goes on where it was stopped. Exit codes: 0, 2 bad input, 130 interrupted.
+"""
+
+import json
+import sys
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+
+import optuna
+
+from storage.commit import commit_json, writable
+from storage.databases.studies import only_run, open_studies, shown_url, storage_errors
+from study.command import require_engine
+from study.command_options import LARGEST_SEED, Options
+from study.experiment.arms import ARMS, find_arm
+from study.experiment.check import check_arms
+from study.experiment.experiment import MOST_TRIALS, Experiment, read_experiment, study_name
+from study.runner import run_study
+from study.summary import best_gains, progress_line, summary, summary_text
+from taichi_nmm.errors import InputError
+from taichi_nmm.settings import ARCHITECTURES
+
+
+def parse() -> Namespace:
+    """The options of this process."""
+    parser = Options(__file__)
+    parser.config()
+    parser.add_argument("--arm", required=True, metavar="ARM", help=", ".join(ARMS))
+    parser.add_argument("--run", type=int, default=0, help="of the configuration's (%(default)s)")
+    parser.whole("--trials", 1, MOST_TRIALS, help="in total; default: the config's")
+    parser.whole("--seed", 0, LARGEST_SEED, help="in place of the config's, as in compare")
+    parser.add_argument("--storage", required=True, help="sqlite:///FILE, or of PostgreSQL")
+    parser.add_argument("--store", type=Path, help="the arm's scores; default: the config's")
+    parser.add_argument("--out", type=Path, help="for the best gains; default: out/NAME")
+    parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    return parser.parse_args()
+
+
+def read(args: Namespace) -> Experiment:
+    """The experiment, with the store that was asked for."""
+    experiment = read_experiment(args.config, args.arch, args.seed)
+    if args.store is None:
+        return experiment
+    store = find_arm(args.arm).store
+    if not store:
+        raise InputError("store", str(args.store), f"none: the arm {args.arm} reads no store")
+    return replace(experiment, stores={**experiment.stores, store: args.store})
+
+
+def main() -> None:
+    """Run the study, or go on with it."""
+    args = parse()
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    experiment = read(args)
+    experiment.require_run(args.run)
+    trials = experiment.trials if args.trials is None else args.trials
+    shown_url(args.storage)  # refuses what is no such URL
+    (arm,) = check_arms(experiment, (args.arm,), trials)
+    require_engine(experiment.conditions.settings)
+    name = study_name(experiment.name, arm.name, args.run)
+    folder = args.out or Path("out") / experiment.name
+    gains = folder / f"{arm.name}-run-{args.run:03d}-best.json"
+    with writable(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    storage = open_studies(args.storage)
+
+    def report(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+        print(progress_line(study, trial, trials), file=sys.stderr, flush=True)
+
+    with only_run(args.storage, name), storage_errors(args.storage):
+        study = run_study(experiment, arm, args.run, trials, storage, report)
+        commit_json(gains, best_gains(study))
+        if args.json:
+            print(json.dumps(summary(study, args.storage, gains)))
+        else:
+            print(summary_text(study, args.storage, gains))

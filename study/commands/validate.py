@@ -1,0 +1,118 @@
+"""Measure the walker against the figures it must show, and print them as a Markdown table.
+
+The population of the search space on flat and on rough ground, the published gait, step sizes and
+precisions. About twelve minutes for 20,000 points on two cores.
+"""
+
+import json
+from argparse import Namespace
+from collections.abc import Iterator
+from dataclasses import asdict
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.metrics import roc_auc_score
+from tqdm import tqdm
+
+import taichi_nmm
+from storage.sobol import sobol_gains
+from study.benchmarks.figure import Figure, page
+from study.command_options import LARGEST_SEED, Options
+from study.experiment.experiment import MOST_RUNS
+from taichi_nmm import Bodies, Settings, terrain
+from taichi_nmm.result import COMPLETED
+
+SHORT_S, LONG_S = 5.0, 100.0
+MOST_SAMPLES = 1_000_000  # at once in memory, unlike those of a store
+TOP_FRACTION = 0.05
+AGREEMENT_POINTS = 4096
+
+
+def main() -> None:
+    """Measure and print."""
+    options = parse()
+    figures = []
+    with tqdm(unit="figure") as bar:
+        for figure in measure(options.samples, options.draws, options.seed):
+            figures.append(figure)
+            bar.set_postfix_str(figure.what)
+            bar.update()
+    if options.json:
+        print(json.dumps([{**asdict(figure), "holds": figure.holds} for figure in figures]))
+    else:
+        how = f"{options.samples} Sobol points, float32, 1 ms where not said otherwise"
+        print(page(figures, how))
+
+
+def parse() -> Namespace:
+    """The options of this process."""
+    parser = Options(__file__)
+    parser.whole("--samples", 100, MOST_SAMPLES, default=20_000, help="points; %(default)s")
+    parser.whole("--draws", 1, MOST_RUNS, default=4, help="disturbed bodies on rough grounds")
+    parser.whole("--seed", 0, LARGEST_SEED, default=2016, help="of the Sobol points and draws")
+    parser.add_argument("--json", action="store_true", help="print one list of objects")
+    return parser.parse_args()
+
+
+def measure(samples: int, draws: int, seed: int) -> Iterator[Figure]:
+    """All figures, as they are measured."""
+    yield from published_gait()
+    gains = sobol_gains(seed, 0, samples)
+    short = taichi_nmm.simulate(gains, duration_s=SHORT_S).rows
+    alive = short["end_reason"] == COMPLETED
+    walks = np.zeros(samples, dtype=bool)
+    long = taichi_nmm.simulate(gains[alive], duration_s=LONG_S).rows
+    walks[np.flatnonzero(alive)] = long["end_reason"] == COMPLETED
+    yield Figure("alive at 5 s, flat", 100 * alive.mean(), 8.5, 11.5, "%")
+    yield Figure("walk 100 s, flat", 100 * walks.mean(), 4.7, 7.1, "%")
+    for score in ("phi_printed", "phi_corrected"):
+        area = roc_auc_score(walks, short[score])
+        yield Figure(f"area under the ROC curve of {score} for walks 100 s", area, 0.95, 1.0)
+    yield from rough_ground(gains, short["phi_printed"], draws, seed)
+    yield from agreement(gains[:AGREEMENT_POINTS])
+
+
+def published_gait() -> Iterator[Figure]:
+    """K_T on flat ground."""
+    row = taichi_nmm.simulate(taichi_nmm.K_T, duration_s=LONG_S).rows[0]
+    yield Figure("K_T, flat: walked", row["duration_s"], LONG_S, LONG_S, "s")
+    yield Figure("K_T, flat: mean speed", row["mean_speed_mps"], 1.365, 1.425, "m/s")
+    yield Figure(
+        "K_T: mean vertical ground reaction", row["grf_vertical_mean_bw"], 0.99, 1.01, "BW"
+    )
+
+
+def rough_ground(
+    gains: NDArray[np.float64], score: NDArray[np.float64], draws: int, seed: int
+) -> Iterator[Figure]:
+    """Walkers among all points and among the best by score, over several draws."""
+    best = np.argsort(-score, kind="stable")[: round(TOP_FRACTION * len(gains))]
+    everyone, top = [], []
+    for draw in range(draws):
+        body, ground = np.random.SeedSequence(seed, spawn_key=(draw,)).spawn(2)
+        rows = taichi_nmm.simulate(
+            gains,
+            duration_s=LONG_S,
+            bodies=Bodies.disturbed([body]),
+            terrains=terrain.rough(ground),
+        ).rows
+        walks = rows["end_reason"] == COMPLETED
+        everyone.append(100 * walks.mean())
+        top.append(100 * walks[best].mean())
+    what = f"walk 100 s, rough +-8 cm, disturbed body, mean of {draws} draws"
+    yield Figure(what, float(np.mean(everyone)), 0.4, 1.6, "%")
+    yield Figure("the same among the top 5 % by phi_printed", float(np.mean(top)), 7.0, 15.0, "%")
+
+
+def agreement(gains: NDArray[np.float64]) -> Iterator[Figure]:
+    """Share of points with the same verdict 'alive at 5 s' under another step or precision."""
+
+    def verdicts(settings: Settings) -> NDArray[np.bool_]:
+        rows = taichi_nmm.simulate(gains, duration_s=SHORT_S, settings=settings).rows
+        return np.asarray(rows["end_reason"] == COMPLETED)
+
+    base = verdicts(Settings())
+    fine = verdicts(Settings(physics_step_s=0.25e-3))
+    double = verdicts(Settings(precision="float64"))
+    yield Figure("same verdict at 1 ms and 0.25 ms", 100 * (base == fine).mean(), 94.0, 100.0, "%")
+    yield Figure("same verdict in float32 and float64", 100 * (base == double).mean(), 97, 100, "%")

@@ -1,0 +1,264 @@
+"""Simulate one controller and show how it walks.
+
+    taichi-nmm walk --gains reference --config flat --out out/walk/reference
+    taichi-nmm walk --store out/store --row 17
+    taichi-nmm walk --trial rough8-smooth/dog/run-007/12 --storage out/compare/rough8-smooth \\
+        --config rough8-smooth --run 7
+
+writes strip.png, gait_cycle.png and movie.mp4 to the folder. Gains are a name (reference, K_T), a
+JSON file of gains, a row of a store, or a finished trial of a study database or of a comparison.
+With --engine mujoco the body is MuJoCo's; with both, strips.png shows one walk above the other.
+--mjcf writes MuJoCo's model, on its ground, for MuJoCo's own viewer.
+Exit codes: 0, 2 bad input, 130 interrupted.
+"""
+
+import json
+import tempfile
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+import taichi_nmm
+from storage.commit import writable
+from study.command import require_engine
+from study.command_options import LARGEST_SEED, Options
+from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
+from study.experiment.objective import outcome_text
+from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial
+from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
+from study.report.before_after import Pair, Shown
+from study.report.strips import write_strips
+from taichi_nmm.body import GRAVITY_MPS2
+from taichi_nmm.errors import InputError
+from taichi_nmm.mujoco_engine import require_mujoco
+from taichi_nmm.settings import ARCHITECTURES, ENGINES
+
+ANGLES = (
+    "knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad",
+)  # fmt: skip
+LONGEST_MOVIE_S = 120.0
+RECORD_RATE_HZ = 200.0
+BOTH = "both"  # engines
+MEASURES = ("duration_s", "distance_m", "mean_speed_mps")
+REPORTED = (
+    *MEASURES, "cost_of_transport_jpkgpm", "step_count",
+    "phi_printed", "phi_corrected",
+)  # fmt: skip
+
+
+def parse() -> Namespace:
+    """The options of this process."""
+    parser = Options(__file__)
+    parser.add_argument("--gains", metavar="NAME|FILE", help="reference (default), K_T, FILE.json")
+    parser.add_argument("--row", type=int, metavar="N", help="of --store")
+    parser.add_argument("--store", type=Path, metavar="DIR", help="of scores, for --row")
+    parser.add_argument("--trial", metavar="STUDY/NUMBER", help="a finished trial, of --storage")
+    parser.add_argument("--storage", metavar="URL|DIR", help="study database, or a comparison")
+    parser.config("flat")
+    parser.add_argument("--run", type=int, default=0, help="whose body and ground (%(default)s)")
+    parser.whole("--seed", 0, LARGEST_SEED, help="in place of the config's, as in compare")
+    parser.add_argument("--duration", type=float, help="seconds; default: the config's")
+    parser.add_argument("--out", type=Path, help="for the pictures; default: out/walk/NAME")
+    parser.add_argument(
+        "--movie-seconds", type=float, default=8.0, help="length; 0: no movie (%(default)s)"
+    )
+    parser.add_argument("--engine", choices=(*ENGINES, BOTH), help="overrides the config's")
+    parser.add_argument("--mjcf", type=Path, metavar="FILE", help="write MuJoCo's model there too")
+    parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    return parser.parse_args()
+
+
+def find_gains(args: Namespace) -> NamedGains:
+    """The one controller that was asked for."""
+    for one, other in (("row", "store"), ("trial", "storage")):
+        if (getattr(args, one) is None) != (getattr(args, other) is None):
+            missing = one if getattr(args, one) is None else other
+            raise InputError(missing, None, f"a value: --{one} and --{other} belong together")
+    given = [name for name in ("gains", "row", "trial") if getattr(args, name) is not None]
+    if len(given) > 1:
+        raise InputError(given[1], getattr(args, given[1]), f"none beside --{given[0]}")
+    if args.row is not None:
+        return gains_of_row(args.store, args.row)
+    if args.trial is not None:
+        return gains_of_trial(args.trial, args.storage)
+    return gains_of_source(args.gains or "reference")
+
+
+def read(args: Namespace) -> Experiment:
+    """The experiment, with the duration and the engine that were asked for."""
+    experiment = read_experiment(args.config, args.arch, args.seed)
+    experiment.require_run(args.run)
+    conditions = experiment.conditions
+    if args.duration is not None:
+        conditions = replace(conditions, duration_s=args.duration)
+    experiment = replace(experiment, conditions=conditions)
+    if args.engine in ENGINES:
+        return on_engine(experiment, args.engine)
+    return on_engine(experiment, "taichi") if args.engine == BOTH else experiment
+
+
+def on_engine(experiment: Experiment, engine: str) -> Experiment:
+    """The same on an engine; what is an engine's own is as configured, or as it is by default."""
+    conditions = experiment.conditions
+    settings = replace(conditions.settings, engine=engine)
+    return replace(experiment, conditions=replace(conditions, settings=settings))
+
+
+def check_range(name: str, value: float, low: float, high: float) -> None:
+    """Refuse a number outside of [low, high]."""
+    if not low <= value <= high:
+        raise InputError(name, value, f"{low:g} to {high:g}")
+
+
+def make_folder(folder: Path) -> None:
+    """Create the folder and see that it can be written, before the work."""
+    with writable(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+
+
+def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.Result:
+    """The one walk, recorded."""
+    conditions = experiment.conditions
+    with tqdm(total=conditions.duration_s, unit="s", desc="walking", disable=None) as bar:
+
+        def progress(simulated_s: float, active: int) -> None:
+            bar.update(simulated_s - bar.n)
+
+        return taichi_nmm.simulate(
+            gains.gains,
+            low_level_gains=gains.low_level,
+            duration_s=conditions.duration_s,
+            bodies=experiment.body(run),
+            worlds=experiment.world(run),
+            terrains=experiment.terrain(run),
+            settings=conditions.settings,
+            record=[0],
+            record_rate_hz=RECORD_RATE_HZ,
+            progress=progress,
+        )
+
+
+def write_model(path: Path, experiment: Experiment, run: int) -> None:
+    """MuJoCo's model of a run's body and ground, standing where the walk starts."""
+    from taichi_nmm.mujoco_engine.engine import start_state
+    from taichi_nmm.mujoco_engine.ground import boxes
+    from taichi_nmm.mujoco_engine.mjcf import write_mjcf
+
+    terrain, settings = experiment.terrain(run), experiment.conditions.settings
+    with writable(path, "mjcf"):
+        body, friction = experiment.body(run), float(experiment.world(run).friction[0])
+        write_mjcf(path, body, friction, boxes(terrain), settings, start_state(terrain))
+
+
+def write_engines(
+    gains: NamedGains, result: taichi_nmm.Result, experiment: Experiment, run: int, folder: Path
+) -> dict[str, str]:
+    """The same gains once more, on MuJoCo: both walks one above the other."""
+    other = simulate(gains, on_engine(experiment, "mujoco"), run)
+    first, second = (
+        Shown(engine, f"{engine}: {outcome(walk)}", walk.trajectories[0])
+        for engine, walk in zip(ENGINES, (result, other), strict=True)
+    )
+    terrain = experiment.terrain(run)
+    title = f"{gains.name} on {terrain.name}, run {run}: two engines"
+    write_strips(folder, title, Pair(run, terrain, first, second))
+    return {"strips": str(folder / "strips.png")}
+
+
+def outcome(result: taichi_nmm.Result) -> str:
+    """How the one walk of a result ended, in words."""
+    shown = {name: result.rows[0][name] for name in MEASURES}
+    return outcome_text(shown | {"end_reason": str(result.end_reason[0])})
+
+
+def write_pictures(
+    result: taichi_nmm.Result,
+    experiment: Experiment,
+    run: int,
+    folder: Path,
+    title: str,
+    movie_s: float,
+) -> dict[str, str]:
+    """Paths of the pictures by what they show."""
+    trajectory, terrain = result.trajectories[0], experiment.terrain(run)
+    weight_n = float(experiment.body(run).mass_kg[0].sum() * GRAVITY_MPS2)
+    paths = {
+        "strip": write_strip(folder / "strip.png", trajectory, terrain, title),
+        "gait_cycle": write_gait_cycle(folder / "gait_cycle.png", trajectory, weight_n, title),
+    }
+    if movie_s > 0:
+        paths["movie"] = write_movie(folder / "movie.mp4", trajectory, terrain, movie_s, title)
+    return {name: str(path) for name, path in paths.items()}
+
+
+def summary(title: str, row: np.void) -> str:
+    """What a person wants to know, a line each."""
+    degrees = {field: float(np.rad2deg(row[field])) for field in ANGLES}
+    return "\n".join(
+        (
+            title,
+            f"cost of transport   {row['cost_of_transport_jpkgpm']:.2f} J/(kg m)",
+            f"scored steps        {row['step_count']}, {row['step_length_mean_m']:.3f} m"
+            f" and {row['step_duration_mean_s']:.3f} s each,"
+            f" double support {100 * row['double_support_fraction']:.0f} %",
+            f"knee peak in swing  {degrees['knee_peak_swing_rad']:.0f} deg flexed",
+            f"ankle               {degrees['ankle_strike_rad']:+.0f} deg at strike,"
+            f" {degrees['ankle_takeoff_rad']:+.0f} deg at take-off (plantarflexion +)",
+            f"trunk               {degrees['trunk_mean_rad']:+.1f} deg (forward +)",
+            f"score               phi {row['phi_printed']:.1f} as printed,"
+            f" {row['phi_corrected']:.1f} corrected",
+        )
+    )
+
+
+def report(
+    gains: NamedGains, row: np.void, end_reason: str, paths: dict[str, str]
+) -> dict[str, Any]:
+    """The same for programs: one object of plain values."""
+    numbers = {field: row[field].item() for field in REPORTED}
+    return {
+        # JSON has no NaN: what a walker that diverged has not got is null.
+        **{field: value if np.isfinite(value) else None for field, value in numbers.items()},
+        "end_reason": end_reason,
+        "gains": gains.as_document(),
+        "pictures": paths,
+    }
+
+
+def main() -> None:
+    """Walk and draw."""
+    args = parse()
+    gains = find_gains(args)
+    if args.duration is not None:
+        check_range("duration", args.duration, 0.1, LONGEST_TRIAL_S)
+    check_range("movie-seconds", args.movie_seconds, 0.0, LONGEST_MOVIE_S)
+    experiment = read(args)
+    if args.movie_seconds > 0:
+        find_ffmpeg()
+    require_engine(experiment.conditions.settings)
+    if args.engine == BOTH or args.mjcf is not None:
+        require_mujoco()
+    folder = args.out or Path("out") / "walk" / gains.name
+    if args.mjcf is not None:
+        write_model(args.mjcf, experiment, args.run)
+    make_folder(folder)
+    result = simulate(gains, experiment, args.run)
+    row, end_reason = result.rows[0], str(result.end_reason[0])
+    title = f"{gains.name} on {experiment.terrain(args.run).name}: {outcome(result)}"
+    paths = write_pictures(result, experiment, args.run, folder, title, args.movie_seconds)
+    if args.engine == BOTH:
+        paths |= write_engines(gains, result, experiment, args.run, folder)
+    if args.mjcf is not None:
+        paths["mjcf"] = str(args.mjcf)
+    if args.json:
+        print(json.dumps(report(gains, row, end_reason, paths)))
+        return
+    print(summary(title, row))
+    for shows, path in paths.items():
+        print(f"{shows.replace('_', ' '):<19} {path}")

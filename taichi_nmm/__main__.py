@@ -1,0 +1,24 @@
+"""The commands: `taichi-nmm`, or `python -m taichi_nmm`.
+
+The only place where the simulator's package knows of `study`, whose commands these are.
+"""
+
+import sys
+
+from taichi_nmm.neighbours import HiddenPackageError, require_neighbours
+
+
+def main() -> None:
+    """Run the command that the process was called with, and leave with its exit code."""
+    try:
+        require_neighbours("study", "storage")
+    except HiddenPackageError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    from study.commands import run_named  # not before it is known to be ours
+
+    run_named(sys.argv[1:])
+
+
+if __name__ == "__main__":
+    main()

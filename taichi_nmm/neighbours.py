@@ -1,0 +1,31 @@
+"""The packages that are installed beside this one, which a file of a user may hide.
+
+`study` and `storage` are common names: Python takes `study.py` of the working directory in place of
+the package wherever that folder comes first on its path, and what follows then explains nothing.
+"""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+BESIDE = Path(__file__).resolve().parents[1]
+
+
+class HiddenPackageError(ImportError):
+    """A package of ours is hidden by a file or a folder of the same name: one line that says so."""
+
+
+def require_neighbours(*names: str) -> None:
+    """See that these packages are those beside this one; none of them is imported.
+
+    Raises:
+        HiddenPackageError: a file or folder of the same name comes first on Python's path.
+    """
+    for name in names:
+        spec = find_spec(name)
+        places = [] if spec is None else [spec.origin, *(spec.submodule_search_locations or ())]
+        found = next((Path(place).resolve() for place in places if place), None)
+        if found not in (None, BESIDE / name / "__init__.py"):
+            raise HiddenPackageError(
+                f"{name}: {str(found)!r} hides the package {name} of taichi-nmm; "
+                "allowed: another name for it, or another working directory"
+            )

@@ -1,0 +1,71 @@
+"""The samplers and their tables where only what the README's line installs is there."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import taichi_nmm
+from tests.study import fake_walker
+from tests.tools.accidents import run_with_accident
+from tests.tools.running import ROOT
+
+pytestmark = pytest.mark.slow
+
+MOST_IMPORT_S = 2.0  # of the processor: a busy machine is no slower program
+MODULES = {"scikit-learn": "sklearn", "pillow": "PIL"}
+OPTUNA_HAS = {"tqdm"}
+
+PROGRAM = f"""
+import time
+began_s = time.process_time()
+import optuna
+import study
+for name in study.__all__:
+    getattr(study, name)
+assert time.process_time() - began_s < {MOST_IMPORT_S}
+import numpy as np
+from study import DoGSampler, FeatureKernelSampler, FeatureTable, SurvivalSampler, survival_table
+
+optuna.logging.set_verbosity(optuna.logging.ERROR)
+xs = np.linspace(0.0, 1.0, 50)
+of_arrays = FeatureTable.from_arrays({{"x": xs}}, np.sin(3 * xs)[:, None])
+of_store = FeatureTable.from_parquet("store", features=["phi_printed"])
+samplers = (
+    FeatureKernelSampler(of_arrays, seed=1),
+    DoGSampler(of_store, seed=1),
+    SurvivalSampler(survival_table("store"), seed=1),
+)
+for sampler in samplers:
+    names = ["x"] if sampler is samplers[0] else {list(taichi_nmm.GAIN_NAMES)}
+    ends = [(0.0, 1.0)] if sampler is samplers[0] else {[(g.low, g.high) for g in taichi_nmm.GAINS]}
+    tried = optuna.create_study(sampler=sampler)
+    tried.optimize(
+        lambda trial: sum(trial.suggest_float(n, *e) for n, e in zip(names, ends)), n_trials=4
+    )
+print("done")
+"""
+
+
+def packages_of_the_line() -> set[str]:
+    line = r"`pip install --no-deps \. && pip install ([^`]*)`"
+    (words,) = re.findall(line, (ROOT / "README.md").read_text())
+    return {word for word in words.split() if re.fullmatch(r"[a-z][a-z-]*", word)}
+
+
+def test_a_study_without_simulator_pictures_and_dashboard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+        fake_walker.write_store(tmp_path / "store")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    dependencies = {re.split(r"[<>=]", words)[0] for words in project["dependencies"]}
+    there = packages_of_the_line()
+    assert there <= dependencies
+    missing = dependencies - there - OPTUNA_HAS
+    assert {"taichi", "matplotlib", "imageio-ffmpeg", "optuna-dashboard"} <= missing
+    modules = [MODULES.get(name, name.replace("-", "_")) for name in missing]
+    done = run_with_accident(tmp_path, ("-c", PROGRAM), missing=modules)
+    assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr

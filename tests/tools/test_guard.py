@@ -1,0 +1,71 @@
+"""What ends every command in one line: Ctrl-C at any import, packages missing or hidden."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.tools.accidents import run_with_accident
+from tests.tools.running import ROOT
+
+pytestmark = pytest.mark.slow
+
+INTERRUPTED = "interrupted: finished work is kept; the same command resumes\n"
+TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - {"bench_worker"})
+FIRST = dict.fromkeys(TOOLS, "numpy") | {"bench": "taichi_nmm.settings"}
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_ctrl_c_during_imports_is_one_line(tool: str, tmp_path: Path) -> None:
+    done = run_with_accident(tmp_path, [ROOT / "tools" / f"{tool}.py"], interrupted=FIRST[tool])
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", INTERRUPTED)
+
+
+@pytest.mark.parametrize("package", ["taichi", "matplotlib"])
+def test_ctrl_c_during_a_late_import_is_one_line(package: str, tmp_path: Path) -> None:
+    walk = ("-m", "taichi_nmm", "walk", "--duration", 1, "--movie-seconds", 0)
+    done = run_with_accident(tmp_path, walk, interrupted=package)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr.splitlines()[-1] == INTERRUPTED.strip() and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "package"),
+    [
+        (("walk",), "taichi"),
+        (("walk", "--duration", 1, "--movie-seconds", 0), "matplotlib"),
+        (("walk",), "imageio_ffmpeg"),
+        (("dashboard",), "optuna_dashboard"),
+    ],
+)
+def test_a_missing_package_is_named_in_one_line(
+    words: tuple[object, ...], package: str, tmp_path: Path
+) -> None:
+    done = run_with_accident(tmp_path, ("-m", "taichi_nmm", *words), missing=[package])
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.splitlines()[-1].startswith("error: ") and package in done.stderr.replace(
+        "-", "_"
+    )
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("hidden", ["study.py", "storage.py", "study/__init__.py"])
+def test_a_file_that_hides_a_package_of_ours_is_named(hidden: str, tmp_path: Path) -> None:
+    file = tmp_path / hidden
+    file.parent.mkdir(exist_ok=True)
+    file.write_text("raise RuntimeError('a file of the user was run')\n")
+    done = run_with_accident(tmp_path, ("-m", "taichi_nmm", "walk", "--help"))
+    name = file.relative_to(tmp_path).parts[0].removesuffix(".py")
+    line = f"error: {name}: '{file}' hides the package {name} of taichi-nmm; allowed: "
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(line) and done.stderr.count("\n") == 1
+    tool = [sys.executable, ROOT / "tools" / "walk.py", "--help"]  # hides nothing from a script
+    assert subprocess.run(tool, cwd=tmp_path, capture_output=True).returncode == 0
+
+
+def test_a_hidden_package_is_named_where_ours_is_imported(tmp_path: Path) -> None:
+    (tmp_path / "storage.py").write_text("raise RuntimeError('a file of the user was run')\n")
+    done = run_with_accident(tmp_path, ("-c", "from study import FeatureTable"))
+    line = f"storage: '{tmp_path / 'storage.py'}' hides the package storage of taichi-nmm"
+    assert done.returncode == 1 and line in done.stderr.splitlines()[-1]

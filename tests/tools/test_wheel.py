@@ -1,0 +1,125 @@
+"""What a wheel installs, in an environment of its own that has the packages but no checkout."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.tools.running import ROOT
+
+pytestmark = pytest.mark.slow
+
+SOURCES = ("taichi_nmm", "storage", "study", "configs", "pyproject.toml", "README.md")
+MOST_BYTES = 2_000_000
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, built of a copy: a build leaves folders in its source."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    source.mkdir()
+    for name in SOURCES:
+        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy2
+        copy(ROOT / name, source / name)
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", str(source)]
+    offline = ["--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(folder)]
+    done = subprocess.run([*pip, *offline], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return next(folder.glob("*.whl"))
+
+
+class Installed:
+    """A fresh environment with the wheel, and an empty folder to work in."""
+
+    def __init__(self, folder: Path, wheel: Path) -> None:
+        self.folder = folder / "work"
+        self.folder.mkdir()
+        self.bin = folder / "env" / "bin"
+        venv.create(folder / "env", symlinks=True)
+        python = str(self.bin / "python")
+        sites = subprocess.check_output(
+            [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], text=True
+        )
+        # Packages of this environment are seen; its .pth files, which know the checkout, are not.
+        others = {sysconfig.get_path(kind) for kind in ("purelib", "platlib")}
+        (Path(sites.strip()) / "others.pth").write_text("\n".join(sorted(others)))
+        pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", python]
+        options = ["--no-deps", "--no-index", "--ignore-installed"]
+        done = subprocess.run(
+            [*pip, "install", *options, str(wheel)], capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+
+    def run(self, program: str, *arguments: object) -> str:
+        """What a program of the environment prints, in the empty folder."""
+        environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+        done = subprocess.run(
+            [self.bin / program, *map(str, arguments)],
+            cwd=self.folder, env=environment, capture_output=True, text=True,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    return Installed(tmp_path_factory.mktemp("installed"), wheel)
+
+
+def test_it_holds_every_configuration_and_the_hub_package(wheel: Path) -> None:
+    names = set(zipfile.ZipFile(wheel).namelist())
+    for path in (ROOT / "configs").glob("*.toml"):
+        assert f"study/configs/{path.name}" in names
+    package = ROOT / "study" / "hub" / "package"
+    for path in package.rglob("*"):
+        if path.is_file() and "__pycache__" not in path.parts:
+            assert str(path.relative_to(ROOT)) in names
+    assert not {name.split("/")[0] for name in names} & {"tests", "tools", "docs", "configs"}
+    assert wheel.stat().st_size < MOST_BYTES
+
+
+def test_it_is_not_the_checkout_that_is_run(installed: Installed) -> None:
+    for package in ("taichi_nmm", "storage", "study"):
+        place = installed.run("python", "-c", f"import {package}; print({package}.__file__)")
+        assert Path(place).is_relative_to(installed.bin.parent)
+
+
+def test_the_commands_explain_themselves(installed: Installed) -> None:
+    for said in (
+        installed.run("taichi-nmm", "--help"),
+        installed.run("python", "-m", "taichi_nmm"),
+    ):
+        assert "walk  " in said and "draw-store  " in said
+    assert "--list-configs" in installed.run("taichi-nmm", "walk", "--help")
+
+
+def test_configurations_are_listed_by_name(installed: Installed) -> None:
+    stores = installed.run("taichi-nmm", "precompute", "--list-configs").splitlines()
+    others = installed.run("taichi-nmm", "study", "--list-configs").splitlines()
+    names = [line.split()[0] for line in (*stores, *others)]
+    assert sorted(names) == sorted(path.stem for path in (ROOT / "configs").glob("*.toml"))
+    assert any(line.startswith("store-diverse ") for line in stores)
+    assert any(line.startswith("rough8-smooth ") and "first experiment" in line for line in others)
+
+
+def test_the_main_job_is_done_by_name(installed: Installed) -> None:
+    """A store, a study that reads it, and a walk of what was found."""
+    made = installed.run(
+        "taichi-nmm", "precompute", "--config", "store", "--samples", 64, "--workers", 1, "--json"
+    )
+    assert json.loads(made)["path"] == "out/store"
+    where = ("--arm", "dog", "--trials", 2, "--storage", "sqlite:///studies.db", "--json")
+    found = json.loads(installed.run("taichi-nmm", "study", "--config", "rough8", *where))
+    assert found["trials"] == 2
+    short = ("--duration", 2, "--movie-seconds", 0, "--json")
+    walked = installed.run("taichi-nmm", "walk", "--gains", found["gains"], *short)
+    strip = json.loads(walked)["pictures"]["strip"]
+    assert (installed.folder / strip).is_file()
