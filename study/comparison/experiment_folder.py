@@ -23,7 +23,8 @@ import pyarrow as pa
 from storage.claim import claimed, remove
 from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
 from storage.document import agree
-from storage.shard import read_columns, write_table
+from storage.shard import write_table
+from storage.stamped import read_stamped, write_stamped
 from study.comparison.results import RESULT_SCHEMA, STATE_SCHEMA, TIME_COLUMNS, in_order
 from study.experiment.identity import GROWING
 from taichi_nmm.errors import InputError
@@ -77,12 +78,13 @@ class ExperimentFolder:
         """The finished trials of an arm, by run and trial; empty for one that is new.
 
         Raises:
-            InputError: a damaged file, one of something else, or one with a gap.
+            InputError: a damaged or edited file, one of another experiment or of something else, or
+                one with a gap.
         """
         path = self._arm(name)
         if not path.exists():
             return STATE_SCHEMA.empty_table()
-        table = read_columns(path)
+        table = read_stamped(path, self.document, GROWING)
         if not table.schema.equals(STATE_SCHEMA) or set(table["arm"].to_pylist()) - {name}:
             raise InputError("out", str(path), f"finished trials of {name}, in this version's form")
         _require_complete(table, path)
@@ -90,7 +92,7 @@ class ExperimentFolder:
 
     def write_arm(self, name: str, table: pa.Table) -> None:
         """Commit the finished trials of an arm."""
-        write_table(self._arm(name), table, self.document)
+        write_stamped(self._arm(name), table, self.document)
 
     def write_results(self) -> pa.Table:
         """Commit the tables of all arms that have trials here, and return the results."""
