@@ -18,8 +18,8 @@ from storage.document import difference
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.identity import LIVE_ATTRIBUTE, document
+from study.experiment.live_study import LiveStudy
 from study.experiment.objective import attributes, costs, finite
-from study.experiment.one_study import OneStudy
 from study.experiment.simulation import simulate_trials
 from study.experiment.worth_note import note_worth
 from taichi_nmm.errors import InputError
@@ -56,7 +56,7 @@ def run_study(
         InputError: the run is none of the experiment's, or a study of that name was made otherwise.
     """
     experiment.require_run(run)
-    one = OneStudy(experiment, arm, run, open_study(experiment, arm, run, storage))
+    one = LiveStudy(experiment, arm, run, open_study(experiment, arm, run, storage))
     _repeat_running(experiment, one.study)
     while one.trials < trials and not _ended(experiment, one):
         told = _run_trial(experiment, one)
@@ -66,7 +66,7 @@ def run_study(
     return one.study
 
 
-def _ended(experiment: Experiment, one: OneStudy) -> bool:
+def _ended(experiment: Experiment, one: LiveStudy) -> bool:
     """Whether a study that ends with its first walker has one."""
     walkers = (trial.user_attrs.get("walked") for trial in one.finished())
     return experiment.until_walker and any(walkers)
@@ -106,7 +106,7 @@ def _refuse_older(old: str, new: str, storage: BaseStorage) -> None:
         raise InputError("study", old, allowed)
 
 
-def _run_trial(experiment: Experiment, one: OneStudy) -> FrozenTrial:
+def _run_trial(experiment: Experiment, one: LiveStudy) -> FrozenTrial:
     """Ask, simulate, tell; an interrupted trial is put back in the queue."""
     try:
         gains = np.array([one.ask()])
