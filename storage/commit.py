@@ -5,6 +5,7 @@ is killed. So: a temporary sibling, closed and re-opened to be checked, on the d
 its name; and the folder on the disk before anyone is told.
 """
 
+import errno
 import json
 import os
 from collections.abc import Callable, Iterator
@@ -61,6 +62,20 @@ def writable(path: Path, field: str = "out") -> Iterator[None]:
     except OSError as error:
         allowed = f"a place that can be written, with space left ({error.strerror or error})"
         raise InputError(field, str(path), allowed) from None
+
+
+def require_writable(path: Path, field: str = "out") -> None:
+    """Refuse a file or folder that can be neither written nor made; nothing is touched.
+
+    Raises:
+        InputError: naming the path, as `field`.
+    """
+    with writable(path, field):
+        nearest = next(each for each in (path, *path.absolute().parents) if each.exists())
+        if nearest != path and not nearest.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, f"{nearest} is no folder")
+        if not os.access(nearest, os.W_OK | (os.X_OK if nearest.is_dir() else 0)):
+            raise PermissionError(errno.EACCES, f"{nearest} cannot be written")
 
 
 def _sync(path: Path) -> None:

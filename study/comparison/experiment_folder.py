@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from storage.claim import claimed, remove
+from storage.claim import claimed, remove, require_claimable
 from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
-from storage.document import agree
+from storage.document import agree, agreed
 from storage.shard import write_table
 from storage.stamped import read_stamped, write_stamped
 from study.comparison.results import RESULT_SCHEMA, STATE_SCHEMA, TIME_COLUMNS, in_order
@@ -36,6 +36,7 @@ RUN_NAME = "run.json"
 ARMS_NAME = "arms"
 DATABASE_NAME = "studies.db"
 ARTIFACTS_NAME = "artifacts"
+KIND = "an experiment's"  # folder, for messages
 
 Document = dict[str, Any]
 
@@ -61,7 +62,7 @@ class ExperimentFolder:
             InputError: in use by another process, of something else, of another document, or not
                 writable.
         """
-        with claimed(path, EXPERIMENT_NAME, "an experiment's"):
+        with claimed(path, EXPERIMENT_NAME, KIND):
             agreed = agree(
                 path / EXPERIMENT_NAME, document, growing=GROWING, remedy="another --out"
             )
@@ -69,6 +70,19 @@ class ExperimentFolder:
                 (path / ARMS_NAME).mkdir(exist_ok=True)
             remove(path / ARMS_NAME, f".*{TEMPORARY_SUFFIX}")
             yield ExperimentFolder(path, agreed)
+
+    @staticmethod
+    def check(path: Path, document: Document) -> None:
+        """Refuse what cannot be gone on with, before anything is written.
+
+        Raises:
+            InputError: as `claim`, of a folder that nobody else holds, and `read_arm`.
+        """
+        require_claimable(path, EXPERIMENT_NAME, KIND)
+        known = agreed(path / EXPERIMENT_NAME, document, growing=GROWING, remedy="another --out")
+        folder = ExperimentFolder(path, known)
+        for name in folder.arms():
+            folder.read_arm(name)
 
     def arms(self) -> list[str]:
         """Arms that have finished trials here."""

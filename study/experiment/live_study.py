@@ -6,6 +6,7 @@ memory that this process has made and told the same trials, and what it proposes
 here.
 """
 
+import math
 from typing import Any
 
 import optuna
@@ -39,7 +40,8 @@ class LiveStudy(OneStudy):
         self._twin = OneStudy(experiment, arm, run) if arm.replayed else None
         if self._twin is not None:
             for trial in self.finished():
-                self._twin.restore(list(map(trial.params.get, self._names)), trial.values[0], {})
+                gains = [trial.params.get(name, math.nan) for name in self._names]
+                self._twin.restore(gains, trial.values[0], {})
 
     def ask(self) -> list[float]:
         """As of any study.
