@@ -8,6 +8,7 @@ its name; and the folder on the disk before anyone is told.
 import errno
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -62,6 +63,32 @@ def writable(path: Path, field: str = "out") -> Iterator[None]:
     except OSError as error:
         allowed = f"a place that can be written, with space left ({error.strerror or error})"
         raise InputError(field, str(path), allowed) from None
+
+
+@contextmanager
+def together(folder: Path) -> Iterator[Path]:
+    """A folder to write files to, which move to `folder` when the block has ended well.
+
+    If it ends otherwise, nothing is there that was not there before.
+
+    Raises:
+        InputError: the folder cannot be written or the disk is full.
+    """
+    new = folder.with_name(f".{folder.name}.new")
+    with writable(folder):
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, "no folder")
+        new.parent.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(new, ignore_errors=True)  # of a process that was killed
+        new.mkdir()
+    try:
+        yield new
+        with writable(folder):
+            folder.mkdir(exist_ok=True)
+            for file in sorted(new.iterdir()):
+                file.replace(folder / file.name)
+    finally:
+        shutil.rmtree(new, ignore_errors=True)
 
 
 def require_writable(path: Path, field: str = "out") -> None:

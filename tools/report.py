@@ -15,7 +15,9 @@ from pathlib import Path
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from storage.commit import require_writable
 from study.command import run_command
+from study.experiment.experiment import Experiment
 from study.experiment.identity import documented_experiment
 from study.report.before_after import Pair, before_and_after
 from study.report.estimate_line import find_optimum
@@ -39,9 +41,8 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def strips_of(results: Results) -> Pair | None:
+def strips_of(results: Results, experiment: Experiment | None) -> Pair | None:
     """The two walks to draw; a folder that does not say its ground only costs the strips."""
-    experiment = documented_experiment(results.facts)
     if experiment is None:
         print(f"{results.name}: no strips ({NO_GROUND})", file=sys.stderr)
         return None
@@ -56,9 +57,12 @@ def main() -> None:
         )
     everything = [read_results(folder) for folder in args.folders]
     optima = [find_optimum(results, args.optimum) for results in everything]
+    experiments = [documented_experiment(results.facts) for results in everything]
+    if args.out is not None:
+        require_writable(args.out)
     found = []
-    for results, optimum in zip(everything, optima, strict=True):
-        pair = None if args.no_strips else strips_of(results)
+    for results, experiment, optimum in zip(everything, experiments, optima, strict=True):
+        pair = None if args.no_strips else strips_of(results, experiment)
         found.append(write_report(results, optimum, pair, stores=known_stores(results)))
         state = "" if results.complete else f" ({results.found:,} of {results.planned:,} trials)"
         print(f"{results.folder / REPORT_NAME}: {results.name}{state}", flush=True)
