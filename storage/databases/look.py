@@ -17,7 +17,7 @@ from storage.databases.schema_version import TABLES
 from taichi_nmm.errors import InputError
 
 REVISION_TABLE = "alembic_version"
-KEPT_ONCE = ("version_info", REVISION_TABLE)  # tables of one row, which Optuna would add
+COUNTED = ("studies", "version_info", REVISION_TABLE)  # the last two have a row, which Optuna adds
 
 
 @contextmanager
@@ -53,18 +53,27 @@ def looked_at(url: str, shown: str, options: dict[str, Any]) -> Iterator[RDBStor
 
 
 def _is_empty(engine: sql.Engine, shown: str) -> bool:
-    """Whether there are no tables; those of another program are refused."""
-    tables = set(sql.inspect(engine).get_table_names())
-    if not tables:
+    """Whether there is nothing yet: no tables, or Optuna's without a study and without a version.
+
+    These a killed process may have left, and Optuna finishes them. What is of another program is
+    refused.
+    """
+    names = set(sql.inspect(engine).get_table_names())
+    if not names:
         return True
-    ours = tables.issuperset((*TABLES, REVISION_TABLE))
+    complete = names.issuperset(TABLES)
     with engine.connect() as connection:
-        for name in KEPT_ONCE if ours else ():
-            rows = sql.select(sql.func.count()).select_from(sql.table(name))
-            ours &= connection.execute(rows).scalar() == 1
-    if not ours:
+        rows = {name: _count(connection, name) for name in COUNTED if complete and name in names}
+    complete &= REVISION_TABLE in rows and rows["version_info"] == rows[REVISION_TABLE] == 1
+    empty = not complete and rows.get("studies") == 0 and max(rows.values()) <= 1
+    if not (complete or empty):
         raise InputError("storage", shown, "an Optuna database, or an empty one, or a new file")
-    return False
+    return empty
+
+
+def _count(connection: sql.Connection, table: str) -> int:
+    query = sql.select(sql.func.count()).select_from(sql.table(table))
+    return int(connection.execute(query).scalar_one())
 
 
 def sqlite_options(path: Path, timeout_s: float) -> dict[str, Any]:

@@ -6,9 +6,10 @@ may lose the last transactions, never the file.
 """
 
 import fcntl
+import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,11 @@ from optuna.storages import RDBStorage
 from sqlalchemy import event
 from sqlalchemy.exc import SQLAlchemyError
 
-from storage.commit import require_writable, writable
+from storage.commit import TEMPORARY_SUFFIX, require_writable, writable
 from storage.databases import postgresql
 from storage.databases.look import looked_at, sqlite_options
 from storage.databases.postgresql import unusable
-from storage.databases.urls import FORMS, SQLITE, is_postgresql
+from storage.databases.urls import FORMS, SQLITE, file_url, is_postgresql
 from storage.databases.urls import public_url as public_url
 from taichi_nmm.errors import InputError
 
@@ -43,12 +44,12 @@ def open_studies(url: str) -> RDBStorage:
     if is_postgresql(url):
         return postgresql.open_database(url)
     path = studies_path(url)
-    literal = url.replace("{", "{{").replace("}", "}}")  # Optuna formats it
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        _make(path)
         with closing(sqlite3.connect(path, timeout=BUSY_TIMEOUT_S)) as connection:
             _claim(connection)
-        storage = RDBStorage(literal, engine_kwargs={"connect_args": {"timeout": BUSY_TIMEOUT_S}})
+        storage = _storage(url)
     except (OSError, sqlite3.Error, SQLAlchemyError, RuntimeError) as error:
         raise unusable(shown_url(url), error) from None
     event.listen(storage.engine, "connect", _relax_synchronous)
@@ -144,6 +145,27 @@ def only_run(url: str, study_name: str) -> Iterator[None]:
 def _taken(study_name: str) -> InputError:
     allowed = "one run of a study at a time; another process is running this one"
     return InputError("study", study_name, allowed)
+
+
+def _storage(url: str) -> RDBStorage:
+    literal = url.replace("{", "{{").replace("}", "}}")  # Optuna formats it
+    return RDBStorage(literal, engine_kwargs={"connect_args": {"timeout": BUSY_TIMEOUT_S}})
+
+
+def _make(path: Path) -> None:
+    """Make the file with its tables, where there is none: it appears whole or not at all.
+
+    SQLite commits each table by itself; a process killed between two would leave what nobody knows.
+    """
+    if path.exists():
+        return
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
+    try:
+        _storage(file_url(temporary)).engine.dispose()
+        with suppress(OSError):  # another process was faster; or no links here: it is made in place
+            os.link(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def _claim(connection: sqlite3.Connection) -> None:

@@ -23,7 +23,7 @@ def find_optimum(results: Results, given: Sequence[Path]) -> float | None:
         if not document:
             continue
         cost, best = document.get("cost"), document.get("best_cost")
-        if not isinstance(cost, str) or not is_number(best):
+        if not isinstance(cost, str) or best is None or not is_number(best):
             raise InputError("optimum", str(path), "a document of tools/optimum.py")
         if cost == results.cost:
             return float(best)

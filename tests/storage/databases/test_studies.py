@@ -152,7 +152,9 @@ CHANGES = {
 def test_a_refused_database_is_kept_as_it_is(tmp_path: Path, kind: str, mode: str) -> None:
     path = tmp_path / "other.db"
     if kind in CHANGES:
-        RDBStorage(f"sqlite:///{path}").engine.dispose()
+        storage = RDBStorage(f"sqlite:///{path}")
+        optuna.create_study(storage=storage, study_name="mine")
+        storage.engine.dispose()
     with closing(sqlite3.connect(path, isolation_level=None)) as connection:
         for statement in (*OTHERS.get(kind, ()), *CHANGES.get(kind, ())):
             connection.execute(statement)
@@ -163,6 +165,34 @@ def test_a_refused_database_is_kept_as_it_is(tmp_path: Path, kind: str, mode: st
         open_studies(f"sqlite:///{path}")
     assert "\n" not in str(caught.value)
     assert listing(tmp_path) == before
+
+
+@pytest.mark.parametrize("kind", ["no revision", "no version", "no table of revisions"])
+def test_a_database_that_was_being_made_is_finished(tmp_path: Path, kind: str) -> None:
+    url = f"sqlite:///{tmp_path}/studies.db"
+    RDBStorage(url).engine.dispose()
+    with closing(sqlite3.connect(tmp_path / "studies.db", isolation_level=None)) as connection:
+        connection.execute(*CHANGES[kind])
+    with read_studies(url) as nothing:
+        assert nothing is None
+    optuna.create_study(storage=open_studies(url), study_name="a")
+
+
+def test_a_new_database_appears_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    url = f"sqlite:///{tmp_path}/studies.db"
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(os, "link", killed)
+        open_studies(url)
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(
+        os, "link", lambda *_: Path("nowhere").stat()
+    )  # a file system without links
+    optuna.create_study(storage=open_studies(url), study_name="a")
+    assert "studies.db" in listing(tmp_path)
 
 
 def test_what_is_read_is_not_written(tmp_path: Path) -> None:
