@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from json import JSONDecodeError
 from pathlib import Path
 from sqlite3 import Connection, connect
 from typing import Any
@@ -30,7 +31,8 @@ def looked_at(url: str, shown: str, options: dict[str, Any]) -> Iterator[RDBStor
         options: of SQLAlchemy's engine; with them nothing can be written.
 
     Raises:
-        InputError: not to be read, somebody else's, or an Optuna schema of another version.
+        InputError: not to be read, with values that are not JSON, somebody else's, or an Optuna
+            schema of another version.
     """
     storage = None
     try:
@@ -45,7 +47,7 @@ def looked_at(url: str, shown: str, options: dict[str, Any]) -> Iterator[RDBStor
         raise unusable(shown, error) from None
     try:
         yield storage
-    except SQLAlchemyError as error:
+    except (SQLAlchemyError, JSONDecodeError) as error:
         raise unusable(shown, error) from None
     finally:
         if storage is not None:

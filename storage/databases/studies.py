@@ -10,6 +10,7 @@ import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
+from json import JSONDecodeError
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +112,7 @@ def storage_errors(url: str) -> Iterator[None]:
     """Turn what a database can do to a running study into one line for its user."""
     try:
         yield
-    except (SQLAlchemyError, StorageInternalError) as error:
+    except (SQLAlchemyError, StorageInternalError, JSONDecodeError) as error:
         raise unusable(shown_url(url), error) from None
 
 

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 from storage.shard import first_line
 from study.comparison.experiment_folder import ARMS_NAME, RESULTS_NAME
 from study.experiment.experiment import NAME_PATTERN
+from study.report.documents import LARGEST_NUMBER
 from taichi_nmm.errors import InputError
 
 Kind = tuple[Callable[[pa.DataType], bool], str]
@@ -19,7 +20,7 @@ Kind = tuple[Callable[[pa.DataType], bool], str]
 NAMES: Kind = pa.types.is_string, "letters, digits, '.', '_' and '-'"
 COUNTS: Kind = pa.types.is_integer, "whole numbers from 0"
 FLAGS: Kind = pa.types.is_boolean, "true or false"
-NUMBERS: Kind = pa.types.is_floating, "finite numbers"
+NUMBERS: Kind = pa.types.is_floating, f"numbers up to {LARGEST_NUMBER:g}"
 KINDS = {
     "experiment": NAMES, "arm": NAMES, "run": COUNTS, "trial": COUNTS, "walked": FLAGS,
 }  # fmt: skip
@@ -34,10 +35,10 @@ def read_trials(path: Path, columns: Sequence[str]) -> pa.Table:
     try:
         known = pq.read_schema(path).names
         for name in columns:
-            if name not in known:
-                raise InputError(f"{path.name}: column", name, f"one of {', '.join(known)}")
+            if known.count(name) != 1:
+                raise InputError(f"{path.name}: column", name, f"one of {', '.join(known)}, once")
         table = pq.read_table(path, columns=list(columns), partitioning=None)
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         allowed = f"a readable table of trials ({first_line(error)})"
         raise InputError(path.name, str(path), allowed) from None
     for name in columns:
@@ -51,8 +52,8 @@ def _require(column: pa.ChunkedArray, name: str, path: Path) -> None:
     if not is_kind(column.type) or column.null_count:
         found = f"{column.type}, {column.null_count} of {len(column)} missing"
         raise InputError(field, found, f"{allowed}, none missing")
-    if is_kind is NUMBERS[0] and not np.isfinite(column.to_numpy()).all():
-        raise InputError(field, "NaN or infinite", allowed)
+    if is_kind is NUMBERS[0] and not (np.abs(column.to_numpy()) <= LARGEST_NUMBER).all():
+        raise InputError(field, "NaN, infinite or larger", allowed)
     if is_kind is COUNTS[0] and len(column) and pc.min(column).as_py() < 0:
         raise InputError(field, pc.min(column).as_py(), allowed)
     if is_kind is NAMES[0]:

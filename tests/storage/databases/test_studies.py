@@ -12,6 +12,7 @@ from optuna.exceptions import StorageInternalError
 from optuna.storages import RDBStorage
 
 from storage.databases import studies
+from storage.databases.bulk import study_attributes
 from storage.databases.studies import (
     only_run,
     open_studies,
@@ -221,6 +222,20 @@ def test_places_where_no_file_can_be(tmp_path: Path, name: str) -> None:
         open_studies(f"sqlite:///{tmp_path}/{name}")
     assert "\n" not in str(caught.value)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_values_that_are_not_json_are_one_line(tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path}/studies.db"
+    study = optuna.create_study(storage=open_studies(url), study_name="a")
+    study.set_user_attr("key", 1)
+    with closing(sqlite3.connect(tmp_path / "studies.db")) as connection, connection:
+        connection.execute("UPDATE study_user_attributes SET value_json = '{'")
+    storage = open_studies(url)
+    with pytest.raises(InputError, match=r"storage: .*studies\.db") as caught, storage_errors(url):
+        assert optuna.load_study(study_name="a", storage=storage).user_attrs
+    with pytest.raises(InputError, match="storage: "), read_studies(url) as looked:
+        assert looked is not None and study_attributes(looked, "key")
+    assert "\n" not in str(caught.value)
 
 
 def test_a_locked_database_is_refused_in_one_line(

@@ -83,6 +83,7 @@ ODD = [None, *["dog"] * (COUNT - 1)]
         ("run", [-1] * COUNT), ("trial", [0.5] * COUNT), ("walked", [1] * COUNT),
         ("cost", [np.nan] * COUNT), ("best_cost", [np.nan, *[1.0] * (COUNT - 1)]),
         ("best_cost", [np.inf] * COUNT), ("best_cost", ["cheap"] * COUNT),
+        ("cost", [1e308] * COUNT),
     ],
 )  # fmt: skip
 def test_columns_of_something_else(folder: Path, name: str, values: Any) -> None:
