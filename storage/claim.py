@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from storage.commit import TEMPORARY_SUFFIX, require_writable, writable
+from storage.commit import TEMPORARY_SUFFIX, require_folder, writable
 from taichi_nmm.errors import InputError
 
 LOCK_NAME = ".lock"
@@ -54,10 +54,8 @@ def require_claimable(path: Path, first: str, kind: str) -> None:
     Raises:
         InputError: not a folder, not empty and without the first file, or not writable.
     """
-    require_writable(path)
+    require_folder(path)
     with writable(path):
-        if path.exists() and not path.is_dir():
-            raise InputError("out", str(path), "a folder")
         names = {file.name for file in path.iterdir()} if path.is_dir() else set()
     foreign = sorted(name for name in names if name != LOCK_NAME and not _is_temporary(name))
     if foreign and first not in names:

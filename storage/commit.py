@@ -75,9 +75,8 @@ def together(folder: Path) -> Iterator[Path]:
         InputError: the folder cannot be written or the disk is full.
     """
     new = folder.with_name(f".{folder.name}.new")
+    require_folder(folder)
     with writable(folder):
-        if folder.exists() and not folder.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, "no folder")
         new.parent.mkdir(parents=True, exist_ok=True)
         shutil.rmtree(new, ignore_errors=True)  # of a process that was killed
         new.mkdir()
@@ -103,6 +102,17 @@ def require_writable(path: Path, field: str = "out") -> None:
             raise NotADirectoryError(errno.ENOTDIR, f"{nearest} is no folder")
         if not os.access(nearest, os.W_OK | (os.X_OK if nearest.is_dir() else 0)):
             raise PermissionError(errno.EACCES, f"{nearest} cannot be written")
+
+
+def require_folder(path: Path, field: str = "out") -> None:
+    """Refuse a folder that can be neither written to nor made; nothing is touched.
+
+    Raises:
+        InputError: naming the path, as `field`.
+    """
+    require_writable(path, field)
+    if path.exists() and not path.is_dir():
+        raise InputError(field, str(path), "a folder")
 
 
 def _sync(path: Path) -> None:

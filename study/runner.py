@@ -16,7 +16,7 @@ from optuna.exceptions import ExperimentalWarning, StorageInternalError
 from optuna.storages import BaseStorage, RetryHeartbeatStaleTrialCallback
 from optuna.trial import FrozenTrial, TrialState
 
-from storage.commit import require_writable
+from storage.commit import require_folder
 from storage.databases.studies import read_studies
 from storage.document import difference
 from study.experiment.arms import Arm
@@ -105,7 +105,7 @@ def check_study(experiment: Experiment, arm: Arm, run: int, url: str, out: Path)
         InputError: as `open_study`, or what cannot be read or written.
     """
     experiment.require_run(run)
-    require_writable(out)
+    require_folder(out)
     with read_studies(url) as storage:
         if storage is not None:
             _check_study(experiment, arm, run, storage)

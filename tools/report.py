@@ -15,7 +15,7 @@ from pathlib import Path
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from storage.commit import require_writable
+from storage.commit import require_folder
 from study.command import run_command
 from study.experiment.experiment import Experiment
 from study.experiment.identity import documented_experiment
@@ -59,7 +59,7 @@ def main() -> None:
     optima = [find_optimum(results, args.optimum) for results in everything]
     experiments = [documented_experiment(results.facts) for results in everything]
     if args.out is not None:
-        require_writable(args.out)
+        require_folder(args.out)
     found = []
     for results, experiment, optimum in zip(everything, experiments, optima, strict=True):
         pair = None if args.no_strips else strips_of(results, experiment)
