@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from storage.commit import TEMPORARY_SUFFIX, writable
+from storage.commit import TEMPORARY_SUFFIX, require_folder, writable
 from taichi_nmm.errors import InputError
 
 LOCK_NAME = ".lock"
@@ -24,7 +24,7 @@ def claimed(path: Path, first: str, kind: str) -> Iterator[None]:
         InputError: in use by another process, not empty and without the first file, or not
             writable.
     """
-    _refuse_foreign(path, first, kind)
+    require_claimable(path, first, kind)
     with writable(path):
         path.mkdir(parents=True, exist_ok=True)
         lock = (path / LOCK_NAME).open("a")  # never removed: another process may hold it
@@ -46,10 +46,15 @@ def remove(path: Path, *patterns: str) -> None:
                 file.unlink()
 
 
-def _refuse_foreign(path: Path, first: str, kind: str) -> None:
-    """Refuse a folder that holds something else: its files would be overwritten."""
-    if path.exists() and not path.is_dir():
-        raise InputError("out", str(path), "a folder")
+def require_claimable(path: Path, first: str, kind: str) -> None:
+    """Refuse a folder that holds something else, whose files would be overwritten.
+
+    Nothing is written. Arguments as of `claimed`.
+
+    Raises:
+        InputError: not a folder, not empty and without the first file, or not writable.
+    """
+    require_folder(path)
     with writable(path):
         names = {file.name for file in path.iterdir()} if path.is_dir() else set()
     foreign = sorted(name for name in names if name != LOCK_NAME and not _is_temporary(name))

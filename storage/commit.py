@@ -5,8 +5,10 @@ is killed. So: a temporary sibling, closed and re-opened to be checked, on the d
 its name; and the folder on the disk before anyone is told.
 """
 
+import errno
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -61,6 +63,56 @@ def writable(path: Path, field: str = "out") -> Iterator[None]:
     except OSError as error:
         allowed = f"a place that can be written, with space left ({error.strerror or error})"
         raise InputError(field, str(path), allowed) from None
+
+
+@contextmanager
+def together(folder: Path) -> Iterator[Path]:
+    """A folder to write files to, which move to `folder` when the block has ended well.
+
+    If it ends otherwise, nothing is there that was not there before.
+
+    Raises:
+        InputError: the folder cannot be written or the disk is full.
+    """
+    new = folder.with_name(f".{folder.name}.new")
+    require_folder(folder)
+    with writable(folder):
+        new.parent.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(new, ignore_errors=True)  # of a process that was killed
+        new.mkdir()
+    try:
+        yield new
+        with writable(folder):
+            folder.mkdir(exist_ok=True)
+            for file in sorted(new.iterdir()):
+                file.replace(folder / file.name)
+    finally:
+        shutil.rmtree(new, ignore_errors=True)
+
+
+def require_writable(path: Path, field: str = "out") -> None:
+    """Refuse a file or folder that can be neither written nor made; nothing is touched.
+
+    Raises:
+        InputError: naming the path, as `field`.
+    """
+    with writable(path, field):
+        nearest = next(each for each in (path, *path.absolute().parents) if each.exists())
+        if nearest != path and not nearest.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, f"{nearest} is no folder")
+        if not os.access(nearest, os.W_OK | (os.X_OK if nearest.is_dir() else 0)):
+            raise PermissionError(errno.EACCES, f"{nearest} cannot be written")
+
+
+def require_folder(path: Path, field: str = "out") -> None:
+    """Refuse a folder that can be neither written to nor made; nothing is touched.
+
+    Raises:
+        InputError: naming the path, as `field`.
+    """
+    require_writable(path, field)
+    if path.exists() and not path.is_dir():
+        raise InputError(field, str(path), "a folder")
 
 
 def _sync(path: Path) -> None:

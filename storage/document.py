@@ -30,37 +30,54 @@ def difference(document: Any, other: Any, name: str = "") -> tuple[str, Any, Any
     return None
 
 
+def differs(
+    document: dict[str, Any], known: dict[str, Any], growing: tuple[str, ...] = ()
+) -> tuple[str, Any, Any] | None:
+    """As `difference`, but of `growing` dictionaries only what both have may differ."""
+    ours = document | {key: known.get(key, {}) | document[key] for key in growing}
+    theirs = known | {key: document[key] | known.get(key, {}) for key in growing}
+    return difference(ours, theirs)
+
+
+def agreed(
+    path: Path, document: dict[str, Any], *, growing: tuple[str, ...] = (), remedy: str
+) -> dict[str, Any]:
+    """The document that `agree` would leave in the file; nothing is written.
+
+    Args:
+        path: the document's file, which need not be there.
+        document: what this call is to fill the folder with.
+        growing: dictionaries of the document to which calls add; where missing in the file, empty.
+        remedy: what helps whom this refuses, for messages: "another --out".
+
+    Raises:
+        InputError: the file cannot be read, or says something else.
+    """
+    if not path.exists():
+        return document
+    try:
+        known = json.loads(path.read_text(encoding="utf-8"))
+        found = differs(document, known, growing)
+        grown = {key: dict(sorted((known.get(key, {}) | document[key]).items())) for key in growing}
+    except (OSError, ValueError, AttributeError, TypeError):
+        raise InputError("out", str(path), f"a readable {path.stem}; or {remedy}") from None
+    if found:
+        name, here, there = found
+        raise InputError(name or path.stem, here, f"{there!r}, as {path} says; or {remedy}")
+    return document | grown
+
+
 def agree(
     path: Path, document: dict[str, Any], *, growing: tuple[str, ...] = (), remedy: str
 ) -> dict[str, Any]:
     """Write the document into a new folder; in an old one, see that it is the same.
 
-    Args:
-        path: the document's file.
-        document: what this call is to fill the folder with.
-        growing: dictionaries of the document to which calls add; where missing in the file, empty.
-        remedy: what helps whom this refuses, for messages: "another --out".
-
-    Returns:
-        The document with all that calls have added; it is in the file.
+    Args and what is returned, which is then in the file: as `agreed`.
 
     Raises:
-        InputError: the file cannot be read, says something else, or cannot be written.
+        InputError: as `agreed`, or the file cannot be written.
     """
-    if not path.exists():
-        commit_json(path, document)
-        return document
-    try:
-        known = json.loads(path.read_text(encoding="utf-8"))
-        ours = document | {key: known.get(key, {}) | document[key] for key in growing}
-        theirs = known | {key: document[key] | known.get(key, {}) for key in growing}
-    except (OSError, ValueError, AttributeError, TypeError):
-        raise InputError("out", str(path), f"a readable {path.stem}; or {remedy}") from None
-    found = difference(ours, theirs)
-    if found:
-        name, here, there = found
-        raise InputError(name or path.stem, here, f"{there!r}, as {path} says; or {remedy}")
-    grown = ours | {key: dict(sorted(ours[key].items())) for key in growing}
-    if growing and grown != known:
+    grown = agreed(path, document, growing=growing, remedy=remedy)
+    if not path.exists() or (growing and grown != json.loads(path.read_text(encoding="utf-8"))):
         commit_json(path, grown)
     return grown

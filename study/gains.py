@@ -11,8 +11,8 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from optuna.trial import TrialState
 
-from storage.databases.studies import URL_PREFIX as SQLITE
 from storage.databases.studies import open_studies, shown_url, storage_errors, studies_path
+from storage.databases.urls import SQLITE
 from storage.shard import read_columns
 from storage.store import open_store
 from study.comparison.experiment_folder import RESULTS_NAME
@@ -117,7 +117,7 @@ def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
 def _of_database(url: str, name: str, number: int) -> dict[str, Any]:
     shown = shown_url(url)  # refuses what is no such URL
     if url.startswith(SQLITE) and not studies_path(url).is_file():
-        raise InputError("storage", url, "a database that is there, or a comparison's folder")
+        raise InputError("storage", shown, "a database that is there, or a comparison's folder")
     with storage_errors(url):
         storage = open_studies(url)
         if name not in optuna.get_all_study_names(storage):

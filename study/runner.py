@@ -7,6 +7,8 @@ the same experiment has for this arm and run.
 import warnings
 from collections.abc import Callable
 from copy import copy
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import optuna
@@ -14,12 +16,14 @@ from optuna.exceptions import ExperimentalWarning, StorageInternalError
 from optuna.storages import BaseStorage, RetryHeartbeatStaleTrialCallback
 from optuna.trial import FrozenTrial, TrialState
 
+from storage.commit import require_folder
+from storage.databases.studies import read_studies
 from storage.document import difference
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.identity import LIVE_ATTRIBUTE, document
+from study.experiment.live_study import LiveStudy
 from study.experiment.objective import attributes, costs, finite
-from study.experiment.one_study import OneStudy
 from study.experiment.simulation import simulate_trials
 from study.experiment.worth_note import note_worth
 from taichi_nmm.errors import InputError
@@ -56,7 +60,7 @@ def run_study(
         InputError: the run is none of the experiment's, or a study of that name was made otherwise.
     """
     experiment.require_run(run)
-    one = OneStudy(experiment, arm, run, open_study(experiment, arm, run, storage))
+    one = LiveStudy(experiment, arm, run, open_study(experiment, arm, run, storage))
     _repeat_running(experiment, one.study)
     while one.trials < trials and not _ended(experiment, one):
         told = _run_trial(experiment, one)
@@ -66,7 +70,7 @@ def run_study(
     return one.study
 
 
-def _ended(experiment: Experiment, one: OneStudy) -> bool:
+def _ended(experiment: Experiment, one: LiveStudy) -> bool:
     """Whether a study that ends with its first walker has one."""
     walkers = (trial.user_attrs.get("walked") for trial in one.finished())
     return experiment.until_walker and any(walkers)
@@ -78,17 +82,48 @@ def open_study(experiment: Experiment, arm: Arm, run: int, storage: BaseStorage)
     Raises:
         InputError: naming the study, the first field that differs, and the value it has there.
     """
-    name = study_name(experiment.name, arm.name, run)
-    _refuse_older(f"{experiment.name}/{arm.name}", name, storage)
+    name, identity = _check_study(experiment, arm, run, storage)
     study = optuna.create_study(
         storage=storage, study_name=name, direction="minimize", load_if_exists=True
     )
-    identity = document(experiment, (arm,))
+    if LIVE_ATTRIBUTE not in study.user_attrs:
+        study.set_user_attr(LIVE_ATTRIBUTE, identity)
+    return study
+
+
+def check_study(experiment: Experiment, arm: Arm, run: int, url: str, out: Path) -> None:
+    """Refuse a study that cannot go on, before anything is written.
+
+    Args:
+        experiment: of the study.
+        arm: that proposes.
+        run: whose body and ground it is about.
+        url: of the database, which need not be there.
+        out: folder for what the study finds.
+
+    Raises:
+        InputError: as `open_study`, or what cannot be read or written.
+    """
+    experiment.require_run(run)
+    require_folder(out)
+    with read_studies(url) as storage:
+        if storage is not None:
+            _check_study(experiment, arm, run, storage)
+
+
+def _check_study(
+    experiment: Experiment, arm: Arm, run: int, storage: BaseStorage
+) -> tuple[str, dict[str, Any]]:
+    """Name and document of the study, which is new or was begun with this document."""
+    name, identity = study_name(experiment.name, arm.name, run), document(experiment, (arm,))
+    _refuse_older(f"{experiment.name}/{arm.name}", name, storage)
+    if name not in optuna.get_all_study_names(storage):
+        return name, identity
+    study = optuna.load_study(study_name=name, storage=storage)
     known = study.user_attrs.get(LIVE_ATTRIBUTE)
     if known is None:
         if study.get_trials(deepcopy=False):
             raise InputError("study", name, "a name that no study of another program has")
-        study.set_user_attr(LIVE_ATTRIBUTE, identity)
     elif not isinstance(known, dict):  # the experiment's name
         allowed = "another --storage: this study is of a comparison, which goes on by itself"
         raise InputError("study", name, allowed)
@@ -96,7 +131,7 @@ def open_study(experiment: Experiment, arm: Arm, run: int, storage: BaseStorage)
         field, ours, theirs = found
         allowed = f"{theirs!r}, with which it was made; or another name, or another database"
         raise InputError(f"study {name}: {field}", ours, allowed)
-    return study
+    return name, identity
 
 
 def _refuse_older(old: str, new: str, storage: BaseStorage) -> None:
@@ -106,7 +141,7 @@ def _refuse_older(old: str, new: str, storage: BaseStorage) -> None:
         raise InputError("study", old, allowed)
 
 
-def _run_trial(experiment: Experiment, one: OneStudy) -> FrozenTrial:
+def _run_trial(experiment: Experiment, one: LiveStudy) -> FrozenTrial:
     """Ask, simulate, tell; an interrupted trial is put back in the queue."""
     try:
         gains = np.array([one.ask()])

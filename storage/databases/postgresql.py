@@ -8,66 +8,51 @@ import sqlalchemy as sql
 from optuna.storages import RDBStorage
 from sqlalchemy.exc import DBAPIError, NoSuchModuleError, SQLAlchemyError
 
+from storage.databases.urls import POSTGRESQL_FORM, public_url
 from taichi_nmm.errors import InputError
 
-URL_PREFIX = "postgresql+psycopg://"
-URL_FORM = f"{URL_PREFIX}USER:PASSWORD@HOST:PORT/DATABASE"
 CONNECT_TIMEOUT_S = 10
-OPTUNA_TABLE = "studies"
 # A server that was restarted between two checkpoints is noticed by the first, cheap question.
 ENGINE_OPTIONS: dict[str, Any] = {
     "connect_args": {"connect_timeout": CONNECT_TIMEOUT_S},
     "pool_pre_ping": True,
 }
+READING_OPTIONS: dict[str, Any] = {
+    "connect_args": {
+        "connect_timeout": CONNECT_TIMEOUT_S,
+        "options": "-c default_transaction_read_only=on",
+    },
+}
 
 
-def is_postgresql(url: str) -> bool:
-    """Whether the URL names a PostgreSQL database."""
-    return url.startswith(URL_PREFIX)
-
-
-def without_password(url: str) -> str:
-    """The URL as it may be shown.
+def require_server(url: str) -> str:
+    """What the database is called in messages.
 
     Raises:
-        InputError: not a URL of a PostgreSQL database.
+        InputError: not a URL of a PostgreSQL database, or no driver for it.
     """
+    shown = public_url(url)
     try:
         parts = sql.make_url(url)
     except (SQLAlchemyError, ValueError):
         parts = None
-    if parts is None or not parts.database:
-        # What cannot be read may hold a password anywhere.
-        raise InputError("storage", f"{URL_PREFIX}...", URL_FORM)
-    return parts.render_as_string(hide_password=True)
+    if parts is None or not parts.database or "@" in (parts.host or ""):
+        raise InputError("storage", shown, f"{POSTGRESQL_FORM}; an @ in a password is %40")
+    _engine(url, shown).dispose()
+    return shown
 
 
 def open_database(url: str) -> RDBStorage:
     """The study database of this URL; its tables are made where the database is empty.
 
     Raises:
-        InputError: no driver, no server, no such database, somebody else's, or an Optuna schema of
-            another version.
+        InputError: no driver, no server, no such database, or none that can be written.
     """
-    shown = without_password(url)
-    _claim(url, shown)
+    shown = require_server(url)
     try:
         return RDBStorage(url, engine_kwargs=dict(ENGINE_OPTIONS))
     except (SQLAlchemyError, RuntimeError) as error:
         raise unusable(shown, error) from None
-
-
-def _claim(url: str, shown: str) -> None:
-    """See that a server answers, and that its database is Optuna's or empty."""
-    engine = _engine(url, shown)
-    try:
-        tables = sql.inspect(engine).get_table_names()
-    except SQLAlchemyError as error:
-        raise unusable(shown, error) from None
-    finally:
-        engine.dispose()
-    if tables and OPTUNA_TABLE not in tables:
-        raise InputError("storage", shown, "an Optuna database, or an empty one")
 
 
 @contextmanager
@@ -76,7 +61,7 @@ def locked(url: str, study_name: str) -> Iterator[bool]:
 
     The server gives the lock back when the connection ends, however this process ends.
     """
-    shown = without_password(url)
+    shown = require_server(url)
     engine = _engine(url, shown)
     try:
         question = "SELECT pg_try_advisory_lock(hashtextextended(:name, 0))"
@@ -110,7 +95,8 @@ def copy_rows(connection: sql.Connection, table: sql.Table, rows: Sequence[dict[
 def unusable(shown: str, error: Exception) -> InputError:
     """What a database said about itself, in one line for its user."""
     cause = error.__cause__ or error
-    reason = str(getattr(cause, "orig", cause)).strip().splitlines()[0]
+    words = str(getattr(cause, "orig", cause)).strip().splitlines()
+    reason = words[0] if words else type(cause).__name__
     return InputError("storage", shown, f"a study database that can be written ({reason})")
 
 

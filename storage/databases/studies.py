@@ -6,24 +6,30 @@ may lose the last transactions, never the file.
 """
 
 import fcntl
+import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
+from json import JSONDecodeError
 from pathlib import Path
 from typing import Any
 
+import sqlalchemy as sql
 from optuna.exceptions import StorageInternalError
 from optuna.storages import RDBStorage
 from sqlalchemy import event
 from sqlalchemy.exc import SQLAlchemyError
 
+from storage.commit import TEMPORARY_SUFFIX, require_writable, writable
 from storage.databases import postgresql
+from storage.databases.look import looked_at, sqlite_options
 from storage.databases.postgresql import unusable
+from storage.databases.urls import FORMS, SQLITE, file_url, is_postgresql
+from storage.databases.urls import public_url as public_url
 from taichi_nmm.errors import InputError
 
-URL_PREFIX = "sqlite:///"
+URL_PREFIX = SQLITE
 BUSY_TIMEOUT_S = 5.0  # a writer of ours holds the database for milliseconds
-OPTUNA_TABLE = "studies"  # a database that has tables, but not this one, is somebody else's
 
 
 def open_studies(url: str) -> RDBStorage:
@@ -34,24 +40,43 @@ def open_studies(url: str) -> RDBStorage:
             somebody else's database, an Optuna schema of another version, or locked by another
             program.
     """
-    if postgresql.is_postgresql(url):
+    with read_studies(url):
+        pass  # nothing of what is refused is changed
+    if is_postgresql(url):
         return postgresql.open_database(url)
     path = studies_path(url)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        _make(path)
         with closing(sqlite3.connect(path, timeout=BUSY_TIMEOUT_S)) as connection:
-            _claim(connection, path)
-        storage = RDBStorage(url, engine_kwargs={"connect_args": {"timeout": BUSY_TIMEOUT_S}})
+            _claim(connection)
+        storage = _storage(url)
     except (OSError, sqlite3.Error, SQLAlchemyError, RuntimeError) as error:
-        raise unusable(str(path), error) from None
+        raise unusable(shown_url(url), error) from None
     event.listen(storage.engine, "connect", _relax_synchronous)
     storage.engine.dispose()  # connections made before the listener
     return storage
 
 
-def public_url(url: str) -> str:
-    """The URL without a password, so that it may be printed."""
-    return postgresql.without_password(url) if postgresql.is_postgresql(url) else url
+@contextmanager
+def read_studies(url: str) -> Iterator[RDBStorage | None]:
+    """The study database as it is, to be read alone; None where there is none yet, or an empty one.
+
+    Raises:
+        InputError: as `open_studies`, which would open it or make it.
+    """
+    shown = shown_url(url)
+    if is_postgresql(url):
+        with looked_at(url, shown, postgresql.READING_OPTIONS) as storage:
+            yield storage
+        return
+    path = studies_path(url)
+    require_writable(path, "storage")
+    if not path.exists():
+        yield None
+        return
+    with looked_at(URL_PREFIX, shown, sqlite_options(path, BUSY_TIMEOUT_S)) as storage:
+        yield storage
 
 
 def shown_url(url: str) -> str:
@@ -60,20 +85,26 @@ def shown_url(url: str) -> str:
     Raises:
         InputError: the URL names no such database.
     """
-    if postgresql.is_postgresql(url):
-        return postgresql.without_password(url)
-    return str(studies_path(url))
+    if is_postgresql(url):
+        return postgresql.require_server(url)
+    studies_path(url)
+    return public_url(url).removeprefix(URL_PREFIX)
 
 
 def studies_path(url: str) -> Path:
-    """The file that a URL of a study database names."""
-    path = url.removeprefix(URL_PREFIX)
-    if path == url or not path or "?" in path:
-        shown = url.split("://")[0] + "://..." if "@" in url else url  # it may hold a password
-        raise InputError("storage", shown, f"{URL_PREFIX}FILE or {postgresql.URL_FORM}")
-    if Path(path).is_dir():
-        raise InputError("storage", path, "a file, not a folder")
-    return Path(path)
+    """The file that a URL of a study database names.
+
+    Raises:
+        InputError: it names none, or something else than a file.
+    """
+    name, shown = url.removeprefix(URL_PREFIX), public_url(url)
+    if name == url or not name or "?" in name:
+        raise InputError("storage", shown, FORMS)
+    path = Path(sql.make_url(url).database or "")  # which undoes %20 and its like
+    with writable(Path(shown.removeprefix(URL_PREFIX)), "storage"):
+        if path.exists() and not path.is_file():
+            raise InputError("storage", shown.removeprefix(URL_PREFIX), "a file, not a folder")
+    return path
 
 
 @contextmanager
@@ -81,7 +112,7 @@ def storage_errors(url: str) -> Iterator[None]:
     """Turn what a database can do to a running study into one line for its user."""
     try:
         yield
-    except (SQLAlchemyError, StorageInternalError) as error:
+    except (SQLAlchemyError, StorageInternalError, JSONDecodeError) as error:
         raise unusable(shown_url(url), error) from None
 
 
@@ -92,7 +123,7 @@ def only_run(url: str, study_name: str) -> Iterator[None]:
     The lock is a file beside the database, or a lock of the server; it ends with the process,
     however that ends.
     """
-    if postgresql.is_postgresql(url):
+    if is_postgresql(url):
         with postgresql.locked(url, study_name) as free:
             if not free:
                 raise _taken(study_name)
@@ -103,7 +134,7 @@ def only_run(url: str, study_name: str) -> Iterator[None]:
     try:
         file = lock.open("a")  # never removed: another process may be about to lock it
     except OSError as error:
-        raise unusable(str(path), error) from None
+        raise unusable(shown_url(url), error) from None
     with file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -117,11 +148,29 @@ def _taken(study_name: str) -> InputError:
     return InputError("study", study_name, allowed)
 
 
-def _claim(connection: sqlite3.Connection, path: Path) -> None:
-    """See that the database is ours to write, and put it into WAL mode (kept by the file)."""
-    tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
-    if tables and OPTUNA_TABLE not in tables:
-        raise InputError("storage", str(path), "an Optuna database, or a file that does not exist")
+def _storage(url: str) -> RDBStorage:
+    literal = url.replace("{", "{{").replace("}", "}}")  # Optuna formats it
+    return RDBStorage(literal, engine_kwargs={"connect_args": {"timeout": BUSY_TIMEOUT_S}})
+
+
+def _make(path: Path) -> None:
+    """Make the file with its tables, where there is none: it appears whole or not at all.
+
+    SQLite commits each table by itself; a process killed between two would leave what nobody knows.
+    """
+    if path.exists():
+        return
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
+    try:
+        _storage(file_url(temporary)).engine.dispose()
+        with suppress(OSError):  # another process was faster; or no links here: it is made in place
+            os.link(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _claim(connection: sqlite3.Connection) -> None:
+    """See that the database can be written, and put it into WAL mode (kept by the file)."""
     connection.execute("PRAGMA journal_mode=WAL")
     connection.execute("BEGIN IMMEDIATE")
     connection.rollback()

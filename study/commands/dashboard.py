@@ -15,13 +15,13 @@ from socketserver import ThreadingMixIn
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 import optuna
-import optuna_dashboard
-from optuna.artifacts import FileSystemArtifactStore
 
 from storage.databases.studies import URL_PREFIX as SQLITE
 from storage.databases.studies import open_studies, shown_url, studies_path
+from storage.databases.urls import file_url
 from study.command_options import Options
 from study.comparison.experiment_folder import ARTIFACTS_NAME, DATABASE_NAME
+from study.dashboard_guard import guarded_dashboard
 from taichi_nmm.errors import InputError
 
 EXPERIMENTS = Path("out") / "compare"
@@ -60,10 +60,10 @@ def find_database(folder: Path | None, storage: str | None) -> str:
         folder = folder or newest()
         if not (folder / DATABASE_NAME).is_file():
             raise InputError("folder", str(folder), f"an experiment's folder, with {DATABASE_NAME}")
-        return f"{SQLITE}{folder / DATABASE_NAME}"
-    shown_url(storage)  # refuses what is no such URL
+        return file_url(folder / DATABASE_NAME)
+    shown = shown_url(storage)  # refuses what is no such URL
     if storage.startswith(SQLITE) and not studies_path(storage).is_file():
-        raise InputError("storage", storage, "a database that is there")
+        raise InputError("storage", shown, "a database that is there")
     return storage
 
 
@@ -91,10 +91,8 @@ def find_artifacts(folder: Path | None, url: str, artifacts: Path | None) -> Pat
 def make(url: str, artifacts: Path | None, port: int) -> WSGIServer:
     """The server, listening but not serving yet."""
     storage = open_studies(url)
-    store = None if artifacts is None else FileSystemArtifactStore(artifacts)
-    application = optuna_dashboard.wsgi(storage, artifact_store=store)
     try:
-        return make_server(HOST, port, application, Server, QuietHandler)
+        return make_server(HOST, port, guarded_dashboard(storage, artifacts), Server, QuietHandler)
     except OSError as error:
         if error.errno not in (errno.EADDRINUSE, errno.EACCES):
             raise

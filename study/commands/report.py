@@ -12,7 +12,9 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
+from storage.commit import require_folder
 from study.command_options import Options
+from study.experiment.experiment import Experiment
 from study.experiment.identity import documented_experiment
 from study.report.before_after import Pair, before_and_after
 from study.report.estimate_line import find_optimum
@@ -37,9 +39,8 @@ def parse() -> Namespace:
     return parser.parse_args()
 
 
-def strips_of(results: Results) -> Pair | None:
+def strips_of(results: Results, experiment: Experiment | None) -> Pair | None:
     """The two walks to draw; a folder that does not say its ground only costs the strips."""
-    experiment = documented_experiment(results.facts)
     if experiment is None:
         print(f"{results.name}: no strips ({NO_GROUND})", file=sys.stderr)
         return None
@@ -55,9 +56,12 @@ def main() -> None:
         )
     everything = [read_results(folder) for folder in args.folders]
     optima = [find_optimum(results, args.optimum) for results in everything]
+    experiments = [documented_experiment(results.facts) for results in everything]
+    if args.out is not None:
+        require_folder(args.out)
     found = []
-    for results, optimum in zip(everything, optima, strict=True):
-        pair = None if args.no_strips else strips_of(results)
+    for results, experiment, optimum in zip(everything, experiments, optima, strict=True):
+        pair = None if args.no_strips else strips_of(results, experiment)
         found.append(write_report(results, optimum, pair, stores=known_stores(results)))
         state = "" if results.complete else f" ({results.found:,} of {results.planned:,} trials)"
         print(f"{results.folder / REPORT_NAME}: {results.name}{state}", flush=True)

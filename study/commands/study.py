@@ -16,13 +16,13 @@ from pathlib import Path
 import optuna
 
 from storage.commit import commit_json, writable
-from storage.databases.studies import only_run, open_studies, shown_url, storage_errors
+from storage.databases.studies import only_run, open_studies, storage_errors
 from study.command import require_engine
 from study.command_options import LARGEST_SEED, Options
 from study.experiment.arms import ARMS, find_arm
 from study.experiment.check import check_arms
 from study.experiment.experiment import MOST_TRIALS, Experiment, read_experiment, study_name
-from study.runner import run_study
+from study.runner import check_study, run_study
 from study.summary import best_gains, progress_line, summary, summary_text
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import ARCHITECTURES
@@ -62,14 +62,12 @@ def main() -> None:
     experiment = read(args)
     experiment.require_run(args.run)
     trials = experiment.trials if args.trials is None else args.trials
-    shown_url(args.storage)  # refuses what is no such URL
     (arm,) = check_arms(experiment, (args.arm,), trials)
     require_engine(experiment.conditions.settings)
     name = study_name(experiment.name, arm.name, args.run)
     folder = args.out or Path("out") / experiment.name
     gains = folder / f"{arm.name}-run-{args.run:03d}-best.json"
-    with writable(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+    check_study(experiment, arm, args.run, args.storage, folder)
     storage = open_studies(args.storage)
 
     def report(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
@@ -77,6 +75,8 @@ def main() -> None:
 
     with only_run(args.storage, name), storage_errors(args.storage):
         study = run_study(experiment, arm, args.run, trials, storage, report)
+        with writable(folder):
+            folder.mkdir(parents=True, exist_ok=True)
         commit_json(gains, best_gains(study))
         if args.json:
             print(json.dumps(summary(study, args.storage, gains)))

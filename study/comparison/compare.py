@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from storage.databases.studies import URL_PREFIX
+from storage.databases.urls import file_url
 from storage.pool import Pool, local_pool
 from study.command import require_engine
 from study.comparison.block import Advanced, Block, advance
@@ -94,8 +94,8 @@ def compare(
         pool: that does the work, in place of the request's workers.
 
     Raises:
-        InputError: see `check_arms`, `ExperimentFolder.claim` and `advance`; or there is no ffmpeg
-            for the artifacts.
+        InputError: before anything is written: see `check_arms`, `ExperimentFolder.check` and
+            `check_database`, or there is no ffmpeg for the artifacts; later: see `advance`.
         KeyboardInterrupt: finished trials are kept.
     """
     runs = _positive("runs", request.runs, experiment.runs)
@@ -106,9 +106,10 @@ def compare(
     if request.artifacts:
         _require_ffmpeg()
     identity = document(experiment, arms)
+    url = request.storage or file_url(request.out / DATABASE_NAME)
+    ExperimentFolder.check(request.out, identity)
+    check_database(experiment, url)
     with ExperimentFolder.claim(request.out, identity) as folder:
-        url = request.storage or f"{URL_PREFIX}{folder.path / DATABASE_NAME}"
-        check_database(experiment, url)
         studies = [(arm.name, run) for run in range(runs) for arm in arms]
         finished = FinishedTrials(folder, studies, experiment.until_walker)
         session = _Session(experiment, folder, finished)

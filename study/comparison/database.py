@@ -11,7 +11,7 @@ from optuna.storages import RDBStorage
 from optuna.trial import FrozenTrial, create_trial
 
 from storage.databases.bulk import FinishedStudy, study_attributes, trial_counts, write_studies
-from storage.databases.studies import open_studies, shown_url, storage_errors
+from storage.databases.studies import open_studies, read_studies, shown_url, storage_errors
 from study.comparison.results import as_if_gone_on, by_study
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.identity import LIVE_ATTRIBUTE, fingerprint
@@ -69,17 +69,16 @@ def export(
 
 
 def check_database(experiment: Experiment, url: str) -> None:
-    """Refuse a database that `export` would refuse, before the work.
+    """Refuse a database that `export` would refuse, before the work; none is made.
 
     Raises:
         InputError: as `export`.
     """
-    storage = open_studies(url)
-    try:
-        with storage_errors(url):
-            _check(experiment, storage, url)
-    finally:
-        storage.engine.dispose()
+    with read_studies(url) as storage:
+        if storage is None:
+            return
+        _check(experiment, storage, url)
+    open_studies(url).engine.dispose()  # it is there and ours, but may be locked
 
 
 def _check(experiment: Experiment, storage: RDBStorage, url: str) -> None:

@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from storage.claim import claimed, remove
+from storage.claim import claimed, remove, require_claimable
 from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
-from storage.document import agree
-from storage.shard import read_columns, write_table
+from storage.document import agree, agreed
+from storage.shard import write_table
+from storage.stamped import read_stamped, write_stamped
 from study.comparison.results import RESULT_SCHEMA, STATE_SCHEMA, TIME_COLUMNS, in_order
 from study.experiment.identity import GROWING
 from taichi_nmm.errors import InputError
@@ -35,6 +36,7 @@ RUN_NAME = "run.json"
 ARMS_NAME = "arms"
 DATABASE_NAME = "studies.db"
 ARTIFACTS_NAME = "artifacts"
+KIND = "an experiment's"  # folder, for messages
 
 Document = dict[str, Any]
 
@@ -60,7 +62,7 @@ class ExperimentFolder:
             InputError: in use by another process, of something else, of another document, or not
                 writable.
         """
-        with claimed(path, EXPERIMENT_NAME, "an experiment's"):
+        with claimed(path, EXPERIMENT_NAME, KIND):
             agreed = agree(
                 path / EXPERIMENT_NAME, document, growing=GROWING, remedy="another --out"
             )
@@ -68,6 +70,19 @@ class ExperimentFolder:
                 (path / ARMS_NAME).mkdir(exist_ok=True)
             remove(path / ARMS_NAME, f".*{TEMPORARY_SUFFIX}")
             yield ExperimentFolder(path, agreed)
+
+    @staticmethod
+    def check(path: Path, document: Document) -> None:
+        """Refuse what cannot be gone on with, before anything is written.
+
+        Raises:
+            InputError: as `claim`, of a folder that nobody else holds, and `read_arm`.
+        """
+        require_claimable(path, EXPERIMENT_NAME, KIND)
+        known = agreed(path / EXPERIMENT_NAME, document, growing=GROWING, remedy="another --out")
+        folder = ExperimentFolder(path, known)
+        for name in folder.arms():
+            folder.read_arm(name)
 
     def arms(self) -> list[str]:
         """Arms that have finished trials here."""
@@ -77,12 +92,13 @@ class ExperimentFolder:
         """The finished trials of an arm, by run and trial; empty for one that is new.
 
         Raises:
-            InputError: a damaged file, one of something else, or one with a gap.
+            InputError: a damaged or edited file, one of another experiment or of something else, or
+                one with a gap.
         """
         path = self._arm(name)
         if not path.exists():
             return STATE_SCHEMA.empty_table()
-        table = read_columns(path)
+        table = read_stamped(path, self.document, GROWING)
         if not table.schema.equals(STATE_SCHEMA) or set(table["arm"].to_pylist()) - {name}:
             raise InputError("out", str(path), f"finished trials of {name}, in this version's form")
         _require_complete(table, path)
@@ -90,7 +106,7 @@ class ExperimentFolder:
 
     def write_arm(self, name: str, table: pa.Table) -> None:
         """Commit the finished trials of an arm."""
-        write_table(self._arm(name), table, self.document)
+        write_stamped(self._arm(name), table, self.document)
 
     def write_results(self) -> pa.Table:
         """Commit the tables of all arms that have trials here, and return the results."""

@@ -1,7 +1,7 @@
 """A study: an arm in a run of an experiment. It proposes its next trial, and is told of it.
 
-The study may be in memory, one of many, or in a database, alone and live: the same arm, run and
-experiment give the same trials in both.
+The study is in memory, one of many, or in a database, alone and live (`LiveStudy`): the same arm,
+run and experiment give the same trials in both.
 """
 
 from typing import Any
@@ -36,7 +36,7 @@ class OneStudy:
         experiment: of the study.
         arm: that proposes its trials.
         run: whose body and ground it is about.
-        study: where its trials are kept; None: in memory.
+        study: where its trials are kept, made by this project alone; None: a new one in memory.
     """
 
     def __init__(
@@ -114,12 +114,19 @@ class OneStudy:
         )
         self.trials += 1
 
-    def _replay(self, gains: list[float], cost: float, noted: dict[str, Any]) -> None:
-        asked = self.ask()
-        if asked != gains:
+    def require_proposed(self, gains: list[float], proposed: list[float]) -> None:
+        """Refuse gains of the next trial that are not what is proposed for it.
+
+        Raises:
+            InputError: naming the trial.
+        """
+        if gains != proposed:
             where = f"{self.arm.name}, run {self.run}, trial {self.trials}"
-            allowed = "the gains that the sampler proposes there; use another --out"
+            allowed = "the gains that the sampler proposes there; use another --out or --storage"
             raise InputError(where, "other gains", allowed)
+
+    def _replay(self, gains: list[float], cost: float, noted: dict[str, Any]) -> None:
+        self.require_proposed(gains, self.ask())
         own = self.noted()
         self._tell(cost, {name: value for name, value in noted.items() if name not in own})
 

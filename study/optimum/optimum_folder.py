@@ -19,7 +19,8 @@ import pyarrow as pa
 from storage.claim import claimed
 from storage.commit import commit_json
 from storage.document import agree
-from storage.shard import read_columns, write_table
+from storage.shard import write_table
+from storage.stamped import read_stamped, write_stamped
 from study.experiment.identity import GROWING
 from study.experiment.objective import OUTCOMES
 from taichi_nmm.errors import InputError
@@ -73,19 +74,19 @@ class OptimumFolder:
         """What CMA-ES has tried, by run, generation and member.
 
         Raises:
-            InputError: a damaged file, or one of something else.
+            InputError: a damaged or edited file, or one of something else.
         """
         path = self.path / EVALUATIONS_NAME
         if not path.exists():
             return EVALUATIONS.empty_table()
-        table = read_columns(path)
+        table = read_stamped(path, self.document, GROWING)
         if not table.schema.equals(EVALUATIONS):
             raise InputError("out", str(path), "points that CMA-ES tried, in this version's form")
         return table
 
     def write_evaluations(self, table: pa.Table) -> None:
         """Commit them."""
-        write_table(self.path / EVALUATIONS_NAME, table, self.document)
+        write_stamped(self.path / EVALUATIONS_NAME, table, self.document)
 
     def write_runs(self, table: pa.Table) -> None:
         """Commit the best of every run."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from study.optimum.optimum_folder import OPTIMUM_NAME
-from study.report.files import read_document
+from study.report.documents import is_number, read_document
 from study.report.runs import Results
 from taichi_nmm.errors import InputError
 
@@ -23,7 +23,7 @@ def find_optimum(results: Results, given: Sequence[Path]) -> float | None:
         if not document:
             continue
         cost, best = document.get("cost"), document.get("best_cost")
-        if not isinstance(cost, str) or isinstance(best, bool) or not isinstance(best, int | float):
+        if not isinstance(cost, str) or best is None or not is_number(best):
             raise InputError("optimum", str(path), "a document of tools/optimum.py")
         if cost == results.cost:
             return float(best)

@@ -6,6 +6,7 @@ from typing import Any
 
 from study.experiment.stores import store_digest
 from study.report.runs import Results
+from study.report.words import escaped
 from taichi_nmm.errors import InputError
 
 SECONDS_A_MINUTE = 60.0
@@ -28,7 +29,7 @@ def facts(results: Results) -> dict[str, str]:
         "searched beside the 16 gains": ", ".join(results.facts.get("searched", [])),
         "seed": str(results.facts.get("seed", "")),
     }
-    return {name: value for name, value in found.items() if value}
+    return {name: escaped(value) for name, value in found.items() if value}
 
 
 def known_stores(results: Results) -> dict[str, Path]:

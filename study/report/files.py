@@ -1,47 +1,65 @@
-"""The files that a comparison leaves in its folder, as a report reads them."""
+"""The tables that a comparison leaves in its folder, as a report reads them."""
 
-import json
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from storage.shard import first_line
 from study.comparison.experiment_folder import ARMS_NAME, RESULTS_NAME
+from study.experiment.experiment import NAME_PATTERN
+from study.report.documents import LARGEST_NUMBER
 from taichi_nmm.errors import InputError
 
+Kind = tuple[Callable[[pa.DataType], bool], str]
 
-def read_document(path: Path) -> dict[str, Any]:
-    """A JSON object; empty where there is no such file.
-
-    Raises:
-        InputError: it cannot be read.
-    """
-    try:
-        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError) as error:
-        raise InputError(path.name, str(path), f"a readable JSON object ({error})") from None
-    return document
+NAMES: Kind = pa.types.is_string, "letters, digits, '.', '_' and '-'"
+COUNTS: Kind = pa.types.is_integer, "whole numbers from 0"
+FLAGS: Kind = pa.types.is_boolean, "true or false"
+NUMBERS: Kind = pa.types.is_floating, f"numbers up to {LARGEST_NUMBER:g}"
+KINDS = {
+    "experiment": NAMES, "arm": NAMES, "run": COUNTS, "trial": COUNTS, "walked": FLAGS,
+}  # fmt: skip
 
 
 def read_trials(path: Path, columns: Sequence[str]) -> pa.Table:
-    """Columns of a table of trials.
+    """Columns of a table of trials, each value of its kind, finite, and there.
 
     Raises:
-        InputError: not readable, or a column is missing.
+        InputError: not readable, or a column is missing or has something else in it.
     """
     try:
         known = pq.read_schema(path).names
         for name in columns:
-            if name not in known:
-                raise InputError(f"{path.name}: column", name, f"one of {', '.join(known)}")
-        return pq.read_table(path, columns=list(columns))
-    except (OSError, pa.ArrowInvalid) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(path.name, str(path), f"a readable table of trials ({reason})") from None
+            if known.count(name) != 1:
+                raise InputError(f"{path.name}: column", name, f"one of {', '.join(known)}, once")
+        table = pq.read_table(path, columns=list(columns), partitioning=None)
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
+        allowed = f"a readable table of trials ({first_line(error)})"
+        raise InputError(path.name, str(path), allowed) from None
+    for name in columns:
+        _require(table[name], name, path)
+    return table
+
+
+def _require(column: pa.ChunkedArray, name: str, path: Path) -> None:
+    """Refuse a column of something else than what stands under its name."""
+    field, (is_kind, allowed) = f"{path.name}: {name}", KINDS.get(name, NUMBERS)
+    if not is_kind(column.type) or column.null_count:
+        found = f"{column.type}, {column.null_count} of {len(column)} missing"
+        raise InputError(field, found, f"{allowed}, none missing")
+    if is_kind is NUMBERS[0] and not (np.abs(column.to_numpy()) <= LARGEST_NUMBER).all():
+        raise InputError(field, "NaN, infinite or larger", allowed)
+    if is_kind is COUNTS[0] and len(column) and pc.min(column).as_py() < 0:
+        raise InputError(field, pc.min(column).as_py(), allowed)
+    if is_kind is NAMES[0]:
+        for word in pc.unique(column).to_pylist():
+            if not re.fullmatch(NAME_PATTERN, word):
+                raise InputError(field, word, allowed)
 
 
 def table_files(folder: Path) -> list[Path]:

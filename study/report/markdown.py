@@ -132,16 +132,13 @@ def _peer(numbers: Numbers) -> str:
 
 def _costs(numbers: Numbers, cost: str) -> str:
     after = sorted({trials for arm in numbers.arms for trials in arm.cost_after})
-    if not after:
-        return ""
-    header = ["arm", *(f"median best {cost} cost after {trials}" for trials in after), "ms"]
-    rows = [
-        [
-            label(arm.arm), *(interval_text(arm.cost_after.get(trials)) for trials in after),
-            "-" if arm.proposal_ms is None else f"{arm.proposal_ms:.3g}",
-        ]
-        for arm in numbers.arms
-    ]  # fmt: skip
+    until = [f"after {trials}" for trials in after] or ["after the last trial"]
+    header = ["arm", *(f"median best {cost} cost {when}" for when in until), "ms"]
+    rows = []
+    for arm in numbers.arms:
+        medians = [arm.cost_after.get(trials) for trials in after] or [arm.best_cost]
+        time = "-" if arm.proposal_ms is None else f"{arm.proposal_ms:.3g}"
+        rows.append([label(arm.arm), *map(interval_text, medians), time])
     return table(header, rows)
 
 

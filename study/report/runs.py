@@ -11,16 +11,13 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from study.comparison.experiment_folder import (
-    EXPERIMENT_NAME,
     RESULTS_NAME,
-    RUN_NAME,
     TIMES_NAME,
 )
 from study.comparison.results import as_if_gone_on
-from study.report.files import read_document, read_trials, table_files
+from study.report.documents import read_facts
+from study.report.files import read_trials, table_files
 from taichi_nmm.errors import InputError
-
-DOCUMENTS = (EXPERIMENT_NAME, RUN_NAME)
 
 COLUMNS = ("experiment", "arm", "run", "trial", "cost", "best_cost", "walked")
 LARGEST_SMOOTH_COST = 20.0  # the smooth cost is below 1.4 unless a walker races; a fall is 300
@@ -124,8 +121,8 @@ def read_results(folder: str | Path) -> Results:
     Of each arm the table or its checkpoint counts, whichever has more trials.
 
     Raises:
-        InputError: no such folder, no trials in it, a table that cannot be read, or one without a
-            column that is needed.
+        InputError: no such folder, no trials in it, a table or document that cannot be read or has
+            something else in it than a report can be made of.
     """
     folder = Path(folder)
     arms: dict[str, pa.Table] = {}
@@ -134,11 +131,10 @@ def read_results(folder: str | Path) -> Results:
             if arm not in arms or len(arms[arm]) < len(rows):
                 arms[arm] = rows
     if not arms:
-        raise InputError("folder", str(folder), f"the output of tools/compare.py: {RESULTS_NAME}")
+        allowed = f"the output of tools/compare.py: {RESULTS_NAME}, with trials"
+        raise InputError("folder", str(folder), allowed)
     times = _proposal_times(folder)
-    facts = {
-        key: value for name in DOCUMENTS for key, value in read_document(folder / name).items()
-    }
+    facts = read_facts(folder)
     found = {arm: len(rows) for arm, rows in arms.items()}
     if facts.get("until_walker"):
         arms = _by_arm(as_if_gone_on(pa.concat_tables(arms.values())))
@@ -167,7 +163,7 @@ def _by_arm(table: pa.Table) -> dict[str, pa.Table]:
     """The rows of each arm, in the order of the runs and trials."""
     ordered = table.sort_by([("arm", "ascending"), ("run", "ascending"), ("trial", "ascending")])
     arms, starts = np.unique(ordered["arm"].to_numpy(), return_index=True)
-    ends = [*starts[1:], len(ordered)]
+    ends = np.append(starts, len(ordered))[1:]
     return {
         str(arm): ordered.slice(start, end - start)
         for arm, start, end in zip(arms, starts, ends, strict=True)

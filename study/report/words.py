@@ -1,5 +1,6 @@
 """Numbers as words of a table: trials, proportions, intervals and p-values."""
 
+import html
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,6 +14,11 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table; all columns but the first are aligned right."""
     rule = ["---", *["---:"] * (len(header) - 1)]
     return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *rows))
+
+
+def escaped(text: str) -> str:
+    """Words of a file within Markdown: no tags, no columns, one line."""
+    return " ".join(html.escape(text, quote=False).replace("|", "\\|").split())
 
 
 def count_text(value: float, trials: int) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from storage.commit import commit_json, commit_text, writable
+from storage.commit import commit_json, commit_text, together
 from study.report.before_after import Pair
 from study.report.condensed import condensed_table
 from study.report.curves import write_best_cost, write_walkers
@@ -25,7 +25,7 @@ def write_report(
     folder: Path | None = None,
     stores: Mapping[str, Path] = NO_STORES,
 ) -> Numbers:
-    """Write report.md, summary.json and the figures of one experiment.
+    """Write report.md, summary.json and the figures of one experiment, all of them or none.
 
     Args:
         results: of the experiment.
@@ -37,51 +37,43 @@ def write_report(
     Raises:
         InputError: the folder cannot be written.
     """
-    folder = _made(folder or results.folder / REPORT_NAME)
     found = numbers(results)
-    write_best_cost(folder, results, optimum)
-    write_walkers(folder, results)
-    write_first_walker(folder, results)
-    if pair is not None:
-        title = f"{results.name}, run {pair.run}: before and after"
-        write_strips(folder, title, pair)
-    commit_json(
-        folder / "summary.json",
-        {
-            "complete": results.complete,
-            "trials_found": results.found,
-            "trials_planned": results.planned,
-            "cost": results.cost,
-            "optimum": optimum,
-            **found.as_dict(),
-        },
-    )
     text = report_text(results, found, optimum, _strips(pair), stores)
-    commit_text(folder / "report.md", text)
+    document = {
+        "complete": results.complete,
+        "trials_found": results.found,
+        "trials_planned": results.planned,
+        "cost": results.cost,
+        "optimum": optimum,
+        **found.as_dict(),
+    }
+    with together(folder or results.folder / REPORT_NAME) as new:
+        write_best_cost(new, results, optimum)
+        write_walkers(new, results)
+        write_first_walker(new, results)
+        if pair is not None:
+            write_strips(new, f"{results.name}, run {pair.run}: before and after", pair)
+        commit_json(new / "summary.json", document)
+        commit_text(new / "report.md", text)
     return found
 
 
 def write_overview(folder: Path, experiments: Sequence[Numbers]) -> None:
-    """Write overview.md, overview.json and a figure of several experiments.
+    """Write overview.md, overview.json and a figure of several experiments, all or none.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    _made(folder)
-    commit_json(folder / "overview.json", {"experiments": [each.as_dict() for each in experiments]})
-    write_grid(folder, experiments)
     text = (
         f"# {len(experiments)} experiments\n\n{overview_text(experiments)}\n"
         "![Runs with a walker](overview.png)\n"
     ) + "".join(f"\n## {each.experiment}\n\n{condensed_table(each)}\n" for each in experiments)
-    commit_text(folder / "overview.md", text)
+    with together(folder) as new:
+        document = {"experiments": [each.as_dict() for each in experiments]}
+        commit_json(new / "overview.json", document)
+        write_grid(new, experiments)
+        commit_text(new / "overview.md", text)
 
 
 def _strips(pair: Pair | None) -> str:
     return "" if pair is None else f"{pair.first.title}. {pair.second.title}. Run {pair.run}."
-
-
-def _made(folder: Path) -> Path:
-    with writable(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    return folder

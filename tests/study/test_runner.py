@@ -1,6 +1,10 @@
 """Live studies from first trial to last: what they record, that interruptions leave no trace, and
 that they are the studies of a comparison."""
 
+import json
+import pickle
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -178,6 +182,56 @@ def test_a_trial_found_running_is_run_again(toy: Experiment, arm: str, tmp_path:
     states = [trial.state for trial in study.get_trials(deepcopy=False)]
     assert states.count(TrialState.FAIL) == 3
     assert TrialState.RUNNING not in states and TrialState.WAITING not in states
+
+
+class Marks:
+    """What leaves a file behind when it is unpickled."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.file,)
+
+
+@pytest.mark.parametrize("arm", [arm.name for arm in ARMS.values() if arm.replayed])
+def test_nothing_of_a_database_is_unpickled(toy: Experiment, arm: str, tmp_path: Path) -> None:
+    """Optuna's CMA-ES looks for its state in the latest trial that has one."""
+    whole = run(toy, arm, 5, InMemoryStorage())
+    storage = open_studies(f"sqlite:///{tmp_path}/studies.db")
+    run(toy, arm, 3, storage)
+    state = pickle.dumps(Marks(tmp_path / "unpickled")).hex()
+    study = open_study(toy, find_arm(arm), 0, storage)
+    storage.engine.dispose()
+    with closing(sqlite3.connect(tmp_path / "studies.db")) as connection, connection:
+        connection.executemany(
+            "INSERT INTO trial_system_attributes (trial_id, key, value_json) VALUES (?, ?, ?)",
+            [(trial._trial_id, "cma:optimizer:0", json.dumps(state)) for trial in study.trials],
+        )
+    assert facts(run(toy, arm, 5, open_studies(f"sqlite:///{tmp_path}/studies.db"))) == facts(whole)
+    assert not (tmp_path / "unpickled").exists()
+
+
+def test_gains_that_were_not_proposed_are_refused(toy: Experiment) -> None:
+    """A trial that another has queued, or finished, in a study whose sampler is asked again."""
+    message = r"cmaes-cold, run 0, trial 2: 'other gains' .*another --out or --storage"
+    middle = {name: 0.5 * (ends.low + ends.high) for name, ends in toy.space.items()}
+    for finished in (False, True):
+        storage = InMemoryStorage()
+        run(toy, "cmaes-cold", 2, storage)
+        study = open_study(toy, find_arm("cmaes-cold"), 0, storage)
+        if finished:
+            study.add_trial(optuna.create_trial(params=middle, distributions=toy.space, value=1.0))
+        else:
+            study.enqueue_trial(middle)
+        with pytest.raises(InputError, match=message) as caught:
+            run(toy, "cmaes-cold", 4, storage)
+        assert "\n" not in str(caught.value)
+
+
+def test_no_state_is_left_in_a_database_for_others_to_unpickle(toy: Experiment) -> None:
+    trials = run(toy, "cmaes-cold", 14, InMemoryStorage())  # beyond a generation
+    assert all(not trial.system_attrs for trial in trials)
 
 
 def test_a_repetition_queued_before_the_kill_is_not_queued_twice(

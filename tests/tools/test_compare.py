@@ -3,9 +3,11 @@
 import json
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
+from storage.databases import studies
 from study.comparison import compare
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
@@ -112,7 +115,7 @@ def test_a_password_is_not_printed(
         assert command.run(*flags, trials=1, arms="random", storage=url) == 0
     said = capsys.readouterr()
     assert "secret" not in said.out + said.err
-    assert said.out.count("postgresql+psycopg://me:***@host/walker") == 2
+    assert said.out.count("postgresql+psycopg://***@host/walker") == 2
 
 
 def test_a_session_is_noted(command: Command) -> None:
@@ -132,7 +135,7 @@ def test_a_session_is_noted(command: Command) -> None:
         ({"runs": 0}, "runs: 0"),
         ({"trials": 0}, "trials: 0"),
         ({"seed": -1}, "seed: -1"),
-        ({"storage": "oracle://host/db"}, "storage: 'oracle://host/db'"),
+        ({"storage": "oracle://host/db"}, "storage: '***'"),
         ({"arch": "cuda"}, "simulation.arch: 'cuda'"),
     ],
 )
@@ -152,6 +155,31 @@ def test_bad_input_is_one_line(
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert lines[0].startswith(f"error: {message}")
+    assert not (command.folder / "out").exists()
+
+
+@pytest.mark.parametrize("kind", ["foreign", "configuration", "locked", "place", "URL"])
+def test_a_database_that_is_refused_leaves_no_folder(
+    kind: str, command: Command, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(studies, "BUSY_TIMEOUT_S", 0.1)
+    file = command.folder / "other.db"
+    url = {"place": f"sqlite:///{command.config}/a.db", "URL": "foo"}.get(kind, f"sqlite:///{file}")
+    if kind in ("configuration", "locked"):
+        first = {"seed": 8} if kind == "configuration" else {}
+        words = {"storage": url, "out": str(command.folder / "first")}
+        assert command.run(arms="random", trials=1, **words, **first) == 0
+    with closing(sqlite3.connect(file, isolation_level=None)) as connection:
+        connection.execute({"foreign": "CREATE TABLE studies (a)"}.get(kind, "BEGIN IMMEDIATE"))
+        before = sorted(path.name for path in command.folder.iterdir())
+        capsys.readouterr()
+        assert command.run(arms="random", trials=1, storage=url) == 2
+    line = capsys.readouterr().err
+    assert line.startswith("error: storage: ") and line.count("\n") == 1
+    after = {
+        path.name for path in command.folder.iterdir() if not path.name.startswith("other.db-")
+    }
+    assert sorted(after) == [name for name in before if not name.startswith("other.db-")]
 
 
 def test_a_missing_ffmpeg_is_refused_before_the_work(

@@ -152,3 +152,5 @@ def test_bad_input_is_one_line(
         lines = capsys.readouterr().err.strip().splitlines()
         assert len(lines) == 1 and lines[0].startswith(f"error: {field}: "), lines
     assert not (tmp_path / "all").exists()
+    assert report(monkeypatch, folder, strange) == 2  # before the first of them is written
+    assert not (folder / "report").exists()

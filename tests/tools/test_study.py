@@ -205,8 +205,11 @@ def no_gpu(settings: Settings) -> None:
         ({"arm": "random"}, "store: .* none: the arm random reads no store"),
         ({"trials": 0}, "trials: 0"),
         ({"trials": 1000}, "trials: 1000 .* at most 200"),
-        ({"storage": "postgresql://host/db"}, "storage: 'postgresql://host/db' .* sqlite:///FILE"),
-        ({"storage": "postgresql+psycopg://me:secret@host"}, "storage: 'postgresql.psycopg://...'"),
+        ({"storage": "postgresql://host/db"}, r"storage: '\*\*\*' .* sqlite:///FILE"),
+        (
+            {"storage": "postgresql+psycopg://me:secret@host"},
+            r"storage: 'postgresql.psycopg://\*\*\*@host'",
+        ),
         ({"store": "nowhere"}, "nowhere"),
         ({"arch": "cuda"}, "simulation.arch: 'cuda'"),
     ],
@@ -233,7 +236,7 @@ def test_a_server_that_does_not_answer_is_one_line_without_its_password(
     url = "postgresql+psycopg://me:secret@127.0.0.1:1/walker"
     assert command.run(storage=url) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert line.startswith("error: storage: 'postgresql+psycopg://me:***@127.0.0.1:1/walker'")
+    assert line.startswith("error: storage: 'postgresql+psycopg://***@127.0.0.1:1/walker'")
     assert "secret" not in line
 
 
@@ -253,7 +256,9 @@ def test_another_configuration_is_refused_by_name(
     other = command.folder / "other.toml"
     other.write_text(ROUGH8.read_text().replace("seed = 1", "seed = 2"))
     capsys.readouterr()
-    assert command.run(config=str(other), trials=6) == 2
+    new = command.folder / "new"
+    assert command.run(config=str(other), trials=6, out=str(new)) == 2
+    assert not new.exists()
     assert "study rough8/dog/run-000: seed: 2" in capsys.readouterr().err
     assert len(command.rows()) == 4
 
@@ -290,6 +295,19 @@ def test_a_database_locked_half_way_is_one_line_and_resumes(
     assert len(lines) == 3  # two trials, one error
     assert command.run() == 0
     assert len(set(command.rows())) == 4
+
+
+def test_another_programs_database_leaves_no_folder_and_is_kept(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = command.folder / "studies.db"
+    with closing(sqlite3.connect(file)) as connection:
+        connection.execute("CREATE TABLE studies (title TEXT)")
+    before = file.read_bytes()
+    assert command.run() == 2
+    assert capsys.readouterr().err.startswith("error: storage: ")
+    assert {path.name for path in command.folder.iterdir()} == {"store", "studies.db"}
+    assert file.read_bytes() == before
 
 
 def test_a_study_that_runs_already_is_refused(

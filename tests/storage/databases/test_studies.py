@@ -8,9 +8,19 @@ from pathlib import Path
 
 import optuna
 import pytest
+from optuna.exceptions import StorageInternalError
+from optuna.storages import RDBStorage
 
 from storage.databases import studies
-from storage.databases.studies import only_run, open_studies, storage_errors
+from storage.databases.bulk import study_attributes
+from storage.databases.studies import (
+    only_run,
+    open_studies,
+    public_url,
+    read_studies,
+    storage_errors,
+)
+from storage.databases.urls import file_url
 from taichi_nmm.errors import InputError
 
 
@@ -45,6 +55,43 @@ def test_a_refused_url_does_not_show_its_password(url: str) -> None:
     with pytest.raises(InputError, match="storage: ") as caught:
         open_studies(url)
     assert "secret" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("sqlite:///out/studies.db", "sqlite:///out/studies.db"),
+        ("sqlite:////home/me@work/a.db", "sqlite:////home/me@work/a.db"),
+        ("sqlite:///a.db?password=secret", "sqlite:///a.db?***"),
+        ("sqlite:///me:secret@host/db", "sqlite:///***@host/db"),
+        ("postgresql+psycopg://host/db", "postgresql+psycopg://host/db"),
+        ("postgresql+psycopg://me:secret@host:5432/db", "postgresql+psycopg://***@host:5432/db"),
+        ("postgresql+psycopg://me:a@secret@host/db", "postgresql+psycopg://***@host/db"),
+        ("postgresql+psycopg://host/db?password=secret", "postgresql+psycopg://host/db?***"),
+        ("postgresql+psycopg://host/db?password=a@secret", "postgresql+psycopg://***"),
+        ("postgresql+psycopg://me:secret?@host/db", "postgresql+psycopg://***"),
+        ("postgresql+psycopg://me:secret/db", "postgresql+psycopg://***"),
+        ("postgresql+psycopg://me:secret@[::1]:5432/db", "postgresql+psycopg://***@[::1]:5432/db"),
+        ("me:secret@host/db", "***"),
+        ("mysql://host/secret", "***"),
+        ("postgres://me:secret@host/db", "***"),
+        ("", "***"),
+    ],
+)
+def test_what_of_a_url_is_shown(url: str, shown: str) -> None:
+    assert public_url(url) == shown
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["me:secret@host/db", "sqlite:///a.db?password=secret",
+     "postgresql+psycopg://me:a@secret@127.0.0.1:1/db",
+     "postgresql+psycopg://127.0.0.1:1/db?password=secret", "postgresql+psycopg://me:secret/db"],
+)  # fmt: skip
+def test_no_password_is_in_a_refusal(url: str) -> None:
+    with pytest.raises(InputError, match="storage: ") as caught:
+        open_studies(url)
+    assert "secret" not in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_missing_driver_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,14 +129,113 @@ def test_a_file_that_is_no_database_is_refused_and_kept(tmp_path: Path) -> None:
     assert path.read_text() == "dear diary\n" * 100
 
 
-def test_somebody_elses_database_is_refused_and_kept(tmp_path: Path) -> None:
+def listing(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+OTHERS = {
+    "birds": ["CREATE TABLE birds (name TEXT)"],
+    "another program's studies": ["CREATE TABLE studies (title TEXT)"],
+    "in WAL mode": ["PRAGMA journal_mode=WAL", "CREATE TABLE studies (title TEXT)"],
+}
+CHANGES = {
+    "an old schema": ["UPDATE alembic_version SET version_num = 'v2.6.0.a'"],
+    "a schema to come": ["UPDATE alembic_version SET version_num = 'v99.0.0'"],
+    "no revision": ["DELETE FROM alembic_version"],
+    "no version": ["DELETE FROM version_info"],
+    "no table of revisions": ["DROP TABLE alembic_version"],
+    "no table of parameters": ["DROP TABLE trial_params"],
+}
+
+
+@pytest.mark.parametrize("mode", ["DELETE", "WAL"])
+@pytest.mark.parametrize("kind", [*OTHERS, *CHANGES])
+def test_a_refused_database_is_kept_as_it_is(tmp_path: Path, kind: str, mode: str) -> None:
     path = tmp_path / "other.db"
-    with closing(sqlite3.connect(path)) as connection:
-        connection.execute("CREATE TABLE birds (name TEXT)")
-    before = path.read_bytes()
-    with pytest.raises(InputError, match="an Optuna database"):
+    if kind in CHANGES:
+        storage = RDBStorage(f"sqlite:///{path}")
+        optuna.create_study(storage=storage, study_name="mine")
+        storage.engine.dispose()
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        for statement in (*OTHERS.get(kind, ()), *CHANGES.get(kind, ())):
+            connection.execute(statement)
+        connection.execute(f"PRAGMA journal_mode={mode}")
+    before = listing(tmp_path)
+    assert list(before) == ["other.db"]
+    with pytest.raises(InputError, match=r"an Optuna database|no longer compatible") as caught:
         open_studies(f"sqlite:///{path}")
-    assert path.read_bytes() == before
+    assert "\n" not in str(caught.value)
+    assert listing(tmp_path) == before
+
+
+@pytest.mark.parametrize("kind", ["no revision", "no version", "no table of revisions"])
+def test_a_database_that_was_being_made_is_finished(tmp_path: Path, kind: str) -> None:
+    url = f"sqlite:///{tmp_path}/studies.db"
+    RDBStorage(url).engine.dispose()
+    with closing(sqlite3.connect(tmp_path / "studies.db", isolation_level=None)) as connection:
+        connection.execute(*CHANGES[kind])
+    with read_studies(url) as nothing:
+        assert nothing is None
+    optuna.create_study(storage=open_studies(url), study_name="a")
+
+
+def test_a_new_database_appears_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    url = f"sqlite:///{tmp_path}/studies.db"
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(os, "link", killed)
+        open_studies(url)
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(
+        os, "link", lambda *_: Path("nowhere").stat()
+    )  # a file system without links
+    optuna.create_study(storage=open_studies(url), study_name="a")
+    assert "studies.db" in listing(tmp_path)
+
+
+def test_what_is_read_is_not_written(tmp_path: Path) -> None:
+    """Also beside a log that another process left, and of a name that URLs would quote."""
+    url = file_url(tmp_path / "a b{1}#%20?.db")
+    with read_studies(url) as nothing:
+        assert nothing is None
+    assert not list(tmp_path.iterdir())
+    optuna.create_study(storage=open_studies(url), study_name="a")
+    assert "a b{1}#%20?.db" in listing(tmp_path)
+    with read_studies(url) as storage:
+        assert storage is not None
+        assert optuna.get_all_study_names(storage) == ["a"]
+        with pytest.raises(StorageInternalError):
+            optuna.create_study(storage=storage, study_name="b")
+    with closing(sqlite3.connect(tmp_path / "empty.db")) as connection:
+        connection.execute("PRAGMA user_version=1")
+    with read_studies(f"sqlite:///{tmp_path}/empty.db") as nothing:
+        assert nothing is None
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "file/studies.db"])
+def test_places_where_no_file_can_be(tmp_path: Path, name: str) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"storage: .*a place that can be written") as caught:
+        open_studies(f"sqlite:///{tmp_path}/{name}")
+    assert "\n" not in str(caught.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_values_that_are_not_json_are_one_line(tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path}/studies.db"
+    study = optuna.create_study(storage=open_studies(url), study_name="a")
+    study.set_user_attr("key", 1)
+    with closing(sqlite3.connect(tmp_path / "studies.db")) as connection, connection:
+        connection.execute("UPDATE study_user_attributes SET value_json = '{'")
+    storage = open_studies(url)
+    with pytest.raises(InputError, match=r"storage: .*studies\.db") as caught, storage_errors(url):
+        assert optuna.load_study(study_name="a", storage=storage).user_attrs
+    with pytest.raises(InputError, match="storage: "), read_studies(url) as looked:
+        assert looked is not None and study_attributes(looked, "key")
+    assert "\n" not in str(caught.value)
 
 
 def test_a_locked_database_is_refused_in_one_line(

@@ -1,12 +1,17 @@
 """What a comparison refuses, in one line, before anything is computed."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
+from storage.shard import write_table
+from storage.stamped import DIGEST_KEY
 from study.comparison.experiment_folder import ExperimentFolder
 from study.experiment import arms
 from study.experiment.experiment import read_experiment
@@ -163,6 +168,77 @@ def test_a_damaged_arm(comparisons: Comparisons) -> None:
     file.write_bytes(file.read_bytes()[:-100])
     with pytest.raises(InputError, match=r"random\.parquet"):
         comparisons.run("out", arms=("random",))
+
+
+Edit = Callable[[pa.Table, dict[str, Any]], tuple[pa.Table, dict[str, Any]]]
+
+
+def rewrite(file: Path, edit: Edit) -> None:
+    """Write an arm's file again, with another table and footer than it had."""
+    table = pq.read_table(file)
+    footer = json.loads(table.schema.metadata[b"taichi_nmm"])
+    write_table(file, *edit(table.replace_schema_metadata(None), footer))
+
+
+def cheaper(table: pa.Table, footer: dict[str, Any]) -> tuple[pa.Table, dict[str, Any]]:
+    column = table.schema.get_field_index("cost")
+    costs = pa.array(table["cost"].to_numpy() * 0.5)
+    return table.set_column(column, table.schema.field("cost"), costs), footer
+
+
+def undigested(table: pa.Table, footer: dict[str, Any]) -> tuple[pa.Table, dict[str, Any]]:
+    """As 0.2.0 wrote it before there were digests."""
+    return table, {key: value for key, value in footer.items() if key != DIGEST_KEY}
+
+
+def of_seed_6(table: pa.Table, footer: dict[str, Any]) -> tuple[pa.Table, dict[str, Any]]:
+    return undigested(table, footer | {"seed": 6})
+
+
+def of_nothing(table: pa.Table, footer: dict[str, Any]) -> tuple[pa.Table, dict[str, Any]]:
+    return table, {}
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (cheaper, r"random\.parquet' .*does not fit the digest"),
+        (of_seed_6, r"random\.parquet' .*whose seed is 5; in the file's footer: 6"),
+        (of_nothing, r"random\.parquet' .*whose format is 1; in the file's footer: None"),
+    ],
+)
+def test_an_arm_that_was_edited(edit: Edit, message: str, comparisons: Comparisons) -> None:
+    comparisons.run("out", arms=("random",), trials=3)
+    before = comparisons.content("out")
+    rewrite(comparisons.folder / "out" / "arms" / "random.parquet", edit)
+    with pytest.raises(InputError, match=message) as caught:
+        comparisons.run("out", arms=("random",), trials=5)
+    assert "\n" not in str(caught.value)
+    assert comparisons.content("out") == before
+
+
+def test_an_arm_of_another_seed(comparisons: Comparisons) -> None:
+    comparisons.run("out", arms=("dog",), trials=1)
+    other = read_experiment(edited(comparisons, "seed = 5", "seed = 6"))
+    comparisons.run("other", experiment=other, arms=("random",), trials=3)
+    theirs = comparisons.folder / "other" / "arms" / "random.parquet"
+    (comparisons.folder / "out" / "arms" / "random.parquet").write_bytes(theirs.read_bytes())
+    for arms_ in (("random",), ("dog",)):  # asked for, or only beside what is asked for
+        with pytest.raises(InputError, match=r"random\.parquet' .*whose seed is 5; .*: 6"):
+            comparisons.run("out", arms=arms_, trials=3)
+
+
+def test_a_folder_of_before_digests_goes_on(comparisons: Comparisons) -> None:
+    comparisons.run("whole", arms=("random", "cmaes-cold"))
+    comparisons.run("out", arms=("random", "cmaes-cold"), trials=3)
+    for name in ("random", "cmaes-cold"):
+        rewrite(comparisons.folder / "out" / "arms" / f"{name}.parquet", undigested)
+    comparisons.run("out", arms=("random", "cmaes-cold"))
+    assert comparisons.content("out") == comparisons.content("whole")
+    footer = json.loads(
+        pq.read_schema(comparisons.folder / "out/arms/random.parquet").metadata[b"taichi_nmm"]
+    )
+    assert DIGEST_KEY in footer  # from now on
 
 
 def test_trials_that_the_sampler_did_not_propose(comparisons: Comparisons) -> None:

@@ -1,0 +1,44 @@
+"""The URLs of study databases: which there are, and what of one may be shown."""
+
+import re
+from pathlib import Path
+
+SQLITE = "sqlite:///"
+POSTGRESQL = "postgresql+psycopg://"
+POSTGRESQL_FORM = f"{POSTGRESQL}USER:PASSWORD@HOST:PORT/DATABASE"
+FORMS = f"{SQLITE}FILE or {POSTGRESQL_FORM}"
+HIDDEN = "***"
+
+# Who, where, and options. An "@" among the options may as well be the end of a password with a "?".
+_SERVER = re.compile(
+    r"(?P<who>[^?]*@)?(?P<where>(\[[^@?\]]*\]|[^@:/?\[]*)(:\d*)?(/[^@?]*)?)(?P<options>\?[^@]*)?",
+    re.DOTALL,
+)
+_FILE = re.compile(r"(?P<who>[^?]*:[^?]*@)?(?P<where>[^?]*)(?P<options>\?.*)?", re.DOTALL)
+_FORM_OF = {SQLITE: _FILE, POSTGRESQL: _SERVER}
+
+
+def is_postgresql(url: str) -> bool:
+    """Whether the URL names a PostgreSQL database."""
+    return url.startswith(POSTGRESQL)
+
+
+def file_url(path: Path) -> str:
+    """The URL of a SQLite file, whose "%" and "?" would mean something else."""
+    return SQLITE + str(path).replace("%", "%25").replace("?", "%3F")
+
+
+def public_url(url: str) -> str:
+    """The URL, or what was given as one, without anything that may be a password.
+
+    Nothing after "?", nothing before the last "@", and nothing at all of what is neither of SQLite
+    nor of PostgreSQL. Of a file's name an "@" is a part, unless it looks like USER:PASSWORD@.
+    """
+    for kind, form in _FORM_OF.items():
+        if url.startswith(kind):
+            found = form.fullmatch(url.removeprefix(kind))
+            if found is None:
+                return f"{kind}{HIDDEN}"
+            who = f"{HIDDEN}@" if found["who"] else ""
+            return f"{kind}{who}{found['where']}{f'?{HIDDEN}' if found['options'] else ''}"
+    return HIDDEN

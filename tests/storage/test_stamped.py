@@ -1,0 +1,49 @@
+"""Tables that say what folder they are of, and whose content is digested."""
+
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+
+from storage.shard import write_table
+from storage.stamped import DIGEST_KEY, read_stamped, table_digest, write_stamped
+from taichi_nmm.errors import InputError
+
+TABLE = pa.table({"arm": ["a", "b"], "cost": [1.0, 2.0], "walked": [True, False]})
+FOLDER = {"seed": 1, "arms": {"dog": {}, "cat": {}}}
+
+
+def test_it_comes_back(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    write_stamped(path, TABLE, FOLDER)
+    assert read_stamped(path, FOLDER).equals(TABLE)
+    fewer = {"seed": 1, "arms": {"dog": {}}}
+    with pytest.raises(InputError, match=r"arms\.cat"):
+        read_stamped(path, fewer)
+    assert read_stamped(path, fewer, ("arms",)).equals(TABLE)
+
+
+def test_the_digest_is_of_the_content_alone() -> None:
+    pieces = pa.concat_tables([TABLE.slice(0, 1), TABLE.slice(1)])
+    assert pieces["cost"].num_chunks == 2
+    assert table_digest(pieces) == table_digest(TABLE)
+    others = (
+        TABLE.slice(0, 1), TABLE.take([1, 0]), TABLE.rename_columns(["arm", "price", "walked"]),
+        TABLE.set_column(1, "cost", pa.array([1, 2])),
+        TABLE.set_column(2, "walked", pa.array([True, True])),
+    )  # fmt: skip
+    assert len({table_digest(each) for each in (TABLE, *others)}) == 6
+
+
+@pytest.mark.parametrize("footer", [{}, {"seed": 2}, {"seed": 1, "arms": 3}])
+def test_other_footers_are_one_line(tmp_path: Path, footer: dict[str, object]) -> None:
+    write_table(tmp_path / "a.parquet", TABLE, footer)
+    with pytest.raises(InputError, match=r"a\.parquet' .* a file of this folder") as caught:
+        read_stamped(tmp_path / "a.parquet", FOLDER, ("arms",))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_digest_of_other_content(tmp_path: Path) -> None:
+    write_table(tmp_path / "a.parquet", TABLE, FOLDER | {DIGEST_KEY: table_digest(TABLE.slice(1))})
+    with pytest.raises(InputError, match="does not fit the digest"):
+        read_stamped(tmp_path / "a.parquet", FOLDER)
