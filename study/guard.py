@@ -15,9 +15,10 @@ from typing import NoReturn
 from taichi_nmm.errors import InputError
 from taichi_nmm.neighbours import HiddenPackageError
 
-STDERR = 2  # the file, which needs no object that Ctrl-C may have found half made
+STDOUT, STDERR = 1, 2  # the files, which need no object that Ctrl-C may have found half made
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+EXIT_NO_READER = 141  # 128 + SIGPIPE
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 OURS = ("study", "storage", "taichi_nmm")
 
@@ -33,7 +34,8 @@ def run_command(main: Callable[[], None]) -> None:
     """Run a command's `main` and leave the process with its exit code.
 
     Bad input, and a package that is missing or hidden, print one line on standard error and exit
-    with 2; Ctrl-C exits with 130 and says that what was finished is kept.
+    with 2; Ctrl-C exits with 130 and says that what was finished is kept. Where nobody reads on
+    what is printed, it ends without a word.
     """
     with _one_line():
         main()
@@ -61,6 +63,10 @@ def guarded_imports() -> Iterator[None]:
 def _one_line() -> Iterator[None]:
     try:
         yield
+        sys.stdout.flush()
+    except BrokenPipeError:  # of `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), STDOUT)  # what is flushed at the end
+        sys.exit(EXIT_NO_READER)
     except (InputError, HiddenPackageError) as error:
         _leave(f"error: {error}", EXIT_BAD_INPUT)
     except ModuleNotFoundError as error:
