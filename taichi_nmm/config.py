@@ -1,11 +1,11 @@
 """Configurations: TOML read strictly, so that no misspelt key is ever ignored."""
 
 import math
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import toml_document
 
 REQUIRED = object()
 
@@ -124,9 +124,9 @@ def _is_number(value: Any) -> bool:
 
 
 def read_toml(path: str | Path) -> Table:
-    """The top table of a TOML file."""
-    try:
-        with Path(path).open("rb") as file:
-            return Table(tomllib.load(file))
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError("config", str(path), f"a readable TOML file ({error})") from None
+    """The top table of a TOML file.
+
+    Raises:
+        InputError: no such file, or one that cannot be read.
+    """
+    return Table(toml_document("config", path, "a readable TOML file"))

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_nmm.config import REQUIRED, Table
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import read_text, reading
 
 GRID_START_M = -5.0
 GRID_SPACING_M = 0.05  # shorter than a foot; one cell is the shortest riser
@@ -27,6 +28,8 @@ GRID_NODES = round((GRID_END_M - GRID_START_M) / GRID_SPACING_M) + 1
 GRID_X_M: NDArray[np.float64] = GRID_START_M + GRID_SPACING_M * np.arange(
     GRID_NODES, dtype=np.float64
 )
+
+HEADERS = (("x_m", "height_m"), ("x", "height"))  # of a file's columns: metres, in this order
 
 FLAT_START_M = 9.0  # every walker gets some steps to settle
 
@@ -148,20 +151,32 @@ def stairs(
 
 
 def from_file(path: str | Path) -> Terrain:
-    """A height table: text, two columns x_m and height_m, x increasing; linear in between."""
-    path = Path(path)
-    try:
-        with warnings.catch_warnings(action="ignore"):  # an empty table is refused below
-            table = np.loadtxt(path, delimiter=",", ndmin=2, comments="#")
-    except (OSError, ValueError) as error:
-        raise InputError(
-            "terrain.file", str(path), f"a readable table x,height ({error})"
-        ) from None
+    """A height table of a text file, a row of two columns x_m and height_m a line.
+
+    x increases; the ground is linear in between, and level before the first row and after the last.
+    Commas or blanks part the columns. Empty lines, what follows a #, and a first line of names
+    (x_m,height_m or x,height) are skipped. A file that ends in .gz, .bz2 or .xz is unpacked.
+
+    Raises:
+        InputError: no such file, or no such table; a height beyond +-`HIGHEST_M`.
+    """
+    file, allowed = Path(path), "a readable table of x_m,height_m"
+    text = read_text("terrain.file", file, allowed)
+    lines = [line.partition("#")[0].strip() for line in text.splitlines()]
+    lines = [line for line in lines if line]
+    between = "," if any("," in line for line in lines) else None
+    if lines and tuple(name.strip() for name in lines[0].split(between)) in HEADERS:
+        del lines[0]
+    with (
+        reading("terrain.file", file, allowed),
+        warnings.catch_warnings(action="ignore"),  # an empty table is refused below
+    ):
+        table = np.loadtxt(lines, delimiter=between, ndmin=2)
     if table.shape[0] < 2 or table.shape[1] != 2:
-        raise InputError("terrain.file", str(path), "at least two rows of two columns x,height")
+        raise InputError("terrain.file", str(path), "at least two rows of two columns x_m,height_m")
     if not np.all(np.isfinite(table)) or not np.all(np.diff(table[:, 0]) > 0):
         raise InputError("terrain.file", str(path), "finite numbers, x strictly increasing")
-    return Terrain(f"file {path.name}", np.interp(GRID_X_M, table[:, 0], table[:, 1]))
+    return Terrain(f"file {file.name}", np.interp(GRID_X_M, table[:, 0], table[:, 1]))
 
 
 def _from_option(file: str) -> Terrain:
