@@ -48,9 +48,9 @@ def remove(path: Path, *patterns: str) -> None:
 
 def _refuse_foreign(path: Path, first: str, kind: str) -> None:
     """Refuse a folder that holds something else: its files would be overwritten."""
-    if path.exists() and not path.is_dir():
-        raise InputError("out", str(path), "a folder")
     with writable(path):
+        if path.exists() and not path.is_dir():
+            raise InputError("out", str(path), "a folder")
         names = {file.name for file in path.iterdir()} if path.is_dir() else set()
     foreign = sorted(name for name in names if name != LOCK_NAME and not _is_temporary(name))
     if foreign and first not in names:

@@ -7,6 +7,7 @@ from typing import Any
 
 from storage.commit import commit_json
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import json_document, reading
 
 FORMAT = 1  # of specification.json, manifest.json and the footers
 
@@ -50,12 +51,11 @@ def agree(
     if not path.exists():
         commit_json(path, document)
         return document
-    try:
-        known = json.loads(path.read_text(encoding="utf-8"))
+    allowed = f"a readable {path.stem}; or {remedy}"
+    known = json_document("out", path, allowed)
+    with reading("out", path, allowed):
         ours = document | {key: known.get(key, {}) | document[key] for key in growing}
         theirs = known | {key: document[key] | known.get(key, {}) for key in growing}
-    except (OSError, ValueError, AttributeError, TypeError):
-        raise InputError("out", str(path), f"a readable {path.stem}; or {remedy}") from None
     found = difference(ours, theirs)
     if found:
         name, here, there = found

@@ -13,8 +13,10 @@ from storage.document import document_hash
 from storage.manifest import Manifest
 from storage.schema import columns_of
 from storage.shard import file_hash, read_columns, read_footer, write_table
+from storage.stored import check_specification
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
+from taichi_nmm.reading import is_folder
 
 if TYPE_CHECKING:
     import pandas
@@ -108,9 +110,7 @@ def open_store(path: str | Path, verify: bool = False) -> Store:
         InputError: missing, unfinished, truncated, damaged, or not a store.
     """
     path = Path(path)
-    if not path.exists():
-        raise InputError("store", str(path), "a store's folder or file that exists")
-    manifest = Manifest.read(path) if path.is_dir() else None
+    manifest = Manifest.read(path) if is_folder(path) else None
     files = tuple(path / name for name in manifest.hashes) if manifest else (path,)
     footers, specification = _read_footers(files)
     if manifest is not None:
@@ -136,6 +136,7 @@ def _read_footers(files: tuple[Path, ...]) -> tuple[tuple[dict[str, Any], ...], 
     for file in files:
         footer, schema = read_footer(file)
         specification = footer["specification"]
+        check_specification(specification, str(file))
         if document_hash(specification) != footer["specification_hash"]:
             raise InputError("store", str(file), "a footer whose specification has its hash")
         if columns_of(schema) != specification["columns"]:

@@ -93,6 +93,14 @@ def parse_json(text: str | bytes) -> dict[str, Any]:
     return _shallow(document)
 
 
+def is_folder(path: str | Path) -> bool:
+    """Whether it is a folder; a name that no file can have, or may be asked for, is none."""
+    try:
+        return Path(path).is_dir()
+    except (OSError, ValueError):
+        return False
+
+
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """An object of JSON: of two values of a key, nobody knows which is meant."""
     found: dict[str, Any] = {}

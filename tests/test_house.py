@@ -42,7 +42,14 @@ ALLOWED = {
         "storage",
         "taichi_nmm",
     ),
-    "study.sampler": ("study.sampler", "study.draws", "taichi_nmm.errors"),
+    # For anybody: of the walker's package, only what says no to a user.
+    "study.sampler": (
+        "study.sampler",
+        "study.draws",
+        "taichi_nmm.checks",
+        "taichi_nmm.errors",
+        "taichi_nmm.reading",
+    ),
 }
 
 
