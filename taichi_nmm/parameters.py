@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import json_document
 
@@ -98,10 +99,7 @@ def gain_rows(
     Values outside the search bounds are allowed (a published vector may lie there); values that
     are not finite, or another shape, are an `InputError`.
     """
-    try:
-        rows = np.atleast_2d(np.asarray(values, dtype=np.float64))
-    except (TypeError, ValueError):
-        raise InputError(field, type(values).__name__, "an array of numbers") from None
+    rows = np.atleast_2d(checks.numbers(field, values))
     if rows.ndim != 2 or rows.shape[1] != len(group):
         raise InputError(f"{field}.shape", np.shape(values), f"[n, {len(group)}] or [{len(group)}]")
     bad = np.argwhere(~np.isfinite(rows))
@@ -141,6 +139,7 @@ def _within_bounds(value: Any, parameter: Parameter, field: str) -> float:
     return float(value)
 
 
+@checks.checked(source=checks.path)
 def load_gains(source: str) -> NDArray[np.float64]:
     """Gains by name (``K_T``, or a file shipped in ``taichi_nmm/gains``) or from a JSON file, [16].
 
@@ -159,6 +158,7 @@ def load_gains(source: str) -> NDArray[np.float64]:
     return check_gains(values)
 
 
+@checks.checked(source=checks.path)
 def load_all_gains(source: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Gains [16] and low-level gains [8], from what `load_gains` takes.
 
