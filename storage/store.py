@@ -14,6 +14,7 @@ from storage.manifest import Manifest
 from storage.schema import columns_of
 from storage.shard import file_hash, read_columns, read_footer, write_table
 from storage.stored import check_specification
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
 from taichi_nmm.reading import is_folder
@@ -44,6 +45,7 @@ class Store:
         """Rows."""
         return sum(footer["rows"] for footer in self.footers)
 
+    @checks.checked(columns=checks.optional(checks.each(checks.text)))
     def table(self, columns: Iterable[str] | None = None) -> pa.Table:
         """The rows as an Arrow table: all columns, or those named in that order."""
         names = list(self.columns if columns is None else columns)
@@ -97,6 +99,7 @@ class Store:
                 raise InputError(f"store.gains.{name}", stored.get(name), allowed)
 
 
+@checks.checked(path=checks.path, verify=checks.flag)
 def open_store(path: str | Path, verify: bool = False) -> Store:
     """Open a store's folder, a single shard, or a merged file.
 
@@ -122,6 +125,7 @@ def open_store(path: str | Path, verify: bool = False) -> Store:
     return store
 
 
+@checks.checked(source=checks.path, target=checks.path)
 def merge(source: str | Path, target: str | Path) -> Store:
     """Write a store into one file, whole or not at all, and open it."""
     store, target = open_store(source, verify=True), Path(target)

@@ -98,7 +98,7 @@ class Bodies:
         Left and right legs differ. Lengths, contact points and muscles are not changed.
         """
         below_one = checks.number(0.0, math.nextafter(1.0, 0.0), "0 or more, below 1")
-        below_one("body.disturbance", fraction)
+        fraction = below_one("body.disturbance", fraction)
         draws = np.array(
             [np.random.default_rng(seed).uniform(-fraction, fraction, (3, 7)) for seed in seeds]
         ).reshape(-1, 3, len(SEGMENTS))

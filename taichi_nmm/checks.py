@@ -6,7 +6,7 @@ used is an `InputError`. Types are checked here, once: what follows may rely on 
 
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import wraps
 from inspect import signature
 from typing import Any, ParamSpec, TypeAlias, TypeVar
@@ -57,7 +57,7 @@ def number(low: float = -math.inf, high: float = math.inf, allowed: str = "") ->
     def check(field: str, value: Any) -> Any:
         if not is_number(value) or not (math.isfinite(value) and low <= value <= high):
             raise InputError(field, value, allowed or _ends("a finite number", low, high))
-        return value
+        return value or abs(value)  # no negative zero
 
     return check
 
@@ -154,21 +154,16 @@ def optional(check: Check) -> Check:
     return lambda field, value: None if value is None else check(field, value)
 
 
-def either(kind: type, check: Check) -> Check:
-    """An object of a class, or what passes the check."""
-    return lambda field, value: value if isinstance(value, kind) else check(field, value)
-
-
-def each(check: Check) -> Check:
+def each(check: Check, least: int = 0) -> Check:
     """Several values, each of which passes the check; as a tuple. One string is not several."""
 
     def check_all(field: str, values: Any) -> Any:
-        if isinstance(values, str | bytes | Mapping) or not isinstance(values, Iterable):
-            raise InputError(field, values, "a list")
         try:
-            listed = tuple(values)
-        except TypeError:  # a NumPy array of no dimension
-            raise InputError(field, values, "a list") from None
+            listed = None if isinstance(values, str | bytes | Mapping) else tuple(values)
+        except TypeError:
+            listed = None
+        if listed is None or len(listed) < least:
+            raise InputError(field, values, f"a list{f' of {least} or more' if least else ''}")
         return tuple(check(f"{field}[{place}]", value) for place, value in enumerate(listed))
 
     return check_all
@@ -183,6 +178,18 @@ def by_name(check: Check) -> Check:
         return {name: check(f"{field}.{name}", value) for name, value in values.items()}
 
     return check_all
+
+
+def interval(low: float = -math.inf, high: float = math.inf) -> Check:
+    """Two finite numbers from `low` to `high`, the first no larger; as a tuple."""
+
+    def check(field: str, value: Any) -> Any:
+        ends = each(number(low, high))(field, value)
+        if len(ends) != 2 or ends[0] > ends[1]:
+            raise InputError(field, value, "(low, high), low <= high")
+        return ends
+
+    return check
 
 
 def anything(field: str, value: Any) -> Any:

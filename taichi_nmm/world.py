@@ -118,13 +118,8 @@ class WorldRanges:
     sensing_noise: Range = NONE
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            low, high = LIMITS[each.name]
-            field, value = f"world.{each.name}", getattr(self, each.name)
-            pair = checks.each(checks.number(low, high))(field, value)
-            if len(pair) != 2 or pair[0] > pair[1]:
-                raise InputError(field, value, "(lowest, highest), in this order")
-            object.__setattr__(self, each.name, pair)
+        pairs = {each.name: checks.interval(*LIMITS[each.name]) for each in fields(self)}
+        checks.check_fields(self, "world.", **pairs)
 
     @checks.checked(seeds=checks.each(checks.seed))
     def draw(self, seeds: Iterable[int | np.random.SeedSequence]) -> Worlds:
