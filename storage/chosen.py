@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from storage.document import FORMAT
 from storage.gait_measures import cells
 from storage.generation_files import Generation
-from storage.shard import footer_of, read_columns, write_table
+from storage.shard import read_own, write_table
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import reading
 
 REPERTOIRE_NAME = "repertoire.parquet"
 NOT_CHOSEN = -1
@@ -90,17 +90,14 @@ class RepertoireFile:
     def read(self) -> NDArray[np.float64] | None:
         """The candidates in the order of their rows, [n, 16 + k]; None: the search is not over."""
         try:
-            with pq.ParquetFile(self.path) as file:
-                footer = footer_of(file)
-            table = read_columns(self.path)  # all of it, so that damage anywhere is found
-        except (OSError, pa.ArrowException, InputError):
+            with reading("store", self.path, "a repertoire") as path:
+                table = read_own(path, self._footer())
+                rows = table[ROW].to_numpy()
+                points = np.column_stack([table[name].to_numpy() for name in self.names])
+                points = points[np.argsort(rows, kind="stable")]
+                return points[np.count_nonzero(rows == NOT_CHOSEN) :]
+        except InputError:
             return None
-        if footer != self._footer():
-            return None
-        rows = table[ROW].to_numpy()
-        points = np.column_stack([table[name].to_numpy() for name in self.names])
-        points = points[np.argsort(rows, kind="stable")]
-        return points[np.count_nonzero(rows == NOT_CHOSEN) :]
 
     def _footer(self) -> dict[str, Any]:
         return {"format": FORMAT, "specification_hash": self.specification_hash}

@@ -54,8 +54,8 @@ def require_claimable(path: Path, first: str, kind: str) -> None:
     Raises:
         InputError: not a folder, not empty and without the first file, or not writable.
     """
-    require_folder(path)
     with writable(path):
+        require_folder(path)
         names = {file.name for file in path.iterdir()} if path.is_dir() else set()
     foreign = sorted(name for name in names if name != LOCK_NAME and not _is_temporary(name))
     if foreign and first not in names:

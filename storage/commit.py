@@ -25,8 +25,10 @@ def commit(path: Path, write: Callable[[Path], None], check: Callable[[Path], No
     Raises:
         InputError: the folder cannot be written or the disk is full; nothing is left behind.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
     with writable(path):
+        if not path.name:
+            raise OSError("no name of a file")
+        temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
         try:
             write(temporary)
             check(temporary)
@@ -59,9 +61,12 @@ def commit_json(path: Path, document: dict[str, Any]) -> None:
 def writable(path: Path, field: str = "out") -> Iterator[None]:
     """Turn the system's refusal to write at `path`, which `field` names, into one line."""
     try:
+        if b"\0" in os.fsencode(path):
+            raise OSError("no name that a file can have")
         yield
-    except OSError as error:
-        allowed = f"a place that can be written, with space left ({error.strerror or error})"
+    except (OSError, UnicodeEncodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        allowed = f"a place that can be written, with space left ({reason})"
         raise InputError(field, str(path), allowed) from None
 
 

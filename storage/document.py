@@ -7,6 +7,7 @@ from typing import Any
 
 from storage.commit import commit_json
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import json_document, reading
 
 FORMAT = 1  # of specification.json, manifest.json and the footers
 
@@ -55,12 +56,11 @@ def agreed(
     """
     if not path.exists():
         return document
-    try:
-        known = json.loads(path.read_text(encoding="utf-8"))
+    allowed = f"a readable {path.stem}; or {remedy}"
+    known = json_document("out", path, allowed)
+    with reading("out", path, allowed):
         found = differs(document, known, growing)
         grown = {key: dict(sorted((known.get(key, {}) | document[key]).items())) for key in growing}
-    except (OSError, ValueError, AttributeError, TypeError):
-        raise InputError("out", str(path), f"a readable {path.stem}; or {remedy}") from None
     if found:
         name, here, there = found
         raise InputError(name or path.stem, here, f"{there!r}, as {path} says; or {remedy}")
@@ -78,6 +78,6 @@ def agree(
         InputError: as `agreed`, or the file cannot be written.
     """
     grown = agreed(path, document, growing=growing, remedy=remedy)
-    if not path.exists() or (growing and grown != json.loads(path.read_text(encoding="utf-8"))):
+    if not path.exists() or (growing and grown != json_document("out", path, remedy)):
         commit_json(path, grown)
     return grown

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from storage.document import FORMAT
 from storage.gait_measures import MEASURE_NAMES, OBJECTIVE
-from storage.shard import footer_of, read_columns, write_table
+from storage.shard import read_own, write_table
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import reading
 
 GENERATION_PATTERN = "search-*.parquet"
 
@@ -80,18 +80,16 @@ class GenerationFiles:
         On another machine the search may ask other points, in their last bits: then it was not
         this generation, and what follows is tried again too.
         """
-        path = self._path(family, number)
         try:
-            with pq.ParquetFile(path) as file:
-                footer = footer_of(file)
-            table = read_columns(path)
-            tried, objective, measures = (
-                np.column_stack([table[name].to_numpy() for name in names])
-                for names in (self.names, (OBJECTIVE,), map(tried_name, MEASURE_NAMES))
-            )
-        except (OSError, KeyError, pa.ArrowException, InputError):
+            with reading("store", self._path(family, number), "a generation") as path:
+                table = read_own(path, self._footer(family, number))
+                tried, objective, measures = (
+                    np.column_stack([table[name].to_numpy() for name in names])
+                    for names in (self.names, (OBJECTIVE,), map(tried_name, MEASURE_NAMES))
+                )
+        except InputError:
             return None
-        if footer != self._footer(family, number) or not np.array_equal(tried, points):
+        if not np.array_equal(tried, points):
             return None
         return Generation(tried, objective[:, 0], measures)
 

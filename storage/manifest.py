@@ -1,13 +1,13 @@
 """The list of a finished store's shards with their SHA-256: written last, it says "finished"."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from storage.commit import commit_json
 from storage.document import FORMAT, document_hash
-from taichi_nmm.errors import InputError
+from storage.shard import shard_name
+from taichi_nmm.reading import json_document, reading
 
 MANIFEST_NAME = "manifest.json"
 
@@ -45,15 +45,22 @@ class Manifest:
             InputError: there is none (the store is not finished), or it is damaged.
         """
         path = folder / MANIFEST_NAME
-        if not path.exists():
-            raise InputError("store", str(folder), f"a finished store: it has a {MANIFEST_NAME}")
-        try:
-            document = json.loads(path.read_text(encoding="utf-8"))
-            hashes = {shard["file"]: shard["sha256"] for shard in document["shards"]}
-            manifest = Manifest(document["specification"], int(document["rows"]), hashes)
-            sound = document_hash(manifest.specification) == document["specification_hash"]
-        except (OSError, ValueError, KeyError, TypeError):
-            sound = False
-        if not sound:
-            raise InputError("store", str(path), "an undamaged manifest: run precompute.py again")
-        return manifest
+        allowed = "a finished store, which has an undamaged manifest: run precompute.py again"
+        document = json_document("store", path, allowed)
+        with reading("store", path, allowed):
+            return _sound(document)
+
+
+def _sound(document: dict[str, Any]) -> Manifest:
+    """What a manifest says, unless it is none; then whatever is raised tells why."""
+    if document["format"] != FORMAT:
+        raise ValueError(f"of format {document['format']!r}, not {FORMAT}")
+    specification, rows = document["specification"], document["rows"]
+    if document_hash(specification) != document["specification_hash"]:
+        raise ValueError("its specification has another hash")
+    hashes = {shard["file"]: shard["sha256"] for shard in document["shards"]}
+    if not hashes or list(hashes) != [shard_name(number) for number in range(len(hashes))]:
+        raise ValueError("its shards are not part-00000.parquet and so on, in the same folder")
+    if not all(isinstance(value, str) for value in hashes.values()) or type(rows) is not int:
+        raise ValueError("rows or hashes that are none")
+    return Manifest(specification, rows, hashes)

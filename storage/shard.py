@@ -9,10 +9,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from storage.commit import commit
+from storage.document import FORMAT
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import parse_json, reading
 
 FOOTER_KEY = b"taichi_nmm"
-FOOTER_NEEDS = {"rows", "shard", "specification", "specification_hash"}
+FOOTER_NEEDS = {"format", "rows", "shard", "specification", "specification_hash"}
 HASH_BLOCK_BYTES = 1 << 20
 
 
@@ -50,10 +52,9 @@ def write_table(path: Path, table: pa.Table, footer: dict[str, Any]) -> None:
 def footer_of(file: pq.ParquetFile) -> dict[str, Any] | None:
     """What the footer says; None in a Parquet file of somebody else."""
     try:
-        footer = json.loads((file.schema_arrow.metadata or {})[FOOTER_KEY])
-    except (KeyError, ValueError):
+        return parse_json((file.schema_arrow.metadata or {})[FOOTER_KEY])
+    except (KeyError, ValueError, RecursionError):
         return None
-    return footer if isinstance(footer, dict) else None
 
 
 def read_footer(path: Path) -> tuple[dict[str, Any], pa.Schema]:
@@ -62,16 +63,16 @@ def read_footer(path: Path) -> tuple[dict[str, Any], pa.Schema]:
     Raises:
         InputError: missing, truncated, not Parquet, or not of this project.
     """
-    try:
-        with pq.ParquetFile(path) as file:
-            footer, schema, rows = footer_of(file), file.schema_arrow, file.metadata.num_rows
-    except (OSError, pa.ArrowException) as error:
-        allowed = f"a Parquet file that is whole ({first_line(error)})"
-        raise InputError("store", str(path), allowed) from None
+    allowed = "a Parquet file that is whole"
+    with reading("store", path, allowed) as whole, pq.ParquetFile(whole) as file:
+        footer, schema, rows = footer_of(file), file.schema_arrow, file.metadata.num_rows
     if footer is None or not footer.keys() >= FOOTER_NEEDS:
         raise InputError("store", str(path), "a file whose footer has a store's specification")
-    if footer.get("rows") != rows:
-        raise InputError("store", str(path), f"a file of {footer.get('rows')} rows, not {rows}")
+    if footer["format"] != FORMAT:
+        raise InputError("store", str(path), f"format {FORMAT}, not {footer['format']!r}")
+    if footer["rows"] != rows:
+        raise InputError("store", str(path), f"a file of {footer['rows']!r} rows, not {rows}")
+    footer["rows"] = rows  # a whole number, which 1.0 or true are not
     return footer, schema.remove_metadata()
 
 
@@ -81,25 +82,34 @@ def read_columns(path: Path, columns: list[str] | None = None) -> pa.Table:
     Raises:
         InputError: the file cannot be read or is damaged.
     """
-    try:
+    with reading("store", path, "an undamaged Parquet file") as file:
         table = pq.read_table(
-            path, columns=columns, page_checksum_verification=True, partitioning=None
+            file, columns=columns, page_checksum_verification=True, partitioning=None
         )
-    except (OSError, pa.ArrowException) as error:
-        allowed = f"an undamaged Parquet file ({first_line(error)})"
-        raise InputError("store", str(path), allowed) from None
-    return table.replace_schema_metadata(None)
+        return table.replace_schema_metadata(None)
+
+
+def read_own(path: Path, footer: dict[str, Any]) -> pa.Table:
+    """All columns of a file that has exactly this footer.
+
+    Raises:
+        InputError: the file cannot be read, is damaged, or is something else.
+    """
+    allowed = "a Parquet file that is whole"
+    with reading("store", path, allowed) as whole, pq.ParquetFile(whole) as file:
+        if footer_of(file) != footer:
+            raise ValueError("of something else")
+    return read_columns(path)
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file's bytes."""
+    """SHA-256 of a file's bytes.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
     digest = hashlib.sha256()
-    with path.open("rb") as file:
+    with reading("store", path, "a file that can be read") as whole, whole.open("rb") as file:
         while block := file.read(HASH_BLOCK_BYTES):
             digest.update(block)
     return digest.hexdigest()
-
-
-def first_line(error: Exception) -> str:
-    """An error's message, cut to the one line a user is shown."""
-    return (str(error).splitlines() or [type(error).__name__])[0]

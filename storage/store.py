@@ -13,8 +13,11 @@ from storage.document import document_hash
 from storage.manifest import Manifest
 from storage.schema import columns_of
 from storage.shard import file_hash, read_columns, read_footer, write_table
+from storage.stored import check_specification
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
+from taichi_nmm.reading import is_folder
 
 if TYPE_CHECKING:
     import pandas
@@ -42,6 +45,7 @@ class Store:
         """Rows."""
         return sum(footer["rows"] for footer in self.footers)
 
+    @checks.checked(columns=checks.optional(checks.each(checks.text)))
     def table(self, columns: Iterable[str] | None = None) -> pa.Table:
         """The rows as an Arrow table: all columns, or those named in that order."""
         names = list(self.columns if columns is None else columns)
@@ -95,6 +99,7 @@ class Store:
                 raise InputError(f"store.gains.{name}", stored.get(name), allowed)
 
 
+@checks.checked(path=checks.path, verify=checks.flag)
 def open_store(path: str | Path, verify: bool = False) -> Store:
     """Open a store's folder, a single shard, or a merged file.
 
@@ -108,9 +113,7 @@ def open_store(path: str | Path, verify: bool = False) -> Store:
         InputError: missing, unfinished, truncated, damaged, or not a store.
     """
     path = Path(path)
-    if not path.exists():
-        raise InputError("store", str(path), "a store's folder or file that exists")
-    manifest = Manifest.read(path) if path.is_dir() else None
+    manifest = Manifest.read(path) if is_folder(path) else None
     files = tuple(path / name for name in manifest.hashes) if manifest else (path,)
     footers, specification = _read_footers(files)
     if manifest is not None:
@@ -122,6 +125,7 @@ def open_store(path: str | Path, verify: bool = False) -> Store:
     return store
 
 
+@checks.checked(source=checks.path, target=checks.path)
 def merge(source: str | Path, target: str | Path) -> Store:
     """Write a store into one file, whole or not at all, and open it."""
     store, target = open_store(source, verify=True), Path(target)
@@ -136,6 +140,7 @@ def _read_footers(files: tuple[Path, ...]) -> tuple[tuple[dict[str, Any], ...], 
     for file in files:
         footer, schema = read_footer(file)
         specification = footer["specification"]
+        check_specification(specification, str(file))
         if document_hash(specification) != footer["specification_hash"]:
             raise InputError("store", str(file), "a footer whose specification has its hash")
         if columns_of(schema) != specification["columns"]:

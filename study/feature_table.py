@@ -7,9 +7,10 @@ from typing import Self
 
 from optuna.distributions import BaseDistribution
 
-from study.sampler.candidate_table import CandidateTable
+from study.sampler.candidate_table import COLUMN_CHECKS, CandidateTable
 from study.sampler.checked_rows import Bounds
 from study.sampler.rows import Rows
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
 
@@ -20,6 +21,7 @@ class FeatureTable(CandidateTable):
     """
 
     @classmethod
+    @checks.checked(parameters=checks.optional(checks.each(checks.text)), **COLUMN_CHECKS)
     def from_parquet(
         cls,
         path: str | Path,

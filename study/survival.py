@@ -10,7 +10,9 @@ from typing import Any
 from storage.store import open_store
 from study.experiment.features import Coverage, Feature, Survival, check_feature, feature_table
 from study.feature_table import FeatureTable
+from study.sampler.candidate_table import CandidateTable
 from study.sampler.feature_sampler import FeatureKernelSampler
+from taichi_nmm import checks
 
 # Of the families that a store may have: what nearly stands survives stairs, which says little.
 FAMILIES = ("rough", "blocks", "up", "down")
@@ -43,6 +45,7 @@ def covered_features(grounds: tuple[str, ...] = GROUNDS) -> tuple[Feature, ...]:
     return (Coverage(each), *each, SPEED)
 
 
+@checks.checked(path=checks.path, grounds=checks.each(checks.text, least=1))
 def covered_table(path: str | Path, grounds: tuple[str, ...] = GROUNDS) -> FeatureTable:
     """The rows of a store of worlds with what tells them apart on these grounds.
 
@@ -57,6 +60,7 @@ def covered_table(path: str | Path, grounds: tuple[str, ...] = GROUNDS) -> Featu
     return _table(path, covered_features(grounds))
 
 
+@checks.checked(path=checks.path, families=checks.each(checks.text))
 def survival_table(path: str | Path, families: tuple[str, ...] = FAMILIES) -> FeatureTable:
     """The rows of a store with what `SurvivalSampler` compares them by.
 
@@ -90,6 +94,7 @@ class SurvivalSampler(FeatureKernelSampler):
         **options: of `FeatureKernelSampler`, for what is to differ.
     """
 
+    @checks.checked(table=checks.instance(CandidateTable))
     def __init__(self, table: FeatureTable, *, seed: int | None = None, **options: Any) -> None:
         """As `FeatureKernelSampler`, with other defaults."""
         covered = COVERED_OPTIONS["prior"] in table.rows.feature_names

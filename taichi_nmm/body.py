@@ -3,12 +3,14 @@
 Source: Geyer & Herr 2010, as in the walker T (80 kg, 1.80 m); disturbances: Antonova et al. 2016.
 """
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
 GRAVITY_MPS2 = 9.81
@@ -58,14 +60,10 @@ class Bodies:
 
     def __post_init__(self) -> None:
         for name in ("mass_kg", "inertia_kgm2", "com_m"):
-            try:
-                values = np.asarray(getattr(self, name), dtype=np.float64)
-            except (TypeError, ValueError):
-                raise InputError(f"bodies.{name}", "no array", "an array of numbers") from None
+            values = checks.numbers(f"bodies.{name}", getattr(self, name))
             if values.ndim != 2 or values.shape[1] != len(SEGMENTS):
                 raise InputError(f"bodies.{name}.shape", values.shape, f"[n, {len(SEGMENTS)}]")
-            if not np.all(np.isfinite(values)):
-                raise InputError(f"bodies.{name}", "nan or inf", "finite numbers")
+            checks.finite(f"bodies.{name}", values)
             if name != "com_m" and not np.all(values > 0):
                 raise InputError(f"bodies.{name}", float(values.min()), "positive numbers")
             object.__setattr__(self, name, values)
@@ -77,10 +75,11 @@ class Bodies:
 
     def take(self, index: ArrayLike) -> "Bodies":
         """The bodies of these rows, in this order (rows may repeat)."""
-        rows = np.asarray(index)
+        rows = checks.row_numbers("index", index, len(self))
         return Bodies(self.mass_kg[rows], self.inertia_kgm2[rows], self.com_m[rows])
 
     @staticmethod
+    @checks.checked(count=checks.whole(0, checks.MOST_ROWS))
     def nominal(count: int = 1) -> "Bodies":
         """`count` undisturbed bodies."""
 
@@ -90,6 +89,7 @@ class Bodies:
         return Bodies(column("mass_kg"), column("inertia_kgm2"), column("com_m"))
 
     @staticmethod
+    @checks.checked(seeds=checks.each(checks.seed))
     def disturbed(
         seeds: Iterable[int | np.random.SeedSequence], fraction: float = LARGEST_DISTURBANCE
     ) -> "Bodies":
@@ -97,8 +97,8 @@ class Bodies:
 
         Left and right legs differ. Lengths, contact points and muscles are not changed.
         """
-        if not 0 <= fraction < 1:
-            raise InputError("body.disturbance", fraction, "0 or more, below 1")
+        below_one = checks.number(0.0, math.nextafter(1.0, 0.0), "0 or more, below 1")
+        fraction = below_one("body.disturbance", fraction)
         draws = np.array(
             [np.random.default_rng(seed).uniform(-fraction, fraction, (3, 7)) for seed in seeds]
         ).reshape(-1, 3, len(SEGMENTS))

@@ -1,11 +1,12 @@
 """Configurations: TOML read strictly, so that no misspelt key is ever ignored."""
 
 import math
-import tomllib
 from pathlib import Path
 from typing import Any
 
+from taichi_nmm.checks import is_number
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import toml_document
 
 REQUIRED = object()
 
@@ -28,7 +29,7 @@ class Table:
         """A finite number within [low, high]."""
         value = self._take(key, default)
         allowed = f"a number from {low:g} to {high:g}"
-        if not _is_number(value) or not (math.isfinite(value) and low <= value <= high):
+        if not is_number(value) or not (math.isfinite(value) and low <= value <= high):
             raise InputError(self.path(key), value, allowed)
         return float(value)
 
@@ -38,7 +39,7 @@ class Table:
         """Two finite numbers within [low, high], the second no less than the first."""
         value = self._take(key, list(default))
         allowed = f"[lowest, highest], two numbers from {low:g} to {high:g} in this order"
-        if not isinstance(value, list) or not all(map(_is_number, value)) or len(value) != 2:
+        if not isinstance(value, list) or not all(map(is_number, value)) or len(value) != 2:
             raise InputError(self.path(key), value, allowed)
         lowest, highest = map(float, value)
         if not low <= lowest <= highest <= high:
@@ -112,21 +113,10 @@ class Table:
         return default
 
 
-def _is_number(value: Any) -> bool:
-    """Whether it is a number that a float can hold; infinity and NaN are."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    try:
-        float(value)
-    except OverflowError:  # a whole number of hundreds of digits
-        return False
-    return True
-
-
 def read_toml(path: str | Path) -> Table:
-    """The top table of a TOML file."""
-    try:
-        with Path(path).open("rb") as file:
-            return Table(tomllib.load(file))
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError("config", str(path), f"a readable TOML file ({error})") from None
+    """The top table of a TOML file.
+
+    Raises:
+        InputError: no such file, or one that cannot be read.
+    """
+    return Table(toml_document("config", path, "a readable TOML file"))

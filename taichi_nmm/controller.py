@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from taichi_nmm import checks
 from taichi_nmm.body import Bodies
 from taichi_nmm.constants import blends, constant_rows
 from taichi_nmm.errors import InputError
@@ -78,6 +79,7 @@ class Controller:
         low_level_gains: ArrayLike | None = None,
         settings: Settings | None = None,
     ) -> None:
+        checks.optional(checks.instance(Settings))("settings", settings)
         self._settings = (settings or Settings()).on_processor()
         batch = check_batch(gains, bodies, low_level_gains=low_level_gains)
         self._constants = constant_rows(batch, self._settings)
@@ -96,7 +98,7 @@ class Controller:
             InputError: an array of another shape, or one with NaN or infinity. Nothing has then
                 happened: the step may be repeated.
         """
-        arrays = sensed.checked(len(self))
+        arrays = checks.instance(Sensed)("sensed", sensed).checked(len(self))
         backend.start(self._settings)
         if self._running is None:
             self._running = self._run(_first_rows(arrays))
@@ -112,16 +114,7 @@ class Controller:
         Raises:
             InputError: a row that is not there.
         """
-        try:
-            index = np.asarray(rows)
-        except ValueError:  # rows of different lengths
-            raise InputError("rows", rows, "whole numbers, [k]") from None
-        if index.shape == (0,):
-            index = index.astype(np.intp)  # of nothing, NumPy makes numbers that are not whole
-        if index.ndim != 1 or index.dtype.kind not in "iu":
-            raise InputError("rows", rows, "whole numbers, [k]")
-        if len(index) and not (index.min() >= 0 and index.max() < len(self)):
-            raise InputError("rows", rows, f"0 to {len(self) - 1}")
+        index = checks.row_numbers("rows", rows, len(self))
         self._constants = self._constants[index]
         if self._running is not None:
             backend.start(self._settings)

@@ -4,15 +4,35 @@ What the paper leaves open: the speed term of the smooth cost is taken as a devi
 distance of a walker that fell backward as zero, since 1/(1 + d) has a pole at -1 m.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_nmm import checks
+from taichi_nmm.errors import InputError
 from taichi_nmm.result import COMPLETED, HUMAN_SPEED_MPS
 
 FALL_COST = 300.0
 SPEED_WEIGHT = 100.0
+NEEDED = (
+    "distance_m", "duration_s", "mean_speed_mps", "cost_of_transport_jpkgpm", "end_reason",
+)  # fmt: skip
 
 
+def _rows(field: str, value: Any) -> Any:
+    """Result rows: a structured array with the columns that a cost is made of."""
+    names = getattr(getattr(value, "dtype", None), "names", None) or ()
+    for name in NEEDED:
+        if name not in names or value.dtype[name].kind not in "fiu":
+            raise InputError(field, value, f"rows of a Result, with numbers in the column {name}")
+    return value
+
+
+_checked = checks.checked(rows=_rows, target_speed_mps=checks.number())
+
+
+@_checked
 def smooth_cost(
     rows: NDArray[np.void], target_speed_mps: float = HUMAN_SPEED_MPS
 ) -> NDArray[np.float64]:
@@ -27,6 +47,7 @@ def smooth_cost(
     )
 
 
+@_checked
 def walking_cost(
     rows: NDArray[np.void], target_speed_mps: float = HUMAN_SPEED_MPS
 ) -> NDArray[np.float64]:

@@ -1,18 +1,37 @@
 """The one exception a user of this project is meant to meet."""
 
+LONGEST_VALUE = 400  # characters of a value that are shown; a path may have more
+
 
 class InputError(ValueError):
     """Input that cannot be used: one line naming the field, the value and what is allowed.
 
-    Commands print the line and exit with code 2.
+    Commands print the line and exit with code 2. Whatever the value is, the line is printable.
     """
 
     def __init__(self, field: str, value: object, allowed: str) -> None:
         self.field = field
         self.value = value
         self.allowed = allowed
-        super().__init__(f"{field}: {value!r} cannot be used; allowed: {allowed}")
+        super().__init__(_one_line(f"{field}: {_shown(value)} cannot be used; allowed: {allowed}"))
 
     def __reduce__(self) -> tuple[type, tuple[str, object, str]]:
         """What it is made of again, so that it can pass from one process to another."""
         return type(self), (self.field, self.value, self.allowed)
+
+
+def _shown(value: object) -> str:
+    """A value as Python writes it, a long one without its middle."""
+    try:
+        text = repr(value)
+    except Exception:  # thousands of digits or brackets; or an object whose own words fail
+        return f"<{type(value).__name__}>"
+    if len(text) <= LONGEST_VALUE:
+        return text
+    half = LONGEST_VALUE // 2
+    return f"{text[:half]}...{text[-half:]}"
+
+
+def _one_line(text: str) -> str:
+    """The text with everything escaped that a terminal would not print as it is."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from taichi_nmm import checks
 from taichi_nmm.body import Bodies
 from taichi_nmm.constants import constant_rows
 from taichi_nmm.errors import InputError
@@ -16,6 +17,7 @@ from taichi_nmm.walkers import check_batch
 JOINTS = 6
 
 
+@checks.checked(bodies=checks.optional(checks.instance(Bodies)))
 def forward_dynamics(
     q: ArrayLike, qdot: ArrayLike, joint_torque: ArrayLike, bodies: Bodies | None = None
 ) -> NDArray[np.float64]:
@@ -36,7 +38,7 @@ def forward_dynamics(
     rates = _matrix("qdot", qdot, COORDINATES, count)
     torques = _matrix("joint_torque", joint_torque, JOINTS, count)
     states = np.hstack([angles, rates])
-    bodies = bodies or Bodies.nominal()
+    bodies = Bodies.nominal() if bodies is None else bodies
     if len(bodies) not in (1, count):
         raise InputError("bodies", len(bodies), f"one body, or {count}")
     settings = Settings(precision="float64", arch="cpu")
@@ -55,14 +57,12 @@ def forward_dynamics(
 def _matrix(
     name: str, values: ArrayLike, columns: int, rows: int | None = None
 ) -> NDArray[np.float64]:
-    matrix = np.asarray(values, dtype=np.float64)
+    matrix = checks.numbers(name, values)
     count = "n" if rows is None else str(rows)
     fits = matrix.ndim == 2 and len(matrix) > 0 and matrix.shape[1] == columns
     if not fits or (rows is not None and len(matrix) != rows):
         raise InputError(f"{name}.shape", matrix.shape, f"[{count}, {columns}]")
-    if not np.all(np.isfinite(matrix)):
-        raise InputError(name, "nan or inf", "finite numbers")
-    return matrix
+    return checks.finite(name, matrix)
 
 
 def _fold(flat: NDArray[np.float64], padded: int, lanes: int) -> NDArray[np.float64]:

@@ -6,7 +6,6 @@ Sources: P = Antonova, Rai, Atkeson 2016; T = the transfemoral-prosthesis walker
 (``IntactModel``), whose published rough-ground optimum gives ``K_T`` and the fixed gains.
 """
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import json_document
 
 
 @dataclass(frozen=True)
@@ -98,10 +99,7 @@ def gain_rows(
     Values outside the search bounds are allowed (a published vector may lie there); values that
     are not finite, or another shape, are an `InputError`.
     """
-    try:
-        rows = np.atleast_2d(np.asarray(values, dtype=np.float64))
-    except (TypeError, ValueError):
-        raise InputError(field, type(values).__name__, "an array of numbers") from None
+    rows = np.atleast_2d(checks.numbers(field, values))
     if rows.ndim != 2 or rows.shape[1] != len(group):
         raise InputError(f"{field}.shape", np.shape(values), f"[n, {len(group)}] or [{len(group)}]")
     bad = np.argwhere(~np.isfinite(rows))
@@ -141,6 +139,7 @@ def _within_bounds(value: Any, parameter: Parameter, field: str) -> float:
     return float(value)
 
 
+@checks.checked(source=checks.path)
 def load_gains(source: str) -> NDArray[np.float64]:
     """Gains by name (``K_T``, or a file shipped in ``taichi_nmm/gains``) or from a JSON file, [16].
 
@@ -159,6 +158,7 @@ def load_gains(source: str) -> NDArray[np.float64]:
     return check_gains(values)
 
 
+@checks.checked(source=checks.path)
 def load_all_gains(source: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Gains [16] and low-level gains [8], from what `load_gains` takes.
 
@@ -177,17 +177,11 @@ def _gains_by_name(source: str) -> dict[str, Any]:
     """What a source says, unchecked: values by key."""
     if source == "K_T":
         return dict(zip(GAIN_NAMES, K_T.tolist(), strict=True))
-    shipped = NAMED_GAINS_DIRECTORY / f"{source}.json"
-    path = shipped if shipped.is_file() else Path(source)
-    names = ["K_T", *sorted(file.stem for file in NAMED_GAINS_DIRECTORY.glob("*.json"))]
-    if not path.is_file():
-        raise InputError("gains", source, f"one of {', '.join(names)}, or a JSON file that exists")
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError("gains", source, f"a readable JSON object ({error})") from None
-    if isinstance(data, dict):
-        data = data.get("gains", data)
-    if not isinstance(data, dict):
-        raise InputError("gains", source, f"a JSON object of the {len(GAINS)} gains")
-    return data
+    shipped = {file.stem: file for file in sorted(NAMED_GAINS_DIRECTORY.glob("*.json"))}
+    names = ", ".join(["K_T", *shipped])
+    allowed = f"one of {names}; or a JSON file: a readable JSON object of the {len(GAINS)} gains"
+    data = json_document("gains", shipped.get(source, source), allowed)
+    values = data.get("gains", data)
+    if not isinstance(values, dict):
+        raise InputError("gains", source, allowed)
+    return values

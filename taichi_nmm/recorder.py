@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.kernel.layout import (
     COORDINATES,
@@ -13,6 +14,7 @@ from taichi_nmm.kernel.layout import (
     FIRST_SUM,
     LEGS,
     MUSCLE_COUNT,
+    WALKER_ROWS,
     Gait,
     Muscle,
     State,
@@ -30,12 +32,10 @@ class Recorder:
     """Cuts the chunks at the sample times and keeps the rows of the walkers asked for."""
 
     def __init__(self, walkers: Sequence[int], rate_hz: float, count: int) -> None:
-        for walker in walkers:
-            if not 0 <= walker < count:
-                raise InputError("record", walker, f"rows 0 to {count - 1}")
+        walkers = checks.row_numbers("record", walkers, count).tolist()
         if not 0 < rate_hz <= TICKS_PER_SECOND or TICKS_PER_SECOND % rate_hz:
             raise InputError("record_rate_hz", rate_hz, f"a divisor of {TICKS_PER_SECOND}")
-        self._walkers = tuple(int(walker) for walker in walkers)
+        self._walkers = tuple(walkers)
         self._interval = round(TICKS_PER_SECOND / rate_hz)
         self._samples: dict[int, list[tuple[int, NDArray[np.float64]]]] = {
             walker: [] for walker in self._walkers
@@ -74,9 +74,8 @@ def _trajectory(
     walker: int, samples: list[tuple[int, NDArray[np.float64]]], interval: int
 ) -> Trajectory:
     ticks = np.array([tick for tick, _ in samples], dtype=np.float64)
-    rows = np.array([row for _, row in samples]).reshape(len(samples), -1)
-    if not len(samples):
-        rows = np.zeros((0, FIRST_SUM + Sums.count))
+    # Empty for a walker that diverged before the first sample.
+    rows = np.array([row for _, row in samples]).reshape(-1, WALKER_ROWS)
     q = rows[:, State.q : State.q + COORDINATES]
     angles = q[:, 2:]
     joints = [
@@ -105,7 +104,7 @@ def _mean_forces(rows: NDArray[np.float64], interval: int) -> NDArray[np.float64
     first = FIRST_SUM + Sums.impulse
     impulse = rows[:, first : first + 2 * LEGS]
     ticks = rows[:, FIRST_SUM + Sums.ticks]
-    before = np.vstack([np.zeros((1, 2 * LEGS)), impulse[:-1]])
+    before = np.vstack([np.zeros((1, 2 * LEGS)), impulse])[:-1]
     restarted = np.diff(ticks, prepend=0.0) <= 0
     before[restarted] = 0.0
     return (impulse - before) / (interval * CONTROL_TICK_S)

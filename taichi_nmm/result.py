@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_nmm import checks
+
 END_REASONS = ("completed", "fell", "diverged")
 COMPLETED, FELL, DIVERGED = range(len(END_REASONS))
 
@@ -121,7 +123,12 @@ class Result:
         return len(self.rows)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """One column by field name."""
+        """One column by field name.
+
+        Raises:
+            InputError: no such field.
+        """
+        checks.word(*self.rows.dtype.names or ())("column", name)
         return self.rows[name]
 
     @property

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.kernel.layout import LEGS, Sense
 
@@ -51,6 +52,7 @@ class Sensed:
             InputError: an array of another shape, one with NaN or infinity, or a contact that is
                 neither 0 nor 1.
         """
+        checks.whole(0)("count", count)
         arrays = {}
         for name, width in WIDTHS.items():
             shape = (count, width) if width else (count,)

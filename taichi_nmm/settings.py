@@ -5,6 +5,7 @@ import os
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
 CONTROL_TICK_S = 1e-3
@@ -40,13 +41,15 @@ class MujocoSettings:
     limits: str = LIMITS_AS_STOPS
 
     def __post_init__(self) -> None:
-        for name in ("time_constant_s", "damping_ratio"):
-            value = getattr(self, name)
-            if not 0 < value < math.inf:
-                allowed = "a positive, finite number (MuJoCo's direct form is not taken)"
-                raise InputError(f"simulation.mujoco.{name}", value, allowed)
-        if self.limits not in LIMITS:
-            raise InputError("simulation.mujoco.limits", self.limits, " or ".join(LIMITS))
+        allowed = "a positive, finite number (MuJoCo's direct form is not taken)"
+        positive = checks.number(math.ulp(0.0), allowed=allowed)
+        checks.check_fields(
+            self,
+            "simulation.mujoco.",
+            time_constant_s=positive,
+            damping_ratio=positive,
+            limits=checks.word(*LIMITS),
+        )
 
 
 @dataclass(frozen=True)
@@ -72,26 +75,22 @@ class Settings:
     mujoco: MujocoSettings = MujocoSettings()
 
     def __post_init__(self) -> None:
+        cores = os.cpu_count() or 1
+        checks.check_fields(
+            self,
+            "simulation.",
+            physics_step_s=checks.number(),
+            contact_relaxation_speed_mps=checks.number(0.01, 10.0, "0.01 to 10"),
+            precision=checks.word(*PRECISIONS),
+            arch=checks.word(*ARCHITECTURES),
+            threads=checks.optional(checks.whole(1, cores)),
+            engine=checks.word(*ENGINES),
+            mujoco=checks.instance(MujocoSettings),
+        )
         if self.physics_step_s not in PHYSICS_STEPS_S:
             raise InputError("simulation.physics_step_s", self.physics_step_s, f"{PHYSICS_STEPS_S}")
-        if not 0.01 <= self.contact_relaxation_speed_mps <= 10.0:
-            raise InputError(
-                "simulation.contact_relaxation_speed_mps",
-                self.contact_relaxation_speed_mps,
-                "0.01 to 10",
-            )
-        if self.precision not in PRECISIONS:
-            raise InputError("simulation.precision", self.precision, " or ".join(PRECISIONS))
-        if self.arch not in ARCHITECTURES:
-            raise InputError("simulation.arch", self.arch, " or ".join(ARCHITECTURES))
-        if self.engine not in ENGINES:
-            raise InputError("simulation.engine", self.engine, " or ".join(ENGINES))
         if self.engine == "mujoco":
             self._check_mujoco()
-        cores = os.cpu_count() or 1
-        if self.threads is not None and not 1 <= self.threads <= cores:
-            allowed = f"1 to {cores}, the cores of this machine"
-            raise InputError("simulation.threads", self.threads, allowed)
 
     @property
     def substeps(self) -> int:

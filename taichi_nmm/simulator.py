@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from taichi_nmm import checks
 from taichi_nmm.body import Bodies
 from taichi_nmm.constants import blends, constant_rows
 from taichi_nmm.errors import InputError
@@ -37,6 +38,12 @@ Launch = Callable[[Packs, int, int], None]
 """Advances packs from a first control tick by so many."""
 
 
+@checks.checked(
+    duration_s=checks.number(),
+    settings=checks.optional(checks.instance(Settings)),
+    record_rate_hz=checks.number(),
+    progress=checks.optional(checks.function),
+)
 def simulate(
     gains: ArrayLike,
     *,
@@ -71,7 +78,7 @@ def simulate(
         InputError: a shape, a value or an index that cannot be used.
         KeyboardInterrupt: between chunks.
     """
-    settings = settings or Settings()
+    settings = Settings() if settings is None else settings
     batch = check_batch(gains, bodies, terrains, terrain_index, low_level_gains, worlds)
     ticks = _ticks(duration_s)
     recorder = Recorder(record, record_rate_hz, len(batch))

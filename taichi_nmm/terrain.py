@@ -17,8 +17,10 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin, get
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from taichi_nmm import checks
 from taichi_nmm.config import REQUIRED, Table
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import read_text, reading
 
 GRID_START_M = -5.0
 GRID_SPACING_M = 0.05  # shorter than a foot; one cell is the shortest riser
@@ -27,6 +29,13 @@ GRID_NODES = round((GRID_END_M - GRID_START_M) / GRID_SPACING_M) + 1
 GRID_X_M: NDArray[np.float64] = GRID_START_M + GRID_SPACING_M * np.arange(
     GRID_NODES, dtype=np.float64
 )
+
+HEADERS = (("x_m", "height_m"), ("x", "height"))  # of a file's columns: metres, in this order
+
+# Above any ground that a configuration can make (stairs: 2.9 km). Up to here float32 tells heights
+# of 0.5 mm apart, a twentieth of what a body at rest sinks in; not much beyond.
+HIGHEST_M = 5000.0
+SHORTEST_SPACING_M = 0.001
 
 FLAT_START_M = 9.0  # every walker gets some steps to settle
 
@@ -55,21 +64,51 @@ class Terrain:
 
     Attributes:
         name: how it was made, for people.
-        height_m: heights at `GRID_X_M`, float64 [GRID_NODES].
+        height_m: heights at `GRID_X_M`, within +-`HIGHEST_M`, float64 [GRID_NODES].
+
+    Raises:
+        InputError: another shape, or a height beyond these bounds.
     """
 
     name: str
     height_m: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        if np.shape(self.height_m) != (GRID_NODES,):
-            raise InputError("terrain.height_m.shape", np.shape(self.height_m), f"[{GRID_NODES}]")
-        if not np.all(np.isfinite(self.height_m)):
-            raise InputError("terrain.height_m", "nan or inf", "finite numbers")
+        checks.check_fields(self, "terrain.", name=checks.text, height_m=checks.finite)
+        if self.height_m.shape != (GRID_NODES,):
+            raise InputError("terrain.height_m.shape", self.height_m.shape, f"[{GRID_NODES}]")
+        highest = float(np.abs(self.height_m).max())
+        if highest > HIGHEST_M:
+            raise InputError("terrain.height_m", highest, f"heights within +-{HIGHEST_M:g} m")
 
     def height(self, x_m: ArrayLike) -> NDArray[np.float64]:
         """Height at x, of the same shape."""
-        return np.interp(np.asarray(x_m, dtype=np.float64), GRID_X_M, self.height_m)
+        return np.interp(checks.numbers("x_m", x_m), GRID_X_M, self.height_m)
+
+
+_POSITIVE = checks.number(math.ulp(0.0), allowed="a positive, finite number")
+_WITHIN_GRID = checks.number(
+    GRID_START_M,
+    math.nextafter(GRID_END_M, 0.0),
+    f"{GRID_START_M:g} to below {GRID_END_M:g}",
+)
+_checked = checks.checked(
+    "terrain.",
+    seed=checks.seed,
+    amplitude_m=checks.number(0.0, HIGHEST_M),
+    spacing_m=checks.number(SHORTEST_SPACING_M, allowed=f"a number from {SHORTEST_SPACING_M}"),
+    riser_m=_POSITIVE,
+    flat_start_m=_WITHIN_GRID,
+    slope=checks.number(),
+    increment=_POSITIVE,
+    segment_m=_POSITIVE,
+    largest_slope=_POSITIVE,
+    rise_m=_POSITIVE,
+    run_m=_POSITIVE,
+    direction=checks.word("up", "down"),
+    path=checks.path,
+)
+"""What the functions below take from Python: anything that a ground can be made with."""
 
 
 def flat() -> Terrain:
@@ -77,6 +116,7 @@ def flat() -> Terrain:
     return Terrain("flat", np.zeros(GRID_NODES))
 
 
+@_checked
 def rough(
     seed: int | np.random.SeedSequence,
     amplitude_m: Amplitude = 0.08,
@@ -88,12 +128,12 @@ def rough(
 
     All of it rises by `slope` (0.04 = 4 %) from the end of the flat start on.
     """
-    _positive(spacing_m=spacing_m)
     knots_x, knots = _random_walk(seed, amplitude_m, spacing_m, flat_start_m, slope)
     height = np.interp(GRID_X_M, knots_x, knots)
     return Terrain(f"rough +-{amplitude_m:g} m every {spacing_m:g} m{_rising(slope)}", height)
 
 
+@_checked
 def blocks(
     seed: int | np.random.SeedSequence,
     amplitude_m: Amplitude = 0.08,
@@ -107,7 +147,6 @@ def blocks(
     A riser lies at the end of its block and is `riser_m` long: from one grid cell to a whole block
     (which is the rough ground). Each block is higher by `slope` of its length besides.
     """
-    _positive(spacing_m=spacing_m)
     if not GRID_SPACING_M <= riser_m <= spacing_m:
         raise InputError("terrain.riser_m", riser_m, f"{GRID_SPACING_M} to {spacing_m} (spacing_m)")
     knots_x, knots = _random_walk(seed, amplitude_m, spacing_m, flat_start_m, slope)
@@ -117,6 +156,7 @@ def blocks(
     return Terrain(f"blocks +-{amplitude_m:g} m, risers {riser_m:g} m{_rising(slope)}", height)
 
 
+@_checked
 def ramp(
     increment: Slope = 0.04,
     segment_m: Annotated[float, Range(0.1, 300.0)] = 20.0,
@@ -124,13 +164,13 @@ def ramp(
     direction: Direction = "up",
 ) -> Terrain:
     """Slope that grows by `increment` every `segment_m` until `largest_slope` (0.2 = 20 %)."""
-    _positive(increment=increment, segment_m=segment_m, largest_slope=largest_slope)
     middle = np.maximum(GRID_X_M[:-1] + 0.5 * GRID_SPACING_M, 0.0)
     slope = _sign(direction) * np.minimum(np.floor(middle / segment_m) * increment, largest_slope)
     height = np.concatenate([[0.0], np.cumsum(slope * GRID_SPACING_M)])
     return Terrain(f"ramp {direction} {100 * increment:g} % per {segment_m:g} m", height)
 
 
+@_checked
 def stairs(
     rise_m: Annotated[float, Range(0.001, 1.0)] = 0.10,
     run_m: Annotated[float, Range(0.1, 100.0)] = 0.30,
@@ -138,8 +178,6 @@ def stairs(
     direction: Direction = "up",
 ) -> Terrain:
     """Treads of `run_m`, each `rise_m` above (or below) the last, risers one grid cell long."""
-    _positive(rise_m=rise_m, run_m=run_m)
-    _within_grid(flat_start_m)
     if run_m < 2 * GRID_SPACING_M:
         raise InputError("terrain.run_m", run_m, f"at least {2 * GRID_SPACING_M}")
     count = np.floor((GRID_X_M - flat_start_m) / run_m + 1e-9) + 1.0
@@ -147,21 +185,34 @@ def stairs(
     return Terrain(f"stairs {direction} {rise_m:g} m / {run_m:g} m", height)
 
 
+@_checked
 def from_file(path: str | Path) -> Terrain:
-    """A height table: text, two columns x_m and height_m, x increasing; linear in between."""
-    path = Path(path)
-    try:
-        with warnings.catch_warnings(action="ignore"):  # an empty table is refused below
-            table = np.loadtxt(path, delimiter=",", ndmin=2, comments="#")
-    except (OSError, ValueError) as error:
-        raise InputError(
-            "terrain.file", str(path), f"a readable table x,height ({error})"
-        ) from None
+    """A height table of a text file, a row of two columns x_m and height_m a line.
+
+    x increases; the ground is linear in between, and level before the first row and after the last.
+    Commas or blanks part the columns. Empty lines, what follows a #, and a first line of names
+    (x_m,height_m or x,height) are skipped. A file that ends in .gz, .bz2 or .xz is unpacked.
+
+    Raises:
+        InputError: no such file, or no such table; a height beyond +-`HIGHEST_M`.
+    """
+    file, allowed = Path(path), "a readable table of x_m,height_m"
+    text = read_text("terrain.file", file, allowed)
+    lines = [line.partition("#")[0].strip() for line in text.splitlines()]
+    lines = [line for line in lines if line]
+    between = "," if any("," in line for line in lines) else None
+    if lines and tuple(name.strip() for name in lines[0].split(between)) in HEADERS:
+        del lines[0]
+    with (
+        reading("terrain.file", file, allowed),
+        warnings.catch_warnings(action="ignore"),  # an empty table is refused below
+    ):
+        table = np.loadtxt(lines, delimiter=between, ndmin=2)
     if table.shape[0] < 2 or table.shape[1] != 2:
-        raise InputError("terrain.file", str(path), "at least two rows of two columns x,height")
+        raise InputError("terrain.file", str(path), "at least two rows of two columns x_m,height_m")
     if not np.all(np.isfinite(table)) or not np.all(np.diff(table[:, 0]) > 0):
         raise InputError("terrain.file", str(path), "finite numbers, x strictly increasing")
-    return Terrain(f"file {path.name}", np.interp(GRID_X_M, table[:, 0], table[:, 1]))
+    return Terrain(f"file {file.name}", np.interp(GRID_X_M, table[:, 0], table[:, 1]))
 
 
 def _from_option(file: str) -> Terrain:
@@ -195,9 +246,8 @@ class Ground:
     options: Mapping[str, float | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise InputError("terrain.kind", self.kind, " or ".join(KINDS))
-        object.__setattr__(self, "options", dict(self.options))
+        kind, options = checks.word(*KINDS), checks.by_name(checks.anything)
+        checks.check_fields(self, "terrain.", kind=kind, options=options)
 
     def __hash__(self) -> int:
         return hash((self.kind, frozenset(self.options.items())))
@@ -253,11 +303,6 @@ def _random_walk(
     slope: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Knots from the end of the flat start on: positions and heights, [k] and [k]."""
-    if not 0 <= amplitude_m < math.inf:
-        raise InputError("terrain.amplitude_m", amplitude_m, "a finite number, zero or more")
-    if not math.isfinite(slope):
-        raise InputError("terrain.slope", slope, "a finite number")
-    _within_grid(flat_start_m)
     count = int(np.ceil((GRID_END_M - flat_start_m) / spacing_m)) + 1
     rng = np.random.default_rng(seed)
     steps = rng.uniform(-amplitude_m, amplitude_m, count - 1)
@@ -270,19 +315,5 @@ def _rising(slope: float) -> str:
     return f", rising {100 * slope:g} %" if slope else ""
 
 
-def _positive(**values: float) -> None:
-    for name, value in values.items():
-        if not 0 < value < math.inf:
-            raise InputError(f"terrain.{name}", value, "a positive, finite number")
-
-
-def _within_grid(flat_start_m: float) -> None:
-    if not GRID_START_M <= flat_start_m < GRID_END_M:
-        allowed = f"{GRID_START_M:g} to below {GRID_END_M:g}"
-        raise InputError("terrain.flat_start_m", flat_start_m, allowed)
-
-
 def _sign(direction: Direction) -> float:
-    if direction not in ("up", "down"):
-        raise InputError("terrain.direction", direction, "up or down")
     return 1.0 if direction == "up" else -1.0

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from taichi_nmm import checks
 from taichi_nmm.body import Bodies
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import LOW_LEVEL_GAINS, gain_rows
@@ -50,6 +51,8 @@ def check_batch(
     Raises:
         InputError: a shape, a value or an index that cannot be used.
     """
+    checks.optional(checks.instance(Bodies))("bodies", bodies)
+    checks.optional(checks.instance(Worlds))("worlds", worlds)
     rows = gain_rows(gains)
     count = len(rows)
     if low_level_gains is None:
@@ -58,10 +61,10 @@ def check_batch(
     if len(low_level) not in (1, count):
         size = len(LOW_LEVEL_GAINS)
         raise InputError("low_level_gains.shape", low_level.shape, f"[{count}, {size}] or [{size}]")
-    bodies = bodies or Bodies.nominal()
+    bodies = Bodies.nominal() if bodies is None else bodies
     if len(bodies) not in (1, count):
         raise InputError("bodies", len(bodies), f"one body, or {count}: one a walker")
-    worlds = worlds or Worlds.nominal()
+    worlds = Worlds.nominal() if worlds is None else worlds
     if len(worlds) not in (1, count):
         raise InputError("worlds", len(worlds), f"one world, or {count}: one a walker")
     grounds, index = _check_terrains(terrains, terrain_index, count)
@@ -81,7 +84,8 @@ def _check_terrains(
 ) -> tuple[tuple[Terrain, ...], NDArray[np.int32]]:
     if terrains is None:
         terrains = flat()
-    grounds = (terrains,) if isinstance(terrains, Terrain) else tuple(terrains)
+    listed = (terrains,) if isinstance(terrains, Terrain) else terrains
+    grounds: tuple[Terrain, ...] = checks.each(checks.instance(Terrain))("terrains", listed)
     if not grounds:
         raise InputError("terrains", "none", "at least one terrain")
     if terrain_index is None:
@@ -89,9 +93,7 @@ def _check_terrains(
             allowed = f"one, or {count}: one a walker; else give terrain_index"
             raise InputError("terrains", len(grounds), allowed)
         return grounds, np.arange(count, dtype=np.int32) % np.int32(len(grounds))
-    index = np.asarray(terrain_index)
-    if index.shape != (count,) or index.dtype.kind not in "iu":
+    index = checks.row_numbers("terrain_index", terrain_index, len(grounds))
+    if len(index) != count:
         raise InputError("terrain_index.shape", index.shape, f"[{count}] of whole numbers")
-    if count and not (index.min() >= 0 and index.max() < len(grounds)):
-        raise InputError("terrain_index", int(index.max()), f"0 to {len(grounds) - 1}")
     return grounds, index.astype(np.int32)

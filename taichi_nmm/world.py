@@ -6,11 +6,11 @@ meet the ground, how strong its muscles are, how late and how exactly it feels.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from taichi_nmm import checks
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES
@@ -22,6 +22,16 @@ Range = tuple[float, float]
 AS_NOMINAL: Range = (1.0, 1.0)
 NONE: Range = (0.0, 0.0)
 NOISE_SEEDS = 2**24  # whole numbers that float32 holds
+
+LIMITS: dict[str, Range] = {
+    "contact_stiffness": (0.01, 100.0),
+    "relaxation_speed": (0.1, 100.0),
+    "friction": (0.05, 10.0),
+    "strength": (0.1, 10.0),
+    "nerve_lag_s": (0.0, 1.0),
+    "sensing_noise": (0.0, 10.0),
+    "noise_seed": (0.0, NOISE_SEEDS - 1.0),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +63,7 @@ class Worlds:
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            values = _numbers(each.name, getattr(self, each.name))
+            values = checks.numbers(f"worlds.{each.name}", getattr(self, each.name))
             expected = _size(each.name)
             if values.ndim != 1 + len(expected) or values.shape[1:] != expected:
                 allowed = "[" + ", ".join(["n", *map(str, expected)]) + "]"
@@ -72,10 +82,11 @@ class Worlds:
 
     def take(self, index: ArrayLike) -> "Worlds":
         """The worlds of these rows, in this order (rows may repeat)."""
-        rows = np.asarray(index)
+        rows = checks.row_numbers("index", index, len(self))
         return Worlds(*(getattr(self, each.name)[rows] for each in fields(self)))
 
     @staticmethod
+    @checks.checked(count=checks.whole(0, checks.MOST_ROWS))
     def nominal(count: int = 1) -> "Worlds":
         """`count` times the published walker's."""
         one, zero, strength = np.ones(count), np.zeros(count), np.ones((count, MUSCLE_COUNT))
@@ -84,7 +95,9 @@ class Worlds:
     @staticmethod
     def stacked(worlds: Iterable["Worlds"]) -> "Worlds":
         """Several batches as one."""
-        parts = list(worlds)
+        parts = checks.each(checks.instance(Worlds))("worlds", worlds)
+        if not parts:
+            raise InputError("worlds", "none", "one batch at least")
         columns = ([getattr(part, each.name) for part in parts] for each in fields(Worlds))
         return Worlds(*map(np.concatenate, columns))
 
@@ -104,6 +117,11 @@ class WorldRanges:
     nerve_lag_s: Range = NONE
     sensing_noise: Range = NONE
 
+    def __post_init__(self) -> None:
+        pairs = {each.name: checks.interval(*LIMITS[each.name]) for each in fields(self)}
+        checks.check_fields(self, "world.", **pairs)
+
+    @checks.checked(seeds=checks.each(checks.seed))
     def draw(self, seeds: Iterable[int | np.random.SeedSequence]) -> Worlds:
         """One world a seed."""
         streams = [_streams(seed) for seed in seeds]
@@ -131,15 +149,6 @@ class WorldRanges:
 NOMINAL = WorldRanges()
 OWN_CONTACT = ("contact_stiffness", "relaxation_speed")  # numbers of our own engine's contact law
 NOT_OURS = "1 with the engine mujoco, whose contact is a setting of its own"
-LIMITS: dict[str, Range] = {
-    "contact_stiffness": (0.01, 100.0),
-    "relaxation_speed": (0.1, 100.0),
-    "friction": (0.05, 10.0),
-    "strength": (0.1, 10.0),
-    "nerve_lag_s": (0.0, 1.0),
-    "sensing_noise": (0.0, 10.0),
-    "noise_seed": (0.0, NOISE_SEEDS - 1.0),
-}
 
 
 def read_world(table: Table) -> WorldRanges:
@@ -170,10 +179,3 @@ def _streams(seed: int | np.random.SeedSequence) -> list[np.random.Generator]:
 def _size(name: str) -> tuple[int, ...]:
     """Numbers of that name in one world."""
     return (MUSCLE_COUNT,) if name == "strength" else ()
-
-
-def _numbers(name: str, values: Any) -> NDArray[np.float64]:
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"worlds.{name}", "no array", "an array of numbers") from None

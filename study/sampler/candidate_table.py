@@ -18,10 +18,26 @@ from study.sampler.checked_rows import Bounds, make_rows
 from study.sampler.columns import feature_matrix
 from study.sampler.description import table_text
 from study.sampler.rows import Rows
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
 if TYPE_CHECKING:
     import pandas
+
+
+def _frame(field: str, value: Any) -> Any:
+    """Anything that has columns by name, as data frames do; no package of them is loaded."""
+    if isinstance(value, type) or not hasattr(value, "columns"):
+        raise InputError(field, value, "a pandas data frame")
+    return value
+
+
+COLUMN_CHECKS = {
+    "path": checks.path,
+    "features": checks.each(checks.text),
+    "space": checks.optional(checks.by_name(checks.instance(BaseDistribution))),
+    "bounds": checks.optional(checks.by_name(checks.interval())),
+}
 
 
 class CandidateTable:
@@ -42,6 +58,11 @@ class CandidateTable:
         source: the file or folder that it was read from; None for arrays.
     """
 
+    @checks.checked(
+        rows=checks.instance(Rows),
+        reload=checks.optional(checks.function),
+        source=checks.optional(checks.path),
+    )
     def __init__(self, rows: Rows, reload: Callable[[], Rows] | None, source: Path | None):
         """Use `from_parquet`, `from_arrays` or `from_dataframe`."""
         self._rows: Rows | None = rows
@@ -52,6 +73,7 @@ class CandidateTable:
         _warn_of(rows, type(self).__name__)
 
     @classmethod
+    @checks.checked(parameters=checks.each(checks.text), **COLUMN_CHECKS)
     def from_parquet(
         cls,
         path: str | Path,
@@ -85,6 +107,13 @@ class CandidateTable:
         return cls(reload(), reload, reload.path)
 
     @classmethod
+    @checks.checked(
+        "table.",
+        parameters=checks.by_name(checks.anything),
+        feature_names=checks.optional(checks.each(checks.text)),
+        space=COLUMN_CHECKS["space"],
+        bounds=COLUMN_CHECKS["bounds"],
+    )
     def from_arrays(
         cls,
         parameters: Mapping[str, ArrayLike],
@@ -114,6 +143,7 @@ class CandidateTable:
         return cls(make_rows(parameters, features, feature_names, bounds, space), None, None)
 
     @classmethod
+    @checks.checked(frame=_frame, parameters=checks.each(checks.text), **COLUMN_CHECKS)
     def from_dataframe(
         cls,
         frame: "pandas.DataFrame",
@@ -173,4 +203,4 @@ def _warn_of(rows: Rows, table: str) -> None:
         names = ", ".join(rows.empty_features)
         said.append(f"features without information are ignored: {names}")
     if said:
-        warnings.warn(f"{table}: {'; '.join(said)}.", UserWarning, stacklevel=4)
+        warnings.warn(f"{table}: {'; '.join(said)}.", UserWarning, stacklevel=6)  # beyond two doors

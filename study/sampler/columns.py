@@ -1,6 +1,6 @@
 """Columns of a table, checked: parameters become numbers with a distribution, features a matrix."""
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,10 @@ def parameter_column(
         length: n.
         given: its distribution; None: floats, integers or choices, as the values are.
     """
-    column = np.asarray(values)
+    try:
+        column = np.asarray(values)
+    except ValueError:  # lists of different lengths
+        raise InputError(f"table.{name}.shape", "ragged", "[n], n at least 1") from None
     if column.dtype.kind in "US":  # made words of numbers and gaps among words, if there were any
         column = np.asarray(values, dtype=object)
     if column.ndim != 1 or not len(column):
@@ -47,7 +50,7 @@ def feature_matrix(features: ArrayLike, names: Sequence[str] | None) -> Floats:
     """Features as [n, k]; NaN is a gap, infinity a value."""
     try:
         matrix = np.array(features, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError("table.features", type(features).__name__, "numbers, [n, k]") from None
     matrix = matrix[:, None] if matrix.ndim == 1 else matrix
     if matrix.ndim != 2 or not matrix.size:
@@ -69,7 +72,7 @@ def _finite(name: str, column: NDArray[Any]) -> Floats:
     """A column as finite floats, [n], or an error that names the first row that is none."""
     try:
         numbers = column.astype(np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"table.{name}", str(column[0]), "numbers") from None
     bad = np.flatnonzero(~np.isfinite(numbers))
     if len(bad):
@@ -82,6 +85,9 @@ def _choices(
 ) -> tuple[Floats, CategoricalDistribution]:
     """Indices of choices: those given, or the values in the order in which they appear."""
     listed = [_choice(value, given) for value in column.tolist()]
+    for row, value in enumerate(listed):
+        if not isinstance(value, Hashable):
+            raise InputError(f"table.{name}[{row}]", value, "a number, a word or a flag")
     if given is None:
         _require_no_gap(name, listed)
     choices = tuple(dict.fromkeys(listed)) if given is None else given.choices
@@ -94,16 +100,24 @@ def _choices(
 
 def _choice(value: Any, given: CategoricalDistribution | None) -> Any:
     """A value of a column; a gap is None where None is among the choices: pandas has NaN for it."""
-    missing = given is not None and value != value and None in given.choices
+    missing = given is not None and _is_gap(value) and None in given.choices
     return None if missing else value
+
+
+def _is_gap(value: Any) -> bool:
+    """NaN, and what else is not equal to itself."""
+    try:
+        return bool(value != value)
+    except (TypeError, ValueError):  # pandas.NA, which is not even unequal
+        return True
 
 
 def _require_no_gap(name: str, values: list[Any]) -> None:
     """Refuse what may be a gap: NaN, and None that does not stand among words or flags."""
-    others = [value for value in values if value is not None and value == value]
+    others = [value for value in values if value is not None and not _is_gap(value)]
     words = bool(others) and all(isinstance(value, str | bool) for value in others)
     for row, value in enumerate(values):
-        if value != value or (value is None and not words):
+        if _is_gap(value) or (value is None and not words):
             allowed = (
                 f"a value; or None as a choice: space={{{name!r}: CategoricalDistribution([...])}}"
             )

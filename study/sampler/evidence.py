@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from optuna.trial import FrozenTrial
 
 from study.sampler.points import Points
-from study.sampler.transforms import clip_infinities
+from study.sampler.transforms import clip_infinities, squarable
 
 Floats = NDArray[np.float64]
 
@@ -41,5 +41,5 @@ def read_limits(trials: Sequence[FrozenTrial]) -> Floats:
     keys = sorted({key for constraints in told for key in constraints})
     limits = [[constraints.get(key, np.nan) for key in keys] for constraints in told]
     columns = np.array(limits, dtype=np.float64).reshape(len(trials), len(keys)).T
-    clipped = [clip_infinities(column) for column in columns]
+    clipped = [squarable(clip_infinities(column)) for column in columns]
     return np.array(clipped).reshape(len(keys), len(trials)).T

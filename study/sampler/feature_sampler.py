@@ -29,7 +29,11 @@ from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
 from study.sampler.source import one_thread
 from study.sampler.sources import new_source
 from study.sampler.worth import Worth
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
+
+DEFAULT_KERNELS = "additive", "euclidean"  # with features, without
+MOST_OFF_GRID = 1_000_000
 
 
 class FeatureKernelSampler(BaseSampler):
@@ -102,6 +106,17 @@ class FeatureKernelSampler(BaseSampler):
         ValueError: in a trial of a study with several objectives.
     """
 
+    @checks.checked(
+        seed=checks.optional(checks.whole(0, checks.LARGEST_SEED)),
+        prior=checks.optional(checks.text),
+        kernel=checks.optional(checks.text),
+        feature_function=checks.optional(checks.function),
+        off_grid=checks.whole(0, MOST_OFF_GRID),
+        space=checks.optional(checks.by_name(checks.instance(BaseDistribution))),
+        strict=checks.flag,
+        extra_parameters=checks.each(checks.text),
+        independent_sampler=checks.optional(checks.instance(BaseSampler)),
+    )
     def __init__(
         self,
         features: CandidateTable | Features | None = None,
@@ -121,11 +136,11 @@ class FeatureKernelSampler(BaseSampler):
         """Check the options; nothing is computed yet."""
         given = dict(locals())
         options = Options(
-            kernel=kernel or ("euclidean" if features is None else "additive"),
+            kernel=kernel if kernel is not None else DEFAULT_KERNELS[features is None],
             prior=prior,
             off_grid=off_grid,
             nearest=nearest,
-            space=None if space is None else dict(space),
+            space=space,
             extra_parameters=frozenset(extra_parameters),
             strict=strict,
         )
@@ -146,6 +161,7 @@ class FeatureKernelSampler(BaseSampler):
         """Whether it takes candidates for alike by features, whose worth can be told."""
         return self._source.options.model.of_features
 
+    @checks.checked(study=checks.instance(optuna.Study))
     def worth(self, study: optuna.Study) -> Worth:
         """What the features are worth, by the finished trials of a study, which stays as it is.
 

@@ -17,7 +17,7 @@ from study.sampler.kernels import Kernel, Layout, new_covariance
 from study.sampler.one_dimension import Shared
 from study.sampler.points import Points
 from study.sampler.posterior import Posterior
-from study.sampler.transforms import log_excess
+from study.sampler.transforms import log_excess, squarable
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -106,7 +106,7 @@ class Model:
     def cost(self, some: slice = slice(None)) -> Floats:
         """The costs of some trials as the process sees them, [n]."""
         cost = self.evidence.cost[some]
-        return log_excess(cost) if self.kernel.by_order else cost
+        return log_excess(cost) if self.kernel.by_order else squarable(cost)
 
     def _unguessed(self, some: slice) -> Floats:
         """The same less what was guessed."""

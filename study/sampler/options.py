@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from optuna.distributions import BaseDistribution
 
 from study.sampler.kernels import ADDITIVE, KERNELS, Kernel
+from taichi_nmm.checks import is_number
 from taichi_nmm.errors import InputError
 
 
@@ -25,9 +26,8 @@ class Options:
         """Refuse what no sampler can do."""
         if self.kernel not in KERNELS:
             raise InputError("kernel", self.kernel, f"one of {', '.join(KERNELS)}")
-        _at_least("off_grid", self.off_grid, 0)
-        if self.nearest is not None:
-            _at_least("nearest", self.nearest, 0)
+        if self.nearest is not None and not (is_number(self.nearest) and self.nearest >= 0):
+            raise InputError("nearest", self.nearest, "0 or more")
 
     @property
     def model(self) -> Kernel:
@@ -43,9 +43,3 @@ class Options:
     def uses_features(self) -> bool:
         """Whether features count at all."""
         return self.model.of_features or self.prior is not None
-
-
-def _at_least(name: str, value: float, low: int) -> None:
-    """Refuse a number below `low`, and NaN."""
-    if not value >= low:
-        raise InputError(name, value, f"{low} or more")

@@ -13,6 +13,7 @@ from optuna.distributions import BaseDistribution
 from study.sampler.checked_rows import Bounds, make_rows
 from study.sampler.rows import Rows
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import is_folder, reading
 
 
 @dataclass(frozen=True)
@@ -68,20 +69,20 @@ def arrow_rows(
 
 def _read(path: Path, names: Sequence[str]) -> pa.Table:
     """Named columns of a file, or of all Parquet files of a folder in the order of their names."""
-    files = sorted(path.glob("*.parquet")) if path.is_dir() else [path]
-    if not files or not path.exists():
-        raise InputError("store", str(path), "a Parquet file, or a folder of them, that exists")
+    allowed = "a Parquet file, or a folder of them, that exists"
+    files = sorted(path.glob("*.parquet")) if is_folder(path) else [path]
+    if not files:
+        raise InputError("store", str(path), allowed)
     tables = []
-    for file in files:
-        try:
+    for each in files:
+        with reading("store", each, allowed) as file:
             known = pq.read_schema(file).names
-        except (OSError, pa.ArrowException):
-            raise InputError("store", str(file), "a Parquet file") from None
-        for name in names:
-            if name not in known:
-                raise InputError("column", name, f"one of {', '.join(known)}")
-        tables.append(pq.read_table(file, columns=list(names)))
-    return pa.concat_tables(tables)
+            for name in names:
+                if name not in known:
+                    raise InputError("column", name, f"one of {', '.join(known)}")
+            tables.append(pq.read_table(file, columns=list(names), partitioning=None))
+    with reading("store", files[0], "files of the same columns, if there are several"):
+        return pa.concat_tables(tables)
 
 
 def _numpy(table: pa.Table, name: str) -> NDArray[np.generic]:

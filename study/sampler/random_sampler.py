@@ -12,6 +12,7 @@ from optuna.samplers import BaseSampler, RandomSampler
 from optuna.trial import FrozenTrial
 
 from study.draws import Purpose, name_key, seed_32bit, turn
+from taichi_nmm import checks
 
 
 class ReproducibleRandomSampler(BaseSampler):
@@ -21,6 +22,7 @@ class ReproducibleRandomSampler(BaseSampler):
         seed: of all draws; None takes one from the machine's entropy.
     """
 
+    @checks.checked(seed=checks.optional(checks.whole(0, checks.LARGEST_SEED)))
     def __init__(self, *, seed: int | None = None) -> None:
         """Remember the seed; no stream is begun."""
         self._seed = new_seed() if seed is None else seed

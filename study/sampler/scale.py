@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from study.sampler.transforms import squarable
+
 Floats = NDArray[np.float64]
 
 LEAST_GAPS = 0.02  # share of missing values from which having none is a feature of its own
@@ -43,7 +45,7 @@ class Standard(Scale):
     @classmethod
     def of(cls, features: Floats) -> "Standard":
         """The scale of features [n, k]."""
-        known = np.isfinite(features)
+        known, features = np.isfinite(features), squarable(features)
         count = np.maximum(known.sum(axis=0), 1)
         filled = np.where(known, features, 0.0)
         mean = filled.sum(axis=0) / count
@@ -52,7 +54,8 @@ class Standard(Scale):
 
     def standard(self, features: Floats) -> Floats:
         """Affine; [m, k]."""
-        scaled = (np.where(np.isfinite(features), features, self.mean) - self.mean) / self.sd
+        finite = np.where(np.isfinite(features), squarable(features), self.mean)
+        scaled = (finite - self.mean) / self.sd
         return np.asarray(scaled)
 
     @property

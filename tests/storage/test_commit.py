@@ -10,7 +10,7 @@ from storage.shard import read_columns, read_footer, write_table
 from taichi_nmm.errors import InputError
 
 TABLE = pa.table({"row": [0, 1], "score": [0.5, 0.25]})
-FOOTER = {"rows": 2, "shard": 0, "specification": {}, "specification_hash": ""}
+FOOTER = {"format": 1, "rows": 2, "shard": 0, "specification": {}, "specification_hash": ""}
 
 
 def test_a_file_appears_whole_with_its_footer(tmp_path: Path) -> None:

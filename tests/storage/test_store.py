@@ -87,7 +87,7 @@ def test_merged_file_holds_the_same_rows(folder: Path, tmp_path: Path) -> None:
 
 
 def test_missing_paths(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="that exists"):
+    with pytest.raises(InputError, match="No such file"):
         open_store(tmp_path / "nothing")
     with pytest.raises(InputError, match="a finished store"):
         open_store(tmp_path)

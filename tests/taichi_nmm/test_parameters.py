@@ -122,7 +122,7 @@ def gains_text(**changes: object) -> str:
     ("text", "message"),
     [
         ("{", r"gains: .*a readable JSON object"),
-        ("[1, 2]", r"gains: .*a JSON object of the 16 gains"),
+        ("[1, 2]", r"gains: .*JSON object of the 16 gains"),
         (gains_text(K_KNEE=1.0), r"gains: 'K_KNEE'.*only the names K_GAS"),
         (gains_text(C_d=None), r"gains\.C_d: .*a number"),
         (gains_text(C_d="0.1"), r"gains\.C_d: '0.1'.*a number"),
@@ -132,7 +132,7 @@ def gains_text(**changes: object) -> str:
         (gains_text(K_SOL=-1e-9), r"gains\.K_SOL: -1e-09.*0 to 24"),
         (gains_text(K_SOL=10**400), r"gains\.K_SOL: 10.*0 to 24"),
         (gains_text(theta_ref=0.1), r"gains: 'theta_ref'.*the 16 gains alone; load_all_gains"),
-        ('{"gains": [1, 2]}', r"gains: .*a JSON object of the 16 gains"),
+        ('{"gains": [1, 2]}', r"gains: .*JSON object of the 16 gains"),
         ('{"gains": {}, "speed": 1}', r"gains\.K_GAS: None.*a number"),
     ],
 )

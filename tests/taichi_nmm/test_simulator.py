@@ -121,6 +121,42 @@ def test_divergence_is_a_code_and_touches_no_neighbour() -> None:
     assert others[0].tobytes() == alone.rows[0].tobytes()
 
 
+@pytest.mark.parametrize("gain", [1e300, 1e38, -1e30])
+def test_divergence_in_the_first_tick_is_a_code_while_recorded(gain: float) -> None:
+    result = taichi_nmm.simulate(
+        [K_T, np.full(len(K_T), gain)], duration_s=0.5, settings=CPU, record=[1, 0]
+    )
+    first, second = result.trajectories
+    assert result.end_reason.tolist() == ["completed", "diverged"]
+    assert (first.walker, len(first.time_s), first.ground_force_n.shape) == (1, 0, (0, 4))
+    assert first.q.shape == (0, 9) and first.stance.shape == (0, 2) and not len(first.events)
+    assert len(second.time_s) == 50
+    alone = taichi_nmm.simulate(K_T, duration_s=0.5, settings=CPU)
+    np.testing.assert_array_equal(result.rows[:1], alone.rows)
+
+
+@pytest.mark.parametrize("engine", ["taichi", "mujoco"])
+def test_grounds_at_the_bounds_end_walks_with_a_code(engine: str) -> None:
+    high = terrain.HIGHEST_M
+    cliffs = [
+        terrain.Terrain("comb", np.where(np.arange(terrain.GRID_NODES) % 2, high, -high)),
+        terrain.Terrain("wall", np.where(terrain.GRID_X_M > 0.1, high, -high)),
+        terrain.Terrain("high", np.full(terrain.GRID_NODES, high)),
+        terrain.stairs(1.0, 0.1, 0.0),
+    ]
+    settings = Settings(engine=engine, arch="cpu")
+    if engine == "mujoco":
+        with pytest.raises(InputError, match="a smoother ground"):
+            taichi_nmm.simulate(K_T, settings=settings, terrains=cliffs.pop(0))
+    result = taichi_nmm.simulate(
+        [K_T] * len(cliffs), duration_s=0.5, settings=settings, terrains=cliffs, record=[0, 1]
+    )
+    assert set(result.end_reason) <= {"completed", "fell", "diverged"}
+    ended = result["end_reason"] != DIVERGED
+    for name in result.rows.dtype.names or ():
+        assert np.isfinite(result[name][ended]).all(), name
+
+
 def test_every_kind_of_input_reaches_the_walker() -> None:
     gains = np.tile(K_T, (4, 1))
     bodies = Bodies.nominal(4)

@@ -1,7 +1,6 @@
 """The reader of a problem's file: candidates, features and costs, as an Optuna study meets them."""
 
 import hashlib
-import json
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -22,7 +21,7 @@ from scipy.stats import rankdata
 from study.benchmarks.outside.catalogue import require_known
 from study.benchmarks.outside.definition import Feature, Settings
 from study.benchmarks.outside.nearest import Nearest
-from taichi_nmm.errors import InputError
+from taichi_nmm.reading import parse_json, reading
 
 Floats = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
@@ -150,14 +149,11 @@ def read(path: Path) -> OutsideProblem:
     Raises:
         InputError: the file is missing, broken or another's.
     """
-    import pyarrow as pa  # slow to load
-    import pyarrow.parquet as pq
+    import pyarrow.parquet as pq  # slow to load
 
-    try:
-        table = pq.read_table(path)
-        said = json.loads(table.schema.metadata[METADATA_KEY])
-    except (OSError, pa.ArrowInvalid, TypeError, KeyError, ValueError):
-        raise InputError("problem", str(path), "a file of tools/make_outside.py") from None
+    with reading("problem", path, "a file of tools/make_outside.py") as file:
+        table = pq.read_table(file)
+        said = parse_json(table.schema.metadata[METADATA_KEY])
     column = {name: np.array(table[name].to_pylist()) for name in table.column_names}
     meanings = {name: Feature(**meaning) for name, meaning in said["features"].items()}
     stacked = [column[FEATURE_PREFIX + name].astype(np.float64) for name in meanings]

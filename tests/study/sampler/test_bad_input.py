@@ -263,7 +263,7 @@ def test_a_fixed_parameter() -> None:
         ({"kernel": "nearness"}, "kernel: 'nearness' .*additive"),
         ({"prior": "speed"}, "prior: 'speed' .*feature_0"),
         ({"prior": "-speed"}, "prior: '-speed' .*feature_0, or one with a minus"),
-        ({"off_grid": -1}, "off_grid: -1 .* 0 or more"),
+        ({"off_grid": -1}, "off_grid: -1 .* from 0 to 1000000"),
         ({"off_grid": 5}, "off_grid: 5 .* feature_function"),
         ({"space": {"x": CategoricalDistribution([1])}}, "space"),
     ],

@@ -1,0 +1,36 @@
+"""The one line of an error, whatever it is about."""
+
+import pickle
+
+import numpy as np
+
+from taichi_nmm.errors import InputError
+
+
+class Unspeakable:
+    def __repr__(self) -> str:
+        raise RuntimeError
+
+
+def test_it_says_field_value_and_what_is_allowed() -> None:
+    error = InputError("field", 3, "4 or more")
+    assert str(error) == "field: 3 cannot be used; allowed: 4 or more"
+    again = pickle.loads(pickle.dumps(error))
+    assert (again.field, again.value, again.allowed) == ("field", 3, "4 or more")
+
+
+def test_it_is_one_printable_line_of_bounded_length() -> None:
+    nested: list[object] = []
+    for _ in range(100_000):
+        nested = [nested]
+    values = [10**5000, Unspeakable(), np.zeros((3, 3)), "x" * 10_000, "\udcff\x1b[31m\n", nested]
+    for value in values:
+        line = str(InputError("a\nb\x1b", value, "c\r\nd\u2028"))
+        assert line.isprintable(), line
+        assert len(line) < 600
+
+
+def test_both_ends_of_a_long_value_are_shown() -> None:
+    line = str(InputError("path", f"/begin/{'x' * 5000}/end.json", "a file"))
+    assert "/begin/" in line
+    assert "/end.json'" in line

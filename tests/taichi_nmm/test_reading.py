@@ -1,0 +1,169 @@
+"""Hostile files at every door of the packages: each ends in one line, soon, and without a hang."""
+
+import bz2
+import gzip
+import json
+import lzma
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from storage import open_store
+from study import FeatureTable
+from study.gains import gains_of_row
+from taichi_nmm import load_all_gains, load_gains, reading, terrain
+from taichi_nmm.config import read_toml
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES, K_T
+
+Door = Callable[[Path], Any]
+SLOW_S = 60  # a pipe without a writer would hold a test for ever
+
+
+def open_table(path: Path) -> FeatureTable:
+    return FeatureTable.from_parquet(path, parameters=["x"], features=["y"])
+
+
+DOORS: dict[str, Door] = {
+    "gains": lambda path: load_gains(str(path)),
+    "all gains": lambda path: load_all_gains(str(path)),
+    "toml": read_toml,
+    "terrain": terrain.from_file,
+    "store": open_store,
+    "row": lambda path: gains_of_row(path, 0),
+    "table": open_table,
+    "table of a store": lambda path: FeatureTable.from_parquet(path, features=["y"]),
+}
+
+
+@pytest.fixture(autouse=True)
+def no_hang() -> Iterator[None]:
+    def stop(*_: object) -> None:
+        raise TimeoutError("hangs")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(SLOW_S)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def refused(read: Door, path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        read(path)
+    line = str(caught.value)
+    assert line.isprintable()
+    assert len(line) < 2000
+    return line
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("name", ["x" * 300, "x/" * 3000, "nul\0.json", "new\nline", "\udcff", "."])
+def test_names_that_no_file_can_have(tmp_path: Path, door: str, name: str) -> None:
+    refused(DOORS[door], tmp_path / name)
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_a_pipe_is_not_waited_for(tmp_path: Path, door: str) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    refused(DOORS[door], tmp_path / "pipe")
+    refused(DOORS[door], Path("/dev/zero"))
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"[" * 100_000,
+        b'{"a":' * 100_000,
+        b"[" * 200 + b"1" + b"]" * 200,
+        b"a = " + b"[" * 3000 + b"]" * 3000,
+        b"\xff\xfe\x00",
+        b"PAR1" * 3,
+        b"PAR1\xff\xff\xff\x7fPAR1",
+        b"9" * 5000,
+        b'{"K_GAS": ' + b"9" * 5000 + b"}",
+        b"K_GAS = " + b"9" * 5000,
+        b"",
+    ],
+)
+def test_content_that_no_parser_bears(tmp_path: Path, door: str, content: bytes) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(content)
+    if door == "toml" and content == b"":
+        return  # an empty configuration is one
+    refused(DOORS[door], path)
+
+
+@pytest.mark.parametrize("digits", [310, 400, 4000, 5000])
+def test_whole_numbers_beyond_any_float(tmp_path: Path, digits: int) -> None:
+    gains = json.dumps(dict(zip(GAIN_NAMES, K_T.tolist(), strict=True)))
+    path = tmp_path / "gains.json"
+    path.write_text(gains.replace("3.874", "9" * digits))
+    refused(DOORS["gains"], path)
+    path.write_text(f"samples = {'9' * digits}\nduration_s = {'9' * digits}")
+    with pytest.raises(InputError):
+        read_toml(path).number("duration_s")
+    with pytest.raises(InputError):
+        read_toml(path).integer("samples")
+
+
+def test_keys_that_come_twice(tmp_path: Path) -> None:
+    path = tmp_path / "gains.json"
+    gains = json.dumps(dict(zip(GAIN_NAMES, K_T.tolist(), strict=True)))
+    path.write_text(gains.replace("{", '{"K_GAS": 1.0, '))
+    assert "K_GAS" in refused(DOORS["gains"], path)
+    path.write_text("a = 1\na = 2")
+    refused(DOORS["toml"], path)
+
+
+PACK: dict[str, Callable[[bytes], bytes]] = {
+    ".gz": gzip.compress,
+    ".bz2": bz2.compress,
+    ".xz": lzma.compress,
+}
+
+
+@pytest.mark.parametrize("suffix", PACK)
+def test_packed_terrain(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"hill.csv{suffix}"
+    whole = PACK[suffix](b"0,0\n10,1\n")
+    path.write_bytes(whole)
+    assert terrain.from_file(path).height(5.0) == 0.5
+    for damaged in (whole[:-5], whole[:9], whole[:1], b"", b"0,0\n1,1\n", whole[:-9] + b"\0" * 9):
+        path.write_bytes(damaged)
+        refused(terrain.from_file, path)
+
+
+@pytest.mark.parametrize("suffix", PACK)
+def test_a_bomb_is_not_unpacked(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reading, "MOST_BYTES", 1 << 20)
+    path = tmp_path / f"bomb.csv{suffix}"
+    path.write_bytes(PACK[suffix](b"0" * (1 << 24)))
+    assert "MiB" in refused(terrain.from_file, path)
+
+
+def test_a_file_that_is_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "long"
+    with path.open("wb") as file:
+        file.truncate(reading.MOST_BYTES + 1)  # of zeros, and takes no place on the disk
+    for door in ("gains", "toml", "terrain"):
+        assert "MiB" in refused(DOORS[door], path)
+
+
+def test_a_mark_at_the_beginning_is_no_fault(tmp_path: Path) -> None:
+    path = tmp_path / "marked.toml"
+    path.write_text("\ufeffa = 1")
+    assert read_toml(path).integer("a") == 1
+
+
+def test_shapes_that_are_not_asked_for(tmp_path: Path) -> None:
+    for content in ("5", "[]", "null", '"K_GAS"', '{"gains": []}', '{"gains": 5}', "true", "NaN"):
+        (tmp_path / "gains.json").write_text(content)
+        refused(DOORS["gains"], tmp_path / "gains.json")
