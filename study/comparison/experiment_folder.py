@@ -10,7 +10,6 @@ artifacts/              pictures and films of each study's best trial
 .lock                   held by the one process that writes
 """
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,6 +27,7 @@ from storage.stamped import read_stamped, write_stamped
 from study.comparison.results import RESULT_SCHEMA, STATE_SCHEMA, TIME_COLUMNS, in_order
 from study.experiment.identity import GROWING
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import json_document
 
 EXPERIMENT_NAME = "experiment.json"
 RESULTS_NAME = "trials.parquet"
@@ -120,10 +120,11 @@ class ExperimentFolder:
         """Add a session to run.json, or replace the last one if that began at the same time."""
         path = self.path / RUN_NAME
         try:
-            sessions = json.loads(path.read_text(encoding="utf-8"))["sessions"]
-        except (OSError, ValueError, KeyError, TypeError):
+            sessions = list(json_document("out", path, "a list of sessions")["sessions"])
+        except (InputError, KeyError, TypeError):  # it says when, and decides nothing
             sessions = []
-        if sessions and sessions[-1].get("started") == session["started"]:
+        last = sessions[-1] if sessions else None
+        if isinstance(last, dict) and last.get("started") == session["started"]:
             sessions.pop()
         commit_json(path, {"sessions": [*sessions, session]})
 

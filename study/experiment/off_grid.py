@@ -10,9 +10,10 @@ from storage.store import open_store
 from study.experiment.experiment import Experiment
 from study.experiment.stores import store_path
 from taichi_nmm.body import Bodies
+from taichi_nmm.conditions import read_settings
+from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import RESULT_DTYPE
-from taichi_nmm.settings import Settings
 
 Floats = NDArray[np.float64]
 
@@ -47,8 +48,8 @@ class StoreFeatures:
         self._searched = searched_parameters(experiment.searched)
         simulation = dict(specification["simulation"])
         self._duration_s = float(simulation.pop("duration_s"))
-        engine = experiment.conditions.settings
-        self._settings = replace(Settings(**simulation), arch=engine.arch, threads=engine.threads)
+        ours = experiment.conditions.settings
+        self._settings = replace(read_settings(Table(simulation), ours.arch), threads=ours.threads)
 
     def __call__(self, gains: Floats) -> Floats:
         """Features [n, k] of gains [n, 16 + s]."""

@@ -1,6 +1,5 @@
 """The documents of a comparison's folder, found to be of the form that a report reads."""
 
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 from study.comparison.experiment_folder import EXPERIMENT_NAME, RUN_NAME
 from study.experiment.objective import COST_FUNCTIONS
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import json_document
 
 LARGEST_NUMBER = 1e15  # of seconds or trials
 
@@ -60,15 +60,9 @@ def read_document(path: Path) -> dict[str, Any]:
     Raises:
         InputError: it cannot be read, or is something else than an object.
     """
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not path.exists():
         return {}
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(path.name, str(path), f"a readable JSON object ({error})") from None
-    if not isinstance(document, dict):
-        raise InputError(path.name, str(path), "a JSON object")
-    return document
+    return json_document(path.name, path, "a readable JSON object")
 
 
 def read_facts(folder: Path) -> dict[str, Any]:

@@ -9,11 +9,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from storage.shard import first_line
 from study.comparison.experiment_folder import ARMS_NAME, RESULTS_NAME
 from study.experiment.experiment import NAME_PATTERN
 from study.report.documents import LARGEST_NUMBER
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import reading
 
 Kind = tuple[Callable[[pa.DataType], bool], str]
 
@@ -32,15 +32,12 @@ def read_trials(path: Path, columns: Sequence[str]) -> pa.Table:
     Raises:
         InputError: not readable, or a column is missing or has something else in it.
     """
-    try:
+    with reading(path.name, path, "a readable table of trials"):
         known = pq.read_schema(path).names
         for name in columns:
             if known.count(name) != 1:
                 raise InputError(f"{path.name}: column", name, f"one of {', '.join(known)}, once")
         table = pq.read_table(path, columns=list(columns), partitioning=None)
-    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
-        allowed = f"a readable table of trials ({first_line(error)})"
-        raise InputError(path.name, str(path), allowed) from None
     for name in columns:
         _require(table[name], name, path)
     return table
