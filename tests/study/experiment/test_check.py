@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 
 from study.experiment import arms
-from study.experiment.arms import find_arm
+from study.experiment.arms import PRINTED, find_arm
 from study.experiment.check import check_arms
 from study.experiment.experiment import Experiment
 from study.experiment.off_grid import StoreFeatures
 from study.experiment.stores import candidates, store_path
 from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import K_T
 from tests.study import fake_walker
 
 ROWS = fake_walker.STORE_ROWS
@@ -122,3 +123,15 @@ def test_points_off_the_grid_of_such_a_store_cannot_be_scored(
     experiment = replace(toy, stores={"flat": tmp_path / "other"})
     with pytest.raises(InputError, match=message):
         StoreFeatures(experiment, "flat", features)
+
+
+def test_points_off_the_grid_are_simulated_as_their_store_was(
+    toy: Experiment, tmp_path: Path
+) -> None:
+    simulation = {"engine": "mujoco", "mujoco": {"time_constant_s": 0.01}}
+    fake_walker.write_store(tmp_path / "mujoco", simulation=simulation)
+    features = StoreFeatures(replace(toy, stores={"flat": tmp_path / "mujoco"}), "flat", PRINTED)
+    fake_walker.calls.clear()
+    assert features(K_T[None]).shape == (1, 1)
+    settings = fake_walker.calls[-1]["settings"]
+    assert (settings.engine, settings.mujoco.time_constant_s) == ("mujoco", 0.01)
