@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from inspect import Parameter, signature
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -236,21 +237,23 @@ class Ground:
 
     Attributes:
         kind: a key of `KINDS`.
-        options: arguments of that kind's function; an option that is missing has its default.
+        options: arguments of that kind's function; an option that is missing has its default, and
+            of a pair, lowest and highest, each seed draws its own.
 
     Raises:
         InputError: an unknown kind.
     """
 
     kind: str = "flat"
-    options: Mapping[str, float | str] = field(default_factory=dict)
+    options: Mapping[str, float | str | list[float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         kind, options = checks.word(*KINDS), checks.by_name(checks.anything)
         checks.check_fields(self, "terrain.", kind=kind, options=options)
 
     def __hash__(self) -> int:
-        return hash((self.kind, frozenset(self.options.items())))
+        pairs = {k: tuple(v) for k, v in self.options.items() if isinstance(v, list)}
+        return hash((self.kind, frozenset({**self.options, **pairs}.items())))
 
     def draw(self, seed: int | np.random.SeedSequence) -> Terrain:
         """The terrain of this seed; kinds without randomness give the same for all.
@@ -259,14 +262,17 @@ class Ground:
             InputError: an option that the ground cannot be made with, or a file that is no table.
         """
         make: Callable[..., Terrain] = KINDS[self.kind]
-        drawn = {"seed": seed} if "seed" in signature(make).parameters else {}
-        return make(**drawn, **self.options)
+        drawn: dict[str, Any] = {"seed": seed} if "seed" in signature(make).parameters else {}
+        for name, value in self.options.items():
+            drawn[name] = _stream(seed, name).uniform(*value) if isinstance(value, list) else value
+        return make(**drawn)
 
 
 def read_ground(table: Table) -> Ground:
     """The table [terrain] of a configuration: its kind, and options of that kind. Reads every key.
 
-    A ground is drawn once here, so that options which do not fit each other, or a file that cannot
+    An option that is a number may be a pair, lowest and highest: each ground draws its own. Grounds
+    of both ends are drawn here, so that options which do not fit each other, or a file that cannot
     be read, are refused before anything is computed.
 
     Raises:
@@ -280,19 +286,31 @@ def read_ground(table: Table) -> Ground:
         if name != "seed":
             _check_option(table, hints[name], parameter)
     table.done()
-    ground = Ground(kind, written)
-    ground.draw(seed=0)
-    return ground
+    for end in range(2):
+        options = {name: v[end] if isinstance(v, list) else v for name, v in written.items()}
+        Ground(kind, options).draw(seed=0)
+    return Ground(kind, written)
 
 
 def _check_option(table: Table, hint: Any, parameter: Parameter) -> None:
-    """Read an option that is a number within a `Range`, one of a Literal's words, or any text."""
-    default = REQUIRED if parameter.default is Parameter.empty else parameter.default
-    if get_origin(hint) is Annotated:
-        _number, allowed = get_args(hint)
-        table.number(parameter.name, default, allowed.low, allowed.high)
+    """Read an option: a number within a `Range` or two, one of a Literal's words, or any text."""
+    name, default = parameter.name, parameter.default
+    default = REQUIRED if default is Parameter.empty else default
+    if get_origin(hint) is not Annotated:
+        table.text(name, default, get_args(hint))
+        return
+    _number, allowed = get_args(hint)
+    if isinstance(table.unread.get(name), list):
+        table.range(name, (default, default), allowed.low, allowed.high)
     else:
-        table.text(parameter.name, default, get_args(hint))
+        table.number(name, default, allowed.low, allowed.high)
+
+
+def _stream(seed: int | np.random.SeedSequence, option: str) -> np.random.Generator:
+    """Draws of an option; another option that is drawn would change none of them."""
+    known = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    key = (*known.spawn_key, crc32(option.encode()))
+    return np.random.default_rng(np.random.SeedSequence(known.entropy, spawn_key=key))
 
 
 def _random_walk(

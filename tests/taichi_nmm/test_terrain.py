@@ -397,3 +397,35 @@ def test_a_ground_keeps_its_options_when_the_callers_change() -> None:
 def test_a_ground_of_an_unknown_kind_is_refused() -> None:
     with pytest.raises(InputError, match=r"terrain\.kind: 'lava'"):
         Ground("lava")
+
+
+def test_each_ground_draws_an_option_that_is_a_pair() -> None:
+    ground = read_ground(
+        Table({"kind": "rough", "slope": [-0.08, 0.08], "amplitude_m": [0.0, 0.0]}, "terrain")
+    )
+    slopes = []
+    for seed in range(200):
+        made = ground.draw(seed)
+        slopes.append(float(made.height(59.0) - made.height(9.0)) / 50.0)
+        np.testing.assert_array_equal(made.height_m, ground.draw(seed).height_m)
+    assert -0.08 <= min(slopes) < -0.07 and 0.07 < max(slopes) <= 0.08
+    assert abs(np.mean(slopes)) < 3 * 0.16 / np.sqrt(12 * 200)  # of a uniform distribution
+    assert len({hash(ground), hash(Ground("rough", {"slope": [-0.08, 0.07]}))}) == 2
+    assert pickle.loads(pickle.dumps(ground)) == ground
+
+
+def test_a_drawn_option_changes_no_other_draw() -> None:
+    level, tilted = (
+        Ground("rough", {"slope": slope}).draw(3) for slope in ([0.0, 0.0], [0.05, 0.05])
+    )
+    np.testing.assert_array_equal(level.height_m, terrain.rough(3).height_m)
+    np.testing.assert_allclose(tilted.height_m, terrain.rough(3, slope=0.05).height_m)
+    both = Ground("rough", {"slope": [0.0, 0.1], "spacing_m": [1.0, 2.0]}).draw(3)
+    one = Ground("rough", {"slope": [0.0, 0.1]}).draw(3)
+    assert both.name.rpartition(", ")[2] == one.name.rpartition(", ")[2]  # the slope
+
+
+@pytest.mark.parametrize("slope", [[0.1], [0.1, 0.0], [0.0, 7.0], ["a", "b"], [0.0, 0.1, 0.2]])
+def test_a_pair_that_is_no_range_is_refused(slope: list[object]) -> None:
+    with pytest.raises(InputError, match=r"terrain\.slope"):
+        read_ground(Table({"kind": "rough", "slope": slope}, "terrain"))
