@@ -1,4 +1,4 @@
-"""From nothing to a walker on rough ground: a small store, two studies, pictures.
+"""From nothing to a walker on rough ground: a small store, three studies, pictures.
 
 It does what precompute, study and walk do, one after the other, and goes on where it was stopped.
 """
@@ -33,7 +33,8 @@ from taichi_nmm.result import Result
 from taichi_nmm.terrain import Terrain, flat
 
 CONFIG, STORE_CONFIG = "rough8", "quickstart-store"
-ARMS = ("dog", "random")
+ARMS = ("best", "dog", "random")
+STORES = ("flat", "diverse")  # that these arms read: one store is both
 RUN = 0
 REFERENCE_S = 30.0  # of the reference gait, for its pictures
 
@@ -49,8 +50,11 @@ def make_store(path: Path) -> None:
     """The store of scores, or what is missing of it."""
     specification = read_specification(read_toml(config_path(STORE_CONFIG)))
     duration_s = specification.conditions.duration_s
-    say(f"1. Scoring {specification.samples} walkers, {duration_s:g} s on flat ground")
-    with tqdm(total=specification.samples, unit="walker") as bar:
+    names = ", ".join(family.name for family in specification.families)
+    say(
+        f"1. Scoring {specification.samples} walkers, {duration_s:g} s on flat ground; then {names}"
+    )
+    with tqdm(total=specification.walkers, unit="walker") as bar:
         precompute(specification, path, progress=lambda points: bar.update(int(points) - bar.n))
 
 
@@ -113,7 +117,8 @@ def main() -> None:
     """All of it, or what is missing."""
     out: Path = parse().out
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    experiment = replace(read_experiment(config_path(CONFIG)), stores={"flat": out / "store"})
+    stores = dict.fromkeys(STORES, out / "store")
+    experiment = replace(read_experiment(config_path(CONFIG)), stores=stores)
     require_engine(experiment.conditions.settings)
     make_store(out / "store")
     url = f"sqlite:///{out / 'studies.db'}"
