@@ -264,7 +264,7 @@ class Ground:
         make: Callable[..., Terrain] = KINDS[self.kind]
         drawn: dict[str, Any] = {"seed": seed} if "seed" in signature(make).parameters else {}
         for name, value in self.options.items():
-            drawn[name] = _stream(seed, name).uniform(*value) if isinstance(value, list) else value
+            drawn[name] = _drawn(seed, name, *value) if isinstance(value, list) else value
         return make(**drawn)
 
 
@@ -294,8 +294,8 @@ def read_ground(table: Table) -> Ground:
 
 def _check_option(table: Table, hint: Any, parameter: Parameter) -> None:
     """Read an option: a number within a `Range` or two, one of a Literal's words, or any text."""
-    name, default = parameter.name, parameter.default
-    default = REQUIRED if default is Parameter.empty else default
+    name = parameter.name
+    default: Any = REQUIRED if parameter.default is Parameter.empty else parameter.default
     if get_origin(hint) is not Annotated:
         table.text(name, default, get_args(hint))
         return
@@ -306,11 +306,12 @@ def _check_option(table: Table, hint: Any, parameter: Parameter) -> None:
         table.number(name, default, allowed.low, allowed.high)
 
 
-def _stream(seed: int | np.random.SeedSequence, option: str) -> np.random.Generator:
-    """Draws of an option; another option that is drawn would change none of them."""
+def _drawn(seed: int | np.random.SeedSequence, option: str, low: float, high: float) -> float:
+    """An option of this seed's ground; another option that is drawn would not change it."""
     known = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
     key = (*known.spawn_key, crc32(option.encode()))
-    return np.random.default_rng(np.random.SeedSequence(known.entropy, spawn_key=key))
+    rng = np.random.default_rng(np.random.SeedSequence(known.entropy, spawn_key=key))
+    return float(rng.uniform(low, high))
 
 
 def _random_walk(
