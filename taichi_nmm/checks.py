@@ -6,6 +6,7 @@ used is an `InputError`. Types are checked here, once: what follows may rely on 
 
 import math
 import os
+import sys
 from collections.abc import Callable, Mapping
 from functools import wraps
 from inspect import signature
@@ -20,6 +21,8 @@ Check: TypeAlias = Callable[[str, Any], Any]
 P = ParamSpec("P")
 R = TypeVar("R")
 
+# Above zero whatever a library does to the processor: Taichi's code takes smaller ones for zero.
+LEAST_POSITIVE = sys.float_info.min
 LARGEST_SEED = 2**128 - 1  # of those that NumPy takes from the machine
 MOST_ROWS = 10_000_000  # of a batch that is made from its size alone
 

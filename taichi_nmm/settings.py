@@ -1,6 +1,5 @@
 """How a batch is integrated: precision, step, contact law, machine."""
 
-import math
 import os
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
@@ -42,7 +41,7 @@ class MujocoSettings:
 
     def __post_init__(self) -> None:
         allowed = "a positive, finite number (MuJoCo's direct form is not taken)"
-        positive = checks.number(math.ulp(0.0), allowed=allowed)
+        positive = checks.number(checks.LEAST_POSITIVE, allowed=allowed)
         checks.check_fields(
             self,
             "simulation.mujoco.",

@@ -87,7 +87,7 @@ class Terrain:
         return np.interp(checks.numbers("x_m", x_m), GRID_X_M, self.height_m)
 
 
-_POSITIVE = checks.number(math.ulp(0.0), allowed="a positive, finite number")
+_POSITIVE = checks.number(checks.LEAST_POSITIVE, allowed="a positive, finite number")
 _WITHIN_GRID = checks.number(
     GRID_START_M,
     math.nextafter(GRID_END_M, 0.0),

@@ -14,6 +14,7 @@ import pytest
 
 import taichi_nmm
 from storage.claim import claimed
+from storage.stamped import write_stamped
 from study.comparison import compare
 from study.experiment.experiment import CmaesOptions, read_experiment
 from study.optimum import generations
@@ -273,6 +274,10 @@ def test_another_configuration_or_a_foreign_evaluation_is_refused(
         table.schema.get_field_index("K_GAS"), table.schema.field("K_GAS"), moved
     )
     pq.write_table(table, out / "evaluations.parquet")
+    assert command.run("--config", config, "--out", out) == 2
+    assert "does not fit the digest" in capsys.readouterr().err
+    document = json.loads((out / "search.json").read_text())
+    write_stamped(out / "evaluations.parquet", table.replace_schema_metadata(None), document)
     assert command.run("--config", config, "--out", out) == 2
     assert "run 0 in" in capsys.readouterr().err
     (out / "evaluations.parquet").write_bytes(b"PAR1")

@@ -66,7 +66,7 @@ TABLE = "FeatureTable(600 rows, 16 parameters, 6 features: a, b, c, ...)"
             lambda: FeatureKernelSampler(
                 simulate, seed=3, independent_sampler=RandomSampler(), extra_parameters=["n"]
             ),
-            "FeatureKernelSampler(simulate, seed=3, extra_parameters=['n'], "
+            "FeatureKernelSampler(simulate, seed=3, extra_parameters=('n',), "
             "independent_sampler=RandomSampler)",
         ),
         (
