@@ -1,5 +1,6 @@
 # make quickstart   a walker found on rough ground, from a fresh clone, in minutes
 # make compare      the paper's first experiment: stores, all samplers, figures; resumes where it was stopped
+# make results      every experiment of the documents, on both engines; hours; resumes where it was stopped
 # make test         all tests
 # make test-fast    those that take no long: for daily work
 # make lint         style and types, as CI checks them
@@ -11,16 +12,32 @@ BIN := .venv/bin
 PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: quickstart compare test test-fast lint hooks
+.PHONY: quickstart compare results test test-fast lint hooks store store-diverse store-worlds store-torso
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
 
-compare: .venv/installed
-	$(BIN)/python tools/precompute.py --config configs/store.toml
-	$(BIN)/python tools/precompute.py --config configs/store-diverse.toml
-	$(BIN)/python tools/compare.py --config configs/rough8-smooth.toml
+STORES := store store-diverse store-worlds
+PAPER := rough8-smooth rough6-walking rough8-walking risers $(foreach way,up down,ramp-$(way) ramp-$(way)-gentle stairs-$(way))
+TORSO := $(foreach way,up down,ramp-$(way)-torso stairs-$(way)-torso)
+OUTSIDE := outside-bodies outside-weak outside-slippery
+MUJOCO := $(foreach ground,level rough8 risers ramp-up ramp-down,$(foreach contact,soft middle hard,mujoco-$(ground)-$(contact)))
+
+# One target a store and a comparison: `make compare-risers` makes what it needs; all go on where they were stopped.
+$(STORES) store-torso: .venv/installed
+	$(BIN)/python tools/precompute.py --config $@
+
+compare-%: $(STORES)
+	$(BIN)/python tools/compare.py --config $* --no-artifacts
+
+$(addprefix compare-,$(TORSO)): store-torso
+
+compare: $(STORES)
+	$(BIN)/python tools/compare.py --config rough8-smooth
 	$(BIN)/python tools/report.py out/compare/rough8-smooth
+
+results: $(addprefix compare-,$(PAPER) $(TORSO) $(OUTSIDE) $(MUJOCO))
+	$(BIN)/python tools/report.py $(addprefix out/compare/,$(PAPER) $(TORSO) $(OUTSIDE) $(MUJOCO)) --out out/results
 
 test: .venv/installed
 	$(BIN)/python -m pytest $(PARALLEL)

@@ -19,9 +19,10 @@ FAMILIES = ("rough", "blocks", "up", "down")
 SPEED = "mean_speed_mps"  # on the base setting
 MEAN = Survival().name  # the feature that is also the prior
 OPTIONS: dict[str, Any] = {"prior": MEAN}
-COVERED_OPTIONS: dict[str, Any] = {"prior": Coverage(()).name}
-# Of a store of worlds, whose grounds also rise a little; each has a family of longer walks.
-GROUNDS = ("rough", "rough_rising", "blocks", "blocks_rising", "up", "down")
+COVERED_OPTIONS: dict[str, Any] = {"prior": Coverage.name}
+# Of a store of worlds: families of a kind of ground, plainest first; each has one of long walks.
+Grounds = tuple[tuple[str, ...], ...]
+GROUNDS: Grounds = (("rough", "rough_rising"), ("blocks", "blocks_rising"), ("up",), ("down",))
 LONGER = "_long"
 
 
@@ -34,25 +35,29 @@ def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ..
     return (Survival(families, survivors=True), *each, SPEED)
 
 
-def covered_features(grounds: tuple[str, ...] = GROUNDS) -> tuple[Feature, ...]:
-    """Place in the order that covers these grounds, survival of each, and the speed.
+def covered_features(grounds: Grounds = GROUNDS) -> tuple[Feature, ...]:
+    """Place in the order that covers these kinds of ground, survival of each family, and the speed.
 
-    The survival of a ground is that of its two families on average: few walks, and many long ones.
+    The survival of a family is that of few walks and that of many long ones, on average. What
+    covers a kind of ground is to walk long on all its families.
     """
     each = tuple(
-        Survival((ground, f"{ground}{LONGER}"), ground, survivors=True) for ground in grounds
+        Survival((family, f"{family}{LONGER}"), family, survivors=True)
+        for kind in grounds
+        for family in kind
     )
-    return (Coverage(each), *each, SPEED)
+    kinds = (Survival(tuple(f"{family}{LONGER}" for family in kind)) for kind in grounds)
+    return (Coverage(each[0], tuple(kinds)), *each, SPEED)
 
 
-@checks.checked(path=checks.path, grounds=checks.each(checks.text, least=1))
-def covered_table(path: str | Path, grounds: tuple[str, ...] = GROUNDS) -> FeatureTable:
+@checks.checked(path=checks.path, grounds=checks.each(checks.each(checks.text, least=1), least=1))
+def covered_table(path: str | Path, grounds: Grounds = GROUNDS) -> FeatureTable:
     """The rows of a store of worlds with what tells them apart on these grounds.
 
     Args:
-        path: of a store with a family of each ground, and one of longer walks after it; rows that
-            fell on its base setting are not proposed.
-        grounds: names of families of settings.
+        path: of a store with families of each kind of ground, each with one of longer walks after
+            it; rows that fell on its base setting are not proposed.
+        grounds: names of the families of each kind of ground, the plainest first.
 
     Raises:
         InputError: no store, or one without these families or with other bounds.

@@ -53,12 +53,19 @@ class Coverage:
     """How early a row comes in the order that covers several grounds (`covering_order`).
 
     Attributes:
-        grounds: survival of each.
+        plainest: survival of the ground that the first row is for; rows that it leaves out are.
+        grounds: survival of each ground that is to be covered.
         name: of the feature.
     """
 
+    plainest: Survival
     grounds: tuple[Survival, ...]
     name: str = "coverage"
+
+    @property
+    def parts(self) -> tuple[Survival, ...]:
+        """What it is made of."""
+        return (self.plainest, *self.grounds)
 
 
 Feature = str | Survival | Coverage
@@ -72,7 +79,7 @@ def survivals(features: Iterable[Feature]) -> list[Survival]:
         if isinstance(feature, Survival):
             found.append(feature)
         elif isinstance(feature, Coverage):
-            found.extend(feature.grounds)
+            found.extend(feature.parts)
     return found
 
 
@@ -86,7 +93,7 @@ def definition_of(feature: Feature) -> Any:
     if isinstance(feature, str):
         return feature
     if isinstance(feature, Coverage):
-        return [feature.name, *map(definition_of, feature.grounds)]
+        return [feature.name, *map(definition_of, feature.parts)]
     families = feature.families or ("all families",)
     return [feature.name, *families, *(["survivors only"] if feature.survivors else [])]
 
@@ -100,8 +107,8 @@ def check_feature(feature: Feature, store: Store) -> None:
     if isinstance(feature, Survival):
         feature.families_of(store)
     elif isinstance(feature, Coverage):
-        for ground in feature.grounds:
-            check_feature(ground, store)
+        for part in feature.parts:
+            check_feature(part, store)
     elif feature not in store.columns:
         raise InputError("store", str(store.path), f"a store with the column {feature}")
 
@@ -111,8 +118,8 @@ def feature_values(feature: Feature, store: Store) -> Floats:
     if isinstance(feature, str):
         return np.asarray(_columns(store, [feature])[0])
     if isinstance(feature, Coverage):
-        grounds = [feature_values(ground, store) for ground in feature.grounds]
-        return earliness(np.column_stack(grounds))
+        plainest, *grounds = (feature_values(part, store) for part in feature.parts)
+        return earliness(plainest, np.column_stack(grounds))
     families = feature.families_of(store)
     values = _columns(store, [f"{family}{COLUMN_END}" for family in families]).mean(axis=0)
     if feature.survivors:

@@ -30,6 +30,7 @@ TRIAL_S = float(os.environ.get("FAKE_TRIAL_S", "0"))  # of a call, for those who
 WALKS_FROM = 0.7  # quality
 EMPTY = Trajectory(0, *[np.empty(0)] * 9)
 STORE_ROWS = 150
+WORLDS = tuple(family for kind in GROUNDS for family in kind)
 THETA_REF = 7  # of the low-level gains
 
 calls: list[dict[str, Any]] = []  # what the simulator was called with
@@ -117,10 +118,10 @@ def write_store(path: Path, **changes: Any) -> None:
         "terrain": {"kind": "rough", "amplitude_m": 0.08},
         "body": {"disturbance": 0.15},
     }
-    families = {name: settings | {"seed": seed} for seed, name in enumerate(GROUNDS)}
+    families = {name: settings | {"seed": seed} for seed, name in enumerate(WORLDS)}
     families |= {
         f"{name}{LONGER}": settings | {"after": name, "min_survived_fraction": 0.5}
-        for name in GROUNDS
+        for name in WORLDS
     }
     data = {"samples": STORE_ROWS, "seed": 3, "robust": settings, "families": families} | changes
     precompute(read_specification(Table(data)), path)

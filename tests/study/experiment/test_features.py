@@ -16,6 +16,7 @@ from study.survival import OPTIONS as BEST
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons
+from tests.study.fake_walker import WORLDS
 
 # A third of the fake's points falls sooner.
 STRICT = {"settings": 1, "min_survival_s": 2.8, "body": {"disturbance": 0.15}}
@@ -38,11 +39,12 @@ def test_survival_is_the_mean_over_the_families_of_a_store(
 
 
 def test_coverage_is_of_the_survival_of_each_ground(fake_simulator: None, tmp_path: Path) -> None:
-    store = write(tmp_path / "store", ("up", "down"))
-    grounds = tuple(Survival((name,), name, survivors=True) for name in ("up", "down"))
-    survival = np.column_stack([feature_values(ground, store) for ground in grounds])
-    covered = feature_values(Coverage(grounds), store)
-    np.testing.assert_array_equal(covered, earliness(survival))
+    store = write(tmp_path / "store", ("rough", "up", "down"))
+    plainest, up, down = (Survival((name,), name) for name in ("rough", "up", "down"))
+    plainest = replace(plainest, survivors=True)
+    grounds = np.column_stack([feature_values(ground, store) for ground in (up, down)])
+    covered = feature_values(Coverage(plainest, (up, down)), store)
+    np.testing.assert_array_equal(covered, earliness(feature_values(plainest, store), grounds))
     assert np.isnan(covered).any()
 
 
@@ -68,7 +70,8 @@ def test_rows_that_no_family_ran_are_left_out(comparisons: Comparisons) -> None:
         (Survival(), "robust_survived_fraction_mean"),
         (Survival(("up", "rough")), "rough_survived_fraction_mean"),
         (Survival(("rough",), survivors=True), "rough_survived_fraction_mean"),
-        (Coverage((Survival(("up",)), Survival(("down",)))), "down_survived_fraction_mean"),
+        (Coverage(Survival(("down",)), (Survival(("up",)),)), "down_survived_fraction_mean"),
+        (Coverage(Survival(("up",)), (Survival(("down",)),)), "down_survived_fraction_mean"),
         ("phi_reprinted", "phi_reprinted"),
     ],
 )
@@ -95,10 +98,11 @@ def test_the_best_arm_is_what_its_definition_says() -> None:
 
 
 def test_the_best_arm_of_worlds_takes_each_ground_by_its_few_and_its_long_walks() -> None:
-    each = [[name, name, f"{name}{LONGER}", "survivors only"] for name in GROUNDS]
+    each = [[name, name, f"{name}{LONGER}", "survivors only"] for name in WORLDS]
+    kinds = [["survival", *(f"{name}{LONGER}" for name in kind)] for kind in GROUNDS]
     for name, ties in (("best-worlds", "mean_speed_mps"), ("score-first-worlds", "phi_corrected")):
         coverage, *_, last = ARMS[name].definition["features"]
-        assert coverage == ["coverage", *each] and last == ties
+        assert coverage == ["coverage", each[0], *kinds] and last == ties
     assert ARMS["best-worlds"].definition["features"][1:-1] == each
 
 
