@@ -20,9 +20,10 @@ SPEED = "mean_speed_mps"  # on the base setting
 MEAN = Survival().name  # the feature that is also the prior
 OPTIONS: dict[str, Any] = {"prior": MEAN}
 COVERED_OPTIONS: dict[str, Any] = {"prior": Coverage.name}
-# Of a store of worlds: families of a kind of ground, plainest first; each has one of long walks.
-Grounds = tuple[tuple[str, ...], ...]
-GROUNDS: Grounds = (("rough", "rough_rising"), ("blocks", "blocks_rising"), ("up",), ("down",))
+# Of a store of worlds: grounds that the first rows cover, the plainest first, and others of its families
+# that tell gaits apart. Each has a family of longer walks.
+GROUNDS = ("rough", "blocks", "up", "down")
+RISING = ("rough_rising", "blocks_rising")
 LONGER = "_long"
 
 
@@ -35,34 +36,42 @@ def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ..
     return (Survival(families, survivors=True), *each, SPEED)
 
 
-def covered_features(grounds: Grounds = GROUNDS) -> tuple[Feature, ...]:
-    """Place in the order that covers these kinds of ground, survival of each family, and the speed.
+def covered_features(
+    grounds: tuple[str, ...] = GROUNDS, others: tuple[str, ...] = RISING
+) -> tuple[Feature, ...]:
+    """Place in the order that covers these grounds, survival of each and of others, and the speed.
 
-    The survival of a family is that of few walks and that of many long ones, on average. What
-    covers a kind of ground is to walk long on all its families.
+    The survival of a ground is that of its two families on average: few walks, and many long ones.
+    To cover it counts the long ones alone.
     """
     each = tuple(
-        Survival((family, f"{family}{LONGER}"), family, survivors=True)
-        for kind in grounds
-        for family in kind
+        Survival((ground, f"{ground}{LONGER}"), ground, survivors=True)
+        for ground in (*grounds, *others)
     )
-    kinds = (Survival(tuple(f"{family}{LONGER}" for family in kind)) for kind in grounds)
-    return (Coverage(each[0], tuple(kinds)), *each, SPEED)
+    longer = tuple(Survival((f"{ground}{LONGER}",)) for ground in grounds)
+    return (Coverage(each[0], longer), *each, SPEED)
 
 
-@checks.checked(path=checks.path, grounds=checks.each(checks.each(checks.text, least=1), least=1))
-def covered_table(path: str | Path, grounds: Grounds = GROUNDS) -> FeatureTable:
+@checks.checked(
+    path=checks.path,
+    grounds=checks.each(checks.text, least=1),
+    others=checks.each(checks.text),
+)
+def covered_table(
+    path: str | Path, grounds: tuple[str, ...] = GROUNDS, others: tuple[str, ...] = RISING
+) -> FeatureTable:
     """The rows of a store of worlds with what tells them apart on these grounds.
 
     Args:
-        path: of a store with families of each kind of ground, each with one of longer walks after
-            it; rows that fell on its base setting are not proposed.
-        grounds: names of the families of each kind of ground, the plainest first.
+        path: of a store with a family of each ground, and one of longer walks after it; rows that
+            fell on its base setting are not proposed.
+        grounds: names of families that the first rows cover, the plainest first.
+        others: of families that only tell gaits apart.
 
     Raises:
         InputError: no store, or one without these families or with other bounds.
     """
-    return _table(path, covered_features(grounds))
+    return _table(path, covered_features(grounds, others))
 
 
 @checks.checked(path=checks.path, families=checks.each(checks.text))

@@ -12,7 +12,7 @@ from study.experiment.controls import TOP_ROWS, score_order
 from study.experiment.experiment import Experiment
 from study.experiment.saw import NOTHING, saw
 from study.experiment.task import Task
-from study.survival import LONGER
+from study.survival import GROUNDS, LONGER
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from tests.study import fake_walker
@@ -145,13 +145,11 @@ def test_an_order_that_covers_grounds_has_seen_them(tmp_path: Path, fake_simulat
     }
     fake_walker.write_store(tmp_path / "worlds", families=families)
     stores = {"worlds": tmp_path / "worlds"}
-    # The order reads the plainest ground's short walks, and the long ones of all.
-    for name, settings in (
-        ("score-first-worlds", 1 + len(WORLDS)),
-        ("best-worlds", 2 * len(WORLDS)),
-    ):
-        grounds = "; ".join(["level ground"] * settings)
-        seen = f"bodies disturbed by 20 %, in worlds that differ: {grounds}"
-        assert saw(ARMS[name], stores).endswith(seen)
-    longer = (f"{name}{LONGER}" for name in WORLDS)
-    assert saw(ARMS["score-first-worlds"], {}).endswith(", ".join((WORLDS[0], *longer)))
+    # The order reads the plainest ground's short walks, and the long ones of those that it covers.
+    for name, count in (("score-first-worlds", 1 + len(GROUNDS)), ("best-worlds", 2 * len(WORLDS))):
+        seen = "; ".join(["level ground"] * count)
+        assert saw(ARMS[name], stores).endswith(
+            f"bodies disturbed by 20 %, in worlds that differ: {seen}"
+        )
+    longer = (f"{name}{LONGER}" for name in GROUNDS)
+    assert saw(ARMS["score-first-worlds"], {}).endswith(", ".join((GROUNDS[0], *longer)))
