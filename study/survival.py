@@ -20,8 +20,8 @@ SPEED = "mean_speed_mps"  # on the base setting
 MEAN = Survival().name  # the feature that is also the prior
 OPTIONS: dict[str, Any] = {"prior": MEAN}
 COVERED_OPTIONS: dict[str, Any] = {"prior": Coverage.name}
-# Of a store of worlds: grounds that the first rows cover, the plainest first, and more families that
-# tell gaits apart. Each has one of longer walks.
+# Of a store of worlds: grounds that the first rows cover, the plainest first, and more families
+# that tell gaits apart. Each has one of longer walks.
 GROUNDS = ("rough", "blocks", "up", "down")
 RISING = ("rough_rising", "blocks_rising")
 LONGER = "_long"
