@@ -6,6 +6,9 @@ chance that at least one of those so far walks, the mean over the grounds of 1 -
 That is the greedy rule, whose k candidates have at least 63 % of what the best k would add
 (Nemhauser, Wolsey, Fisher 1978), and what Bayes's rule says after each fall: grounds on which the
 fallen ones hardly ever fall lose weight.
+
+How steep a family's ramps are is its maker's choice, so that a candidate's chance on a ground is
+relative to the best one's there.
 """
 
 import numpy as np
@@ -13,8 +16,15 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-RELIABILITY = 0.9  # chance that what walks in simulation walks elsewhere, for reasons unknown
+RELIABILITY = 0.7  # chance that the best of a ground walks on its like elsewhere
+SHARPNESS = 3.0  # who survives half as long as the best has an eighth of its chance
 COVERING = 128  # candidates that are placed by the rule; the others follow by their mean chance
+
+
+def chances(survival: Floats) -> Floats:
+    """To walk on the like of each ground, of each candidate, [n, f], by its survival, [n, f]."""
+    best = survival.max(axis=0, initial=np.finfo(np.float64).tiny)
+    return np.asarray(RELIABILITY * (survival / best) ** SHARPNESS)
 
 
 def covering_order(plainest: Floats, survival: Floats) -> NDArray[np.int64]:
@@ -25,10 +35,10 @@ def covering_order(plainest: Floats, survival: Floats) -> NDArray[np.int64]:
         survival: of each ground, from 0 to 1, [n, f].
     """
     free = ~np.isnan(plainest)
-    chance = RELIABILITY * survival
+    chance = chances(survival)
     merit = np.where(free, chance.mean(axis=1), -1.0)
     order = np.argsort(-merit, kind="stable")
-    best = int(np.lexsort((-merit, -np.where(free, plainest, -1.0)))[0])
+    best = int(np.argmax(np.where(free, plainest, -1.0)))
     unwalked = np.ones(survival.shape[1])
     first = []
     for _ in range(min(COVERING, int(free.sum()))):
