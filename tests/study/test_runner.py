@@ -96,6 +96,19 @@ def test_the_cost_is_that_of_the_run_and_the_configured_one(toy: Experiment) -> 
         assert trial.value != function(simulate_trials(experiment, [1], gains).rows)[0]
 
 
+def test_a_study_says_what_its_objective_is_called(toy: Experiment) -> None:
+    """One of before gets the name when it goes on; a name of the user's stays."""
+    storage, name = InMemoryStorage(), study_name("toy", "random", 0)
+    optuna.create_study(storage=storage, study_name=name)
+    for metric in ("smooth_cost", "mine"):
+        run(toy, "random", 1, storage)
+        study = optuna.load_study(study_name=name, storage=storage)
+        assert study.metric_names == [metric]
+        study.set_metric_names(["mine"])
+    walking = run_study(replace(toy, cost="walking"), find_arm("random"), 0, 1, InMemoryStorage())
+    assert walking.metric_names == ["walking_cost"]
+
+
 def compared(comparisons: Comparisons, arms: tuple[str, ...], trials: int) -> Any:
     """The results of a comparison of two runs, a data frame."""
     comparisons.run("compared", arms=arms, runs=2, trials=trials)
