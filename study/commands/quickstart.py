@@ -15,7 +15,7 @@ import optuna
 from tqdm import tqdm
 
 import taichi_nmm
-from storage.commit import commit_json
+from storage.commit import commit_json, require_folder
 from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.precompute import precompute
 from storage.specification import read_specification
@@ -116,6 +116,7 @@ def film_command(out: Path) -> str:
 def main() -> None:
     """All of it, or what is missing."""
     out: Path = parse().out
+    require_folder(out)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     stores = dict.fromkeys(STORES, out / "store")
     experiment = replace(read_experiment(config_path(CONFIG)), stores=stores)
