@@ -24,7 +24,16 @@ from study.experiment.one_study import OneStudy, sampler_seed
 from study.experiment.simulation import simulate_trials
 from study.experiment.task import Task
 from study.runner import open_study, run_study
-from study.summary import best_gains, progress_line, summary, summary_text
+from study.shipped import config_path
+from study.summary import (
+    Commands,
+    best_gains,
+    dashboard_command,
+    film_command,
+    progress_line,
+    summary,
+    summary_text,
+)
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.terrain import Ground
@@ -403,10 +412,26 @@ def test_what_a_study_says(toy: Experiment) -> None:
     )
     assert len(lines) == 6
     assert lines[5].startswith("toy/dog/run-002  6/6  cost ")
-    found = summary(study, "sqlite:///x.db", Path("out/best.json"))
+    commands = Commands("film it", "show it")
+    found = summary(study, "sqlite:///x.db", Path("out/best.json"), commands)
     assert found["study"] == study_name("toy", "dog", 2)
     assert found["best_cost"] == study.best_value
-    assert found["dashboard"].endswith("optuna-dashboard sqlite:///x.db")
+    assert (found["film"], found["dashboard"]) == ("film it", "show it")
     assert best_gains(study) == study.best_params
-    text = summary_text(study, "sqlite:///x.db", Path("out/best.json"))
-    assert text.splitlines()[-1].endswith("optuna-dashboard sqlite:///x.db")
+    text = summary_text(study, "sqlite:///x.db", Path("out/best.json"), commands)
+    assert [line.split(":")[0] for line in text.splitlines()[1:]] == [
+        "gains", "database", "film", "dashboard",
+    ]  # fmt: skip
+
+
+def test_the_lines_to_look_at_it_name_what_is_not_the_default() -> None:
+    gains, out = Path("out/a best.json"), Path("out")
+    assert film_command(gains, Path("my.toml")).endswith(
+        "-m taichi_nmm walk --gains 'out/a best.json' --config my.toml"
+    )
+    shipped = film_command(gains, config_path("rough8"), 7, 3)
+    assert shipped.endswith("--config rough8 --run 7 --seed 3")
+    line = dashboard_command("sqlite:///x.db", out)
+    assert line.endswith("-m taichi_nmm dashboard --storage sqlite:///x.db")
+    line = dashboard_command("postgresql+psycopg://me:secret@host/walker", out)
+    assert line.endswith("--artifacts out") and "secret" not in line
