@@ -1,19 +1,25 @@
 """Options of commands: whole numbers within the bounds of configurations, configurations by name.
 
-What is wrong with one is an `InputError`, which is one line, as for every other input.
+What is wrong with one is an `InputError`, which is one line, as for every other input. Words that
+no command can do anything with are refused here, for all of them.
 """
 
 import argparse
 import ast
+import os
+import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 from study.shipped import config_path, shipped_configs
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, one_line
 
 MOST_WORKERS = 1024  # processes; each takes hundreds of MB
 LARGEST_SEED = 2**63 - 1  # as in configurations
+LONGEST_NAME_BYTES = 255  # NAME_MAX of Linux and of macOS
+LONGEST_PATH_BYTES = 1023  # PATH_MAX of macOS without its end; Linux has 4095
+UNPRINTABLE = ("Cc", "Cs", "Zl", "Zp")  # Unicode's control characters, half characters, line ends
 
 
 class Options(argparse.ArgumentParser):
@@ -26,9 +32,21 @@ class Options(argparse.ArgumentParser):
     def __init__(self, file: str) -> None:
         super().__init__(description=summary(Path(file)))
 
+    def parse_args(self) -> argparse.Namespace:  # type: ignore[override]
+        """The options of this process.
+
+        Raises:
+            InputError: a word that is no text of one line, or a path that no file can have.
+        """
+        found = super().parse_args()
+        for name, value in vars(found).items():
+            for word in value if isinstance(value, list) else [value]:
+                _check_word(name.replace("_", "-"), word)
+        return found
+
     def error(self, message: str) -> NoReturn:
         """One line, as for all bad input."""
-        self.exit(2, f"error: {message}\n")
+        self.exit(2, f"error: {one_line(message)}\n")
 
     def whole(self, flag: str, low: int, high: int, **options: Any) -> None:
         """A whole number from `low` to `high`; further options are argparse's."""
@@ -60,6 +78,19 @@ def summary(file: Path) -> str:
     """The first line of the docstring of a Python file."""
     docstring = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8")))
     return (docstring or "").partition("\n")[0]
+
+
+def _check_word(field: str, word: object) -> None:
+    """Refuse a word of several lines, or of no encoding; and a path that is too long."""
+    if not isinstance(word, str | Path):
+        return
+    if any(unicodedata.category(character) in UNPRINTABLE for character in str(word)):
+        raise InputError(field, str(word), "text of one line, without control characters")
+    if isinstance(word, Path):
+        longest = max((len(os.fsencode(part)) for part in word.parts), default=0)
+        if longest > LONGEST_NAME_BYTES or len(os.fsencode(word)) > LONGEST_PATH_BYTES:
+            allowed = f"a path of at most {LONGEST_PATH_BYTES} bytes, {LONGEST_NAME_BYTES} a name"
+            raise InputError(field, str(word), allowed)
 
 
 class _Whole(argparse.Action):

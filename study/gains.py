@@ -25,7 +25,9 @@ from taichi_nmm.parameters import (
     check_gains,
     load_all_gains,
 )
+from taichi_nmm.reading import is_folder
 
+LONGEST_NUMBER = 100  # digits; Python refuses to read thousands
 TRIAL_FORM = "EXPERIMENT/ARM/run-NNN/NUMBER, such as rough8-smooth/dog/run-007/12"
 
 
@@ -86,9 +88,9 @@ def gains_of_trial(trial: str, where: str) -> NamedGains:
         InputError: no such database or folder, study or trial.
     """
     study, _, number = trial.rpartition("/")
-    if not study or not number.isdecimal():
+    if not study or not _is_number(number):
         raise InputError("trial", trial, TRIAL_FORM)
-    if Path(where).is_dir():
+    if is_folder(where):
         values = _of_folder(Path(where), trial)
     else:
         values = _of_database(where, study, int(number))
@@ -101,7 +103,7 @@ def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
         raise InputError("storage", str(folder), f"a comparison's folder, with {RESULTS_NAME}")
     *named, run, number = trial.split("/")
     table = read_columns(path)
-    if len(named) == 2 and run.removeprefix("run-").isdecimal():
+    if len(named) == 2 and _is_number(run.removeprefix("run-")):
         wanted = {
             "experiment": named[0], "arm": named[1], "run": int(run.removeprefix("run-")),
             "trial": int(number),
@@ -126,6 +128,10 @@ def _of_database(url: str, name: str, number: int) -> dict[str, Any]:
     if number >= len(trials) or trials[number].state is not TrialState.COMPLETE:
         raise InputError("trial", f"{name}/{number}", f"a finished trial of {shown}")
     return trials[number].params
+
+
+def _is_number(text: str) -> bool:
+    return text.isdecimal() and len(text) <= LONGEST_NUMBER
 
 
 def _named(name: str, values: Mapping[str, Any]) -> NamedGains:

@@ -17,13 +17,13 @@ from optuna.storages import BaseStorage, RetryHeartbeatStaleTrialCallback
 from optuna.trial import FrozenTrial, TrialState
 
 from storage.commit import require_folder
-from storage.databases.studies import read_studies
+from storage.databases.studies import name_metric, read_studies
 from storage.document import difference
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.identity import LIVE_ATTRIBUTE, document
 from study.experiment.live_study import LiveStudy
-from study.experiment.objective import attributes, costs, finite
+from study.experiment.objective import attributes, costs, finite, metric_name
 from study.experiment.simulation import simulate_trials
 from study.experiment.worth_note import note_worth
 from taichi_nmm.errors import InputError
@@ -88,6 +88,7 @@ def open_study(experiment: Experiment, arm: Arm, run: int, storage: BaseStorage)
     )
     if LIVE_ATTRIBUTE not in study.user_attrs:
         study.set_user_attr(LIVE_ATTRIBUTE, identity)
+    name_metric(study, metric_name(experiment.cost))
     return study
 
 

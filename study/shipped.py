@@ -12,9 +12,8 @@ def config_path(name: str | Path) -> Path:
 
     A name is a word, such as rough8; whatever has a folder or a suffix is a file.
     """
-    shipped = CONFIGS / f"{name}.toml"
-    is_word = Path(name).name == str(name)
-    return shipped if is_word and shipped.is_file() else Path(name)
+    shipped = {path.stem: path for path in CONFIGS.glob("*.toml")}  # nobody asks for a file `name`
+    return shipped.get(str(name), Path(name))
 
 
 def shipped_configs(stores: bool) -> dict[str, str]:

@@ -1,17 +1,33 @@
 """What a study says to its user: a line a trial, and what was found."""
 
 import os
-import shutil
+import shlex
 import sys
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import optuna
 from optuna.trial import FrozenTrial, TrialState
 
-from storage.databases.studies import public_url
+from storage.databases.urls import is_postgresql, public_url
 from study.experiment.objective import outcome_text
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
+from study.shipped import config_path
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Lines to paste, to look at what was found.
+
+    Attributes:
+        film: that films the best trial.
+        dashboard: that opens the studies in a browser.
+    """
+
+    film: str
+    dashboard: str
+
 
 OUTCOMES = ("duration_s", "distance_m", "mean_speed_mps", "end_reason")
 
@@ -41,7 +57,7 @@ def study_line(study: optuna.Study) -> str:
     )
 
 
-def summary(study: optuna.Study, url: str, gains: Path) -> dict[str, Any]:
+def summary(study: optuna.Study, url: str, gains: Path, commands: Commands) -> dict[str, Any]:
     """What a study has found, for programs: one object of plain values."""
     best, walkers = study.best_trial, _walkers(study)
     return {
@@ -56,29 +72,40 @@ def summary(study: optuna.Study, url: str, gains: Path) -> dict[str, Any]:
         **{name: best.user_attrs[name] for name in OUTCOMES},
         "gains": str(gains),
         "storage": public_url(url),
-        "dashboard": dashboard_command(public_url(url)),
+        **asdict(commands),
     }
 
 
-def summary_text(study: optuna.Study, url: str, gains: Path) -> str:
+def summary_text(study: optuna.Study, url: str, gains: Path, commands: Commands) -> str:
     """The same, for people."""
     return "\n".join(
         (
             study_line(study),
             f"gains:     {gains}",
             f"database:  {public_url(url)}",
-            f"dashboard: {dashboard_command(public_url(url))}",
+            f"film:      {commands.film}",
+            f"dashboard: {commands.dashboard}",
         )
     )
 
 
-def dashboard_command(url: str) -> str:
-    """The line that opens the studies in a browser, whether the environment is active or not."""
-    program = "optuna-dashboard"
-    beside = Path(sys.executable).with_name(program)
-    if shutil.which(program) is None and beside.is_file():
-        program = os.path.relpath(beside)
-    return f"{program} {url}"
+def film_command(gains: Path, config: Path, run: int = 0, seed: int | None = None) -> str:
+    """The line that films gains on body and ground of a run of a configuration."""
+    shown = config.stem if config_path(config.stem) == config else str(config)
+    words = ["walk", "--gains", str(gains), "--config", shown]
+    words += ["--run", str(run)] if run else []
+    return command_line(*words, *([] if seed is None else ["--seed", str(seed)]))
+
+
+def dashboard_command(url: str, artifacts: Path) -> str:
+    """The line that opens the studies of a database, and their pictures, in a browser."""
+    words = ["dashboard", "--storage", public_url(url)]
+    return command_line(*words, *(["--artifacts", str(artifacts)] if is_postgresql(url) else []))
+
+
+def command_line(*words: str) -> str:
+    """A line that runs a command of ours, whether the environment is active or not."""
+    return f"{os.path.relpath(sys.executable)} {shlex.join(['-m', 'taichi_nmm', *words])}"
 
 
 def best_gains(study: optuna.Study) -> dict[str, float]:

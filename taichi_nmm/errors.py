@@ -13,7 +13,7 @@ class InputError(ValueError):
         self.field = field
         self.value = value
         self.allowed = allowed
-        super().__init__(_one_line(f"{field}: {_shown(value)} cannot be used; allowed: {allowed}"))
+        super().__init__(one_line(f"{field}: {_shown(value)} cannot be used; allowed: {allowed}"))
 
     def __reduce__(self) -> tuple[type, tuple[str, object, str]]:
         """What it is made of again, so that it can pass from one process to another."""
@@ -32,6 +32,6 @@ def _shown(value: object) -> str:
     return f"{text[:half]}...{text[-half:]}"
 
 
-def _one_line(text: str) -> str:
+def one_line(text: str) -> str:
     """The text with everything escaped that a terminal would not print as it is."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

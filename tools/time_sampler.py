@@ -28,7 +28,7 @@ from study.guard import guarded_imports, run_command
 with guarded_imports():
     from tqdm import tqdm
 
-    from storage.commit import commit_text, writable
+    from storage.commit import commit_text, require_folder, writable
     from study.benchmarks import comparison_report, sampler_timing
     from study.benchmarks.run_cache import ONE_THREAD, ROOT, torch_is_installed
     from study.benchmarks.sampler_timing import Case, Measured
@@ -94,6 +94,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="of the table and plot")
     parser.add_argument("--json", action="store_true", help="print one object, write no document")
     options = parser.parse_args()
+    require_folder(options.out)
     options.sweep = counts("sweep", options.sweep)
     most = max(options.observations, *options.sweep) + options.repeats
     if min(options.rows, options.large_rows) <= most:

@@ -19,6 +19,7 @@ from storage.databases.postgresql import copy_rows
 from storage.databases.schema_version import known_tables
 from storage.databases.trial_rows import Rows, attribute_rows, parameter_rows, trial_row, value_row
 
+METRIC_ATTRIBUTE = "study:metric_names"  # where `optuna.Study.set_metric_names` puts them
 TRIALS_PER_TRANSACTION = 2000  # 30 rows each: some 20 MB of memory, half a second
 
 
@@ -31,12 +32,15 @@ class FinishedStudy:
         trials: finished, without intermediate values, in the order of their numbers.
         first: number of the first of them; those before it are in the database already.
         user_attrs: of the study, plain values; written when the study is made.
+        metric: what its objective is called; written where the study does not say it. Empty: not
+            said.
     """
 
     name: str
     trials: Sequence[FrozenTrial]
     first: int = 0
     user_attrs: dict[str, Any] = field(default_factory=dict)
+    metric: str = ""
 
 
 def trial_counts(storage: RDBStorage) -> dict[str, int]:
@@ -50,6 +54,13 @@ def trial_counts(storage: RDBStorage) -> dict[str, int]:
     )
     with storage.engine.connect() as connection:
         return {name: count for name, count in connection.execute(counts)}
+
+
+def study_ids(storage: RDBStorage) -> dict[str, int]:
+    """What the database, and the addresses of its dashboard, call each study, by its name."""
+    studies = known_tables(storage)["studies"]
+    with storage.engine.connect() as connection:
+        return _pairs(connection, sql.select(studies.c.study_name, studies.c.study_id))
 
 
 def study_attributes(storage: RDBStorage, key: str) -> dict[str, Any]:
@@ -138,6 +149,7 @@ def _write(
     connection: sql.Connection, tables: dict[str, sql.Table], batch: list[FinishedStudy]
 ) -> int:
     ids = _study_ids(connection, tables, batch)
+    _name_metrics(connection, tables["study_system_attributes"], ids, batch)
     counts = _counts(connection, tables["trials"], list(ids.values()))
     fresh: list[tuple[int, int, FrozenTrial]] = []  # study id, number, trial
     for study in batch:
@@ -182,6 +194,26 @@ def _study_ids(
         ]
         _insert(connection, tables["study_user_attributes"], attributes)
     return ids
+
+
+def _name_metrics(
+    connection: sql.Connection, table: sql.Table, ids: dict[str, int], batch: list[FinishedStudy]
+) -> None:
+    """Say what objectives are called in those studies that do not."""
+    query = sql.select(table.c.study_id).where(
+        table.c.key == METRIC_ATTRIBUTE, table.c.study_id.in_(ids.values())
+    )
+    named = set(connection.execute(query).scalars())
+    unnamed = [study for study in batch if study.metric and ids[study.name] not in named]
+    rows = [
+        {
+            "study_id": ids[study.name],
+            "key": METRIC_ATTRIBUTE,
+            "value_json": json.dumps([study.metric]),
+        }
+        for study in unnamed
+    ]
+    _insert(connection, table, rows)
 
 
 def _lock(connection: sql.Connection, studies: sql.Table, names: list[str]) -> None:

@@ -8,14 +8,16 @@ may lose the last transactions, never the file.
 import fcntl
 import os
 import sqlite3
+import warnings
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from json import JSONDecodeError
 from pathlib import Path
 from typing import Any
 
+import optuna
 import sqlalchemy as sql
-from optuna.exceptions import StorageInternalError
+from optuna.exceptions import ExperimentalWarning, StorageInternalError
 from optuna.storages import RDBStorage
 from sqlalchemy import event
 from sqlalchemy.exc import SQLAlchemyError
@@ -141,6 +143,14 @@ def only_run(url: str, study_name: str) -> Iterator[None]:
         except OSError:
             raise _taken(study_name) from None
         yield
+
+
+def name_metric(study: optuna.Study, metric: str) -> None:
+    """Say in a study what its one objective is called, unless it says so already."""
+    if study.metric_names is None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            study.set_metric_names([metric])
 
 
 def _taken(study_name: str) -> InputError:

@@ -5,6 +5,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
+from storage.commit import require_folder
 from study.benchmarks.run_cache import ROOT, chosen
 from study.command_options import MOST_WORKERS, Options
 
@@ -35,9 +36,11 @@ def parsed(parser: Options, arms: Sequence[str]) -> Namespace:
     """The options of this process, the arms as a list in the order of `arms`.
 
     Raises:
-        InputError: an arm that is not known, or a number out of range.
+        InputError: an arm that is not known, a number out of range, or no place to write.
     """
     options = parser.parse_args()
+    require_folder(options.out)
+    require_folder(options.cache, "cache")
     options.arms = chosen("arms", options.arms, arms)
     return options
 

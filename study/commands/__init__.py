@@ -6,6 +6,7 @@ from pathlib import Path
 
 from study.command_options import summary
 from study.guard import EXIT_BAD_INPUT, run
+from taichi_nmm.errors import InputError
 
 PROGRAM = "taichi-nmm"
 
@@ -21,8 +22,7 @@ def run_named(words: Sequence[str]) -> None:
         print(*(f"  {name:<{width}}  {summary(file)}" for name, file in files.items()), sep="\n")
         return
     if words[0] not in files:
-        allowed = ", ".join(files)
-        print(f"error: command: {words[0]!r} cannot be used; allowed: {allowed}", file=sys.stderr)
+        print(f"error: {InputError('command', words[0], ', '.join(files))}", file=sys.stderr)
         sys.exit(EXIT_BAD_INPUT)
     sys.argv = [f"{PROGRAM} {words[0]}", *words[1:]]
     run(files[words[0]].stem)

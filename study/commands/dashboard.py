@@ -15,13 +15,16 @@ from socketserver import ThreadingMixIn
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 import optuna
+from optuna.storages import RDBStorage
 
+from storage.databases.bulk import study_ids
 from storage.databases.studies import URL_PREFIX as SQLITE
 from storage.databases.studies import open_studies, shown_url, studies_path
 from storage.databases.urls import file_url
 from study.command_options import Options
 from study.comparison.experiment_folder import ARTIFACTS_NAME, DATABASE_NAME
 from study.dashboard_guard import guarded_dashboard
+from study.experiment.experiment import SUMMARY
 from taichi_nmm.errors import InputError
 
 EXPERIMENTS = Path("out") / "compare"
@@ -88,9 +91,8 @@ def find_artifacts(folder: Path | None, url: str, artifacts: Path | None) -> Pat
     return folder / ARTIFACTS_NAME
 
 
-def make(url: str, artifacts: Path | None, port: int) -> WSGIServer:
+def make(storage: RDBStorage, artifacts: Path | None, port: int) -> WSGIServer:
     """The server, listening but not serving yet."""
-    storage = open_studies(url)
     try:
         return make_server(HOST, port, guarded_dashboard(storage, artifacts), Server, QuietHandler)
     except OSError as error:
@@ -105,11 +107,14 @@ def main() -> None:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     url = find_database(args.folder, args.storage)
     artifacts = find_artifacts(args.folder, url, args.artifacts)
-    with make(url, artifacts, args.port) as server:
+    storage = open_studies(url)
+    with make(storage, artifacts, args.port) as server:
+        address = f"http://{HOST}:{server.server_port}/dashboard"
         print(f"studies    {shown_url(url)}")
         print(f"artifacts  {artifacts or 'none'}")
-        print(
-            f"dashboard  http://{HOST}:{server.server_port}/dashboard  (Ctrl-C ends it)", flush=True
-        )
+        print(f"dashboard  {address}  (Ctrl-C ends it)", flush=True)
+        for name, number in study_ids(storage).items():
+            if name.endswith(SUMMARY):
+                print(f"summary    {address}/studies/{number}/note  ({name})", flush=True)
         with suppress(KeyboardInterrupt):
             server.serve_forever()

@@ -3,9 +3,6 @@
 It does what precompute, study and walk do, one after the other, and goes on where it was stopped.
 """
 
-import os
-import shlex
-import sys
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
@@ -15,18 +12,25 @@ import optuna
 from tqdm import tqdm
 
 import taichi_nmm
-from storage.commit import commit_json
+from storage.commit import commit_json, require_folder
 from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.command import require_engine
 from study.command_options import Options
+from study.comparison.experiment_folder import live_artifacts
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, read_experiment, study_name
 from study.experiment.simulation import simulate_trials
 from study.runner import run_study
 from study.shipped import config_path
-from study.summary import best_gains, dashboard_command, progress_line, study_line
+from study.summary import (
+    best_gains,
+    dashboard_command,
+    film_command,
+    progress_line,
+    study_line,
+)
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.config import read_toml
 from taichi_nmm.result import Result
@@ -58,15 +62,19 @@ def make_store(path: Path) -> None:
         precompute(specification, path, progress=lambda points: bar.update(int(points) - bar.n))
 
 
-def run_arm(experiment: Experiment, name: str, url: str) -> optuna.Study:
+def run_arm(experiment: Experiment, name: str, url: str, out: Path) -> optuna.Study:
     """The study of an arm, or what is missing of it."""
     arm, trials = find_arm(name), experiment.trials
     storage = open_studies(url)
     with only_run(url, study_name(experiment.name, name, RUN)), storage_errors(url):
-        return run_study(
+        study = run_study(
             experiment, arm, RUN, trials, storage,
             report=lambda study, trial: say(progress_line(study, trial, trials)),
         )  # fmt: skip
+        from study.comparison.artifacts import draw_best  # Matplotlib
+
+        draw_best(experiment, RUN, study, url, out)
+        return study
 
 
 def draw_found(out: Path, experiment: Experiment, study: optuna.Study) -> list[Path]:
@@ -107,15 +115,10 @@ def say(*lines: str) -> None:
     print(*lines, sep="\n", flush=True)
 
 
-def film_command(out: Path) -> str:
-    """The line that films the walker found on the ground and body of the studies."""
-    words = ["-m", "taichi_nmm", "walk", "--gains", str(out / "found.json"), "--config", CONFIG]
-    return f"{os.path.relpath(sys.executable)} {shlex.join(words)}"
-
-
 def main() -> None:
     """All of it, or what is missing."""
     out: Path = parse().out
+    require_folder(out)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     stores = dict.fromkeys(STORES, out / "store")
     experiment = replace(read_experiment(config_path(CONFIG)), stores=stores)
@@ -124,7 +127,7 @@ def main() -> None:
     url = f"sqlite:///{out / 'studies.db'}"
     ground, duration_s = experiment.terrain(RUN).name, experiment.conditions.duration_s
     say(f"2. {experiment.trials} trials with each sampler: {duration_s:g} s on {ground}")
-    studies = [run_arm(experiment, arm, url) for arm in ARMS]
+    studies = [run_arm(experiment, arm, url, out) for arm in ARMS]
     best = min(studies, key=lambda study: study.best_value)
     commit_json(out / "found.json", best_gains(best))
     say("3. Drawing the best walker found, and the reference gait")
@@ -134,6 +137,6 @@ def main() -> None:
         *(study_line(study) for study in studies),
         f"Gains of the best: {out / 'found.json'}",
         f"Pictures: {', '.join(str(path) for path in paths)}",
-        f"A film of it: {film_command(out)}",
-        f"All trials in a browser: {dashboard_command(url)}",
+        f"A film of it: {film_command(out / 'found.json', config_path(CONFIG), RUN)}",
+        f"All trials in a browser: {dashboard_command(url, live_artifacts(url, out))}",
     )

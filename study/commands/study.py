@@ -3,8 +3,9 @@
     taichi-nmm study --config rough8 --arm dog --trials 30 \\
         --storage sqlite:///out/studies.db
 
-Its trials are those of the same arm and run in a comparison of the same configuration. The same
-command goes on where it was stopped. Exit codes: 0, 2 bad input, 130 interrupted.
+Its trials are those of the same arm and run in a comparison of the same configuration; the best has
+its picture in the dashboard. The same command goes on where it was stopped. Exit codes: 0, 2 bad
+input, 130 interrupted.
 """
 
 import json
@@ -19,11 +20,20 @@ from storage.commit import commit_json, writable
 from storage.databases.studies import only_run, open_studies, storage_errors
 from study.command import require_engine
 from study.command_options import LARGEST_SEED, Options
+from study.comparison.experiment_folder import live_artifacts
 from study.experiment.arms import ARMS, find_arm
 from study.experiment.check import check_arms
 from study.experiment.experiment import MOST_TRIALS, Experiment, read_experiment, study_name
 from study.runner import check_study, run_study
-from study.summary import best_gains, progress_line, summary, summary_text
+from study.summary import (
+    Commands,
+    best_gains,
+    dashboard_command,
+    film_command,
+    progress_line,
+    summary,
+    summary_text,
+)
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import ARCHITECTURES
 
@@ -78,7 +88,14 @@ def main() -> None:
         with writable(folder):
             folder.mkdir(parents=True, exist_ok=True)
         commit_json(gains, best_gains(study))
+        from study.comparison.artifacts import draw_best  # Matplotlib: a second
+
+        draw_best(experiment, args.run, study, args.storage, folder)
+        commands = Commands(
+            film_command(gains, args.config, args.run, args.seed),
+            dashboard_command(args.storage, live_artifacts(args.storage, folder)),
+        )
         if args.json:
-            print(json.dumps(summary(study, args.storage, gains)))
+            print(json.dumps(summary(study, args.storage, gains, commands)))
         else:
-            print(summary_text(study, args.storage, gains))
+            print(summary_text(study, args.storage, gains, commands))

@@ -16,7 +16,7 @@ import optuna
 import pyarrow as pa
 from numpy.typing import NDArray
 from optuna.storages import RDBStorage
-from optuna_dashboard import save_note
+from optuna_dashboard import get_note, save_note
 from optuna_dashboard.artifact import get_artifact_path
 
 from storage.commit import TEMPORARY_SUFFIX, writable
@@ -24,7 +24,7 @@ from storage.databases.bulk import attach
 from storage.databases.studies import open_studies, storage_errors
 from storage.pool import IN_PROCESS, Pool
 from study.comparison.drawing import FILM, STRIP, Drawing, draw
-from study.comparison.experiment_folder import ARTIFACTS_NAME
+from study.comparison.experiment_folder import ARTIFACTS_NAME, live_artifacts
 from study.comparison.results import gains_of
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.identity import fingerprint
@@ -84,13 +84,56 @@ def make_artifacts(
     Raises:
         InputError: no ffmpeg that works (before anything is drawn), or no place to write.
     """
-    program = find_ffmpeg()
-    folder = out / ARTIFACTS_NAME
+    walks = best_walks(experiment, trials, film_runs)
+    draw_walks(experiment, walks, url, out / ARTIFACTS_NAME, pool, drawn)
+
+
+def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, out: Path) -> None:
+    """Draw the best trial of a live study, a picture alone, and attach it.
+
+    Args:
+        experiment: of the study.
+        run: whose body and ground it is about.
+        study: with a finished trial, in the database.
+        url: of the study database.
+        out: folder of the study; what is of a file's studies goes beside the file.
+
+    Raises:
+        InputError: no place to write.
+    """
+    best = study.best_trial
+    gains = np.array([best.params[name] for name in experiment.names])
+    title = f"{experiment.name}, run {run}: {outcome_text(best.user_attrs)}"
+    walk = Walk(run, gains, title, ((study.study_name, best.number),), (STRIP,))
+    draw_walks(experiment, [walk], url, live_artifacts(url, out))
+
+
+def draw_walks(
+    experiment: Experiment,
+    walks: Sequence[Walk],
+    url: str,
+    folder: Path,
+    pool: Pool = IN_PROCESS,
+    drawn: Drawn | None = None,
+) -> None:
+    """Draw walks that are not drawn yet, and attach them to their trials.
+
+    Args:
+        experiment: of the walks.
+        walks: with trials of the database.
+        url: of the study database.
+        folder: of the files.
+        pool: that draws.
+        drawn: as of `make_artifacts`.
+
+    Raises:
+        InputError: as `make_artifacts`.
+    """
+    program = find_ffmpeg() if any(FILM in walk.kinds for walk in walks) else ""
     with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for leftover in folder.glob(f".*{TEMPORARY_SUFFIX}"):
             leftover.unlink()
-    walks = best_walks(experiment, trials, film_runs)
     done = [
         walk
         for walk in walks
@@ -194,4 +237,6 @@ def _note(storage: RDBStorage, study_name: str, number: int, title: str, strip: 
     study = optuna.load_study(study_name=study_name, storage=storage)
     trial_id = storage.get_trial_id_from_study_id_trial_number(study._study_id, number)
     trial = optuna.trial.Trial(study, trial_id)
-    save_note(trial, f"{title}\n\n![strip of stick figures]({get_artifact_path(trial, strip)})")
+    if not get_note(trial):  # of the user's
+        picture = f"![strip of stick figures]({get_artifact_path(trial, strip)})"
+        save_note(trial, f"{title}\n\n{picture}")

@@ -10,12 +10,24 @@ from optuna.distributions import FloatDistribution
 from optuna.storages import RDBStorage
 from optuna.trial import FrozenTrial, create_trial
 
-from storage.databases.bulk import FinishedStudy, study_attributes, trial_counts, write_studies
-from storage.databases.studies import open_studies, read_studies, shown_url, storage_errors
+from storage.databases.bulk import (
+    FinishedStudy,
+    study_attributes,
+    study_ids,
+    trial_counts,
+    write_studies,
+)
+from storage.databases.studies import (
+    name_metric,
+    open_studies,
+    read_studies,
+    shown_url,
+    storage_errors,
+)
 from study.comparison.results import as_if_gone_on, by_study
-from study.experiment.experiment import Experiment, study_name
+from study.experiment.experiment import Experiment, study_name, summary_name
 from study.experiment.identity import LIVE_ATTRIBUTE, fingerprint
-from study.experiment.objective import ATTRIBUTES
+from study.experiment.objective import ATTRIBUTES, metric_name
 from study.sampler.history import ROW_ATTRIBUTE
 from taichi_nmm.errors import InputError
 
@@ -36,8 +48,9 @@ class Summary:
     figure: Any
 
 
-Summarise = Callable[[str, pa.Table, bool], Summary]
-"""Makes a summary of an experiment's name, its results, and whether these are all."""
+Summarise = Callable[[str, pa.Table, bool, Mapping[str, int]], Summary]
+"""Makes a summary of an experiment's name, its results, whether these are all, and the numbers that
+the dashboard's addresses have for studies, by name."""
 
 
 def export(
@@ -63,7 +76,8 @@ def export(
             write_studies(storage, _new_studies(experiment, trials, counts))
             if summarise is not None:
                 shown = as_if_gone_on(trials) if experiment.until_walker else trials
-                _show(experiment, storage, summarise(experiment.name, shown, final))
+                summary = summarise(experiment.name, shown, final, study_ids(storage))
+                _show(experiment, storage, summary)
     finally:
         storage.engine.dispose()
 
@@ -113,6 +127,7 @@ def _new_studies(
             user_attrs={
                 "experiment": experiment.name, "arm": arm, "run": run, CONFIG_ATTRIBUTE: config,
             },
+            metric=metric_name(experiment.cost),
         )  # fmt: skip
 
 
@@ -130,8 +145,9 @@ def _show(experiment: Experiment, storage: RDBStorage, summary: Summary) -> None
     from optuna_dashboard import save_note, save_plotly_graph_object  # a second, once a minute
 
     study = optuna.create_study(
-        storage=storage, study_name=f"{experiment.name}/summary", load_if_exists=True
+        storage=storage, study_name=summary_name(experiment.name), load_if_exists=True
     )
+    name_metric(study, metric_name(experiment.cost))
     if CONFIG_ATTRIBUTE not in study.user_attrs:
         study.set_user_attr(CONFIG_ATTRIBUTE, fingerprint(experiment))
     save_note(study, summary.note)

@@ -21,6 +21,8 @@ import pyarrow as pa
 
 from storage.claim import claimed, remove, require_claimable
 from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
+from storage.databases.studies import studies_path
+from storage.databases.urls import is_postgresql
 from storage.document import agree, agreed
 from storage.shard import write_table
 from storage.stamped import read_stamped, write_stamped
@@ -39,6 +41,15 @@ ARTIFACTS_NAME = "artifacts"
 KIND = "an experiment's"  # folder, for messages
 
 Document = dict[str, Any]
+
+
+def live_artifacts(url: str, out: Path) -> Path:
+    """The folder of pictures of live studies: beside their database's file, or else in `out`.
+
+    Raises:
+        InputError: the URL names no study database.
+    """
+    return (out if is_postgresql(url) else studies_path(url).parent) / ARTIFACTS_NAME
 
 
 @dataclass(frozen=True)

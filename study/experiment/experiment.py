@@ -26,6 +26,7 @@ from taichi_nmm.world import Worlds
 
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 MOST_RUNS = 10_000
+SUMMARY = "/summary"  # end of a study's name that has no trials and compares other studies
 MOST_TRIALS = 100_000
 LONGEST_TRIAL_S = 1000.0
 LARGEST_POPULATION = 10_000
@@ -139,6 +140,11 @@ def search_space(parameters: Iterable[Parameter]) -> dict[str, FloatDistribution
 def study_name(experiment: str, arm: str, run: int) -> str:
     """What the study of an arm in a run is called, live or exported."""
     return f"{experiment}/{arm}/run-{run:03d}"
+
+
+def summary_name(experiment: str) -> str:
+    """What the study is called that compares the arms of an exported experiment."""
+    return f"{experiment}{SUMMARY}"
 
 
 def read_experiment(

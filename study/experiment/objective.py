@@ -39,6 +39,11 @@ def costs(rows: NDArray[np.void], cost: str) -> NDArray[np.float64]:
     return COST_FUNCTIONS[cost](rows)
 
 
+def metric_name(cost: str) -> str:
+    """What the named cost is called where a study shows it: as its function in `taichi_nmm`."""
+    return COST_FUNCTIONS[cost].__name__
+
+
 def finite(rows: NDArray[np.void]) -> NDArray[np.void]:
     """The rows with zero where a walker that diverged left no number, [n].
 

@@ -4,7 +4,7 @@ It is renewed once a minute while the experiment runs: medians only, no resampli
 """
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,25 +12,30 @@ import pyarrow as pa
 
 from study.comparison.database import Summary
 from study.palette import SERIES, SERIES_DASHES
+from study.report.links import study_links
 from study.report.runs import ArmRuns, runs_of
 from study.report.words import count_text
 
 FIGURE_POINTS = 50  # of a curve: attributes of a study hold 2 kB each
 
 
-def dashboard_summary(name: str, trials: pa.Table, final: bool) -> Summary:
+def dashboard_summary(
+    name: str, trials: pa.Table, final: bool, studies: Mapping[str, int]
+) -> Summary:
     """Note and figure of an experiment's trials.
 
     Args:
         name: of the experiment.
         trials: rows of the results table; of each arm those count that all its runs have.
         final: whether these are all.
+        studies: numbers that the dashboard's addresses have for studies, by name.
     """
     arms = list(runs_of(trials).values())
-    return Summary(_note(name, len(trials), arms, final), BestCostFigure(arms))
+    note = [_note(name, len(trials), arms, final), "", *study_links(name, arms, studies)]
+    return Summary("\n".join(note), BestCostFigure(arms))
 
 
-def _note(name: str, trials: int, arms: Iterable[ArmRuns], final: bool) -> str:
+def _note(name: str, trials: int, arms: Sequence[ArmRuns], final: bool) -> str:
     state = "all trials" if final else "so far; the experiment is running or was stopped"
     return "\n".join(
         [
@@ -45,8 +50,8 @@ def _note(name: str, trials: int, arms: Iterable[ArmRuns], final: bool) -> str:
             " trials to it, median over runs. best cost: median over runs. All are of the trials"
             " that every run of the arm has.",
             "",
-            f"The studies are `{name}/<arm>/run-NNN`; run r has the same body and ground in every"
-            " arm. The best trial of each shows its picture and film.",
+            "Run r has the same body and ground in every arm. The best trial of each study shows"
+            " its picture, of the first runs its film too.",
         ]
     )
 

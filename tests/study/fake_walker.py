@@ -28,7 +28,7 @@ from taichi_nmm.world import Worlds
 
 TRIAL_S = float(os.environ.get("FAKE_TRIAL_S", "0"))  # of a call, for those who want to kill it
 WALKS_FROM = 0.7  # quality
-EMPTY = Trajectory(0, *[np.empty(0)] * 9)
+EMPTY = Trajectory(0, *[np.empty((0, 9))] * 9)  # of which nothing can be drawn
 STORE_ROWS = 150
 WORLDS = (*GROUNDS, *RISING)
 THETA_REF = 7  # of the low-level gains

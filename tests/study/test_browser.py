@@ -157,10 +157,16 @@ def test_the_summary_shows_table_and_figure(
     page: Any, address: str, studies: dict[str, int]
 ) -> None:
     page.goto(f"{address}/dashboard/studies/{studies['tiny/summary']}/note")
-    row = page.locator("tr", has_text="dog")
+    row = page.locator("tr", has_text="dog").first
     row.wait_for()
     assert row.inner_text().split("\t") == ["dog", "2", "1 (50 %)", "> 3", "185"]
     save(page, "note")
+    page.get_by_role("link", name="90", exact=True).click()  # the best of run 0 of dog
+    page.get_by_text("tiny/dog/run-000").first.wait_for()
+    page.get_by_text("smooth_cost").first.wait_for()
+    page.go_back()
+    page.get_by_role("link", name="compare").first.click()
+    page.get_by_text("Best Value of tiny/random/run-000").first.wait_for()
     page.goto(f"{address}/dashboard/studies/{studies['tiny/summary']}")
     figure = page.get_by_text("best cost so far, median over runs")
     figure.scroll_into_view_if_needed()

@@ -11,7 +11,7 @@ import optuna
 import pytest
 from optuna.storages import InMemoryStorage
 
-from study.dashboard_guard import guarded_dashboard
+from study.dashboard_guard import guarded, guarded_dashboard
 
 HTML = b"<script>alert(1)</script>"
 PICTURE, PAGE, LINK, GONE, VECTOR = (f"{number:08d}-0000" for number in range(1, 6))
@@ -31,7 +31,7 @@ class Dashboard:
             self.storage.set_trial_system_attr(
                 trial._trial_id, f"artifacts:{name}", json.dumps(meta)
             )
-        artifacts = folder / "artifacts"
+        self.artifacts = artifacts = folder / "artifacts"
         artifacts.mkdir()
         for name in (PICTURE, PAGE, VECTOR):
             (artifacts / name).write_bytes(HTML)
@@ -85,6 +85,21 @@ def test_pictures_are_served_as_such_and_to_our_pages_alone(dashboard: Dashboard
     assert (status, headers["content-type"], body) == (200, "image/png", HTML)
     assert headers["x-content-type-options"] == "nosniff"  # however it may look
     assert "access-control-allow-origin" not in headers
+
+
+@pytest.mark.parametrize("path", ["/api/studies", f"/artifacts/1/1/{PICTURE}"])
+def test_no_answer_is_for_other_pages_to_read(dashboard: Dashboard, path: str) -> None:
+    """Whatever a version of the dashboard says of who may."""
+
+    def generous(environment: dict[str, Any], start: Any) -> list[bytes]:
+        headers = [("Access-Control-Allow-Origin", "*"), ("Content-Type", "image/png")]
+        start("200 OK", headers)
+        return [b"{}"]
+
+    dashboard.application = validator(guarded(generous, dashboard.artifacts))
+    status, headers, _ = dashboard.get(path)
+    assert status == 200
+    assert not any(name.startswith("access-control-") for name in headers)
 
 
 @pytest.mark.parametrize(("name", "status"), [(PAGE, 403), (VECTOR, 403), (LINK, 404), (GONE, 404)])

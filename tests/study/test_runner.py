@@ -24,7 +24,16 @@ from study.experiment.one_study import OneStudy, sampler_seed
 from study.experiment.simulation import simulate_trials
 from study.experiment.task import Task
 from study.runner import open_study, run_study
-from study.summary import best_gains, progress_line, summary, summary_text
+from study.shipped import config_path
+from study.summary import (
+    Commands,
+    best_gains,
+    dashboard_command,
+    film_command,
+    progress_line,
+    summary,
+    summary_text,
+)
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.terrain import Ground
@@ -94,6 +103,19 @@ def test_the_cost_is_that_of_the_run_and_the_configured_one(toy: Experiment) -> 
         gains = fake_walker.gain_rows(list(trial.params.values()))
         assert trial.value == function(simulate_trials(experiment, [2], gains).rows)[0]
         assert trial.value != function(simulate_trials(experiment, [1], gains).rows)[0]
+
+
+def test_a_study_says_what_its_objective_is_called(toy: Experiment) -> None:
+    """One of before gets the name when it goes on; a name of the user's stays."""
+    storage, name = InMemoryStorage(), study_name("toy", "random", 0)
+    optuna.create_study(storage=storage, study_name=name)
+    for metric in ("smooth_cost", "mine"):
+        run(toy, "random", 1, storage)
+        study = optuna.load_study(study_name=name, storage=storage)
+        assert study.metric_names == [metric]
+        study.set_metric_names(["mine"])
+    walking = run_study(replace(toy, cost="walking"), find_arm("random"), 0, 1, InMemoryStorage())
+    assert walking.metric_names == ["walking_cost"]
 
 
 def compared(comparisons: Comparisons, arms: tuple[str, ...], trials: int) -> Any:
@@ -390,10 +412,26 @@ def test_what_a_study_says(toy: Experiment) -> None:
     )
     assert len(lines) == 6
     assert lines[5].startswith("toy/dog/run-002  6/6  cost ")
-    found = summary(study, "sqlite:///x.db", Path("out/best.json"))
+    commands = Commands("film it", "show it")
+    found = summary(study, "sqlite:///x.db", Path("out/best.json"), commands)
     assert found["study"] == study_name("toy", "dog", 2)
     assert found["best_cost"] == study.best_value
-    assert found["dashboard"].endswith("optuna-dashboard sqlite:///x.db")
+    assert (found["film"], found["dashboard"]) == ("film it", "show it")
     assert best_gains(study) == study.best_params
-    text = summary_text(study, "sqlite:///x.db", Path("out/best.json"))
-    assert text.splitlines()[-1].endswith("optuna-dashboard sqlite:///x.db")
+    text = summary_text(study, "sqlite:///x.db", Path("out/best.json"), commands)
+    assert [line.split(":")[0] for line in text.splitlines()[1:]] == [
+        "gains", "database", "film", "dashboard",
+    ]  # fmt: skip
+
+
+def test_the_lines_to_look_at_it_name_what_is_not_the_default() -> None:
+    gains, out = Path("out/a best.json"), Path("out")
+    assert film_command(gains, Path("my.toml")).endswith(
+        "-m taichi_nmm walk --gains 'out/a best.json' --config my.toml"
+    )
+    shipped = film_command(gains, config_path("rough8"), 7, 3)
+    assert shipped.endswith("--config rough8 --run 7 --seed 3")
+    line = dashboard_command("sqlite:///x.db", out)
+    assert line.endswith("-m taichi_nmm dashboard --storage sqlite:///x.db")
+    line = dashboard_command("postgresql+psycopg://me:secret@host/walker", out)
+    assert line.endswith("--artifacts out") and "secret" not in line

@@ -151,7 +151,7 @@ HILL_ROWS = [(0.0, 0.0), (10.0, 1.0), (20.0, 0.5)]
 
 
 @pytest.mark.parametrize(
-    "head", ["", "x_m,height_m\n", " x , height \n", "# a hill\n\n  \n", "\ufeff"]
+    "head", ["", "x_m,height_m\n", " x , height \n", "# a hill\n\n  \nx,height\n", "\ufeff"]
 )
 @pytest.mark.parametrize("between", [",", ", ", " ", "\t", "  "])
 @pytest.mark.parametrize("end", ["\n", "\r\n", "  # a note, or none\n", "\n\n   \n"])

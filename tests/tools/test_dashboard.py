@@ -34,7 +34,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("made") / "out" / "compare" / "tiny"
     storage = open_studies(f"sqlite:///{folder}/studies.db")
-    write_studies(storage, [STUDY, FinishedStudy("tiny/random/run-000", TRIALS[:1])])
+    others = [FinishedStudy("tiny/random/run-000", TRIALS[:1]), FinishedStudy("tiny/summary", [])]
+    write_studies(storage, [STUDY, *others])
     meta = {"artifact_id": PICTURE, "filename": "a.png", "mimetype": "image/png", "encoding": None}
     attach(storage, [(STUDY.name, 0, f"artifacts:{PICTURE}", json.dumps(meta))])
     storage.engine.dispose()
@@ -78,7 +79,7 @@ def test_it_serves_studies_and_pictures_on_this_machine_only(folder: Path) -> No
         [sys.executable, DASHBOARD, "--port", "0"], stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
-        lines = dict(process.stdout.readline().split(maxsplit=1) for _ in range(3))
+        lines = dict(process.stdout.readline().split(maxsplit=1) for _ in range(4))
         address = lines["dashboard"].split()[0]
         try:
             assert address.startswith("http://127.0.0.1:") and address.endswith("/dashboard")
@@ -87,8 +88,12 @@ def test_it_serves_studies_and_pictures_on_this_machine_only(folder: Path) -> No
             server = address.removesuffix("/dashboard")
             studies = get_json(f"{server}/api/studies")["study_summaries"]
             assert {study["study_name"] for study in studies} == {
-                "e/dog/run-000", "tiny/random/run-000",
+                "e/dog/run-000", "tiny/random/run-000", "tiny/summary",
             }  # fmt: skip
+            summary = next(s["study_id"] for s in studies if s["study_name"] == "tiny/summary")
+            assert lines["summary"].split() == [
+                f"{address}/studies/{summary}/note", "(tiny/summary)",
+            ]  # fmt: skip
             study = next(s["study_id"] for s in studies if s["study_name"] == "e/dog/run-000")
             trial = get_json(f"{server}/api/studies/{study}")["trials"][0]
             assert trial["artifacts"][0]["filename"] == "a.png"

@@ -44,7 +44,7 @@ def lines(folder: Path) -> list[str]:
 
 
 def test_it_ends_with_what_was_found_and_where(folder: Path, lines: list[str]) -> None:
-    assert lines[-1].endswith(f"optuna-dashboard sqlite:///{folder / 'studies.db'}")
+    assert lines[-1].endswith(f"dashboard --storage sqlite:///{folder / 'studies.db'}")
     for place, arm in ((-7, "best"), (-6, "dog"), (-5, "random")):
         assert lines[place].startswith(f"rough8/{arm}/run-000: ")
     assert sum("30/30" in line for line in lines) == 3  # no trial was run again

@@ -3,32 +3,38 @@
 import json
 import os
 import re
+import shlex
 import signal
 import sqlite3
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import optuna
 import pytest
+from optuna.artifacts import get_all_artifact_meta
 from optuna.trial import TrialState
+from optuna_dashboard import get_note
 
 import taichi_nmm
 from storage.databases import studies
 from storage.databases.studies import only_run
 from storage.store import open_store
 from study.experiment.arms import ARMS
+from study.experiment.experiment import read_experiment
 from study.survival import FAMILIES
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS
 from taichi_nmm.result import Result
 from taichi_nmm.settings import Settings
-from tests.study import fake_walker
-from tests.tools.running import ROOT, run_tool
+from tests.study import fake_walker, synthetic_gait
+from tests.tools.running import ROOT, load_command, run_tool
 
 ROUGH8 = ROOT / "configs" / "rough8.toml"
 
@@ -84,6 +90,78 @@ def test_json_is_one_object(command: Command, capsys: pytest.CaptureFixture[str]
     gains = json.loads((command.folder / "out" / "dog-run-000-best.json").read_text())
     assert tuple(gains) == GAIN_NAMES
     taichi_nmm.load_gains(str(command.folder / "out" / "dog-run-000-best.json"))
+
+
+def looked_at(command: Command, number: int) -> tuple[list[Any], str]:
+    """Artifacts and note of a trial."""
+    study = optuna.load_study(study_name="rough8/dog/run-000", storage=command.url())
+    trial = optuna.Trial(study, study.trials[number]._trial_id)
+    return get_all_artifact_meta(study.trials[number], storage=study._storage), get_note(trial)
+
+
+@pytest.fixture
+def walks(command: Command) -> list[int]:
+    """Walks that can be drawn, and how many were recorded in each call."""
+    recorded: list[int] = []
+    glimpse = synthetic_gait.walk(0.3, 50.0)
+
+    def simulate(gains: Any, record: Sequence[int] = (), **options: Any) -> Result:
+        made = fake_walker.simulate(gains, **options)
+        recorded.extend([len(record)] if record else [])
+        return replace(made, trajectories=(glimpse,) * len(record))
+
+    command.monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate)
+    return recorded
+
+
+def test_the_best_trial_has_its_picture_in_the_dashboard(
+    command: Command, walks: list[int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Beside the database, where our dashboard looks; and once."""
+    assert command.run("--json") == 0
+    best = json.loads(capsys.readouterr().out)["best_trial"]
+    (picture,), note = looked_at(command, best)
+    file = command.folder / "artifacts" / picture.artifact_id
+    assert (picture.filename, picture.mimetype) == ("strip.png", "image/png")
+    assert file.read_bytes().startswith(b"\x89PNG")
+    assert note.startswith("rough8, run 0: ") and picture.artifact_id in note
+    others = set(range(4)) - {best}
+    assert not any(looked_at(command, number)[0] for number in others)
+    assert command.run() == 0 and walks == [1]
+    study = optuna.load_study(study_name="rough8/dog/run-000", storage=command.url())
+    assert get_note(study).startswith("## ")  # what the features were worth
+    find_artifacts = load_command("dashboard").find_artifacts
+    assert find_artifacts(None, command.url(), None) == file.parent
+
+
+def test_the_lines_that_it_prints_are_taken(
+    command: Command, walks: list[int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Film and dashboard, as a user pastes them."""
+    config = fake_walker.write_config(command.folder)
+    changes = {"config": str(config), "store": "", "arm": "random", "run": 2, "seed": 7}
+    assert command.run("--json", **changes) == 0
+    found = json.loads(capsys.readouterr().out)
+    lines = {name: shlex.split(found[name]) for name in ("film", "dashboard")}
+    assert [words[1:4] for words in lines.values()] == [
+        ["-m", "taichi_nmm", "walk"], ["-m", "taichi_nmm", "dashboard"],
+    ]  # fmt: skip
+    films: list[Any] = []
+    command.monkeypatch.setattr("study.pictures.write_movie", lambda *made: films.append(made))
+    for name in ("strip", "gait_cycle"):
+        command.monkeypatch.setattr(f"study.pictures.write_{name}", lambda *_: Path("x"))
+    out = ("--out", command.folder / "film")
+    assert run_tool(command.monkeypatch, *lines["film"][3:], *out) == 0
+    experiment = read_experiment(config, None, 7)
+    ((path, _, ground, *_),) = films
+    assert path == command.folder / "film" / "movie.mp4"
+    np.testing.assert_array_equal(ground.height_m, experiment.terrain(2).height_m)
+    served: list[None] = []
+    command.monkeypatch.setattr(
+        "socketserver.BaseServer.serve_forever", lambda *_: served.append(None)
+    )
+    assert run_tool(command.monkeypatch, *lines["dashboard"][3:], "--port", 0) == 0
+    assert served and "artifacts" in capsys.readouterr().out
 
 
 def test_trials_are_a_total(command: Command, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ import optuna
 import pyarrow as pa
 import pytest
 from optuna.artifacts import FileSystemArtifactStore, get_all_artifact_meta, upload_artifact
-from optuna_dashboard import get_note
+from optuna_dashboard import get_note, save_note
 
 from storage.databases.studies import open_studies
 from storage.pool import IN_PROCESS, Pool, local_pool
@@ -135,6 +135,16 @@ def test_a_note_shows_the_picture(made: Made) -> None:
     path = f"/artifacts/{study._study_id}/{study.best_trial._trial_id}/{identity}"
     assert note.startswith("tiny, run 0: walked 2.0 s, 2.0 m at 0.50 m/s\n")
     assert note.endswith(f"({path})")
+
+
+def test_a_note_of_the_users_stays(tmp_path: Path, url: str, simulations: Simulations) -> None:
+    table = results(TINY)
+    export(TINY, table, url, None, final=True)
+    study = optuna.load_study(study_name=STUDIES[0], storage=open_studies(url))
+    best = optuna.trial.Trial(study, study.best_trial._trial_id)
+    save_note(best, "mine")
+    make(table, url, tmp_path)
+    assert get_note(best) == "mine" and len(found(url, STUDIES[0], best.number)) == 2
 
 
 def test_the_best_is_the_first_of_the_cheapest_and_equal_ones_are_shared() -> None:

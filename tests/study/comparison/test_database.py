@@ -1,6 +1,8 @@
 """Results of an experiment as studies that Optuna and its dashboard read."""
 
 import json
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ import pytest
 from optuna_dashboard import get_note
 from optuna_dashboard._custom_plot_data import get_plotly_graph_objects
 
-from storage.databases.bulk import trial_counts
+from storage.databases.bulk import METRIC_ATTRIBUTE, study_ids, trial_counts
 from storage.databases.studies import open_studies
 from study.comparison.database import check_database, export
 from study.comparison.results import as_if_gone_on
@@ -45,6 +47,20 @@ def test_every_arm_and_run_is_a_study(url: str) -> None:
     assert study.user_attrs == {
         "experiment": "tiny", "arm": "dog", "run": 1, "experiment_config": fingerprint(TINY),
     }  # fmt: skip
+
+
+def test_studies_say_what_their_objective_is_called(url: str, tmp_path: Path) -> None:
+    """Also those of a database from before they did; a name of the user's stays."""
+    export(TINY, results(TINY), url, dashboard_summary, final=False)
+    names = (*SIX, "tiny/summary")
+    assert [load(url, name).metric_names for name in names] == [["smooth_cost"]] * len(names)
+    with closing(sqlite3.connect(tmp_path / "studies.db")) as older:
+        older.execute(f"DELETE FROM study_system_attributes WHERE key = '{METRIC_ATTRIBUTE}'")
+        older.commit()
+    load(url, SIX[1]).set_metric_names(["mine"])
+    export(TINY, results(TINY), url, dashboard_summary, final=True)
+    assert load(url, SIX[1]).metric_names == ["mine"]
+    assert [load(url, n).metric_names for n in names if n != SIX[1]] == [["smooth_cost"]] * 4
 
 
 @pytest.mark.parametrize("searched", [(), ("theta_ref",)])
@@ -90,6 +106,8 @@ def test_the_summary_compares_the_arms(url: str) -> None:
     summary = load(url, "tiny/summary")
     note = get_note(summary)
     assert "12 trials (all trials)" in note
+    for name in SIX:
+        assert f"(/dashboard/studies/{load(url, name)._study_id})" in note
     assert "| dog | 2 | 1 (50 %) | > 3 | 185 |" in note
     assert "| random | 2 | 0 (0 %) | > 3 | 280 |" in note
     attributes = summary._storage.get_study_system_attrs(summary._study_id)
@@ -107,7 +125,8 @@ def test_studies_that_ended_with_a_walker(url: str) -> None:
     assert trial_counts(open_studies(url)) == {
         **dict.fromkeys(SIX, 3), "tiny/dog/run-000": 2, "tiny/summary": 0,
     }  # fmt: skip
-    wanted = dashboard_summary("tiny", as_if_gone_on(ended), True)
+    ids = study_ids(open_studies(url))
+    wanted = dashboard_summary("tiny", as_if_gone_on(ended), True, ids)
     assert get_note(load(url, "tiny/summary")) == wanted.note
 
 
@@ -115,7 +134,8 @@ def test_a_long_note_and_a_long_figure_come_back_whole(url: str) -> None:
     arms = [f"arm-number-{number:02d}-with-a-long-name" for number in range(30)]
     table = results(TINY, arms=arms)
     export(TINY, table, url, dashboard_summary, final=True)
-    summary, wanted = load(url, "tiny/summary"), dashboard_summary("tiny", table, final=True)
+    summary, ids = load(url, "tiny/summary"), study_ids(open_studies(url))
+    wanted = dashboard_summary("tiny", table, True, ids)
     assert get_note(summary) == wanted.note
     attributes = summary._storage.get_study_system_attrs(summary._study_id)
     assert get_plotly_graph_objects(attributes)["best-cost"] == wanted.figure.to_json()

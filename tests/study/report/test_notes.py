@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow as pa
 
 from study.experiment.arms import ARMS
+from study.experiment.experiment import study_name
 from study.palette import SERIES
 from study.report.notes import dashboard_summary
 from tests.study.report import synthetic
@@ -28,9 +29,9 @@ def trials(best: dict[str, list[list[float]]], walked_below: float) -> pa.Table:
 
 def test_a_row_and_a_curve_are_medians_over_runs() -> None:
     best = {"random": [[290.0, 280.0]] * 2, "dog": [[300.0, 90.0], [290.0, 280.0], [90.0, 80.0]]}
-    summary = dashboard_summary("tiny", trials(best, 100.0), final=True)
+    summary = dashboard_summary("tiny", trials(best, 100.0), True, {})
     assert "10 trials (all trials)" in summary.note
-    rows = [line for line in summary.note.splitlines() if line.startswith("| ")][1:]
+    rows = [line for line in summary.note.splitlines() if line.startswith("| ")][1:3]
     assert rows == ["| dog | 3 | 2 (67 %) | 2 | 90 |", "| random | 2 | 0 (0 %) | > 2 | 280 |"]
     dog, random = json.loads(summary.figure.to_json())["data"]
     assert (dog["x"], dog["y"]) == ([1, 2], [290.0, 90.0])
@@ -39,16 +40,30 @@ def test_a_row_and_a_curve_are_medians_over_runs() -> None:
 
 def test_trials_that_all_runs_have_count() -> None:
     best = {"dog": [[300.0, 90.0, 90.0], [290.0, 280.0]]}
-    summary = dashboard_summary("tiny", trials(best, 100.0), final=False)
+    summary = dashboard_summary("tiny", trials(best, 100.0), False, {})
     assert "5 trials (so far" in summary.note
     assert "| dog | 2 | 1 (50 %) | > 2 | 185 |" in summary.note
+
+
+def test_a_table_leads_to_every_study() -> None:
+    best = {"random": [[290.0, 280.0]], "dog": [[300.0, 90.0], [290.0, 280.0]]}
+    ids = {"tiny/dog/run-000": 4, "tiny/random/run-000": 7, "tiny/summary": 9}
+    note = dashboard_summary("tiny", trials(best, 100.0), True, ids).note
+    table = note[note.index("| run |") :].splitlines()
+    assert table[0] == "| run | dog | random | all arms |"
+    both = "[compare](/dashboard/compare-studies?ids=4,7)"
+    studies = "[**90**](/dashboard/studies/4) | [280](/dashboard/studies/7)"
+    assert table[2:4] == [f"| 0 | {studies} | {both} |", "| 1 | 280 |  |  |"]
 
 
 def test_every_arm_can_be_renewed_once_a_minute() -> None:
     """25 arms, 50 runs, 100 trials: 2 s are allowed, of the process that compares."""
     table = pa.table(synthetic.columns(dict.fromkeys(ARMS, (0.05, 0.0)), 50, 100, "smooth"))
+    ids = {study_name("all", arm, run): run for arm in ARMS for run in range(50)}
     before = time.process_time()
-    traces = json.loads(dashboard_summary("all", table, final=False).figure.to_json())["data"]
+    summary = dashboard_summary("all", table, False, ids)
+    traces = json.loads(summary.figure.to_json())["data"]
     assert time.process_time() - before < 2.0
+    assert summary.note.count("/dashboard/studies/") == len(ids)
     assert len({(each["line"]["color"], each["line"]["dash"]) for each in traces}) == len(ARMS)
     assert all(len(each["x"]) <= 50 and np.all(np.diff(each["y"]) <= 0) for each in traces)

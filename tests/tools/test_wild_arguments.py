@@ -1,0 +1,172 @@
+"""What nobody means to type, in every option of every command: one line, exit code 2, no file.
+
+A command that took such a word would go on to its work, which is not there in these tests.
+"""
+
+import sys
+from argparse import Action
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NoReturn
+
+import pytest
+
+import taichi_nmm
+from study.command_options import Options, _Whole
+from study.guard import run_command
+from study.shipped import config_path
+from tests.study import fake_walker
+from tests.tools.running import ROOT, load_command, load_tool, run_tool
+
+COMMANDS = {path.stem for path in (ROOT / "study" / "commands").glob("[!_]*.py")}
+TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - {"bench_worker"})
+
+WORDS = {
+    "300 letters": "x" * 300, "5,000 digits": "9" * 5000, "10^400": str(10**400),
+    "NUL": "nul\0", "newline": "new\nline", "surrogate": "\udcff", "escape": "\x1b[31m",
+    "empty path of a thousand folders": "x/" * 3000,
+}  # fmt: skip
+DEEP = {
+    "deep.json": '{"a":' * 100_000, "digits.json": f'{{"K_SOL": {"9" * 5000}}}',
+    "power.json": f'{{"K_SOL": 1{"0" * 400}}}', "deep.toml": "a = " + "[" * 100_000,
+    "digits.toml": f"seed = {'9' * 5000}", "power.toml": f"seed = 1{'0' * 400}",
+}  # fmt: skip
+NEW_FILE = {
+    "draw_store": "--out", "find_reference": "--out", "make_outside": "--out", "walk": "--mjcf",
+}  # fmt: skip
+# What a tool calls to work, beside the simulator and the server.
+WORK = {
+    "bench": "measure", "compare_outside": "execute", "compare_peers": "execute",
+    "find_reference": "starts", "make_outside": "make", "time_sampler": "measure",
+}  # fmt: skip
+
+# What makes a command complete, for each of its options: of an option that is tried, the last
+# stands. CONFIG, STORE and DONE are of the fixture.
+COMPLETE: dict[str, tuple[str, ...]] = {
+    "compare": ("--config", "CONFIG", "--arms", "random", "--no-artifacts"),
+    "draw_store": ("STORE",),
+    "find_reference": ("--out", "gains.json"),
+    "make_outside": ("--problem", "cart-pole"),
+    "optimum": ("--config", "CONFIG"),
+    "report": ("DONE",),
+    "dashboard": ("DONE",),
+    "study": ("--config", "CONFIG", "--arm", "random", "--storage", "sqlite:///new.db"),
+    "walk": ("--movie-seconds", "0"),
+}
+BESIDE = {
+    "--row": ("--store", "STORE"), "--store": ("--row", "0"), "--trial": ("--storage", "DONE"),
+    "--storage": ("--trial", "toy/random/run-000/0"), "--rows": ("--out", "rows.parquet"),
+}  # fmt: skip
+FORMS = {
+    "--storage": ("{}", "sqlite:///{}", "postgresql+psycopg://{}", "postgresql+psycopg://me@127.0.0.1:1/{}"),
+    "--trial": ("{}", "{}/0", "toy/random/run-000/{}", "toy/random/run-{}/0"),
+}  # fmt: skip
+
+
+class Places:
+    """A configuration with its store, a finished comparison, and files that nobody should read."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.named = {
+            "CONFIG": fake_walker.write_config(folder), "STORE": folder / "store",
+            "DONE": folder / "done",
+        }  # fmt: skip
+        for name, text in DEEP.items():
+            (folder / name).write_text(text)
+
+    def words(self, words: tuple[str, ...]) -> list[str]:
+        return [str(self.named.get(word, word)) for word in words]
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Places:
+    folder = tmp_path_factory.mktemp("places")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+        places = Places(folder)
+        given = ("--config", folder / "toy.toml", "--arms", "random", "--runs", 1, "--trials", 1)
+        end = ("--no-artifacts", "--workers", 1, "--out", folder / "done")
+        assert run_tool(patch, "compare", *given, *end) == 0
+    return places
+
+
+def options_of(module: ModuleType, patch: pytest.MonkeyPatch) -> list[Action]:
+    """Every option of a command that takes a word."""
+    found: list[Action] = []
+
+    class AskedError(Exception):
+        pass
+
+    def ask(parser: Options, *_: Any) -> NoReturn:
+        found.extend(parser._actions)
+        raise AskedError
+
+    with patch.context() as context, pytest.raises(AskedError):
+        context.setattr(Options, "parse_args", ask)
+        module.main()
+    return [action for action in found if action.nargs != 0]
+
+
+def tries(tool: str, action: Action, places: Places) -> Iterator[tuple[str, list[str]]]:
+    """What is tried with an option: what it is called, and all words of the command."""
+    flag = action.option_strings[-1] if action.option_strings else ""
+    of_text = action.type in (None, Path, config_path) and not isinstance(action, _Whole)
+    is_text = of_text and action.choices is None
+    words = WORDS if is_text else {"5,000 digits": WORDS["5,000 digits"]}
+    if is_text and NEW_FILE.get(tool) != flag:
+        words = words | {name: str(places.folder / name) for name in DEEP}
+    complete = COMPLETE.get(tool, ())
+    beside = BESIDE.get(flag, ()) if tool == "walk" or flag == "--rows" else ()
+    for name, word in words.items():
+        for form in FORMS.get(flag, ("{}",)):
+            tried = form.format(word)
+            if flag:
+                yield (
+                    f"{flag} {form}: {name}",
+                    places.words((*complete, *beside, f"{flag}={tried}")),
+                )
+            else:
+                yield f"{action.dest}: {name}", [tried]
+
+
+def refuse_work(*_: Any, **__: Any) -> NoReturn:
+    raise AssertionError("it went on to work")
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_it_is_refused_in_one_line(
+    tool: str,
+    places: Places,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", refuse_work)
+    monkeypatch.setattr("socketserver.BaseServer.serve_forever", refuse_work)
+    module = load_command(tool) if tool in COMMANDS else load_tool(tool)
+    if tool in WORK:
+        monkeypatch.setattr(module, WORK[tool], refuse_work)
+    tried, wrong = 0, []
+    for action in [*options_of(module, monkeypatch), Action(["--new\nline"], "unknown")]:
+        for name, words in tries(tool, action, places):
+            tried += 1
+            monkeypatch.setattr(sys, "argv", [f"{tool}.py", *words])
+            code: object = None
+            try:
+                run_command(module.main)
+            except SystemExit as end:
+                code = end.code
+            except BaseException as error:
+                code = f"{type(error).__name__}: {error}"[:150]
+            said = capsys.readouterr()
+            line = said.err.removesuffix("\n")
+            if code != 2 or said.out or not line.startswith("error: ") or not line.isprintable():
+                wrong.append(f"{name}: {code}; {said.err[:150]!r}")
+            if left := [path.name for path in tmp_path.iterdir()]:
+                wrong.append(f"{name}: left {left}")
+                break
+    assert tried >= len(WORDS)
+    assert not wrong, f"{len(wrong)} of {tried}:\n" + "\n".join(wrong)
