@@ -1,4 +1,4 @@
-"""tools/study.py with the simulator replaced: for tests that need a process of their own."""
+"""`taichi-nmm` with the simulator replaced: for tests that need a process of their own."""
 
 import sys
 from pathlib import Path
@@ -6,9 +6,9 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import taichi_nmm
-from study.guard import run
+from study.commands import run_named
 from tests.study import fake_walker
 
 if __name__ == "__main__":
     vars(taichi_nmm)["simulate"] = fake_walker.simulate
-    run("study")
+    run_named(sys.argv[1:])
