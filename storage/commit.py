@@ -50,7 +50,7 @@ def temporary_sibling(path: Path) -> Iterator[Path]:
 
     It is locked while this process lives. Those of processes that were killed are not, and go.
     """
-    _remove_orphans(path)
+    remove_orphans(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
     with temporary.open("ab") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
@@ -141,13 +141,23 @@ def require_folder(path: Path, field: str = "out") -> None:
         raise InputError(field, str(path), "a folder")
 
 
-def _remove_orphans(path: Path) -> None:
+def remove_orphans(path: Path) -> None:
     """Remove temporary siblings of a file that no process holds."""
     for file in path.parent.iterdir():
         if file.name.startswith(f".{path.name}.") and file.name.endswith(TEMPORARY_SUFFIX):
-            with suppress(OSError), file.open("ab") as orphan:  # locked, gone, or another user's
-                fcntl.flock(orphan, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                file.unlink()
+            with suppress(OSError):  # locked, gone, or another user's
+                _remove_unheld(file)
+
+
+def _remove_unheld(file: Path) -> None:
+    if (
+        file.stat().st_nlink > 1
+    ):  # it has its name; and SQLite's locks end where one closes its file
+        file.unlink()
+        return
+    with file.open("ab") as orphan:
+        fcntl.flock(orphan, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        file.unlink()
 
 
 def sync(path: Path) -> None:

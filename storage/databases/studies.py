@@ -20,7 +20,7 @@ from optuna.storages import RDBStorage
 from sqlalchemy import event
 from sqlalchemy.exc import SQLAlchemyError
 
-from storage.commit import require_writable, sync, temporary_sibling, writable
+from storage.commit import remove_orphans, require_writable, sync, temporary_sibling, writable
 from storage.databases import postgresql
 from storage.databases.look import looked_at, sqlite_options
 from storage.databases.postgresql import unusable
@@ -168,6 +168,7 @@ def _make(path: Path) -> None:
 
     SQLite commits each table by itself; a process killed between two would leave what nobody knows.
     """
+    remove_orphans(path)
     if path.exists():
         return
     with temporary_sibling(path) as temporary:
