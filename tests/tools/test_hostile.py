@@ -122,7 +122,11 @@ def test_few_open_files_are_enough(folder: Path) -> None:
 
 
 def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> None:
-    done = run(folder, STUDY, 'ulimit -v 400000; exec "$@"')
+    tool = [sys.executable, ROOT / "tools" / "study.py", *STUDY[1:]]
+    done = subprocess.run(
+        ["bash", "-c", 'ulimit -v 400000; exec "$@"', "bash", *map(str, tool)],
+        cwd=folder, capture_output=True, text=True, timeout=WAIT_S,
+    )  # fmt: skip
     line = "error: ulimit -v: 400000 cannot be used; allowed: 3145728 or more, or unlimited\n"
     assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
     assert [path.name for path in folder.iterdir()] == ["toy.toml"]
