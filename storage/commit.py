@@ -150,9 +150,7 @@ def remove_orphans(path: Path) -> None:
 
 
 def _remove_unheld(file: Path) -> None:
-    if (
-        file.stat().st_nlink > 1
-    ):  # it has its name; and SQLite's locks end where one closes its file
+    if file.stat().st_nlink > 1:  # it has its name; to close a database would end SQLite's locks
         file.unlink()
         return
     with file.open("ab") as orphan:

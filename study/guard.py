@@ -9,7 +9,7 @@ import resource
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from types import FrameType
 from typing import NoReturn
@@ -97,7 +97,10 @@ def _one_line() -> Iterator[None]:
     except OSError as error:
         if error.errno not in REFUSALS:
             raise  # a mistake of ours
-        _silence(STDOUT)
+        try:
+            sys.stdout.flush()
+        except OSError:  # it was this file
+            _silence(STDOUT)
         _leave_refused(os.strerror(error.errno), REFUSALS[error.errno])
 
 
@@ -137,7 +140,8 @@ def _require_addresses() -> None:
 
 def _silence(file: int) -> None:
     """Have nothing come of what is still to be flushed."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), file)
+    with suppress(OSError):  # no file more may be opened
+        os.dup2(os.open(os.devnull, os.O_WRONLY), file)
 
 
 def _end(_number: int, _frame: FrameType | None) -> NoReturn:
