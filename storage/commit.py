@@ -6,11 +6,12 @@ its name; and the folder on the disk before anyone is told.
 """
 
 import errno
+import fcntl
 import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,22 +20,42 @@ from taichi_nmm.errors import InputError
 TEMPORARY_SUFFIX = ".tmp"  # hidden files of this ending are never read
 
 
-def commit(path: Path, write: Callable[[Path], None], check: Callable[[Path], None]) -> None:
+def commit(
+    path: Path,
+    write: Callable[[Path], None],
+    check: Callable[[Path], None],
+    field: str = "out",
+) -> None:
     """Make the file `path`: `write` fills a temporary sibling, `check` re-opens it and may raise.
+
+    What cannot be written is named as `field`.
 
     Raises:
         InputError: the folder cannot be written or the disk is full; nothing is left behind.
     """
-    with writable(path):
+    with writable(path, field):
         if not path.name:
             raise OSError("no name of a file")
-        temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
-        try:
+        with temporary_sibling(path) as temporary:
             write(temporary)
             check(temporary)
-            _sync(temporary)
+            sync(temporary)
             temporary.replace(path)
-            _sync(path.parent)
+            sync(path.parent)
+
+
+@contextmanager
+def temporary_sibling(path: Path) -> Iterator[Path]:
+    """An empty file beside `path` that is to take its name; it is gone at the end if it has not.
+
+    It is locked while this process lives. Those of processes that were killed are not, and go.
+    """
+    remove_orphans(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
+    with temporary.open("ab") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        try:
+            yield temporary
         finally:
             temporary.unlink(missing_ok=True)
 
@@ -120,7 +141,24 @@ def require_folder(path: Path, field: str = "out") -> None:
         raise InputError(field, str(path), "a folder")
 
 
-def _sync(path: Path) -> None:
+def remove_orphans(path: Path) -> None:
+    """Remove temporary siblings of a file that no process holds."""
+    for file in path.parent.iterdir():
+        if file.name.startswith(f".{path.name}.") and file.name.endswith(TEMPORARY_SUFFIX):
+            with suppress(OSError):  # locked, gone, or another user's
+                _remove_unheld(file)
+
+
+def _remove_unheld(file: Path) -> None:
+    if file.stat().st_nlink > 1:  # it has its name; to close a database would end SQLite's locks
+        file.unlink()
+        return
+    with file.open("ab") as orphan:
+        fcntl.flock(orphan, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        file.unlink()
+
+
+def sync(path: Path) -> None:
     """Have the system put a file's or a folder's content on the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:

@@ -3,11 +3,13 @@
 Little is imported here, since nothing guards what is imported before.
 """
 
+import errno
 import os
+import resource
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from types import FrameType
 from typing import NoReturn
@@ -15,12 +17,23 @@ from typing import NoReturn
 from taichi_nmm.errors import InputError
 from taichi_nmm.neighbours import HiddenPackageError
 
-STDOUT, STDERR = 1, 2  # the files, which need no object that Ctrl-C may have found half made
+STDIN, STDOUT, STDERR = 0, 1, 2  # files: they need no object that Ctrl-C may have found half made
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 EXIT_NO_READER = 141  # 128 + SIGPIPE
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 OURS = ("study", "storage", "taichi_nmm")
+
+LEAST_ADDRESSES_B = 3 << 30  # a walk on two cores takes 2.3e9; OpenBLAS waits for ever for 0.4e9
+
+# What a machine may refuse at any place, and what it would have to allow.
+SPACE = "space for files and for what is printed"
+MEMORY = "more memory, threads and processes (ulimit -v, -u)"
+REFUSALS = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), SPACE),
+    **dict.fromkeys((errno.EMFILE, errno.ENFILE), "more open files at a time (ulimit -n)"),
+    **dict.fromkeys((errno.ENOMEM, errno.EAGAIN), MEMORY),
+}
 
 
 def run(name: str) -> None:
@@ -49,6 +62,7 @@ def guarded_imports() -> Iterator[None]:
     something else listens to Ctrl-C, or nothing (as in a shell's background), it stays so.
     """
     with _one_line():
+        _require_addresses()
         if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
             yield
             return
@@ -61,11 +75,12 @@ def guarded_imports() -> Iterator[None]:
 
 @contextmanager
 def _one_line() -> Iterator[None]:
+    _open_closed()
     try:
-        yield
-        sys.stdout.flush()
+        with _all_printed():
+            yield
     except BrokenPipeError:  # of `| head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), STDOUT)  # what is flushed at the end
+        _silence(STDOUT)
         sys.exit(EXIT_NO_READER)
     except (InputError, HiddenPackageError) as error:
         _leave(f"error: {error}", EXIT_BAD_INPUT)
@@ -77,6 +92,56 @@ def _one_line() -> Iterator[None]:
         _leave(line, EXIT_BAD_INPUT)
     except KeyboardInterrupt:
         _leave(INTERRUPTED, EXIT_INTERRUPTED)
+    except MemoryError:
+        _leave_refused(os.strerror(errno.ENOMEM), MEMORY)
+    except OSError as error:
+        if error.errno not in REFUSALS:
+            raise  # a mistake of ours
+        try:
+            sys.stdout.flush()
+        except OSError:  # it was this file
+            _silence(STDOUT)
+        _leave_refused(os.strerror(error.errno), REFUSALS[error.errno])
+
+
+@contextmanager
+def _all_printed() -> Iterator[None]:
+    """Print what is left where the work ends well or with an exit code."""
+    try:
+        yield
+    except SystemExit:
+        sys.stdout.flush()
+        raise
+    sys.stdout.flush()
+
+
+def _open_closed() -> None:
+    """Open closed standard files: the next file that is opened would get what is printed."""
+    for number, name, mode in (
+        (STDIN, "stdin", "r"),
+        (STDOUT, "stdout", "w"),
+        (STDERR, "stderr", "w"),
+    ):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest free number
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, mode, closefd=False))
+
+
+def _require_addresses() -> None:
+    """Refuse a limit in which libraries end in ways of their own, or do not end at all."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESSES_B:
+        allowed = f"{LEAST_ADDRESSES_B >> 10} or more, or unlimited"
+        raise InputError("ulimit -v", limit >> 10, allowed)
+
+
+def _silence(file: int) -> None:
+    """Have nothing come of what is still to be flushed."""
+    with suppress(OSError):  # no file more may be opened
+        os.dup2(os.open(os.devnull, os.O_WRONLY), file)
 
 
 def _end(_number: int, _frame: FrameType | None) -> NoReturn:
@@ -84,6 +149,13 @@ def _end(_number: int, _frame: FrameType | None) -> NoReturn:
     os._exit(EXIT_INTERRUPTED)
 
 
+def _leave_refused(refusal: str, allowed: str) -> NoReturn:
+    _leave(f"error: machine: {refusal!r} cannot be used; allowed: {allowed}", EXIT_BAD_INPUT)
+
+
 def _leave(line: str, code: int) -> NoReturn:
-    print(line, file=sys.stderr)
+    try:
+        print(line, file=sys.stderr, flush=True)
+    except OSError:  # nowhere to say it
+        _silence(STDERR)
     sys.exit(code)

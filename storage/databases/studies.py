@@ -22,7 +22,7 @@ from optuna.storages import RDBStorage
 from sqlalchemy import event
 from sqlalchemy.exc import SQLAlchemyError
 
-from storage.commit import TEMPORARY_SUFFIX, require_writable, writable
+from storage.commit import remove_orphans, require_writable, sync, temporary_sibling, writable
 from storage.databases import postgresql
 from storage.databases.look import looked_at, sqlite_options
 from storage.databases.postgresql import unusable
@@ -158,9 +158,19 @@ def _taken(study_name: str) -> InputError:
     return InputError("study", study_name, allowed)
 
 
-def _storage(url: str) -> RDBStorage:
+def _storage(url: str, **options: Any) -> RDBStorage:
     literal = url.replace("{", "{{").replace("}", "}}")  # Optuna formats it
-    return RDBStorage(literal, engine_kwargs={"connect_args": {"timeout": BUSY_TIMEOUT_S}})
+    connect_args = {"timeout": BUSY_TIMEOUT_S, **options}
+    return RDBStorage(literal, engine_kwargs={"connect_args": connect_args})
+
+
+class _Unjournaled(sqlite3.Connection):
+    """Of a file that nobody knows yet: without a journal beside it or a wait for the disk."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.execute("PRAGMA journal_mode=MEMORY")
+        self.execute("PRAGMA synchronous=OFF")
 
 
 def _make(path: Path) -> None:
@@ -168,15 +178,14 @@ def _make(path: Path) -> None:
 
     SQLite commits each table by itself; a process killed between two would leave what nobody knows.
     """
+    remove_orphans(path)
     if path.exists():
         return
-    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
-    try:
-        _storage(file_url(temporary)).engine.dispose()
+    with temporary_sibling(path) as temporary:
+        _storage(file_url(temporary), factory=_Unjournaled).engine.dispose()
+        sync(temporary)
         with suppress(OSError):  # another process was faster; or no links here: it is made in place
             os.link(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _claim(connection: sqlite3.Connection) -> None:

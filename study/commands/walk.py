@@ -23,7 +23,7 @@ import numpy as np
 from tqdm import tqdm
 
 import taichi_nmm
-from storage.commit import writable
+from storage.commit import commit, writable
 from study.command import require_engine
 from study.command_options import LARGEST_SEED, Options
 from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
@@ -151,9 +151,16 @@ def write_model(path: Path, experiment: Experiment, run: int) -> None:
     from taichi_nmm.mujoco_engine.mjcf import write_mjcf
 
     terrain, settings = experiment.terrain(run), experiment.conditions.settings
-    with writable(path, "mjcf"):
-        body, friction = experiment.body(run), float(experiment.world(run).friction[0])
-        write_mjcf(path, body, friction, boxes(terrain), settings, start_state(terrain))
+    body, friction = experiment.body(run), float(experiment.world(run).friction[0])
+
+    def write(temporary: Path) -> None:
+        write_mjcf(temporary, body, friction, boxes(terrain), settings, start_state(terrain))
+
+    def check(temporary: Path) -> None:
+        if not temporary.read_text(encoding="utf-8").endswith("</mujoco>\n"):
+            raise OSError("the model was not written whole")
+
+    commit(path, write, check, "mjcf")
 
 
 def write_engines(

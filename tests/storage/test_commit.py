@@ -1,14 +1,20 @@
 import errno
+import fcntl
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pyarrow as pa
 import pytest
 
-from storage.commit import commit, commit_json
+from storage.commit import commit, commit_json, temporary_sibling
 from storage.shard import read_columns, read_footer, write_table
 from taichi_nmm.errors import InputError
 
+ROOT = Path(__file__).resolve().parents[2]
+COMMIT = "import sys; from pathlib import Path; from storage.commit import commit_json; "
+COMMIT += "commit_json(Path(sys.argv[1]), {})"
 TABLE = pa.table({"row": [0, 1], "score": [0.5, 0.25]})
 FOOTER = {"format": 1, "rows": 2, "shard": 0, "specification": {}, "specification_hash": ""}
 
@@ -73,6 +79,29 @@ def test_interrupt_while_writing_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         commit(tmp_path / "file", write, lambda temporary: None)
     assert not list(tmp_path.iterdir())
+
+
+def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(tmp_path: Path) -> None:
+    path, other = tmp_path / "file.json", tmp_path / ".another.json.1.tmp"
+    killed, living = (tmp_path / f".file.json.{pid}.tmp" for pid in (1, 2))
+    for file in (killed, living, other):
+        file.write_text("half")
+    with living.open() as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        commit_json(path, {})
+    assert set(tmp_path.iterdir()) == {path, living, other}
+    commit_json(path, {})
+    assert set(tmp_path.iterdir()) == {path, other}
+
+
+def test_what_is_being_written_is_not_taken_for_a_leftover(tmp_path: Path) -> None:
+    path = tmp_path / "file.json"
+    with temporary_sibling(path) as temporary:
+        done = subprocess.run(
+            [sys.executable, "-c", COMMIT, str(path)], cwd=ROOT, capture_output=True, text=True
+        )
+        assert done.stderr == "" and temporary.exists()
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_no_folder_to_write_in(tmp_path: Path) -> None:

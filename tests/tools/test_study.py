@@ -411,7 +411,7 @@ def test_ctrl_c_says_that_work_is_kept(
 def test_killed_and_resumed_is_the_same_study(command: Command) -> None:
     whole = f"sqlite:///{command.folder / 'whole.db'}"
     assert command.run(trials=7, storage=whole) == 0
-    program = [sys.executable, str(ROOT / "tests" / "tools" / "fake_study.py")]
+    program = [sys.executable, str(ROOT / "tests" / "tools" / "fake_command.py"), "study"]
     with subprocess.Popen(
         program + command.arguments(trials=7),
         stderr=subprocess.PIPE,

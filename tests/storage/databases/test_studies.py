@@ -269,3 +269,11 @@ def test_a_study_has_one_run_at_a_time(tmp_path: Path) -> None:
             pass
     with only_run(url, "rough8/dog"):
         pass
+
+
+def test_a_process_killed_after_naming_its_database_leaves_no_second_name(tmp_path: Path) -> None:
+    file = tmp_path / "studies.db"
+    open_studies(f"sqlite:///{file}").engine.dispose()
+    os.link(file, tmp_path / ".studies.db.1.tmp")
+    open_studies(f"sqlite:///{file}").engine.dispose()
+    assert [path.name for path in tmp_path.iterdir() if path.suffix == ".tmp"] == []

@@ -1,4 +1,4 @@
-"""tools/study.py with the simulator replaced: for tests that need a process of their own."""
+"""tools/kill_commands.py with the simulator replaced, and nothing drawn of walks."""
 
 import sys
 from pathlib import Path
@@ -6,9 +6,10 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import taichi_nmm
-from study.guard import run
+from study.guard import run_command
 from tests.study import fake_walker
+from tools import kill_commands
 
 if __name__ == "__main__":
     vars(taichi_nmm)["simulate"] = fake_walker.simulate
-    run("study")
+    run_command(lambda: kill_commands.main(pictures=False))

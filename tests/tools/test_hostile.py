@@ -1,0 +1,219 @@
+"""Commands in processes that a shell or a machine is unkind to: one line, or nothing amiss.
+
+Kills are in test_kill_commands.py, Ctrl-C and missing packages in test_guard.py.
+"""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import optuna
+import pytest
+from optuna.trial import TrialState
+
+import taichi_nmm
+from tests.study import fake_walker
+from tests.tools.running import ROOT
+
+pytestmark = pytest.mark.slow
+
+PROGRAM = [sys.executable, str(ROOT / "tests" / "tools" / "fake_command.py")]
+STUDY = ("study", "--config", "toy.toml", "--arm", "dog", "--storage", "sqlite:///studies.db",
+         "--out", "out", "--trials", 4)  # fmt: skip
+COMPARE = ("compare", "--config", "toy.toml", "--arms", "random,dog", "--runs", 1, "--trials", 2,
+           "--no-artifacts", "--workers", 1, "--out", "out")  # fmt: skip
+LIST = ("walk", "--list-configs")
+FULL = "error: machine: 'No space left on device' cannot be used; allowed: space for files and for "
+REDIRECTED = 'exec "$@" {}'
+WAIT_S = 300.0
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A configuration and its store."""
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+        fake_walker.write_config(folder)
+    return folder
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path) -> Path:
+    """A folder for one command, with the configuration."""
+    shutil.copy(made / "toy.toml", tmp_path)
+    return tmp_path
+
+
+def words(command: Iterable[object], shell: str = "") -> list[str]:
+    """A command as a process gets it; `shell` are redirections, or a limit."""
+    line = [*PROGRAM, *map(str, command)]
+    return ["bash", "-c", shell, "bash", *line] if shell else line
+
+
+def run(
+    folder: Path, command: Iterable[object], shell: str = ""
+) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        words(command, shell), cwd=folder, capture_output=True, text=True, timeout=WAIT_S
+    )
+
+
+def trials(folder: Path) -> list[dict[str, float]]:
+    """Parameters of the finished trials of the one study."""
+    url = f"sqlite:///{folder / 'studies.db'}"
+    study = optuna.load_study(study_name="toy/dog/run-000", storage=url)
+    return [trial.params for trial in study.get_trials(states=(TrialState.COMPLETE,))]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(made: Path) -> list[dict[str, float]]:
+    """The trials of a study that nobody is unkind to."""
+    assert run(made, STUDY).returncode == 0
+    assert len(trials(made)) == 4
+    return trials(made)
+
+
+@pytest.mark.parametrize("closed", ["<&- >&-", "<&- >&- 2>&-"])
+def test_closed_files_are_as_good_as_the_null_device(
+    folder: Path, closed: str, undisturbed: list[dict[str, float]]
+) -> None:
+    """What is printed does not get into the database, whose number would be that of stdout."""
+    done = run(folder, STUDY, REDIRECTED.format(closed))
+    assert done.returncode == 0 and "Traceback" not in done.stderr
+    assert trials(folder) == undisturbed
+    json.loads((folder / "out" / "dog-run-000-best.json").read_text())
+
+
+def test_a_full_disk_under_what_is_printed_is_one_line(folder: Path) -> None:
+    done = run(folder, LIST, REDIRECTED.format(">/dev/full"))
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.startswith(FULL)
+
+
+def test_a_full_disk_at_the_end_of_the_work_loses_none(
+    folder: Path, undisturbed: list[dict[str, float]]
+) -> None:
+    done = run(folder, STUDY, REDIRECTED.format(">/dev/full"))
+    assert done.returncode == 2 and done.stderr.splitlines()[-1].startswith(FULL)
+    assert trials(folder) == undisturbed
+
+
+def test_where_nothing_can_be_said_the_exit_code_says_it(folder: Path) -> None:
+    bad = ("walk", "--gains", "nowhere.json")
+    done = run(folder, bad, REDIRECTED.format("2>/dev/full"))
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", "")
+
+
+def test_a_reader_that_has_enough_ends_the_command_without_a_word(folder: Path) -> None:
+    """As `2>&1 | head -1`, of standard output and standard error."""
+    done = run(folder, STUDY, '"$@" 2>&1 | true; exit ${PIPESTATUS[0]}')
+    assert (done.returncode, done.stdout, done.stderr) == (141, "", "")
+    assert run(folder, STUDY).returncode == 0
+
+
+def test_few_open_files_are_enough(folder: Path) -> None:
+    assert run(folder, STUDY, 'ulimit -n 16; exec "$@"').returncode == 0
+
+
+def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> None:
+    tool = [sys.executable, ROOT / "tools" / "study.py", *STUDY[1:]]
+    done = subprocess.run(
+        ["bash", "-c", 'ulimit -v 400000; exec "$@"', "bash", *map(str, tool)],
+        cwd=folder, capture_output=True, text=True, timeout=WAIT_S,
+    )  # fmt: skip
+    line = "error: ulimit -v: 400000 cannot be used; allowed: 3145728 or more, or unlimited\n"
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
+    assert [path.name for path in folder.iterdir()] == ["toy.toml"]
+
+
+@pytest.mark.parametrize("command", [STUDY, COMPARE])
+def test_files_that_may_not_grow_are_one_line_and_it_resumes(
+    folder: Path, command: tuple[object, ...]
+) -> None:
+    done = run(folder, command, 'ulimit -f 8; exec "$@"')
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert done.stderr.splitlines()[-1].startswith("error: ")
+    assert not list(folder.rglob("*.tmp*")) and not list(folder.rglob("*.parquet"))
+    assert run(folder, command).returncode == 0
+
+
+def test_no_time_left_is_the_shells_signal_and_it_resumes(
+    folder: Path, undisturbed: list[dict[str, float]]
+) -> None:
+    """A second is gone with the imports, or soon after them."""
+    done = run(folder, STUDY, 'ulimit -t 1; exec "$@"')
+    assert done.returncode in (-signal.SIGXCPU, -signal.SIGKILL)
+    assert run(folder, STUDY).returncode == 0
+    assert trials(folder) == undisturbed
+
+
+def without_the_rights_of_root() -> list[str]:
+    """What makes a process obey the modes of files, whoever runs the tests."""
+    if os.getuid() != 0:
+        return []
+    if shutil.which("setpriv") is None:
+        pytest.skip("root may write everywhere, and there is no setpriv to change that")
+    return ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]
+
+
+@pytest.mark.parametrize("command", [STUDY, COMPARE, ("walk", "--out", "out")])
+def test_a_folder_that_may_not_be_written_is_one_line_and_nothing_is_left(
+    folder: Path, command: tuple[object, ...]
+) -> None:
+    prefix = without_the_rights_of_root()
+    folder.chmod(0o555)
+    try:
+        done = subprocess.run(
+            [*prefix, *words(command)], cwd=folder, capture_output=True, text=True, timeout=WAIT_S
+        )
+    finally:
+        folder.chmod(0o755)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.startswith(("error: out: ", "error: storage: "))
+    assert [path.name for path in folder.iterdir()] == ["toy.toml"]
+
+
+def test_a_stopped_process_keeps_its_study_and_goes_on(
+    folder: Path, undisturbed: list[dict[str, float]]
+) -> None:
+    environment = os.environ | {"FAKE_TRIAL_S": "0.2"}
+    with subprocess.Popen(
+        words(STUDY), cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stderr is not None
+        process.stderr.readline()  # of the first trial
+        process.send_signal(signal.SIGSTOP)
+        second = run(folder, STUDY)
+        process.send_signal(signal.SIGCONT)
+        assert process.wait(WAIT_S) == 0
+    assert second.returncode == 2 and second.stderr.count("\n") == 1
+    assert second.stderr.startswith("error: study: 'toy/dog/run-000'")
+    assert trials(folder) == undisturbed
+
+
+def test_a_stopped_process_keeps_its_folder_and_goes_on(folder: Path) -> None:
+    environment = os.environ | {"FAKE_TRIAL_S": "0.2"}
+    with subprocess.Popen(
+        words(COMPARE),
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    ) as process:
+        assert process.stderr is not None
+        process.stderr.read(1)  # of the bar: the folder is held
+        process.send_signal(signal.SIGSTOP)
+        second = run(folder, COMPARE)
+        process.send_signal(signal.SIGCONT)
+        assert process.wait(WAIT_S) == 0
+    assert second.returncode == 2 and "a folder that no other process is filling" in second.stderr
+    table = (folder / "out" / "trials.parquet").read_bytes()
+    shutil.rmtree(folder / "out")
+    assert run(folder, COMPARE).returncode == 0
+    assert (folder / "out" / "trials.parquet").read_bytes() == table
