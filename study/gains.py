@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from optuna.trial import TrialState
 
-from storage.databases.studies import open_studies, shown_url, storage_errors, studies_path
+from storage.databases.studies import read_studies, shown_url, studies_path
 from storage.databases.urls import SQLITE
 from storage.shard import read_columns
 from storage.store import open_store
@@ -25,6 +25,7 @@ from taichi_nmm.parameters import (
     check_gains,
     load_all_gains,
 )
+from taichi_nmm.reading import is_folder
 
 TRIAL_FORM = "EXPERIMENT/ARM/run-NNN/NUMBER, such as rough8-smooth/dog/run-007/12"
 
@@ -88,7 +89,7 @@ def gains_of_trial(trial: str, where: str) -> NamedGains:
     study, _, number = trial.rpartition("/")
     if not study or not number.isdecimal():
         raise InputError("trial", trial, TRIAL_FORM)
-    if Path(where).is_dir():
+    if is_folder(where):
         values = _of_folder(Path(where), trial)
     else:
         values = _of_database(where, study, int(number))
@@ -118,9 +119,8 @@ def _of_database(url: str, name: str, number: int) -> dict[str, Any]:
     shown = shown_url(url)  # refuses what is no such URL
     if url.startswith(SQLITE) and not studies_path(url).is_file():
         raise InputError("storage", shown, "a database that is there, or a comparison's folder")
-    with storage_errors(url):
-        storage = open_studies(url)
-        if name not in optuna.get_all_study_names(storage):
+    with read_studies(url) as storage:
+        if storage is None or name not in optuna.get_all_study_names(storage):
             raise InputError("trial", f"{name}/{number}", f"a study of {shown}")
         trials = optuna.load_study(study_name=name, storage=storage).get_trials(deepcopy=False)
     if number >= len(trials) or trials[number].state is not TrialState.COMPLETE:

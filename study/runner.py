@@ -26,6 +26,7 @@ from study.experiment.live_study import LiveStudy
 from study.experiment.objective import attributes, costs, finite
 from study.experiment.simulation import simulate_trials
 from study.experiment.worth_note import note_worth
+from study.experiment.written_trials import require_written
 from taichi_nmm.errors import InputError
 
 Report = Callable[[optuna.Study, FrozenTrial], None]
@@ -120,9 +121,10 @@ def _check_study(
     if name not in optuna.get_all_study_names(storage):
         return name, identity
     study = optuna.load_study(study_name=name, storage=storage)
+    trials = study.get_trials(deepcopy=False)  # read before anything is written
     known = study.user_attrs.get(LIVE_ATTRIBUTE)
     if known is None:
-        if study.get_trials(deepcopy=False):
+        if trials:
             raise InputError("study", name, "a name that no study of another program has")
     elif not isinstance(known, dict):  # the experiment's name
         allowed = "another --storage: this study is of a comparison, which goes on by itself"
@@ -131,6 +133,7 @@ def _check_study(
         field, ours, theirs = found
         allowed = f"{theirs!r}, with which it was made; or another name, or another database"
         raise InputError(f"study {name}: {field}", ours, allowed)
+    require_written(study, experiment)
     return name, identity
 
 

@@ -3,6 +3,8 @@
 import tomllib
 from pathlib import Path
 
+from taichi_nmm.reading import is_file
+
 INSTALLED = Path(__file__).resolve().parent / "configs"  # where a wheel has them
 CONFIGS = INSTALLED if INSTALLED.is_dir() else INSTALLED.parents[1] / "configs"
 
@@ -14,7 +16,7 @@ def config_path(name: str | Path) -> Path:
     """
     shipped = CONFIGS / f"{name}.toml"
     is_word = Path(name).name == str(name)
-    return shipped if is_word and shipped.is_file() else Path(name)
+    return shipped if is_word and is_file(shipped) else Path(name)
 
 
 def shipped_configs(stores: bool) -> dict[str, str]:

@@ -15,7 +15,7 @@ import optuna
 from tqdm import tqdm
 
 import taichi_nmm
-from storage.commit import commit_json
+from storage.commit import commit_json, require_folder
 from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.precompute import precompute
 from storage.specification import read_specification
@@ -120,6 +120,7 @@ def main() -> None:
     stores = dict.fromkeys(STORES, out / "store")
     experiment = replace(read_experiment(config_path(CONFIG)), stores=stores)
     require_engine(experiment.conditions.settings)
+    require_folder(out)
     make_store(out / "store")
     url = f"sqlite:///{out / 'studies.db'}"
     ground, duration_s = experiment.terrain(RUN).name, experiment.conditions.duration_s

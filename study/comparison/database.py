@@ -11,7 +11,13 @@ from optuna.storages import RDBStorage
 from optuna.trial import FrozenTrial, create_trial
 
 from storage.databases.bulk import FinishedStudy, study_attributes, trial_counts, write_studies
-from storage.databases.studies import open_studies, read_studies, shown_url, storage_errors
+from storage.databases.studies import (
+    open_studies,
+    read_errors,
+    read_studies,
+    shown_url,
+    storage_errors,
+)
 from study.comparison.results import as_if_gone_on, by_study
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.identity import LIVE_ATTRIBUTE, fingerprint
@@ -63,7 +69,7 @@ def export(
             write_studies(storage, _new_studies(experiment, trials, counts))
             if summarise is not None:
                 shown = as_if_gone_on(trials) if experiment.until_walker else trials
-                _show(experiment, storage, summarise(experiment.name, shown, final))
+                _show(experiment, storage, url, summarise(experiment.name, shown, final))
     finally:
         storage.engine.dispose()
 
@@ -125,14 +131,16 @@ def _trial(space: Mapping[str, FloatDistribution], row: Mapping[str, Any]) -> Fr
     )
 
 
-def _show(experiment: Experiment, storage: RDBStorage, summary: Summary) -> None:
+def _show(experiment: Experiment, storage: RDBStorage, url: str, summary: Summary) -> None:
     """The study that says how the arms compare: a note with a table, and a figure."""
     from optuna_dashboard import save_note, save_plotly_graph_object  # a second, once a minute
 
     study = optuna.create_study(
         storage=storage, study_name=f"{experiment.name}/summary", load_if_exists=True
     )
-    if CONFIG_ATTRIBUTE not in study.user_attrs:
+    with read_errors(url):
+        known = study.user_attrs
+    if CONFIG_ATTRIBUTE not in known:
         study.set_user_attr(CONFIG_ATTRIBUTE, fingerprint(experiment))
     save_note(study, summary.note)
     # The dashboard asks of a figure only that it turns into JSON: plotly itself is not needed.
