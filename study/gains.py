@@ -25,7 +25,7 @@ from taichi_nmm.parameters import (
     check_gains,
     load_all_gains,
 )
-from taichi_nmm.reading import is_folder
+from taichi_nmm.reading import is_folder, reading
 
 TRIAL_FORM = "EXPERIMENT/ARM/run-NNN/NUMBER, such as rough8-smooth/dog/run-007/12"
 
@@ -107,8 +107,9 @@ def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
             "experiment": named[0], "arm": named[1], "run": int(run.removeprefix("run-")),
             "trial": int(number),
         }  # fmt: skip
-        for name, value in wanted.items():  # as text: a number may be too large for Arrow
-            table = table.filter(pc.equal(table[name].cast("string"), str(value)))
+        with reading("storage", path, "a comparison's table of trials"):
+            for name, value in wanted.items():  # as text: a number may be too large for Arrow
+                table = table.filter(pc.equal(table[name].cast("string"), str(value)))
         if len(table):
             row: dict[str, Any] = table.to_pylist()[0]
             return row
