@@ -135,10 +135,10 @@ def _show(experiment: Experiment, storage: RDBStorage, url: str, summary: Summar
     """The study that says how the arms compare: a note with a table, and a figure."""
     from optuna_dashboard import save_note, save_plotly_graph_object  # a second, once a minute
 
-    study = optuna.create_study(
-        storage=storage, study_name=f"{experiment.name}/summary", load_if_exists=True
-    )
     with read_errors(url):
+        study = optuna.create_study(
+            storage=storage, study_name=f"{experiment.name}/summary", load_if_exists=True
+        )
         known = study.user_attrs
     if CONFIG_ATTRIBUTE not in known:
         study.set_user_attr(CONFIG_ATTRIBUTE, fingerprint(experiment))

@@ -8,7 +8,6 @@ from study.experiment.one_study import sampler_seed
 from study.experiment.task import Task
 from study.sampler.feature_sampler import FeatureKernelSampler
 from study.sampler.worth import TITLE, Worth
-from taichi_nmm.errors import InputError
 
 
 def worth_of_study(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> Worth | None:
@@ -29,9 +28,6 @@ def note_worth(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) 
         return
     from optuna_dashboard import get_note, save_note  # a second, which other studies need not spend
 
-    try:
-        known, note = get_note(study), worth.markdown()
-    except TypeError:  # its parts are attributes, which anybody may have edited
-        raise InputError(f"study {study.study_name}: note", "damaged", "a note of texts") from None
+    known, note = get_note(study), worth.markdown()
     if note != known and (not known or known.startswith(f"## {TITLE}")):
         save_note(study, note)

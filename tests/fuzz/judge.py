@@ -21,7 +21,8 @@ from study.guard import EXIT_BAD_INPUT
 ACCEPTED, REFUSED = 0, EXIT_BAD_INPUT
 LINE = re.compile(r"error: \S.*: .*\S", re.DOTALL)
 OF_ARGPARSE = re.compile(r"error: (unrecognized arguments|the following arguments are required): ")
-PROGRESS = re.compile(r"^dog: \d+ of \d+ trials\n")  # of optimum; what comes next repeats it all
+# Of optimum and compare, of which the end of the work looks at what the beginning could not.
+PROGRESS = re.compile(r"^(dog: \d+ of \d+ trials|(\r[^\r\n]*trial/s[^\r\n]*)+)\n")
 LONGEST_LINE = 2000  # characters; a path may have hundreds
 PICTURES = {"png": b"\x89PNG IEND\xaeB`\x82", "svg": b"<svg></svg>"}
 

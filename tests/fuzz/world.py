@@ -21,9 +21,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import taichi_nmm
-from storage.shard import FOOTER_KEY
+from storage.shard import FOOTER_KEY, write_table
 from storage.stamped import DIGEST_KEY, write_stamped
 from study.commands import run_named
+from study.comparison.results import TIME_COLUMNS, in_order
 from study.shipped import CONFIGS
 from tests.study import fake_walker
 
@@ -180,7 +181,9 @@ def settle(folder: Path) -> None:
         same = pa.array([0.001] * len(table))
         write_stamped(path, table.set_column(place, table.schema.field(place), same), footer)
     for path in folder.rglob("proposal_times.parquet"):
-        path.unlink()
+        arms = [pq.read_table(arm) for arm in sorted(path.parent.glob("arms/*.parquet"))]
+        footer = json.loads(pq.read_schema(path).metadata[FOOTER_KEY])
+        write_table(path, in_order(arms).select(TIME_COLUMNS), footer)
     for path in folder.rglob("run.json"):
         document = json.loads(path.read_text())
         for session in document["sessions"]:

@@ -113,6 +113,9 @@ def test_a_comparisons_studies_are_looked_at_too(
 
 
 def test_a_damaged_note_is_one_line(toy: Experiment, url: str, tmp_path: Path) -> None:
-    edit(url, "UPDATE study_system_attributes SET value_json = '[[]]' WHERE key LIKE 'dash%'")
-    with pytest.raises(InputError, match="study toy/dog/run-000: note: 'damaged'"):
-        run_study(toy, find_arm("dog"), 0, 2, open_studies(url))
+    before = edit(
+        url, "UPDATE study_system_attributes SET value_json = '[[]]' WHERE key LIKE 'dash%'"
+    )
+    with pytest.raises(InputError, match=r"study toy/dog/run-000: note: \[\[\]\]"):
+        check_study(toy, find_arm("dog"), 0, url, tmp_path / "out")
+    assert edit(url) == before
