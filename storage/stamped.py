@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 from storage.document import differs
 from storage.shard import footer_of, read_columns, write_table
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import reading
 
 DIGEST_KEY = "content_sha256"  # in the footer; folders of before it existed have none, and go on
 
@@ -56,7 +57,9 @@ def read_stamped(path: Path, document: dict[str, Any], growing: tuple[str, ...] 
             f"a file of this folder, whose {name} is {ours!r}; in the file's footer: {theirs!r}"
         )
         raise InputError("out", str(path), allowed)
-    if digest not in (None, table_digest(table)):
+    with reading("out", path, "columns of strings, numbers and flags, none missing"):
+        own = table_digest(table)
+    if digest not in (None, own):
         allowed = "the file as it was written; its content does not fit the digest in its footer"
         raise InputError("out", str(path), allowed)
     return table

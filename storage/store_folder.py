@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from storage.chosen import REPERTOIRE_NAME, RepertoireFile
 from storage.claim import claimed, remove
-from storage.document import FORMAT, agree
+from storage.document import FORMAT, agree, document_hash
 from storage.generation_files import GENERATION_PATTERN, GenerationFiles
 from storage.manifest import MANIFEST_NAME, Manifest
 from storage.schema import columns_of
@@ -124,6 +124,7 @@ class StoreFolder:
         except InputError:
             return False
         expected = self._expected_footer(number).items() <= footer.items()
+        expected &= document_hash(footer["specification"]) == self.specification.hash
         same_columns = columns_of(schema) == self.specification.document["columns"]
         return expected and same_columns and known_hashes.get(path.name) in (None, file_hash(path))
 

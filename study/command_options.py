@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from study.shipped import config_path, shipped_configs
-from taichi_nmm.errors import InputError, one_line
+from taichi_nmm.errors import InputError, one_line, shortened
 
 MOST_WORKERS = 1024  # processes; each takes hundreds of MB
 LARGEST_SEED = 2**63 - 1  # as in configurations
@@ -46,7 +46,7 @@ class Options(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """One line, as for all bad input."""
-        self.exit(2, f"error: {one_line(message)}\n")
+        self.exit(2, f"error: {one_line(shortened(message))}\n")
 
     def whole(self, flag: str, low: int, high: int, **options: Any) -> None:
         """A whole number from `low` to `high`; further options are argparse's."""

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from optuna.trial import TrialState
 
-from storage.databases.studies import open_studies, shown_url, storage_errors, studies_path
+from storage.databases.studies import read_studies, shown_url, studies_path
 from storage.databases.urls import SQLITE
 from storage.shard import read_columns
 from storage.store import open_store
@@ -25,7 +25,7 @@ from taichi_nmm.parameters import (
     check_gains,
     load_all_gains,
 )
-from taichi_nmm.reading import is_folder
+from taichi_nmm.reading import is_folder, reading
 
 LONGEST_NUMBER = 100  # digits; Python refuses to read thousands
 TRIAL_FORM = "EXPERIMENT/ARM/run-NNN/NUMBER, such as rough8-smooth/dog/run-007/12"
@@ -108,8 +108,9 @@ def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
             "experiment": named[0], "arm": named[1], "run": int(run.removeprefix("run-")),
             "trial": int(number),
         }  # fmt: skip
-        for name, value in wanted.items():  # as text: a number may be too large for Arrow
-            table = table.filter(pc.equal(table[name].cast("string"), str(value)))
+        with reading("storage", path, "a comparison's table of trials"):
+            for name, value in wanted.items():  # as text: a number may be too large for Arrow
+                table = table.filter(pc.equal(table[name].cast("string"), str(value)))
         if len(table):
             row: dict[str, Any] = table.to_pylist()[0]
             return row
@@ -120,9 +121,8 @@ def _of_database(url: str, name: str, number: int) -> dict[str, Any]:
     shown = shown_url(url)  # refuses what is no such URL
     if url.startswith(SQLITE) and not studies_path(url).is_file():
         raise InputError("storage", shown, "a database that is there, or a comparison's folder")
-    with storage_errors(url):
-        storage = open_studies(url)
-        if name not in optuna.get_all_study_names(storage):
+    with read_studies(url) as storage:
+        if storage is None or name not in optuna.get_all_study_names(storage):
             raise InputError("trial", f"{name}/{number}", f"a study of {shown}")
         trials = optuna.load_study(study_name=name, storage=storage).get_trials(deepcopy=False)
     if number >= len(trials) or trials[number].state is not TrialState.COMPLETE:

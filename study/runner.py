@@ -26,7 +26,10 @@ from study.experiment.live_study import LiveStudy
 from study.experiment.objective import attributes, costs, finite, metric_name
 from study.experiment.simulation import simulate_trials
 from study.experiment.worth_note import note_worth
+from study.experiment.written_trials import require_written
 from taichi_nmm.errors import InputError
+
+NOTE_PREFIX = "dashboard:note_str"  # optuna-dashboard's, of the parts of a note
 
 Report = Callable[[optuna.Study, FrozenTrial], None]
 
@@ -121,9 +124,10 @@ def _check_study(
     if name not in optuna.get_all_study_names(storage):
         return name, identity
     study = optuna.load_study(study_name=name, storage=storage)
+    trials = study.get_trials(deepcopy=False)  # read before anything is written
     known = study.user_attrs.get(LIVE_ATTRIBUTE)
     if known is None:
-        if study.get_trials(deepcopy=False):
+        if trials:
             raise InputError("study", name, "a name that no study of another program has")
     elif not isinstance(known, dict):  # the experiment's name
         allowed = "another --storage: this study is of a comparison, which goes on by itself"
@@ -132,7 +136,16 @@ def _check_study(
         field, ours, theirs = found
         allowed = f"{theirs!r}, with which it was made; or another name, or another database"
         raise InputError(f"study {name}: {field}", ours, allowed)
+    require_written(study, experiment)
+    _require_note(name, storage)
     return name, identity
+
+
+def _require_note(name: str, storage: BaseStorage) -> None:
+    """Refuse a note of the dashboard's that is no text: it is renewed when the study has ended."""
+    for key, value in storage.get_study_system_attrs(storage.get_study_id_from_name(name)).items():
+        if key.startswith(NOTE_PREFIX) and not isinstance(value, str):
+            raise InputError(f"study {name}: note", value, "a text")
 
 
 def _refuse_older(old: str, new: str, storage: BaseStorage) -> None:

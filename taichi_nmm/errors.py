@@ -1,6 +1,7 @@
 """The one exception a user of this project is meant to meet."""
 
 LONGEST_VALUE = 400  # characters of a value that are shown; a path may have more
+LONGEST_ALLOWED = 1200  # of what is allowed: a list of all names that there are
 
 
 class InputError(ValueError):
@@ -13,7 +14,8 @@ class InputError(ValueError):
         self.field = field
         self.value = value
         self.allowed = allowed
-        super().__init__(one_line(f"{field}: {_shown(value)} cannot be used; allowed: {allowed}"))
+        said = f"{shortened(field)}: {_shown(value)} cannot be used; allowed: "
+        super().__init__(one_line(said + shortened(allowed, LONGEST_ALLOWED)))
 
     def __reduce__(self) -> tuple[type, tuple[str, object, str]]:
         """What it is made of again, so that it can pass from one process to another."""
@@ -21,17 +23,22 @@ class InputError(ValueError):
 
 
 def _shown(value: object) -> str:
-    """A value as Python writes it, a long one without its middle."""
+    """A value as Python writes it, shortened."""
     try:
         text = repr(value)
     except Exception:  # thousands of digits or brackets; or an object whose own words fail
         return f"<{type(value).__name__}>"
-    if len(text) <= LONGEST_VALUE:
+    return shortened(text)
+
+
+def shortened(text: str, longest: int = LONGEST_VALUE) -> str:
+    """A text, a long one without its middle."""
+    if len(text) <= longest:
         return text
-    half = LONGEST_VALUE // 2
+    half = longest // 2
     return f"{text[:half]}...{text[-half:]}"
 
 
 def one_line(text: str) -> str:
-    """The text with everything escaped that a terminal would not print as it is."""
+    """A text with everything escaped that a terminal would not print as it is."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

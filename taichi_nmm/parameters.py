@@ -130,7 +130,7 @@ def check_gains(
 
 
 def _within_bounds(value: Any, parameter: Parameter, field: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if not checks.is_number(value):
         raise InputError(field, value, "a number")
     if isinstance(value, float) and not math.isfinite(value):
         raise InputError(field, value, "a finite number")

@@ -8,7 +8,7 @@ within `reading`: this package knows nothing of them.
 import json
 import stat
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -95,8 +95,17 @@ def parse_json(text: str | bytes) -> dict[str, Any]:
 
 def is_folder(path: str | Path) -> bool:
     """Whether it is a folder; a name that no file can have, or may be asked for, is none."""
+    return _holds(Path.is_dir, path)
+
+
+def is_file(path: str | Path) -> bool:
+    """The same of a regular file."""
+    return _holds(Path.is_file, path)
+
+
+def _holds(question: Callable[[Path], bool], path: str | Path) -> bool:
     try:
-        return Path(path).is_dir()
+        return question(Path(path))
     except (OSError, ValueError):
         return False
 

@@ -3,12 +3,12 @@
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from json import JSONDecodeError
 from pathlib import Path
 from sqlite3 import Connection, connect
 from typing import Any
 from urllib.parse import quote
 
+import optuna
 import sqlalchemy as sql
 from optuna.storages import RDBStorage
 from sqlalchemy.exc import SQLAlchemyError
@@ -18,6 +18,7 @@ from storage.databases.schema_version import TABLES
 from taichi_nmm.errors import InputError
 
 REVISION_TABLE = "alembic_version"
+OWNED = ("study_directions", "study_user_attributes", "study_system_attributes", "trials")
 COUNTED = ("studies", "version_info", REVISION_TABLE)  # the last two have a row, which Optuna adds
 
 
@@ -25,31 +26,41 @@ COUNTED = ("studies", "version_info", REVISION_TABLE)  # the last two have a row
 def looked_at(url: str, shown: str, options: dict[str, Any]) -> Iterator[RDBStorage | None]:
     """The studies of a database, to be read; None where it has no tables.
 
+    What the block raises is the database's fault, in one line: Optuna, which believes it, raises
+    whatever it meets in there.
+
     Args:
         url: of the database.
         shown: what it is called in messages.
         options: of SQLAlchemy's engine; with them nothing can be written.
 
     Raises:
-        InputError: not to be read, with values that are not JSON, somebody else's, or an Optuna
-            schema of another version.
+        InputError: not to be read, somebody else's, an Optuna schema of another version, or the
+            block raised.
     """
     storage = None
     try:
         engine = sql.create_engine(url, **options)
         try:
             empty = _is_empty(engine, shown)
+            if not empty:
+                _require_owned(engine, shown)
         finally:
             engine.dispose()
         if not empty:
             storage = RDBStorage(url, engine_kwargs=dict(options), skip_table_creation=True)
     except (SQLAlchemyError, RuntimeError) as error:
         raise unusable(shown, error) from None
+    said = optuna.logging.get_verbosity()
+    optuna.logging.set_verbosity(optuna.logging.ERROR)  # what it thinks of a damaged value
     try:
         yield storage
-    except (SQLAlchemyError, JSONDecodeError) as error:
+    except InputError:
+        raise
+    except Exception as error:
         raise unusable(shown, error) from None
     finally:
+        optuna.logging.set_verbosity(said)
         if storage is not None:
             storage.engine.dispose()
 
@@ -60,17 +71,31 @@ def _is_empty(engine: sql.Engine, shown: str) -> bool:
     These a killed process may have left, and Optuna finishes them. What is of another program is
     refused.
     """
-    names = set(sql.inspect(engine).get_table_names())
-    if not names:
+    columns = {
+        name: {column["name"] for column in listed}
+        for (_, name), listed in sql.inspect(engine).get_multi_columns().items()
+    }
+    if not columns:
         return True
-    complete = names.issuperset(TABLES)
+    complete = all(columns.get(name, set()) >= known for name, known in TABLES.items())
     with engine.connect() as connection:
-        rows = {name: _count(connection, name) for name in COUNTED if complete and name in names}
+        rows = {name: _count(connection, name) for name in COUNTED if complete and name in columns}
     complete &= REVISION_TABLE in rows and rows["version_info"] == rows[REVISION_TABLE] == 1
     empty = not complete and rows.get("studies") == 0 and max(rows.values()) <= 1
     if not (complete or empty):
         raise InputError("storage", shown, "an Optuna database, or an empty one, or a new file")
     return empty
+
+
+def _require_owned(engine: sql.Engine, shown: str) -> None:
+    """Refuse what belongs to a study that is gone: Optuna would give it to the next one."""
+    with engine.connect() as connection:
+        known = {row[0] for row in connection.execute(sql.text("SELECT study_id FROM studies"))}
+        for name in OWNED:
+            query = sql.text(f"SELECT DISTINCT study_id FROM {name}")
+            if not {row[0] for row in connection.execute(query)} <= known:
+                allowed = f"a database without rows in {name} of a study that is not there"
+                raise InputError("storage", shown, allowed)
 
 
 def _count(connection: sql.Connection, table: str) -> int:

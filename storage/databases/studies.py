@@ -8,6 +8,7 @@ may lose the last transactions, never the file.
 import fcntl
 import os
 import sqlite3
+import stat
 import warnings
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
@@ -103,8 +104,8 @@ def studies_path(url: str) -> Path:
     if name == url or not name or "?" in name:
         raise InputError("storage", shown, FORMS)
     path = Path(sql.make_url(url).database or "")  # which undoes %20 and its like
-    with writable(Path(shown.removeprefix(URL_PREFIX)), "storage"):
-        if path.exists() and not path.is_file():
+    with writable(Path(shown.removeprefix(URL_PREFIX)), "storage"), suppress(FileNotFoundError):
+        if not stat.S_ISREG(path.stat().st_mode):
             raise InputError("storage", shown.removeprefix(URL_PREFIX), "a file, not a folder")
     return path
 
@@ -115,6 +116,17 @@ def storage_errors(url: str) -> Iterator[None]:
     try:
         yield
     except (SQLAlchemyError, StorageInternalError, JSONDecodeError) as error:
+        raise unusable(shown_url(url), error) from None
+
+
+@contextmanager
+def read_errors(url: str) -> Iterator[None]:
+    """The same for a block that only has Optuna read: it raises whatever it meets in a database."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
         raise unusable(shown_url(url), error) from None
 
 

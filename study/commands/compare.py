@@ -21,6 +21,7 @@ from study.command_options import LARGEST_SEED, Options
 from study.comparison.compare import Outcome, Request, compare
 from study.comparison.finished import Progress
 from study.experiment.experiment import MOST_RUNS, MOST_TRIALS, Experiment, read_experiment
+from study.report.documents import read_facts
 from study.report.lines import arms_documents, arms_text
 from study.report.notes import dashboard_summary
 from study.report.numbers import numbers
@@ -92,6 +93,7 @@ def main() -> None:
     experiment = read_experiment(args.config, args.arch, args.seed)
     name = experiment.name if args.seed is None else f"{experiment.name}-seed-{args.seed}"
     out = args.out or Path("out") / "compare" / name
+    read_facts(out)  # what the report at the end will want to know
     arms = tuple(args.arms.split(",")) if args.arms is not None else None
     settings = experiment.conditions.settings
     workers = default_workers(settings) if args.workers is None else args.workers

@@ -26,6 +26,7 @@ from study.comparison.experiment_folder import ARTIFACTS_NAME, DATABASE_NAME
 from study.dashboard_guard import guarded_dashboard
 from study.experiment.experiment import SUMMARY
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import is_file, is_folder
 
 EXPERIMENTS = Path("out") / "compare"
 HOST = "127.0.0.1"  # the dashboard asks nobody who they are
@@ -61,7 +62,7 @@ def find_database(folder: Path | None, storage: str | None) -> str:
     """URL of the database that is meant; one that is not there is refused, not made."""
     if storage is None:
         folder = folder or newest()
-        if not (folder / DATABASE_NAME).is_file():
+        if not is_file(folder / DATABASE_NAME):
             raise InputError("folder", str(folder), f"an experiment's folder, with {DATABASE_NAME}")
         return file_url(folder / DATABASE_NAME)
     shown = shown_url(storage)  # refuses what is no such URL
@@ -81,7 +82,7 @@ def newest() -> Path:
 def find_artifacts(folder: Path | None, url: str, artifacts: Path | None) -> Path | None:
     """The folder of pictures and films; None where an experiment has none yet."""
     if artifacts is not None:
-        if not artifacts.is_dir():
+        if not is_folder(artifacts):
             raise InputError("artifacts", str(artifacts), "a folder that is there")
         return artifacts
     if folder is None and url.startswith(SQLITE):

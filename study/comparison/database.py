@@ -20,6 +20,7 @@ from storage.databases.bulk import (
 from storage.databases.studies import (
     name_metric,
     open_studies,
+    read_errors,
     read_studies,
     shown_url,
     storage_errors,
@@ -77,7 +78,7 @@ def export(
             if summarise is not None:
                 shown = as_if_gone_on(trials) if experiment.until_walker else trials
                 summary = summarise(experiment.name, shown, final, study_ids(storage))
-                _show(experiment, storage, summary)
+                _show(experiment, storage, url, summary)
     finally:
         storage.engine.dispose()
 
@@ -140,15 +141,17 @@ def _trial(space: Mapping[str, FloatDistribution], row: Mapping[str, Any]) -> Fr
     )
 
 
-def _show(experiment: Experiment, storage: RDBStorage, summary: Summary) -> None:
+def _show(experiment: Experiment, storage: RDBStorage, url: str, summary: Summary) -> None:
     """The study that says how the arms compare: a note with a table, and a figure."""
     from optuna_dashboard import save_note, save_plotly_graph_object  # a second, once a minute
 
-    study = optuna.create_study(
-        storage=storage, study_name=summary_name(experiment.name), load_if_exists=True
-    )
-    name_metric(study, metric_name(experiment.cost))
-    if CONFIG_ATTRIBUTE not in study.user_attrs:
+    with read_errors(url):
+        study = optuna.create_study(
+            storage=storage, study_name=summary_name(experiment.name), load_if_exists=True
+        )
+        name_metric(study, metric_name(experiment.cost))
+        known = study.user_attrs
+    if CONFIG_ATTRIBUTE not in known:
         study.set_user_attr(CONFIG_ATTRIBUTE, fingerprint(experiment))
     save_note(study, summary.note)
     # The dashboard asks of a figure only that it turns into JSON: plotly itself is not needed.

@@ -5,10 +5,11 @@ from collections.abc import Iterable, Sequence
 import optuna
 
 from storage.databases.bulk import trial_counts
-from storage.databases.studies import open_studies, storage_errors
+from storage.databases.studies import open_studies, read_errors, storage_errors
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.worth_note import note_worth
+from study.experiment.written_trials import require_written
 
 
 def note_worths(
@@ -41,7 +42,10 @@ def note_worths(
                     name = study_name(experiment.name, arm.name, run)
                     if not counts.get(name):
                         continue
-                    study = optuna.load_study(study_name=name, storage=storage)
+                    with read_errors(url):
+                        study = optuna.load_study(study_name=name, storage=storage)
+                        study.get_trials(deepcopy=False)
+                    require_written(study, experiment)
                     if renew or not get_note(study):
                         note_worth(experiment, arm, run, study)
     finally:

@@ -69,6 +69,7 @@ def estimate(
     require_engine(experiment.conditions.settings)
     began_s = time.monotonic()
     with OptimumFolder.claim(out, _document(experiment)) as folder, local_pool(workers) as pool:
+        folder.read_evaluations()  # refused, if at all, before the work
         request = Request(out / DOG_NAME, arms=(PAPER_ARM,), runs=count, artifacts=False)
         dog = compare(experiment, request, reports.dog, pool=pool).trials
         tried, stops = run_cmaes(experiment, count, folder, pool, reports.cmaes)

@@ -8,7 +8,7 @@ from typing import Any
 from study.comparison.experiment_folder import EXPERIMENT_NAME, RUN_NAME
 from study.experiment.objective import COST_FUNCTIONS
 from taichi_nmm.errors import InputError
-from taichi_nmm.reading import json_document
+from taichi_nmm.reading import is_folder, json_document
 
 LARGEST_NUMBER = 1e15  # of seconds or trials
 
@@ -72,13 +72,22 @@ def read_facts(folder: Path) -> dict[str, Any]:
         InputError: one cannot be read, or a part of it is of another form; naming it.
     """
     facts: dict[str, Any] = {}
+    if not is_folder(folder):
+        return facts
     for name, form in FORM.items():
         document = read_document(folder / name)
         _require(document, form, name)
-        facts |= document
+        facts |= without_nulls(document)
     for number, session in enumerate(facts.get("sessions", [])):
         _require(session, SESSION, f"{RUN_NAME}: sessions[{number}]")
     return facts
+
+
+def without_nulls(value: Any) -> Any:
+    """A JSON value without what is null in its objects: it says as much as if it were not there."""
+    if isinstance(value, dict):
+        return {key: without_nulls(part) for key, part in value.items() if part is not None}
+    return [without_nulls(part) for part in value] if isinstance(value, list) else value
 
 
 def _require(document: dict[str, Any], form: dict[str, Check], name: str) -> None:

@@ -7,6 +7,7 @@ from study.optimum.optimum_folder import OPTIMUM_NAME
 from study.report.documents import is_number, read_document
 from study.report.runs import Results
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import is_file
 
 
 def find_optimum(results: Results, given: Sequence[Path]) -> float | None:
@@ -16,7 +17,7 @@ def find_optimum(results: Results, given: Sequence[Path]) -> float | None:
         InputError: a document that was given is missing, or none of tools/optimum.py.
     """
     for path in given:
-        if not path.is_file():
+        if not is_file(path):
             raise InputError("optimum", str(path), f"an {OPTIMUM_NAME} that exists")
     for path in (*given, results.folder / OPTIMUM_NAME):
         document = read_document(path)

@@ -13,7 +13,7 @@ from study.comparison.experiment_folder import ARMS_NAME, RESULTS_NAME
 from study.experiment.experiment import NAME_PATTERN
 from study.report.documents import LARGEST_NUMBER
 from taichi_nmm.errors import InputError
-from taichi_nmm.reading import reading
+from taichi_nmm.reading import is_folder, reading
 
 Kind = tuple[Callable[[pa.DataType], bool], str]
 
@@ -65,7 +65,7 @@ def table_files(folder: Path) -> list[Path]:
     Raises:
         InputError: no such folder.
     """
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise InputError("folder", str(folder), "the output folder of tools/compare.py")
     final = folder / RESULTS_NAME
     checkpoints = sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))

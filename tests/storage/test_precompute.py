@@ -152,6 +152,15 @@ def another_specification(file: Path) -> None:
     shutil.copy(other / file.name, file)
 
 
+def edited_specification(file: Path) -> None:
+    """Beside the hash of the one that it was."""
+    table = pq.read_table(file, partitioning=None)
+    footer = json.loads(table.schema.metadata[FOOTER_KEY])
+    footer["specification"]["gains"].pop("K_TA")
+    edited = table.replace_schema_metadata({FOOTER_KEY: json.dumps(footer)})
+    pq.write_table(edited, file, write_page_checksum=True)
+
+
 def wrong_hash(file: Path) -> None:
     table = pq.read_table(file, partitioning=None)
     pq.write_table(table, file, compression="snappy")  # the right rows, but not the bytes
@@ -159,7 +168,7 @@ def wrong_hash(file: Path) -> None:
 
 DAMAGE = [
     truncate, empty, foreign, foreign_columns, fewer_rows, another_shard, another_specification,
-    fake.flip_a_bit, wrong_hash, Path.unlink,
+    edited_specification, fake.flip_a_bit, wrong_hash, Path.unlink,
 ]  # fmt: skip
 
 

@@ -47,3 +47,12 @@ def test_a_digest_of_other_content(tmp_path: Path) -> None:
     write_table(tmp_path / "a.parquet", TABLE, FOLDER | {DIGEST_KEY: table_digest(TABLE.slice(1))})
     with pytest.raises(InputError, match="does not fit the digest"):
         read_stamped(tmp_path / "a.parquet", FOLDER)
+
+
+def test_a_column_that_has_no_digest(tmp_path: Path) -> None:
+    words = pa.DictionaryArray.from_arrays(
+        pa.array([None, None], pa.int32()), pa.array([], pa.string())
+    )
+    write_table(tmp_path / "a.parquet", pa.table({"arm": words}), FOLDER)
+    with pytest.raises(InputError, match=r"a\.parquet' .* columns of strings"):
+        read_stamped(tmp_path / "a.parquet", FOLDER)

@@ -188,3 +188,21 @@ def test_an_experiments_name_may_hold_dots(torso: Experiment, tmp_path: Path) ->
     compare(named, request, lambda progress: None)
     found = gains_of_trial("rough-8.5_b/random/run-000/0", str(tmp_path / "out"))
     assert found.name == "rough-8.5_b-random-run-000-0"
+
+
+@pytest.mark.parametrize("column", ["experiment", "trial"])
+def test_a_table_without_a_column(folder: Path, column: str) -> None:
+    path = folder / "trials.parquet"
+    pq.write_table(pq.read_table(path).drop_columns([column]), path)
+    with one_line(rf"storage: .*trials\.parquet.*{column}"):
+        gains_of_trial("toy/dog/run-001/1", str(folder))
+
+
+def test_a_database_that_gains_come_from_stays_as_it_is(torso: Experiment, tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path}/studies.db"
+    storage = open_studies(url)
+    run_study(torso, find_arm("random"), 0, 1, storage)
+    storage.engine.dispose()
+    before = {path.name: path.read_bytes() for path in tmp_path.glob("studies.db*")}
+    assert gains_of_trial("toy/random/run-000/0", url).name == "toy-random-run-000-0"
+    assert {path.name: path.read_bytes() for path in tmp_path.glob("studies.db*")} == before

@@ -105,6 +105,10 @@ def test_whole_numbers_beyond_any_float(tmp_path: Path, digits: int) -> None:
     path = tmp_path / "gains.json"
     path.write_text(gains.replace("3.874", "9" * digits))
     refused(DOORS["gains"], path)
+    torso = json.loads(gains) | {"theta_ref": 0.1}
+    path.write_text(json.dumps(torso).replace("0.1}", "9" * digits + "}"))
+    with pytest.raises(InputError):
+        load_all_gains(str(path))
     path.write_text(f"samples = {'9' * digits}\nduration_s = {'9' * digits}")
     with pytest.raises(InputError):
         read_toml(path).number("duration_s")

@@ -105,6 +105,20 @@ def test_another_seed_has_a_folder_of_its_own(command: Command) -> None:
     assert pq.read_metadata(out / "trials.parquet").num_rows == 3
 
 
+def test_sessions_that_cannot_be_read_are_refused_before_the_work(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The table at the end is made of them, too."""
+    assert command.run(trials=1, arms="random", runs=1) == 0
+    (command.folder / "out" / "run.json").write_text("{")
+    before = {path: path.read_bytes() for path in (command.folder / "out").glob("*.*")}
+    capsys.readouterr()
+    assert command.run(trials=1, arms="random", runs=1) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: run.json: ") and said.count("\n") == 1
+    assert {path: path.read_bytes() for path in (command.folder / "out").glob("*.*")} == before
+
+
 def test_a_password_is_not_printed(
     command: Command, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -282,6 +282,7 @@ def test_another_configuration_or_a_foreign_evaluation_is_refused(
     assert "run 0 in" in capsys.readouterr().err
     (out / "evaluations.parquet").write_bytes(b"PAR1")
     assert command.run("--config", config, "--out", out) == 2
+    assert capsys.readouterr().err.count("\n") == 1  # before the comparison says how far it is
 
 
 def test_two_processes_do_not_share_a_folder(

@@ -224,6 +224,15 @@ def test_places_where_no_file_can_be(tmp_path: Path, name: str) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
+def test_a_link_that_leads_to_itself_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "studies.db").symlink_to("studies.db")
+    with (
+        pytest.raises(InputError, match="storage: "),
+        read_studies(f"sqlite:///{tmp_path}/studies.db"),
+    ):
+        pass
+
+
 def test_values_that_are_not_json_are_one_line(tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path}/studies.db"
     study = optuna.create_study(storage=open_studies(url), study_name="a")

@@ -64,6 +64,23 @@ def test_parts_of_another_form(folder: Path, name: str, part: dict[str, Any]) ->
     assert refusal(folder).startswith(f"{name}: {next(iter(part))}")
 
 
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [
+        ("run.json", {"sessions": None}), ("run.json", {"sessions": [{"stores": None}]}),
+        ("run.json", {"sessions": [{"wall_s": None, "machine": None, "started": None}]}),
+        ("experiment.json", {"simulation": {"duration_s": None}, "objective": {"cost": None}}),
+        ("experiment.json", {"terrain": None, "searched": None, "stores": None, "body": None}),
+    ],
+)  # fmt: skip
+def test_what_is_null_is_not_there(folder: Path, name: str, part: dict[str, Any]) -> None:
+    (folder / name).write_text(json.dumps({}))
+    without = facts(read_results(folder))
+    (folder / name).write_text(json.dumps(part))
+    found = facts(read_results(folder))
+    assert {key: value for key, value in found.items() if key != "wall time"} == without
+
+
 def with_column(folder: Path, name: str, values: Any) -> None:
     table = pq.read_table(folder / "trials.parquet")
     place = table.schema.get_field_index(name)

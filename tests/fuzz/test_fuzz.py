@@ -1,0 +1,132 @@
+"""Two thousand damaged inputs end in success or one line; and what does not is noticed.
+
+`python tools/fuzz.py --cases 50000` has more of them.
+"""
+
+import os
+import shutil
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from storage.pool import cores
+from tests.fuzz.campaign import BEGUN, Plan, keep, run_cases, table
+from tests.fuzz.cases import HERE, NAMES, make_case
+from tests.fuzz.judge import ACCEPTED, REFUSED, Verdict, content, judge, wrong
+from tests.fuzz.world import COMMANDS, Words, make_world
+
+pytestmark = [pytest.mark.slow, pytest.mark.fuzz]
+
+SEED = 14
+CASES = 2000
+SHORT_S = 5.0
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    scratch = tmp_path_factory.mktemp("fuzz")
+    make_world(scratch / "world")
+    return Plan(SEED, scratch / "world", scratch)
+
+
+def elsewhere(plan: Plan, name: str) -> Plan:
+    """The same with a scratch of its own."""
+    (plan.scratch / name).mkdir()
+    return replace(plan, scratch=plan.scratch / name)
+
+
+def number_of(folder: Path) -> int:
+    """Of the case that a process is at."""
+    return int((folder.parents[1] / BEGUN).read_text())
+
+
+def test_damaged_input_ends_in_one_line(plan: Plan) -> None:
+    outcomes = list(run_cases(elsewhere(plan, "all"), range(CASES), cores()))
+    failed = [
+        f"{each.number}, {each.name}: {each.verdict.wrong}: {' '.join(each.words)}"
+        for each in outcomes
+        if each.verdict.wrong
+    ]
+    assert not failed, "\n".join([table(outcomes), *failed])
+    assert sorted(each.number for each in outcomes) == list(range(CASES))
+    assert {each.name for each in outcomes} == set(NAMES)
+    assert sum(each.verdict.code == REFUSED for each in outcomes) > CASES / 2
+
+
+def test_undamaged_input_is_accepted(plan: Plan) -> None:
+    """Else nothing would be tried above."""
+    sound = replace(elsewhere(plan, "sound"), judge=without_damage)
+    outcomes = list(run_cases(sound, range(len(COMMANDS)), 1))
+    assert [each.verdict.code for each in outcomes] == [ACCEPTED] * len(COMMANDS)
+    assert not [each.verdict for each in outcomes if each.verdict.wrong]
+
+
+def without_damage(_: Words, folder: Path) -> Verdict:
+    shutil.rmtree(folder)
+    shutil.copytree(folder.parents[3] / "world", folder)
+    return judge(list(COMMANDS.values())[number_of(folder)], folder)
+
+
+def test_what_ends_a_process_is_noticed(plan: Plan, tmp_path: Path) -> None:
+    """An abort, and a case that takes too long, are failures of their own; the others go on."""
+    cruel = replace(elsewhere(plan, "cruel"), judge=that_ends, limit_s=SHORT_S)
+    outcomes = {each.number: each for each in run_cases(cruel, range(8), 1)}
+    found = {number: each.verdict.wrong for number, each in sorted(outcomes.items())}
+    assert found == dict.fromkeys(range(8), "") | {2: "abort", 5: f"longer than {SHORT_S:g} s"}
+    keep(cruel, outcomes[2], tmp_path / "kept")
+    assert content(tmp_path / "kept" / HERE) == content(made(cruel, 2, tmp_path)[1])
+    assert '"wrong": "abort"' in (tmp_path / "kept" / "case.json").read_text()
+
+
+def that_ends(_: Words, folder: Path) -> Verdict:
+    if number_of(folder) == 2:
+        os.abort()
+    if number_of(folder) == 5:
+        time.sleep(100.0)
+    return Verdict(ACCEPTED, "", "")
+
+
+def made(plan: Plan, number: int, folder: Path) -> tuple[Words, Path]:
+    case = make_case(plan.seed, number, plan.world, folder / str(number))
+    return case.words, case.folder
+
+
+def test_a_case_is_the_same_whenever_it_is_made(plan: Plan, tmp_path: Path) -> None:
+    make_world(tmp_path / "world")
+    assert content(tmp_path / "world") == content(plan.world)
+    for number in range(40):
+        words, folder = made(plan, number, tmp_path / "one")
+        again, other = made(plan, number, tmp_path / "other")
+        assert (words, content(folder)) == (again, content(other))
+
+
+LINE = "error: field: 3 cannot be used; allowed: 4\n"
+
+
+@pytest.mark.parametrize(
+    ("code", "said", "what"),
+    [
+        (0, "", ""), (2, LINE, ""), (0, "Traceback (most recent call last)", "a traceback"),
+        (2, "", "names nothing"), (2, "error\n", "names nothing"), (2, "error: no\n", "names"),
+        (2, LINE + LINE, "2 lines"), (2, f"warning\n{LINE}", "2 lines"),
+        (2, LINE.replace("3", "\x1b[31m"), "not printable"),
+        (2, LINE.replace("3", "x" * 9999), "9"),
+        (1, "", "exit code 1"), (130, "interrupted", "exit code 130"), (None, "", "exit code None"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong(code: int | None, said: str, what: str, tmp_path: Path) -> None:
+    found = wrong(code, said, content(tmp_path), tmp_path)
+    assert what in found and bool(found) == bool(what)
+
+
+def test_what_a_refusal_leaves_behind_is_named(tmp_path: Path) -> None:
+    (tmp_path / "kept").write_text("a")
+    (tmp_path / "lost").write_text("a")
+    before = content(tmp_path)
+    (tmp_path / "kept").write_text("b")
+    (tmp_path / "lost").unlink()
+    (tmp_path / "new").mkdir()
+    assert wrong(REFUSED, LINE, before, tmp_path) == "changed: kept, lost, new"
+    assert wrong(ACCEPTED, "", before, tmp_path) == ""

@@ -1,0 +1,203 @@
+"""The sound files that are damaged: one of every format, made once with a formula for a simulator.
+
+Every command of `COMMANDS` takes them as they are, from within their folder; and nothing in them is
+of the day, so that a case is the same wherever and whenever it is made.
+"""
+
+import bz2
+import gzip
+import json
+import lzma
+import os
+import sqlite3
+import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+from unittest import mock
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+import taichi_nmm
+from storage.shard import FOOTER_KEY, write_table
+from storage.stamped import DIGEST_KEY, write_stamped
+from study.commands import run_named
+from study.comparison.results import TIME_COLUMNS, in_order
+from study.shipped import CONFIGS
+from tests.study import fake_walker
+
+Words = tuple[str, ...]
+
+ONE = ("--workers", "1")
+COMPARE = ("compare", "--config", "toy.toml", "--out", "compared", "--no-artifacts", *ONE)
+OPTIMUM = ("optimum", "--config", "level.toml", "--out", "optimum", *ONE)
+PRECOMPUTE = ("precompute", "--config", "grid.toml", "--out", "grid", *ONE)
+STUDY = ("study", "--config", "toy.toml", "--arm", "dog", "--out", "best", "--storage",
+         "sqlite:///live.db")  # fmt: skip
+STILL = ("--movie-seconds", "0", "--out", "walked")
+
+# Every command, on files of the world.
+COMMANDS: dict[str, Words] = {
+    "compare": COMPARE,
+    "optimum": OPTIMUM,
+    "precompute": PRECOMPUTE,
+    "study": STUDY,
+    "report": ("report", "compared", "--no-strips"),
+    "report with strips": ("report", "compared"),
+    "report of two": ("report", "compared", "optimum/dog", "--no-strips", "--out", "overview",
+                      "--optimum", "optimum/optimum.json"),
+    "dashboard": ("dashboard", "compared", "--port", "0"),
+    "draw-store": ("draw-store", "store", "--out", "store.png"),
+    "walk": ("walk", "--config", "toy.toml", *STILL),
+    "walk on a table": ("walk", "--config", "hill.csv.toml", *STILL),
+    "walk of gains": ("walk", "--gains", "gains.json", *STILL),
+    "walk of a row": ("walk", "--store", "store", "--row", "7", *STILL),
+    "walk of a trial": ("walk", "--trial", "toy/dog/run-001/1", "--storage", "compared", *STILL),
+    "walk of a live trial": ("walk", "--trial", "toy/dog/run-000/1", "--storage",
+                             "sqlite:///live.db", *STILL),
+    "walk of an exported trial": ("walk", "--trial", "toy/dog/run-001/1", "--storage",
+                                  "sqlite:///compared/studies.db", *STILL),
+    "quickstart": ("quickstart", "--out", "quick"),
+    "validate": ("validate", "--samples", "100"),
+}  # fmt: skip
+
+TOY = """\
+name = "toy"
+seed = 5
+runs = 2
+trials = 2
+arms = ["random", "dog"]
+[objective]
+cost = "smooth"
+[simulation]
+duration_s = 20.0
+[body]
+disturbance = 0.15
+[terrain]
+kind = "rough"
+amplitude_m = 0.08
+[world]
+friction = [0.6, 1.0]
+[stores]
+flat = "store"
+diverse = "store"
+"""
+LEVEL = """\
+name = "level"
+seed = 5
+runs = 2
+trials = 2
+arms = ["dog"]
+[cmaes]
+max_generations = 2
+[stores]
+flat = "store"
+"""
+ON_A_TABLE = 'seed = 1\n[terrain]\nkind = "file"\nfile = "{}"\n'
+GRID = """\
+samples = 12
+shard_rows = 8
+seed = 3
+[simulation]
+duration_s = 5.0
+[families.up]
+settings = 2
+seed = 4
+[families.up.terrain]
+kind = "ramp"
+direction = "up"
+[families.up.body]
+disturbance = 0.1
+"""
+
+
+def same_day(data: bytes) -> bytes:
+    """Packed by gzip, which writes the time into the file."""
+    return gzip.compress(data, mtime=0)
+
+
+HILL = "x_m,height_m\n" + "".join(f"{x},{0.01 * (x % 3)}\n" for x in range(0, 60, 2))
+PACKERS = {".gz": same_day, ".bz2": bz2.compress, ".xz": lzma.compress}
+UNPACKERS = {".gz": gzip.decompress, ".bz2": bz2.decompress, ".xz": lzma.decompress}
+DAY = "2026-01-01 00:00:00.000000"
+
+
+def make_world(folder: Path) -> None:
+    """Fill a new folder; some seconds."""
+    folder.mkdir(parents=True)
+    texts = {"toy.toml": TOY, "level.toml": LEVEL, "grid.toml": GRID}
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    for name in ("store-worlds", "mujoco-rough8-soft"):
+        (folder / f"{name}.toml").write_text((CONFIGS / f"{name}.toml").read_text())
+    for ending, pack in {"": bytes, **PACKERS}.items():
+        name = f"hill.csv{ending}"
+        (folder / name).write_bytes(pack(HILL.encode()))
+        (folder / f"{name}.toml").write_text(ON_A_TABLE.format(name))
+    gains = dict(zip(taichi_nmm.GAIN_NAMES, taichi_nmm.K_T.tolist(), strict=True))
+    (folder / "gains.json").write_text(json.dumps(gains | {"theta_ref": 0.1}, indent=1))
+    simulator = mock.patch.dict(vars(taichi_nmm), simulate=fake_walker.simulate)
+    with within(folder), simulator, quiet():
+        families = {"up": {"settings": 1, "terrain": {"kind": "ramp"}}}
+        fake_walker.write_store(Path("store"), robust={}, families=families)
+        for words in (PRECOMPUTE, COMPARE, OPTIMUM, (*STUDY, "--trials", "2")):
+            command(words)
+    settle(folder)
+
+
+def command(words: Words) -> None:
+    """A command that must succeed, in this process."""
+    with mock.patch.object(sys, "argv", []):
+        run_named(words)
+
+
+@contextmanager
+def within(folder: Path) -> Iterator[None]:
+    """The working directory, for a block."""
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(before)
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Nothing of a block is shown."""
+    with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+        yield
+
+
+def settle(folder: Path) -> None:
+    """Put one day and one duration in place of those of this making."""
+    for path in folder.rglob("arms/*.parquet"):
+        table = pq.read_table(path)
+        footer = json.loads(table.schema.metadata[FOOTER_KEY])
+        footer.pop(DIGEST_KEY)
+        place = table.schema.get_field_index("proposal_s")
+        same = pa.array([0.001] * len(table))
+        write_stamped(path, table.set_column(place, table.schema.field(place), same), footer)
+    for path in folder.rglob("proposal_times.parquet"):
+        arms = [pq.read_table(arm) for arm in sorted(path.parent.glob("arms/*.parquet"))]
+        footer = json.loads(pq.read_schema(path).metadata[FOOTER_KEY])
+        write_table(path, in_order(arms).select(TIME_COLUMNS), footer)
+    for path in folder.rglob("run.json"):
+        document = json.loads(path.read_text())
+        for session in document["sessions"]:
+            session |= {"started": f"{DAY}+00:00", "wall_s": 1.5}
+        path.write_text(json.dumps(document, indent=2))
+    for path in folder.rglob("optimum.json"):
+        document = json.loads(path.read_text()) | {"date": DAY, "wall_s": 1.5}
+        path.write_text(json.dumps(document, indent=2))
+    for path in folder.rglob("*.db"):
+        with closing(sqlite3.connect(path)) as connection:
+            day = "UPDATE trials SET datetime_start = ?, datetime_complete = ?"
+            connection.execute(day, (DAY, DAY))
+            connection.commit()
+            connection.execute("VACUUM")
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    for path in [*folder.rglob("*-wal"), *folder.rglob("*-shm")]:
+        path.unlink()

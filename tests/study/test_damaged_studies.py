@@ -1,0 +1,121 @@
+"""Study databases that somebody has edited: each is refused in one line, and stays as it is."""
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from storage.databases.studies import open_studies
+from study.comparison.compare import Request, compare
+from study.experiment.arms import find_arm
+from study.experiment.experiment import Experiment
+from study.gains import gains_of_trial
+from study.runner import check_study, run_study
+from taichi_nmm.errors import InputError
+
+
+@pytest.fixture
+def url(toy: Experiment, tmp_path: Path) -> str:
+    """Of a study of two trials."""
+    url = f"sqlite:///{tmp_path}/studies.db"
+    storage = open_studies(url)
+    run_study(toy, find_arm("dog"), 0, 2, storage)
+    storage.engine.dispose()
+    return url
+
+
+def edit(url: str, *commands: str) -> bytes:
+    """The file after some SQL."""
+    file = Path(url.removeprefix("sqlite:///"))
+    with closing(sqlite3.connect(file)) as connection:
+        for command in commands:
+            connection.execute(command)
+        connection.commit()
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    return file.read_bytes()
+
+
+UNREADABLE = [
+    "UPDATE trials SET datetime_start = '[[]]'",
+    "UPDATE trials SET state = 'DONE'",
+    "UPDATE trials SET number = 'a' WHERE number = 1",
+    "UPDATE trial_values SET objective = 3",
+    "UPDATE trial_params SET distribution_json = '{\"name\": 3}'",
+    "ALTER TABLE trial_intermediate_values RENAME COLUMN step TO step_",
+    "ALTER TABLE studies RENAME COLUMN study_name TO name",
+    "DROP TABLE trial_heartbeats",
+    "DELETE FROM studies",
+]
+
+
+@pytest.mark.parametrize("command", UNREADABLE)
+def test_what_cannot_be_read_is_one_line(
+    toy: Experiment, url: str, tmp_path: Path, command: str
+) -> None:
+    before = edit(url, command)
+    for read in (
+        lambda: check_study(toy, find_arm("dog"), 0, url, tmp_path / "out"),
+        lambda: gains_of_trial("toy/dog/run-000/1", url),
+    ):
+        with pytest.raises(InputError, match=r"^(storage|study toy/dog/run-000).*") as caught:
+            read()
+        assert str(caught.value).isprintable()
+    assert edit(url) == before
+
+
+WRITTEN = "UPDATE trial_user_attributes SET value_json = {} WHERE key = '{}'"
+UNUSABLE = {
+    "DELETE FROM trial_params WHERE param_name = 'K_SOL'": "trial 0: parameters",
+    "UPDATE trial_params SET param_value = 1e9 WHERE param_name = 'K_SOL'": "trial 0",
+    "UPDATE trials SET number = number + 1": "trial 1",
+    "DELETE FROM trial_user_attributes WHERE key = 'walked'": "trial 0: walked: 'missing'",
+    WRITTEN.format("'[1]'", "walked"): r"trial 0: walked: \[1\]",
+    WRITTEN.format("'null'", "duration_s"): "trial 0: duration_s: None",
+    WRITTEN.format("'3'", "end_reason"): "trial 0: end_reason: 3",
+    WRITTEN.format("'\"a\"'", "score"): "trial 0: score: 'a'",
+    "UPDATE study_directions SET direction = 'MAXIMIZE'": "directions",
+    "UPDATE trial_values SET value = 1e400": "trial 0: values",
+    "UPDATE trial_params SET param_value = 'a' WHERE param_name = 'K_GAS'": "trial 0: K_GAS: 'a'",
+}
+
+
+@pytest.mark.parametrize(("command", "message"), UNUSABLE.items())
+def test_what_no_study_has_written_is_named(
+    toy: Experiment, url: str, tmp_path: Path, command: str, message: str
+) -> None:
+    before = edit(url, command)
+    with pytest.raises(InputError, match=f"study toy/dog/run-000.*{message}") as caught:
+        check_study(toy, find_arm("dog"), 0, url, tmp_path / "out")
+    assert str(caught.value).isprintable()
+    assert edit(url) == before
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "UPDATE study_directions SET direction = 'cuda'",
+        "UPDATE trials SET datetime_start = 'never'",
+        "UPDATE trial_params SET param_value = 1e9 WHERE param_name = 'K_SOL'",
+        "UPDATE trial_user_attributes SET value_json = '[1]' WHERE key = 'walked'",
+    ],
+)
+def test_a_comparisons_studies_are_looked_at_too(
+    toy: Experiment, tmp_path: Path, command: str
+) -> None:
+    request = Request(tmp_path / "out", arms=("dog",), runs=1, trials=1, artifacts=False)
+    compare(toy, request, lambda progress: None)
+    url = f"sqlite:///{tmp_path}/out/studies.db"
+    edit(url, "DELETE FROM study_system_attributes", command)  # notes, which are written again
+    with pytest.raises(InputError, match=r"^(storage|study toy/dog/run-000)") as caught:
+        compare(toy, request, lambda progress: None)
+    assert str(caught.value).isprintable()
+
+
+def test_a_damaged_note_is_one_line(toy: Experiment, url: str, tmp_path: Path) -> None:
+    before = edit(
+        url, "UPDATE study_system_attributes SET value_json = '[[]]' WHERE key LIKE 'dash%'"
+    )
+    with pytest.raises(InputError, match=r"study toy/dog/run-000: note: \[\[\]\]"):
+        check_study(toy, find_arm("dog"), 0, url, tmp_path / "out")
+    assert edit(url) == before
