@@ -3,6 +3,7 @@
 # make results      every experiment of the documents, on both engines; hours; resumes where it was stopped
 # make test         all tests
 # make test-fast    those that take no long: for daily work
+# make test-campaign   2,000 damaged inputs and dozens of kills, of which `make test` has some
 # make lint         style and types, as CI checks them
 # make hooks        run the lint before every commit
 # Needs Python 3.11 to 3.13 and make; everything else goes into .venv.
@@ -12,7 +13,7 @@ BIN := .venv/bin
 PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: quickstart compare results test test-fast lint hooks store store-diverse store-worlds store-torso
+.PHONY: quickstart compare results test test-fast test-campaign lint hooks store store-diverse store-worlds store-torso
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
@@ -43,7 +44,10 @@ test: .venv/installed
 	$(BIN)/python -m pytest $(PARALLEL)
 
 test-fast: .venv/installed
-	$(BIN)/python -m pytest $(PARALLEL) -m "not slow"
+	$(BIN)/python -m pytest $(PARALLEL) -m "not slow and not campaign"
+
+test-campaign: .venv/installed
+	$(BIN)/python -m pytest $(PARALLEL) -m campaign
 
 lint: .venv/lint-installed
 	$(BIN)/ruff format --check .

@@ -1,4 +1,4 @@
-"""Two thousand damaged inputs end in success or one line; and what does not is noticed.
+"""Damaged inputs end in success or one line; and what does not is noticed.
 
 `python tools/fuzz.py --cases 50000` has more of them.
 """
@@ -17,10 +17,11 @@ from tests.fuzz.cases import HERE, NAMES, make_case
 from tests.fuzz.judge import ACCEPTED, REFUSED, Verdict, content, judge, wrong
 from tests.fuzz.world import COMMANDS, Words, make_world
 
-pytestmark = [pytest.mark.slow, pytest.mark.fuzz]
+pytestmark = pytest.mark.slow
 
 SEED = 14
-CASES = 2000
+CASES = 2000  # of the campaign: enough for every format to come up
+FEW = 200
 SHORT_S = 5.0
 
 
@@ -42,17 +43,18 @@ def number_of(folder: Path) -> int:
     return int((folder.parents[1] / BEGUN).read_text())
 
 
-def test_damaged_input_ends_in_one_line(plan: Plan) -> None:
-    outcomes = list(run_cases(elsewhere(plan, "all"), range(CASES), cores()))
+@pytest.mark.parametrize("cases", [FEW, pytest.param(CASES, marks=pytest.mark.campaign)])
+def test_damaged_input_ends_in_one_line(cases: int, plan: Plan) -> None:
+    outcomes = list(run_cases(elsewhere(plan, str(cases)), range(cases), cores()))
     failed = [
         f"{each.number}, {each.name}: {each.verdict.wrong}: {' '.join(each.words)}"
         for each in outcomes
         if each.verdict.wrong
     ]
     assert not failed, "\n".join([table(outcomes), *failed])
-    assert sorted(each.number for each in outcomes) == list(range(CASES))
-    assert {each.name for each in outcomes} == set(NAMES)
-    assert sum(each.verdict.code == REFUSED for each in outcomes) > CASES / 2
+    assert sorted(each.number for each in outcomes) == list(range(cases))
+    assert {each.name for each in outcomes} == set(NAMES) or cases < CASES
+    assert sum(each.verdict.code == REFUSED for each in outcomes) > cases / 2
 
 
 def test_undamaged_input_is_accepted(plan: Plan) -> None:
