@@ -130,12 +130,14 @@ def check_gains(
 
 
 def _within_bounds(value: Any, parameter: Parameter, field: str) -> float:
+    bounds = f"{parameter.low:g} to {parameter.high:g}"
     if not checks.is_number(value):
-        raise InputError(field, value, "a number")
+        too_large = isinstance(value, int) and not isinstance(value, bool)  # for any float
+        raise InputError(field, value, bounds if too_large else "a number")
     if isinstance(value, float) and not math.isfinite(value):
         raise InputError(field, value, "a finite number")
     if not parameter.low <= value <= parameter.high:
-        raise InputError(field, value, f"{parameter.low:g} to {parameter.high:g}")
+        raise InputError(field, value, bounds)
     return float(value)
 
 

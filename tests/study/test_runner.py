@@ -243,7 +243,12 @@ def test_gains_that_were_not_proposed_are_refused(toy: Experiment) -> None:
         run(toy, "cmaes-cold", 2, storage)
         study = open_study(toy, find_arm("cmaes-cold"), 0, storage)
         if finished:
-            study.add_trial(optuna.create_trial(params=middle, distributions=toy.space, value=1.0))
+            written = study.trials[0].user_attrs  # what any walk comes to
+            study.add_trial(
+                optuna.create_trial(
+                    params=middle, distributions=toy.space, value=1.0, user_attrs=written
+                )
+            )
         else:
             study.enqueue_trial(middle)
         with pytest.raises(InputError, match=message) as caught:

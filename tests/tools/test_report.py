@@ -140,7 +140,7 @@ def test_bad_input_is_one_line(
     (strange / "experiment.json").write_text(json.dumps(known))
     cases: list[tuple[tuple[object, ...], str]] = [
         ((tmp_path / "nowhere",), "folder"),
-        ((tmp_path / ("x" * 300),), "folder"),
+        ((tmp_path / ("x" * 300),), "folders"),
         ((folder, "--optimum", tmp_path / ("x" * 300)), "optimum"),
         ((tmp_path / "empty",), "folder"),
         ((folder, "--optimum", tmp_path / "none.json"), "optimum"),

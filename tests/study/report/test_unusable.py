@@ -12,7 +12,7 @@ import pytest
 from storage.commit import together
 from study.report import writing
 from study.report.documents import read_facts
-from study.report.facts import facts
+from study.report.facts import facts, known_stores
 from study.report.markdown import report_text
 from study.report.numbers import numbers
 from study.report.runs import Results, read_results
@@ -55,8 +55,8 @@ def test_documents_that_are_no_objects(folder: Path, name: str, text: str) -> No
         ("run.json", {"sessions": 5}), ("run.json", {"sessions": [5]}),
         ("run.json", {"sessions": [{"machine": "fast"}]}),
         ("run.json", {"sessions": [{"wall_s": float("nan")}]}),
-        ("run.json", {"sessions": [{"trials": 10**400}]}),
-        ("run.json", {"sessions": [{"stores": {"flat": None}}]}),
+        ("run.json", {"sessions": [{"trials": 10**400}]}), ("run.json", {"sessions": [None]}),
+        ("run.json", {"sessions": [{"stores": {"flat": 5}}]}),
     ],
 )  # fmt: skip
 def test_parts_of_another_form(folder: Path, name: str, part: dict[str, Any]) -> None:
@@ -68,6 +68,7 @@ def test_parts_of_another_form(folder: Path, name: str, part: dict[str, Any]) ->
     ("name", "part"),
     [
         ("run.json", {"sessions": None}), ("run.json", {"sessions": [{"stores": None}]}),
+        ("run.json", {"sessions": [{"stores": {"flat": None}}]}),
         ("run.json", {"sessions": [{"wall_s": None, "machine": None, "started": None}]}),
         ("experiment.json", {"simulation": {"duration_s": None}, "objective": {"cost": None}}),
         ("experiment.json", {"terrain": None, "searched": None, "stores": None, "body": None}),
@@ -77,7 +78,9 @@ def test_what_is_null_is_not_there(folder: Path, name: str, part: dict[str, Any]
     (folder / name).write_text(json.dumps({}))
     without = facts(read_results(folder))
     (folder / name).write_text(json.dumps(part))
-    found = facts(read_results(folder))
+    results = read_results(folder)
+    found = facts(results)
+    assert known_stores(results) == {}
     assert {key: value for key, value in found.items() if key != "wall time"} == without
 
 
