@@ -17,7 +17,7 @@ from optuna.storages import BaseStorage, RetryHeartbeatStaleTrialCallback
 from optuna.trial import FrozenTrial, TrialState
 
 from storage.commit import require_folder
-from storage.databases.studies import name_metric, read_studies
+from storage.databases.studies import name_metric, read_studies, require_lockable
 from storage.document import difference
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
@@ -110,6 +110,7 @@ def check_study(experiment: Experiment, arm: Arm, run: int, url: str, out: Path)
     """
     experiment.require_run(run)
     require_folder(out)
+    require_lockable(url, study_name(experiment.name, arm.name, run))
     with read_studies(url) as storage:
         if storage is not None:
             _check_study(experiment, arm, run, storage)

@@ -19,6 +19,9 @@ from taichi_nmm.errors import InputError
 
 REVISION_TABLE = "alembic_version"
 OWNED = ("study_directions", "study_user_attributes", "study_system_attributes", "trials")
+OF_TRIALS = tuple(
+    name for name, columns in TABLES.items() if "trial_id" in columns and name != "trials"
+)
 COUNTED = ("studies", "version_info", REVISION_TABLE)  # the last two have a row, which Optuna adds
 
 
@@ -44,6 +47,7 @@ def looked_at(url: str, shown: str, options: dict[str, Any]) -> Iterator[RDBStor
         try:
             empty = _is_empty(engine, shown)
             if not empty:
+                _require_named(engine, shown)
                 _require_owned(engine, shown)
         finally:
             engine.dispose()
@@ -87,15 +91,36 @@ def _is_empty(engine: sql.Engine, shown: str) -> bool:
     return empty
 
 
+def _require_named(engine: sql.Engine, shown: str) -> None:
+    """Refuse names of studies that are no texts: SQLite keeps whatever it is given."""
+    with engine.connect() as connection:
+        for (name,) in connection.execute(sql.text("SELECT study_name FROM studies")):
+            if not isinstance(name, str):
+                allowed = f"a database whose studies have texts for names, not {name!r}"
+                raise InputError("storage", shown, allowed)
+
+
 def _require_owned(engine: sql.Engine, shown: str) -> None:
-    """Refuse what belongs to a study that is gone: Optuna would give it to the next one."""
+    """Refuse what belongs to a study or a trial that is gone: it would be given to the next one.
+
+    Of trials, whose rows are many, only those matter that come after the last one.
+    """
     with engine.connect() as connection:
         known = {row[0] for row in connection.execute(sql.text("SELECT study_id FROM studies"))}
         for name in OWNED:
             query = sql.text(f"SELECT DISTINCT study_id FROM {name}")
             if not {row[0] for row in connection.execute(query)} <= known:
-                allowed = f"a database without rows in {name} of a study that is not there"
-                raise InputError("storage", shown, allowed)
+                raise _not_owned(shown, name, "study")
+        last = "SELECT COALESCE(MAX(trial_id), 0) FROM trials"
+        for name in OF_TRIALS:
+            query = sql.text(f"SELECT (SELECT MAX(trial_id) FROM {name}) > ({last})")
+            if connection.execute(query).scalar():
+                raise _not_owned(shown, name, "trial")
+
+
+def _not_owned(shown: str, table: str, owner: str) -> InputError:
+    allowed = f"a database without rows in {table} of a {owner} that is not there"
+    return InputError("storage", shown, allowed)
 
 
 def _count(connection: sql.Connection, table: str) -> int:

@@ -143,8 +143,7 @@ def only_run(url: str, study_name: str) -> Iterator[None]:
                 raise _taken(study_name)
             yield
         return
-    path = studies_path(url)
-    lock = path.with_name(f"{path.name}.{study_name.replace('/', '-')}.lock")
+    lock = _lock_file(url, study_name)
     try:
         file = lock.open("a")  # never removed: another process may be about to lock it
     except OSError as error:
@@ -155,6 +154,21 @@ def only_run(url: str, study_name: str) -> Iterator[None]:
         except OSError:
             raise _taken(study_name) from None
         yield
+
+
+def require_lockable(url: str, study_name: str) -> None:
+    """Refuse a study for whose lock no file can be made; nothing is touched.
+
+    Raises:
+        InputError: naming the file.
+    """
+    if not is_postgresql(url):
+        require_writable(_lock_file(url, study_name), "storage")
+
+
+def _lock_file(url: str, study_name: str) -> Path:
+    path = studies_path(url)
+    return path.with_name(f"{path.name}.{study_name.replace('/', '-')}.lock")
 
 
 def name_metric(study: optuna.Study, metric: str) -> None:

@@ -19,7 +19,7 @@ from optuna.storages import RDBStorage
 
 from storage.databases.bulk import study_ids
 from storage.databases.studies import URL_PREFIX as SQLITE
-from storage.databases.studies import open_studies, shown_url, studies_path
+from storage.databases.studies import open_studies, read_studies, shown_url, studies_path
 from storage.databases.urls import file_url
 from study.command_options import Options
 from study.comparison.experiment_folder import ARTIFACTS_NAME, DATABASE_NAME
@@ -108,13 +108,15 @@ def main() -> None:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     url = find_database(args.folder, args.storage)
     artifacts = find_artifacts(args.folder, url, args.artifacts)
+    with read_studies(url) as known:  # what is refused is left alone
+        numbers = study_ids(known) if known is not None else {}
     storage = open_studies(url)
     with make(storage, artifacts, args.port) as server:
         address = f"http://{HOST}:{server.server_port}/dashboard"
         print(f"studies    {shown_url(url)}")
         print(f"artifacts  {artifacts or 'none'}")
         print(f"dashboard  {address}  (Ctrl-C ends it)", flush=True)
-        for name, number in study_ids(storage).items():
+        for name, number in numbers.items():
             if name.endswith(SUMMARY):
                 print(f"summary    {address}/studies/{number}/note  ({name})", flush=True)
         with suppress(KeyboardInterrupt):

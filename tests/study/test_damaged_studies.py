@@ -2,6 +2,7 @@
 
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,8 @@ UNREADABLE = [
     "ALTER TABLE studies RENAME COLUMN study_name TO name",
     "DROP TABLE trial_heartbeats",
     "DELETE FROM studies",
+    "UPDATE studies SET study_name = x'61'",
+    "DELETE FROM trials WHERE number = 1",  # whose rows would be those of the next trial
 ]
 
 
@@ -110,6 +113,32 @@ def test_a_comparisons_studies_are_looked_at_too(
     with pytest.raises(InputError, match=r"^(storage|study toy/dog/run-000)") as caught:
         compare(toy, request, lambda progress: None)
     assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    "command", ["UPDATE studies SET study_name = x'61'", "DELETE FROM trials WHERE number = 1"]
+)
+def test_a_comparison_writes_no_table_before_its_database_is_refused(
+    toy: Experiment, tmp_path: Path, command: str
+) -> None:
+    request = Request(tmp_path / "out", arms=("dog",), runs=1, trials=2, artifacts=False)
+    compare(toy, request, lambda progress: None)
+    url = f"sqlite:///{tmp_path}/out/studies.db"
+    (tmp_path / "out" / "trials.parquet").unlink()
+    before = edit(url, command)
+    with pytest.raises(InputError, match=r"^storage: "):
+        compare(toy, request, lambda progress: None)
+    assert not (tmp_path / "out" / "trials.parquet").exists()
+    assert edit(url) == before
+
+
+def test_a_name_too_long_for_a_lock_is_refused_before_the_database_is_made(
+    toy: Experiment, tmp_path: Path
+) -> None:
+    long = replace(toy, name="x" * 240)
+    with pytest.raises(InputError, match=r"^storage: .*File name too long"):
+        check_study(long, find_arm("dog"), 0, f"sqlite:///{tmp_path}/new.db", tmp_path / "out")
+    assert not list(tmp_path.glob("new.db*"))
 
 
 def test_a_damaged_note_is_one_line(toy: Experiment, url: str, tmp_path: Path) -> None:

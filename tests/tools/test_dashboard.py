@@ -5,10 +5,12 @@ import os
 import shutil
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import urllib.request
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -156,6 +158,23 @@ def test_what_is_not_there_is_refused_and_not_made(
 def test_a_file_that_is_no_database(folder: Path, refuse: Callable[..., str]) -> None:
     (folder / "studies.db").write_text("dear diary\n" * 100)
     assert "file is not a database" in refuse(str(folder))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "UPDATE version_info SET schema_version = ''",
+        "UPDATE studies SET study_name = x'61' WHERE study_id = 1",
+    ],
+)
+def test_a_damaged_database_is_refused_and_left_alone(
+    folder: Path, refuse: Callable[..., str], change: str
+) -> None:
+    with closing(sqlite3.connect(folder / "studies.db")) as connection, connection:
+        connection.execute(change)
+    before = sorted(folder.iterdir())
+    assert refuse("--storage", f"sqlite:///{folder}/studies.db", "--port", "0")
+    assert sorted(folder.iterdir()) == before
 
 
 def test_ports_that_cannot_be_had(folder: Path, refuse: Callable[..., str]) -> None:
