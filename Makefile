@@ -3,7 +3,7 @@
 # make results      every experiment of the documents, on both engines; hours; resumes where it was stopped
 # make test         all tests
 # make test-fast    those that take no long: for daily work
-# make test-campaign   2,000 damaged inputs and dozens of kills, of which `make test` has some
+# make test-campaign   2,000 damaged inputs, dozens of kills: what takes long and has kin in `make test`
 # make lint         style and types, as CI checks them
 # make hooks        run the lint before every commit
 # Needs Python 3.11 to 3.13 and make; everything else goes into .venv.

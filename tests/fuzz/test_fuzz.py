@@ -71,6 +71,7 @@ def without_damage(_: Words, folder: Path) -> Verdict:
     return judge(list(COMMANDS.values())[number_of(folder)], folder)
 
 
+@pytest.mark.campaign
 def test_what_ends_a_process_is_noticed(plan: Plan, tmp_path: Path) -> None:
     """An abort, and a case that takes too long, are failures of their own; the others go on."""
     cruel = replace(elsewhere(plan, "cruel"), judge=that_ends, limit_s=SHORT_S)

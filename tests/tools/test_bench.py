@@ -31,11 +31,13 @@ def report() -> dict[str, Any]:
     return parsed
 
 
+@pytest.mark.campaign
 def test_compilation_is_timed_apart_from_the_run(report: dict[str, Any]) -> None:
     assert report["cold_start_s"] > report["warm_start_s"] > 0.0
     assert report["run"]["run_s"] < report["cold_start_s"]
 
 
+@pytest.mark.campaign
 def test_speed_is_that_of_the_walkers_simulated(report: dict[str, Any]) -> None:
     run = report["run"]
     assert run["samples"] == SAMPLES
@@ -45,10 +47,12 @@ def test_speed_is_that_of_the_walkers_simulated(report: dict[str, Any]) -> None:
     assert 0 < run["alive"] < SAMPLES
 
 
+@pytest.mark.campaign
 def test_memory_is_that_of_the_run(report: dict[str, Any]) -> None:
     assert 50 < report["run"]["peak_rss_mib"] < 4096
 
 
+@pytest.mark.campaign
 def test_ratios_compare_with_the_references(report: dict[str, Any]) -> None:
     ratios = report["times_reference_speed"]
     per_s = report["run"]["walkers_per_s"]
@@ -56,12 +60,14 @@ def test_ratios_compare_with_the_references(report: dict[str, Any]) -> None:
     assert ratios["hand-written AVX-512, float32"] == pytest.approx(per_s / (100_000 / 14.9))
 
 
+@pytest.mark.campaign
 def test_few_walkers_are_timed_on_one_thread_and_on_all(report: dict[str, Any]) -> None:
     threads = [row["threads"] for row in report["threads"]]
     assert threads == sorted({1, os.cpu_count() or 1})
     assert all(row["run_s"] > 0.0 for row in report["threads"])
 
 
+@pytest.mark.campaign
 def test_mujoco_steps_are_counted_in_the_same_run(report: dict[str, Any]) -> None:
     mujoco = report["mujoco"]
     ours = report["run"]["walker_steps_per_s"]

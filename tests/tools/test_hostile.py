@@ -132,6 +132,7 @@ def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> N
     assert [path.name for path in folder.iterdir()] == ["toy.toml"]
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("command", [STUDY, COMPARE])
 def test_files_that_may_not_grow_are_one_line_and_it_resumes(
     folder: Path, command: tuple[object, ...]
@@ -143,6 +144,7 @@ def test_files_that_may_not_grow_are_one_line_and_it_resumes(
     assert run(folder, command).returncode == 0
 
 
+@pytest.mark.campaign
 def test_no_time_left_is_the_shells_signal_and_it_resumes(
     folder: Path, undisturbed: list[dict[str, float]]
 ) -> None:
@@ -197,6 +199,7 @@ def test_a_stopped_process_keeps_its_study_and_goes_on(
     assert trials(folder) == undisturbed
 
 
+@pytest.mark.campaign
 def test_a_stopped_process_keeps_its_folder_and_goes_on(folder: Path) -> None:
     environment = os.environ | {"FAKE_TRIAL_S": "0.2"}
     with subprocess.Popen(

@@ -21,7 +21,7 @@ from study.experiment.experiment import Experiment
 from study.experiment.one_study import OneStudy
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
-from taichi_nmm.settings import ENGINES, Settings
+from taichi_nmm.settings import Settings
 from tests.study import fake_walker
 from tests.study.comparison.fake_results import experiment
 from tests.study.conftest import Comparisons
@@ -174,7 +174,7 @@ def test_results_do_not_depend_on_the_slots(slots: int, comparisons: Comparisons
     assert all(call["settings"].threads == 1 for call in fake_walker.calls[-12:])
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", ["taichi", pytest.param("mujoco", marks=pytest.mark.campaign)])
 def test_results_do_not_depend_on_the_number_of_processes(engine: str, tmp_path: Path) -> None:
     """The real simulator, in this process and in two that are spawned."""
     settings = Settings(arch="cpu", engine=engine)
