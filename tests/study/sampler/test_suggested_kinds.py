@@ -228,6 +228,9 @@ def test_trials_off_the_table_are_learned_from_whatever_they_are_suggested_as() 
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
         study.optimize(objective(*OTHERWISE["integers as choices"]), n_trials=5)
+    first, *others = study.trials
+    assert first.params["rate"] == 0.002 and "row" not in first.user_attrs
+    assert all("row" in trial.user_attrs for trial in others)
 
 
 NONE = {"none": ["sqrt", None, "log2"], "flags": [True, None, False]}
