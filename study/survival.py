@@ -37,15 +37,15 @@ def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ..
 
 
 def covered_features(
-    grounds: tuple[str, ...] = GROUNDS, others: tuple[str, ...] = RISING
+    grounds: tuple[str, ...] = GROUNDS, others: tuple[str, ...] = RISING, grid_only: bool = False
 ) -> tuple[Feature, ...]:
     """Place in the order that covers these grounds, survival of each and of others, and the speed.
 
     The survival of a ground is that of its two families on average: few walks, and many long ones.
-    To cover it counts the long ones alone.
+    To cover it counts the long ones alone. With `grid_only` rows that a search bred are left out.
     """
     each = tuple(
-        Survival((ground, f"{ground}{LONGER}"), ground, survivors=True)
+        Survival((ground, f"{ground}{LONGER}"), ground, survivors=True, grid_only=grid_only)
         for ground in (*grounds, *others)
     )
     longer = tuple(Survival((f"{ground}{LONGER}",)) for ground in grounds)

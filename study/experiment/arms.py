@@ -254,6 +254,14 @@ _ALL = (
         "score-first-worlds", "best covering score first",
         "rows that cover all grounds of worlds first", "worlds", (covered_features()[0], TIES),
     ),
+    _table_arm(
+        "best-worlds-grid", "best, worlds' grid", "best-worlds without evolved candidates",
+        "worlds", covered_features(grid_only=True), kind="control", **COVERED_OPTIONS,
+    ),
+    _table_arm(
+        "best-stairs", "best, stairs' store", "best, having seen nothing but other stairs",
+        "stairs", covered_features(("stairs",), ()), **COVERED_OPTIONS,
+    ),
 )  # fmt: skip
 
 ARMS: dict[str, Arm] = {arm.name: arm for arm in _ALL}

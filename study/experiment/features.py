@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.schema import evaluated_name
+from storage.schema import ORIGIN, SOBOL_ROW, evaluated_name
 from storage.store import Store
 from study.experiment.coverage import earliness
 from study.feature_table import FeatureTable
@@ -27,11 +27,13 @@ class Survival:
         families: names of families of settings; () are all that the store has.
         name: of the feature.
         survivors: rows that no family ran (they fell on level ground) are left out.
+        grid_only: rows that a search bred are left out.
     """
 
     families: tuple[str, ...] = ()
     name: str = "survival"
     survivors: bool = False
+    grid_only: bool = False
 
     def families_of(self, store: Store) -> tuple[str, ...]:
         """Families that are averaged.
@@ -95,7 +97,8 @@ def definition_of(feature: Feature) -> Any:
     if isinstance(feature, Coverage):
         return [feature.name, *map(definition_of, feature.parts)]
     families = feature.families or ("all families",)
-    return [feature.name, *families, *(["survivors only"] if feature.survivors else [])]
+    left_out = {"survivors only": feature.survivors, "grid only": feature.grid_only}
+    return [feature.name, *families, *(words for words, is_so in left_out.items() if is_so)]
 
 
 def check_feature(feature: Feature, store: Store) -> None:
@@ -125,6 +128,8 @@ def feature_values(feature: Feature, store: Store) -> Floats:
     if feature.survivors:
         ran = _columns(store, [evaluated_name(family) for family in families]).any(axis=0)
         values[~ran] = np.nan
+    if feature.grid_only and ORIGIN in store.columns:
+        values[store.table([ORIGIN])[ORIGIN].to_numpy() != SOBOL_ROW] = np.nan
     return np.asarray(values)
 
 

@@ -21,9 +21,12 @@ def candidates(experiment: Experiment, store: str, features: tuple[Feature, ...]
         InputError: the configuration names no such store, or it cannot be read.
     """
     path = store_path(experiment, store)
-    open_store(path)  # one that is missing or damaged has its own message
     written = path / MANIFEST_NAME if path.is_dir() else path
-    return _read(path, written.stat().st_mtime_ns, features, experiment.parameters)
+    try:
+        written_ns = written.stat().st_mtime_ns
+    except OSError:
+        written_ns = 0  # opening it says what is missing
+    return _read(path, written_ns, features, experiment.parameters)
 
 
 @lru_cache(maxsize=16)

@@ -10,8 +10,8 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 Floats = NDArray[np.float64]
 Curve = tuple[Floats, Floats, Floats]  # its points and the ends of their intervals, each [t]
@@ -53,7 +53,7 @@ def wilson(successes: int, count: int) -> Interval:
     """A proportion with Wilson's score interval; of 0 runs it is unknown (nan, 0, 1)."""
     if count == 0:
         return Interval(float("nan"), 0.0, 1.0)
-    test = stats.binomtest(successes, count)
+    test = scipy.stats.binomtest(successes, count)
     ends = test.proportion_ci(confidence_level=CONFIDENCE, method="wilson")
     return Interval(successes / count, float(ends.low), float(ends.high))
 
@@ -99,7 +99,7 @@ def wilcoxon(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
     """Signed-rank test of paired values, each [n]; pairs that are equal are left out."""
     difference = np.asarray(ours, dtype=np.float64) - np.asarray(theirs, dtype=np.float64)
     unequal = difference[difference != 0]
-    p = float(stats.wilcoxon(unequal).pvalue) if len(unequal) else 1.0
+    p = float(scipy.stats.wilcoxon(unequal).pvalue) if len(unequal) else 1.0
     return PairedTest(len(difference), len(unequal), p)
 
 
@@ -108,7 +108,7 @@ def mcnemar(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
     first, second = np.asarray(ours, dtype=bool), np.asarray(theirs, dtype=bool)
     only_first, only_second = int(np.sum(first & ~second)), int(np.sum(~first & second))
     unequal = only_first + only_second
-    p = float(stats.binomtest(only_first, unequal).pvalue) if unequal else 1.0
+    p = float(scipy.stats.binomtest(only_first, unequal).pvalue) if unequal else 1.0
     return PairedTest(len(first), unequal, p)
 
 

@@ -9,7 +9,14 @@ import pytest
 from storage.store import Store, open_store
 from study.experiment.arms import ARMS, RELATIVES
 from study.experiment.coverage import earliness
-from study.experiment.features import Coverage, Feature, Survival, check_feature, feature_values
+from study.experiment.features import (
+    Coverage,
+    Feature,
+    Survival,
+    check_feature,
+    feature_values,
+    survivals,
+)
 from study.experiment.stores import candidates
 from study.survival import FAMILIES, GROUNDS, LONGER
 from study.survival import OPTIONS as BEST
@@ -46,6 +53,30 @@ def test_coverage_is_of_the_survival_of_each_ground(fake_simulator: None, tmp_pa
     covered = feature_values(Coverage(plainest, (up, down)), store)
     np.testing.assert_array_equal(covered, earliness(feature_values(plainest, store), grounds))
     assert np.isnan(covered).any()
+
+
+def test_rows_that_a_search_bred_can_be_left_out(fake_simulator: None, tmp_path: Path) -> None:
+    bred = {"evaluations": 2304, "candidates": 12, "seed": 3}
+    families = {"up": STRICT | {"min_survival_s": 1.0}}
+    fake_walker.write_store(tmp_path / "store", robust={}, families=families, repertoire=bred)
+    store = open_store(tmp_path / "store")
+    is_of_grid = store.table()["origin"].to_numpy() == "sobol"
+    assert 0 < np.sum(~is_of_grid) <= 12
+    everyone = Survival(("up",))
+    of_grid = feature_values(replace(everyone, grid_only=True), store)
+    expected = np.where(is_of_grid, feature_values(everyone, store), np.nan)
+    np.testing.assert_array_equal(of_grid, expected)
+    of_grid = feature_values(Coverage(replace(everyone, grid_only=True), (everyone,)), store)
+    np.testing.assert_array_equal(np.isnan(of_grid), ~is_of_grid)
+
+
+def test_of_a_store_without_a_search_all_rows_are_of_the_grid(
+    fake_simulator: None, tmp_path: Path
+) -> None:
+    store = write(tmp_path / "store", ("up",))
+    everyone = Survival(("up",))
+    of_grid = feature_values(replace(everyone, grid_only=True), store)
+    np.testing.assert_array_equal(of_grid, feature_values(everyone, store))
 
 
 @pytest.mark.filterwarnings("error:FeatureTable")
@@ -104,6 +135,20 @@ def test_the_best_arm_of_worlds_takes_each_ground_by_its_few_and_its_long_walks(
         coverage, *_, last = ARMS[name].definition["features"]
         assert coverage == ["coverage", each[0], *longer] and last == ties
     assert ARMS["best-worlds"].definition["features"][1:-1] == each
+
+
+def test_its_control_differs_in_the_rows_that_are_proposed_only() -> None:
+    ours, control = ARMS["best-worlds"], ARMS["best-worlds-grid"]
+    assert (control.store, control.options) == (ours.store, ours.options)
+    for own, plain in zip(control.features[1:-1], ours.features[1:-1], strict=True):
+        assert isinstance(own, Survival) and own.grid_only
+        assert replace(own, grid_only=False) == plain
+    assert control.definition["features"][1][-1] == "grid only"
+
+
+def test_the_arm_of_stairs_reads_nothing_else() -> None:
+    read = {name for each in survivals(ARMS["best-stairs"].features) for name in each.families}
+    assert read == {"stairs", f"stairs{LONGER}"}
 
 
 @pytest.mark.parametrize("kind", RELATIVES)
