@@ -19,8 +19,8 @@ from study.sampler.posterior import Posterior
 
 pytestmark = pytest.mark.slow
 
-TRIALS = 400
-ROWS = 430  # hardly more than trials: the end of the table is fought for
+TRIALS = 200
+ROWS = 215  # hardly more than trials: the end of the table is fought for
 
 
 def small_table() -> FeatureTable:
@@ -48,7 +48,7 @@ def work(kind: str, folder: Path, trials: int) -> None:
 
 @pytest.mark.parametrize(("kind", "workers"), [("journal", 4), ("sqlite", 2), ("sqlite", 4)])
 def test_no_row_is_proposed_twice(kind: str, workers: int, tmp_path: Path) -> None:
-    trials = TRIALS if workers == 4 and kind == "sqlite" else TRIALS // 4
+    trials = TRIALS if workers == 4 and kind == "sqlite" else TRIALS // 2
     optuna.create_study(study_name="s", storage=open_storage(kind, tmp_path))
     context = multiprocessing.get_context("spawn")
     processes = [
