@@ -259,7 +259,7 @@ _ALL = (
         "worlds", covered_features(grid_only=True), kind="control", **COVERED_OPTIONS,
     ),
     _table_arm(
-        "best-stairs", "best, stairs' store", "best, having seen nothing but other stairs",
+        "best-stairs", "best, stairs' store", "best, having seen other stairs alone",
         "stairs", covered_features(("stairs",), ()), **COVERED_OPTIONS,
     ),
 )  # fmt: skip

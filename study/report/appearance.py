@@ -14,7 +14,7 @@ from study.experiment.arms import ARMS, BEST_ARM, PAPER_ARM, Kind
 from study.palette import BACK, BACK_DASH, BACK_TEXT, FRONT, FRONT_DASH
 from study.report.runs import ArmRuns
 
-MARKERS = "osD^vPX<>ph*d"
+MARKERS = "osD^vPX<>ph*dH8"
 
 
 @dataclass(frozen=True)

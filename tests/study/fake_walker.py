@@ -31,6 +31,7 @@ WALKS_FROM = 0.7  # quality
 EMPTY = Trajectory(0, *[np.empty((0, 9))] * 9)  # of which nothing can be drawn
 STORE_ROWS = 150
 WORLDS = (*GROUNDS, *RISING)
+KINDS = (*WORLDS, "stairs")  # of families that the toy's store has, each with one of longer walks
 THETA_REF = 7  # of the low-level gains
 
 calls: list[dict[str, Any]] = []  # what the simulator was called with
@@ -118,10 +119,10 @@ def write_store(path: Path, **changes: Any) -> None:
         "terrain": {"kind": "rough", "amplitude_m": 0.08},
         "body": {"disturbance": 0.15},
     }
-    families = {name: settings | {"seed": seed} for seed, name in enumerate(WORLDS)}
+    families = {name: settings | {"seed": seed} for seed, name in enumerate(KINDS)}
     families |= {
         f"{name}{LONGER}": settings | {"after": name, "min_survived_fraction": 0.5}
-        for name in WORLDS
+        for name in KINDS
     }
     data = {"samples": STORE_ROWS, "seed": 3, "robust": settings, "families": families} | changes
     precompute(read_specification(Table(data)), path)
@@ -149,6 +150,7 @@ mild = "{store}"
 ramps = "{store}"
 diverse = "{store}"
 worlds = "{store}"
+stairs = "{store}"
 """
 
 

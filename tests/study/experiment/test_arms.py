@@ -17,7 +17,7 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons
-from tests.study.fake_walker import WORLDS
+from tests.study.fake_walker import KINDS, WORLDS
 
 pytestmark = pytest.mark.slow
 
@@ -132,7 +132,7 @@ def test_arms_say_what_their_stores_saw(comparisons: Comparisons) -> None:
     rough = "rough +-0.08 m every 1 m"
     assert saw(ARMS["best-robust"], stores) == f"{level}; bodies disturbed by 15 %: {rough}"
     # The toy's stores are one, and "robust" reads every family of it.
-    assert saw(ARMS["score-first"], stores).count(rough) == 1 + 2 * len(WORLDS)
+    assert saw(ARMS["score-first"], stores).count(rough) == 1 + 2 * len(KINDS)
     assert saw(ARMS["best-without-ramps"], {}).endswith("families: rough, blocks")
 
 
