@@ -13,32 +13,34 @@ BIN := .venv/bin
 PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: quickstart compare results test test-fast test-campaign lint hooks store store-diverse store-worlds store-torso
+.PHONY: quickstart compare results test test-fast test-campaign lint hooks store store-diverse store-worlds store-torso store-stairs
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
 
 STORES := store store-diverse store-worlds
-PAPER := rough8-smooth rough6-walking rough8-walking risers $(foreach way,up down,ramp-$(way) ramp-$(way)-gentle stairs-$(way))
+PAPER := rough8-smooth rough6-walking rough8-walking risers $(foreach way,up down,ramp-$(way) ramp-$(way)-gentle) stairs-down
+STAIRS := stairs-up stairs-up-high stairs-up-short
 TORSO := $(foreach way,up down,ramp-$(way)-torso stairs-$(way)-torso)
 OUTSIDE := outside-bodies outside-weak outside-slippery
 MUJOCO := $(foreach ground,level rough8 risers ramp-up ramp-down,$(foreach contact,soft middle hard,mujoco-$(ground)-$(contact)))
 
 # One target a store and a comparison: `make compare-risers` makes what it needs; all go on where they were stopped.
-$(STORES) store-torso: .venv/installed
+$(STORES) store-torso store-stairs: .venv/installed
 	$(BIN)/python tools/precompute.py --config $@
 
 compare-%: $(STORES)
 	$(BIN)/python tools/compare.py --config $* --no-artifacts
 
 $(addprefix compare-,$(TORSO)): store-torso
+$(addprefix compare-,$(STAIRS)): store-stairs
 
 compare: $(STORES)
 	$(BIN)/python tools/compare.py --config rough8-smooth
 	$(BIN)/python tools/report.py out/compare/rough8-smooth
 
-results: $(addprefix compare-,$(PAPER) $(TORSO) $(OUTSIDE) $(MUJOCO))
-	$(BIN)/python tools/report.py $(addprefix out/compare/,$(PAPER) $(TORSO) $(OUTSIDE) $(MUJOCO)) --out out/results
+results: $(addprefix compare-,$(PAPER) $(STAIRS) $(TORSO) $(OUTSIDE) $(MUJOCO))
+	$(BIN)/python tools/report.py $(addprefix out/compare/,$(PAPER) $(STAIRS) $(TORSO) $(OUTSIDE) $(MUJOCO)) --out out/results
 
 test: .venv/installed
 	$(BIN)/python -m pytest $(PARALLEL)

@@ -97,7 +97,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / "configs").symlink_to(ROOT / "configs")
         out = folder / "out"
         fake_walker.write_store(out / "store")
-        for kind in ("robust", "mild", "ramps", "diverse", "worlds"):
+        for kind in ("robust", "mild", "ramps", "diverse", "worlds", "stairs"):
             (out / f"store-{kind}").symlink_to(out / "store")
         fake_walker.write_store(out / "store-torso", searched=["theta_ref"])
         request = ("--arms", "dog", "--runs", 8, "--trials", 13, "--no-artifacts", "--workers", 1)
