@@ -262,6 +262,10 @@ _ALL = (
         "best-stairs", "best, stairs' store", "best, having seen other stairs alone",
         "stairs", covered_features(("stairs",), ()), **COVERED_OPTIONS,
     ),
+    _ordered_arm(
+        "score-first-stairs", "best stairs' score first", "rows that survive other stairs first",
+        "stairs", (Survival(("stairs", "stairs_long")), TIES),
+    ),
 )  # fmt: skip
 
 ARMS: dict[str, Arm] = {arm.name: arm for arm in _ALL}
