@@ -4,6 +4,7 @@ import json
 import math
 import re
 from collections.abc import Iterator
+from copy import deepcopy
 from typing import Any
 
 from numpy.random import Generator
@@ -68,7 +69,7 @@ def damaged_document(rng: Generator, document: Any) -> Any:
         places = [(document, key) for key in keys(document)]
         places += [(node, key) for node in nodes(document) for key in keys(node)]
         if not places:
-            return pick(rng, VALUES)
+            return any_value(rng)
         node, key = pick(rng, places)
         kind = int(rng.integers(8))
         if kind == 0:
@@ -76,7 +77,7 @@ def damaged_document(rng: Generator, document: Any) -> Any:
         elif kind == 1 and isinstance(node, dict):
             node[f"{pick(rng, ('', 'x', 'é'))}{key}"] = node.pop(key)
         elif kind == 2 and isinstance(node, dict):
-            node[pick(rng, ("a", "", "name", "seed", "format", "x" * 300))] = pick(rng, VALUES)
+            node[pick(rng, ("a", "", "name", "seed", "format", "x" * 300))] = any_value(rng)
         elif kind == 3:
             other, its = pick(rng, places)
             if its in keys(other):
@@ -89,10 +90,15 @@ def damaged_document(rng: Generator, document: Any) -> Any:
     return document
 
 
+def any_value(rng: Generator) -> Any:
+    """One of `VALUES`, which what is done to it leaves as they are."""
+    return deepcopy(pick(rng, VALUES))
+
+
 def nudged(rng: Generator, value: Any) -> Any:
     """Another value: of the same kind and close, or any."""
     if chance(rng, 0.6) or isinstance(value, bool | None | list | dict):
-        return pick(rng, VALUES)
+        return any_value(rng)
     if isinstance(value, str):
         return pick(rng, (value + " ", value.upper(), value[1:], value + "\u0000", value * 50))
     return pick(rng, (-value, value + 1, value * 1000, float(value), str(value), value / 3))

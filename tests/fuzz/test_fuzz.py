@@ -6,14 +6,18 @@
 import os
 import shutil
 import time
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from storage.pool import cores
 from tests.fuzz.campaign import BEGUN, Plan, keep, run_cases, table
 from tests.fuzz.cases import HERE, NAMES, make_case
+from tests.fuzz.damage import as_json, damaged_document
+from tests.fuzz.hostile import VALUES
 from tests.fuzz.judge import ACCEPTED, REFUSED, Verdict, content, judge, wrong
 from tests.fuzz.world import COMMANDS, Words, make_world
 
@@ -94,6 +98,14 @@ def that_ends(_: Words, folder: Path) -> Verdict:
 def made(plan: Plan, number: int, folder: Path) -> tuple[Words, Path]:
     case = make_case(plan.seed, number, plan.world, folder / str(number))
     return case.words, case.folder
+
+
+def test_damage_to_a_document_leaves_the_values_that_it_takes_as_they_are() -> None:
+    """Else a case would depend on those before it, and a list might come to hold itself."""
+    before, document = deepcopy(VALUES), {"a": [1, {"b": [2, 3]}], "c": {"d": "e", "f": []}}
+    for number in range(3000):
+        as_json(damaged_document(np.random.default_rng(number), document))
+    assert repr(before) == repr(VALUES)
 
 
 def test_a_case_is_the_same_whenever_it_is_made(plan: Plan, tmp_path: Path) -> None:
