@@ -48,6 +48,7 @@ class StoreFolder:
                 or not writable.
         """
         with claimed(path, SPECIFICATION_NAME, "a store"):
+            _require_files(path)
             if fresh:
                 remove(path, MANIFEST_NAME, SHARD_PATTERN, GENERATION_PATTERN)
                 remove(path, REPERTOIRE_NAME, SPECIFICATION_NAME)
@@ -134,3 +135,11 @@ class StoreFolder:
             return Manifest.read(self.path).hashes
         except InputError:
             return {}
+
+
+def _require_files(path: Path) -> None:
+    """Refuse a folder that has the name of a file of ours: it would be noticed after the work."""
+    for pattern in (MANIFEST_NAME, SPECIFICATION_NAME, REPERTOIRE_NAME, SHARD_PATTERN):
+        for file in sorted(path.glob(pattern)):
+            if file.is_dir():
+                raise InputError("out", str(file), "a file there, not a folder; or another --out")

@@ -47,6 +47,7 @@ def looked_at(url: str, shown: str, options: dict[str, Any]) -> Iterator[RDBStor
         try:
             empty = _is_empty(engine, shown)
             if not empty:
+                _require_whole(engine, shown)
                 _require_named(engine, shown)
                 _require_owned(engine, shown)
         finally:
@@ -89,6 +90,17 @@ def _is_empty(engine: sql.Engine, shown: str) -> bool:
     if not (complete or empty):
         raise InputError("storage", shown, "an Optuna database, or an empty one, or a new file")
     return empty
+
+
+def _require_whole(engine: sql.Engine, shown: str) -> None:
+    """Refuse a file of which SQLite cannot read every page: by itself it reads those it needs."""
+    if engine.dialect.name != "sqlite":
+        return
+    with engine.connect() as connection:
+        said = connection.execute(sql.text("PRAGMA quick_check(1)")).scalar()
+    if said != "ok":
+        reason = str(said).splitlines()[-1]
+        raise InputError("storage", shown, f"a database that SQLite finds whole ({reason})")
 
 
 def _require_named(engine: sql.Engine, shown: str) -> None:

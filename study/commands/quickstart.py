@@ -58,7 +58,8 @@ def make_store(path: Path) -> None:
     say(
         f"1. Scoring {specification.samples} walkers, {duration_s:g} s on flat ground; then {names}"
     )
-    with tqdm(total=specification.walkers, unit="walker") as bar:
+    # Not shown before the first walkers: what is there may be refused.
+    with tqdm(total=specification.walkers, unit="walker", delay=1e-3) as bar:
         precompute(specification, path, progress=lambda points: bar.update(int(points) - bar.n))
 
 

@@ -18,7 +18,7 @@ from study.comparison.database import Summarise, check_database, export
 from study.comparison.experiment_folder import DATABASE_NAME, ExperimentFolder
 from study.comparison.finished import FinishedTrials, Progress
 from study.comparison.results import Key
-from study.comparison.worth_notes import note_worths
+from study.comparison.worth_notes import check_noted, note_worths
 from study.experiment.check import check_arms
 from study.experiment.experiment import Experiment
 from study.experiment.identity import document, machine
@@ -94,8 +94,9 @@ def compare(
         pool: that does the work, in place of the request's workers.
 
     Raises:
-        InputError: before anything is written: see `check_arms`, `ExperimentFolder.check` and
-            `check_database`, or there is no ffmpeg for the artifacts; later: see `advance`.
+        InputError: before anything is written: see `check_arms`, `ExperimentFolder.check`,
+            `check_database` and `check_noted`, or there is no ffmpeg for the artifacts; later: see
+            `advance`.
         KeyboardInterrupt: finished trials are kept.
     """
     runs = _positive("runs", request.runs, experiment.runs)
@@ -109,6 +110,7 @@ def compare(
     url = request.storage or file_url(request.out / DATABASE_NAME)
     ExperimentFolder.check(request.out, identity)
     check_database(experiment, url)
+    check_noted(experiment, arms, range(runs), url)
     with ExperimentFolder.claim(request.out, identity) as folder:
         studies = [(arm.name, run) for run in range(runs) for arm in arms]
         finished = FinishedTrials(folder, studies, experiment.until_walker)

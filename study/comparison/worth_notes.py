@@ -1,11 +1,13 @@
 """The worth of features in the studies of a comparison, each as the note of its study."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import product
 
 import optuna
+from optuna.storages import RDBStorage
 
 from storage.databases.bulk import trial_counts
-from storage.databases.studies import open_studies, read_errors, storage_errors
+from storage.databases.studies import open_studies, read_errors, read_studies, storage_errors
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.worth_note import note_worth
@@ -13,7 +15,7 @@ from study.experiment.written_trials import require_written
 
 
 def note_worths(
-    experiment: Experiment, arms: Iterable[Arm], runs: Sequence[int], url: str, renew: bool
+    experiment: Experiment, arms: Sequence[Arm], runs: Sequence[int], url: str, renew: bool
 ) -> None:
     """Write or renew the notes; arms without features have none.
 
@@ -27,26 +29,50 @@ def note_worths(
     Raises:
         InputError: the database cannot be used.
     """
-    # Of points off its store's grid an arm would have to simulate the features again.
-    chosen = [arm for arm in arms if arm.features and not arm.off_grid]
-    if not chosen:
+    if not any(map(_has_notes, arms)):
         return
     from optuna_dashboard import get_note  # a second
 
     storage = open_studies(url)
     try:
         with storage_errors(url):
-            counts = trial_counts(storage)
-            for arm in chosen:
-                for run in runs:
-                    name = study_name(experiment.name, arm.name, run)
-                    if not counts.get(name):
-                        continue
-                    with read_errors(url):
-                        study = optuna.load_study(study_name=name, storage=storage)
-                        study.get_trials(deepcopy=False)
-                    require_written(study, experiment)
-                    if renew or not get_note(study):
-                        note_worth(experiment, arm, run, study)
+            for arm, run, study in _noted(storage, experiment, arms, runs, url):
+                if renew or not get_note(study):
+                    note_worth(experiment, arm, run, study)
     finally:
         storage.engine.dispose()
+
+
+def check_noted(experiment: Experiment, arms: Sequence[Arm], runs: Sequence[int], url: str) -> None:
+    """Refuse studies that `note_worths` would refuse, before the work; nothing is written.
+
+    Raises:
+        InputError: as `note_worths`.
+    """
+    if not any(map(_has_notes, arms)):
+        return
+    with read_studies(url) as storage:
+        if storage is not None:
+            for _ in _noted(storage, experiment, arms, runs, url):
+                pass
+
+
+def _has_notes(arm: Arm) -> bool:
+    """Of points off its store's grid an arm would have to simulate the features again."""
+    return bool(arm.features) and not arm.off_grid
+
+
+def _noted(
+    storage: RDBStorage, experiment: Experiment, arms: Iterable[Arm], runs: Sequence[int], url: str
+) -> Iterator[tuple[Arm, int, optuna.Study]]:
+    """Each study that has trials and gets a note, its trials as this project writes them."""
+    counts = trial_counts(storage)
+    for arm, run in product(filter(_has_notes, arms), runs):
+        name = study_name(experiment.name, arm.name, run)
+        if not counts.get(name):
+            continue
+        with read_errors(url):
+            study = optuna.load_study(study_name=name, storage=storage)
+            study.get_trials(deepcopy=False)
+        require_written(study, experiment)
+        yield arm, run, study

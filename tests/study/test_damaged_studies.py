@@ -116,7 +116,14 @@ def test_a_comparisons_studies_are_looked_at_too(
 
 
 @pytest.mark.parametrize(
-    "command", ["UPDATE studies SET study_name = x'61'", "DELETE FROM trials WHERE number = 1"]
+    "command",
+    [
+        "UPDATE studies SET study_name = x'61'",
+        "DELETE FROM trials WHERE number = 1",
+        "DELETE FROM trial_params WHERE param_name = 'K_SOL'",
+        "UPDATE trial_params SET distribution_json = '{\"name\": 3}'",
+        "UPDATE trials SET datetime_start = 3",
+    ],
 )
 def test_a_comparison_writes_no_table_before_its_database_is_refused(
     toy: Experiment, tmp_path: Path, command: str
@@ -126,7 +133,7 @@ def test_a_comparison_writes_no_table_before_its_database_is_refused(
     url = f"sqlite:///{tmp_path}/out/studies.db"
     (tmp_path / "out" / "trials.parquet").unlink()
     before = edit(url, command)
-    with pytest.raises(InputError, match=r"^storage: "):
+    with pytest.raises(InputError, match=r"^(storage|study toy/dog/run-000)"):
         compare(toy, request, lambda progress: None)
     assert not (tmp_path / "out" / "trials.parquet").exists()
     assert edit(url) == before
@@ -148,3 +155,21 @@ def test_a_damaged_note_is_one_line(toy: Experiment, url: str, tmp_path: Path) -
     with pytest.raises(InputError, match=r"study toy/dog/run-000: note: \[\[\]\]"):
         check_study(toy, find_arm("dog"), 0, url, tmp_path / "out")
     assert edit(url) == before
+
+
+def test_a_file_with_a_damaged_page_is_refused_before_the_work(
+    toy: Experiment, tmp_path: Path
+) -> None:
+    request = Request(tmp_path / "out", arms=("random",), runs=1, trials=1, artifacts=False)
+    compare(toy, request, lambda progress: None)
+    (tmp_path / "out" / "trials.parquet").unlink()
+    file = tmp_path / "out" / "studies.db"
+    edit(f"sqlite:///{file}")
+    content = bytearray(file.read_bytes())
+    content[-4096:] = b"\xff" * 4096  # SQLite's page
+    file.write_bytes(content)
+    with pytest.raises(InputError, match=r"^storage: .*SQLite finds whole") as caught:
+        compare(toy, request, lambda progress: None)
+    assert str(caught.value).isprintable()
+    assert not (tmp_path / "out" / "trials.parquet").exists()
+    assert file.read_bytes() == content

@@ -64,3 +64,13 @@ def test_the_line_for_a_film_makes_a_film(lines: list[str], tmp_path: Path) -> N
     )
     assert done.returncode == 0, done.stderr
     assert Path(json.loads(done.stdout)["pictures"]["movie"]).stat().st_size > 1000
+
+
+def test_a_store_of_something_else_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+    fake_walker.write_plain_store(tmp_path / "store", samples=20)
+    assert run_tool(monkeypatch, "quickstart", "--out", tmp_path) == 2
+    said = capfd.readouterr().err
+    assert said.startswith("error: samples: 4000 ") and said.count("\n") == 1
