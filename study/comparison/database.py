@@ -93,6 +93,8 @@ def check_database(experiment: Experiment, url: str) -> None:
         if storage is None:
             return
         _check(experiment, storage, url)
+        if (name := summary_name(experiment.name)) in study_ids(storage):
+            optuna.load_study(study_name=name, storage=storage).get_trials()  # it can be read
     open_studies(url).engine.dispose()  # it is there and ours, but may be locked
 
 

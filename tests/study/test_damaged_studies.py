@@ -9,11 +9,19 @@ import pytest
 
 from storage.databases.studies import open_studies
 from study.comparison.compare import Request, compare
+from study.comparison.database import Summary
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment
 from study.gains import gains_of_trial
 from study.runner import check_study, run_study
 from taichi_nmm.errors import InputError
+
+
+class Figure:
+    """What a dashboard shows, as plotly would make it."""
+
+    def to_json(self) -> str:
+        return "{}"
 
 
 @pytest.fixture
@@ -154,6 +162,23 @@ def test_a_damaged_note_is_one_line(toy: Experiment, url: str, tmp_path: Path) -
     )
     with pytest.raises(InputError, match=r"study toy/dog/run-000: note: \[\[\]\]"):
         check_study(toy, find_arm("dog"), 0, url, tmp_path / "out")
+    assert edit(url) == before
+
+
+def test_a_summary_that_cannot_be_read_is_refused_before_the_work(
+    toy: Experiment, tmp_path: Path
+) -> None:
+    def run() -> None:
+        compare(toy, request, lambda progress: None, summarise=lambda *_: Summary("", Figure()))
+
+    request = Request(tmp_path / "out", arms=("random",), runs=1, trials=1, artifacts=False)
+    run()
+    (tmp_path / "out" / "trials.parquet").unlink()
+    url = f"sqlite:///{tmp_path}/out/studies.db"
+    before = edit(url, "UPDATE study_directions SET direction = 'cuda'")
+    with pytest.raises(InputError, match=r"^storage: "):
+        run()
+    assert not (tmp_path / "out" / "trials.parquet").exists()
     assert edit(url) == before
 
 
