@@ -130,6 +130,15 @@ def read_errors(url: str) -> Iterator[None]:
         raise unusable(shown_url(url), error) from None
 
 
+def load_whole(storage: RDBStorage, name: str) -> optuna.Study:
+    """A study of which all has been read: an edited value is met here, whatever Optuna raises."""
+    study = optuna.load_study(study_name=name, storage=storage)
+    for _ in (study.directions, study.user_attrs, study.metric_names):
+        pass
+    study.get_trials(deepcopy=False)
+    return study
+
+
 @contextmanager
 def only_run(url: str, study_name: str) -> Iterator[None]:
     """Hold a study for this process: two runs of it would take each other's trials for dead.

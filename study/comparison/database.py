@@ -18,6 +18,7 @@ from storage.databases.bulk import (
     write_studies,
 )
 from storage.databases.studies import (
+    load_whole,
     name_metric,
     open_studies,
     read_errors,
@@ -94,7 +95,7 @@ def check_database(experiment: Experiment, url: str) -> None:
             return
         _check(experiment, storage, url)
         if (name := summary_name(experiment.name)) in study_ids(storage):
-            optuna.load_study(study_name=name, storage=storage).get_trials()  # it can be read
+            load_whole(storage, name)
     open_studies(url).engine.dispose()  # it is there and ours, but may be locked
 
 

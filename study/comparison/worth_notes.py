@@ -7,7 +7,13 @@ import optuna
 from optuna.storages import RDBStorage
 
 from storage.databases.bulk import trial_counts
-from storage.databases.studies import open_studies, read_errors, read_studies, storage_errors
+from storage.databases.studies import (
+    load_whole,
+    open_studies,
+    read_errors,
+    read_studies,
+    storage_errors,
+)
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.worth_note import note_worth
@@ -72,7 +78,6 @@ def _noted(
         if not counts.get(name):
             continue
         with read_errors(url):
-            study = optuna.load_study(study_name=name, storage=storage)
-            study.get_trials(deepcopy=False)
+            study = load_whole(storage, name)
         require_written(study, experiment)
         yield arm, run, study

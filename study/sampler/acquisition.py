@@ -3,8 +3,8 @@
 from functools import cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import erfcx, log_ndtr
 
 Floats = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def _nodes() -> Floats:
     count = int((NODES_TO - NODES_FROM) * NODES_A_UNIT)
     z = NODES_FROM + np.arange(count + 2) / NODES_A_UNIT
     value = _exact_log_h(z)
-    slope = np.exp(log_ndtr(z) - value) / NODES_A_UNIT
+    slope = np.exp(scipy.special.log_ndtr(z) - value) / NODES_A_UNIT
     rise, first, last = np.diff(value), slope[:-1], slope[1:]
     square, cube = 3.0 * rise - 2.0 * first - last, first + last - 2.0 * rise
     return np.array([value[:-1], first, square, cube])
@@ -75,7 +75,7 @@ def _exact_log_h(z: Floats) -> Floats:
     and its series 1/z^2 - 3/z^4 takes over; far above, h(z) is z.
     """
     middle = np.clip(z, FAR_BELOW, FAR_ABOVE)
-    ratio = SQRT_HALF_PI * middle * erfcx(-SQRT_HALF * middle)
+    ratio = SQRT_HALF_PI * middle * scipy.special.erfcx(-SQRT_HALF * middle)
     log_h = np.asarray(np.log(1.0 + ratio) - 0.5 * middle**2 - LOG_SQRT_2PI)
     far = z > FAR_ABOVE
     log_h[far] = np.log(z[far])

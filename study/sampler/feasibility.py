@@ -1,8 +1,8 @@
 """The probability that a candidate keeps its limits, from trials that did and did not."""
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 from study.sampler.points import Points
 from study.sampler.posterior import Posterior
@@ -17,7 +17,7 @@ def log_kept(mean: Floats, variance: Floats) -> Floats:
     the least-squares classifier (Rasmussen, Williams 2006, section 6.5).
     """
     sd = np.sqrt(np.maximum(variance, 1e-24))
-    return np.asarray(log_ndtr(-mean / sd))
+    return np.asarray(scipy.special.log_ndtr(-mean / sd))
 
 
 def log_all_kept(limits: list[Posterior], points: Points) -> Floats:

@@ -5,8 +5,8 @@ logarithms. With few trials the likelihood alone is happy with any of them.
 """
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import OptimizeResult, minimize
 
 from study.sampler.covariance import Covariance
 from study.sampler.likelihood import Misfit
@@ -47,11 +47,11 @@ def condition(
     return Posterior(covariance.with_theta(theta), x, scaled, mean, sd, noisy, fast)
 
 
-def _descend(misfit: Misfit, noise_shift: float) -> OptimizeResult:
+def _descend(misfit: Misfit, noise_shift: float) -> "scipy.optimize.OptimizeResult":
     """L-BFGS from the constants that the covariance came with, the log noise shifted."""
     start, bounds = misfit.covariance.theta, misfit.covariance.bounds
     start[-1] += noise_shift
-    return minimize(
+    return scipy.optimize.minimize(
         misfit,
         np.clip(start, bounds[:, 0], bounds[:, 1]),
         jac=True,

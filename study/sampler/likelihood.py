@@ -14,8 +14,8 @@ densities of theta, the logarithms of the constants.
 """
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import blas, lapack
 
 from study.sampler.covariance import Covariance
 
@@ -43,13 +43,14 @@ class Misfit:
         factor, failed = cholesky(k, there.noise)
         if failed:
             return np.inf, np.zeros_like(theta)
-        alpha = lapack.dpotrs(factor, self.y, lower=1)[0]
+        alpha = scipy.linalg.lapack.dpotrs(factor, self.y, lower=1)[0]
         log_root = np.log(factor.diagonal()).sum()  # of det K
         misfit = 0.5 * self.y @ alpha + (log_root + 0.5 * len(self.y) * np.log(2 * np.pi))
         # The lower halves of K^-1 and of K^-1 - a a^T. K is symmetric: one half, of which the
         # diagonal counts once and the rest twice, stands for both.
-        inverse = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
-        w = blas.dsyrk(-1.0, alpha[:, None], beta=1.0, c=inverse, lower=1, overwrite_c=1).T
+        inverse = scipy.linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
+        syrk = scipy.linalg.blas.dsyrk
+        w = syrk(-1.0, alpha[:, None], beta=1.0, c=inverse, lower=1, overwrite_c=1).T
         np.einsum("ii->i", w)[:] *= 0.5
         gradient = np.append(pull(w), there.noise * np.trace(w))
         z = (theta - self.covariance.modes) / self.covariance.spreads
@@ -60,5 +61,5 @@ def cholesky(k: Floats, noise: float) -> tuple[Floats, bool]:
     """L [n, n] with L L^T = k + noise I, zero above its diagonal, and whether there is none."""
     matrix = np.array(k.T, order="F")  # as it lies in memory: it is symmetric
     np.einsum("ii->i", matrix)[:] += noise + JITTER
-    factor, info = lapack.dpotrf(matrix, lower=1, clean=1, overwrite_a=1)
+    factor, info = scipy.linalg.lapack.dpotrf(matrix, lower=1, clean=1, overwrite_a=1)
     return factor, info != 0

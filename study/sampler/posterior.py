@@ -21,8 +21,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import blas, lapack
 
 from study.sampler.covariance import Covariance
 from study.sampler.likelihood import cholesky
@@ -120,7 +120,7 @@ class Posterior:
         factor, failed = cholesky(k, self.noise)
         if failed:
             raise np.linalg.LinAlgError("the covariance of the trials has no Cholesky factor")
-        return np.asarray(lapack.dtrtri(factor, lower=1, overwrite_c=1)[0])
+        return np.asarray(scipy.linalg.lapack.dtrtri(factor, lower=1, overwrite_c=1)[0])
 
     @cached_property
     def _whitener(self) -> AnyFloats:
@@ -129,6 +129,7 @@ class Posterior:
 
     def _whitened(self, x: Floats) -> AnyFloats:
         """L^-1 k of candidates [b, p], [n, b]: by a triangle, in half the steps of a square."""
+        blas = scipy.linalg.blas
         times = blas.strmm if self.fast_is_right else blas.dtrmm
         # BLAS counts along columns: to it, k is its transpose, and is multiplied from the right.
         k = self._cross(x).T

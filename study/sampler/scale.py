@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from study.sampler.transforms import squarable
 
@@ -120,7 +120,7 @@ def _scores(known: Floats, values: Floats) -> Floats:
     below = np.searchsorted(known, values, side="left")
     rank = 0.5 * (below + np.searchsorted(known, values, side="right") + 1)
     rank = np.clip(rank, 1.0, len(known))
-    return np.asarray(ndtri((rank - 0.375) / (len(known) + 0.25)))
+    return np.asarray(scipy.special.ndtri((rank - 0.375) / (len(known) + 0.25)))
 
 
 def _spread(known: Floats) -> float:

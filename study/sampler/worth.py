@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from scipy.special import ndtri
+import scipy
 
 from study.sampler.rank_correlation import RankCorrelation
 from study.sampler.weights import Weights, percents
@@ -102,7 +102,7 @@ class Worth:
         if not known:
             return None
         best = max(known, key=lambda one: abs(one[1].errors))
-        needed = float(ndtri(1.0 - 0.025 / len(known)))  # Bonferroni
+        needed = float(scipy.special.ndtri(1.0 - 0.025 / len(known)))  # Bonferroni
         return best if abs(best[1].errors) > needed else None
 
     def __str__(self) -> str:

@@ -165,8 +165,16 @@ def test_a_damaged_note_is_one_line(toy: Experiment, url: str, tmp_path: Path) -
     assert edit(url) == before
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        "UPDATE study_directions SET direction = 'cuda'",
+        "UPDATE study_system_attributes SET value_json = '\"a'",
+        "UPDATE study_user_attributes SET value_json = '\"a' WHERE key <> 'experiment_config'",
+    ],
+)
 def test_a_summary_that_cannot_be_read_is_refused_before_the_work(
-    toy: Experiment, tmp_path: Path
+    toy: Experiment, tmp_path: Path, command: str
 ) -> None:
     def run() -> None:
         compare(toy, request, lambda progress: None, summarise=lambda *_: Summary("", Figure()))
@@ -175,7 +183,7 @@ def test_a_summary_that_cannot_be_read_is_refused_before_the_work(
     run()
     (tmp_path / "out" / "trials.parquet").unlink()
     url = f"sqlite:///{tmp_path}/out/studies.db"
-    before = edit(url, "UPDATE study_directions SET direction = 'cuda'")
+    before = edit(url, command)
     with pytest.raises(InputError, match=r"^storage: "):
         run()
     assert not (tmp_path / "out" / "trials.parquet").exists()
