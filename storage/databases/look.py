@@ -11,7 +11,6 @@ from urllib.parse import quote
 import optuna
 import sqlalchemy as sql
 from optuna.storages import RDBStorage
-from sqlalchemy.exc import SQLAlchemyError
 
 from storage.databases.postgresql import unusable
 from storage.databases.schema_version import TABLES
@@ -42,6 +41,7 @@ def looked_at(url: str, shown: str, options: dict[str, Any]) -> Iterator[RDBStor
             block raised.
     """
     storage = None
+    said = optuna.logging.get_verbosity()
     try:
         engine = sql.create_engine(url, **options)
         try:
@@ -54,11 +54,7 @@ def looked_at(url: str, shown: str, options: dict[str, Any]) -> Iterator[RDBStor
             engine.dispose()
         if not empty:
             storage = RDBStorage(url, engine_kwargs=dict(options), skip_table_creation=True)
-    except (SQLAlchemyError, RuntimeError) as error:
-        raise unusable(shown, error) from None
-    said = optuna.logging.get_verbosity()
-    optuna.logging.set_verbosity(optuna.logging.ERROR)  # what it thinks of a damaged value
-    try:
+        optuna.logging.set_verbosity(optuna.logging.ERROR)  # what it thinks of a damaged value
         yield storage
     except InputError:
         raise
