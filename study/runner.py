@@ -26,10 +26,8 @@ from study.experiment.live_study import LiveStudy
 from study.experiment.objective import attributes, costs, finite, metric_name
 from study.experiment.simulation import simulate_trials
 from study.experiment.worth_note import note_worth
-from study.experiment.written_trials import require_written
+from study.experiment.written_trials import require_notes, require_written
 from taichi_nmm.errors import InputError
-
-NOTE_PREFIX = "dashboard:note_str"  # optuna-dashboard's, of the parts of a note
 
 Report = Callable[[optuna.Study, FrozenTrial], None]
 
@@ -138,15 +136,8 @@ def _check_study(
         allowed = f"{theirs!r}, with which it was made; or another name, or another database"
         raise InputError(f"study {name}: {field}", ours, allowed)
     require_written(study, experiment)
-    _require_note(name, storage)
+    require_notes(name, storage)
     return name, identity
-
-
-def _require_note(name: str, storage: BaseStorage) -> None:
-    """Refuse a note of the dashboard's that is no text: it is renewed when the study has ended."""
-    for key, value in storage.get_study_system_attrs(storage.get_study_id_from_name(name)).items():
-        if key.startswith(NOTE_PREFIX) and not isinstance(value, str):
-            raise InputError(f"study {name}: note", value, "a text")
 
 
 def _refuse_older(old: str, new: str, storage: BaseStorage) -> None:

@@ -17,7 +17,7 @@ from storage.databases.studies import (
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.worth_note import note_worth
-from study.experiment.written_trials import require_written
+from study.experiment.written_trials import require_notes, require_written
 
 
 def note_worths(
@@ -79,5 +79,6 @@ def _noted(
             continue
         with read_errors(url):
             study = load_whole(storage, name)
+            require_notes(name, storage)
         require_written(study, experiment)
         yield arm, run, study

@@ -3,10 +3,12 @@
 Anybody may have edited a database, and Optuna believes what it says.
 """
 
+import re
 from collections.abc import Callable
 from typing import Any
 
 import optuna
+from optuna.storages import BaseStorage
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
@@ -35,6 +37,9 @@ OF_OPTUNA: dict[str, Callable[[str, Any], Any]] = {
     FIXED_ATTRIBUTE: checks.by_name(checks.anything), RETRIED_ATTRIBUTE: _whole_numbers,
 }  # fmt: skip
 
+# The keys that optuna-dashboard keeps a note under, of a study or of a trial: a version, and parts.
+NOTE = re.compile(r"(dashboard:(?:\d+:)?note_)(ver|str:(\d+))")
+
 
 def require_written(study: optuna.Study, experiment: Experiment) -> None:
     """Refuse a study whose trials nobody could go on with.
@@ -53,6 +58,27 @@ def require_written(study: optuna.Study, experiment: Experiment) -> None:
             _require_finished(trial, experiment, prefix)
         _require(trial.user_attrs, IF_THERE, prefix)
         _require(trial.system_attrs, OF_OPTUNA, prefix)
+
+
+def require_notes(study: str, storage: BaseStorage) -> None:
+    """Refuse notes that the dashboard could not read: they are renewed when the work has ended.
+
+    Raises:
+        InputError: naming the study.
+    """
+    attributes = storage.get_study_system_attrs(storage.get_study_id_from_name(study))
+    parts: dict[str, set[int]] = {}
+    for key, value in attributes.items():
+        if (found := NOTE.fullmatch(key)) is None:
+            continue
+        if found[3] is None:
+            checks.whole(0)(f"study {study}: note", value)
+        else:
+            checks.text(f"study {study}: note", value)
+            parts.setdefault(found[1], set()).add(int(found[3]))
+    for numbers in parts.values():
+        if numbers != set(range(len(numbers))):
+            raise InputError(f"study {study}: note", sorted(numbers), "parts without a gap")
 
 
 def _require_finished(trial: FrozenTrial, experiment: Experiment, prefix: str) -> None:

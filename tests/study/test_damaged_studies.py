@@ -156,11 +156,22 @@ def test_a_name_too_long_for_a_lock_is_refused_before_the_database_is_made(
     assert not list(tmp_path.glob("new.db*"))
 
 
-def test_a_damaged_note_is_one_line(toy: Experiment, url: str, tmp_path: Path) -> None:
-    before = edit(
-        url, "UPDATE study_system_attributes SET value_json = '[[]]' WHERE key LIKE 'dash%'"
-    )
-    with pytest.raises(InputError, match=r"study toy/dog/run-000: note: \[\[\]\]"):
+NOTE = "UPDATE study_system_attributes SET {} WHERE key LIKE 'dashboard:note_{}'"
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (NOTE.format("value_json = '[[]]'", "str:%"), r"\[\[\]\]"),
+        (NOTE.format("value_json = '\"/\"'", "ver"), "'/'"),
+        (NOTE.format("key = 'dashboard:note_str:7'", "str:0"), r"\[7\]"),
+    ],
+)
+def test_a_damaged_note_is_one_line(
+    toy: Experiment, url: str, tmp_path: Path, command: str, message: str
+) -> None:
+    before = edit(url, command)
+    with pytest.raises(InputError, match=f"study toy/dog/run-000: note: {message}"):
         check_study(toy, find_arm("dog"), 0, url, tmp_path / "out")
     assert edit(url) == before
 
