@@ -80,13 +80,16 @@ def read_columns(path: Path, columns: list[str] | None = None) -> pa.Table:
     """Columns of a file, every page checked against its checksum.
 
     Raises:
-        InputError: the file cannot be read or is damaged.
+        InputError: the file cannot be read, is damaged, or has gaps, which no store has.
     """
     with reading("store", path, "an undamaged Parquet file") as file:
         table = pq.read_table(
             file, columns=columns, page_checksum_verification=True, partitioning=None
         )
-        return table.replace_schema_metadata(None)
+    for name in table.column_names:
+        if table[name].null_count:
+            raise InputError("store", str(path), f"a file whose {name} has no gaps")
+    return table.replace_schema_metadata(None)
 
 
 def read_own(path: Path, footer: dict[str, Any]) -> pa.Table:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -113,6 +114,17 @@ def test_every_edit_of_a_footer(folder: Path) -> None:
     for read in (survival_table, covered_table):
         with pytest.raises(InputError):
             read(path)
+
+
+def test_a_column_with_a_gap_is_refused(folder: Path) -> None:
+    shard = folder / "part-00000.parquet"
+    table = pq.read_table(shard, partitioning=None)
+    place, flags = table.column_names.index("robust_evaluated"), table["robust_evaluated"]
+    gap = pa.array([None, *flags.to_pylist()[1:]], flags.type)
+    path = folder / "edited.parquet"
+    pq.write_table(table.set_column(place, pa.field("robust_evaluated", flags.type), gap), path)
+    with pytest.raises(InputError, match=r"edited\.parquet.*robust_evaluated has no gaps"):
+        open_store(path).table()
 
 
 def test_shards_lie_in_their_folder(folder: Path) -> None:
