@@ -106,6 +106,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         request = ("--arms", "score-first-diverse", "--runs", 1, "--trials", 1, *request[-3:])
         config = "configs/mujoco-rough8-soft.toml"
         assert run_tool(patch, "compare", "--config", config, *request) == 0
+        request = ("--arms", "best-stairs", "--runs", 4, "--trials", 9, *request[-3:])
+        config = "configs/stairs-up-high.toml"
+        assert run_tool(patch, "compare", "--config", config, *request) == 0
     return folder
 
 
