@@ -23,6 +23,7 @@ OF_THE_SESSION = {"date", "wall_s", "machine"}  # in optimum.json
 OF_THE_DATABASE = (".db-wal", ".db-shm")  # read with it
 OF_REPEATS = {"failed_trial", "retry_history", "fixed_params"}  # of a trial that was cut short
 VERSION = re.compile("note_ver")  # counts how often a note was written
+TRIAL_NOTE = re.compile(r"dashboard:(\d+):")  # by the trial's identity, in the order of writing
 IDENTITIES = re.compile(r"/artifacts/\d+/\d+/")  # of study and trial, in the order of writing
 
 
@@ -65,9 +66,11 @@ def studies(file: Path) -> dict[str, Any]:
 def of_study(study: optuna.Study) -> dict[str, Any]:
     """Attributes and finished trials of one study."""
     finished = study.get_trials(states=(TrialState.COMPLETE,))
+    places = {trial._trial_id: place for place, trial in enumerate(finished)}
+    system = study._storage.get_study_system_attrs(study._study_id)
     return {
         "user": study.user_attrs,
-        "system": less_counts(study._storage.get_study_system_attrs(study._study_id)),
+        "system": less_counts(system, places),
         "trials": [of_trial(trial) for trial in finished],
     }
 
@@ -78,8 +81,17 @@ def of_trial(each: FrozenTrial) -> dict[str, Any]:
     return {"params": each.params, "values": each.values, "user": each.user_attrs, "system": system}
 
 
-def less_counts(attributes: dict[str, Any]) -> dict[str, Any]:
-    """The attributes of a study, less how often notes were written and in which order trials."""
-    kept = {key: value for key, value in attributes.items() if not VERSION.search(key)}
+def less_counts(attributes: dict[str, Any], places: dict[int, int]) -> dict[str, Any]:
+    """The attributes of a study, less how often notes were written and in which order trials.
+
+    Args:
+        attributes: of the study's system.
+        places: of the finished trials, by their identity in the database.
+    """
+
+    def renamed(key: str) -> str:
+        return TRIAL_NOTE.sub(lambda found: f"trial {places.get(int(found[1]))}:", key)
+
+    kept = {renamed(key): text for key, text in attributes.items() if not VERSION.search(key)}
     cleaned: dict[str, Any] = json.loads(IDENTITIES.sub("/artifacts/", json.dumps(kept)))
     return cleaned
