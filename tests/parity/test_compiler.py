@@ -92,7 +92,7 @@ def interpreted(request: Any, step_s: float) -> NDArray[np.float64]:
     return np.vstack(blocks).T
 
 
-@pytest.mark.parametrize("step_s", [1e-3, 0.5e-3])
+@pytest.mark.parametrize("step_s", [1e-3, pytest.param(0.5e-3, marks=pytest.mark.campaign)])
 def test_compiled_kernel_equals_its_interpretation(request_: Any, step_s: float) -> None:
     from taichi_nmm.kernel.layout import FIRST_EVENT, Gait, State
 

@@ -44,6 +44,7 @@ def content(out: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in out.iterdir()}
 
 
+@pytest.mark.campaign
 def test_a_killed_search_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
     config = tmp_path / "store.toml"
     config.write_text(CONFIG)
