@@ -14,13 +14,8 @@ VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
 BROWN, VIOLET = "#A0522D", "#6A3D9A"  # where the eight are used up
 SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE, BLACK)  # of curves that are all alike
-SERIES_DASHES = (
-    "solid",
-    "dash",
-    "dot",
-    "dashdot",
-    "longdash",
-)  # plotly's, once colours are used up
+# Plotly's, once the colours are used up.
+SERIES_DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 
 GREY = "#8A9099"  # of what stands back, such as spines and peers
 
