@@ -223,10 +223,10 @@ def _attach(experiment: Experiment, walks: Sequence[Walk], url: str) -> None:
     storage = open_studies(url)
     try:
         with storage_errors(url):
-            new = attach(storage, attributes)
+            attach(storage, attributes)
             for walk in walks:
                 strip = _artifact_id(experiment, walk, STRIP)
-                for trial in new.intersection(walk.trials):
+                for trial in walk.trials:  # all: one that was killed may have attached files alone
                     _note(storage, *trial, walk.title, strip)
     finally:
         storage.engine.dispose()

@@ -147,6 +147,23 @@ def test_a_note_of_the_users_stays(tmp_path: Path, url: str, simulations: Simula
     assert get_note(best) == "mine" and len(found(url, STUDIES[0], best.number)) == 2
 
 
+def test_a_run_that_was_killed_before_its_notes_gets_them_from_the_next(
+    tmp_path: Path, url: str, simulations: Simulations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = results(TINY)
+    export(TINY, table, url, None, final=True)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(artifacts, "_note", interrupt)
+        make(table, url, tmp_path)
+    make(table, url, tmp_path)
+    study = optuna.load_study(study_name=STUDIES[0], storage=open_studies(url))
+    assert get_note(optuna.trial.Trial(study, study.best_trial._trial_id))
+
+
+def interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
 def test_the_best_is_the_first_of_the_cheapest_and_equal_ones_are_shared() -> None:
     walks = best_walks(TINY, results(TINY))
     assert [walk.run for walk in walks] == [0, 1, 0, 1]
