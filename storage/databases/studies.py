@@ -104,6 +104,8 @@ def studies_path(url: str) -> Path:
     if name == url or not name or "?" in name:
         raise InputError("storage", shown, FORMS)
     path = Path(sql.make_url(url).database or "")  # which undoes %20 and its like
+    if "\0" in str(path):
+        raise InputError("storage", shown, FORMS)
     with writable(Path(shown.removeprefix(URL_PREFIX)), "storage"), suppress(FileNotFoundError):
         if not stat.S_ISREG(path.stat().st_mode):
             raise InputError("storage", shown.removeprefix(URL_PREFIX), "a file, not a folder")

@@ -18,7 +18,9 @@ from storage.databases.studies import (
     open_studies,
     public_url,
     read_studies,
+    shown_url,
     storage_errors,
+    studies_path,
 )
 from storage.databases.urls import file_url
 from taichi_nmm.errors import InputError
@@ -194,6 +196,13 @@ def test_a_new_database_appears_whole(tmp_path: Path, monkeypatch: pytest.Monkey
     )  # a file system without links
     optuna.create_study(storage=open_studies(url), study_name="a")
     assert "studies.db" in listing(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["%00", "a%00.db", "?", ""])
+def test_what_names_no_file_is_one_line(name: str) -> None:
+    for use in (open_studies, studies_path, shown_url):
+        with pytest.raises(InputError, match=r"^storage: .* cannot be used; allowed: sqlite:///"):
+            use(f"sqlite:///{name}")
 
 
 def test_what_is_read_is_not_written(tmp_path: Path) -> None:
