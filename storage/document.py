@@ -54,8 +54,8 @@ def agreed(
     Raises:
         InputError: the file cannot be read, or says something else.
     """
-    if not path.exists():
-        return document
+    if not path.exists():  # in the order that later calls will find
+        return document | {key: dict(sorted(document[key].items())) for key in growing}
     allowed = f"a readable {path.stem}; or {remedy}"
     known = json_document("out", path, allowed)
     with reading("out", path, allowed):

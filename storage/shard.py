@@ -66,6 +66,7 @@ def read_footer(path: Path) -> tuple[dict[str, Any], pa.Schema]:
     allowed = "a Parquet file that is whole"
     with reading("store", path, allowed) as whole, pq.ParquetFile(whole) as file:
         footer, schema, rows = footer_of(file), file.schema_arrow, file.metadata.num_rows
+        schema.names  # noqa: B018  # refuses those that are no text
     if footer is None or not footer.keys() >= FOOTER_NEEDS:
         raise InputError("store", str(path), "a file whose footer has a store's specification")
     if footer["format"] != FORMAT:
@@ -86,9 +87,9 @@ def read_columns(path: Path, columns: list[str] | None = None) -> pa.Table:
         table = pq.read_table(
             file, columns=columns, page_checksum_verification=True, partitioning=None
         )
-    for name in table.column_names:
-        if table[name].null_count:
-            raise InputError("store", str(path), f"a file whose {name} has no gaps")
+        for name in table.column_names:  # which may be no text
+            if table[name].null_count:
+                raise InputError("store", str(path), f"a file whose {name} has no gaps")
     return table.replace_schema_metadata(None)
 
 

@@ -1,11 +1,12 @@
 """Tables that say what folder they are of, and whose content is digested."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow as pa
 import pytest
 
-from storage.shard import write_table
+from storage.shard import FOOTER_NEEDS, read_columns, read_footer, write_table
 from storage.stamped import DIGEST_KEY, read_stamped, table_digest, write_stamped
 from taichi_nmm.errors import InputError
 
@@ -56,3 +57,12 @@ def test_a_column_with_gaps(tmp_path: Path) -> None:
     write_table(tmp_path / "a.parquet", pa.table({"arm": words}), FOLDER)
     with pytest.raises(InputError, match=r"a\.parquet' .* arm has no gaps"):
         read_stamped(tmp_path / "a.parquet", FOLDER)
+
+
+@pytest.mark.parametrize("read", [read_columns, read_footer])
+def test_a_column_whose_name_is_no_text(tmp_path: Path, read: Callable[[Path], object]) -> None:
+    path = tmp_path / "a.parquet"
+    write_table(path, pa.table({"mean_speed": [1.0]}), dict.fromkeys(FOOTER_NEEDS, 1))
+    path.write_bytes(path.read_bytes().replace(b"mean_speed", b"mean\x80speed"))
+    with pytest.raises(InputError, match=r"a\.parquet.* can't decode byte 0x80"):
+        read(path)
