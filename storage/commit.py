@@ -100,7 +100,9 @@ def together(folder: Path) -> Iterator[Path]:
     Raises:
         InputError: the folder cannot be written or the disk is full.
     """
-    new = folder.with_name(f".{folder.name}.new")
+    if not folder.resolve().name:
+        raise InputError("out", str(folder), "a folder that has a name")
+    new = folder.resolve().with_name(f".{folder.resolve().name}.new")
     require_folder(folder)
     with writable(folder):
         new.parent.mkdir(parents=True, exist_ok=True)

@@ -21,6 +21,12 @@ OWNED = ("study_directions", "study_user_attributes", "study_system_attributes",
 OF_TRIALS = tuple(
     name for name, columns in TABLES.items() if "trial_id" in columns and name != "trials"
 )
+NAMES = tuple(
+    (table, name)
+    for table, columns in TABLES.items()
+    for name in ("study_name", "key", "param_name")
+    if name in columns
+)
 COUNTED = ("studies", "version_info", REVISION_TABLE)  # the last two have a row, which Optuna adds
 
 
@@ -100,11 +106,17 @@ def _require_whole(engine: sql.Engine, shown: str) -> None:
 
 
 def _require_named(engine: sql.Engine, shown: str) -> None:
-    """Refuse names of studies that are no texts: SQLite keeps whatever it is given."""
+    """Refuse names of studies, attributes or parameters that are no texts.
+
+    SQLite keeps whatever it is given, and Optuna compares it with texts.
+    """
+    if engine.dialect.name != "sqlite":
+        return
     with engine.connect() as connection:
-        for (name,) in connection.execute(sql.text("SELECT study_name FROM studies")):
-            if not isinstance(name, str):
-                allowed = f"a database whose studies have texts for names, not {name!r}"
+        for table, name in NAMES:
+            other = f"SELECT {name} FROM {table} WHERE typeof({name}) <> 'text' LIMIT 1"
+            for (found,) in connection.execute(sql.text(other)):
+                allowed = f"a database whose {table} have texts for {name}, not {found!r}"
                 raise InputError("storage", shown, allowed)
 
 

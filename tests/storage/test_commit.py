@@ -8,7 +8,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from storage.commit import commit, commit_json, temporary_sibling
+from storage.commit import commit, commit_json, temporary_sibling, together
 from storage.shard import read_columns, read_footer, write_table
 from taichi_nmm.errors import InputError
 
@@ -107,3 +107,21 @@ def test_what_is_being_written_is_not_taken_for_a_leftover(tmp_path: Path) -> No
 def test_no_folder_to_write_in(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="No such file or directory"):
         commit_json(tmp_path / "missing" / "file.json", {})
+
+
+def test_files_move_together_into_a_folder_that_has_a_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a").mkdir()
+    monkeypatch.chdir(tmp_path / "a")
+    for folder in (Path(), Path(".."), Path("..", "a")):
+        with together(folder) as new:
+            (new / "file").touch()
+        assert (folder / "file").exists()
+        (folder / "file").unlink()
+    with (
+        pytest.raises(InputError, match="^out: '/' .* a folder that has a name"),
+        together(Path("/")),
+    ):
+        pass
+    assert [file.name for file in tmp_path.iterdir()] == ["a"] and not list(Path().iterdir())

@@ -131,6 +131,10 @@ def test_a_comparisons_studies_are_looked_at_too(
         "DELETE FROM trial_params WHERE param_name = 'K_SOL'",
         "UPDATE trial_params SET distribution_json = '{\"name\": 3}'",
         "UPDATE trials SET datetime_start = 3",
+        "UPDATE study_system_attributes SET key = CAST(key AS BLOB)",
+        "UPDATE study_user_attributes SET key = CAST(key AS BLOB)",
+        "UPDATE trial_user_attributes SET key = CAST(key AS BLOB)",
+        "UPDATE trial_params SET param_name = CAST(param_name AS BLOB)",
     ],
 )
 def test_a_comparison_writes_no_table_before_its_database_is_refused(
