@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
 from storage.processes import Processes
@@ -38,11 +39,36 @@ class Pool:
 
     Attributes:
         executor: any.
-        slots: units under way at once; no more are lost when work is stopped.
+        slots: units under way at once, to begin with; no more are lost when work is stopped.
     """
 
     executor: Executor
     slots: int
+
+    def room(self) -> int:
+        """Units that may be under way at this moment."""
+        return self.slots
+
+    def there(self, store: Path) -> Path:
+        """Where units find a store of this machine."""
+        return store
+
+    def agree(self, folder: Path) -> None:
+        """See that what computes the units computes the bits of a folder, which is held.
+
+        Raises:
+            InputError: the folder is of another kind of machine.
+        """
+
+    @property
+    def kinds(self) -> list[dict[str, str]]:
+        """Of the machines that compute, where they are others than this one."""
+        return []
+
+    @property
+    def mixed(self) -> bool:
+        """Whether they may differ in the bits that they compute."""
+        return False
 
     @property
     def in_process(self) -> bool:
@@ -68,7 +94,7 @@ class Pool:
         running: dict[Future[Result], Unit] = {}
         try:
             while units or running:
-                while units and len(running) < self.slots:
+                while units and len(running) < self.room():
                     unit = units.popleft()
                     running[self.executor.submit(function, unit)] = unit
                 done, _ = wait(running, return_when=FIRST_COMPLETED)

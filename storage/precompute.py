@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from storage.cluster.kind import PACKAGES, own_kind
 from storage.evolved import evolved_points
 from storage.pool import IN_PROCESS, Pool
 from storage.schema import evaluated_name
@@ -84,6 +85,7 @@ def precompute(
         InputError: see `StoreFolder.claim`; the disk is full, or a process of the pool was killed.
     """
     with StoreFolder.claim(path, specification, fresh) as folder:
+        pool.agree(path)
         missing = folder.missing()
         grid = [number for number in missing if number < specification.grid_shards]
         computed = sum(specification.shard_range(number)[1] for number in missing)
@@ -138,7 +140,7 @@ def _fill(
     after the grid's, [candidates, 16 + k].
     """
     specification, code = folder.specification, {"code_version": __version__}
-    pool = pool if len(missing) > 1 else IN_PROCESS
+    pool = pool if len(missing) > 1 or pool.kinds else IN_PROCESS
 
     def unit(number: int) -> Unit:
         if evolved is None:
@@ -150,7 +152,7 @@ def _fill(
         _, size = specification.shard_range(unit[1])
         return _score(unit, lambda part: tally.progress(tally.done + part * size))
 
-    score = score_here if pool.in_process else _score
+    score = score_here if pool.in_process else _score_mixed if pool.mixed else _score
     tally.add(0)
     for (_, number, _), shard in pool.results(score, deque(map(unit, missing))):
         folder.write_shard(number, shard.table, code | shard.engine)
@@ -160,6 +162,13 @@ def _fill(
 def _score(unit: Unit, report: Report = lambda part: None) -> ScoredShard:
     specification, number, evolved = unit
     return score_shard(specification, number, report, evolved)
+
+
+def _score_mixed(unit: Unit) -> ScoredShard:
+    """With the kind of the machine beside what it computed."""
+    shard = _score(unit)
+    kind = own_kind(unit[0].conditions.settings, PACKAGES)
+    return ScoredShard(shard.table, shard.engine | {"kind": kind})
 
 
 def _summary(

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from storage.cluster.asked import Cluster
 from study.shipped import config_path, shipped_configs
 from taichi_nmm.errors import InputError, one_line, shortened
 
@@ -57,6 +58,17 @@ class Options(argparse.ArgumentParser):
         """How many processes of this machine."""
         self.whole("--workers", 1, MOST_WORKERS, help=what)
 
+    def cluster(self) -> None:
+        """A Dask cluster that does the work, in place of processes of this machine."""
+        self.add_argument(
+            "--cluster", metavar="ADDRESS|local:N",
+            help="a Dask scheduler, or N processes of this machine, in place of --workers",
+        )  # fmt: skip
+        self.add_argument(
+            "--mixed", action="store_true",
+            help="let workers of a cluster differ in the bits that they compute",
+        )  # fmt: skip
+
     def config(self, default: str | None = None, stores: bool = False) -> None:
         """A configuration, of an experiment or a store; and the list of those that ship.
 
@@ -72,6 +84,19 @@ class Options(argparse.ArgumentParser):
             "--list-configs", action=_ListConfigs, nargs=0, const=stores,
             help="list the shipped ones, and exit",
         )  # fmt: skip
+
+
+def asked_cluster(options: argparse.Namespace) -> Cluster | None:
+    """What `Options.cluster` has found.
+
+    Raises:
+        InputError: no address, no Dask, or --mixed without a cluster.
+    """
+    if options.cluster is not None:
+        return Cluster(options.cluster, options.mixed)
+    if options.mixed:
+        raise InputError("mixed", True, "only beside --cluster")
+    return None
 
 
 def summary(file: Path) -> str:

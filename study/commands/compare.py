@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from storage.databases.studies import public_url
 from study.command import default_workers
-from study.command_options import LARGEST_SEED, Options
+from study.command_options import LARGEST_SEED, Options, asked_cluster
 from study.comparison.compare import Outcome, Request, compare
 from study.comparison.finished import Progress
 from study.experiment.experiment import MOST_RUNS, MOST_TRIALS, Experiment, read_experiment
@@ -76,6 +76,7 @@ def parse() -> Namespace:
     )
     parser.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
     parser.workers()
+    parser.cluster()
     parser.add_argument(
         "--films", choices=("few", "all"), default="few",
         help="of the best trials: of the first runs of each arm, or of all runs (%(default)s)",
@@ -106,6 +107,7 @@ def main() -> None:
         workers,
         not args.no_artifacts,
         args.films,
+        asked_cluster(args),
     )
     bar = ProgressBar()
     try:

@@ -17,7 +17,7 @@ from typing import Any
 import optuna
 
 from study.command import default_workers
-from study.command_options import Options
+from study.command_options import Options, asked_cluster
 from study.comparison.finished import Progress
 from study.experiment.experiment import (
     MOST_GENERATIONS,
@@ -42,6 +42,7 @@ def parse() -> Namespace:
     )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/optimum/NAME")
     parser.workers()
+    parser.cluster()
     parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
     parser.add_argument("--json", action="store_true", help="print optimum.json")
     return parser.parse_args()
@@ -64,7 +65,8 @@ def main() -> None:
     out = args.out or Path("out") / "optimum" / experiment.name
     settings = experiment.conditions.settings
     workers = default_workers(settings) if args.workers is None else args.workers
-    document = estimate(experiment, out, args.runs, workers, Reports(show_dog, show_cmaes))
+    reports = Reports(show_dog, show_cmaes)
+    document = estimate(experiment, out, args.runs, workers, reports, asked_cluster(args))
     print(json.dumps(document) if args.json else text(document, out))
 
 

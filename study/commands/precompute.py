@@ -12,12 +12,12 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from storage.pool import local_pool
+from storage.cluster.opening import open_pool
 from storage.precompute import Summary, precompute
 from storage.sobol import LARGEST_SEQUENCE
 from storage.specification import read_specification
 from study.command import default_workers, require_engine
-from study.command_options import Options
+from study.command_options import Options, asked_cluster
 from taichi_nmm.config import read_toml
 from taichi_nmm.settings import ARCHITECTURES
 
@@ -50,7 +50,9 @@ def main() -> None:
     require_engine(settings)
     out = options.out or Path("out") / options.config.stem
     workers = default_workers(settings) if options.workers is None else options.workers
-    with local_pool(workers) as pool, closing(ProgressBar(specification.walkers)) as bar:
+    one_thread = specification.conditions.on_one_thread().settings
+    opened = open_pool(workers, asked_cluster(options), out, one_thread)
+    with opened as pool, closing(ProgressBar(specification.walkers)) as bar:
         summary = precompute(specification, out, options.fresh, bar.show, pool)
     print(json.dumps(asdict(summary)) if options.json else text(summary))
 
@@ -63,6 +65,7 @@ def parse() -> Namespace:
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/<name of the config>")
     parser.add_argument("--arch", choices=ARCHITECTURES, help="machine, instead of the file's")
     parser.workers()
+    parser.cluster()
     parser.add_argument("--fresh", action="store_true", help="start over")
     parser.add_argument("--json", action="store_true", help="print the summary as one object")
     return parser.parse_args()

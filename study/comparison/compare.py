@@ -3,13 +3,15 @@
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pyarrow as pa
 
+from storage.cluster.asked import Cluster
+from storage.cluster.opening import open_pool
 from storage.databases.urls import file_url
 from storage.pool import Pool, local_pool
 from study.command import require_engine
@@ -19,9 +21,11 @@ from study.comparison.experiment_folder import DATABASE_NAME, ExperimentFolder
 from study.comparison.finished import FinishedTrials, Progress
 from study.comparison.results import Key
 from study.comparison.worth_notes import check_noted, note_worths
+from study.experiment.arms import Arm
 from study.experiment.check import check_arms
 from study.experiment.experiment import Experiment
-from study.experiment.identity import document, machine
+from study.experiment.identity import deciding_packages, document, machine
+from study.experiment.stores import store_path
 from taichi_nmm.errors import InputError
 
 CHECKPOINT_S = 20.0
@@ -44,6 +48,7 @@ class Request:
         runs: at least 1.
         trials: at least 1, of each arm in each run, in total.
         workers: processes of this machine that try trials and draw pictures.
+        cluster: that tries trials in their place.
         artifacts: whether the best trial of each study gets its picture, those of some runs a film.
         films: "few", of the first runs of each arm, or "all".
     """
@@ -56,6 +61,7 @@ class Request:
     workers: int = 1
     artifacts: bool = True
     films: str = "few"
+    cluster: Cluster | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,32 +117,50 @@ def compare(
     ExperimentFolder.check(request.out, identity)
     check_database(experiment, url)
     check_noted(experiment, arms, range(runs), url)
-    with ExperimentFolder.claim(request.out, identity) as folder:
+    with (
+        nullcontext(pool) if pool else _opened(experiment, arms, request) as chosen,
+        ExperimentFolder.claim(request.out, identity) as folder,
+    ):
+        chosen.agree(folder.path)
         studies = [(arm.name, run) for run in range(runs) for arm in arms]
         finished = FinishedTrials(folder, studies, experiment.until_walker)
-        session = _Session(experiment, folder, finished)
-        with nullcontext(pool) if pool else local_pool(request.workers) as chosen:
-            exported_s = time.monotonic()
-            report(finished.progress(trials))
-            try:
-                for _ in _checkpoints(experiment, finished, trials, chosen, report):
-                    session.note()
-                    if time.monotonic() - exported_s >= EXPORT_S:
-                        export(experiment, finished.results(), url, summarise, final=False)
-                        exported_s = time.monotonic()
-            finally:
-                finished.commit()
+        session = _Session(experiment, folder, finished, chosen)
+        exported_s = time.monotonic()
+        report(finished.progress(trials))
+        try:
+            for _ in _checkpoints(experiment, finished, trials, chosen, report):
                 session.note()
-            results = folder.write_results()
-            export(experiment, results, url, summarise, final=True)
-            note_worths(experiment, arms, range(runs), url, renew=session.computed > 0)
+                if time.monotonic() - exported_s >= EXPORT_S:
+                    export(experiment, finished.results(), url, summarise, final=False)
+                    exported_s = time.monotonic()
+        finally:
+            finished.commit()
             session.note()
-            if request.artifacts:
-                from study.comparison.artifacts import FILM_RUNS, make_artifacts  # Matplotlib
+        results = folder.write_results()
+        export(experiment, results, url, summarise, final=True)
+        note_worths(experiment, arms, range(runs), url, renew=session.computed > 0)
+        session.note()
+        if request.artifacts:
+            from study.comparison.artifacts import FILM_RUNS, make_artifacts  # Matplotlib
 
-                filmed = runs if request.films == "all" else FILM_RUNS
-                make_artifacts(experiment, results, url, folder.path, chosen, drawn, filmed)
+            filmed = runs if request.films == "all" else FILM_RUNS
+            with local_pool(request.workers) if request.cluster else nullcontext(chosen) as here:
+                make_artifacts(experiment, results, url, folder.path, here, drawn, filmed)
         return Outcome(results, url, session.computed, session.wall_s)
+
+
+def _opened(
+    experiment: Experiment, arms: Sequence[Arm], request: Request
+) -> AbstractContextManager[Pool]:
+    """What tries the trials, with the stores that the arms read."""
+    return open_pool(
+        request.workers,
+        request.cluster,
+        request.out,
+        experiment.on_one_thread().conditions.settings,
+        deciding_packages(experiment),
+        [store_path(experiment, key) for key in sorted({arm.store for arm in arms if arm.store})],
+    )
 
 
 def _require_ffmpeg() -> None:
@@ -155,6 +179,8 @@ def _checkpoints(
 ) -> Iterator[None]:
     """Go on until every study has its trials; yields after each checkpoint."""
     experiment = experiment.on_one_thread() if pool.shares_machine else experiment
+    stores = {key: pool.there(path) for key, path in experiment.stores.items()}
+    experiment = replace(experiment, stores=stores)
 
     def first_stretch(studies: tuple[Key, ...]) -> Block:
         least = min(map(finished.done, studies))
@@ -198,8 +224,13 @@ class _Session:
     """A line of run.json: when, on what machine, how long, how much, and with which stores."""
 
     def __init__(
-        self, experiment: Experiment, folder: ExperimentFolder, finished: FinishedTrials
+        self,
+        experiment: Experiment,
+        folder: ExperimentFolder,
+        finished: FinishedTrials,
+        pool: Pool,
     ) -> None:
+        self._pool = pool
         self._stores = {key: str(path) for key, path in experiment.stores.items()}
         self._folder = folder
         self._finished = finished
@@ -227,6 +258,7 @@ class _Session:
                     "wall_s": round(self.wall_s, 1),
                     "machine": machine(),
                     "stores": self._stores,
+                    **({"cluster": self._pool.kinds} if self._pool.kinds else {}),
                 }
             )
 

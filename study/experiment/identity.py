@@ -38,7 +38,7 @@ def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
     stores = sorted({arm.store for arm in by_name if arm.store})
     return {
         "format": FORMAT,
-        "versions": versions(*PACKAGES, *engine_packages(experiment.conditions.settings)),
+        "versions": versions(*deciding_packages(experiment)),
         **tables,
         "terrain": terrain_document((experiment.terrain(0),)),
         "ground": ground,
@@ -46,6 +46,11 @@ def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
         "arms": {arm.name: arm.definition for arm in by_name},
         "stores": {key: store_digest(store_path(experiment, key)) for key in stores},
     }
+
+
+def deciding_packages(experiment: Experiment) -> tuple[str, ...]:
+    """Packages whose versions decide an experiment's trials."""
+    return *PACKAGES, *engine_packages(experiment.conditions.settings)
 
 
 def engine_packages(settings: Settings) -> tuple[str, ...]:

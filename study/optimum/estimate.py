@@ -10,14 +10,16 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from storage.pool import local_pool
+from storage.cluster.asked import Cluster
+from storage.cluster.opening import open_pool
 from study.command import require_engine
 from study.comparison.compare import Request, compare
 from study.comparison.finished import Progress
 from study.experiment.arms import PAPER_ARM
 from study.experiment.check import check_arms
 from study.experiment.experiment import Experiment
-from study.experiment.identity import document, machine
+from study.experiment.identity import deciding_packages, document, machine
+from study.experiment.stores import store_path
 from study.optimum.generations import CmaesProgress, run_cmaes
 from study.optimum.optimum_folder import DOG_NAME, RUNS, OptimumFolder
 from taichi_nmm.errors import InputError
@@ -41,7 +43,12 @@ class Reports:
 
 
 def estimate(
-    experiment: Experiment, out: Path, runs: int | None, workers: int, reports: Reports
+    experiment: Experiment,
+    out: Path,
+    runs: int | None,
+    workers: int,
+    reports: Reports,
+    cluster: Cluster | None = None,
 ) -> dict[str, Any]:
     """Run both methods, or what is missing of them, and write the result.
 
@@ -51,6 +58,7 @@ def estimate(
         runs: of each method; None is what the configuration says. A later call may ask for more.
         workers: processes of this machine.
         reports: who is told.
+        cluster: that works in place of the processes.
 
     Returns:
         The document of optimum.json.
@@ -65,10 +73,19 @@ def estimate(
     for name, value in (("runs", count), ("workers", workers)):
         if value < 1:
             raise InputError(name, value, "1 or more")
-    check_arms(experiment, (PAPER_ARM,), experiment.trials)
+    (arm,) = check_arms(experiment, (PAPER_ARM,), experiment.trials)
     require_engine(experiment.conditions.settings)
     began_s = time.monotonic()
-    with OptimumFolder.claim(out, _document(experiment)) as folder, local_pool(workers) as pool:
+    opened = open_pool(
+        workers,
+        cluster,
+        out,
+        experiment.on_one_thread().conditions.settings,
+        deciding_packages(experiment),
+        [store_path(experiment, arm.store)],
+    )
+    with opened as pool, OptimumFolder.claim(out, _document(experiment)) as folder:
+        pool.agree(out)
         folder.read_evaluations()  # refused, if at all, before the work
         request = Request(out / DOG_NAME, arms=(PAPER_ARM,), runs=count, artifacts=False)
         dog = compare(experiment, request, reports.dog, pool=pool).trials

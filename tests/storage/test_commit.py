@@ -120,7 +120,7 @@ def test_files_move_together_into_a_folder_that_has_a_name(
         assert (folder / "file").exists()
         (folder / "file").unlink()
     with (
-        pytest.raises(InputError, match="^out: '/' .* a folder that has a name"),
+        pytest.raises(InputError, match=r"^out: '/' .* a folder that has a name"),
         together(Path("/")),
     ):
         pass

@@ -1,0 +1,196 @@
+"""The pool of a cluster: connected, its workers set up, and left as it was found."""
+
+import logging
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import dask
+from distributed import Client, LocalCluster
+
+from storage.cluster.asked import Cluster
+from storage.cluster.executor import ClusterExecutor
+from storage.cluster.freight import Freight, packed
+from storage.cluster.gate import Gate
+from storage.cluster.kind import PACKAGES, Kind, own_kind
+from storage.cluster.plugin import Walkers
+from storage.document import agree
+from storage.pool import Pool
+from storage.processes import Processes
+from taichi_nmm.errors import InputError, one_line, shortened
+from taichi_nmm.reading import json_document
+from taichi_nmm.settings import Settings
+
+KIND_NAME = "kind.json"  # in a folder: the kind of the workers that fill it
+SESSION = "taichi-nmm-"  # and the client's name
+AHEAD = 2  # calls a place, one of which waits on the worker
+CONNECT_S = 30.0
+CLOSE_S = 5.0
+MOST_DEATHS = 20  # of workers of this machine that one call may take with it
+LOOPBACK = "127.0.0.1"
+REMEDY = "--mixed; or another --out"
+
+
+@dataclass(frozen=True)
+class ClusterPool(Pool):
+    """A pool whose places come and go.
+
+    Attributes:
+        gate: that lets workers in.
+        freights: the stores that they have, by where they are here.
+        may_mix: whether they may differ.
+    """
+
+    gate: Gate
+    freights: dict[Path, Freight]
+    may_mix: bool
+
+    def room(self) -> int:
+        """One unit a place, and one that waits there."""
+        return max(1, AHEAD * self.gate.places())
+
+    def there(self, store: Path) -> Path:
+        """Its place in the folder that units run in."""
+        return self.freights[store].place if store in self.freights else store
+
+    def agree(self, folder: Path) -> None:
+        """Write the kind into a folder that has none yet."""
+        if not self.may_mix and self.gate.kind is not None:
+            agree(folder / KIND_NAME, self.gate.kind, remedy=REMEDY)
+
+    @property
+    def kinds(self) -> list[Kind]:
+        """Of all workers that were let in."""
+        return list(self.gate.kinds)
+
+    @property
+    def mixed(self) -> bool:
+        """Whether they may differ."""
+        return self.may_mix
+
+
+@contextmanager
+def cluster_pool(
+    asked: Cluster,
+    folder: Path,
+    settings: Settings,
+    packages: tuple[str, ...] = (),
+    stores: Sequence[Path] = (),
+) -> Iterator[Pool]:
+    """A pool of a cluster's workers; they have nothing of it when the context ends.
+
+    Args:
+        asked: which cluster.
+        folder: that is to be filled, which decides what kind workers must be of.
+        settings: of the simulator, on one thread.
+        packages: beside the simulator's, that decide results.
+        stores: that units read, by `Pool.there`.
+
+    Raises:
+        InputError: no scheduler there, none of its workers is of the folder's kind, or a store
+            that cannot be read.
+    """
+    describe = partial(own_kind, settings, tuple(dict.fromkeys([*PACKAGES, *packages])))
+    freights = {store: packed(store) for store in stores}
+    reference = None if asked.mixed else folder_kind(folder, describe)
+    with _scheduler(asked) as address, _client(asked, address) as client:
+        session = SESSION + client.id
+        gate = Gate(client, session, reference, asked.mixed, _tell)
+        plugin = Walkers(
+            session, describe, tuple({f.digest: f for f in freights.values()}.values())
+        )
+        executor = ClusterExecutor(client, session, gate, asked.address)
+        try:
+            with _failures(asked):
+                for left in client.run_on_scheduler(left_behind):
+                    client.unregister_worker_plugin(left)
+                client.subscribe_topic(session, gate.meet)
+                client.register_plugin(plugin)
+                gate.wait_for_one(asked.address)
+            yield ClusterPool(executor, AHEAD * gate.places(), gate, freights, asked.mixed)
+        finally:
+            executor.shutdown()
+            with suppress(Exception):  # a scheduler that is gone
+                client.unregister_worker_plugin(session)
+
+
+def folder_kind(folder: Path, describe: Callable[[], Kind]) -> Kind | None:
+    """The kind of what is in a folder; None of a new one.
+
+    What no cluster has begun is taken to be of this machine.
+
+    Raises:
+        InputError: its note of the kind cannot be read.
+    """
+    path = folder / KIND_NAME
+    if path.exists():
+        kind = json_document("out", path, f"a readable {KIND_NAME}; or {REMEDY}")
+        return {str(name): str(value) for name, value in kind.items()}
+    if not any(folder.rglob("*.parquet")):
+        return None
+    with Processes(1) as here:
+        return dict(here.submit(describe).result())
+
+
+def left_behind(dask_scheduler: Any = None) -> list[str]:
+    """On a scheduler: sessions whose client was killed."""
+    return [
+        name
+        for name in dask_scheduler.worker_plugins
+        if name.startswith(SESSION) and name.removeprefix(SESSION) not in dask_scheduler.clients
+    ]
+
+
+@contextmanager
+def _scheduler(asked: Cluster) -> Iterator[str]:
+    """The address of the cluster; one of this machine's is started, and ended."""
+    if not asked.local_processes:
+        yield asked.address
+        return
+    # Nobody else hears this scheduler, no port is taken for a page, and Ctrl-C is this process's.
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": MOST_DEATHS}),
+        LocalCluster(
+            n_workers=asked.local_processes,
+            threads_per_worker=1,
+            host=LOOPBACK,
+            dashboard_address=None,
+            worker_dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+            preload="storage.cluster.deaf",
+        ) as cluster,
+    ):
+        yield cluster.scheduler_address
+
+
+@contextmanager
+def _client(asked: Cluster, address: str) -> Iterator[Client]:
+    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # it speaks of every retry
+    with _failures(asked):
+        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+    try:
+        yield client
+    finally:
+        with suppress(Exception):
+            client.close(timeout=CLOSE_S)
+
+
+@contextmanager
+def _failures(asked: Cluster) -> Iterator[None]:
+    """What a scheduler can do to its client, in one line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # of sockets, TLS, or what a worker made of the plugin
+        said = one_line(shortened(f"{type(error).__name__}: {error}"))
+        allowed = f"a scheduler that answers, and workers with this project ({said})"
+        raise InputError("cluster", asked.address, allowed) from None
+
+
+def _tell(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

@@ -1,0 +1,37 @@
+"""The pool that a command works with: of this machine, or of a cluster."""
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from storage.cluster.asked import Cluster
+from storage.pool import Pool, local_pool
+from taichi_nmm.settings import Settings
+
+
+def open_pool(
+    workers: int,
+    cluster: Cluster | None,
+    folder: Path,
+    settings: Settings,
+    packages: Sequence[str] = (),
+    stores: Sequence[Path] = (),
+) -> AbstractContextManager[Pool]:
+    """Up to so many processes of this machine, unless a cluster is asked for.
+
+    Args:
+        workers: processes.
+        cluster: in their place.
+        folder: that is to be filled.
+        settings: of the simulator, on one thread.
+        packages: beside the simulator's, that decide results.
+        stores: that units read.
+
+    Raises:
+        InputError: as `local_pool` and `cluster_pool`.
+    """
+    if cluster is None:
+        return local_pool(workers)
+    from storage.cluster.connection import cluster_pool  # Dask: a second, and an extra
+
+    return cluster_pool(cluster, folder, settings, tuple(packages), stores)

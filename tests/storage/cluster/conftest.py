@@ -1,0 +1,94 @@
+"""A scheduler and workers in processes of their own, as on a cluster."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+WAIT_S = 120.0
+REPOSITORY = Path(__file__).parents[3]
+
+
+def until(true: Callable[[], object]) -> None:
+    deadline_s = time.monotonic() + WAIT_S
+    while not true():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+
+
+@dataclass
+class Cluster:
+    """Processes of `dask scheduler` and `dask worker`, and where they may write."""
+
+    folder: Path
+    environment: dict[str, str] = field(default_factory=dict)
+    options: tuple[str, ...] = ()
+    processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
+
+    def start_scheduler(self) -> str:
+        """Its address."""
+        file = self.folder / "scheduler.json"
+        file.unlink(missing_ok=True)
+        options = ("--port", "0", "--no-dashboard", "--scheduler-file", str(file), *self.options)
+        self.scheduler = self._dask("scheduler", *options)
+        until(lambda: file.exists() and file.read_text().endswith("}"))
+        self.address = str(json.loads(file.read_text())["address"])
+        return self.address
+
+    def start_worker(self) -> subprocess.Popen[bytes]:
+        """With a thread, and a nanny that starts it again."""
+        scratch = ("--local-directory", str(self.folder / f"worker-{len(self.processes)}"))
+        options = ("--nthreads", "1", "--no-dashboard", *scratch, *self.options)
+        return self._dask("worker", self.address, *options)
+
+    def close(self) -> None:
+        for process in self.processes:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+    def _dask(self, *words: str) -> subprocess.Popen[bytes]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1"],
+            env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | self.environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        self.processes.append(process)
+        return process
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    """A scheduler and two workers; a test may kill any of them."""
+    pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
+    made = Cluster(tmp_path / "cluster")
+    made.folder.mkdir()
+    made.start_scheduler()
+    for _ in range(2):
+        made.start_worker()
+    yield made
+    made.close()
+
+
+def children(pid: int) -> list[int]:
+    """Processes that a process has spawned, in any generation."""
+    found = []
+    for file in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in map(int, file.read_text().split()):
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                found += [child, *children(child)]
+    return found
+
+
+def kill(pid: int) -> None:
+    os.kill(pid, signal.SIGKILL)

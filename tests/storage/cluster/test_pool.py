@@ -1,0 +1,171 @@
+"""Calls on a real scheduler's real workers, any of which may be killed."""
+
+import json
+import subprocess
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from storage.cluster.asked import Cluster as Asked
+from storage.cluster.opening import open_pool
+from storage.pool import Pool
+from storage.precompute import precompute
+from taichi_nmm.errors import InputError
+from taichi_nmm.settings import Settings
+from tests.storage import fake
+from tests.storage.cluster import units
+from tests.storage.cluster.conftest import REPOSITORY, Cluster, children, kill, until
+
+pytestmark = pytest.mark.slow
+
+Open = Callable[..., AbstractContextManager[Pool]]
+
+
+@pytest.fixture
+def opened(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Open:
+    """A pool of the cluster, whose workers say at once what kind they are of."""
+    monkeypatch.setattr("storage.cluster.connection.own_kind", units.own_kind)
+
+    @contextmanager
+    def open_it(mixed: bool = False, stores: tuple[Path, ...] = ()) -> Iterator[Pool]:
+        asked = Asked(cluster.address, mixed)
+        with open_pool(1, asked, tmp_path / "out", Settings(arch="cpu"), stores=stores) as pool:
+            yield pool
+
+    return open_it
+
+
+def results(pool: Pool, function: Callable[[Any], Any], asked: list[Any]) -> dict[Any, Any]:
+    return dict(pool.results(function, deque(asked)))
+
+
+def test_calls_are_made_on_workers_and_what_fails_is_one_line(opened: Open, tmp_path: Path) -> None:
+    with opened() as pool:
+        assert results(pool, units.square, list(range(20))) == {n: n**2 for n in range(20)}
+        assert not pool.in_process and pool.shares_machine
+        for function, line in (
+            (units.refuse, "samples: 3 cannot be used; allowed: none"),
+            (units.fail, "calls that do not fail there (ArithmeticError: of 3)"),
+            (units.die, "calls that do not fail there (BrokenExecutor: a process was killed)"),
+        ):
+            with pytest.raises(InputError) as caught:
+                results(pool, function, [3])
+            assert line in str(caught.value) and str(caught.value).isprintable()
+        mark = tmp_path / "mark"
+        assert results(pool, units.die_once, [mark]) == {mark: "lives"}
+
+
+def test_a_killed_worker_loses_nothing_and_its_children_end(opened: Open, cluster: Cluster) -> None:
+    with opened() as pool:
+        found, killed = {}, []
+        for number, (square, _) in pool.results(units.slow_square, deque(range(30))):
+            found[number] = square
+            if len(found) == 5:
+                worker, *killed = children(cluster.processes[1].pid)
+                kill(worker)
+        assert found == {n: n**2 for n in range(30)} and killed
+        until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in killed))
+
+
+def test_a_worker_that_joins_late_gets_work(cluster: Cluster, opened: Open) -> None:
+    with opened() as pool:
+        before = {pid for _, pid in results(pool, units.slow_square, list(range(8))).values()}
+        assert len(before) == 2
+        cluster.start_worker()
+        until(lambda: pool.room() == 6)
+        after = {pid for _, pid in results(pool, units.slow_square, list(range(12))).values()}
+        assert len(after) == 3
+
+
+def test_a_scheduler_that_dies_is_one_line(
+    cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("storage.cluster.connection.CONNECT_S", 2.0)
+    line = r"cluster: 'tcp.* a scheduler that stays; the same command"
+    with pytest.raises(InputError, match=line), opened() as pool:
+        for _ in pool.results(units.slow_square, deque(range(100))):
+            kill(cluster.scheduler.pid)
+
+
+CLIENT = """
+import sys
+from collections import deque
+from pathlib import Path
+import storage.cluster.connection as connection
+from storage.cluster.asked import Cluster
+from taichi_nmm.settings import Settings
+from tests.storage import fake
+from tests.storage.cluster import units
+connection.own_kind = units.own_kind
+asked = Cluster(sys.argv[1])
+with connection.cluster_pool(asked, Path(sys.argv[2], "out"), Settings(arch="cpu")) as pool:
+    list(pool.results(units.wait_for, deque([Path(sys.argv[2], name) for name in "abcdef"])))
+"""
+
+
+def test_a_killed_clients_calls_are_dropped(cluster: Cluster, opened: Open, tmp_path: Path) -> None:
+    words = [sys.executable, "-c", CLIENT, cluster.address, str(tmp_path)]
+    client = subprocess.Popen(words, cwd=REPOSITORY)
+    until(lambda: len(list(tmp_path.glob("*.begun"))) == 2)
+    kill(client.pid)
+    client.wait()
+    with opened() as pool:  # what the killed one left on the workers goes
+        assert results(pool, units.square, [1, 2]) == {1: 1, 2: 4}
+    assert len(list(tmp_path.glob("*.begun"))) == 2  # the other four were never begun
+
+
+def test_workers_of_another_kind_get_no_work(
+    opened: Open, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "out"
+    folder.mkdir()
+    other = units.KIND | {"canary": "1" * 64}
+    (folder / "kind.json").write_text(json.dumps(other))
+    reason = "canary 000000000000, not 111111111111"
+    line = f"workers like the folder's .{reason}.; or --mixed"
+    with pytest.raises(InputError, match=line), opened():
+        pass
+    assert f"gets no work: {reason}" in capfd.readouterr().err
+    with opened(mixed=True) as pool:
+        pool.agree(folder)
+        assert pool.kinds == [units.KIND] and pool.mixed
+        assert results(pool, units.square, [2]) == {2: 4}
+    assert json.loads((folder / "kind.json").read_text()) == other
+
+
+def test_a_new_folder_is_of_the_first_workers_kind(opened: Open, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    with opened() as pool:
+        folder.mkdir()
+        pool.agree(folder)
+        pool.agree(folder)
+    assert json.loads((folder / "kind.json").read_text()) == units.KIND
+    with opened() as pool:
+        pool.agree(folder)
+
+
+def test_stores_travel(opened: Open, small_store: Path, tmp_path: Path) -> None:
+    with opened(stores=(small_store,)) as pool:
+        place = pool.there(small_store)
+        assert results(pool, units.rows_of, [place]) == {place: (50, False)}
+        assert pool.there(tmp_path) == tmp_path
+
+
+@pytest.fixture
+def small_store(tmp_path: Path) -> Path:
+    precompute(fake.specification(), tmp_path / "store")
+    return tmp_path / "store"
+
+
+def test_nobody_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("storage.cluster.connection.CONNECT_S", 1.0)
+    asked = Asked("127.0.0.1:9")
+    opening = open_pool(1, asked, tmp_path / "out", Settings(arch="cpu"))
+    with pytest.raises(InputError, match=r"'127.0.0.1:9' .* a scheduler that answers"), opening:
+        pass
+    assert not (tmp_path / "out").exists()
