@@ -13,7 +13,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from taichi_nmm.errors import InputError
 
@@ -52,12 +52,22 @@ def temporary_sibling(path: Path) -> Iterator[Path]:
     """
     remove_orphans(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
-    with temporary.open("ab") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
+    with _locked_new(temporary):
         try:
             yield temporary
         finally:
             temporary.unlink(missing_ok=True)
+
+
+def _locked_new(path: Path) -> BinaryIO:
+    """A file that is made and locked: whoever takes it for a leftover in between removes it."""
+    while True:
+        held = path.open("ab")
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(held.fileno()), path.stat()):
+                return held
+        held.close()
 
 
 def commit_text(path: Path, text: str) -> None:

@@ -4,19 +4,26 @@ Each trial is in the database as soon as it is finished. Its trials are those th
 the same experiment has for this arm and run.
 """
 
+import time
 import warnings
 from collections.abc import Callable
+from contextlib import ExitStack
 from copy import copy
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import optuna
-from optuna.exceptions import ExperimentalWarning, StorageInternalError
+from optuna.exceptions import (
+    ExperimentalWarning,
+    StorageInternalError,
+    UpdateFinishedTrialError,
+)
 from optuna.storages import BaseStorage, RetryHeartbeatStaleTrialCallback
 from optuna.trial import FrozenTrial, TrialState
 
 from storage.commit import require_folder
+from storage.databases.crew import Crew
 from storage.databases.studies import name_metric, read_studies, require_lockable
 from storage.document import difference
 from study.experiment.arms import Arm
@@ -29,6 +36,8 @@ from study.experiment.worth_note import note_worth
 from study.experiment.written_trials import require_notes, require_written
 from taichi_nmm.errors import InputError
 
+WAIT_S = 1.0  # between two looks at what the others of a crew do
+
 Report = Callable[[optuna.Study, FrozenTrial], None]
 
 
@@ -39,6 +48,7 @@ def run_study(
     trials: int,
     storage: BaseStorage,
     report: Report | None = None,
+    crew: Crew | None = None,
 ) -> optuna.Study:
     """Run the study until it has `trials` finished trials, and return it.
 
@@ -46,7 +56,8 @@ def run_study(
 
     Finished means COMPLETE. Trials found running are taken for dead (the caller sees to it that no
     other process runs this study: `storage.databases.studies.only_run`); they are marked failed and
-    run again, with the same parameters, before anything else.
+    run again, with the same parameters, before anything else. Of a crew that is done with trials
+    whose heart has stopped, and a process that finds enough of them begun waits for the others.
 
     Args:
         experiment: of the study.
@@ -56,19 +67,56 @@ def run_study(
             first walker.
         storage: of Optuna.
         report: called after each finished trial.
+        crew: the processes that work on the study; None: this one alone.
 
     Raises:
         InputError: the run is none of the experiment's, or a study of that name was made otherwise.
     """
     experiment.require_run(run)
     one = LiveStudy(experiment, arm, run, open_study(experiment, arm, run, storage))
-    _repeat_running(experiment, one.study)
+    told_of = report or (lambda study, told: None)
+    if crew is not None:
+        _run_together(experiment, one, trials, told_of, crew)
+        with crew.turn():
+            note_worth(experiment, arm, run, one.study)
+        return one.study
+    _repeat(experiment, one.study, running(one.study))
     while one.trials < trials and not _ended(experiment, one):
-        told = _run_trial(experiment, one)
-        if report is not None:
-            report(one.study, told)
+        told_of(one.study, _run_trial(experiment, one))
     note_worth(experiment, arm, run, one.study)
     return one.study
+
+
+def _run_together(
+    experiment: Experiment, one: LiveStudy, trials: int, report: Report, crew: Crew
+) -> None:
+    """As one of several processes: propose in turns, simulate side by side."""
+    while True:
+        with ExitStack() as until_told:
+            with crew.turn():
+                dead = crew.dead()
+                _repeat(experiment, one.study, [t for t in running(one.study) if t.number in dead])
+                done, begun = len(one.finished()), len(running(one.study))
+                if done >= trials or _ended(experiment, one):
+                    return
+                is_due = done + begun < trials
+                if is_due:
+                    one.trials = done + begun
+                    gains = one.ask()
+                    until_told.enter_context(crew.alive(one.asked.number))
+            if not is_due:
+                time.sleep(WAIT_S)
+                continue
+            number = one.asked.number
+            try:
+                report(one.study, _simulated(experiment, one, gains))
+            except UpdateFinishedTrialError:
+                pass  # it was taken for dead, and another process has it
+            except BaseException:
+                with crew.turn():
+                    left = [trial for trial in running(one.study) if trial.number == number]
+                    _repeat(experiment, one.study, left)
+                raise
 
 
 def _ended(experiment: Experiment, one: LiveStudy) -> bool:
@@ -150,22 +198,31 @@ def _refuse_older(old: str, new: str, storage: BaseStorage) -> None:
 def _run_trial(experiment: Experiment, one: LiveStudy) -> FrozenTrial:
     """Ask, simulate, tell; an interrupted trial is put back in the queue."""
     try:
-        gains = np.array([one.ask()])
-        rows = finite(simulate_trials(experiment, [one.run], gains).rows)
-        return one.tell(float(costs(rows, experiment.cost)[0]), rows, attributes(rows))
+        return _simulated(experiment, one, one.ask())
     except StorageInternalError:
         raise  # nothing can be written now; the trial stays running, and the next run repeats it
     except BaseException:
-        _repeat_running(experiment, one.study)
+        _repeat(experiment, one.study, running(one.study))
         raise
 
 
-def _repeat_running(experiment: Experiment, study: optuna.Study) -> None:
-    """Fail running trials, and queue others with the parameters that they had been given.
+def _simulated(experiment: Experiment, one: LiveStudy, gains: list[float]) -> FrozenTrial:
+    """Try what was asked for, and tell."""
+    rows = finite(simulate_trials(experiment, [one.run], np.array([gains])).rows)
+    return one.tell(float(costs(rows, experiment.cost)[0]), rows, attributes(rows))
+
+
+def running(study: optuna.Study) -> list[FrozenTrial]:
+    """Trials that somebody has begun, and nobody has finished."""
+    return study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
+
+
+def _repeat(experiment: Experiment, study: optuna.Study, dead: list[FrozenTrial]) -> None:
+    """Fail trials that nobody runs, and queue others with the parameters that they had been given.
 
     One that had been given some of them is asked for anew: samplers draw them one after the other.
     """
-    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+    for trial in dead:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ExperimentalWarning)
             retry = RetryHeartbeatStaleTrialCallback()

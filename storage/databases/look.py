@@ -87,8 +87,9 @@ def _is_empty(engine: sql.Engine, shown: str) -> bool:
     complete = all(columns.get(name, set()) >= known for name, known in TABLES.items())
     with engine.connect() as connection:
         rows = {name: _count(connection, name) for name in COUNTED if complete and name in columns}
-    complete &= REVISION_TABLE in rows and rows["version_info"] == rows[REVISION_TABLE] == 1
-    empty = not complete and rows.get("studies") == 0 and max(rows.values()) <= 1
+        complete &= REVISION_TABLE in rows and rows["version_info"] == rows[REVISION_TABLE] == 1
+        empty = not complete and rows.get("studies") == 0 and max(rows.values()) <= 1
+        empty = empty and not any(_count(connection, name) for name in (*OWNED, *OF_TRIALS))
     if not (complete or empty):
         raise InputError("storage", shown, "an Optuna database, or an empty one, or a new file")
     return empty

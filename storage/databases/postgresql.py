@@ -12,6 +12,7 @@ from storage.databases.urls import POSTGRESQL_FORM, public_url
 from taichi_nmm.errors import InputError
 
 CONNECT_TIMEOUT_S = 10
+TABLES_LOCK = "taichi-nmm/tables"  # no study's name: those have three parts
 # A server that was restarted between two checkpoints is noticed by the first, cheap question.
 ENGINE_OPTIONS: dict[str, Any] = {
     "connect_args": {"connect_timeout": CONNECT_TIMEOUT_S},
@@ -50,28 +51,48 @@ def open_database(url: str) -> RDBStorage:
     """
     shown = require_server(url)
     try:
-        return RDBStorage(url, engine_kwargs=dict(ENGINE_OPTIONS))
+        with locked(url, TABLES_LOCK, wait=True):  # of several at once, one makes them
+            return RDBStorage(url, engine_kwargs=dict(ENGINE_OPTIONS))
     except (SQLAlchemyError, RuntimeError) as error:
         raise unusable(shown, error) from None
 
 
 @contextmanager
-def locked(url: str, study_name: str) -> Iterator[bool]:
+def locked(url: str, name: str, wait: bool = False) -> Iterator[bool]:
     """Hold an advisory lock of the server on a study's name; yields whether it was free.
 
     The server gives the lock back when the connection ends, however this process ends.
+
+    Args:
+        url: of the database.
+        name: of the study, or of something else that one process does at a time.
+        wait: until it is free.
+    """
+    take = "pg_advisory_lock" if wait else "pg_try_advisory_lock"
+    question = f"SELECT {take}(hashtextextended(:name, 0))"
+    with (
+        connected(url) as engine,
+        engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection,
+    ):
+        free = connection.execute(sql.text(question), {"name": name}).scalar()
+        yield wait or bool(free)
+
+
+@contextmanager
+def connected(url: str) -> Iterator[sql.Engine]:
+    """An engine of the database, whose connections are closed in the end, and so lose their locks.
+
+    Raises:
+        InputError: not such a URL, or what the block met of the server.
     """
     shown = require_server(url)
     engine = _engine(url, shown)
     try:
-        question = "SELECT pg_try_advisory_lock(hashtextextended(:name, 0))"
-        with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-            free = connection.execute(sql.text(question), {"name": study_name}).scalar()
-            yield bool(free)
+        yield engine
     except SQLAlchemyError as error:
         raise unusable(shown, error) from None
     finally:
-        engine.dispose()  # closes the connection, and so gives the lock back
+        engine.dispose()
 
 
 def copy_rows(connection: sql.Connection, table: sql.Table, rows: Sequence[dict[str, Any]]) -> None:

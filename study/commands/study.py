@@ -11,13 +11,16 @@ input, 130 interrupted.
 import json
 import sys
 from argparse import Namespace
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
 import optuna
 
 from storage.commit import commit_json, writable
+from storage.databases.crew import Crew
 from storage.databases.studies import only_run, open_studies, storage_errors
+from storage.databases.urls import is_postgresql
 from study.command import require_engine
 from study.command_options import LARGEST_SEED, Options
 from study.comparison.experiment_folder import live_artifacts
@@ -83,14 +86,18 @@ def main() -> None:
     def report(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
         print(progress_line(study, trial, trials), file=sys.stderr, flush=True)
 
-    with only_run(args.storage, name), storage_errors(args.storage):
-        study = run_study(experiment, arm, args.run, trials, storage, report)
+    # What a library keeps a state of is told its trials in one order, by one process.
+    shared = is_postgresql(args.storage) and not arm.replayed
+    taken = Crew.joined(args.storage, name) if shared else only_run(args.storage, name)
+    with taken as crew, storage_errors(args.storage):
+        study = run_study(experiment, arm, args.run, trials, storage, report, crew)
         with writable(folder):
             folder.mkdir(parents=True, exist_ok=True)
         commit_json(gains, best_gains(study))
         from study.comparison.artifacts import draw_best  # Matplotlib: a second
 
-        draw_best(experiment, args.run, study, args.storage, folder)
+        with crew.turn() if crew else nullcontext():
+            draw_best(experiment, args.run, study, args.storage, folder)
         commands = Commands(
             film_command(gains, args.config, args.run, args.seed),
             dashboard_command(args.storage, live_artifacts(args.storage, folder)),

@@ -52,6 +52,12 @@ class OneStudy:
         self._sampler: BaseSampler | None = None
         self._asked: optuna.Trial | None = None
 
+    @property
+    def asked(self) -> optuna.Trial:
+        """The trial that was asked for, and not told yet."""
+        assert self._asked is not None
+        return self._asked
+
     def finished(self) -> list[FrozenTrial]:
         """The finished trials, in the order of their numbers."""
         return self.study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
@@ -68,9 +74,8 @@ class OneStudy:
 
     def noted(self) -> dict[str, Any]:
         """What the sampler wrote into the trial that was asked for."""
-        assert self._asked is not None
         # Not the trial's own: it does not hear of what samplers write into the storage.
-        return dict(self.study.get_trials(deepcopy=False)[self._asked.number].user_attrs)
+        return dict(self.study.get_trials(deepcopy=False)[self.asked.number].user_attrs)
 
     def tell(
         self, cost: float, rows: NDArray[np.void], attributes: dict[str, Any] | None = None
@@ -131,11 +136,11 @@ class OneStudy:
         self._tell(cost, {name: value for name, value in noted.items() if name not in own})
 
     def _tell(self, cost: float, attributes: dict[str, Any]) -> FrozenTrial:
-        assert self._asked is not None  # told only what was asked
+        asked = self.asked
         for name, value in attributes.items():
-            self._asked.set_user_attr(name, value)
+            asked.set_user_attr(name, value)
         with one_thread():
-            told = self.study.tell(self._asked, cost)
+            told = self.study.tell(asked, cost)
         self._asked = None
         self.trials += 1
         return told

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pytest
@@ -92,6 +93,24 @@ def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(tmp_
     assert set(tmp_path.iterdir()) == {path, living, other}
     commit_json(path, {})
     assert set(tmp_path.iterdir()) == {path, other}
+
+
+def test_a_file_that_is_removed_before_it_is_locked_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By another process, that finds it without a lock."""
+    real, calls = fcntl.flock, []
+
+    def late(file: Any, operation: int) -> None:
+        if not calls:
+            Path(file.name).unlink()
+        calls.append(operation)
+        real(file, operation)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with temporary_sibling(tmp_path / "a") as temporary:
+        assert temporary.exists()
+    assert calls == [fcntl.LOCK_EX] * 2 and not list(tmp_path.iterdir())
 
 
 def test_what_is_being_written_is_not_taken_for_a_leftover(tmp_path: Path) -> None:

@@ -146,6 +146,7 @@ CHANGES = {
     "no revision": ["DELETE FROM alembic_version"],
     "no version": ["DELETE FROM version_info"],
     "no table of revisions": ["DROP TABLE alembic_version"],
+    "what is of a study that is gone": ["DROP TABLE alembic_version", "DELETE FROM studies"],
     "no table of parameters": ["DROP TABLE trial_params"],
 }
 

@@ -1,0 +1,100 @@
+"""A real PostgreSQL server, which the tests start themselves."""
+
+import getpass
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sql
+
+START_TIMEOUT_S = 30.0
+UNPRIVILEGED = "nobody"  # PostgreSQL refuses to run as root
+
+
+def find_programs() -> Path | None:
+    """Folder of initdb and postgres: Debian keeps them out of the PATH."""
+    debian = sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
+    on_path = shutil.which("initdb")
+    folders = [*([Path(on_path).parent] if on_path else []), *debian]
+    return next((folder for folder in folders if (folder / "postgres").exists()), None)
+
+
+class Server:
+    """A server that listens on a socket file in a folder of its own."""
+
+    def __init__(self, folder: Path, programs: Path) -> None:
+        self.folder, self._programs = folder, programs
+        self._user = UNPRIVILEGED if os.geteuid() == 0 else None
+        if self._user:
+            shutil.chown(folder, self._user)
+        self.owner = self._user or getpass.getuser()
+        self._numbers = count()
+        subprocess.run(
+            [programs / "initdb", "-D", folder / "data", "-A", "trust", "--no-sync"],
+            user=self._user, cwd=folder, check=True, capture_output=True,
+        )  # fmt: skip
+        self.start()
+
+    def start(self) -> None:
+        options = ["-k", str(self.folder), "-c", "listen_addresses=", "-c", "fsync=off"]
+        self._process = subprocess.Popen(
+            [self._programs / "postgres", "-D", self.folder / "data", *options],
+            user=self._user, cwd=self.folder, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while not self._answers():
+            assert time.monotonic() < deadline, "the server did not start"
+            time.sleep(0.05)
+
+    def stop(self) -> None:
+        self._process.send_signal(signal.SIGINT)  # fast: sends its clients away
+        self._process.wait(START_TIMEOUT_S)
+
+    def url(self, database: str) -> str:
+        return f"postgresql+psycopg://{self.owner}:secret@/{database}?host={self.folder}"
+
+    def new_database(self) -> str:
+        name = f"studies{next(self._numbers)}"
+        with self._engine().connect() as connection:
+            connection.execution_options(isolation_level="AUTOCOMMIT")
+            connection.execute(sql.text(f"CREATE DATABASE {name}"))
+        return self.url(name)
+
+    def _engine(self) -> sql.Engine:
+        return sql.create_engine(self.url("postgres"), poolclass=sql.NullPool)
+
+    def _answers(self) -> bool:
+        assert self._process.poll() is None, "the server did not start"
+        try:
+            self._engine().connect().close()
+        except sql.exc.OperationalError:
+            return False
+        return True
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    pytest.importorskip("psycopg", reason="no psycopg: pip install 'taichi-nmm[postgres]'")
+    programs = find_programs()
+    if programs is None:
+        pytest.skip("no PostgreSQL server here: apt-get install postgresql")
+    # Not pytest's folder: other users may not enter it, and a socket's path has 107 characters.
+    folder = Path(tempfile.mkdtemp(prefix="nmm-pg-"))
+    try:
+        server = Server(folder, programs)
+        yield server
+        server.stop()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture
+def url(server: Server) -> str:
+    return server.new_database()

@@ -1,0 +1,144 @@
+"""Several processes on one study of a PostgreSQL server, or at one new SQLite file."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import optuna
+import pytest
+from optuna.trial import TrialState
+
+from storage.databases import crew
+from storage.databases.crew import Crew
+from storage.databases.studies import only_run, open_studies
+from taichi_nmm.errors import InputError
+from tests.study import fake_walker
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).resolve().parents[3]
+WAIT_S = 200.0
+TRIALS = 100
+
+# The command with a walk that takes a tenth of a second, and a heart that is missed soon.
+STUDY = """
+import sys, time
+import taichi_nmm
+from storage.databases import crew
+from study.commands import run_named
+from tests.study import fake_walker
+
+def simulate(*args, **options):
+    time.sleep(0.1)
+    return fake_walker.simulate(*args, **options)
+
+crew.BEAT_S, crew.GRACE_S = 0.5, 4.0
+vars(taichi_nmm)["simulate"] = simulate
+run_named(["study", *sys.argv[1:]])
+"""
+OPEN = """
+import sys, time
+from pathlib import Path
+from storage.databases.studies import open_studies
+
+for number in range(5):
+    Path(sys.argv[1], f"{sys.argv[2]}-{number}").touch()
+    deadline_s = time.monotonic() + 30.0
+    while len(list(Path(sys.argv[1]).glob(f"?-{number}"))) < 4:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.001)
+    open_studies(f"sqlite:///{sys.argv[1]}/{number}.db")
+"""
+
+
+def start(code: str, *words: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", code, *map(str, words)]
+    return subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+
+
+def test_four_processes_of_which_one_is_killed(url: str, tmp_path: Path) -> None:
+    fake_walker.write_plain_store(tmp_path / "store")
+    words = ["--config", "rough8", "--arm", "dog", "--trials", TRIALS, "--storage", url]
+    words += ["--store", tmp_path / "store"]
+    processes = [start(STUDY, *words, "--out", tmp_path / str(n)) for n in range(4)]
+
+    def finished() -> int:
+        storage = open_studies(url)
+        try:
+            if "rough8/dog/run-000" not in optuna.get_all_study_names(storage):
+                return 0
+            study = optuna.load_study(study_name="rough8/dog/run-000", storage=storage)
+            return len(study.get_trials(states=(TrialState.COMPLETE,)))
+        finally:
+            storage.engine.dispose()
+
+    deadline_s = time.monotonic() + WAIT_S
+    while finished() < 30:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.2)
+    processes[0].send_signal(signal.SIGKILL)
+    said = [process.communicate(timeout=WAIT_S)[1] for process in processes]
+    assert [process.returncode for process in processes] == [-9, 0, 0, 0], said
+    assert all("rough8/dog/run-000" in lines for lines in said)  # each had trials
+    study = optuna.load_study(study_name="rough8/dog/run-000", storage=open_studies(url))
+    states = Counter(trial.state for trial in study.trials)
+    assert states[TrialState.COMPLETE] == TRIALS
+    assert states.keys() <= {TrialState.COMPLETE, TrialState.FAIL} and states[TrialState.FAIL] <= 1
+    rows = [t.user_attrs["row"] for t in study.trials if t.state is TrialState.COMPLETE]
+    assert len(set(rows)) == TRIALS
+    lost = [t.params for t in study.trials if t.state is TrialState.FAIL and len(t.params) == 16]
+    done = [t.params for t in study.trials if t.state is TrialState.COMPLETE]
+    assert all(params in done for params in lost)  # run again
+
+
+def test_a_new_file_is_opened_by_four_processes_at_once(tmp_path: Path) -> None:
+    processes = [start(OPEN, tmp_path, number) for number in range(4)]
+    said = [process.communicate(timeout=WAIT_S)[1] for process in processes]
+    assert [process.returncode for process in processes] == [0] * 4, said
+    assert len(list(tmp_path.glob("?.db"))) == 5
+    for file in tmp_path.glob("?.db"):
+        optuna.create_study(storage=open_studies(f"sqlite:///{file}"), study_name="a")
+
+
+def test_a_trial_without_a_heart_is_dead(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(crew, "BEAT_S", 0.1)
+    monkeypatch.setattr(crew, "GRACE_S", 1.0)
+    storage = open_studies(url)
+    study = optuna.create_study(storage=storage, study_name="a")
+    other = optuna.create_study(storage=storage, study_name="b")
+    number = study.ask().number
+    study.tell(study.ask(), 1.0)
+    other.ask()
+    with Crew.joined(url, "a") as mine:
+        assert mine.dead() == [number]
+        with mine.alive(number):
+            assert mine.dead() == []
+            with Crew.joined(url, "a") as theirs, theirs.turn():
+                assert theirs.dead() == []
+                time.sleep(2.0)
+                assert theirs.dead() == []
+        time.sleep(1.5)
+        assert mine.dead() == [number]
+
+
+def test_who_is_alone_takes_what_runs_for_dead(url: str) -> None:
+    study = optuna.create_study(storage=open_studies(url), study_name="a")
+    number = study.ask().number
+    with Crew.joined(url, "a") as mine, mine.alive(number):
+        assert mine.dead() == []
+    with Crew.joined(url, "a") as next_one:  # at once: nobody else can have it
+        assert next_one.dead() == [number]
+
+
+def test_a_study_that_a_process_has_for_itself(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(crew, "JOIN_S", 1)
+    open_studies(url)
+    refused = pytest.raises(InputError, match=r"^study: 'a' .* one is running this one")
+    with only_run(url, "a"), Crew.joined(url, "b"), refused, Crew.joined(url, "a"):
+        pass
+    other = pytest.raises(InputError, match=r"^study: 'a' .* another process")
+    with Crew.joined(url, "a"), other, only_run(url, "a"):
+        pass
