@@ -9,6 +9,7 @@ import fcntl
 import os
 import sqlite3
 import stat
+import time
 import warnings
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
@@ -220,14 +221,27 @@ def _make(path: Path) -> None:
         return
     with temporary_sibling(path) as temporary:
         _storage(file_url(temporary), factory=_Unjournaled).engine.dispose()
+        with closing(sqlite3.connect(temporary)) as connection:
+            connection.execute("PRAGMA journal_mode=WAL")
         sync(temporary)
         with suppress(OSError):  # another process was faster; or no links here: it is made in place
             os.link(temporary, path)
 
 
 def _claim(connection: sqlite3.Connection) -> None:
-    """See that the database can be written, and put it into WAL mode (kept by the file)."""
-    connection.execute("PRAGMA journal_mode=WAL")
+    """See that the database can be written, and put it into WAL mode (kept by the file).
+
+    For the mode SQLite does not wait, whatever the timeout, where others open the file as well.
+    """
+    deadline_s = time.monotonic() + BUSY_TIMEOUT_S
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode=WAL")
+            break
+        except sqlite3.OperationalError:
+            if time.monotonic() > deadline_s:
+                raise
+            time.sleep(0.01)
     connection.execute("BEGIN IMMEDIATE")
     connection.rollback()
 
