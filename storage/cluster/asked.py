@@ -9,7 +9,7 @@ from taichi_nmm.errors import InputError, shortened
 MOST_LOCAL = 256  # processes of this machine
 FORMS = f"local:N with N from 1 to {MOST_LOCAL}, or a scheduler's HOST:PORT, tcp:// or tls://"
 _LOCAL = re.compile(r"local:([1-9]\d{0,2})")
-_SCHEDULER = re.compile(r"((tcp|tls)://)?(\[[0-9a-fA-F:.%]+\]|[\w.-]+):\d{1,5}", re.ASCII)
+_SCHEDULER = re.compile(r"(?!local:)((tcp|tls)://)?(\[[0-9a-fA-F:.%]+\]|[\w.-]+):\d{1,5}", re.ASCII)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ import platform
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
+
 import taichi_nmm
 from storage.sobol import sobol_gains
 from taichi_nmm import K_T, __version__, terrain
@@ -43,7 +45,7 @@ def canary(settings: Settings) -> str:
     """SHA-256 of what becomes of sixteen disturbed walkers on rough ground in a second."""
     gains = sobol_gains(CANARY_SEED, 0, CANARY_WALKERS - 1)
     rows = taichi_nmm.simulate(  # imported where it is called
-        [K_T, *gains],
+        np.vstack([K_T, gains]),
         duration_s=CANARY_S,
         bodies=Bodies.disturbed(list(range(CANARY_WALKERS))),
         terrains=terrain.rough(seed=CANARY_SEED),

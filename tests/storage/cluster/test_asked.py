@@ -1,0 +1,101 @@
+"""What a user may ask for, and what a machine is taken for."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+import taichi_nmm
+from storage.cluster.asked import Cluster
+from storage.cluster.freight import packed
+from storage.cluster.kind import differences, own_kind, processor
+from storage.precompute import precompute
+from storage.store import open_store
+from taichi_nmm.errors import InputError
+from taichi_nmm.settings import Settings
+from tests.storage import fake
+
+pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
+
+
+@pytest.mark.parametrize(
+    ("address", "processes"),
+    [
+        ("local:1", 1),
+        ("local:256", 256),
+        ("10.0.0.1:8786", 0),
+        ("head:1", 0),
+        ("tcp://[::1]:8786", 0),
+        ("tls://head.example.org:8786", 0),
+    ],
+)
+def test_addresses(address: str, processes: int) -> None:
+    assert Cluster(address).local_processes == processes
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["", "local", "local:", "local:0", "local:-1", "local:257", "local:99999", "head", "head:",
+     "http://head:1", "head:port", "tcp://head:1/x", "a b:1", "head:123456", "local:1\n", "é:1"],
+)  # fmt: skip
+def test_what_is_no_address(address: str) -> None:
+    with pytest.raises(InputError, match=r"^cluster: .* local:N with N from 1 to 256, or a sched"):
+        Cluster(address)
+
+
+def test_no_password_is_shown() -> None:
+    with pytest.raises(InputError) as caught:
+        Cluster("tcp://me:secret@head:1")
+    assert "secret" not in str(caught.value)
+
+
+def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        "storage.cluster.asked.find_spec",
+        lambda name: None if name == "distributed" else find(name),
+    )
+    with pytest.raises(InputError, match=r"pip install 'taichi-nmm\[cluster\]'"):
+        Cluster("local:2")
+
+
+def test_a_kind_says_what_computes(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = Settings(arch="cpu")
+    kind = own_kind(settings, ("numpy", "taichi"))
+    assert kind == own_kind(settings, ("numpy", "taichi"))
+    assert list(kind) == ["canary", "processor", "taichi-nmm", "numpy", "taichi"]
+    assert differences(kind, kind) == ""
+
+    def other(*args: object, **options: object) -> object:
+        result = fake.simulate(*args, **options)
+        result.rows["mean_speed_mps"][-1] = 1.0
+        return result
+
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", other)
+    found = differences(own_kind(settings, ("numpy",)), kind)
+    assert found.startswith("canary ") and found.endswith(", taichi none, not 1.7.4")
+
+
+def test_a_processor_has_a_name(tmp_path: Path) -> None:
+    (tmp_path / "cpuinfo").write_text("processor\t: 0\nmodel name\t: Fast 3000\nmodel name : x\n")
+    assert processor(tmp_path / "cpuinfo") == "Fast 3000"
+    assert processor(tmp_path / "nothing") != ""
+
+
+def test_a_store_is_packed_and_unpacked(tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    precompute(fake.specification(), store)
+    (store / "mine.txt").write_text("stays here")
+    (tmp_path / "elsewhere").mkdir()
+    freight = packed(store)
+    for _ in range(2):
+        freight.unpack(tmp_path / "elsewhere")
+    found = open_store(tmp_path / "elsewhere" / freight.place, verify=True)
+    assert found.table().equals(open_store(store).table())
+    assert packed(found.path) == freight
+    one = packed(store / "part-00000.parquet")
+    one.unpack(tmp_path / "elsewhere")
+    assert len(open_store(tmp_path / "elsewhere" / one.place)) == 8
+    with pytest.raises(InputError, match=r"part-00001\.parquet"):
+        (store / "part-00001.parquet").unlink()
+        packed(store)

@@ -1,0 +1,145 @@
+"""The commands on a cluster of this machine: the same bytes, also when a folder changes sides."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.tools.running import ROOT
+
+pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
+pytestmark = pytest.mark.slow
+
+WAIT_S = 300.0
+STORE = """
+samples = {samples}
+shard_rows = 8
+seed = 7
+[simulation]
+duration_s = 1.0
+arch = "cpu"
+[families.up]
+settings = 2
+min_survival_s = 0.5
+horizon_s = 1.0
+[families.up.terrain]
+kind = "ramp"
+"""
+EXPERIMENT = """
+name = "tiny"
+seed = 5
+runs = 2
+trials = 4
+arms = ["dog", "cmaes-cold"]
+[objective]
+cost = "smooth"
+[simulation]
+duration_s = 2.0
+arch = "cpu"
+engine = "{engine}"
+[stores]
+flat = "store"
+"""
+HERE = ("--workers", "1")
+THERE = ("--cluster", "local:2")
+
+
+def start(folder: Path, tool: str, *words: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, str(ROOT / "tools" / f"{tool}.py"), *map(str, words)],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # a terminal's Ctrl-C reaches all of it
+    )
+
+
+def run(folder: Path, tool: str, *words: object) -> None:
+    process = start(folder, tool, *words)
+    _, error = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 0, error
+
+
+def tables(folder: Path) -> dict[str, bytes]:
+    return {
+        str(file.relative_to(folder)): file.read_bytes()
+        for file in sorted(folder.rglob("*.parquet"))
+        if file.name != "proposal_times.parquet" and file.parent.name != "arms"
+    }
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With a store, made here."""
+    path = tmp_path_factory.mktemp("cluster")
+    (path / "store.toml").write_text(STORE.format(samples=96))
+    (path / "some.toml").write_text(STORE.format(samples=4000))
+    run(path, "precompute", "--config", "store.toml", "--out", "store", *HERE)
+    return path
+
+
+def test_a_store_is_the_same_and_goes_on_on_either_side(folder: Path) -> None:
+    words = ("precompute", "--config", "store.toml", "--out")
+    run(folder, *words, "there", *THERE)
+    assert tables(folder / "there") == tables(folder / "store")
+    shutil.copytree(folder / "store", folder / "begun-here")
+    for begun, side in (("there", HERE), ("begun-here", THERE)):
+        for number in (0, 3, 7):
+            (folder / begun / f"part-{number:05d}.parquet").unlink()
+        run(folder, *words, begun, *side)
+        assert tables(folder / begun) == tables(folder / "store")
+
+
+@pytest.mark.parametrize("engine", ["taichi", pytest.param("mujoco", marks=pytest.mark.campaign)])
+def test_a_comparison_is_the_same_and_goes_on_on_either_side(folder: Path, engine: str) -> None:
+    """Its store travels."""
+    config = folder / f"{engine}.toml"
+    config.write_text(EXPERIMENT.format(engine=engine))
+    words = ("compare", "--config", config, "--no-artifacts", "--out")
+    run(folder, *words, f"{engine}-here", *HERE)
+    run(folder, *words, f"{engine}-there", *THERE)
+    run(folder, *words, f"{engine}-both", "--trials", "2", *HERE)
+    run(folder, *words, f"{engine}-both", *THERE)
+    expected = tables(folder / f"{engine}-here")
+    assert list(expected) == ["trials.parquet"]
+    assert tables(folder / f"{engine}-there") == tables(folder / f"{engine}-both") == expected
+
+
+def test_ctrl_c_is_one_line_and_what_is_done_is_kept(folder: Path) -> None:
+    words = ("precompute", "--config", "some.toml", "--out", "stopped", *THERE)
+    process = start(folder, *words)
+    deadline_s = time.monotonic() + WAIT_S
+    while len(list((folder / "stopped").glob("part-*"))) < 3:
+        assert process.poll() is None and time.monotonic() < deadline_s
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130
+    said = error.replace("\r", "\n").strip().splitlines()
+    assert said[-1] == "interrupted: finished work is kept; the same command resumes"
+    assert "Traceback" not in error
+    assert 3 <= len(list((folder / "stopped").glob("part-*"))) < 500
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("--cluster", "nowhere"), "error: cluster: 'nowhere' cannot be used; allowed: local:N"),
+        (("--mixed",), "error: mixed: True cannot be used; allowed: only beside --cluster"),
+    ],
+)
+@pytest.mark.parametrize("tool", ["precompute", "compare", "optimum"])
+def test_what_is_refused_leaves_nothing(
+    folder: Path, tool: str, words: tuple[str, ...], line: str
+) -> None:
+    config = "store.toml" if tool == "precompute" else "rough8"
+    process = start(folder, tool, "--config", config, "--out", "nothing", *words)
+    out, error = process.communicate(timeout=WAIT_S)
+    assert (process.returncode, out, error.count("\n")) == (2, "", 1)
+    assert error.startswith(line) and not (folder / "nothing").exists()
