@@ -11,6 +11,7 @@ from typing import Any
 
 import dask
 from distributed import Client, LocalCluster
+from distributed.security import Security
 
 from storage.cluster.asked import Cluster
 from storage.cluster.executor import ClusterExecutor
@@ -97,7 +98,7 @@ def cluster_pool(
     describe = partial(own_kind, settings, tuple(dict.fromkeys([*PACKAGES, *packages])))
     freights = {store: packed(store) for store in stores}
     reference = None if asked.mixed else folder_kind(folder, describe)
-    with _scheduler(asked) as address, _client(asked, address) as client:
+    with _scheduler(asked) as where, _client(asked, *where) as client:
         session = SESSION + client.id
         gate = Gate(client, session, reference, asked.mixed, _tell)
         plugin = Walkers(
@@ -146,32 +147,38 @@ def left_behind(dask_scheduler: Any = None) -> list[str]:
 
 
 @contextmanager
-def _scheduler(asked: Cluster) -> Iterator[str]:
-    """The address of the cluster; one of this machine's is started, and ended."""
+def _scheduler(asked: Cluster) -> Iterator[tuple[str, Security]]:
+    """The address of the cluster and how to talk to it; one of this machine is started and ended.
+
+    Whoever reaches a scheduler can have it run anything. So of ours nobody else hears: it is on the
+    loopback address, and asks for certificates that only this process and its workers have.
+    """
     if not asked.local_processes:
-        yield asked.address
+        yield asked.address, Security()  # as Dask's own settings say
         return
-    # Nobody else hears this scheduler, no port is taken for a page, and Ctrl-C is this process's.
+    with _failures(asked):
+        security = Security.temporary()
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": MOST_DEATHS}),
         LocalCluster(
             n_workers=asked.local_processes,
             threads_per_worker=1,
             host=LOOPBACK,
-            dashboard_address=None,
-            worker_dashboard_address=None,
+            dashboard_address=f"{LOOPBACK}:0",
+            scheduler_kwargs={"dashboard": False},
+            security=security,
             silence_logs=logging.CRITICAL,
             preload="storage.cluster.deaf",
         ) as cluster,
     ):
-        yield cluster.scheduler_address
+        yield cluster.scheduler_address, security
 
 
 @contextmanager
-def _client(asked: Cluster, address: str) -> Iterator[Client]:
+def _client(asked: Cluster, address: str, security: Security) -> Iterator[Client]:
     logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # it speaks of every retry
     with _failures(asked):
-        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+        client = Client(address, security=security, timeout=CONNECT_S, set_as_default=False)
     try:
         yield client
     finally:

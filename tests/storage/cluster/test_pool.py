@@ -169,3 +169,70 @@ def test_nobody_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"'127.0.0.1:9' .* a scheduler that answers"), opening:
         pass
     assert not (tmp_path / "out").exists()
+
+
+def test_a_cluster_of_this_machine_is_heard_by_nobody_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    psutil = pytest.importorskip("psutil")
+    monkeypatch.setattr("storage.cluster.connection.own_kind", units.own_kind)
+    me = psutil.Process()
+    before = {child.pid for child in me.children(recursive=True)}
+    with open_pool(1, Asked("local:2"), tmp_path / "out", Settings(arch="cpu")) as pool:
+        assert results(pool, units.square, [1, 2]) == {1: 1, 2: 4}
+        ours = [me, *(child for child in me.children(recursive=True) if child.pid not in before)]
+        heard = [
+            socket.laddr.ip
+            for process in ours
+            for socket in process.net_connections("inet")
+            if socket.status == psutil.CONN_LISTEN
+        ]
+        assert set(heard) == {"127.0.0.1"} and len(heard) >= 3
+        address = pool.executor._client.scheduler.address  # type: ignore[attr-defined]
+        assert address.startswith("tls://127.0.0.1:")
+        other = Asked(address)
+        stranger = open_pool(1, other, tmp_path / "other", Settings(arch="cpu"))
+        with pytest.raises(InputError, match=r"a scheduler that answers"), stranger:
+            pass
+    assert {child.pid for child in me.children(recursive=True)} <= before | {
+        child.pid for child in me.children() if "resource_tracker" in " ".join(child.cmdline())
+    }
+
+
+def test_certificates_of_ones_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, certificates: Cluster
+) -> None:
+    """By Dask's settings, as docs/cluster.md says."""
+    import dask
+
+    monkeypatch.setattr("storage.cluster.connection.own_kind", units.own_kind)
+    monkeypatch.setattr("storage.cluster.connection.CONNECT_S", 3.0)
+    assert certificates.address.startswith("tls://")
+    opening = (1, Asked(certificates.address), tmp_path / "out", Settings(arch="cpu"))
+    with pytest.raises(InputError, match=r"a scheduler that answers"), open_pool(*opening):
+        pass
+    names = {"ca-file": "ca", "client.cert": "cert", "client.key": "key"}
+    files = {
+        f"distributed.comm.tls.{name}": str(certificates.folder / f"{file}.pem")
+        for name, file in names.items()
+    }
+    with dask.config.set(files), open_pool(*opening) as pool:
+        assert results(pool, units.square, [1, 2]) == {1: 1, 2: 4}
+
+
+@pytest.fixture
+def certificates(tmp_path: Path) -> Iterator[Cluster]:
+    """A cluster that asks for them."""
+    security = pytest.importorskip("distributed.security").Security.temporary()
+    folder = tmp_path / "tls"
+    folder.mkdir()
+    (folder / "ca.pem").write_text(security.tls_ca_file)
+    (folder / "cert.pem").write_text(security.tls_scheduler_cert)
+    (folder / "key.pem").write_text(security.tls_scheduler_key)
+    names = {"--tls-ca-file": "ca", "--tls-cert": "cert", "--tls-key": "key"}
+    options = tuple(word for name, file in names.items() for word in (name, f"{folder}/{file}.pem"))
+    cluster = Cluster(folder, options=("--protocol", "tls", *options))
+    cluster.start_scheduler()
+    cluster.start_worker()
+    yield cluster
+    cluster.close()

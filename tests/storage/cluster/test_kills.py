@@ -1,0 +1,85 @@
+"""Ten kills, of workers, schedulers and clients, at random moments of a store and a comparison."""
+
+import os
+import random
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from tests.storage.cluster.conftest import REPOSITORY, Cluster, children, kill, until
+
+pytestmark = pytest.mark.campaign
+
+STORE = """
+samples = 30000
+shard_rows = 100
+seed = 3
+[simulation]
+duration_s = 5.0
+arch = "cpu"
+"""
+EXPERIMENT = """
+name = "tiny"
+seed = 5
+runs = 4
+trials = 40
+arms = ["dog", "random"]
+[objective]
+cost = "smooth"
+[simulation]
+duration_s = 20.0
+arch = "cpu"
+[stores]
+flat = "whole-precompute"
+"""
+SEED = 15
+VICTIMS = ("worker", "scheduler", "client", "worker", "client")  # of each command
+
+
+@pytest.mark.parametrize("tool", ["precompute", "compare"])
+def test_five_kills_and_the_same_bytes(tool: str, cluster: Cluster, tmp_path: Path) -> None:
+    (tmp_path / "precompute.toml").write_text(STORE)
+    (tmp_path / "compare.toml").write_text(EXPERIMENT)
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+
+    def start(name: str, out: str, *options: str) -> subprocess.Popen[bytes]:
+        words = ["--config", f"{name}.toml", "--out", out, *options]
+        words += ["--no-artifacts"] if name == "compare" else []
+        file = str(REPOSITORY / "tools" / f"{name}.py")
+        return subprocess.Popen(
+            [sys.executable, file, *words],
+            cwd=tmp_path,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    for name in dict.fromkeys(("precompute", tool)):
+        assert start(name, f"whole-{name}", "--workers", "2").wait() == 0
+    dice, codes = random.Random(SEED), []
+    for victim in VICTIMS:
+        client = start(tool, "killed", "--cluster", cluster.address)
+        until(lambda: (tmp_path / "killed" / "kind.json").exists())
+        with suppress(subprocess.TimeoutExpired):
+            client.wait(dice.uniform(0.2, 1.5))
+        if victim == "worker":
+            kill(children(cluster.processes[1].pid)[0])
+        elif victim == "scheduler":
+            kill(cluster.scheduler.pid)
+        else:
+            client.kill()
+        codes.append(client.wait())
+        if victim == "scheduler":
+            cluster.close()
+            cluster.processes.clear()
+            cluster.start_scheduler()
+            for _ in range(2):
+                cluster.start_worker()
+    assert start(tool, "killed", "--cluster", cluster.address).wait() == 0
+    table = "trials.parquet" if tool == "compare" else "part-*.parquet"
+    whole = {f.name: f.read_bytes() for f in (tmp_path / f"whole-{tool}").glob(table)}
+    assert whole == {f.name: f.read_bytes() for f in (tmp_path / "killed").glob(table)}
+    assert [codes[number] for number in (1, 2, 4)] == [2, -9, -9]  # all in the middle
