@@ -5,6 +5,7 @@ part-00000.parquet   a shard; done when it opens, is undamaged and its footer is
 search-up-00000.parquet   a generation of a search under way
 repertoire.parquet   what the search tried and chose; done when the search is over
 manifest.json        written last: SHA-256 of every shard
+kind.json            of a store that a cluster fills: what its workers compute with
 .lock                held by the one process that writes
 """
 
@@ -18,6 +19,7 @@ import pyarrow as pa
 
 from storage.chosen import REPERTOIRE_NAME, RepertoireFile
 from storage.claim import claimed, remove
+from storage.cluster.kind import KIND_NAME
 from storage.document import FORMAT, agree, document_hash
 from storage.generation_files import GENERATION_PATTERN, GenerationFiles
 from storage.manifest import MANIFEST_NAME, Manifest
@@ -51,7 +53,7 @@ class StoreFolder:
             _require_files(path)
             if fresh:
                 remove(path, MANIFEST_NAME, SHARD_PATTERN, GENERATION_PATTERN)
-                remove(path, REPERTOIRE_NAME, SPECIFICATION_NAME)
+                remove(path, REPERTOIRE_NAME, KIND_NAME, SPECIFICATION_NAME)
             agree(path / SPECIFICATION_NAME, specification.document, remedy=REMEDY)
             yield StoreFolder(path, specification)
 

@@ -17,7 +17,7 @@ from storage.cluster.asked import Cluster
 from storage.cluster.executor import ClusterExecutor
 from storage.cluster.freight import Freight, packed
 from storage.cluster.gate import Gate
-from storage.cluster.kind import PACKAGES, Kind, own_kind
+from storage.cluster.kind import KIND_NAME, PACKAGES, Kind, own_kind
 from storage.cluster.plugin import Walkers
 from storage.document import agree
 from storage.pool import Pool
@@ -26,7 +26,6 @@ from taichi_nmm.errors import InputError, one_line, shortened
 from taichi_nmm.reading import json_document
 from taichi_nmm.settings import Settings
 
-KIND_NAME = "kind.json"  # in a folder: the kind of the workers that fill it
 SESSION = "taichi-nmm-"  # and the client's name
 AHEAD = 2  # calls a place, one of which waits on the worker
 CONNECT_S = 30.0
@@ -77,7 +76,7 @@ class ClusterPool(Pool):
 @contextmanager
 def cluster_pool(
     asked: Cluster,
-    folder: Path,
+    folder: Path | None,
     settings: Settings,
     packages: tuple[str, ...] = (),
     stores: Sequence[Path] = (),
@@ -86,7 +85,7 @@ def cluster_pool(
 
     Args:
         asked: which cluster.
-        folder: that is to be filled, which decides what kind workers must be of.
+        folder: that is to be filled, and decides what kind workers must be of; None: a new one.
         settings: of the simulator, on one thread.
         packages: beside the simulator's, that decide results.
         stores: that units read, by `Pool.there`.
@@ -97,7 +96,7 @@ def cluster_pool(
     """
     describe = partial(own_kind, settings, tuple(dict.fromkeys([*PACKAGES, *packages])))
     freights = {store: packed(store) for store in stores}
-    reference = None if asked.mixed else folder_kind(folder, describe)
+    reference = None if asked.mixed or folder is None else folder_kind(folder, describe)
     with _scheduler(asked) as where, _client(asked, *where) as client:
         session = SESSION + client.id
         gate = Gate(client, session, reference, asked.mixed, _tell)

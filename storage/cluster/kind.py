@@ -20,6 +20,7 @@ from taichi_nmm.settings import Settings
 Kind = dict[str, str]
 """Of each part what it is: "canary", "processor", "taichi-nmm", and packages by their names."""
 
+KIND_NAME = "kind.json"  # in a folder: the kind of the workers that fill it
 CANARY_WALKERS = 16
 CANARY_S = 1.0
 CANARY_SEED = 1

@@ -12,7 +12,7 @@ from taichi_nmm.settings import Settings
 def open_pool(
     workers: int,
     cluster: Cluster | None,
-    folder: Path,
+    folder: Path | None,
     settings: Settings,
     packages: Sequence[str] = (),
     stores: Sequence[Path] = (),
@@ -22,7 +22,7 @@ def open_pool(
     Args:
         workers: processes.
         cluster: in their place.
-        folder: that is to be filled.
+        folder: that is to be filled; None: one that is begun anew.
         settings: of the simulator, on one thread.
         packages: beside the simulator's, that decide results.
         stores: that units read.

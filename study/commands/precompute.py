@@ -51,7 +51,8 @@ def main() -> None:
     out = options.out or Path("out") / options.config.stem
     workers = default_workers(settings) if options.workers is None else options.workers
     one_thread = specification.conditions.on_one_thread().settings
-    opened = open_pool(workers, asked_cluster(options), out, one_thread)
+    folder = None if options.fresh else out
+    opened = open_pool(workers, asked_cluster(options), folder, one_thread)
     with opened as pool, closing(ProgressBar(specification.walkers)) as bar:
         summary = precompute(specification, out, options.fresh, bar.show, pool)
     print(json.dumps(asdict(summary)) if options.json else text(summary))

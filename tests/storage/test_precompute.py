@@ -11,6 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
+from storage import open_store
+from storage import precompute as filling
 from storage.pool import Pool, local_pool
 from storage.precompute import Summary, precompute
 from storage.shard import FOOTER_KEY, read_columns
@@ -107,6 +109,20 @@ def test_a_single_shard_is_computed_here(store: Path) -> None:
         executor.shutdown()
         precompute(fake.specification(), store, pool=Pool(executor, 2))
     assert content(store) == before
+
+
+def test_where_machines_may_differ_each_shard_says_of_which_it_is(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Mixed(Pool):
+        mixed = property(lambda self: True)
+
+    monkeypatch.setattr(filling, "own_kind", lambda settings, packages: {"processor": "Fast 3000"})
+    with ThreadPoolExecutor(2) as executor:
+        precompute(fake.specification(), tmp_path / "b", pool=Mixed(executor, 2))
+    found = open_store(tmp_path / "b")
+    assert all(footer["kind"] == {"processor": "Fast 3000"} for footer in found.footers)
+    assert found.table().equals(open_store(store).table())
 
 
 @pytest.mark.slow

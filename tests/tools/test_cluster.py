@@ -111,6 +111,20 @@ def test_a_comparison_is_the_same_and_goes_on_on_either_side(folder: Path, engin
     assert tables(folder / f"{engine}-there") == tables(folder / f"{engine}-both") == expected
 
 
+def test_a_folder_of_another_kind_is_refused_unless_it_begins_anew(folder: Path) -> None:
+    words = ("precompute", "--config", "store.toml", "--out", "other", "--cluster", "local:1")
+    shutil.copytree(folder / "store", folder / "other")
+    (folder / "other" / "kind.json").write_text('{"canary": "abc"}')
+    process = start(folder, *words)
+    _, error = process.communicate(timeout=WAIT_S)
+    lines = error.splitlines()
+    assert process.returncode == 2 and len(lines) == 2
+    assert "gets no work: canary " in lines[0] and lines[1].startswith("error: cluster: 'local:1'")
+    run(folder, *words, "--fresh")
+    assert tables(folder / "other") == tables(folder / "store")
+    assert '"canary": "abc"' not in (folder / "other" / "kind.json").read_text()
+
+
 def test_ctrl_c_is_one_line_and_what_is_done_is_kept(folder: Path) -> None:
     words = ("precompute", "--config", "some.toml", "--out", "stopped", *THERE)
     process = start(folder, *words)
