@@ -31,6 +31,7 @@ AHEAD = 2  # calls a place, one of which waits on the worker
 CONNECT_S = 30.0
 CLOSE_S = 5.0
 MOST_DEATHS = 20  # of workers of this machine that one call may take with it
+LARGEST_TASK = "1 TiB"  # without a warning: sixty studies with all their trials are some MiB
 LOOPBACK = "127.0.0.1"
 REMEDY = "--mixed; or another --out"
 
@@ -176,6 +177,7 @@ def _scheduler(asked: Cluster) -> Iterator[tuple[str, Security]]:
 @contextmanager
 def _client(asked: Cluster, address: str, security: Security) -> Iterator[Client]:
     logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # it speaks of every retry
+    dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGEST_TASK})
     with _failures(asked):
         client = Client(address, security=security, timeout=CONNECT_S, set_as_default=False)
     try:
