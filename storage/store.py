@@ -1,6 +1,6 @@
 """Reading a store: a finished folder, one shard of it, or a merged file."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -48,11 +48,16 @@ class Store:
     @checks.checked(columns=checks.optional(checks.each(checks.text)))
     def table(self, columns: Iterable[str] | None = None) -> pa.Table:
         """The rows as an Arrow table: all columns, or those named in that order."""
+        return pa.concat_tables(self.tables(columns))
+
+    @checks.checked(columns=checks.optional(checks.each(checks.text)))
+    def tables(self, columns: Iterable[str] | None = None) -> Iterator[pa.Table]:
+        """The same, file by file: of a store that is larger than memory."""
         names = list(self.columns if columns is None else columns)
         for name in names:
             if name not in self.columns:
                 raise InputError("column", name, f"one of {', '.join(self.columns)}")
-        return pa.concat_tables(read_columns(file, names) for file in self.files)
+        return (read_columns(file, names) for file in self.files)
 
     def numpy(self, columns: Iterable[str] | None = None) -> NDArray[np.void]:
         """The rows as a structured array, [n]; words are NumPy strings."""

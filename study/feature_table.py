@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+import numpy as np
 from optuna.distributions import BaseDistribution
 
 from study.sampler.candidate_table import COLUMN_CHECKS, CandidateTable
-from study.sampler.checked_rows import Bounds
+from study.sampler.checked_rows import Bounds, make_rows
+from study.sampler.large import new_matrix
 from study.sampler.rows import Rows
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
@@ -76,7 +78,7 @@ class StoreColumns:
     def __call__(self) -> Rows:
         """A store knows its parameters, those beside the 16 gains too, and their bounds."""
         from storage.store import open_store  # PyArrow is slow to load
-        from study.sampler.parquet import arrow_rows, require_features
+        from study.sampler.parquet import filled, require_features
 
         require_features(self.features)
         store = open_store(self.path)
@@ -87,5 +89,8 @@ class StoreColumns:
         for name in self.features:
             if name not in others:
                 raise InputError("score", name, f"one of {', '.join(others)}")
-        table = store.table((*bounds, *self.features))
-        return arrow_rows(table, tuple(bounds), self.features, self.bounds or bounds, self.space)
+        names, matrix = (*bounds, *self.features), new_matrix(len(store), len(bounds))
+        features = np.empty((len(store), len(self.features)))
+        filled((matrix, features), store.tables(names))
+        columns = dict(zip(bounds, matrix.T, strict=True))
+        return make_rows(columns, features, self.features, self.bounds or bounds, self.space)

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
 
-from study.sampler.columns import feature_matrix, parameter_column
+from study.sampler.columns import Floats, feature_matrix, parameter_column
+from study.sampler.large import columns_of, let_go, new_matrix
 from study.sampler.rows import Rows
 from study.sampler.space import STEP_TOLERANCE, Space
 from taichi_nmm.errors import InputError
@@ -40,14 +41,15 @@ def make_rows(
     _require_known("table.space", space, parameters)
     matrix = feature_matrix(features, feature_names)
     names = tuple(feature_names or (f"feature_{i}" for i in range(matrix.shape[1])))
-    raw = np.empty((len(matrix), len(parameters)))
+    raw = new_matrix(len(matrix), len(parameters))
     distributions: dict[str, BaseDistribution] = {}
-    for column, (name, values) in enumerate(parameters.items()):
+    for (name, values), column in zip(parameters.items(), columns_of(raw), strict=True):
         given = None if space is None else space.get(name)
         numbers, distribution = parameter_column(name, values, len(matrix), given)
         if bounds is not None and name in bounds and given is None:
             distribution = _widened(name, distribution, bounds[name])
-        raw[:, column] = numbers
+        column[:] = numbers
+        let_go(np.asarray(values))
         distributions[name] = distribution
     rows = Rows(Space.of(distributions), raw, names, matrix)
     _require_inside(rows)
@@ -77,10 +79,10 @@ def _widened(
 
 def _require_inside(rows: Rows) -> None:
     """Refuse rows that their own distribution does not hold."""
-    for column, (name, distribution) in enumerate(rows.space.as_dict().items()):
+    named = rows.space.as_dict().items()
+    for (name, distribution), values in zip(named, columns_of(rows.parameters), strict=True):
         if isinstance(distribution, CategoricalDistribution):
             continue
-        values = rows.parameters[:, column]
         low, high = distribution.low, distribution.high  # type: ignore[attr-defined]
         outside = np.flatnonzero(~((low <= values) & (values <= high)))
         if len(outside):
@@ -88,16 +90,15 @@ def _require_inside(rows: Rows) -> None:
             raise InputError(f"table.{name}[{row}]", float(values[row]), f"{low:g} to {high:g}")
         if isinstance(distribution, FloatDistribution) and distribution.step is None:
             continue
-        row_off_grid = _first_off_grid(rows, column)
+        row_off_grid = _first_off_grid(values, distribution)
         if row_off_grid is not None:
             value = float(values[row_off_grid])
             raise InputError(f"table.{name}[{row_off_grid}]", value, f"a value of {distribution}")
 
 
-def _first_off_grid(rows: Rows, column: int) -> int | None:
-    """The first row that lies between the steps of its parameter."""
-    distribution = rows.space.distributions[column]
+def _first_off_grid(values: Floats, distribution: BaseDistribution) -> int | None:
+    """The first of the values [n] that lies between the steps of its parameter."""
     low, step = distribution.low, distribution.step  # type: ignore[attr-defined]
-    steps = (rows.parameters[:, column] - low) / step
+    steps = (values - low) / step
     off = np.flatnonzero(np.abs(steps - np.round(steps)) > STEP_TOLERANCE)
     return int(off[0]) if len(off) else None

@@ -1,6 +1,6 @@
 """Columns of Parquet files as the rows of a table."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,9 +11,13 @@ from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
 from study.sampler.checked_rows import Bounds, make_rows
+from study.sampler.columns import Floats
+from study.sampler.large import let_go
 from study.sampler.rows import Rows
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, reading
+
+MOST_WAITING_BYTES = 2**28  # written to a matrix that may be a file's, before memory is let go
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,28 @@ def arrow_rows(
     """
     columns = {name: _numpy(table, name) for name in parameters}
     return make_rows(columns, _matrix(table, features), features, bounds, space)
+
+
+def filled(matrices: Sequence[Floats], tables: Iterable[pa.Table]) -> None:
+    """Write the columns of tables, which follow one another, into matrices side by side.
+
+    Raises:
+        InputError: a column is none of numbers.
+    """
+    first, waiting = 0, 0
+    for table in tables:
+        rows = slice(first, first + len(table))
+        targets = (column for matrix in matrices for column in matrix[rows].T)
+        for name, target in zip(table.column_names, targets, strict=True):
+            try:
+                target[:] = _numpy(table, name)
+            except (TypeError, ValueError):
+                raise InputError("score", name, "a column of numbers") from None
+        first, waiting = rows.stop, waiting + table.nbytes
+        if waiting > MOST_WAITING_BYTES:
+            waiting = 0
+            for matrix in matrices:
+                let_go(matrix)
 
 
 def _read(path: Path, names: Sequence[str]) -> pa.Table:

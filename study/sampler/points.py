@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from study.sampler.large import let_go, rows_of, side_by_side
+
 Floats = NDArray[np.float64]
 
 
@@ -28,6 +30,7 @@ class Points:
 
     def matrix(self, block: slice = slice(None)) -> Floats:
         """All or some of them, [m, k + e]."""
+        let_go(self._stacked)  # of a large table what was read before
         return self._stacked[block]
 
     @cached_property
@@ -35,7 +38,7 @@ class Points:
         """All of them, made once."""
         if not self.coordinates.shape[1]:
             return self.features
-        return np.hstack([self.features, self.coordinates])
+        return side_by_side(self.features, self.coordinates)
 
     @cached_property
     def distinct(self) -> tuple[Floats, NDArray[np.int64]]:
@@ -45,7 +48,7 @@ class Points:
 
     def take(self, index: NDArray[Any]) -> "Points":
         """Some of them, by number or by mask."""
-        return Points(self.features[index], self.coordinates[index])
+        return Points(self.features[index], rows_of(self.coordinates, index))
 
     def only(self, *, features: bool, coordinates: bool) -> "Points":
         """With the columns that a kernel looks at."""

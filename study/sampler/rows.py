@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
+from study.sampler.large import BLOCK, by_blocks, columns_of, let_go
 from study.sampler.points import Points
 from study.sampler.scale import NormalScores, Scale, Standard
 from study.sampler.space import Space, first_not_taken
@@ -81,7 +82,7 @@ class Rows:
     @cached_property
     def unit(self) -> Floats:
         """Parameters in the unit cube, [n, e]."""
-        return self.space.unit(self.parameters)
+        return by_blocks(self.space.unit, self.parameters)
 
     @cached_property
     def chosen_unit(self) -> Floats:
@@ -108,7 +109,9 @@ class Rows:
     @cached_property
     def extent(self) -> tuple[Floats, Floats]:
         """Least and greatest value of each parameter, [d] each."""
-        return self.parameters.min(axis=0), self.parameters.max(axis=0)
+        ends = [(column.min(), column.max()) for column in columns_of(self.parameters)]
+        least, greatest = np.array(ends).T
+        return least, greatest
 
     @property
     def incomplete(self) -> int:
@@ -167,7 +170,9 @@ class Rows:
         head = [*self.names, *map(str, self.space.distributions), *self.feature_names]
         digest = hashlib.sha256("\n".join(head).encode())
         for values in (self.parameters, self.features):
-            digest.update(np.ascontiguousarray(values).data)
+            for first in range(0, len(self), BLOCK):
+                digest.update(np.ascontiguousarray(values[first : first + BLOCK]).data)
+                let_go(values)
         return digest.hexdigest()
 
     def _chosen(self, values: Floats) -> Floats:
@@ -177,7 +182,13 @@ class Rows:
     @cached_property
     def _native(self) -> Callable[[int], dict[str, Any]]:
         """Native values of a row, remembered: those of a study's trials are asked for each time."""
-        return lru_cache(REMEMBERED)(lambda row: self.space.values(self.parameters[row]))
+
+        def values(row: int) -> dict[str, Any]:
+            found = self.space.values(self.parameters[row])
+            let_go(self.parameters)
+            return found
+
+        return lru_cache(REMEMBERED)(values)
 
     @cached_property
     def _outside(self) -> Callable[[int, BaseDistribution], int | None]:
@@ -185,7 +196,9 @@ class Rows:
 
         def first(column: int, suggested: BaseDistribution) -> int | None:
             own = self.space.distributions[column]
-            return first_not_taken(own, self.parameters[:, column], suggested)
+            found = first_not_taken(own, self.parameters[:, column], suggested)
+            let_go(self.parameters)
+            return found
 
         return lru_cache(REMEMBERED)(first)
 
@@ -226,8 +239,8 @@ class Rows:
 def _hash(parameters: Floats) -> NDArray[np.uint64]:
     """64 bits a row: equal rows have equal ones, and others, in practice, different ones."""
     hashes = np.zeros(len(parameters), dtype=np.uint64)
-    for column in (parameters + 0.0).T:
-        bits = np.ascontiguousarray(column).view(np.uint64)
+    for column in columns_of(parameters):
+        bits = np.ascontiguousarray(column + 0.0).view(np.uint64)
         hashes = (hashes ^ bits) * HASH_FACTOR
         hashes ^= hashes >> np.uint64(29)
     return hashes
