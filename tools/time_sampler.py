@@ -2,6 +2,7 @@
 
     python tools/time_sampler.py                   # a table and a plot into docs/; minutes
     python tools/time_sampler.py --rows 5000 --sweep 10,50 --json
+    python tools/time_sampler.py --store-rows 10000000    # that alone, of a store made up for it
 
 Each figure comes from a fresh process on one thread. Optuna's GPSampler is timed in the same run
 where PyTorch, which it needs, is installed; greenlet, where it is installed too, halves its time.
@@ -13,6 +14,7 @@ import json
 import multiprocessing
 import os
 import sys
+import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import date
@@ -29,7 +31,8 @@ with guarded_imports():
     from tqdm import tqdm
 
     from storage.commit import commit_text, require_folder, writable
-    from study.benchmarks import comparison_report, sampler_timing
+    from study.benchmarks import comparison_report, large_store, sampler_timing
+    from study.benchmarks.large_store import LargeStore
     from study.benchmarks.run_cache import ONE_THREAD, ROOT, torch_is_installed
     from study.benchmarks.sampler_timing import Case, Measured
     from study.command_options import Options
@@ -40,6 +43,7 @@ with guarded_imports():
 BARS_MS = {("ours", 1): 10.0, ("ours", 5): 45.0, ("rbf", 1): 10.0}
 MOST_FEATURES = 5
 MOST_ROWS = 10_000_000
+MOST_STORE_ROWS = 100_000_000
 BEST_FEATURES, BEST_BAR_MS = 6, 10.0
 LONG_BAR_MS = 1000.0  # at the largest number of observations
 GP_RATIO_BAR = 5.0  # GPSampler's time over ours with one feature
@@ -72,6 +76,10 @@ class Timings:
 def main() -> None:
     options = parse()
     os.environ.update(ONE_THREAD)
+    if options.store_rows is not None:
+        found = large(options.store_rows)
+        print(json.dumps(found.as_dict()) if options.json else large_text(found))
+        return
     timings = measure(options)
     if options.json:
         print(json.dumps(timings.as_dict()))
@@ -91,6 +99,7 @@ def parse() -> argparse.Namespace:
     parser.whole("--repeats", 1, MOST_TRIALS, default=11, help="of each proposal; %(default)s")
     parser.add_argument("--sweep", default="10,30,100,300,1000", help="observations; %(default)s")
     parser.whole("--large-rows", 1, MOST_ROWS, default=1_000_000, help="%(default)s")
+    parser.whole("--store-rows", 100, MOST_STORE_ROWS, help="time a store of so many rows, no more")
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="of the table and plot")
     parser.add_argument("--json", action="store_true", help="print one object, write no document")
     options = parser.parse_args()
@@ -130,6 +139,27 @@ def measure(options: argparse.Namespace) -> Timings:
         large=next(done),
         peer=next(done, None),
     )
+
+
+def large(rows: int) -> LargeStore:
+    """Of a store in a folder that goes again."""
+    with tempfile.TemporaryDirectory() as scratch:
+        large_store.make(rows, Path(scratch, "store"))
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(1, mp_context=context) as pool:
+            return pool.submit(large_store.measure, Path(scratch, "store")).result()
+
+
+def large_text(found: LargeStore) -> str:
+    lines = [
+        ("rows of the store", f"{found.rows:,} ({found.disk_bytes / 2**30:.2f} GiB)"),
+        ("open_store", f"{found.open_s:.1f} s"),
+        ("16 parameters, 2 features", f"{found.table_s:.1f} s"),
+        ("first proposal", f"{found.first_s:.1f} s"),
+        ("proposals of the model, median", f"{found.median_s:.2f} s"),
+        ("memory at the peak", mib(found.peak_mib)),
+    ]
+    return "\n".join(f"{name:<32} {value}" for name, value in lines)
 
 
 def peer_can_run() -> bool:

@@ -82,11 +82,11 @@ class Measured:
 def measure(case: Case) -> Measured:
     """Propose `repeats` times; each proposal sees one finished trial more than the one before."""
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    before_mib = _memory_mib("VmRSS")
+    before_mib = memory_mib("VmRSS")
     study = _prepare(case)
     spent = [_propose(study, case) for _ in range(WARM_UP + case.repeats)][WARM_UP:]
     seconds, cpu_seconds = zip(*spent, strict=True)
-    after_mib, peak_mib = _memory_mib("VmRSS"), _memory_mib("VmHWM")
+    after_mib, peak_mib = memory_mib("VmRSS"), memory_mib("VmHWM")
     kept, most = _less(after_mib, before_mib), _less(peak_mib, before_mib)
     return Measured(case, seconds, cpu_seconds, kept, most)
 
@@ -158,7 +158,7 @@ def _propose(study: optuna.Study, case: Case) -> tuple[float, float]:
     return spent
 
 
-def _memory_mib(field: str) -> float | None:
+def memory_mib(field: str) -> float | None:
     """Resident memory of this process (VmRSS) or the most it ever was (VmHWM); None off Linux."""
     status = Path("/proc/self/status")
     if not status.exists():

@@ -104,3 +104,13 @@ def test_bad_arguments_are_one_line_and_exit_code_2(arguments: tuple[str, ...], 
     assert done.stdout == ""
     assert done.stderr.startswith(f"error: {field}: ")
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_store_of_many_rows_is_measured() -> None:
+    done = time_sampler("--store-rows", "70000", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["rows"] == 70_000 and len(found["later_s"]) == 10
+    assert 0.0 < found["median_s"] < 60.0 and 100 < found["peak_mib"] < 10_000
+    refused = time_sampler("--store-rows", "99")
+    assert refused.returncode == 2 and refused.stderr.startswith("error: store-rows: 99 ")
