@@ -33,6 +33,7 @@ from storage.databases.urls import public_url as public_url
 from taichi_nmm.errors import InputError
 
 URL_PREFIX = SQLITE
+MEMORY_NAME = ":memory:"  # which SQLite takes for no file
 BUSY_TIMEOUT_S = 5.0  # a writer of ours holds the database for milliseconds
 
 
@@ -105,7 +106,7 @@ def studies_path(url: str) -> Path:
     if name == url or not name or "?" in name:
         raise InputError("storage", shown, FORMS)
     path = Path(sql.make_url(url).database or "")  # which undoes %20 and its like
-    if "\0" in str(path):
+    if "\0" in str(path) or path.name == MEMORY_NAME:
         raise InputError("storage", shown, FORMS)
     with writable(Path(shown.removeprefix(URL_PREFIX)), "storage"), suppress(FileNotFoundError):
         if not stat.S_ISREG(path.stat().st_mode):

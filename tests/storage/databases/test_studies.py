@@ -199,7 +199,7 @@ def test_a_new_database_appears_whole(tmp_path: Path, monkeypatch: pytest.Monkey
     assert "studies.db" in listing(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["%00", "a%00.db", "?", ""])
+@pytest.mark.parametrize("name", ["%00", "a%00.db", "?", "", ":memory:", "%3Amemory:"])
 def test_what_names_no_file_is_one_line(name: str) -> None:
     for use in (open_studies, studies_path, shown_url):
         with pytest.raises(InputError, match=r"^storage: .* cannot be used; allowed: sqlite:///"):
