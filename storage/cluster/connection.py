@@ -179,7 +179,13 @@ def _client(asked: Cluster, address: str, security: Security) -> Iterator[Client
     logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # it speaks of every retry
     dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGEST_TASK})
     with _failures(asked):
-        client = Client(address, security=security, timeout=CONNECT_S, set_as_default=False)
+        client = Client(
+            address,
+            security=security,
+            timeout=CONNECT_S,
+            set_as_default=False,
+            direct_to_workers=bool(asked.local_processes),  # of others they may be out of reach
+        )
     try:
         yield client
     finally:
