@@ -1,11 +1,13 @@
 """Calls on a real scheduler's real workers, any of which may be killed."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +92,19 @@ def test_a_scheduler_that_dies_is_one_line(
     with pytest.raises(InputError, match=line), opened() as pool:
         for _ in pool.results(units.slow_square, deque(range(100))):
             kill(cluster.scheduler.pid)
+
+
+def test_a_cluster_without_workers_is_given_up(
+    cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("storage.cluster.executor.WORKERLESS_S", 1.0)
+    monkeypatch.setattr("storage.cluster.executor.WATCH_S", 0.2)
+    line = r"cluster: 'tcp.* not without a worker for 1 s; the same command goes on"
+    with pytest.raises(InputError, match=line), opened() as pool:
+        for _ in pool.results(units.slow_square, deque(range(100))):
+            for worker in cluster.processes[1:]:
+                with suppress(ProcessLookupError):
+                    os.killpg(worker.pid, signal.SIGKILL)
 
 
 CLIENT = """
