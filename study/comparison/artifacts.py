@@ -21,7 +21,7 @@ from optuna_dashboard.artifact import get_artifact_path
 
 from storage.commit import TEMPORARY_SUFFIX, writable
 from storage.databases.bulk import attach
-from storage.databases.studies import open_studies, storage_errors
+from storage.databases.studies import open_studies, read_errors, storage_errors
 from storage.pool import IN_PROCESS, Pool
 from study.comparison.drawing import FILM, STRIP, Drawing, draw
 from study.comparison.experiment_folder import ARTIFACTS_NAME, live_artifacts
@@ -222,7 +222,7 @@ def _attach(experiment: Experiment, walks: Sequence[Walk], url: str) -> None:
         return
     storage = open_studies(url)
     try:
-        with storage_errors(url):
+        with storage_errors(url), read_errors(url):
             attach(storage, attributes)
             for walk in walks:
                 strip = _artifact_id(experiment, walk, STRIP)

@@ -30,6 +30,7 @@ from study.comparison.results import as_if_gone_on, by_study
 from study.experiment.experiment import Experiment, study_name, summary_name
 from study.experiment.identity import LIVE_ATTRIBUTE, fingerprint
 from study.experiment.objective import ATTRIBUTES, metric_name
+from study.experiment.written_trials import require_notes
 from study.sampler.history import ROW_ATTRIBUTE
 from taichi_nmm.errors import InputError
 
@@ -96,6 +97,7 @@ def check_database(experiment: Experiment, url: str) -> None:
         _check(experiment, storage, url)
         if (name := summary_name(experiment.name)) in study_ids(storage):
             load_whole(storage, name)
+            require_notes(name, storage)
     open_studies(url).engine.dispose()  # it is there and ours, but may be locked
 
 

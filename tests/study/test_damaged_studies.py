@@ -186,6 +186,7 @@ def test_a_damaged_note_is_one_line(
         "UPDATE study_directions SET direction = 'cuda'",
         "UPDATE study_system_attributes SET value_json = '\"a'",
         "UPDATE study_user_attributes SET value_json = '\"a' WHERE key <> 'experiment_config'",
+        NOTE.format("value_json = 'null'", "ver"),
     ],
 )
 def test_a_summary_that_cannot_be_read_is_refused_before_the_work(
@@ -199,7 +200,7 @@ def test_a_summary_that_cannot_be_read_is_refused_before_the_work(
     (tmp_path / "out" / "trials.parquet").unlink()
     url = f"sqlite:///{tmp_path}/out/studies.db"
     before = edit(url, command)
-    with pytest.raises(InputError, match=r"^storage: "):
+    with pytest.raises(InputError, match=r"^(storage|study toy/summary: note): "):
         run()
     assert not (tmp_path / "out" / "trials.parquet").exists()
     assert edit(url) == before
