@@ -171,6 +171,7 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         "Store.pandas": (opened.pandas, {"columns": ["row"]}),
         "Store.require_bounds": (opened.require_bounds, {}),
         "Store.table": (opened.table, {"columns": ["row"]}),
+        "Store.tables": (opened.tables, {"columns": ["row"]}),
         "DoGSampler": (tried(study.DoGSampler), {"table": table} | options),
         "FeatureKernelSampler": (tried(study.FeatureKernelSampler), {"features": table} | options),
         "FeatureKernelSampler, no table": (
