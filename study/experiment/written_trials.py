@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import optuna
+from optuna.distributions import check_distribution_compatibility
 from optuna.storages import BaseStorage
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
@@ -56,6 +57,7 @@ def require_written(study: optuna.Study, experiment: Experiment) -> None:
             raise InputError(prefix, trial.number, f"{place}: trials without a gap")
         if trial.state is TrialState.COMPLETE:
             _require_finished(trial, experiment, prefix)
+        _require_compatible(trial, experiment, prefix)
         _require(trial.user_attrs, IF_THERE, prefix)
         _require(trial.system_attrs, OF_OPTUNA, prefix)
 
@@ -93,6 +95,18 @@ def _require_finished(trial: FrozenTrial, experiment: Experiment, prefix: str) -
         if name not in trial.user_attrs:
             raise InputError(f"{prefix}: {name}", "missing", "what the walk came to")
     _require(trial.user_attrs, FINISHED, prefix)
+
+
+def _require_compatible(trial: FrozenTrial, experiment: Experiment, prefix: str) -> None:
+    """Refuse distributions beside which Optuna takes none of ours."""
+    for name, distribution in trial.distributions.items():
+        ours = experiment.space.get(name)
+        if ours is None:
+            continue
+        try:
+            check_distribution_compatibility(distribution, ours)
+        except ValueError:
+            raise InputError(f"{prefix}: {name}", str(distribution), str(ours)) from None
 
 
 def _require(

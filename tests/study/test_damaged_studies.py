@@ -80,6 +80,8 @@ UNUSABLE = {
     "DELETE FROM trial_params WHERE param_name = 'K_SOL'": "trial 0: parameters",
     "UPDATE trial_params SET param_value = 1e9 WHERE param_name = 'K_SOL'": "trial 0",
     "UPDATE trials SET number = number + 1": "trial 1",
+    "UPDATE trial_params SET distribution_json = replace(distribution_json, '\"log\": false',"
+    " '\"log\": null') WHERE param_name = 'K_SOL'": r"trial 0: K_SOL: 'FloatDistribution.*log=None",
     "DELETE FROM trial_user_attributes WHERE key = 'walked'": "trial 0: walked: 'missing'",
     WRITTEN.format("'[1]'", "walked"): r"trial 0: walked: \[1\]",
     WRITTEN.format("'null'", "duration_s"): "trial 0: duration_s: None",
