@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.cluster.kind import PACKAGES, own_kind
 from storage.evolved import evolved_points
+from storage.kind import PACKAGES, own_kind
 from storage.pool import IN_PROCESS, Pool
 from storage.schema import evaluated_name
 from storage.scoring import Report, ScoredShard, score_shard

@@ -19,9 +19,9 @@ import pyarrow as pa
 
 from storage.chosen import REPERTOIRE_NAME, RepertoireFile
 from storage.claim import claimed, remove
-from storage.cluster.kind import KIND_NAME
 from storage.document import FORMAT, agree, document_hash
 from storage.generation_files import GENERATION_PATTERN, GenerationFiles
+from storage.kind import KIND_NAME
 from storage.manifest import MANIFEST_NAME, Manifest
 from storage.schema import columns_of
 from storage.shard import file_hash, read_columns, read_footer, shard_name, write_table

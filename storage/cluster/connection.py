@@ -17,9 +17,9 @@ from storage.cluster.asked import Cluster
 from storage.cluster.executor import ClusterExecutor
 from storage.cluster.freight import Freight, packed
 from storage.cluster.gate import Gate
-from storage.cluster.kind import KIND_NAME, PACKAGES, Kind, own_kind
 from storage.cluster.plugin import Walkers
 from storage.document import agree
+from storage.kind import KIND_NAME, PACKAGES, Kind, own_kind
 from storage.pool import Pool
 from storage.processes import Processes
 from taichi_nmm.errors import InputError, one_line, shortened

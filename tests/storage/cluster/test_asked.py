@@ -9,7 +9,7 @@ import pytest
 import taichi_nmm
 from storage.cluster.asked import Cluster
 from storage.cluster.freight import packed
-from storage.cluster.kind import differences, own_kind, processor
+from storage.kind import differences, own_kind, processor
 from storage.precompute import precompute
 from storage.store import open_store
 from taichi_nmm.errors import InputError
