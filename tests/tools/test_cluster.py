@@ -45,6 +45,10 @@ engine = "{engine}"
 [stores]
 flat = "store"
 """
+OPTIMUM = """
+[cmaes]
+max_generations = 3
+"""
 HERE = ("--workers", "1")
 THERE = ("--cluster", "local:2")
 
@@ -108,6 +112,15 @@ def test_a_comparison_that_was_begun_here_goes_on_there(folder: Path, engine: st
     run(folder, *words, f"{engine}-both", "--trials", "2", *HERE)
     run(folder, *words, f"{engine}-both", *THERE)
     assert tables(folder / f"{engine}-both") == expected
+
+
+@pytest.mark.campaign
+def test_an_estimate_of_the_optimum_is_the_same(folder: Path) -> None:
+    (folder / "optimum.toml").write_text(EXPERIMENT.format(engine="taichi") + OPTIMUM)
+    for name, side in (("optimum-here", HERE), ("optimum-there", THERE)):
+        run(folder, "optimum", "--config", "optimum.toml", "--out", name, *side)
+    assert len(tables(folder / "optimum-here")) >= 2
+    assert tables(folder / "optimum-there") == tables(folder / "optimum-here")
 
 
 def test_a_folder_of_another_kind_is_refused_unless_it_begins_anew(folder: Path) -> None:
