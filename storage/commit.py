@@ -110,10 +110,8 @@ def together(folder: Path) -> Iterator[Path]:
     Raises:
         InputError: the folder cannot be written or the disk is full.
     """
-    if not folder.resolve().name:
-        raise InputError("out", str(folder), "a folder that has a name")
+    require_named(folder)
     new = folder.resolve().with_name(f".{folder.resolve().name}.new")
-    require_folder(folder)
     with writable(folder):
         new.parent.mkdir(parents=True, exist_ok=True)
         shutil.rmtree(new, ignore_errors=True)  # of a process that was killed
@@ -151,6 +149,17 @@ def require_folder(path: Path, field: str = "out") -> None:
     require_writable(path, field)
     if path.exists() and not path.is_dir():
         raise InputError(field, str(path), "a folder")
+
+
+def require_named(folder: Path) -> None:
+    """Refuse a folder that `together` cannot fill; nothing is touched.
+
+    Raises:
+        InputError: it has no name, such as /; or as `require_folder`.
+    """
+    if not folder.resolve().name:
+        raise InputError("out", str(folder), "a folder that has a name")
+    require_folder(folder)
 
 
 def remove_orphans(path: Path) -> None:

@@ -7,6 +7,7 @@ no command can do anything with are refused here, for all of them.
 import argparse
 import ast
 import os
+import sys
 import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,6 +40,10 @@ class Options(argparse.ArgumentParser):
         Raises:
             InputError: a word that is no text of one line, or a path that no file can have.
         """
+        for word in sys.argv[1:]:
+            flag, _, value = word.partition("=")
+            if flag.startswith("--") and value == "--":  # argparse makes a list of it
+                raise InputError(flag.removeprefix("--"), value, "a value")
         found = super().parse_args()
         for name, value in vars(found).items():
             for word in value if isinstance(value, list) else [value]:

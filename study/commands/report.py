@@ -12,7 +12,7 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
-from storage.commit import require_folder
+from storage.commit import require_named
 from study.command_options import Options
 from study.experiment.experiment import Experiment
 from study.experiment.identity import documented_experiment
@@ -58,7 +58,7 @@ def main() -> None:
     optima = [find_optimum(results, args.optimum) for results in everything]
     experiments = [documented_experiment(results.facts) for results in everything]
     if args.out is not None:
-        require_folder(args.out)
+        require_named(args.out)
     found = []
     for results, experiment, optimum in zip(everything, experiments, optima, strict=True):
         pair = None if args.no_strips else strips_of(results, experiment)

@@ -6,6 +6,7 @@ import pytest
 
 from study.command_options import Options
 from study.shipped import config_path
+from taichi_nmm.errors import InputError
 
 
 @pytest.mark.parametrize(
@@ -20,6 +21,14 @@ def test_an_unknown_option_is_one_printable_line(
     said = capsys.readouterr().err
     assert said.startswith("error: unrecognized arguments: --") and said.count("\n") == 1
     assert said.removesuffix("\n").isprintable() and len(said) < 600
+
+
+def test_two_dashes_are_no_value(monkeypatch: pytest.MonkeyPatch) -> None:
+    options = Options(__file__)
+    options.add_argument("--run", type=int)
+    monkeypatch.setattr(sys, "argv", ["taichi-nmm", "--run=--"])
+    with pytest.raises(InputError, match="run: '--' cannot be used"):
+        options.parse_args()
 
 
 def test_a_configuration_of_a_name_that_no_file_can_have() -> None:

@@ -147,6 +147,7 @@ def test_bad_input_is_one_line(
         ((folder, "--optimum", broken), "optimum"),
         ((folder, "--out", tmp_path / "all"), "out"),
         ((folder, folder, "--out", tmp_path / "file", "--no-strips"), "out"),
+        ((folder, folder, "--out", "/", "--no-strips"), "out"),
         ((strange,), "terrain.steepness"),
     ]
     for arguments, field in cases:
