@@ -101,7 +101,11 @@ def nudged(rng: Generator, value: Any) -> Any:
         return any_value(rng)
     if isinstance(value, str):
         return pick(rng, (value + " ", value.upper(), value[1:], value + "\u0000", value * 50))
-    return pick(rng, (-value, value + 1, value * 1000, float(value), str(value), value / 3))
+    try:
+        fractions = float(value), value / 3
+    except OverflowError:  # a whole number that no float is as large as
+        fractions = math.inf, -math.inf
+    return pick(rng, (-value, value + 1, value * 1000, fractions[0], str(value), fractions[1]))
 
 
 def nodes(document: Any) -> Iterator[Any]:

@@ -16,8 +16,8 @@ import pytest
 from storage.pool import cores
 from tests.fuzz.campaign import BEGUN, Plan, keep, run_cases, table
 from tests.fuzz.cases import HERE, NAMES, make_case
-from tests.fuzz.damage import as_json, damaged_document
-from tests.fuzz.hostile import VALUES
+from tests.fuzz.damage import as_json, damaged_document, nudged
+from tests.fuzz.hostile import HUGE, VALUES
 from tests.fuzz.judge import ACCEPTED, REFUSED, Verdict, content, judge, wrong
 from tests.fuzz.world import COMMANDS, Words, make_world
 
@@ -106,6 +106,12 @@ def test_damage_to_a_document_leaves_the_values_that_it_takes_as_they_are() -> N
     for number in range(3000):
         as_json(damaged_document(np.random.default_rng(number), document))
     assert repr(before) == repr(VALUES)
+
+
+def test_a_huge_whole_number_is_nudged_too() -> None:
+    rng = np.random.default_rng(1)
+    kinds = {type(nudged(rng, 1000 * HUGE)) for _ in range(100)}
+    assert {int, float, str} <= kinds
 
 
 def test_a_case_is_the_same_whenever_it_is_made(plan: Plan, tmp_path: Path) -> None:
