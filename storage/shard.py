@@ -15,6 +15,7 @@ from taichi_nmm.reading import parse_json, reading
 
 FOOTER_KEY = b"taichi_nmm"
 FOOTER_NEEDS = {"format", "rows", "shard", "specification", "specification_hash"}
+SHARD_PATTERN = "part-*.parquet"
 HASH_BLOCK_BYTES = 1 << 20
 
 

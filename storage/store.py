@@ -10,9 +10,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from storage.document import document_hash
-from storage.manifest import Manifest
+from storage.manifest import MANIFEST_NAME, Manifest
 from storage.schema import columns_of
-from storage.shard import file_hash, read_columns, read_footer, write_table
+from storage.shard import SHARD_PATTERN, file_hash, read_columns, read_footer, write_table
 from storage.stored import check_specification
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
@@ -104,8 +104,8 @@ class Store:
                 raise InputError(f"store.gains.{name}", stored.get(name), allowed)
 
 
-@checks.checked(path=checks.path, verify=checks.flag)
-def open_store(path: str | Path, verify: bool = False) -> Store:
+@checks.checked(path=checks.path, verify=checks.flag, unfinished=checks.flag)
+def open_store(path: str | Path, verify: bool = False, unfinished: bool = False) -> Store:
     """Open a store's folder, a single shard, or a merged file.
 
     Args:
@@ -113,16 +113,20 @@ def open_store(path: str | Path, verify: bool = False) -> Store:
         verify: also compare every file with its SHA-256 in the manifest beside it. Whenever
             columns are read, pages are compared with their checksums; a merged file, or a shard
             that was taken out of its folder, has only these.
+        unfinished: of a folder that is still being filled, take the shards that are there.
 
     Raises:
         InputError: missing, unfinished, truncated, damaged, or not a store.
     """
     path = Path(path)
-    manifest = Manifest.read(path) if is_folder(path) else None
-    files = tuple(path / name for name in manifest.hashes) if manifest else (path,)
+    shards = _shards_there(path) if unfinished else ()
+    manifest = Manifest.read(path) if is_folder(path) and not shards else None
+    files = shards or (tuple(path / name for name in manifest.hashes) if manifest else (path,))
     footers, specification = _read_footers(files)
     if manifest is not None:
         _check_folder(files, footers, manifest)
+    elif len({footer["specification_hash"] for footer in footers}) > 1:
+        raise InputError("store", str(path), "a folder of shards of one store")
     columns = tuple(column.partition(":")[0] for column in specification["columns"])
     store = Store(path, files, footers, columns, specification)
     if verify:
@@ -137,6 +141,13 @@ def merge(source: str | Path, target: str | Path) -> Store:
     footer = {key: _common(store.footers, key) for key in store.footers[0]}
     write_table(target, store.table(), footer | {"rows": len(store)})
     return open_store(target)
+
+
+def _shards_there(path: Path) -> tuple[Path, ...]:
+    """Of a folder that has no manifest: it is written last."""
+    if not is_folder(path) or (path / MANIFEST_NAME).exists():
+        return ()
+    return tuple(sorted(path.glob(SHARD_PATTERN)))
 
 
 def _read_footers(files: tuple[Path, ...]) -> tuple[tuple[dict[str, Any], ...], dict[str, Any]]:

@@ -24,12 +24,18 @@ from storage.generation_files import GENERATION_PATTERN, GenerationFiles
 from storage.kind import KIND_NAME
 from storage.manifest import MANIFEST_NAME, Manifest
 from storage.schema import columns_of
-from storage.shard import file_hash, read_columns, read_footer, shard_name, write_table
+from storage.shard import (
+    SHARD_PATTERN,
+    file_hash,
+    read_columns,
+    read_footer,
+    shard_name,
+    write_table,
+)
 from storage.specification import Specification
 from taichi_nmm.errors import InputError
 
 SPECIFICATION_NAME = "specification.json"
-SHARD_PATTERN = "part-*.parquet"
 REMEDY = "another --out; or --fresh, which starts over"
 
 

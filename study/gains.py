@@ -15,7 +15,7 @@ from storage.databases.studies import read_studies, shown_url, studies_path
 from storage.databases.urls import SQLITE
 from storage.shard import read_columns
 from storage.store import open_store
-from study.comparison.experiment_folder import RESULTS_NAME
+from study.comparison.experiment_folder import ARMS_NAME, RESULTS_NAME
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
     GAIN_NAMES,
@@ -74,7 +74,7 @@ def gains_of_row(store: Path, row: int) -> NamedGains:
     if not 0 <= row < len(opened):
         raise InputError("row", row, f"0 to {len(opened) - 1}, the rows of {store}")
     values = opened.table(opened.gain_names).slice(row, 1).to_pylist()[0]
-    return _named(f"{store.name}-row-{row}", values)
+    return named_gains(f"{store.name}-row-{row}", values)
 
 
 def gains_of_trial(trial: str, where: str) -> NamedGains:
@@ -94,27 +94,35 @@ def gains_of_trial(trial: str, where: str) -> NamedGains:
         values = _of_folder(Path(where), trial)
     else:
         values = _of_database(where, study, int(number))
-    return _named(trial.replace("/", "-"), values)
+    return named_gains(trial.replace("/", "-"), values)
 
 
 def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
-    path = folder / RESULTS_NAME
-    if not path.is_file():
+    final = folder / RESULTS_NAME
+    paths = [final] if final.is_file() else sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))
+    if not paths:
         raise InputError("storage", str(folder), f"a comparison's folder, with {RESULTS_NAME}")
     *named, run, number = trial.split("/")
-    table = read_columns(path)
     if len(named) == 2 and _is_number(run.removeprefix("run-")):
         wanted = {
             "experiment": named[0], "arm": named[1], "run": int(run.removeprefix("run-")),
             "trial": int(number),
         }  # fmt: skip
-        with reading("storage", path, "a comparison's table of trials"):
-            for name, value in wanted.items():  # as text: a number may be too large for Arrow
-                table = table.filter(pc.equal(table[name].cast("string"), str(value)))
-        if len(table):
-            row: dict[str, Any] = table.to_pylist()[0]
-            return row
-    raise InputError("trial", trial, f"a finished trial of {path}: {TRIAL_FORM}")
+        for path in paths:
+            row = _row_of(path, wanted)
+            if row is not None:
+                return row
+    where = final if final in paths else folder / ARMS_NAME
+    raise InputError("trial", trial, f"a finished trial of {where}: {TRIAL_FORM}")
+
+
+def _row_of(path: Path, wanted: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The first row with these values, of a table of trials."""
+    table = read_columns(path)
+    with reading("storage", path, "a comparison's table of trials"):
+        for name, value in wanted.items():  # as text: a number may be too large for Arrow
+            table = table.filter(pc.equal(table[name].cast("string"), str(value)))
+    return table.to_pylist()[0] if len(table) else None
 
 
 def _of_database(url: str, name: str, number: int) -> dict[str, Any]:
@@ -134,7 +142,7 @@ def _is_number(text: str) -> bool:
     return text.isdecimal() and len(text) <= LONGEST_NUMBER
 
 
-def _named(name: str, values: Mapping[str, Any]) -> NamedGains:
+def named_gains(name: str, values: Mapping[str, Any]) -> NamedGains:
     """Gains among other values; low-level gains that are not there have their defaults."""
     both = {parameter.name: parameter.default for parameter in LOW_LEVEL_GAINS}
     both |= {key: values[key] for key in (*GAIN_NAMES, *LOW_LEVEL_NAMES) if key in values}

@@ -8,7 +8,7 @@
 writes strip.png, gait_cycle.png and movie.mp4 to the folder. Gains are a name (reference, K_T), a
 JSON file of gains, a row of a store, or a finished trial of a study database or of a comparison.
 With --engine mujoco the body is MuJoCo's; with both, strips.png shows one walk above the other.
---mjcf writes MuJoCo's model, on its ground, for MuJoCo's own viewer.
+--mjcf writes MuJoCo's model, on its ground, for MuJoCo's own viewer; --trajectory all samples.
 Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
@@ -27,11 +27,12 @@ from storage.commit import commit, writable
 from study.command import require_engine
 from study.command_options import LARGEST_SEED, Options
 from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
-from study.experiment.objective import outcome_text
+from study.experiment.objective import MEASURES, row_text
 from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
 from study.report.before_after import Pair, Shown
 from study.report.strips import write_strips
+from study.trajectory_files import require_trajectory_file, write_trajectory
 from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
@@ -43,7 +44,6 @@ ANGLES = (
 LONGEST_MOVIE_S = 120.0
 RECORD_RATE_HZ = 200.0
 BOTH = "both"  # engines
-MEASURES = ("duration_s", "distance_m", "mean_speed_mps")
 REPORTED = (
     *MEASURES, "cost_of_transport_jpkgpm", "step_count",
     "phi_printed", "phi_corrected",
@@ -68,6 +68,10 @@ def parse() -> Namespace:
     )
     parser.add_argument("--engine", choices=(*ENGINES, BOTH), help="overrides the config's")
     parser.add_argument("--mjcf", type=Path, metavar="FILE", help="write MuJoCo's model there too")
+    parser.add_argument(
+        "--trajectory", type=Path, metavar="FILE", action="append", default=[],
+        help="write all samples there too: .csv, or OpenSim's .mot (coordinates), .sto (forces)",
+    )  # fmt: skip
     parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     return parser.parse_args()
@@ -169,19 +173,13 @@ def write_engines(
     """The same gains once more, on MuJoCo: both walks one above the other."""
     other = simulate(gains, on_engine(experiment, "mujoco"), run)
     first, second = (
-        Shown(engine, f"{engine}: {outcome(walk)}", walk.trajectories[0])
+        Shown(engine, f"{engine}: {row_text(walk.rows[0])}", walk.trajectories[0])
         for engine, walk in zip(ENGINES, (result, other), strict=True)
     )
     terrain = experiment.terrain(run)
     title = f"{gains.name} on {terrain.name}, run {run}: two engines"
     write_strips(folder, title, Pair(run, terrain, first, second))
     return {"strips": str(folder / "strips.png")}
-
-
-def outcome(result: taichi_nmm.Result) -> str:
-    """How the one walk of a result ended, in words."""
-    shown = {name: result.rows[0][name] for name in MEASURES}
-    return outcome_text(shown | {"end_reason": str(result.end_reason[0])})
 
 
 def write_pictures(
@@ -252,17 +250,22 @@ def main() -> None:
     if args.engine == BOTH or args.mjcf is not None:
         require_mujoco()
     folder = args.out or Path("out") / "walk" / gains.name
+    for file in args.trajectory:
+        require_trajectory_file(file)
     if args.mjcf is not None:
         write_model(args.mjcf, experiment, args.run)
     make_folder(folder)
     result = simulate(gains, experiment, args.run)
     row, end_reason = result.rows[0], str(result.end_reason[0])
-    title = f"{gains.name} on {experiment.terrain(args.run).name}: {outcome(result)}"
+    title = f"{gains.name} on {experiment.terrain(args.run).name}: {row_text(row)}"
     paths = write_pictures(result, experiment, args.run, folder, title, args.movie_seconds)
     if args.engine == BOTH:
         paths |= write_engines(gains, result, experiment, args.run, folder)
     if args.mjcf is not None:
         paths["mjcf"] = str(args.mjcf)
+    for file in args.trajectory:
+        write_trajectory(file, result.trajectories[0], gains.name)
+        paths[file.suffix.removeprefix(".")] = str(file)
     if args.json:
         print(json.dumps(report(gains, row, end_reason, paths)))
         return

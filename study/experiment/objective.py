@@ -16,6 +16,8 @@ WALKING_SPEED_MPS = 0.3  # slower, a walker that lasted to the end has stood rat
 OUTCOMES = ("duration_s", "distance_m", "mean_speed_mps", "cost_of_transport_jpkgpm")
 KEPT = (*OUTCOMES, *(name for name, _ in SCORE_FIELDS))
 
+MEASURES = ("duration_s", "distance_m", "mean_speed_mps")  # what words about a walk name
+
 # What a reader of a study database wants to know of a trial, beside its parameters and cost.
 ATTRIBUTES = (
     "duration_s", "distance_m", "mean_speed_mps", "end_reason", "walked", "phi_printed",
@@ -61,6 +63,12 @@ def attributes(rows: NDArray[np.void]) -> dict[str, Any]:
     columns = {"walked": walked(rows), "end_reason": np.array(END_REASONS)[rows["end_reason"]]}
     found = {name: columns[name] if name in columns else rows[name] for name in ATTRIBUTES}
     return {name: values[0].item() for name, values in found.items()}
+
+
+def row_text(row: np.void) -> str:
+    """How the walk of a result row ended, in words."""
+    shown = {name: row[name] for name in MEASURES}
+    return outcome_text(shown | {"end_reason": END_REASONS[row["end_reason"]]})
 
 
 def outcome_text(shown: Mapping[str, Any]) -> str:

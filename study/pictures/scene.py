@@ -81,13 +81,14 @@ def frames(
     film: Film = LARGE,
 ) -> Iterator[bytes]:
     """RGB frames of the last `seconds` in real time."""
-    motion = _motion(finite(trajectory), terrain, seconds, film.rate_hz)
+    motion = motion_of(finite(trajectory), terrain, seconds, film.rate_hz)
     scene = Scene(motion, terrain, title, film.size_px)
     for number in range(len(motion.time_s)):
         yield scene.picture(number)
 
 
-def _motion(trajectory: Trajectory, terrain: Terrain, seconds: float, rate_hz: int) -> Motion:
+def motion_of(trajectory: Trajectory, terrain: Terrain, seconds: float, rate_hz: int) -> Motion:
+    """The last `seconds` of a walk whose poses are finite, `rate_hz` frames a second."""
     start_s, end_s = last_seconds(trajectory, seconds)
     times_s = np.arange(start_s, end_s + 1e-9, 1.0 / rate_hz)
     q = at_times(trajectory, trajectory.q, times_s)
@@ -95,8 +96,8 @@ def _motion(trajectory: Trajectory, terrain: Terrain, seconds: float, rate_hz: i
         time_s=times_s,
         q=q,
         activation=at_times(trajectory, trajectory.activation, times_s),
-        force_n=at_times(trajectory, _smooth_force(trajectory), times_s),
-        level_m=_camera_level(terrain.height(q[:, 0]), rate_hz),
+        force_n=at_times(trajectory, smooth_force(trajectory), times_s),
+        level_m=camera_level(terrain.height(q[:, 0]), rate_hz),
     )
 
 
@@ -123,7 +124,7 @@ class Scene:
         canvas = Canvas(self._size_px, left_m, bottom_m, VIEW_WIDTH_M)
         self._draw_walker(canvas, number)
         for side in (LEFT, RIGHT):
-            foot = _pressure_point(q, side)
+            foot = pressure_point(q, side)
             force = FORCE_M_PER_N * motion.force_n[number, 2 * side : 2 * side + 2]
             if np.hypot(*force) > FORCE_WIDTH_M:
                 canvas.capsule(foot, foot + force, FORCE_WIDTH_M, style.MODEL)
@@ -207,14 +208,20 @@ def _draw_bones(canvas: Canvas, joints: Leg, colour: str) -> None:
     canvas.capsule(joints.heel, joints.ball, FOOT_WIDTH_M, colour)
 
 
-def _pressure_point(q: Array, side: int) -> Array:
-    """Where the ground pushes, for the eye: at the lower end of the foot, amid a flat one."""
+def pressure_point(q: Array, side: int) -> Array:
+    """Where the ground pushes, for the eye: at the lower end of the foot, amid a flat one.
+
+    Args:
+        q: poses, [..., 9].
+        side: left (0) or right (1).
+    """
     joints = leg(q, side)
-    share = np.clip(0.5 + (joints.heel[1] - joints.ball[1]) / PRESSURE_SHIFT_M, 0.0, 1.0)
+    lower = joints.heel[..., 1:] - joints.ball[..., 1:]
+    share = np.clip(0.5 + lower / PRESSURE_SHIFT_M, 0.0, 1.0)
     return np.asarray(joints.heel + share * (joints.ball - joints.heel))
 
 
-def _camera_level(ground_m: Array, rate_hz: int) -> Array:
+def camera_level(ground_m: Array, rate_hz: int) -> Array:
     """The ground's height at each frame, smoothed for a calm camera."""
     level = ground_m.copy()
     blend = 1.0 / (rate_hz * HEIGHT_TRACKING_S)
@@ -223,7 +230,7 @@ def _camera_level(ground_m: Array, rate_hz: int) -> Array:
     return level
 
 
-def _smooth_force(trajectory: Trajectory) -> Array:
+def smooth_force(trajectory: Trajectory) -> Array:
     """Ground forces averaged over a few samples, [t, 4]."""
     interval_s = np.diff(trajectory.time_s[:2]).sum() or 1.0
     width = max(round(FORCE_SMOOTHING_S / interval_s), 1)

@@ -74,9 +74,9 @@ def leg(q: Array, side: int) -> Leg:
 
 
 def trunk(q: Array) -> tuple[Array, Array]:
-    """Shoulder and centre of the head of one pose q [9], each [2]."""
-    axis = -down(q[2])
-    return q[:2] + SHOULDER_M * axis, q[:2] + HEAD_M * axis
+    """Shoulder and centre of the head of poses q [..., 9], each [..., 2]."""
+    hip, axis = q[..., :2], -down(q[..., 2])
+    return hip + SHOULDER_M * axis, hip + HEAD_M * axis
 
 
 def muscle_outlines(q: Array, side: int) -> list[Array]:

@@ -1,0 +1,205 @@
+"""A comparison on the page: a dot a run at its first walker, best costs, and each run's robot."""
+
+import html
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from bokeh.layouts import column, row
+from bokeh.models import (
+    Button,
+    Column,
+    ColumnDataSource,
+    CustomJS,
+    Div,
+    MultiChoice,
+    Range1d,
+    Select,
+    Spinner,
+)
+from bokeh.models.tools import PanTool, ResetTool, WheelZoomTool
+from bokeh.plotting import figure
+
+from study.experiment.experiment import Experiment, study_name
+from study.explore.message import Message
+from study.explore.setting import Setting
+from study.explore.stage import SCRIPTS
+from study.gains import NamedGains, gains_of_trial
+from study.pictures import style
+from study.report.appearance import by_rank, looks
+from study.report.dots import Scale, piles
+from study.report.runs import ArmRuns, Results
+from taichi_nmm.body import Bodies
+from taichi_nmm.terrain import GRID_X_M
+
+WIDTH_PX = 700
+ROW_PX = 34
+NONE_AT = 1.12  # where runs without a walker are, of the axis
+SHOWN_M = 60.0  # of the ground
+DOT_PX = 7
+
+
+class ComparisonView:
+    """The left half of a comparison's page.
+
+    Args:
+        results: of the folder.
+        experiment: that it compares samplers on.
+        message: for what goes wrong.
+        watch: called with the gains of a trial and where it was tried.
+    """
+
+    def __init__(
+        self,
+        results: Results,
+        experiment: Experiment,
+        message: Message,
+        watch: Callable[[NamedGains, Setting], None],
+    ) -> None:
+        self._results, self._experiment, self._watch = results, experiment, watch
+        self._arms = by_rank(results.arms)
+        most = max(int(arm.runs.max()) for arm in results.arms.values())
+        self._arm = Select(
+            title="arm", options=self._arms, value=self._arms[0], width=190, name="arm"
+        )
+        self._run = Spinner(title="run", low=0, high=most, step=1, value=0, mode="int", width=80,
+                            name="run")  # fmt: skip
+        self._trial = Spinner(title="trial, from 0", low=0, high=results.trials - 1, step=1,
+                              value=0, mode="int", width=100, name="trial")  # fmt: skip
+        shown = MultiChoice(options=self._arms, value=self._arms, width=WIDTH_PX, name="arms")
+        self._dots, dots = self._drawn_dots()
+        curves, lines = self._drawn_curves()
+        for name, *renderers in zip(self._arms, dots, lines, strict=True):
+            shown.js_on_change("value", CustomJS(
+                args={"renderers": renderers, "name": name},
+                code="for (const one of renderers) one.visible = cb_obj.value.includes(name)",
+            ))  # fmt: skip
+        self._clicked = ColumnDataSource({"arm": [""], "run": [0], "trial": [0]}, name="clicked")
+        message.watch(self._clicked, "data", self._click)
+        self._dots.js_on_event("tap", CustomJS.from_file(
+            SCRIPTS / "pick.mjs", plot=self._dots, sources=[dot.data_source for dot in dots],
+            renderers=dots, arms=self._arms, clicked=self._clicked,
+        ))  # fmt: skip
+        go = Button(label="watch it", width=90, name="watch")
+        go.on_click(message.safely(self.watch_chosen))
+        self._robot = Div(text="", name="robot", width=WIDTH_PX)
+        self._profile, self._ground = _profile()
+        self.layout: Column = column(
+            shown, self._dots, curves, row(self._arm, self._run, self._trial, go), self._profile,
+            self._robot,
+        )  # fmt: skip
+
+    def watch_chosen(self) -> None:
+        """Let the trial walk that is chosen, and show its robot.
+
+        Raises:
+            InputError: there is no such trial.
+        """
+        arm, run, trial = self._arm.value, int(self._run.value), int(self._trial.value)
+        name = f"{study_name(self._results.name, arm, run)}/{trial}"
+        gains = gains_of_trial(name, str(self._results.folder))
+        setting = Setting(self._experiment, run)
+        self._show_robot(setting)
+        self._watch(gains, setting)
+
+    def _click(self) -> None:
+        found = {name: values[0] for name, values in self._clicked.data.items()}
+        self._arm.value, self._run.value = found["arm"], int(found["run"])
+        self._trial.value = int(found["trial"])
+        self.watch_chosen()
+
+    def _show_robot(self, setting: Setting) -> None:
+        terrain = setting.experiment.terrain(setting.run)
+        near = terrain.height_m[GRID_X_M <= SHOWN_M]
+        self._ground.data = {"x": GRID_X_M[: len(near)], "y": near}
+        self._profile.title.text = f"ground of run {setting.run}: {terrain.name}"
+        self._robot.text = robot_table(setting)
+
+    def _drawn_dots(self) -> tuple[Any, list[Any]]:
+        arms, scale = self._results.arms, Scale(self._results.trials)
+        count = len(self._arms)
+        plot = figure(
+            name="dots", width=WIDTH_PX, height=ROW_PX * count + 80,
+            tools=[PanTool(), WheelZoomTool(), ResetTool()], toolbar_location="right",
+            x_range=Range1d(-0.12, 1.22), y_range=Range1d(count - 0.4, -0.6),
+            title="trials to the first walker, a dot a run; a click watches it",
+        )  # fmt: skip
+        plot.toolbar.logo = None
+        ticks = [tick for tick in (1, 3, 10, 30, 100, 300, 1000) if tick <= self._results.trials]
+        plot.xaxis.ticker = [*(scale.place(tick) for tick in ticks), NONE_AT]
+        plot.xaxis.major_label_overrides = {
+            **{scale.place(tick): str(tick) for tick in ticks}, NONE_AT: "none: best trial",
+        }  # fmt: skip
+        plot.yaxis.ticker = list(range(count))
+        plot.yaxis.major_label_overrides = dict(enumerate(self._arms))
+        styles = looks(arms)
+        dots = []
+        for place, name in enumerate(self._arms):
+            source = ColumnDataSource(_dots_of(arms[name], scale, place), name=f"dots-{name}")
+            dots.append(plot.scatter("x", "y", source=source, size=DOT_PX, fill_alpha=0.8,
+                                     color=styles[name].colour))  # fmt: skip
+        return plot, dots
+
+    def _drawn_curves(self) -> tuple[Any, list[Any]]:
+        plot = figure(
+            name="curves", width=WIDTH_PX, height=240, tools="pan,wheel_zoom,reset",
+            x_axis_label="trials", y_axis_label=f"best {self._results.cost} cost, median",
+            x_axis_type="log", y_axis_type="log",
+        )  # fmt: skip
+        plot.toolbar.logo = None
+        styles, lines = looks(self._results.arms), []
+        for name in self._arms:
+            best = np.median(self._results.arms[name].best, axis=0)
+            trials = np.arange(1, len(best) + 1)
+            look = styles[name]
+            lines.append(plot.line(trials, best, line_color=look.colour,
+                                   line_width=3 if look.front else 1.5))  # fmt: skip
+        return plot, lines
+
+
+def robot_table(setting: Setting) -> str:
+    """A run's body and world in numbers, as HTML."""
+    body, world = setting.experiment.body(setting.run), setting.experiment.world(setting.run)
+    nominal = Bodies.nominal(1)
+    lines = [
+        f"<tr><td>{html.escape(name)} over nominal, by link</td><td>{_ratios(own, usual)}</td></tr>"
+        for name, own, usual in (
+            ("mass", body.mass_kg, nominal.mass_kg),
+            ("inertia", body.inertia_kgm2, nominal.inertia_kgm2),
+            ("centre of mass", body.com_m, nominal.com_m),
+        )
+    ]
+    lines += [
+        f"<tr><td>{name.replace('_', ' ')}</td><td>{getattr(world, name)[0]:.3g}</td></tr>"
+        for name in ("friction", "contact_stiffness", "relaxation_speed", "nerve_lag_s",
+                     "sensing_noise")
+    ]  # fmt: skip
+    lines.append(f"<tr><td>strength of muscles</td><td>{_span(world.strength[0])}</td></tr>")
+    return f"<b>robot of run {setting.run}</b><table>{''.join(lines)}</table>"
+
+
+def _ratios(own: np.ndarray[Any, Any], usual: np.ndarray[Any, Any]) -> str:
+    return " ".join(f"{value:.2f}" for value in (own[0] / usual[0]).ravel())
+
+
+def _span(values: np.ndarray[Any, Any]) -> str:
+    return f"{values.min():.2f} to {values.max():.2f}"
+
+
+def _dots_of(arm: ArmRuns, scale: Scale, place: int) -> dict[str, Any]:
+    """Where the dots of an arm are, and the trial of each: its first walker, or else its best."""
+    first = arm.first_walker
+    walks = np.isfinite(first)
+    order = np.argsort(np.where(walks, first, np.inf), kind="stable")
+    places = np.where(walks, [scale.place(t) if np.isfinite(t) else 0.0 for t in first], NONE_AT)
+    x, y = piles(places[order])
+    trial = np.where(walks, first - 1, arm.best.argmin(axis=1))[order]
+    return {"x": x, "y": place + y, "run": arm.runs[order], "trial": trial.astype(np.int64)}
+
+
+def _profile() -> tuple[Any, ColumnDataSource]:
+    source = ColumnDataSource({"x": np.zeros(0), "y": np.zeros(0)}, name="ground-profile")
+    plot = figure(name="profile", width=WIDTH_PX, height=120, tools="", toolbar_location=None,
+                  title=" ", y_axis_label="m")  # fmt: skip
+    plot.line("x", "y", source=source, line_color=style.INK)
+    return plot, source

@@ -1,0 +1,127 @@
+"""Where walks are seen: one or two walkers over the same ground, and the player of both."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bokeh.layouts import column, row
+from bokeh.models import (
+    Column,
+    ColumnDataSource,
+    CustomJS,
+    Div,
+    Range1d,
+    Select,
+    Slider,
+    Toggle,
+)
+from bokeh.plotting import figure
+
+from study.explore.frames import COLOURS, Frames
+from study.explore.walk import Walk
+from study.pictures import style
+from study.pictures.scene import BELOW_GROUND_M, VIEW_WIDTH_M
+from study.pictures.skeleton import HEAD_RADIUS_M, PATH_POINTS
+from taichi_nmm.result import MUSCLES
+
+SCRIPTS = Path(__file__).parent / "scripts"
+FRAME_PX = (720, 370)
+BONE_PX = 7
+SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x")
+MUSCLE_COUNT = 2 * len(MUSCLES)
+HEIGHT_M = VIEW_WIDTH_M * FRAME_PX[1] / FRAME_PX[0]
+
+
+def points(count: int) -> ColumnDataSource:
+    """Places that the script moves."""
+    return ColumnDataSource({"x": np.full(count, np.nan, "f4"), "y": np.full(count, np.nan, "f4")})
+
+
+def outlines(parts: int, count: int, **more: Any) -> ColumnDataSource:
+    """The same of several lines or patches."""
+    xs, ys = ([np.full(count, np.nan, "f4") for _ in range(parts)] for _ in range(2))
+    return ColumnDataSource({"xs": xs, "ys": ys, **more})
+
+
+class Stage:
+    """One walker, drawn as in films: muscles by activation, forces of the ground.
+
+    Args:
+        name: of the figure.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.frames = ColumnDataSource({}, name=f"{name}-frames")
+        self.words = Div(text="", styles={"font-size": "13px"})
+        self._near, self._far = points(5), points(5)
+        self._trunk, self._head = points(2), points(1)
+        colour = [COLOURS[0]] * MUSCLE_COUNT
+        self._muscles = outlines(MUSCLE_COUNT, 2 * PATH_POINTS, colour=colour)
+        self._forces = outlines(2, 2)
+        self._ground = points(2)
+        self.figure = self._drawn(name)
+        self.layout = column(self.figure, self.words)
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """What the player moves."""
+        return {
+            "frames": self.frames, "near": self._near, "far": self._far, "trunk": self._trunk,
+            "head": self._head, "muscles": self._muscles, "forces": self._forces,
+            "figure": self.figure,
+        }  # fmt: skip
+
+    def show(self, walk: Walk) -> None:
+        """Have the player begin with a walk."""
+        frames: Frames = walk.frames
+        self._ground.data = {"x": frames.ground[:, 0], "y": frames.ground[:, 1]}
+        self.words.text = f"<b>{walk.gains.name}</b>: {walk.ended}"
+        self.frames.data = frames.columns()
+
+    def _drawn(self, name: str) -> Any:
+        plot = figure(
+            name=name, frame_width=FRAME_PX[0], frame_height=FRAME_PX[1], tools="",
+            toolbar_location=None, x_range=Range1d(0.0, VIEW_WIDTH_M),
+            y_range=Range1d(-BELOW_GROUND_M, HEIGHT_M - BELOW_GROUND_M), title=" ",
+        )  # fmt: skip
+        plot.grid.visible = False
+        plot.yaxis.visible = False
+        plot.varea("x", -1e4, "y", source=self._ground, fill_color=style.GROUND)
+        plot.line("x", "y", source=self._ground, line_color=style.INK, line_width=1.5)
+        for bones, colour in ((self._far, style.FAR_LIMB), (self._trunk, style.NEAR_LIMB),
+                              (self._near, style.NEAR_LIMB)):  # fmt: skip
+            plot.line("x", "y", source=bones, line_color=colour, line_width=BONE_PX,
+                      line_cap="round", line_join="round")  # fmt: skip
+        plot.circle("x", "y", radius=HEAD_RADIUS_M, source=self._head, color=style.NEAR_LIMB)
+        plot.patches("xs", "ys", fill_color="colour", source=self._muscles, line_color=style.INK,
+                     line_width=0.5)  # fmt: skip
+        plot.multi_line("xs", "ys", source=self._forces, line_color=style.MODEL, line_width=3)
+        return plot
+
+
+class Player:
+    """Two stages, the second one hidden until a walk is kept there, and the clock of both."""
+
+    def __init__(self) -> None:
+        self.stages = (Stage("stage"), Stage("beside"))
+        play = Toggle(label="play / pause", active=True, width=100, name="play")
+        speed = Select(value="1x", options=list(SPEEDS), width=80)
+        slider = Slider(start=0.0, end=1.0, value=0.0, step=0.01, title="time (s)", width=480,
+                        name="time")  # fmt: skip
+        script = CustomJS.from_file(
+            SCRIPTS / "play.mjs",
+            stages=[stage.parts for stage in self.stages], play=play, speed=speed, slider=slider,
+            levels=COLOURS,
+        )  # fmt: skip
+        for stage in self.stages:
+            stage.frames.js_on_change("data", script)
+        slider.js_on_change("value", script)
+        play.js_on_change("active", script)
+        self._controls = row(play, speed, slider)
+        self.layout: Column = column(self.stages[0].layout, self._controls)
+
+    def show(self, walk: Walk, place: int = 0) -> None:
+        """Let a walk be seen, on the second stage besides the first where that is asked for."""
+        if place:
+            self.layout.children = [*(stage.layout for stage in self.stages), self._controls]
+        self.stages[place].show(walk)

@@ -1,0 +1,302 @@
+"""A store on the page: a cloud of points, histograms, parallel axes and a table, brushed together.
+
+Five columns of the store are looked at at a time; the first three are the cloud's x, y and colour.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pyarrow as pa
+from bokeh.layouts import column, row
+from bokeh.models import (
+    Button,
+    ColumnDataSource,
+    CustomJS,
+    DataTable,
+    Div,
+    NumberFormatter,
+    Range1d,
+    Select,
+    Spinner,
+    TableColumn,
+    TextInput,
+)
+from bokeh.models.tools import BoxSelectTool, PanTool, ResetTool, WheelZoomTool
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from storage.schema import EVOLVED_ROW, ORIGIN
+from storage.store import Store
+from study.experiment.features import COLUMN_END
+from study.explore.message import Message
+from study.explore.selection import Ranges, read_selection, selection_text
+from study.explore.stage import SCRIPTS
+from study.pictures import style
+from taichi_nmm.errors import InputError
+
+Floats = NDArray[np.float64]
+
+ROLES = ("across", "up", "colour", "besides", "besides")  # of the five columns
+FIRST = ("mean_speed_mps", "phi_printed", "survived_fraction", "cost_of_transport_jpkgpm",
+         "step_length_mean_m")  # fmt: skip
+WIDTH_PX = 700
+CLOUD_PX = (600, 330)  # within its axes
+HISTOGRAM_PX = (WIDTH_PX // len(ROLES), 105)
+BINS = 40
+PALETTE = "viridis"
+SHOWN_PERCENT = (0.5, 99.5)  # of the numbers of a column, in all views; zoom out to see the rest
+MARGIN = 0.02  # around all points, of the axes
+BESIDES = "#D8DCE0"  # of bars
+
+
+def numeric_columns(store: Store) -> list[str]:
+    """Names of the columns that can be drawn."""
+    schema = next(store.tables()).schema
+    return [field.name for field in schema if not pa.types.is_string(field.type)]
+
+
+def first_columns(store: Store) -> list[str]:
+    """The five that a page begins with: the colour is what the first family survives, if any."""
+    survived = [name for name in store.columns if name.endswith(COLUMN_END)]
+    return [*FIRST[:2], *(survived[:1] or FIRST[2:3]), *FIRST[3:]]
+
+
+class StoreView:
+    """The left half of a store's page.
+
+    Args:
+        store: finished or not.
+        pick: called with the place among the store's rows that was clicked.
+        tell: called with what is to be said to the reader.
+        save: called with a selection and the suffix of a file.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        pick: Callable[[int], None],
+        tell: Callable[[str], None],
+        save: Callable[[Ranges, str], None],
+    ) -> None:
+        self._store, self._pick, self._tell = store, pick, tell
+        self._rows: NDArray[np.int64] = self._read("row").astype(np.int64)
+        names = numeric_columns(store)
+        self._columns = [
+            Select(title=role, value=name, options=names, width=WIDTH_PX // len(ROLES) - 8)
+            for role, name in zip(ROLES, first_columns(store), strict=True)
+        ]
+        self._source = ColumnDataSource(
+            {"row": self._rows, "evolved": self._evolved()}, name="rows"
+        )
+        self._bounds = ColumnDataSource({"low": np.zeros(len(ROLES)), "high": np.ones(len(ROLES))})
+        self.selection = TextInput(
+            title="selection: column low..high, ...; drag a box over any of the views",
+            width=WIDTH_PX - 90, name="selection",
+        )  # fmt: skip
+        self.row = Spinner(title="row that walks", low=0, high=int(self._rows.max()), step=1,
+                           mode="int", width=120, name="row")  # fmt: skip
+        self._cloud, self._image = _cloud()
+        self._histograms, self._bars = _histograms()
+        self._lines, self._parallel = _parallel()
+        self._table, self._listed = _table()
+        self._count = Div(name="count", width=220)
+        for slot in range(len(ROLES)):
+            self._load(slot)
+        self._script()
+        clear = Button(label="all rows", width=70)
+        clear.on_click(self._clear)
+        csv, parquet = (
+            Button(label=f"selection as {kind}", width=150) for kind in ("CSV", "Parquet")
+        )
+        csv.on_click(lambda: save(self.ranges(), ".csv"))
+        parquet.on_click(lambda: save(self.ranges(), ".parquet"))
+        self.layout = column(
+            row(*self._columns), self._cloud, row(self.selection, clear), row(*self._histograms),
+            self._lines, row(self._count, self.row, csv, parquet), self._table,
+        )  # fmt: skip
+
+    def ranges(self) -> Ranges:
+        """The selection.
+
+        Raises:
+            InputError: its text cannot be read.
+        """
+        return read_selection(self.selection.value, [select.value for select in self._columns])
+
+    def listen(self, message: Message) -> None:
+        """Answer the choices; what goes wrong is a message."""
+        message.watch(self.selection, "value", self._check)
+        message.watch(self.row, "value", self._picked)
+        for slot, select in enumerate(self._columns):
+            message.watch(select, "value", partial(self._look_at, slot))
+
+    def _check(self) -> None:
+        """Say so where the selection cannot be read."""
+        self._tell("")
+        self.ranges()
+
+    def _picked(self) -> None:
+        """Hand on the row that was clicked or typed."""
+        places = np.flatnonzero(self._rows == self.row.value)
+        if not len(places):
+            raise InputError("row", self.row.value, f"0 to {self._rows.max()}, rows of the store")
+        self._pick(int(places[0]))
+
+    def _look_at(self, slot: int) -> None:
+        """Another column; what the old one was brushed to is forgotten."""
+        names = [select.value for select in self._columns]
+        kept = read_selection(self.selection.value, self._store.columns)
+        self.selection.value = selection_text({name: kept[name] for name in kept if name in names})
+        self._load(slot)
+
+    def _clear(self) -> None:
+        self.selection.value = ""
+
+    def _read(self, name: str) -> Floats:
+        return np.asarray(self._store.table([name])[name].to_numpy(), dtype=np.float64)
+
+    def _evolved(self) -> NDArray[np.uint8]:
+        if ORIGIN not in self._store.columns:
+            return np.zeros(len(self._rows), np.uint8)
+        origins = self._store.table([ORIGIN])[ORIGIN].to_numpy()
+        return np.asarray(origins == EVOLVED_ROW, np.uint8)
+
+    def _load(self, slot: int) -> None:
+        name = self._columns[slot].value
+        values = self._read(name)
+        low, high = _ends(values)
+        edges = np.linspace(low, high, BINS + 1)
+        counts, _ = np.histogram(np.clip(values[np.isfinite(values)], low, high), edges)
+        bounds = {key: np.array(ends) for key, ends in self._bounds.data.items()}
+        bounds["low"][slot], bounds["high"][slot] = low, high
+        self._bounds.data = bounds
+        self._bars[slot].data = {
+            "left": edges[:-1], "right": edges[1:], "all": counts.astype(np.float64),
+            "chosen": np.zeros(BINS),
+        }  # fmt: skip
+        plot = self._histograms[slot]
+        plot.title.text = name
+        plot.x_range.start, plot.x_range.end = low, high
+        self._table.columns[slot + 2].title = name
+        if slot < 2:
+            axis = (self._cloud.xaxis, self._cloud.yaxis)[slot]
+            axis.axis_label = name
+            span = (self._cloud.x_range, self._cloud.y_range)[slot]
+            margin = MARGIN * (high - low)
+            span.update(start=low - margin, end=high + margin, reset_start=low - margin,
+                        reset_end=high + margin)  # fmt: skip
+        if slot == 2:
+            self._cloud.title.text = f"colour: {name}, {low:.3g} (dark) to {high:.3g} (light)"
+        self._parallel_labels()
+        self._source.data[f"c{slot}"] = values  # last: the script paints when it comes
+
+    def _parallel_labels(self) -> None:
+        self._lines.xaxis.major_label_overrides = {
+            slot: select.value for slot, select in enumerate(self._columns)
+        }
+
+    def _script(self) -> None:
+        script = CustomJS.from_file(
+            SCRIPTS / "brush.mjs",
+            source=self._source, columns=self._columns, selection=self.selection, image=self._image,
+            plot=self._cloud, histograms=self._histograms, bars=self._bars, bounds=self._bounds,
+            parallel=self._parallel, table=self._listed, count=self._count, row=self.row,
+            palette=_packed_palette(),
+        )  # fmt: skip
+        for plot in (self._cloud, *self._histograms, self._lines):
+            plot.js_on_event("selectiongeometry", script)
+        self._cloud.js_on_event("tap", script)
+        self._cloud.js_on_change("inner_width", script)  # it has been laid out
+        self._source.js_on_change("data", script)
+        self.selection.js_on_change("value", script)
+        self._listed.selected.js_on_change("indices", script)
+        for span in (self._cloud.x_range, self._cloud.y_range):
+            span.js_on_change("start", script)
+            span.js_on_change("end", script)
+
+
+def _ends(values: Floats) -> tuple[float, float]:
+    """What most numbers lie within: a few far ones would press all others together."""
+    finite = values[np.isfinite(values)]
+    low, high = map(float, np.percentile(finite, SHOWN_PERCENT)) if len(finite) else (0.0, 1.0)
+    return (low, high) if high > low else (low - 0.5, low + 0.5)
+
+
+def _packed_palette() -> list[int]:
+    """Colours as ABGR, as pixels lie in memory."""
+    colours = matplotlib.colormaps[PALETTE](np.arange(256), bytes=True).astype(np.int64)
+    shifts = np.array([0, 8, 16, 24])
+    return [int(value) for value in (colours << shifts).sum(axis=1)]
+
+
+def _cloud() -> tuple[Any, ColumnDataSource]:
+    plot = figure(
+        name="cloud", width=WIDTH_PX, frame_width=CLOUD_PX[0], frame_height=CLOUD_PX[1],
+        tools=[PanTool(), WheelZoomTool(), ResetTool()],
+        x_range=Range1d(0.0, 1.0), y_range=Range1d(0.0, 1.0), title=" ",
+    )  # fmt: skip
+    box = BoxSelectTool(renderers=[])
+    plot.add_tools(box)
+    plot.toolbar.active_drag = box
+    plot.toolbar.logo = None
+    image = ColumnDataSource({
+        "image": [np.zeros(CLOUD_PX[::-1], np.uint32)],
+        **{name: np.array([0.0]) for name in ("x", "y")},
+        **{name: np.array([1.0]) for name in ("dw", "dh")},
+    })  # fmt: skip
+    plot.image_rgba("image", "x", "y", "dw", "dh", source=image)
+    return plot, image
+
+
+def _histograms() -> tuple[list[Any], list[ColumnDataSource]]:
+    plots, sources = [], []
+    for slot in range(len(ROLES)):
+        bars = ColumnDataSource(
+            {name: np.zeros(BINS) for name in ("left", "right", "all", "chosen")}
+        )
+        plot = figure(
+            name=f"histogram-{slot}", width=HISTOGRAM_PX[0], height=HISTOGRAM_PX[1], tools="",
+            toolbar_location=None, title=" ", x_range=Range1d(0.0, 1.0),
+        )  # fmt: skip
+        plot.title.text_font_size = "9px"
+        plot.yaxis.visible = False
+        plot.xaxis.ticker.desired_num_ticks = 3
+        plot.grid.visible = False
+        plot.add_tools(BoxSelectTool(renderers=[], dimensions="width"))
+        for name, colour in (("all", BESIDES), ("chosen", style.MODEL)):
+            plot.quad(left="left", right="right", bottom=0, top=name, source=bars,
+                      fill_color=colour, line_color=None)  # fmt: skip
+        plots.append(plot)
+        sources.append(bars)
+    return plots, sources
+
+
+def _parallel() -> tuple[Any, ColumnDataSource]:
+    source = ColumnDataSource({"xs": [], "ys": []}, name="parallel")
+    axes = list(range(len(ROLES)))
+    plot = figure(
+        name="parallel", width=WIDTH_PX, height=150, tools="", toolbar_location=None,
+        x_range=Range1d(-0.35, len(ROLES) - 0.65), y_range=Range1d(-0.04, 1.04),
+    )  # fmt: skip
+    plot.add_tools(BoxSelectTool(renderers=[]))
+    plot.xaxis.ticker = axes
+    plot.yaxis.visible = False
+    plot.grid.visible = False
+    plot.multi_line("xs", "ys", source=source, line_color=style.MODEL, line_alpha=0.25)
+    plot.segment(axes, 0, axes, 1, line_color=style.INK)
+    return plot, source
+
+
+def _table() -> tuple[DataTable, ColumnDataSource]:
+    fields = [f"c{slot}" for slot in range(len(ROLES))]
+    source = ColumnDataSource({name: [] for name in ("row", "bred", *fields)}, name="listed")
+    numbers = NumberFormatter(format="0.[0000]")
+    columns = [TableColumn(field="row", title="row", width=60),
+               TableColumn(field="bred", title="", width=40)]  # fmt: skip
+    columns += [TableColumn(field=name, title=name, formatter=numbers) for name in fields]
+    table = DataTable(source=source, columns=columns, width=WIDTH_PX, height=180,
+                      index_position=None, name="table")  # fmt: skip
+    return table, source

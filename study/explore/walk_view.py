@@ -1,0 +1,187 @@
+"""The right half of the page: a gait walks, beside another one if wanted, and hands change it."""
+
+import html
+from collections.abc import Callable
+from concurrent.futures import Executor
+from functools import partial
+from typing import Any
+
+import numpy as np
+from bokeh.document import Document
+from bokeh.layouts import column, row
+from bokeh.models import (
+    Button,
+    ColumnDataSource,
+    CustomJS,
+    Div,
+    Select,
+    Spinner,
+    TabPanel,
+    Tabs,
+)
+
+from study.explore.cycle import Cycle
+from study.explore.files import NAMES, command_line, file_of_walk
+from study.explore.hands import Hands
+from study.explore.message import Message
+from study.explore.queue import Latest
+from study.explore.score import Score
+from study.explore.setting import (
+    DISTURBANCES,
+    DURATIONS_S,
+    GROUNDS,
+    WORLDS,
+    Setting,
+    chosen_setting,
+)
+from study.explore.stage import SCRIPTS, Player
+from study.explore.walk import Walk, walk
+from study.gains import NamedGains
+from taichi_nmm.settings import ENGINES
+
+AS_TRIED = "as it was tried"
+CYCLE_TAB = 2
+LARGEST_SEED = 2**31 - 1
+
+
+class WalkView:
+    """Choices of a setting, the stages, the hands, and what can be taken away.
+
+    Args:
+        document: of the tab.
+        walkers: of processes that simulate.
+        makers: of processes that make files.
+        message: for what goes wrong.
+        tried: whether walks may be shown as a comparison tried them.
+    """
+
+    def __init__(
+        self,
+        document: Document,
+        walkers: Executor,
+        makers: Executor,
+        message: Message,
+        tried: bool = False,
+    ) -> None:
+        self._message = message
+        self._tried: Setting | None = None
+        self._walk: Walk | None = None
+        self._beside: NamedGains | None = None
+        self._first = True  # the next walk is one to compare with
+        self._walks = Latest(document, walkers, self._walked, message.failed)
+        self._others = Latest(document, walkers, self._walked_beside, message.failed)
+        self._files = Latest(document, makers, self._made, message.failed)
+        self._player, self._score, self._cycle = Player(), Score(), Cycle()
+        self._hands = Hands(message, self._changed, self.show)
+        self._choices = _choices(tried)
+        for choice in self._choices.values():
+            message.watch(choice, "value", self._again)
+        self._save = ColumnDataSource(
+            {"name": [""], "content": [np.zeros(0, np.uint8)]}, name="save"
+        )
+        self._save.js_on_change("data", CustomJS.from_file(SCRIPTS / "save.mjs", source=self._save))
+        self._command = Div(text="", name="command", width=700)
+        self._tabs = Tabs(tabs=[
+            TabPanel(title="gains", child=self._hands.layout),
+            TabPanel(title="score", child=self._score.layout),
+            TabPanel(title="stride beside people", child=self._cycle.layout),
+            TabPanel(title="take it with you", child=self._taking()),
+        ], name="tabs")  # fmt: skip
+        message.watch(self._tabs, "active", self._look_at_cycle)
+        keep = Button(label="keep it beside", width=110, name="keep")
+        keep.on_click(message.safely(self._keep))
+        values = list(self._choices.values())
+        self.layout = column(
+            row(*values[:3]), row(*values[3:], keep), self._player.layout, self._tabs
+        )  # fmt: skip
+
+    def show(self, gains: NamedGains, setting: Setting | None = None) -> None:
+        """Let gains walk: as they were tried, or where the choices say."""
+        self._hands.take(gains)
+        self._gains = gains
+        self._first = True
+        if setting is not None:
+            self._tried = setting
+        self._again()
+
+    def save(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Have a file made elsewhere, and then saved by the browser."""
+        self._message.tell("making the file ...")
+        self._files.ask(function, *arguments)
+
+    def _setting(self) -> Setting:
+        chosen = {name: choice.value for name, choice in self._choices.items()}
+        if chosen["ground"] == AS_TRIED and self._tried is not None:
+            return self._tried
+        chosen["duration_s"] = float(chosen["duration_s"].removesuffix(" s"))
+        return chosen_setting(**chosen)
+
+    def _changed(self, gains: NamedGains) -> None:
+        self._gains = gains
+        self._again()
+
+    def _again(self) -> None:
+        self._message.tell("")
+        setting = self._setting()
+        self._walks.ask(walk, self._gains, setting)
+        if self._beside is not None:
+            self._others.ask(walk, self._beside, setting)
+
+    def _walked(self, found: Walk) -> None:
+        self._walk = found
+        self._player.show(found)
+        self._score.show(found.row, self._first)
+        self._first = False
+        self._command.text = f"<code>{html.escape(command_line(found))}</code>"
+        self._look_at_cycle()
+
+    def _look_at_cycle(self) -> None:
+        if self._walk is not None and self._tabs.active == CYCLE_TAB:
+            self._cycle.show(self._walk)
+
+    def _keep(self) -> None:
+        if self._walk is not None:
+            self._beside = self._walk.gains
+            self._player.show(self._walk, place=1)
+
+    def _walked_beside(self, found: Walk) -> None:
+        self._player.show(found, place=1)
+
+    def _made(self, file: tuple[str, bytes]) -> None:
+        name, content = file
+        self._message.tell("")
+        self._save.data = {"name": [name], "content": [np.frombuffer(content, np.uint8)]}
+
+    def _taking(self) -> Any:
+        buttons = []
+        for name in NAMES:
+            button = Button(label=name, width=110, name=f"save-{name}")
+            button.on_click(self._message.safely(partial(self._take, name)))
+            buttons.append(button)
+        half = (len(buttons) + 1) // 2
+        words = Div(text="gains.json and walk.toml are what the commands take; without a page:")
+        return column(row(*buttons[:half]), row(*buttons[half:]), words, self._command)
+
+    def _take(self, name: str) -> None:
+        if self._walk is not None:
+            self.save(file_of_walk, self._walk, name)
+
+
+def _choices(tried: bool) -> dict[str, Any]:
+    """By the names of `chosen_setting`'s arguments."""
+    grounds = [AS_TRIED, *GROUNDS] if tried else list(GROUNDS)
+    durations = [f"{duration:g} s" for duration in DURATIONS_S]
+    return {
+        "ground": Select(title="ground", options=grounds, value=grounds[0], width=230,
+                         name="ground"),
+        "disturbance": Select(title="masses of the body", options=list(DISTURBANCES),
+                              value="nominal", width=140, name="disturbance"),
+        "seed": Spinner(title="seed of body, ground, world", low=0, high=LARGEST_SEED, step=1,
+                        value=1, mode="int", width=180, name="seed"),
+        "world": Select(title="world", options=list(WORLDS), value="nominal", width=200,
+                        name="world"),
+        "engine": Select(title="engine", options=list(ENGINES), value=ENGINES[0], width=110,
+                         name="engine"),
+        "duration_s": Select(title="at most", options=durations, value=durations[1], width=90,
+                             name="duration"),
+    }  # fmt: skip

@@ -1,0 +1,163 @@
+"""A recorded walk as a file for other programs: CSV in our own terms, .mot and .sto in OpenSim's.
+
+Names and signs of .mot and .sto are those of OpenSim's planar model gait10dof18musc: angles
+counter-clockwise positive, flexion of the knee negative. Its pelvis is our hip, its trunk does not
+bend. Numbers are written so that they are read back as the same float64.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.commit import commit_text, require_writable
+from taichi_nmm.errors import InputError
+from taichi_nmm.result import MUSCLES, Trajectory
+
+Columns = dict[str, NDArray[np.float64]]
+
+OPENSIM_MUSCLES = {
+    "SOL": "soleus", "TA": "tib_ant", "GAS": "gastroc", "VAS": "vasti", "HAM": "hamstrings",
+    "GLU": "glut_max", "HFL": "iliopsoas",
+}  # fmt: skip
+SIDES = ("l", "r")
+OPENSIM_JOINTS = ("hip_flexion", "knee_angle", "ankle_angle")
+SEGMENTS = ("thigh", "shank", "foot")
+COORDINATES = (
+    "x_m", "z_m", "hat_rad", *(f"{segment}_{side}_rad" for side in SIDES for segment in SEGMENTS),
+)  # fmt: skip
+JOINTS = tuple(
+    f"{side}_{joint}_rad"
+    for side in SIDES
+    for joint in ("hip_extension", "knee_flexion", "ankle_plantarflexion")
+)
+SIGNS = """\
+Units are S.I. units (second, meters, Newtons, ...).
+Angles are in degrees, counter-clockwise positive: hip flexion +, knee flexion -, dorsiflexion +.
+pelvis_tx and pelvis_ty are the hip's, pelvis_tilt is the trunk's (backward +).
+"""
+FORCES = """\
+Units are S.I. units (second, meters, Newtons, ...).
+ground_force_*_vx forward +, _vy upward +, on the foot, mean over the sample interval.
+*.activation is 0 to 1; *.tendon_force in N.
+"""
+
+
+def own_columns(trajectory: Trajectory) -> Columns:
+    """Everything, by names that tell the unit; signs as in `Trajectory`."""
+    sides = [(side, muscle) for side in SIDES for muscle in MUSCLES]
+    named: list[tuple[tuple[str, ...], NDArray[np.float64]]] = [
+        (COORDINATES, trajectory.q),
+        (tuple(f"{name}ps" for name in COORDINATES), trajectory.qdot),
+        (JOINTS, trajectory.joint_rad),
+        (tuple(f"{side}_{muscle}_activation" for side, muscle in sides), trajectory.activation),
+        (tuple(f"{side}_{muscle}_force_n" for side, muscle in sides), trajectory.muscle_force_n),
+        (("l_ground_x_n", "l_ground_z_n", "r_ground_x_n", "r_ground_z_n"),
+         trajectory.ground_force_n),
+        (("l_stance", "r_stance"), trajectory.stance.astype(np.float64)),
+    ]  # fmt: skip
+    columns = {"time_s": trajectory.time_s}
+    for names, values in named:
+        columns |= dict(zip(names, values.T, strict=True))
+    return columns
+
+
+def coordinates(trajectory: Trajectory) -> Columns:
+    """Generalised coordinates of OpenSim's model, angles in degrees."""
+    joints = -np.rad2deg(trajectory.joint_rad)  # extension, flexion, plantarflexion: all clockwise
+    columns = {
+        "time": trajectory.time_s,
+        "pelvis_tilt": -np.rad2deg(trajectory.q[:, 2]),
+        "pelvis_tx": trajectory.q[:, 0],
+        "pelvis_ty": trajectory.q[:, 1],
+    }
+    for side, first in (("r", 3), ("l", 0)):
+        for place, joint in enumerate(OPENSIM_JOINTS):
+            columns[f"{joint}_{side}"] = joints[:, first + place]
+    return columns | {"lumbar_extension": np.zeros(len(trajectory.time_s))}
+
+
+def forces(trajectory: Trajectory) -> Columns:
+    """Forces of the ground, and activation and force of each muscle, by OpenSim's names."""
+    columns = {"time": trajectory.time_s}
+    for place, side in enumerate(SIDES):
+        for axis, name in enumerate(("vx", "vy")):
+            values = trajectory.ground_force_n[:, 2 * place + axis]
+            columns[f"ground_force_{side}_{name}"] = values
+    for what, values in (
+        ("activation", trajectory.activation),
+        ("tendon_force", trajectory.muscle_force_n),
+    ):
+        for place, side in enumerate(SIDES):
+            for number, muscle in enumerate(MUSCLES):
+                column = values[:, place * len(MUSCLES) + number]
+                columns[f"{OPENSIM_MUSCLES[muscle]}_{side}.{what}"] = column
+    return columns
+
+
+def _csv(trajectory: Trajectory, _: str) -> str:
+    columns = own_columns(trajectory)
+    return ",".join(columns) + "\n" + _lines(columns, ",")
+
+
+def _mot(trajectory: Trajectory, name: str) -> str:
+    return _storage(name, coordinates(trajectory), "yes", SIGNS)
+
+
+def _sto(trajectory: Trajectory, name: str) -> str:
+    return _storage(name, forces(trajectory), "no", FORCES)
+
+
+FORMATS: dict[str, Callable[[Trajectory, str], str]] = {".csv": _csv, ".mot": _mot, ".sto": _sto}
+
+
+def trajectory_text(trajectory: Trajectory, suffix: str, name: str = "walk") -> str:
+    """A walk as the text of a file: .csv everything, .mot coordinates, .sto forces.
+
+    Args:
+        trajectory: of any length.
+        suffix: of the file, which tells the format.
+        name: of the walk, a line of .mot and .sto.
+
+    Raises:
+        InputError: another suffix.
+    """
+    return _format(suffix)(trajectory, name)
+
+
+def require_trajectory_file(path: Path) -> None:
+    """Refuse a file that `write_trajectory` would; nothing is touched.
+
+    Raises:
+        InputError: another ending, or a place that cannot be written.
+    """
+    _format(path.suffix)
+    require_writable(path, "trajectory")
+
+
+def write_trajectory(path: Path, trajectory: Trajectory, name: str = "walk") -> None:
+    """Write a walk as a file whose name ends in .csv, .mot or .sto.
+
+    Raises:
+        InputError: another ending, or the file cannot be written.
+    """
+    commit_text(path, trajectory_text(trajectory, path.suffix, name))
+
+
+def _format(suffix: str) -> Callable[[Trajectory, str], str]:
+    if suffix not in FORMATS:
+        raise InputError("trajectory", suffix, f"a file that ends in {', '.join(FORMATS)}")
+    return FORMATS[suffix]
+
+
+def _storage(name: str, columns: Columns, degrees: str, words: str) -> str:
+    """OpenSim's storage, version 1: what stands before `endheader` and is no key is a remark."""
+    rows = len(next(iter(columns.values())))
+    head = f"{name}\nversion=1\nnRows={rows}\nnColumns={len(columns)}\ninDegrees={degrees}\n\n"
+    return f"{head}{words}\nendheader\n" + "\t".join(columns) + "\n" + _lines(columns, "\t")
+
+
+def _lines(columns: Columns, between: str) -> str:
+    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+    return "".join(between.join(map(repr, row)) + "\n" for row in rows)
