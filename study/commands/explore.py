@@ -10,6 +10,7 @@ written into the folder. It needs the extra `explore`. Exit codes: 0, 2 bad inpu
 import webbrowser
 from argparse import Namespace
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 from storage.processes import Processes
@@ -34,13 +35,13 @@ def main() -> None:
     from study.explore.walk import warm_up
 
     require_kernel_cache()
+    page = page_of(args.folder)
     with Processes(1) as walkers, Processes(1) as makers:  # who walks does not wait for a film
-        page = page_of(args.folder, walkers, makers)
-        server, address = serve(page, args.port)
+        loop, address = serve(partial(page, walkers, makers), args.port)
         walkers.submit(warm_up)
         print(f"explore     {address}", flush=True)
         if not args.no_browser:
             with suppress(webbrowser.Error):  # no display: the address is enough
                 webbrowser.open(address)
         with suppress(KeyboardInterrupt):
-            server.run_until_shutdown()
+            loop.start()

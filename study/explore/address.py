@@ -5,6 +5,7 @@ point there; so requests of other names find nothing, and sockets of other pages
 """
 
 import errno
+import re
 from collections.abc import Callable
 
 from bokeh.document import Document
@@ -21,8 +22,8 @@ HOST = "127.0.0.1"  # the page asks nobody who they are
 NAMES = (HOST, "localhost")
 
 
-def serve(page: Callable[[Document], None], port: int) -> tuple[BaseServer, str]:
-    """A server that runs once its loop is started, and the page's address.
+def serve(page: Callable[[Document], None], port: int) -> tuple[IOLoop, str]:
+    """A loop that serves once it is started, and the page's address.
 
     Args:
         page: fills the document of each tab.
@@ -39,7 +40,9 @@ def serve(page: Callable[[Document], None], port: int) -> tuple[BaseServer, str]
         raise InputError("port", port, f"a free port, or 0 ({error.strerror})") from None
     origins = [f"{name}:{port}" for name in NAMES]
     application = BokehTornado(page, extra_websocket_origins=origins)
-    names = "|".join(name.replace(".", r"\.") for name in NAMES)
-    http = HTTPServer(RuleRouter([Rule(HostMatches(names), application)]))
+    names = "|".join(map(re.escape, NAMES))
+    http = HTTPServer(RuleRouter([Rule(HostMatches(f"(?:{names})"), application)]))
     http.add_sockets(sockets)
-    return BaseServer(IOLoop.current(), application, http), f"http://{HOST}:{port}/"
+    server = BaseServer(IOLoop.current(), application, http)
+    server.start()
+    return server.io_loop, f"http://{HOST}:{port}/"

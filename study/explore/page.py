@@ -20,7 +20,7 @@ from study.comparison.experiment_folder import EXPERIMENT_NAME, RESULTS_NAME
 from study.experiment.experiment import Experiment
 from study.experiment.identity import documented_experiment
 from study.explore.comparison_view import ComparisonView
-from study.explore.files import file_of_selection
+from study.explore.downloads import file_of_selection
 from study.explore.message import Message
 from study.explore.store_view import StoreView
 from study.explore.walk_view import WalkView
@@ -29,29 +29,28 @@ from study.report.runs import Results, read_results
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_file, is_folder
 
-Page = Callable[[Document], None]
+Page = Callable[[Executor, Executor, Document], None]
+"""Takes who simulates, who makes files, and the document of a tab."""
 
 FIRST_GAIT = "reference"
 
 
-def page_of(path: Path, walkers: Executor, makers: Executor) -> Page:
+def page_of(path: Path) -> Page:
     """What fills the document of a tab. Each tab reads the folder anew: it may be growing.
 
     Args:
         path: of a store or a comparison, finished or not.
-        walkers: of processes that simulate.
-        makers: of processes that make files.
 
     Raises:
         InputError: neither of both, or one that cannot be read.
     """
     if is_folder(path) and any((path / name).exists() for name in (EXPERIMENT_NAME, RESULTS_NAME)):
         _opened_comparison(path)
-        return partial(_comparison_page, path, walkers, makers)
+        return partial(_comparison_page, path)
     if not is_file(path) and not (is_folder(path) and _of_store(path)):
         raise InputError("folder", str(path), "the folder of a store or of a comparison")
     _opened_store(path)
-    return partial(_store_page, path, walkers, makers)
+    return partial(_store_page, path)
 
 
 def _of_store(path: Path) -> bool:

@@ -1,11 +1,6 @@
-"""The dashboard as a person sees it: a headless Chromium on a small experiment.
-
-Screenshots go to the folder that NMM_SCREENSHOTS names, if it is set.
-"""
+"""The dashboard as a person sees it: a headless Chromium on a small experiment."""
 
 import json
-import os
-import shutil
 import subprocess
 import sys
 import urllib.request
@@ -22,19 +17,13 @@ from study.comparison.artifacts import make_artifacts
 from study.comparison.database import export
 from study.report.notes import dashboard_summary
 from taichi_nmm.result import Result
+from tests.browser import opened_page, save
 from tests.study import synthetic_gait
 from tests.study.comparison.fake_results import experiment, results
 
 pytestmark = pytest.mark.slow
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-FLAGS = (
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-)  # fmt: skip
-PATIENCE_MS = 30_000  # a busy machine draws slowly
-SCREENSHOTS = "NMM_SCREENSHOTS"
 BARS = ".js-plotly-plot .scatterlayer .trace"  # a curve or a cloud of points of plotly
 
 
@@ -69,23 +58,9 @@ def address(folder: Path) -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A page of a browser without a window, which fails on errors of the page's scripts."""
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="no playwright: pip install 'taichi-nmm[test]'"
-    )
-    program = next((path for name in BROWSERS if (path := shutil.which(name))), None)
-    if program is None:
-        pytest.skip("no Chromium here: apt-get install chromium")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=FLAGS, headless=True)
-        page = browser.new_page(viewport={"width": 1200, "height": 1240})
-        page.set_default_timeout(PATIENCE_MS)
-        broken: list[str] = []
-        page.on("pageerror", lambda error: broken.append(str(error)))
+def page() -> Iterator[Any]:
+    with opened_page(1200, 1240) as page:
         yield page
-        browser.close()
-        assert not broken
 
 
 @pytest.fixture(scope="module")
@@ -94,11 +69,6 @@ def studies(address: str) -> dict[str, int]:
     with urllib.request.urlopen(f"{address}/api/studies", timeout=30) as answer:
         listed = json.load(answer)["study_summaries"]
     return {study["study_name"]: study["study_id"] for study in listed}
-
-
-def save(page: Any, name: str) -> None:
-    if os.environ.get(SCREENSHOTS):
-        page.screenshot(path=Path(os.environ[SCREENSHOTS]) / f"{name}.png")
 
 
 def curves(page: Any, count: int) -> None:

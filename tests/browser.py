@@ -1,0 +1,47 @@
+"""A headless Chromium, for tests of what a person sees.
+
+Screenshots go to the folder that NMM_SCREENSHOTS names, if it is set.
+"""
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = (
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+PATIENCE_MS = 30_000  # a busy machine draws slowly
+SCREENSHOTS = "NMM_SCREENSHOTS"
+
+
+@contextmanager
+def opened_page(width: int, height: int) -> Iterator[Any]:
+    """A page of a browser without a window, which fails on errors of the page's scripts."""
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="no playwright: pip install 'taichi-nmm[test]'"
+    )
+    program = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    if program is None:
+        pytest.skip("no Chromium here: apt-get install chromium")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=program, args=FLAGS, headless=True)
+        page = browser.new_page(viewport={"width": width, "height": height})
+        page.set_default_timeout(PATIENCE_MS)
+        broken: list[str] = []
+        page.on("pageerror", lambda error: broken.append(str(error)))
+        yield page
+        browser.close()
+        assert not broken
+
+
+def save(page: Any, name: str) -> None:
+    """Keep a screenshot, where one is wanted."""
+    if os.environ.get(SCREENSHOTS):
+        page.screenshot(path=Path(os.environ[SCREENSHOTS]) / f"{name}.png")

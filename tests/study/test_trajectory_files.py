@@ -1,0 +1,72 @@
+"""A walk as a file: read back, every number is the recorded one, and the header says what it is."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from study.trajectory_files import require_trajectory_file, trajectory_text, write_trajectory
+from taichi_nmm.errors import InputError
+from taichi_nmm.result import MUSCLES
+from tests.study import synthetic_gait
+
+Columns = dict[str, NDArray[np.float64]]
+WALK = synthetic_gait.walk(2.0, 100.0)
+
+
+def read_storage(text: str) -> tuple[dict[str, str], Columns]:
+    """Keys and columns of OpenSim's format, as its own reader takes them."""
+    head, _, body = text.partition("endheader\n")
+    keys = dict(line.split("=", 1) for line in head.splitlines() if "=" in line)
+    names, *rows = [line.split("\t") for line in body.splitlines()]
+    assert int(keys["nColumns"]) == len(names) and int(keys["nRows"]) == len(rows)
+    return keys, dict(zip(names, np.array(rows, dtype=float).T, strict=True))
+
+
+def test_coordinates_in_opensims_signs(tmp_path: Path) -> None:
+    write_trajectory(tmp_path / "walk.mot", WALK, "a walk")
+    text = (tmp_path / "walk.mot").read_text()
+    keys, columns = read_storage(text)
+    assert text.startswith("a walk\nversion=1\n") and keys["inDegrees"] == "yes"
+    assert "Angles are in degrees" in text and "Units are S.I. units" in text
+    np.testing.assert_array_equal(columns["time"], WALK.time_s)
+    np.testing.assert_allclose(columns["pelvis_tx"], WALK.q[:, 0], atol=1e-12)
+    degrees = np.rad2deg(WALK.joint_rad)  # extension, flexion, plantarflexion +; left, then right
+    np.testing.assert_allclose(columns["hip_flexion_l"], -degrees[:, 0], atol=1e-12)
+    np.testing.assert_allclose(columns["knee_angle_r"], -degrees[:, 4], atol=1e-12)
+    np.testing.assert_allclose(columns["ankle_angle_r"], -degrees[:, 5], atol=1e-12)
+    np.testing.assert_allclose(columns["pelvis_tilt"], -np.rad2deg(WALK.q[:, 2]), atol=1e-12)
+
+
+def test_forces_and_activations() -> None:
+    keys, columns = read_storage(trajectory_text(WALK, ".sto"))
+    assert keys["inDegrees"] == "no"
+    np.testing.assert_array_equal(columns["ground_force_l_vy"], WALK.ground_force_n[:, 1])
+    np.testing.assert_array_equal(columns["ground_force_r_vx"], WALK.ground_force_n[:, 2])
+    right_vastus = len(MUSCLES) + MUSCLES.index("VAS")
+    np.testing.assert_array_equal(columns["vasti_r.activation"], WALK.activation[:, right_vastus])
+    left_soleus = WALK.muscle_force_n[:, MUSCLES.index("SOL")]
+    np.testing.assert_array_equal(columns["soleus_l.tendon_force"], left_soleus)
+    assert len(columns) == 1 + 4 + 2 * 2 * len(MUSCLES)
+
+
+def test_csv_has_all_samples_by_names_with_units() -> None:
+    names, *rows = [line.split(",") for line in trajectory_text(WALK, ".csv").splitlines()]
+    table = np.array(rows, dtype=float)
+    wide = [WALK.time_s[:, None], WALK.q, WALK.qdot, WALK.joint_rad, WALK.activation,
+            WALK.muscle_force_n, WALK.ground_force_n, WALK.stance]  # fmt: skip
+    np.testing.assert_array_equal(table, np.hstack(wide))
+    assert len(set(names)) == table.shape[1]
+    assert {"time_s", "x_m", "thigh_l_rad", "r_knee_flexion_rad", "l_SOL_force_n"} <= set(names)
+
+
+def test_a_file_that_cannot_be_written(tmp_path: Path) -> None:
+    for name in ("walk.txt", "walk", "walk.MOT"):
+        with pytest.raises(InputError, match=r"trajectory: .*\.csv, \.mot, \.sto"):
+            require_trajectory_file(tmp_path / name)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="trajectory: "):
+        require_trajectory_file(tmp_path / "file" / "walk.mot")
+    require_trajectory_file(tmp_path / "new" / "walk.mot")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file"]

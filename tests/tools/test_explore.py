@@ -1,0 +1,66 @@
+"""tools/explore.py: what it refuses, in one line."""
+
+import json
+import shutil
+import socket
+from pathlib import Path
+
+import pytest
+
+import taichi_nmm
+from tests.study import fake_walker
+from tests.tools.running import run_tool
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("bokeh", reason="no bokeh: pip install 'taichi-nmm[explore]'")
+    path = tmp_path_factory.mktemp("made") / "store"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+        fake_walker.write_plain_store(path)
+    return path
+
+
+def refused(
+    patch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
+) -> str:
+    assert run_tool(patch, "explore", *arguments, "--no-browser") == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ") and said.count("\n") == 1
+    return said
+
+
+def test_neither_store_nor_comparison(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").write_text("no store")
+    for name in ("nowhere", "empty"):
+        said = refused(monkeypatch, capsys, tmp_path / name)
+        assert "the folder of a store or of a comparison" in said
+    assert "error: store: " in refused(monkeypatch, capsys, tmp_path / "file")
+    (tmp_path / "compared").mkdir()
+    (tmp_path / "compared" / "experiment.json").write_text("[]")
+    assert "with trials" in refused(monkeypatch, capsys, tmp_path / "compared")
+
+
+def test_a_store_of_another_version(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = shutil.copytree(store, tmp_path / "copy")
+    document = json.loads((copy / "manifest.json").read_text())
+    document["format"] = 99
+    (copy / "manifest.json").write_text(json.dumps(document))
+    assert "of format 99" in refused(monkeypatch, capsys, copy)
+
+
+def test_a_port_in_use(
+    store: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        said = refused(monkeypatch, capsys, store, "--port", port)
+    assert f"error: port: {port} cannot be used; allowed: a free port" in said
