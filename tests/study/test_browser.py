@@ -5,7 +5,6 @@ Screenshots go to the folder that NMM_SCREENSHOTS names, if it is set.
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import urllib.request
@@ -28,12 +27,6 @@ from tests.study.comparison.fake_results import experiment, results
 pytestmark = pytest.mark.slow
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-FLAGS = (
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-)  # fmt: skip
-PATIENCE_MS = 30_000  # a busy machine draws slowly
 SCREENSHOTS = "NMM_SCREENSHOTS"
 BARS = ".js-plotly-plot .scatterlayer .trace"  # a curve or a cloud of points of plotly
 
@@ -66,26 +59,6 @@ def address(folder: Path) -> Iterator[str]:
         lines = dict(process.stdout.readline().split(maxsplit=1) for _ in range(3))
         yield lines["dashboard"].split()[0].removesuffix("/dashboard")
         process.terminate()
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A page of a browser without a window, which fails on errors of the page's scripts."""
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="no playwright: pip install 'taichi-nmm[test]'"
-    )
-    program = next((path for name in BROWSERS if (path := shutil.which(name))), None)
-    if program is None:
-        pytest.skip("no Chromium here: apt-get install chromium")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=FLAGS, headless=True)
-        page = browser.new_page(viewport={"width": 1200, "height": 1240})
-        page.set_default_timeout(PATIENCE_MS)
-        broken: list[str] = []
-        page.on("pageerror", lambda error: broken.append(str(error)))
-        yield page
-        browser.close()
-        assert not broken
 
 
 @pytest.fixture(scope="module")
