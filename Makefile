@@ -4,6 +4,7 @@
 # make test         all tests
 # make test-fast    those that take no long: for daily work
 # make test-campaign   2,000 damaged inputs, dozens of kills: what takes long and has kin in `make test`
+# make docs         the site, out/site/index.html: runs the notebooks, needs no network
 # make lint         style and types, as CI checks them
 # make hooks        run the lint before every commit
 # Needs Python 3.11 to 3.13 and make; everything else goes into .venv.
@@ -13,7 +14,7 @@ BIN := .venv/bin
 PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: quickstart compare results test test-fast test-campaign lint hooks store store-diverse store-worlds store-torso store-stairs
+.PHONY: quickstart compare results test test-fast test-campaign docs lint hooks store store-diverse store-worlds store-torso store-stairs
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
@@ -51,6 +52,10 @@ test-fast: .venv/installed
 test-campaign: .venv/installed
 	$(BIN)/python -m pytest $(PARALLEL) -m campaign
 
+# Without the theme's notice of its successor: the versions are pinned.
+docs: .venv/installed
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
 lint: .venv/lint-installed
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -63,9 +68,9 @@ hooks: .venv/lint-installed
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14) and "error: Python 3.11 to 3.13 is needed: make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
 	@echo "Installing the pinned packages into .venv (a minute or two) ..."
-	$(INSTALL) -e '.[test]'
+	$(INSTALL) -e '.[test,docs]'
 	@touch $@
 
 .venv/lint-installed: .venv/installed
-	$(INSTALL) -e '.[test,dev]'
+	$(INSTALL) -e '.[test,docs,dev]'
 	@touch $@

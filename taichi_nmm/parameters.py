@@ -56,6 +56,7 @@ GAINS: tuple[Parameter, ...] = (
     Parameter("C_v", "rad s/m", 0.0, 0.5, 0.02548, "target angle per CoM speed", "P 15"),
     Parameter("l_clr", "m", 0.55, 0.99, 0.7591, "leg length that counts as cleared", "P 16"),
 )  # fmt: skip
+"""The 16 searched gains, in the order of a row of `gains`."""
 
 # Not searched by the paper, but of the same form, so that a later study can search them.
 LOW_LEVEL_GAINS: tuple[Parameter, ...] = (
@@ -71,8 +72,11 @@ LOW_LEVEL_GAINS: tuple[Parameter, ...] = (
         "torso reference angle, forward positive", "T",
     ),
 )  # fmt: skip
+"""The 8 fixed gains, in the order of a row of `low_level_gains`."""
 
 GAIN_NAMES: tuple[str, ...] = tuple(parameter.name for parameter in GAINS)
+"""Names of the searched gains, [16]."""
+
 LOW_LEVEL_NAMES: tuple[str, ...] = tuple(parameter.name for parameter in LOW_LEVEL_GAINS)
 
 K_T: NDArray[np.float64] = np.array([parameter.default for parameter in GAINS])

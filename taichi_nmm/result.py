@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from taichi_nmm import checks
 
 END_REASONS = ("completed", "fell", "diverged")
+"""How a walk ends: `"completed"`, `"fell"`, or `"diverged"` beyond all sense."""
+
 COMPLETED, FELL, DIVERGED = range(len(END_REASONS))
 
 HUMAN_SPEED_MPS = 1.3  # Winter; the paper's v_human and target speed

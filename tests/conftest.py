@@ -7,9 +7,13 @@ workers fill the cores, threads of linear algebra only wait for one another.
 
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+from tests.browser import opened_page
 
 CACHE = Path(__file__).resolve().parent.parent / ".pytest_cache" / "taichi"
 os.environ.setdefault("TI_OFFLINE_CACHE_FILE_PATH", str(CACHE))
@@ -23,3 +27,10 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         from tests.kernels import compile_kernels
 
         compile_kernels()
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Any]:
+    """A page of a browser without a window, which fails on errors of the page's scripts."""
+    with opened_page(1200, 1240) as page:
+        yield page

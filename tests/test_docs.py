@@ -109,6 +109,15 @@ def test_the_readmes_simulation_runs() -> None:
 
 
 @pytest.mark.slow
+def test_the_start_pages_walk_prints_what_it_shows() -> None:
+    page = ROOT / "docs" / "index.md"
+    shown = re.findall(r"```text\n(.*?)```", page.read_text(), flags=re.DOTALL)
+    code = python_blocks(page)[0]
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert (done.stdout, done.stderr) == (shown[0], "")
+
+
+@pytest.mark.slow
 def test_the_readmes_study_and_the_stores_page_run_on_small_stores(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

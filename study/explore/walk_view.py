@@ -23,8 +23,8 @@ from bokeh.models import (
 from study.explore.cycle import Cycle
 from study.explore.downloads import NAMES, command_line, file_of_walk
 from study.explore.hands import Hands
-from study.explore.message import Message
 from study.explore.latest import Latest
+from study.explore.message import Message
 from study.explore.score import Score
 from study.explore.setting import (
     DISTURBANCES,

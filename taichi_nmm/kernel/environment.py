@@ -11,18 +11,21 @@ from contextlib import contextmanager
 from taichi_nmm.kernel_cache import CACHE_VARIABLE
 
 PREFIX = "TI_"
-LOCALE = {"LC_ALL": "C.UTF-8"}  # it decodes the path of its own folder
+SETTLED = {
+    "LC_ALL": "C.UTF-8",  # it decodes the path of its own folder
+    "TI_ENABLE_PYBUF": "0",  # in a notebook it would say so, and ask every launch what it printed
+}
 
 
 @contextmanager
 def settled_environment() -> Iterator[None]:
     """For as long, Taichi finds no variable of its own but the cache's, and a locale it knows."""
     hidden = [name for name in os.environ if name.startswith(PREFIX) and name != CACHE_VARIABLE]
-    kept = {name: os.environ.pop(name, None) for name in (*hidden, *LOCALE)}
-    os.environ.update(LOCALE)
+    kept = {name: os.environ.pop(name, None) for name in {*hidden, *SETTLED}}
+    os.environ.update(SETTLED)
     try:
         yield
     finally:
-        for name in LOCALE:
+        for name in SETTLED:
             del os.environ[name]
         os.environ.update({name: value for name, value in kept.items() if value is not None})

@@ -17,7 +17,7 @@ from study.comparison.artifacts import make_artifacts
 from study.comparison.database import export
 from study.report.notes import dashboard_summary
 from taichi_nmm.result import Result
-from tests.browser import opened_page, save
+from tests.browser import save
 from tests.study import synthetic_gait
 from tests.study.comparison.fake_results import experiment, results
 
@@ -55,12 +55,6 @@ def address(folder: Path) -> Iterator[str]:
         lines = dict(process.stdout.readline().split(maxsplit=1) for _ in range(3))
         yield lines["dashboard"].split()[0].removesuffix("/dashboard")
         process.terminate()
-
-
-@pytest.fixture(scope="module")
-def page() -> Iterator[Any]:
-    with opened_page(1200, 1240) as page:
-        yield page
 
 
 @pytest.fixture(scope="module")

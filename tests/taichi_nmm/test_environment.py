@@ -43,3 +43,10 @@ def test_a_walk_is_the_same_in_an_odd_environment_and_without_docstrings(tmp_pat
         assert done.returncode == 0, done.stderr
         said.append(done.stdout)
     assert said[0] == said[1]
+
+
+@pytest.mark.slow
+def test_nothing_is_said_where_standard_output_is_a_notebooks() -> None:
+    code = "import io, sys; sys.stdout = io.StringIO(); import taichi_nmm.simulator"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert (done.returncode, done.stderr) == (0, "")

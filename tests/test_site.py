@@ -1,0 +1,173 @@
+"""The site of docs/ as it is built: without a warning, all links, every public name, no network."""
+
+import inspect
+import json
+import os
+import posixpath
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+from study import pictures
+from taichi_nmm import terrain
+from tests.test_public_doors import PACKAGES, public_names
+from tests.tools.running import ROOT
+
+REASON = "no site: pip install 'taichi-nmm[docs]'"
+pytest.importorskip("material", reason=REASON)
+pytest.importorskip("nbclient", reason=REASON)
+mkdocstrings = pytest.importorskip("mkdocstrings", reason=REASON)
+
+pytestmark = pytest.mark.slow
+
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+OUTSIDE = re.compile(r"\s*(\w+:)?//")
+# What a browser loads by itself, by element and attribute.
+LOADED = {
+    "script": "src", "img": "src", "iframe": "src", "source": "src", "video": "src",
+    "audio": "src", "embed": "src", "object": "data", "link": "href",
+}  # fmt: skip
+
+
+class Html(HTMLParser):
+    """What a page loads, links to and can be linked at."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.loads: list[str] = []
+        self.links: list[str] = []
+        self.anchors: set[str] = set()
+        self.feed(page.read_text())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = {name: value or "" for name, value in attrs}
+        if LOADED.get(tag) in given:
+            self.loads.append(given[LOADED[tag]])
+        if tag == "a" and "href" in given:
+            self.links.append(given["href"])
+        self.anchors |= {given[name] for name in ("id", "name") if name in given}
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of the site, and what its making said: errors are warnings, too."""
+    folder = tmp_path_factory.mktemp("site")
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)],
+        cwd=ROOT,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return folder, done.stderr
+
+
+@pytest.fixture(scope="module")
+def site(built: tuple[Path, str]) -> Path:
+    return built[0]
+
+
+@pytest.fixture(scope="module")
+def pages(site: Path) -> dict[str, Html]:
+    """All pages by their place in the site."""
+    return {page.relative_to(site).as_posix(): Html(page) for page in site.rglob("*.html")}
+
+
+def test_it_is_built_without_a_warning(built: tuple[Path, str]) -> None:
+    lines = [line for line in built[1].splitlines() if not line.startswith("INFO ")]
+    assert lines == []
+
+
+def public_paths() -> Iterator[str]:
+    """Full names of what the packages offer: functions, classes and their members, constants."""
+    owners = {name: package for package in PACKAGES for name in package.__all__}
+    for package in (*PACKAGES, pictures):
+        yield from (f"{package.__name__}.{name}" for name in package.__all__)
+    for name in public_names():
+        yield f"{owners[name.partition('.')[0]].__name__}.{name}"
+    for name, package in owners.items():
+        members = vars(value) if inspect.isclass(value := getattr(package, name)) else {}
+        for member, what in members.items():
+            if isinstance(what, property) and not member.startswith("_"):
+                yield f"{package.__name__}.{name}.{member}"
+    for name, value in vars(terrain).items():
+        makes = inspect.isfunction(value) and value.__annotations__.get("return")
+        if makes is terrain.Terrain and not name.startswith("_"):
+            yield f"{terrain.__name__}.{name}"
+
+
+def test_every_public_name_has_its_entry(site: Path) -> None:
+    with (site / "objects.inv").open("rb") as file:
+        entries = mkdocstrings.Inventory.parse_sphinx(file)
+    names = set(public_paths())
+    assert {"taichi_nmm.simulate", "taichi_nmm.K_T", "taichi_nmm.terrain.rough"} < names
+    assert {"study.FeatureTable.from_arrays", "storage.Store.families"} < names
+    assert names - set(entries) == set()
+
+
+def test_links_lead_somewhere(site: Path, pages: dict[str, Html]) -> None:
+    """Those of docstrings and of the theme, too."""
+    wrong = []
+    for place, page in pages.items():
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc or place == "404.html":  # which is served anywhere
+                continue
+            file = unquote(parts.path)
+            target = posixpath.normpath(posixpath.join(posixpath.dirname(place), file))
+            target = place if not file else target
+            anchor = unquote(parts.fragment)
+            found = (site / target).is_file()
+            if not found or (anchor and anchor not in pages[target].anchors):
+                wrong.append(f"{place}: {link}")
+    assert wrong == []
+    assert sum(len(page.links) for page in pages.values()) > 1000
+
+
+def test_nothing_is_loaded_from_elsewhere(site: Path, pages: dict[str, Html]) -> None:
+    loads = [(place, address) for place, page in pages.items() for address in page.loads]
+    styles = [(str(file), file.read_text()) for file in site.rglob("*.css")]
+    styles += [(place, (site / place).read_text()) for place in pages]
+    for place, text in styles:
+        loads += [(place, found) for found in re.findall(r"url\(\s*['\"]?([^)'\"]+)", text)]
+        loads += [(place, found) for found in re.findall(r"@import\s+['\"]([^'\"]+)", text)]
+    assert len(loads) > 100
+    assert [(place, address) for place, address in loads if OUTSIDE.match(address)] == []
+    # The theme would fetch what draws these.
+    assert [place for place in pages if 'class="mermaid"' in (site / place).read_text()] == []
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_appears_with_what_came_out(
+    notebook: Path, site: Path, pages: dict[str, Html]
+) -> None:
+    cells = [cell for cell in json.loads(notebook.read_text())["cells"] if "outputs" in cell]
+    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)
+    sources = ["".join(cell["source"]) for cell in cells]
+    place = f"notebooks/{notebook.stem}.html"
+    drawn = [address for address in pages[place].loads if address.startswith(notebook.stem)]
+    assert len(drawn) == sum("\nImage(" in source for source in sources) > 0
+    for address in drawn:
+        assert (site / "notebooks" / address).read_bytes().startswith(b"\x89PNG")
+    text = (site / place).read_text()
+    assert text.count('class="language-text') >= sum("print(" in source for source in sources) > 0
+    assert "Traceback" not in text
+
+
+def test_it_is_searched_as_a_file(site: Path, page: Any) -> None:
+    """As `make docs` leaves it: no server, no network."""
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto((site / "notebooks" / "first_walk.html").as_uri())
+    page.locator("input.md-search__input").click()
+    page.keyboard.type("covered_table")
+    page.locator(".md-search-result__link").first.wait_for()
+    assert [address for address in asked if not address.startswith("file:")] == []
