@@ -85,9 +85,10 @@ class StoreView:
         self._rows: NDArray[np.int64] = self._read("row").astype(np.int64)
         names = numeric_columns(store)
         self._columns = [
-            Select(title=role, value=name, options=names, width=WIDTH_PX // len(ROLES) - 8)
-            for role, name in zip(ROLES, first_columns(store), strict=True)
-        ]
+            Select(title=role, value=name, options=names, width=WIDTH_PX // len(ROLES) - 8,
+                   name=f"column-{slot}")
+            for slot, (role, name) in enumerate(zip(ROLES, first_columns(store), strict=True))
+        ]  # fmt: skip
         self._source = ColumnDataSource(
             {"row": self._rows, "evolved": self._evolved()}, name="rows"
         )

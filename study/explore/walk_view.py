@@ -81,6 +81,7 @@ class WalkView:
         )
         self._save.js_on_change("data", CustomJS.from_file(SCRIPTS / "save.mjs", source=self._save))
         self._command = Div(text="", name="command", width=700)
+        self._command.tags = [self._save]  # a page has only what something on it refers to
         self._tabs = Tabs(tabs=[
             TabPanel(title="gains", child=self._hands.layout),
             TabPanel(title="score", child=self._score.layout),

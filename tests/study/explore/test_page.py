@@ -1,0 +1,343 @@
+"""The explorer as a person uses it: a headless Chromium on a store and on a comparison."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.csv
+import pyarrow.parquet as pq
+import pytest
+
+import taichi_nmm
+from storage.store import open_store
+from study.comparison.compare import Request, compare
+from study.explore.frames import RATE_HZ
+from tests.browser import opened_page, save
+from tests.study import fake_walker
+from tests.study.explore.serving import explorer
+
+pytestmark = pytest.mark.slow
+
+WALKS = "window.walk_player?.shown"
+MODEL = "Bokeh.documents[0].get_model_by_name"
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store and a comparison: gains are real, scores are a formula's."""
+    pytest.importorskip("bokeh", reason="no bokeh: pip install 'taichi-nmm[explore]'")
+    folder = tmp_path_factory.mktemp("explored")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+        toy = fake_walker.experiment(folder)
+        request = Request(folder / "compared", arms=("dog", "random"), runs=2, artifacts=False)
+        compare(toy, request, lambda progress: None)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Any]:
+    """Of this file alone: it is larger than others."""
+    with opened_page(1500, 1250) as page:
+        said: list[str] = []
+        page.on("console", lambda line: said.append(line.text) if line.type == "error" else None)
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        yield page
+        assert said == []
+        assert [url for url in asked if "://127.0.0.1:" not in url and url[:5] != "blob:"] == []
+
+
+@contextmanager
+def opened(page: Any, folder: Path) -> Iterator[str]:
+    """The address of a folder's page, which is left before its server ends."""
+    with explorer(folder, "--no-browser") as address:
+        page.goto(address)
+        yield address
+        page.goto("about:blank")
+
+
+@pytest.fixture(scope="module")
+def store(folders: Path, page: Any) -> Iterator[Path]:
+    """Opened in the page."""
+    before = content(folders / "store")
+    with opened(page, folders / "store"):
+        page.wait_for_function("window.store_view?.refreshed > 0")
+        page.wait_for_function(f"{WALKS} > 0")
+        yield folders / "store"
+    assert content(folders / "store") == before  # nothing was written
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def model(page: Any, name: str, attribute: str) -> Any:
+    """What a model of the page holds."""
+    return page.evaluate(f"{MODEL}('{name}').{attribute}")
+
+
+def change(page: Any, name: str, attribute: str, value: Any) -> None:
+    """What a hand on the model does."""
+    page.evaluate(f"{MODEL}('{name}').{attribute} = {json.dumps(value)}")
+
+
+def walks(page: Any, act: Any) -> None:
+    """Do something, and wait until another walk is seen."""
+    seen = page.evaluate(WALKS)
+    act()
+    page.wait_for_function(f"{WALKS} > {seen}")
+
+
+def frame(page: Any, name: str) -> tuple[float, float, float, float]:
+    """Where the axes of a figure are on the screen: left, top, width and height, pixels."""
+    left, top, width, height = page.evaluate(f"""(() => {{
+        const [view] = Bokeh.index.query((view) => view.model.name === '{name}')
+        const canvas = view.canvas_view.el.getBoundingClientRect(), inner = view.frame.bbox
+        return [canvas.x + inner.left, canvas.y + inner.top, inner.width, inner.height]
+    }})()""")
+    return left, top, width, height
+
+
+def drag(page: Any, name: str, start: tuple[float, float], end: tuple[float, float]) -> None:
+    """Draw a box in a figure: corners as shares of what lies within its axes."""
+    left, top, width, height = frame(page, name)
+    page.mouse.move(left + start[0] * width, top + start[1] * height)
+    page.mouse.down()
+    for part in (0.3, 0.7, 1.0):
+        x, y = (one + part * (two - one) for one, two in zip(start, end, strict=True))
+        page.mouse.move(left + x * width, top + y * height)
+    page.mouse.up()
+
+
+def click(page: Any, name: str, x: float, y: float) -> None:
+    """Click where a figure has these coordinates."""
+    left, top, width, height = frame(page, name)
+    ends = [model(page, name, f"{axis}_range.{end}") for axis in "xy" for end in ("start", "end")]
+    across, up = (x - ends[0]) / (ends[1] - ends[0]), (y - ends[2]) / (ends[3] - ends[2])
+    page.mouse.click(left + across * width, top + (1.0 - up) * height)
+
+
+def point(page: Any, source: str, columns: tuple[str, str], key: str, value: int) -> list[float]:
+    """Two columns of a source where another one has this value."""
+    names = json.dumps(columns)
+    found: list[float] = page.evaluate(f"""(() => {{
+        const {{data}} = {MODEL}('{source}'), place = data.{key}.findIndex((one) => one === {value})
+        return {names}.map((name) => data[name][place])
+    }})()""")
+    return found
+
+
+def download(page: Any, name: str) -> bytes:
+    """What a button saves."""
+    with page.expect_download() as saved:
+        clicked = "new (Bokeh.require('core/bokeh_events').ButtonClick)()"
+        page.evaluate(f"{MODEL}('save-{name}').trigger_event({clicked})")
+    assert saved.value.suggested_filename == name
+    return Path(saved.value.path()).read_bytes()
+
+
+def test_a_store_opens_with_all_its_rows(page: Any, store: Path) -> None:
+    rows = len(open_store(store))
+    assert page.evaluate("window.store_view.chosen") == rows == fake_walker.STORE_ROWS
+    assert model(page, "count", "text") == f"{rows} of {rows} rows"
+    painted = page.evaluate(
+        f"{MODEL}('cloud').renderers[0].data_source.data.image[0].some((pixel) => pixel !== 0)"
+    )
+    assert painted
+    save(page, "store")
+
+
+def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) -> None:
+    drag(page, "cloud", (0.3, 0.05), (0.9, 0.95))
+    page.wait_for_function(f"{MODEL}('selection').value !== ''")
+    page.wait_for_function("window.store_view.chosen < window.store_view.inside.length")
+    chosen = page.evaluate("window.store_view.chosen")
+    text = model(page, "selection", "value")
+    speed, _ = text.split(", ")
+    assert speed.startswith("mean_speed_mps ")
+    low, high = map(float, speed.removeprefix("mean_speed_mps ").split(".."))
+    listed = model(page, "listed", "data")
+    speeds = [row for row in page.evaluate(f"[...{MODEL}('listed').data.c0]")]
+    assert 0 < len(speeds) == min(chosen, 200) and listed
+    assert all(low <= value <= high for value in speeds)
+    drag(page, "histogram-1", (0.0, 0.5), (0.5, 0.5))
+    page.wait_for_function(f"{MODEL}('selection').value !== {json.dumps(text)}")
+    page.wait_for_function(f"window.store_view.chosen < {chosen}")
+    drag(page, "parallel", (0.4, 0.1), (0.6, 0.9))
+    page.wait_for_function(f"{MODEL}('selection').value.split(',').length === 3")
+    save(page, "brushed")
+    change(page, "selection", "value", "mean_speed_mps 0..0.5")
+    page.wait_for_function(f"{MODEL}('count').text.startsWith(window.store_view.chosen + ' of')")
+    table = open_store(store).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
+    assert page.evaluate("window.store_view.chosen") == int((table <= 0.5).sum())
+    change(page, "selection", "value", "")
+
+
+def test_what_is_no_selection_is_said(page: Any, store: Path) -> None:
+    change(page, "selection", "value", "speed of light")
+    page.wait_for_function(f"{MODEL}('message').text.includes('column low..high')")
+    change(page, "selection", "value", "")
+    page.wait_for_function(f"{MODEL}('message').text === ''")
+
+
+def test_another_column_is_drawn(page: Any, store: Path) -> None:
+    change(page, "column-0", "value", "distance_m")
+    page.wait_for_function(f"{MODEL}('cloud').below[0].axis_label === 'distance_m'")
+    values = open_store(store).table(["distance_m"])["distance_m"].to_numpy()
+    page.wait_for_function(f"{MODEL}('rows').data.c0[0] === {float(values[0])!r}")
+    change(page, "column-0", "value", "mean_speed_mps")
+
+
+def test_a_click_walks(page: Any, store: Path) -> None:
+    walks(page, lambda: change(page, "row", "value", 17))
+    page.get_by_text("store-row-17").first.wait_for()
+    first = page.screenshot(clip={"x": 720, "y": 180, "width": 740, "height": 400})
+    time = page.evaluate("window.walk_player.time")
+    page.wait_for_function(f"window.walk_player.time !== {time}")
+    page.wait_for_timeout(300)
+    assert page.screenshot(clip={"x": 720, "y": 180, "width": 740, "height": 400}) != first
+    seen = page.evaluate(WALKS)
+    click(page, "cloud", *point(page, "rows", ("c0", "c1"), "row", 40))
+    page.wait_for_function(f"{WALKS} > {seen}")
+    assert model(page, "row", "value") != 17
+
+
+def test_play_pause_and_scrub(page: Any, store: Path) -> None:
+    change(page, "play", "active", False)
+    change(page, "time", "value", 0.5)
+    page.wait_for_function("window.walk_player.time === 0.5")
+    page.wait_for_timeout(200)
+    assert page.evaluate("window.walk_player.time") == 0.5
+    shown_s = float(model(page, "stage", "title.text").split(" s")[0])
+    assert 0.5 - 1.0 / RATE_HZ - 0.01 < shown_s <= 0.5
+    change(page, "play", "active", True)
+    page.wait_for_function("window.walk_player.time > 0.5")
+
+
+def test_a_slider_changes_the_gait(page: Any, store: Path) -> None:
+    walks(page, lambda: change(page, "start", "value", "reference"))
+    before = page.evaluate(f"[...{MODEL}('stage-frames').data.near[0]]")
+    walks(page, lambda: change(page, "gain-K_SOL", "value", 12.0))
+    after = page.evaluate(f"[...{MODEL}('stage-frames').data.near[0]]")
+    assert before != after
+    assert model(page, "number-K_SOL", "value") == 12.0
+    page.wait_for_function(
+        f"{MODEL}('score').text.includes('<b>+') || {MODEL}('score').text.includes('<b>-')"
+    )
+
+
+def test_a_number_out_of_its_bounds_is_said(page: Any, store: Path) -> None:
+    change(page, "number-K_SOL", "value", 99.0)
+    page.wait_for_function(f"{MODEL}('message').text.includes('K_SOL: 99')")
+    page.wait_for_function(f"{MODEL}('number-K_SOL').value === 12")
+    walks(page, lambda: change(page, "number-K_SOL", "value", 10.0))
+    assert model(page, "message", "text") == ""
+
+
+def test_a_fall_is_said_on_the_ground_that_was_chosen(page: Any, store: Path) -> None:
+    walks(page, lambda: change(page, "start", "value", "K_T"))
+    walks(page, lambda: change(page, "ground", "value", "stairs up, 10 cm a step"))
+    walks(page, lambda: change(page, "duration", "value", "20 s"))
+    page.get_by_text("fell after").first.wait_for()
+    said = page.get_by_text("fell after").first.inner_text()
+    assert "the trunk leaned" in said or "the hip sank" in said
+    save(page, "stairs")
+
+
+def test_two_gaits_on_one_ground(page: Any, store: Path) -> None:
+    walks(page, lambda: page.get_by_text("keep it beside").click())
+    walks(page, lambda: change(page, "start", "value", "reference"))
+    walks(page, lambda: change(page, "ground", "value", "flat"))
+    page.wait_for_function(
+        f"{MODEL}('beside-frames').data.ground[0].every((z, i) => i % 2 == 0 || z === 0)"
+    )
+    words = page.locator(".bk-Div b").all_inner_texts()
+    assert "reference" in words and "K_T" in words
+    save(page, "beside")
+
+
+def test_the_stride_beside_people(page: Any, store: Path) -> None:
+    page.get_by_text("stride beside people").click()
+    page.wait_for_function(f"{MODEL}('cycle').text.includes('strides of')")
+    page.wait_for_function(f"!isNaN({MODEL}('cycle-hip_flexion_deg').data.y[0])")
+    save(page, "cycle")
+
+
+def test_what_is_taken_reads_back(page: Any, store: Path, tmp_path: Path) -> None:
+    walks(page, lambda: change(page, "duration", "value", "5 s"))
+    gains = json.loads(download(page, "gains.json"))
+    assert list(gains)[:2] == ["K_GAS", "K_GLU"]
+    assert b"[terrain]" in download(page, "walk.toml")
+    (tmp_path / "walk.csv").write_bytes(download(page, "walk.csv"))
+    table = pyarrow.csv.read_csv(tmp_path / "walk.csv")
+    shown = page.evaluate(f"[...{MODEL}('stage-frames').data.camera_m[0]]")[::2]
+    np.testing.assert_allclose(shown[0], table["x_m"][0].as_py(), atol=1e-6)
+    assert download(page, "walk.mot").startswith(b"reference\n")
+    assert download(page, "walk.mp4")[4:8] == b"ftyp"
+    assert download(page, "strip.png").startswith(b"\x89PNG")
+
+
+def test_the_selection_reads_back(page: Any, store: Path, tmp_path: Path) -> None:
+    change(page, "selection", "value", "mean_speed_mps 0..0.5")
+    page.wait_for_timeout(300)
+    with page.expect_download() as saved:
+        page.get_by_text("selection as Parquet").click()
+    table = pq.read_table(saved.value.path())
+    assert len(table) == page.evaluate("window.store_view.chosen")
+    assert table["mean_speed_mps"].to_numpy().max() <= 0.5
+    change(page, "selection", "value", "")
+
+
+def test_a_tab_that_is_closed_leaves_others_alone(page: Any, store: Path) -> None:
+    other = page.context.browser.new_page()
+    other.goto(page.url)
+    other.wait_for_function("window.store_view?.refreshed > 0")
+    other.evaluate(f"{MODEL}('row').value = 3")
+    other.close()
+    walks(page, lambda: change(page, "row", "value", 5))
+
+
+def test_a_store_that_is_being_filled(folders: Path, page: Any, tmp_path: Path) -> None:
+    """The first shard is there, the manifest is not; then another one comes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+        whole = tmp_path / "whole"
+        fake_walker.write_store(whole, shard_rows=100)
+    growing = tmp_path / "growing"
+    growing.mkdir()
+    shards = sorted(whole.glob("part-*.parquet"))
+    assert len(shards) == 2
+    for name in ("specification.json", shards[0].name):
+        (growing / name).write_bytes((whole / name).read_bytes())
+    with opened(page, growing) as address:
+        page.wait_for_function("window.store_view?.chosen === 100")
+        (growing / shards[1].name).write_bytes(shards[1].read_bytes())
+        page.goto(address)
+        page.wait_for_function("window.store_view?.chosen === 150")
+        (growing / shards[1].name).write_bytes(b"damaged")
+        page.goto(address)
+        page.get_by_text("store: ").first.wait_for()
+
+
+def test_a_comparison(folders: Path, page: Any) -> None:
+    with opened(page, folders / "compared"):
+        page.wait_for_function(f"{WALKS} > 0")
+        assert "ground of run 0" in model(page, "profile", "title.text")
+        assert "friction" in model(page, "robot", "text")
+        change(page, "arms", "value", ["dog"])
+        shown = f"{MODEL}('dots').renderers.map((one) => one.visible)"
+        page.wait_for_function(f"{shown}.includes(false)")
+        assert sorted(page.evaluate(shown)) == [False, True]
+        dot = point(page, "dots-dog", ("x", "y"), "run", 1)
+        walks(page, lambda: click(page, "dots", *dot))
+        page.wait_for_function(f"{MODEL}('run').value === 1")
+        page.get_by_text("toy-dog-run-001").first.wait_for()
+        assert "ground of run 1" in model(page, "profile", "title.text")
+        save(page, "comparison")
+        change(page, "trial", "value", 999)
+        page.get_by_text("watch it").click()
+        page.wait_for_function(f"{MODEL}('message').text.includes('trial')")
