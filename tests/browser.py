@@ -38,7 +38,7 @@ def opened_page(width: int, height: int) -> Iterator[Any]:
         page.on("pageerror", lambda error: broken.append(str(error)))
         yield page
         browser.close()
-        assert not broken
+        assert broken == []
 
 
 def save(page: Any, name: str) -> None:

@@ -102,7 +102,8 @@ class StoreView:
         self._cloud, self._image = _cloud()
         self._histograms, self._bars = _histograms()
         self._lines, self._parallel = _parallel()
-        self._table, self._listed = _table()
+        fields = ("row", "bred", *(f"c{slot}" for slot in range(len(ROLES))))
+        self._listed = ColumnDataSource({name: [] for name in fields}, name="listed")
         self._count = Div(name="count", width=220)
         for slot in range(len(ROLES)):
             self._load(slot)
@@ -114,10 +115,11 @@ class StoreView:
         )
         csv.on_click(lambda: save(self.ranges(), ".csv"))
         parquet.on_click(lambda: save(self.ranges(), ".parquet"))
-        self.layout = column(
+        self._above = [
             row(*self._columns), self._cloud, row(self.selection, clear), row(*self._histograms),
-            self._lines, row(self._count, self.row, csv, parquet), self._table,
-        )  # fmt: skip
+            self._lines, row(self._count, self.row, csv, parquet),
+        ]  # fmt: skip
+        self.layout = column(*self._above, _table(self._listed, self._names))
 
     def ranges(self) -> Ranges:
         """The selection.
@@ -125,7 +127,12 @@ class StoreView:
         Raises:
             InputError: its text cannot be read.
         """
-        return read_selection(self.selection.value, [select.value for select in self._columns])
+        return read_selection(self.selection.value, self._names)
+
+    @property
+    def _names(self) -> list[str]:
+        """Of the five columns."""
+        return [select.value for select in self._columns]
 
     def listen(self, message: Message) -> None:
         """Answer the choices; what goes wrong is a message."""
@@ -148,10 +155,11 @@ class StoreView:
 
     def _look_at(self, slot: int) -> None:
         """Another column; what the old one was brushed to is forgotten."""
-        names = [select.value for select in self._columns]
         kept = read_selection(self.selection.value, self._store.columns)
-        self.selection.value = selection_text({name: kept[name] for name in kept if name in names})
+        known = {name: ends for name, ends in kept.items() if name in self._names}
+        self.selection.value = selection_text(known)
         self._load(slot)
+        self.layout.children = [*self._above, _table(self._listed, self._names)]
 
     def _clear(self) -> None:
         self.selection.value = ""
@@ -181,7 +189,6 @@ class StoreView:
         plot = self._histograms[slot]
         plot.title.text = name
         plot.x_range.start, plot.x_range.end = low, high
-        self._table.columns[slot + 2].title = name
         if slot < 2:
             axis = (self._cloud.xaxis, self._cloud.yaxis)[slot]
             axis.axis_label = name
@@ -284,6 +291,7 @@ def _parallel() -> tuple[Any, ColumnDataSource]:
     )  # fmt: skip
     plot.add_tools(BoxSelectTool(renderers=[]))
     plot.xaxis.ticker = axes
+    plot.xaxis.major_label_text_font_size = "9px"
     plot.yaxis.visible = False
     plot.grid.visible = False
     plot.multi_line("xs", "ys", source=source, line_color=style.MODEL, line_alpha=0.25)
@@ -291,13 +299,14 @@ def _parallel() -> tuple[Any, ColumnDataSource]:
     return plot, source
 
 
-def _table() -> tuple[DataTable, ColumnDataSource]:
-    fields = [f"c{slot}" for slot in range(len(ROLES))]
-    source = ColumnDataSource({name: [] for name in ("row", "bred", *fields)}, name="listed")
+def _table(source: ColumnDataSource, names: list[str]) -> DataTable:
+    """The rows that the script lists. For other columns it is made anew: it keeps old titles."""
     numbers = NumberFormatter(format="0.[0000]")
     columns = [TableColumn(field="row", title="row", width=60),
                TableColumn(field="bred", title="", width=40)]  # fmt: skip
-    columns += [TableColumn(field=name, title=name, formatter=numbers) for name in fields]
-    table = DataTable(source=source, columns=columns, width=WIDTH_PX, height=180,
-                      index_position=None, name="table")  # fmt: skip
-    return table, source
+    columns += [
+        TableColumn(field=f"c{slot}", title=name, formatter=numbers)
+        for slot, name in enumerate(names)
+    ]
+    return DataTable(source=source, columns=columns, width=WIDTH_PX, height=180,
+                     index_position=None)  # fmt: skip

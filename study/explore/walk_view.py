@@ -14,10 +14,9 @@ from bokeh.models import (
     ColumnDataSource,
     CustomJS,
     Div,
+    RadioButtonGroup,
     Select,
     Spinner,
-    TabPanel,
-    Tabs,
 )
 
 from study.explore.cycle import Cycle
@@ -40,7 +39,6 @@ from study.gains import NamedGains
 from taichi_nmm.settings import ENGINES
 
 AS_TRIED = "as it was tried"
-CYCLE_TAB = 2
 LARGEST_SEED = 2**31 - 1
 
 
@@ -81,19 +79,20 @@ class WalkView:
         )
         self._save.js_on_change("data", CustomJS.from_file(SCRIPTS / "save.mjs", source=self._save))
         self._command = Div(text="", name="command", width=700)
-        self._command.tags = [self._save]  # a page has only what something on it refers to
-        self._tabs = Tabs(tabs=[
-            TabPanel(title="gains", child=self._hands.layout),
-            TabPanel(title="score", child=self._score.layout),
-            TabPanel(title="stride beside people", child=self._cycle.layout),
-            TabPanel(title="take it with you", child=self._taking()),
-        ], name="tabs")  # fmt: skip
-        message.watch(self._tabs, "active", self._look_at_cycle)
+        self._parts = {
+            "gains": self._hands.layout, "score": self._score.layout,
+            "stride beside people": self._cycle.layout, "take it with you": self._taking(),
+        }  # fmt: skip
+        self._part = RadioButtonGroup(labels=list(self._parts), active=0, name="part")
+        self._part.tags = [self._save]  # a page has only what something on it refers to
+        self._below = column(self._hands.layout)
+        message.watch(self._part, "active", self._turn)
         keep = Button(label="keep it beside", width=110, name="keep")
         keep.on_click(message.safely(self._keep))
         values = list(self._choices.values())
         self.layout = column(
-            row(*values[:3]), row(*values[3:], keep), self._player.layout, self._tabs
+            row(*values[:3]), row(*values[3:], keep), self._player.layout, self._part,
+            self._below,
         )  # fmt: skip
 
     def show(self, gains: NamedGains, setting: Setting | None = None) -> None:
@@ -134,11 +133,11 @@ class WalkView:
         self._score.show(found.row, self._first)
         self._first = False
         self._command.text = f"<code>{html.escape(command_line(found))}</code>"
-        self._look_at_cycle()
+        self._cycle.show(found)
 
-    def _look_at_cycle(self) -> None:
-        if self._walk is not None and self._tabs.active == CYCLE_TAB:
-            self._cycle.show(self._walk)
+    def _turn(self) -> None:
+        """To another part; the others are not on the page: hidden figures never get a size."""
+        self._below.children = [list(self._parts.values())[self._part.active]]
 
     def _keep(self) -> None:
         if self._walk is not None:
