@@ -17,6 +17,8 @@ from taichi_nmm.result import MUSCLES, Trajectory
 
 Columns = dict[str, NDArray[np.float64]]
 
+RECORD_RATE_HZ = 200.0  # of walks that are kept
+
 OPENSIM_MUSCLES = {
     "SOL": "soleus", "TA": "tib_ant", "GAS": "gastroc", "VAS": "vasti", "HAM": "hamstrings",
     "GLU": "glut_max", "HFL": "iliopsoas",

@@ -32,7 +32,11 @@ from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_tria
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
 from study.report.before_after import Pair, Shown
 from study.report.strips import write_strips
-from study.trajectory_files import require_trajectory_file, write_trajectory
+from study.trajectory_files import (
+    RECORD_RATE_HZ,
+    require_trajectory_file,
+    write_trajectory,
+)
 from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
@@ -42,7 +46,6 @@ ANGLES = (
     "knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad",
 )  # fmt: skip
 LONGEST_MOVIE_S = 120.0
-RECORD_RATE_HZ = 200.0
 BOTH = "both"  # engines
 REPORTED = (
     *MEASURES, "cost_of_transport_jpkgpm", "step_count",

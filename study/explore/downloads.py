@@ -13,8 +13,9 @@ import pyarrow.parquet
 from storage.store import open_store
 from study.explore.selection import Ranges, selected
 from study.explore.walk import Walk
+from study.explore.walk import walk as walk_again
 from study.pictures import write_gait_cycle, write_movie, write_strip
-from study.trajectory_files import FORMATS, trajectory_text
+from study.trajectory_files import FORMATS, RECORD_RATE_HZ, trajectory_text
 
 FILM_S = 20.0  # of a walk's end
 
@@ -59,13 +60,14 @@ NAMES = (*TEXTS, *(f"walk{suffix}" for suffix in FORMATS), *PICTURES)
 
 
 def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
-    """One of `NAMES` and its content.
+    """One of `NAMES` and its content, of the same walk with the samples of walks that are kept.
 
     Raises:
         InputError: a film without a working ffmpeg.
     """
     if name in TEXTS:
         return name, TEXTS[name](walk)
+    walk = walk_again(walk.gains, walk.setting, RECORD_RATE_HZ)
     if name in PICTURES:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / name

@@ -1,4 +1,4 @@
-"""The explorer as a process, on folders that a formula filled."""
+"""The explorer as a process."""
 
 import subprocess
 import sys
@@ -10,10 +10,19 @@ from tests.tools.running import ROOT
 
 
 @contextmanager
-def explorer(folder: Path, *options: str) -> Iterator[str]:
-    """The address of its page."""
-    command = [sys.executable, ROOT / "tools" / "explore.py", folder, "--port", "0", *options]
+def explorer_process(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The process, and the address of its page."""
+    command = [
+        sys.executable, ROOT / "tools" / "explore.py", folder, "--port", "0", "--no-browser",
+    ]  # fmt: skip
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        yield process.stdout.readline().split()[1]
+        yield process, process.stdout.readline().split()[1]
         process.terminate()
+
+
+@contextmanager
+def explorer(folder: Path) -> Iterator[str]:
+    """The address alone."""
+    with explorer_process(folder) as (_, address):
+        yield address

@@ -25,7 +25,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
         fake_walker.write_plain_store(store)
-    with explorer(store, "--no-browser") as found:
+    with explorer(store) as found:
         yield found
 
 
