@@ -88,7 +88,7 @@ def _why(row: np.void, trajectory: Trajectory, terrain: Terrain) -> str:
     if abs(lean) / FALL_LEAN_RAD > FALL_HEIGHT_M / max(height_m, 1e-6):
         way = "forward" if lean > 0 else "backward"
         return f": the trunk leaned {math.degrees(abs(lean)):.0f} deg {way}"
-    return f": the hip sank to {height_m:.2f} m over the ground"
+    return f": the hip sank to {height_m:.1f} m over the ground"
 
 
 def warm_up() -> None:

@@ -164,7 +164,7 @@ def options_of(command: str) -> list[str]:
     return [*FIND_OPTION.findall(file.read_text()), *COMMON_OPTIONS]
 
 
-STORE = ("draw-store", *["walk of a row"] * 3, "study", "compare", COMPARE_NEW)
+STORE = ("draw-store", "explore", *["walk of a row"] * 3, "study", "compare", COMPARE_NEW)
 TERRAIN = ("walk", "--config", "{file}.toml", *STILL)
 DATABASE = ("walk of a live trial", "study", (*STUDY, "--trials", "3"),
             ("dashboard", "--storage", "sqlite:///live.db", "--port", "0"),
@@ -200,10 +200,12 @@ FORMATS: tuple[Format | Arguments, ...] = (
                            either(bytes_of, damaged_footer, damaged_columns))(rng, path),
     ),
     Format("experiment.json", 6, ("compared/experiment.json",),
-           ("report", "report with strips", "compare", "walk of a trial"), json_of),
+           ("report", "report with strips", "compare", "walk of a trial",
+            "explore of a comparison"), json_of),
     Format("run.json", 3, ("compared/run.json",), ("report", "report", "compare"), json_of),
     Format("trials.parquet", 6, ("compared/trials.parquet",),
-           ("report", "walk of a trial", "walk of a trial"), either(bytes_of, damaged_columns)),
+           ("report", "walk of a trial", "walk of a trial", "explore of a comparison"),
+           either(bytes_of, damaged_columns)),
     Format("an arm's trials", 6, ("compared/arms/dog.parquet", "compared/arms/random.parquet"),
            ("report", "compare", "compare"),
            either(bytes_of, damaged_columns, damaged_columns, damaged_footer)),

@@ -10,10 +10,12 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 from study.guard import EXIT_BAD_INPUT
@@ -32,6 +34,16 @@ Content = dict[str, str]
 
 class Reached(BaseException):
     """The command got where the work begins."""
+
+
+class Idle(Executor):
+    """Does nothing of what it is asked for."""
+
+    def __init__(self, _: int) -> None:
+        pass
+
+    def submit(self, *_: Any, **__: Any) -> Future[Any]:
+        return Future()
 
 
 @dataclass(frozen=True)
@@ -116,14 +128,20 @@ def content(folder: Path) -> Content:
 def doors() -> Iterator[None]:
     """Where the work would begin, `Reached` is raised; and what no input decides takes no time."""
     from alembic.script import ScriptDirectory
+    from bokeh.document import Document
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     import taichi_nmm.simulator
     from storage import pool
-    from study.commands import dashboard
+    from study.commands import dashboard, explore
+    from study.explore import address
 
     def reached(*_: object, **__: object) -> None:
+        raise Reached
+
+    def fill(page: Callable[[Document], None], _: int) -> None:
+        page(Document())
         raise Reached
 
     def savefig(_: object, path: Path, format: str, **__: object) -> None:
@@ -149,6 +167,8 @@ def doors() -> Iterator[None]:
             (taichi_nmm.simulator, "_start", reached),
             (pool, "Processes", reached),
             (dashboard.Server, "serve_forever", reached),
+            (explore, "Processes", Idle),
+            (address, "serve", fill),
             *for_nothing,
         ):
             stack.enter_context(mock.patch.object(owner, name, instead))
