@@ -74,12 +74,12 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installe
     return Installed(tmp_path_factory.mktemp("installed"), wheel)
 
 
-def test_it_holds_every_configuration_and_the_hub_package(wheel: Path) -> None:
+def test_it_holds_every_configuration_script_and_the_hub_package(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     for path in (ROOT / "configs").glob("*.toml"):
         assert f"study/configs/{path.name}" in names
-    package = ROOT / "study" / "hub" / "package"
-    for path in package.rglob("*"):
+    package, scripts = (ROOT / "study" / part for part in ("hub/package", "explore/scripts"))
+    for path in (*package.rglob("*"), *scripts.iterdir()):
         if path.is_file() and "__pycache__" not in path.parts:
             assert str(path.relative_to(ROOT)) in names
     assert not {name.split("/")[0] for name in names} & {"tests", "tools", "docs", "configs"}

@@ -102,7 +102,9 @@ function paint({source, image, plot, bounds, palette}) {
   const square = (i, reach, ink) => {
     const [x, y] = [Math.round((c0[i] - left) * across), Math.round((c1[i] - bottom) * up)]
     if (!(x >= reach && y >= reach && x < width - reach && y < height - reach)) return
-    for (let v = y - reach; v <= y + reach; v++) pixels.fill(ink, v * width + x - reach, v * width + x + reach + 1)
+    for (let v = y - reach; v <= y + reach; v++) {
+      for (let at = v * width + x - reach, end = at + 2 * reach; at <= end; at++) pixels[at] = ink
+    }
   }
   pixels.fill(0)
   if (!state.all) for (let i = 0; i < c0.length; i++) if (!state.inside[i]) square(i, 1, PALE)
