@@ -7,6 +7,8 @@ opens a page of this machine only (127.0.0.1), until Ctrl-C, and prints its addr
 written into the folder. It needs the extra `explore`. Exit codes: 0, 2 bad input.
 """
 
+import os
+import sys
 import webbrowser
 from argparse import Namespace
 from contextlib import suppress
@@ -17,6 +19,8 @@ from storage.processes import Processes
 from study.command_options import Options
 from taichi_nmm.kernel_cache import require_kernel_cache
 
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
+
 
 def parse() -> Namespace:
     """The options of this process."""
@@ -25,6 +29,11 @@ def parse() -> Namespace:
     parser.whole("--port", 0, 65535, default=5006, help="%(default)s; 0: a free one")
     parser.add_argument("--no-browser", action="store_true", help="only print the address")
     return parser.parse_args()
+
+
+def has_display() -> bool:
+    """Whether a browser would have a window: one of a terminal would take the terminal."""
+    return sys.platform == "darwin" or any(os.environ.get(name) for name in DISPLAYS)
 
 
 def main() -> None:
@@ -40,8 +49,8 @@ def main() -> None:
         loop, address = serve(partial(page, walkers, makers), args.port)
         walkers.submit(warm_up)
         print(f"explore     {address}", flush=True)
-        if not args.no_browser:
-            with suppress(webbrowser.Error):  # no display: the address is enough
+        if has_display() and not args.no_browser:
+            with suppress(webbrowser.Error):
                 webbrowser.open(address)
         with suppress(KeyboardInterrupt):
             loop.start()

@@ -5,7 +5,6 @@ Five columns of the store are looked at at a time; the first three are the cloud
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -15,17 +14,11 @@ from bokeh.models import (
     Button,
     ColumnDataSource,
     CustomJS,
-    DataTable,
     Div,
-    NumberFormatter,
-    Range1d,
     Select,
     Spinner,
-    TableColumn,
     TextInput,
 )
-from bokeh.models.tools import BoxSelectTool, PanTool, ResetTool, WheelZoomTool
-from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from storage.schema import EVOLVED_ROW, ORIGIN
@@ -34,22 +27,24 @@ from study.experiment.features import COLUMN_END
 from study.explore.message import Message
 from study.explore.selection import Ranges, read_selection, selection_text
 from study.explore.stage import SCRIPTS
-from study.pictures import style
+from study.explore.store_plots import (
+    BINS,
+    ROLES,
+    WIDTH_PX,
+    cloud,
+    histograms,
+    parallel,
+    table,
+)
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
 
-ROLES = ("across", "up", "colour", "besides", "besides")  # of the five columns
 FIRST = ("mean_speed_mps", "phi_printed", "survived_fraction", "cost_of_transport_jpkgpm",
          "step_length_mean_m")  # fmt: skip
-WIDTH_PX = 700
-CLOUD_PX = (600, 330)  # within its axes
-HISTOGRAM_PX = (WIDTH_PX // len(ROLES), 105)
-BINS = 40
 PALETTE = "viridis"
 SHOWN_PERCENT = (0.5, 99.5)  # of the numbers of a column, in all views; zoom out to see the rest
 MARGIN = 0.02  # around all points, of the axes
-BESIDES = "#D8DCE0"  # of bars
 
 
 def numeric_columns(store: Store) -> list[str]:
@@ -99,9 +94,9 @@ class StoreView:
         )  # fmt: skip
         self.row = Spinner(title="row that walks", low=0, high=int(self._rows.max()), step=1,
                            mode="int", width=120, name="row")  # fmt: skip
-        self._cloud, self._image = _cloud()
-        self._histograms, self._bars = _histograms()
-        self._lines, self._parallel = _parallel()
+        self._cloud, self._image = cloud()
+        self._histograms, self._bars = histograms()
+        self._lines, self._parallel = parallel()
         fields = ("row", "bred", *(f"c{slot}" for slot in range(len(ROLES))))
         self._listed = ColumnDataSource({name: [] for name in fields}, name="listed")
         self._count = Div(name="count", width=220)
@@ -119,7 +114,7 @@ class StoreView:
             row(*self._columns), self._cloud, row(self.selection, clear), row(*self._histograms),
             self._lines, row(self._count, self.row, csv, parquet),
         ]  # fmt: skip
-        self.layout = column(*self._above, _table(self._listed, self._names))
+        self.layout = column(*self._above, table(self._listed, self._names))
 
     def ranges(self) -> Ranges:
         """The selection.
@@ -159,7 +154,7 @@ class StoreView:
         known = {name: ends for name, ends in kept.items() if name in self._names}
         self.selection.value = selection_text(known)
         self._load(slot)
-        self.layout.children = [*self._above, _table(self._listed, self._names)]
+        self.layout.children = [*self._above, table(self._listed, self._names)]
 
     def _clear(self) -> None:
         self.selection.value = ""
@@ -238,75 +233,3 @@ def _packed_palette() -> list[int]:
     colours = matplotlib.colormaps[PALETTE](np.arange(256), bytes=True).astype(np.int64)
     shifts = np.array([0, 8, 16, 24])
     return [int(value) for value in (colours << shifts).sum(axis=1)]
-
-
-def _cloud() -> tuple[Any, ColumnDataSource]:
-    plot = figure(
-        name="cloud", width=WIDTH_PX, frame_width=CLOUD_PX[0], frame_height=CLOUD_PX[1],
-        tools=[PanTool(), WheelZoomTool(), ResetTool()],
-        x_range=Range1d(0.0, 1.0), y_range=Range1d(0.0, 1.0), title=" ",
-    )  # fmt: skip
-    box = BoxSelectTool(renderers=[])
-    plot.add_tools(box)
-    plot.toolbar.active_drag = box
-    plot.toolbar.logo = None
-    image = ColumnDataSource({
-        "image": [np.zeros(CLOUD_PX[::-1], np.uint32)],
-        **{name: np.array([0.0]) for name in ("x", "y")},
-        **{name: np.array([1.0]) for name in ("dw", "dh")},
-    })  # fmt: skip
-    plot.image_rgba("image", "x", "y", "dw", "dh", source=image)
-    return plot, image
-
-
-def _histograms() -> tuple[list[Any], list[ColumnDataSource]]:
-    plots, sources = [], []
-    for slot in range(len(ROLES)):
-        bars = ColumnDataSource(
-            {name: np.zeros(BINS) for name in ("left", "right", "all", "chosen")}
-        )
-        plot = figure(
-            name=f"histogram-{slot}", width=HISTOGRAM_PX[0], height=HISTOGRAM_PX[1], tools="",
-            toolbar_location=None, title=" ", x_range=Range1d(0.0, 1.0),
-        )  # fmt: skip
-        plot.title.text_font_size = "9px"
-        plot.yaxis.visible = False
-        plot.xaxis.ticker.desired_num_ticks = 3
-        plot.grid.visible = False
-        plot.add_tools(BoxSelectTool(renderers=[], dimensions="width"))
-        for name, colour in (("all", BESIDES), ("chosen", style.MODEL)):
-            plot.quad(left="left", right="right", bottom=0, top=name, source=bars,
-                      fill_color=colour, line_color=None)  # fmt: skip
-        plots.append(plot)
-        sources.append(bars)
-    return plots, sources
-
-
-def _parallel() -> tuple[Any, ColumnDataSource]:
-    source = ColumnDataSource({"xs": [], "ys": []}, name="parallel")
-    axes = list(range(len(ROLES)))
-    plot = figure(
-        name="parallel", width=WIDTH_PX, height=150, tools="", toolbar_location=None,
-        x_range=Range1d(-0.35, len(ROLES) - 0.65), y_range=Range1d(-0.04, 1.04),
-    )  # fmt: skip
-    plot.add_tools(BoxSelectTool(renderers=[]))
-    plot.xaxis.ticker = axes
-    plot.xaxis.major_label_text_font_size = "9px"
-    plot.yaxis.visible = False
-    plot.grid.visible = False
-    plot.multi_line("xs", "ys", source=source, line_color=style.MODEL, line_alpha=0.25)
-    plot.segment(axes, 0, axes, 1, line_color=style.INK)
-    return plot, source
-
-
-def _table(source: ColumnDataSource, names: list[str]) -> DataTable:
-    """The rows that the script lists. For other columns it is made anew: it keeps old titles."""
-    numbers = NumberFormatter(format="0.[0000]")
-    columns = [TableColumn(field="row", title="row", width=60),
-               TableColumn(field="bred", title="", width=40)]  # fmt: skip
-    columns += [
-        TableColumn(field=f"c{slot}", title=name, formatter=numbers)
-        for slot, name in enumerate(names)
-    ]
-    return DataTable(source=source, columns=columns, width=WIDTH_PX, height=180,
-                     index_position=None)  # fmt: skip

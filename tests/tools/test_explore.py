@@ -1,15 +1,20 @@
 """tools/explore.py: what it refuses, in one line."""
 
 import json
+import os
 import shutil
+import signal
 import socket
+import subprocess
+import sys
+import urllib.request
 from pathlib import Path
 
 import pytest
 
 import taichi_nmm
 from tests.study import fake_walker
-from tests.tools.running import run_tool
+from tests.tools.running import ROOT, run_tool
 
 pytestmark = pytest.mark.slow
 
@@ -55,6 +60,23 @@ def test_a_store_of_another_version(
     document["format"] = 99
     (copy / "manifest.json").write_text(json.dumps(document))
     assert "of format 99" in refused(monkeypatch, capsys, copy)
+
+
+@pytest.mark.parametrize("browser", ["", "no-such-program"])
+def test_without_a_browser_the_address_is_enough(browser: str, store: Path) -> None:
+    """A browser of a terminal, which would take the terminal, is not opened either."""
+    hidden = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
+    environment = {name: value for name, value in os.environ.items() if name not in hidden}
+    command = [sys.executable, ROOT / "tools" / "explore.py", store, "--port", "0"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, env=environment | {"BROWSER": browser}
+    ) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().split()[1]
+        with urllib.request.urlopen(address, timeout=30) as answer:
+            assert answer.status == 200
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
 
 
 def test_a_port_in_use(

@@ -189,7 +189,10 @@ def test_another_column_is_drawn(page: Any, store: Path) -> None:
     page.wait_for_function(f"{MODEL}('cloud').below[0].axis_label === 'distance_m'")
     values = open_store(store).table(["distance_m"])["distance_m"].to_numpy()
     page.wait_for_function(f"{MODEL}('rows').data.c0[0] === {float(values[0])!r}")
+    page.get_by_text(f"{values[0]:.4f}".rstrip("0")).first.wait_for()  # in the table
     change(page, "column-0", "value", "mean_speed_mps")
+    speeds = open_store(store).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
+    page.get_by_text(f"{speeds[0]:.4f}".rstrip("0")).first.wait_for()
 
 
 def test_a_click_walks(page: Any, store: Path) -> None:
