@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from study.guard import guarded_imports, run_command
 
 with guarded_imports():
+    from storage.store import open_store
     from study.command_options import Options
     from tests.browser import opened_page
     from tests.study.explore.serving import explorer_process
@@ -40,6 +41,7 @@ TIMED = f"""async ([act, seen]) => {{
 
 def main() -> None:
     options = parse()
+    open_store(options.store)
     with opened_page(1500, 1250) as page:
         measure(page, options.store)
 

@@ -38,7 +38,8 @@ NEW_FILE = {
 # What a tool calls to work, beside the simulator and the server.
 WORK = {
     "bench": "measure", "compare_outside": "execute", "compare_peers": "execute",
-    "find_reference": "starts", "make_outside": "make", "time_sampler": "measure",
+    "find_reference": "starts", "make_outside": "make", "time_explorer": "measure",
+    "time_sampler": "measure",
 }  # fmt: skip
 
 # What makes a command complete, for each of its options: of an option that is tried, the last
@@ -46,6 +47,7 @@ WORK = {
 COMPLETE: dict[str, tuple[str, ...]] = {
     "compare": ("--config", "CONFIG", "--arms", "random", "--no-artifacts"),
     "draw_store": ("STORE",),
+    "explore": ("STORE", "--no-browser"),
     "find_reference": ("--out", "gains.json"),
     "make_outside": ("--problem", "cart-pole"),
     "optimum": ("--config", "CONFIG"),
