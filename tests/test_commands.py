@@ -17,7 +17,7 @@ import pytest
 
 import taichi_nmm
 from storage.store import open_store
-from study import pictures
+from study import pictures, trajectory_files
 from study.commands import quickstart
 from study.report import strips
 from study.shipped import config_path
@@ -128,6 +128,7 @@ def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PAINTERS:
         monkeypatch.setattr(pictures, name, lambda path, *_: path)
     monkeypatch.setattr(strips, "write_strips", lambda folder, *_: [folder])
+    monkeypatch.setattr(trajectory_files, "write_trajectory", lambda *_: None)
 
 
 @pytest.mark.slow
