@@ -1,5 +1,6 @@
 """Where walks are seen: one or two walkers over the same ground, and the player of both."""
 
+import html
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,7 @@ class Stage:
         """Have the player begin with a walk."""
         frames: Frames = walk.frames
         self._ground.data = {"x": frames.ground[:, 0], "y": frames.ground[:, 1]}
-        self.words.text = f"<b>{walk.gains.name}</b>: {walk.ended}"
+        self.words.text = f"<b>{html.escape(walk.gains.name)}</b>: {html.escape(walk.ended)}"
         self.frames.data = frames.columns()
 
     def _drawn(self, name: str) -> Any:

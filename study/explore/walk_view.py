@@ -72,8 +72,8 @@ class WalkView:
         self._player, self._score, self._cycle = Player(), Score(), Cycle()
         self._hands = Hands(message, self._changed, self.show)
         self._choices = _choices(tried)
-        for choice in self._choices.values():
-            message.watch(choice, "value", self._again)
+        for name, choice in self._choices.items():
+            message.watch(choice, "value", partial(self._chosen, name))
         self._save = ColumnDataSource(
             {"name": [""], "content": [np.zeros(0, np.uint8)]}, name="save"
         )
@@ -115,6 +115,13 @@ class WalkView:
             return self._tried
         chosen["duration_s"] = float(chosen["duration_s"].removesuffix(" s"))
         return chosen_setting(**chosen)
+
+    def _chosen(self, name: str) -> None:
+        if name != "ground" and self._choices["ground"].value == AS_TRIED:
+            self._message.tell(f"{name}: counts once a ground is chosen")
+            return
+        self._first = True  # what walked elsewhere is nothing to compare with
+        self._again()
 
     def _changed(self, gains: NamedGains) -> None:
         self._gains = gains
