@@ -99,6 +99,28 @@ def test_an_unfinished_store_is_refused(folder: Path) -> None:
         open_store(folder)
 
 
+def test_the_shards_of_an_unfinished_store_are_taken_where_wanted(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = open_store(folder)
+    assert open_store(folder, unfinished=True) == whole
+    table, first = whole.table(), whole.footers[0]["rows"]
+    (folder / "manifest.json").unlink()
+    whole.files[0].unlink()
+    rest = open_store(folder, unfinished=True)
+    assert rest.files == whole.files[1:]
+    assert rest.table().equals(table.slice(first))
+    monkeypatch.setitem(vars(__import__("taichi_nmm")), "simulate", fake.simulate)
+    precompute(fake.specification(), tmp_path / "other")
+    shutil.copy(tmp_path / "other" / "part-00000.parquet", folder)
+    with pytest.raises(InputError, match="shards of one store"):
+        open_store(folder, unfinished=True)
+    for file in folder.glob("part-*"):
+        file.unlink()
+    with pytest.raises(InputError, match="a finished store"):
+        open_store(folder, unfinished=True)
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"shards": [1]}'])
 def test_a_damaged_manifest(folder: Path, text: str) -> None:
     (folder / "manifest.json").write_text(text)
