@@ -62,6 +62,16 @@ def test_a_store_of_another_version(
     assert "of format 99" in refused(monkeypatch, capsys, copy)
 
 
+def test_without_bokeh_its_name_is_said(
+    store: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in [name for name in sys.modules if name.startswith("study.explore")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "bokeh", None)
+    said = refused(monkeypatch, capsys, store)
+    assert "package: 'bokeh' is not installed" in said
+
+
 @pytest.mark.parametrize("browser", ["", "no-such-program"])
 def test_without_a_browser_the_address_is_enough(browser: str, store: Path) -> None:
     """A browser of a terminal, which would take the terminal, is not opened either."""
