@@ -65,14 +65,14 @@ class Plan:
     """What all processes know.
 
     Attributes:
-        seed: of the cases.
+        seed: of the cases; None: of `every_option`.
         world: folder of sound files.
         scratch: folder for the processes' own.
         limit_s: of a case.
         judge: on a case.
     """
 
-    seed: int
+    seed: int | None
     world: Path
     scratch: Path
     limit_s: float = LIMIT_S
