@@ -6,6 +6,7 @@ import time
 import uuid
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future
+from contextlib import suppress
 from typing import Any
 
 from distributed import Client, KilledWorker
@@ -82,6 +83,8 @@ class ClusterExecutor(Executor):
         seen_s = time.monotonic()
         while self._client.status not in ("closed", "closing"):
             await asyncio.sleep(WATCH_S)
+            with suppress(OSError):  # Dask connects again, or cancels what is under way
+                await self._gate.look()
             if self._gate.places() or not self._pending:
                 seen_s = time.monotonic()
             elif time.monotonic() - seen_s > WORKERLESS_S:

@@ -107,6 +107,15 @@ def test_a_cluster_without_workers_is_given_up(
                     os.killpg(worker.pid, signal.SIGKILL)
 
 
+def test_calls_may_take_longer_than_a_cluster_may_be_without_workers(
+    opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("storage.cluster.executor.WORKERLESS_S", 2.0)
+    monkeypatch.setattr("storage.cluster.executor.WATCH_S", 0.2)
+    with opened() as pool:
+        assert results(pool, units.asleep, [8.0]) == {8.0: "awake"}
+
+
 CLIENT = """
 import sys
 from collections import deque
