@@ -4,13 +4,16 @@ Why not `concurrent.futures.ProcessPoolExecutor`: its processes share two queues
 killed in the middle of a result blocks all for ever (before Python 3.11.5, also one killed while
 the next call is being written; CPython issue 94777), and it offers no way to end a process in the
 middle of a call before Python 3.14, while Taichi compiles for half a minute without listening.
-Here every process has a pipe of its own.
+Here every process has a pair of sockets of its own; and no pipe of `multiprocessing`'s, which reads
+a table in dozens of small pieces, waits for Python's lock after each, and copies them.
 """
 
 import multiprocessing
 import os
 import pickle
 import signal
+import socket
+import struct
 import threading
 import traceback
 from collections import deque
@@ -18,7 +21,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from queue import SimpleQueue
 from typing import Any
@@ -26,7 +28,7 @@ from typing import Any
 # For the processes that are started: their BLAS reads it when NumPy is imported.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
-END = b""  # what a process is told to end by
+LENGTH = struct.Struct("!Q")
 END_S = 10.0  # that an idle one may take
 
 
@@ -43,8 +45,8 @@ class Processes(Executor):
     def __init__(self, most: int) -> None:
         """None is started yet."""
         self._threads = ThreadPoolExecutor(most)  # one waits for each process
-        self._idle: deque[Connection] = deque()
-        self._started: dict[Connection, BaseProcess] = {}
+        self._idle: deque[socket.socket] = deque()
+        self._started: dict[socket.socket, BaseProcess] = {}
         self._lock = threading.Lock()  # of starting and ending
         self._over = False
         resource_tracker.ensure_running()  # it would unblock SIGINT within `_quiet_child`
@@ -67,7 +69,7 @@ class Processes(Executor):
         for pipe, process in self._started.items():
             if pipe in idle:
                 with suppress(OSError):
-                    pipe.send_bytes(END)
+                    _send(pipe)
             else:
                 process.kill()
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
@@ -80,8 +82,9 @@ class Processes(Executor):
         words = pickle.dumps(call)
         try:
             pipe = self._idle.pop() if self._idle else self._start()
-            pipe.send_bytes(words)
-            result, error = pickle.loads(pipe.recv_bytes())
+            _send(pipe, words)
+            answer, *buffers = _receive(pipe)
+            result, error = pickle.loads(answer, buffers=buffers)
         except (EOFError, OSError):
             raise BrokenExecutor("a process was killed") from None
         self._idle.append(pipe)
@@ -89,9 +92,9 @@ class Processes(Executor):
             raise error
         return result
 
-    def _start(self) -> Connection:
+    def _start(self) -> socket.socket:
         context = multiprocessing.get_context("spawn")  # a fork does not survive Taichi's threads
-        ours, theirs = context.Pipe()
+        ours, theirs = socket.socketpair()
         with self._lock, _quiet_child():
             if self._over:
                 raise BrokenExecutor("the processes have been ended")
@@ -102,32 +105,64 @@ class Processes(Executor):
         return ours
 
 
-def _serve(pipe: Connection) -> None:
+def _serve(pipe: socket.socket) -> None:
     """In a process: answer calls in the main thread, until told to end or the other is gone."""
-    calls: SimpleQueue[bytes] = SimpleQueue()
+    calls: SimpleQueue[list[memoryview]] = SimpleQueue()
 
     def listen() -> None:
         try:
-            while (words := pipe.recv_bytes()) != END:
-                calls.put(words)
-            calls.put(END)
+            while call := _receive(pipe):
+                calls.put(call)
+            calls.put([])
         except (EOFError, OSError):
             os._exit(1)
 
     threading.Thread(target=listen, daemon=True).start()
     with suppress(OSError):
-        while (words := calls.get()) != END:
-            pipe.send_bytes(_answer(words))
+        while call := calls.get():
+            _send(pipe, *_answer(call[0]))
 
 
-def _answer(words: bytes) -> bytes:
-    """Result and error of a call; one of them is None."""
+def _answer(words: memoryview) -> list[bytes | memoryview]:
+    """Result and error of a call, one of them None; what arrays and tables hold is not copied."""
+    held: list[pickle.PickleBuffer] = []
     try:
         function, args, kwargs = pickle.loads(words)
-        return pickle.dumps((function(*args, **kwargs), None))
+        outcome = (function(*args, **kwargs), None)
+        answer = pickle.dumps(outcome, protocol=5, buffer_callback=held.append)
     except Exception as error:
         error.add_note(f"In a worker: {traceback.format_exc()}")
-        return pickle.dumps((None, error))
+        return [pickle.dumps((None, error))]
+    return [answer, *(buffer.raw() for buffer in held)]
+
+
+def _send(pipe: socket.socket, *parts: bytes | memoryview) -> None:
+    """Send a message; one of no parts tells a process to end."""
+    lengths = [len(parts), *map(len, parts)]
+    for part in (b"".join(map(LENGTH.pack, lengths)), *parts):
+        pipe.sendall(part)
+
+
+def _receive(pipe: socket.socket) -> list[memoryview]:
+    """The parts of a message, which lie in memory of their own.
+
+    Raises:
+        EOFError: the other side is gone.
+    """
+    (count,) = LENGTH.unpack(_filled(pipe, LENGTH.size))
+    lengths = [length for (length,) in LENGTH.iter_unpack(_filled(pipe, count * LENGTH.size))]
+    return [_filled(pipe, length) for length in lengths]
+
+
+def _filled(pipe: socket.socket, size: int) -> memoryview:
+    whole = memoryview(bytearray(size))
+    left = whole
+    while left:
+        received = pipe.recv_into(left, 0, socket.MSG_WAITALL)
+        if not received:
+            raise EOFError
+        left = left[received:]
+    return whole
 
 
 @contextmanager

@@ -115,8 +115,9 @@ def cluster_pool(
             yield ClusterPool(executor, AHEAD * gate.places(), gate, freights, asked.mixed)
         finally:
             executor.shutdown()
-            with suppress(Exception):  # a scheduler that is gone
-                client.unregister_worker_plugin(session)
+            with suppress(Exception):  # a scheduler that is gone, or stalls
+                leave = client.scheduler.unregister_worker_plugin
+                client.sync(leave, name=session, callback_timeout=CLOSE_S)
 
 
 def folder_kind(folder: Path, describe: Callable[[], Kind]) -> Kind | None:

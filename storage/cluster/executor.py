@@ -17,6 +17,7 @@ from taichi_nmm.errors import InputError, one_line, shortened
 
 WORKERLESS_S = 300.0  # after which a cluster without a worker is given up
 WATCH_S = 2.0
+ANSWER_S = 30.0  # that a scheduler may take: of one that stalls, connections stay open
 GOES_ON = "the same command goes on where it stopped"
 
 
@@ -78,16 +79,24 @@ class ClusterExecutor(Executor):
         self._settle(future, outcome, error)
 
     async def _watch(self) -> None:
-        """Give up when there has been no worker for long."""
+        """Give up when there has been no worker for long, or no answer."""
         seen_s = time.monotonic()
         while self._client.status not in ("closed", "closing"):
             await asyncio.sleep(WATCH_S)
+            try:
+                await asyncio.wait_for(self._gate.look(), ANSWER_S)
+            except TimeoutError:
+                self._give_up(f"a scheduler that answers within {ANSWER_S:.0f} s")
+            except OSError:
+                pass  # Dask connects again, or cancels what is under way
             if self._gate.places() or not self._pending:
                 seen_s = time.monotonic()
             elif time.monotonic() - seen_s > WORKERLESS_S:
-                for future in list(self._pending):
-                    allowed = f"a cluster that is not without a worker for {WORKERLESS_S:.0f} s"
-                    self._settle(future, None, self._given_up(allowed))
+                self._give_up(f"a cluster that is not without a worker for {WORKERLESS_S:.0f} s")
+
+    def _give_up(self, allowed: str) -> None:
+        for future in list(self._pending):
+            self._settle(future, None, self._given_up(allowed))
 
     def _given_up(self, allowed: str) -> InputError:
         return InputError("cluster", self._address, f"{allowed}; {GOES_ON}")

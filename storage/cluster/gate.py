@@ -39,6 +39,7 @@ class Gate:
         self._mixed = mixed
         self._tell = tell
         self._inside: dict[str, Kind] = {}
+        self._there: dict[str, int] = {}  # threads of each worker that the scheduler knows
         self._refused: dict[str, str] = {}
         self._told: set[str] = set()
         self._met = threading.Event()
@@ -64,7 +65,12 @@ class Gate:
                 self.kinds.append(kind)
             await self._client.run(let_in, self._session, workers=[address])
             self._inside[address] = kind
+            await self.look()
         self._met.set()
+
+    async def look(self) -> None:
+        """Ask the scheduler which workers there are."""
+        self._there = dict(await self._client.scheduler.ncores())
 
     def wait_for_one(self, address: str) -> None:
         """Return when a worker is in.
@@ -74,8 +80,8 @@ class Gate:
         """
         began_s = time.monotonic()
         while not self.places():
-            there = self._workers()
-            if there and there.keys() <= self._refused.keys():
+            self._client.sync(self.look)
+            if self._there and self._there.keys() <= self._refused.keys():
                 reason = next(iter(self._refused.values()))
                 allowed = f"workers like the folder's ({reason}); or --mixed; or another --out"
                 raise InputError("cluster", address, allowed)
@@ -86,11 +92,8 @@ class Gate:
             self._met.clear()
 
     def places(self) -> int:
-        """Calls that can be under way at once: threads of the workers that are in and alive."""
-        there = self._workers()
-        return sum(there[address] for address in self._inside if address in there)
+        """Calls that can be under way at once: threads of the workers that are in and alive.
 
-    def _workers(self) -> dict[str, int]:
-        """Threads of each worker that the scheduler knows, a second or two ago."""
-        workers = self._client.scheduler_info(n_workers=-1).get("workers", {})
-        return {address: int(about["nthreads"]) for address, about in workers.items()}
+        As of the last look: asking each time would cost a call as much as all else of Dask.
+        """
+        return sum(self._there.get(address, 0) for address in self._inside)

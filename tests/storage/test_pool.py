@@ -3,17 +3,20 @@
 import atexit
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from multiprocessing.connection import Connection
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from storage import processes
 from storage.pool import IN_PROCESS, Pool, cores, local_pool
 from taichi_nmm.errors import InputError
 
@@ -30,6 +33,11 @@ def square(number: int) -> int:
 
 def large(number: int) -> bytes:
     return bytes(number)
+
+
+def halves(number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    whole = np.arange(float(number))
+    return whole[: number // 2], whole[::2]  # one of which lies in one piece
 
 
 def whoami(pause_s: float) -> tuple[int, str, bool]:
@@ -55,11 +63,12 @@ def die(number: int) -> int:
 def die_while_answering(number: int) -> int:
     """Half of the answer is on its way when the process is killed."""
 
-    def send(pipe: Connection, words: bytes) -> None:
-        os.write(pipe.fileno(), words[: len(words) // 2])
+    def send(pipe: socket.socket, answer: bytes) -> None:
+        lengths = processes.LENGTH.pack(1) + processes.LENGTH.pack(len(answer))
+        pipe.sendall(lengths + answer[: len(answer) // 2])
         os.kill(os.getpid(), signal.SIGKILL)
 
-    Connection._send = send  # type: ignore[attr-defined]
+    processes._send = send
     return number
 
 
@@ -90,6 +99,15 @@ def test_every_unit_is_done_once(workers: int) -> None:
         assert sorted(pool.results(square, deque(range(20)))) == [(n, n**2) for n in range(20)]
         assert list(pool.results(square, deque())) == []
         assert dict(pool.results(large, deque([3_000_000]))) == {3_000_000: bytes(3_000_000)}
+
+
+@pytest.mark.parametrize("number", [0, 2_000_000])
+def test_arrays_may_be_written_to(number: int) -> None:
+    with local_pool(2) as pool:
+        ((_, (first, even)),) = pool.results(halves, deque([number]))
+    np.testing.assert_array_equal(first, np.arange(number // 2))
+    np.testing.assert_array_equal(even, 2 * np.arange(number // 2))
+    assert first.flags.writeable and even.flags.writeable
 
 
 def test_any_executor_will_do() -> None:

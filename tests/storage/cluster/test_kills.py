@@ -1,7 +1,8 @@
-"""Ten kills, of workers, schedulers and clients, at random moments of a store and a comparison."""
+"""Ten kills, of workers, schedulers and clients, at random moments; and a scheduler that stalls."""
 
 import os
 import random
+import signal
 import subprocess
 import sys
 from contextlib import suppress
@@ -83,3 +84,35 @@ def test_five_kills_and_the_same_bytes(tool: str, cluster: Cluster, tmp_path: Pa
     whole = {f.name: f.read_bytes() for f in (tmp_path / f"whole-{tool}").glob(table)}
     assert whole == {f.name: f.read_bytes() for f in (tmp_path / "killed").glob(table)}
     assert [codes[number] for number in (1, 2, 4)] == [2, -9, -9]  # all in the middle
+
+
+def test_a_stalled_scheduler_ends_the_command_and_its_folder_goes_on(
+    cluster: Cluster, tmp_path: Path
+) -> None:
+    (tmp_path / "store.toml").write_text(STORE)
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+
+    def start(out: str, *options: str) -> subprocess.Popen[str]:
+        tool = str(REPOSITORY / "tools" / "precompute.py")
+        words = [sys.executable, tool, "--config", "store.toml", "--out", out, *options]
+        pipe = subprocess.PIPE
+        return subprocess.Popen(
+            words, cwd=tmp_path, env=environment, stdout=pipe, stderr=pipe, text=True
+        )
+
+    def shards(out: str) -> dict[str, bytes]:
+        return {file.name: file.read_bytes() for file in (tmp_path / out).glob("part-*.parquet")}
+
+    client = start("stalled", "--cluster", cluster.address)
+    until(lambda: len(shards("stalled")) >= 3)
+    os.kill(cluster.scheduler.pid, signal.SIGSTOP)
+    _, error = client.communicate(timeout=90)  # 30 s of which are the scheduler's
+    os.kill(cluster.scheduler.pid, signal.SIGCONT)
+    said = error.replace("\r", "\n").strip().splitlines()
+    assert client.returncode == 2 and 3 <= len(shards("stalled")) < 300
+    assert "a scheduler that answers within 30 s; the same command goes on" in said[-1]
+    again, whole = start("stalled", "--cluster", cluster.address), start("whole", "--workers", "1")
+    again.communicate()
+    whole.communicate()
+    assert (again.returncode, whole.returncode) == (0, 0)
+    assert shards("stalled") == shards("whole")

@@ -5,6 +5,8 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -105,6 +107,61 @@ def test_a_cluster_without_workers_is_given_up(
             for worker in cluster.processes[1:]:
                 with suppress(ProcessLookupError):
                     os.killpg(worker.pid, signal.SIGKILL)
+
+
+@pytest.fixture
+def stall() -> Iterator[Callable[[int], None]]:
+    """Stops a process, whose connections stay open; it goes on when the test is over."""
+    stopped: list[int] = []
+
+    def stop(pid: int) -> None:
+        os.kill(pid, signal.SIGSTOP)
+        stopped.append(pid)
+
+    yield stop
+    for pid in stopped:
+        os.kill(pid, signal.SIGCONT)
+
+
+def test_a_scheduler_that_stalls_is_one_line(
+    cluster: Cluster,
+    opened: Open,
+    stall: Callable[[int], None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("storage.cluster.executor.ANSWER_S", 2.0)
+    monkeypatch.setattr("storage.cluster.connection.CLOSE_S", 1.0)
+    line = r"cluster: 'tcp.* a scheduler that answers within 2 s; the same command goes on"
+    began_s = time.monotonic()
+    with pytest.raises(InputError, match=line), opened() as pool:
+        for _ in pool.results(units.slow_square, deque(range(100))):
+            stall(cluster.scheduler.pid)
+    assert time.monotonic() - began_s < 30.0
+
+
+@pytest.mark.parametrize("who", ["scheduler", "worker"])
+def test_what_stalls_and_goes_on_loses_nothing(
+    cluster: Cluster, opened: Open, stall: Callable[[int], None], who: str
+) -> None:
+    with opened() as pool:
+        found = {}
+        for number, (square, _) in pool.results(units.slow_square, deque(range(20))):
+            found[number] = square
+            if len(found) == 5:
+                worker = children(cluster.processes[1].pid)[0]
+                pid = cluster.scheduler.pid if who == "scheduler" else worker
+                stall(pid)
+                threading.Timer(5.0, os.kill, (pid, signal.SIGCONT)).start()
+        assert found == {n: n**2 for n in range(20)}
+
+
+def test_calls_may_take_longer_than_a_cluster_may_be_without_workers(
+    opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("storage.cluster.executor.WORKERLESS_S", 2.0)
+    monkeypatch.setattr("storage.cluster.executor.WATCH_S", 0.2)
+    with opened() as pool:
+        assert results(pool, units.asleep, [8.0]) == {8.0: "awake"}
 
 
 CLIENT = """

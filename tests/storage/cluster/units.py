@@ -27,6 +27,11 @@ def slow_square(number: int) -> tuple[int, int]:
     return number**2, os.getpid()
 
 
+def asleep(seconds: float) -> str:
+    time.sleep(seconds)
+    return "awake"
+
+
 def refuse(number: int) -> None:
     raise InputError("samples", number, "none")
 
