@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 SEED = 14
 CASES = 2000  # of the campaign: enough for every format to come up
-FEW = 200
+FEW = 120
 SHORT_S = 5.0
 
 

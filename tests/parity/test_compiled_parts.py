@@ -110,7 +110,10 @@ def random_senses(rng: np.random.Generator) -> NDArray[np.float64]:
     return rows
 
 
-@pytest.mark.parametrize("step_s", [1e-3, 0.5e-3])
+STEPS_S = [1e-3, pytest.param(0.5e-3, marks=pytest.mark.campaign)]
+
+
+@pytest.mark.parametrize("step_s", STEPS_S)
 def test_actuation(step_s: float) -> None:
     from taichi_nmm.kernel.actuation import actuate
 
@@ -152,7 +155,7 @@ def random_motion(rng: np.random.Generator, start: NDArray[np.float64]) -> NDArr
     return rows
 
 
-@pytest.mark.parametrize("step_s", [1e-3, 0.5e-3])
+@pytest.mark.parametrize("step_s", STEPS_S)
 def test_carried(step_s: float) -> None:
     """What drives another engine's bodies, and what is taken in of them; some fall."""
     from taichi_nmm.kernel.carried import drive, follow

@@ -14,7 +14,7 @@ import pytest
 
 import taichi_nmm
 from tests.study import fake_walker
-from tests.tools.running import ROOT, run_tool
+from tests.tools.running import ROOT, load_command, run_tool
 
 pytestmark = pytest.mark.slow
 
@@ -72,15 +72,20 @@ def test_without_bokeh_its_name_is_said(
     assert "package: 'bokeh' is not installed" in said
 
 
-@pytest.mark.parametrize("browser", ["", "no-such-program"])
-def test_without_a_browser_the_address_is_enough(browser: str, store: Path) -> None:
-    """A browser of a terminal, which would take the terminal, is not opened either."""
-    hidden = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
-    environment = {name: value for name, value in os.environ.items() if name not in hidden}
+def test_a_browser_of_a_terminal_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    explore = load_command("explore")
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in explore.DISPLAYS:
+        monkeypatch.setenv(name, "")
+    assert not explore.has_display()
+    monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
+    assert explore.has_display()
+
+
+def test_without_a_browser_the_address_is_enough(store: Path) -> None:
     command = [sys.executable, ROOT / "tools" / "explore.py", store, "--port", "0"]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, env=environment | {"BROWSER": browser}
-    ) as process:
+    environment = os.environ | {"BROWSER": "no-such-program"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
         assert process.stdout is not None
         address = process.stdout.readline().split()[1]
         with urllib.request.urlopen(address, timeout=30) as answer:

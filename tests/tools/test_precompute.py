@@ -329,6 +329,7 @@ ENDS = (
 )
 
 
+@pytest.mark.campaign
 def test_several_processes_ended_in_the_middle_again_and_again_resume_bit_equal(
     tmp_path: Path, real_store: dict[str, bytes]
 ) -> None:

@@ -46,7 +46,10 @@ def work(kind: str, folder: Path, trials: int) -> None:
     study.optimize(cost, n_trials=trials)
 
 
-@pytest.mark.parametrize(("kind", "workers"), [("journal", 4), ("sqlite", 2), ("sqlite", 4)])
+@pytest.mark.parametrize(
+    ("kind", "workers"),
+    [("journal", 4), ("sqlite", 2), pytest.param("sqlite", 4, marks=pytest.mark.campaign)],
+)
 def test_no_row_is_proposed_twice(kind: str, workers: int, tmp_path: Path) -> None:
     trials = TRIALS if workers == 4 and kind == "sqlite" else TRIALS // 2
     optuna.create_study(study_name="s", storage=open_storage(kind, tmp_path))
