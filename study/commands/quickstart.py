@@ -26,6 +26,7 @@ from study.runner import run_study
 from study.shipped import config_path
 from study.summary import (
     best_gains,
+    command_line,
     dashboard_command,
     film_command,
     progress_line,
@@ -140,5 +141,6 @@ def main() -> None:
         f"Gains of the best: {out / 'found.json'}",
         f"Pictures: {', '.join(str(path) for path in paths)}",
         f"A film of it: {film_command(out / 'found.json', config_path(CONFIG), RUN)}",
+        f"Its store, and its gaits walking: {command_line('explore', str(out / 'store'))}",
         f"All trials in a browser: {dashboard_command(url, live_artifacts(url, out))}",
     )

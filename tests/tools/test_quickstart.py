@@ -44,8 +44,9 @@ def lines(folder: Path) -> list[str]:
 
 
 def test_it_ends_with_what_was_found_and_where(folder: Path, lines: list[str]) -> None:
+    assert lines[-2].endswith(f" explore {folder / 'store'}")
     assert lines[-1].endswith(f"dashboard --storage sqlite:///{folder / 'studies.db'}")
-    for place, arm in ((-7, "best"), (-6, "dog"), (-5, "random")):
+    for place, arm in ((-8, "best"), (-7, "dog"), (-6, "random")):
         assert lines[place].startswith(f"rough8/{arm}/run-000: ")
     assert sum("30/30" in line for line in lines) == 3  # no trial was run again
     assert tuple(json.loads((folder / "found.json").read_text())) == GAIN_NAMES
@@ -56,7 +57,7 @@ def test_it_ends_with_what_was_found_and_where(folder: Path, lines: list[str]) -
 
 def test_the_line_for_a_film_makes_a_film(lines: list[str], tmp_path: Path) -> None:
     """The very line, as a user pastes it; only shorter, and to another folder."""
-    title, _, command = lines[-2].partition(": ")
+    title, _, command = lines[-3].partition(": ")
     assert title == "A film of it"
     short = ("--duration", "2", "--movie-seconds", "0.3", "--out", str(tmp_path), "--json")
     done = subprocess.run(
