@@ -29,6 +29,7 @@ from study.command_options import LARGEST_SEED, Options
 from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
 from study.experiment.objective import MEASURES, row_text
 from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial
+from study.one_walk import recorded_walk
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
 from study.report.before_after import Pair, Shown
 from study.report.strips import write_strips
@@ -131,24 +132,14 @@ def make_folder(folder: Path) -> None:
 
 def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.Result:
     """The one walk, recorded."""
-    conditions = experiment.conditions
-    with tqdm(total=conditions.duration_s, unit="s", desc="walking", disable=None) as bar:
+    with tqdm(
+        total=experiment.conditions.duration_s, unit="s", desc="walking", disable=None
+    ) as bar:
 
         def progress(simulated_s: float, active: int) -> None:
             bar.update(simulated_s - bar.n)
 
-        return taichi_nmm.simulate(
-            gains.gains,
-            low_level_gains=gains.low_level,
-            duration_s=conditions.duration_s,
-            bodies=experiment.body(run),
-            worlds=experiment.world(run),
-            terrains=experiment.terrain(run),
-            settings=conditions.settings,
-            record=[0],
-            record_rate_hz=RECORD_RATE_HZ,
-            progress=progress,
-        )
+        return recorded_walk(gains, experiment, run, RECORD_RATE_HZ, progress)
 
 
 def write_model(path: Path, experiment: Experiment, run: int) -> None:

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-import taichi_nmm
 from study.experiment.objective import row_text
 from study.explore.frames import Frames, frames_of
 from study.explore.setting import Setting, chosen_setting
 from study.gains import NamedGains, gains_of_source
+from study.one_walk import recorded_walk
 from study.pictures.window import finite
 from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.result import COMPLETED, DIVERGED, END_REASONS, Trajectory
@@ -57,19 +57,10 @@ def walk(gains: NamedGains, setting: Setting, rate_hz: float = SEEN_RATE_HZ) -> 
     Raises:
         InputError: what the simulator refuses.
     """
-    experiment, run = setting.experiment, setting.run
-    conditions = experiment.conditions.on_one_thread()  # one walker, and others walk beside it
-    result = taichi_nmm.simulate(
-        gains.gains,
-        low_level_gains=gains.low_level,
-        duration_s=conditions.duration_s,
-        bodies=experiment.body(run),
-        worlds=experiment.world(run),
-        terrains=experiment.terrain(run),
-        settings=replace(conditions.settings, arch="cpu"),
-        record=[0],
-        record_rate_hz=rate_hz,
-    )
+    experiment, run = setting.experiment.on_one_thread(), setting.run  # others walk beside it
+    conditions = experiment.conditions
+    on_cpu = replace(conditions, settings=replace(conditions.settings, arch="cpu"))
+    result = recorded_walk(gains, replace(experiment, conditions=on_cpu), run, rate_hz)
     row, trajectory, terrain = result.rows[0], result.trajectories[0], experiment.terrain(run)
     ended = f"{row_text(row)}{_why(row, trajectory, terrain)}"
     return Walk(gains, setting, row, trajectory, frames_of(trajectory, terrain), ended)
