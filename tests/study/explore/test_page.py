@@ -180,6 +180,7 @@ def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) ->
 def test_what_is_no_selection_is_said(page: Any, store: Path) -> None:
     change(page, "selection", "value", "speed of light")
     page.wait_for_function(f"{MODEL}('message').text.includes('column low..high')")
+    assert page.evaluate("window.store_view.all")  # and nothing is selected by it
     change(page, "selection", "value", "")
     page.wait_for_function(f"{MODEL}('message').text === ''")
 
@@ -193,6 +194,8 @@ def test_another_column_is_drawn(page: Any, store: Path) -> None:
     change(page, "column-0", "value", "mean_speed_mps")
     speeds = open_store(store).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
     page.get_by_text(f"{speeds[0]:.4f}".rstrip("0")).first.wait_for()
+    assert model(page, "cloud", "below[0].axis_label") == "mean_speed_mps"
+    assert page.evaluate(f"{MODEL}('rows').data.c0[0]") == speeds[0]
 
 
 def test_a_click_walks(page: Any, store: Path) -> None:
@@ -311,6 +314,8 @@ def test_a_tab_that_is_closed_leaves_others_alone(page: Any, store: Path) -> Non
     other.evaluate(f"{MODEL}('row').value = 3")
     other.close()
     walks(page, lambda: change(page, "row", "value", 5))
+    page.get_by_text("store-row-5").first.wait_for()
+    assert page.get_by_text("store-row-3").count() == 0  # which the other tab asked for
 
 
 def test_a_store_that_is_being_filled(folders: Path, page: Any, tmp_path: Path) -> None:
