@@ -101,7 +101,7 @@ class Stage:
 
 
 class Player:
-    """Two stages, the second one hidden until a walk is kept there, and the clock of both."""
+    """Two stages, the second one off the page until a walk is kept there, and the clock of both."""
 
     def __init__(self) -> None:
         self.stages = (Stage("stage"), Stage("beside"))
