@@ -28,6 +28,7 @@ LIMITS: dict[str, Range] = {
     "relaxation_speed": (0.1, 100.0),
     "friction": (0.05, 10.0),
     "strength": (0.1, 10.0),
+    "overall_strength": (0.1, 10.0),
     "nerve_lag_s": (0.0, 1.0),
     "sensing_noise": (0.0, 10.0),
     "noise_seed": (0.0, NOISE_SEEDS - 1.0),
@@ -107,7 +108,8 @@ class WorldRanges:
     """What worlds are drawn from: lowest and highest value of each of their numbers.
 
     Contact stiffness and relaxation speed are drawn log-uniformly, the others uniformly, each from
-    a stream of its own, and so is the seed of the noise. They pickle and hash.
+    a stream of its own, and so is the seed of the noise. A muscle is `overall_strength`, which all
+    of a walker's muscles share, times its own `strength`. They pickle and hash.
     """
 
     contact_stiffness: Range = AS_NOMINAL
@@ -116,26 +118,34 @@ class WorldRanges:
     strength: Range = AS_NOMINAL
     nerve_lag_s: Range = NONE
     sensing_noise: Range = NONE
+    overall_strength: Range = AS_NOMINAL
 
     def __post_init__(self) -> None:
         pairs = {each.name: checks.interval(*LIMITS[each.name]) for each in fields(self)}
         checks.check_fields(self, "world.", **pairs)
+        low, high = LIMITS["strength"]
+        for each, overall in zip(self.strength, self.overall_strength, strict=True):
+            if not low <= each * overall <= high:
+                allowed = f"with world.strength {each:g} a product of {low:g} to {high:g}"
+                raise InputError("world.overall_strength", overall, allowed)
 
     @checks.checked(seeds=checks.each(checks.seed))
     def draw(self, seeds: Iterable[int | np.random.SeedSequence]) -> Worlds:
         """One world a seed."""
         streams = [_streams(seed) for seed in seeds]
-        columns: list[NDArray[np.float64]] = []
-        for place, each in enumerate(fields(self)):
+        drawn: dict[str, NDArray[np.float64]] = {}
+        for each in fields(self):
             size = _size(each.name)
-            shares = np.array([stream[place].random(size) for stream in streams])
+            shares = np.array([stream[each.name].random(size) for stream in streams])
             low, high = getattr(self, each.name)
             shares = shares.reshape(-1, *size)
-            drawn = low * (high / low) ** shares if each.name in OWN_CONTACT else None
-            columns.append(low + (high - low) * shares if drawn is None else drawn)
-        noise_seeds = [stream[-1].integers(NOISE_SEEDS) for stream in streams]
-        columns.append(np.array(noise_seeds, dtype=np.float64))
-        return Worlds(*columns)
+            by_factors = each.name in OWN_CONTACT
+            drawn[each.name] = (
+                low * (high / low) ** shares if by_factors else low + (high - low) * shares
+            )
+        drawn["strength"] = drawn["strength"] * drawn.pop("overall_strength")[:, None]
+        noise_seeds = [stream["noise_seed"].integers(NOISE_SEEDS) for stream in streams]
+        return Worlds(**drawn, noise_seed=np.array(noise_seeds, dtype=np.float64))
 
     def document(self) -> dict[str, list[float]]:
         """The table [world] that reads as this one: only what is not nominal."""
@@ -147,6 +157,7 @@ class WorldRanges:
 
 
 NOMINAL = WorldRanges()
+STREAMS = (*(each.name for each in fields(Worlds)), "overall_strength")  # a new one comes last
 OWN_CONTACT = ("contact_stiffness", "relaxation_speed")  # numbers of our own engine's contact law
 NOT_OURS = "1 with the engine mujoco, whose contact is a setting of its own"
 
@@ -167,13 +178,15 @@ def read_world(table: Table) -> WorldRanges:
     return WorldRanges(**ranges)
 
 
-def _streams(seed: int | np.random.SeedSequence) -> list[np.random.Generator]:
-    """A stream for each of a world's numbers, so that a new number would change no other's."""
+def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generator]:
+    """A stream for each of a world's numbers, so that a new number changes no other's."""
     known = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-    keys = [(*known.spawn_key, place) for place in range(len(fields(Worlds)))]
-    return [
-        np.random.default_rng(np.random.SeedSequence(known.entropy, spawn_key=key)) for key in keys
-    ]
+    return {
+        name: np.random.default_rng(
+            np.random.SeedSequence(known.entropy, spawn_key=(*known.spawn_key, place))
+        )
+        for place, name in enumerate(STREAMS)
+    }
 
 
 def _size(name: str) -> tuple[int, ...]:

@@ -50,6 +50,28 @@ def test_draws_fill_their_ranges_by_the_documented_rule() -> None:
     assert related.max() < 5 / np.sqrt(4000)
 
 
+def test_a_strength_that_all_muscles_share_multiplies_each_of_them() -> None:
+    seeds = np.random.SeedSequence(3).spawn(4000)
+    own = ALL.draw(seeds)
+    both = replace(ALL, overall_strength=(0.7, 1.3)).draw(seeds)
+    for name, values in vars(own).items():
+        assert name == "strength" or np.array_equal(values, getattr(both, name))
+    shared = both.strength / own.strength
+    np.testing.assert_allclose(shared, np.repeat(shared[:, :1], 14, axis=1), rtol=1e-12)
+    share = (shared[:, 0] - 0.7) / 0.6
+    quarters = np.quantile(share, [0.25, 0.5, 0.75])
+    np.testing.assert_allclose(quarters, [0.25, 0.5, 0.75], atol=5 * 0.5 / np.sqrt(4000))
+    assert abs(np.corrcoef(shared[:, 0], own.strength[:, 3])[0, 1]) < 5 / np.sqrt(4000)
+
+
+@pytest.mark.parametrize("overall", [(0.1, 1.0), (1.0, 9.0)])
+def test_a_product_of_strengths_that_no_muscle_may_have_is_refused(
+    overall: tuple[float, float],
+) -> None:
+    with pytest.raises(InputError, match=r"^world\.overall_strength: .* a product of 0\.1 to 10$"):
+        replace(ALL, strength=(0.5, 2.0), overall_strength=overall)
+
+
 def test_a_seed_is_a_world_whatever_else_is_drawn() -> None:
     one, both = ALL.draw([5]), ALL.draw([4, 5])
     wider = replace(ALL, contact_stiffness=(0.3, 20.0)).draw([5])
