@@ -104,3 +104,22 @@ def test_a_ground_that_is_too_jagged_is_refused() -> None:
     with pytest.raises(InputError, match=r"^terrain: 'saw' .* smoother ground than at x = ") as no:
         boxes(Terrain("saw", height))
     assert "\n" not in str(no.value)
+
+
+@pytest.mark.xfail(strict=True, reason="a sphere past the end of a box touches its edge")
+def test_a_foot_in_soft_ground_does_not_catch_where_two_pieces_meet() -> None:
+    """All but level: what pushes a sphere out of it is all but vertical, wherever it lies."""
+    ground = terrain.rough(1, amplitude_m=0.0005, flat_start_m=0.0)
+    walker = carried(check_batch(K_T, terrains=ground), 0, MUJOCO)
+    model, data = walker.model, mujoco.MjData(walker.model)
+    data.qpos[:], data.qvel[:] = np.split(walker.start, 2)
+    mujoco.mj_forward(model, data)
+    spheres = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE)
+    lowest = spheres[np.argmin(data.geom_xpos[spheres, 2])]
+    seam_m = boxes(ground).start_m[2]
+    data.qpos[0] += seam_m + 0.003 - data.geom_xpos[lowest, 0]
+    data.qpos[1] -= 0.004
+    mujoco.mj_forward(model, data)
+    normals = np.array([contact.frame[:3] for contact in data.contact])
+    assert len(normals)
+    assert np.abs(normals[:, 0]).max() <= 0.01
