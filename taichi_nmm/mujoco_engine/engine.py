@@ -1,12 +1,12 @@
 """A batch of walkers whose bodies MuJoCo moves, one model each, and one controller batch for all.
 
-A physics step is: our kernel senses, controls and contracts the muscles of all (`carried.drive`);
-MuJoCo steps each body; our kernel takes in where they are (`carried.follow`).
+A physics step is: our kernel senses, controls and contracts the muscles of all (`carried.drive`)
+and lays the ground under their soles (`ground`); MuJoCo steps each body; our kernel takes
+in where they are (`carried.follow`).
 """
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from copy import copy
 from functools import lru_cache
 from typing import Any
 
@@ -24,9 +24,9 @@ from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.carried import drive, follow
 from taichi_nmm.kernel.layout import COORDINATES, LEGS, Drive, Motion, State
 from taichi_nmm.kernel.muscle_table import muscle_table
-from taichi_nmm.mujoco_engine.ground import Boxes, boxes
+from taichi_nmm.mujoco_engine.ground import ContactPlanes
 from taichi_nmm.mujoco_engine.linkage import RELATIVE
-from taichi_nmm.mujoco_engine.mjcf import FOOT_SENSOR, compiled, walker_xml
+from taichi_nmm.mujoco_engine.mjcf import FOOT_SENSOR, walk_model
 from taichi_nmm.packs import Packs
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
@@ -36,64 +36,30 @@ from taichi_nmm.world import NOT_OURS, OWN_CONTACT
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-VIEW_TICKS = 250  # how often the boxes move along
-# Around the hip: a leg and a foot, and what the fastest fall covers until the boxes move along.
-VIEW_M = 2.5
-CACHED = 256  # models and grounds: those of an experiment's runs come again with every trial
-
-
-class Carried:
-    """One walker in MuJoCo: its model with the ground around it, and where it starts."""
-
-    def __init__(self, model: mujoco.MjModel, ground: Boxes, start: Array) -> None:
-        self._ground = ground
-        self._first = 0
-        self.boxes = boxes_in_view(ground)
-        self.model = copy(model)  # its boxes move
-        self.start = start
-
-    def look_around(self, hip_m: float) -> bool:
-        """Move the boxes to where the hip is; whether any has moved."""
-        near = self._ground.between(hip_m - VIEW_M, hip_m + VIEW_M)
-        first = max(min(near.start, len(self._ground) - self.boxes), 0)
-        if first == self._first:
-            return False
-        self._first = first
-        here = slice(first, first + self.boxes)
-        geoms = slice(0, self.boxes)  # the world's geoms come first
-        size = self._ground.half_size[here]
-        self.model.geom_pos[geoms] = self._ground.position[here]
-        self.model.geom_quat[geoms] = self._ground.quaternion[here]
-        self.model.geom_size[geoms] = size
-        self.model.geom_rbound[geoms] = np.linalg.norm(size, axis=1)
-        self.model.geom_aabb[geoms, 3:] = size
-        return True
+CACHED = 256  # models: those of an experiment's runs come again with every trial
 
 
 class Herd:
-    """Walkers with as many boxes each, which one call of MuJoCo's steps.
+    """Walkers that one call of MuJoCo's steps.
 
     Attributes:
         numbers: rows of the walkers in the batch.
     """
 
-    def __init__(self, numbers: Rows, walkers: list[Carried]) -> None:
-        self._seat(numbers, walkers)
-        for row, walker in enumerate(walkers):
-            self._qpos[row], self._qvel[row] = np.split(walker.start, 2)
+    def __init__(self, batch: Batch, settings: Settings) -> None:
+        everybody = np.arange(len(batch))
+        self._planes = ContactPlanes(batch.terrains, batch.terrain_index)
+        self._seat(everybody, [model_of(batch, n, settings) for n in range(len(batch))])
+        starts = np.array([start_state(ground) for ground in batch.terrains])[batch.terrain_index]
+        self._qpos[:], self._qvel[:] = np.split(starts, 2, axis=1)
 
     def keep(self, still: NDArray[np.bool_]) -> None:
         """Go on with these walkers alone."""
         state = self._simulations.state[still]
-        walkers = [walker for walker, stays in zip(self._walkers, still, strict=True) if stays]
-        self._seat(self.numbers[still], walkers)
+        models = [model for model, stays in zip(self._models, still, strict=True) if stays]
+        self._planes.keep(still)
+        self._seat(self.numbers[still], models)
         self._simulations.state[:] = state
-
-    def look_around(self) -> None:
-        """Move the boxes along."""
-        pairs = zip(self._walkers, self._qpos[:, 0], strict=True)
-        if any([walker.look_around(float(hip_m)) for walker, hip_m in pairs]):
-            self._simulations.set_models([walker.model for walker in self._walkers])
 
     def step(self, torque: Array) -> Array:
         """MuJoCo's step of all with these joint torques: qpos, qvel and sensors, [n, 26].
@@ -101,52 +67,38 @@ class Herd:
         Where MuJoCo cannot go on, the velocity is no number.
         """
         self._torque[:] = torque
+        position, quaternion = self._planes.under(self._qpos)
+        self._plane_position[:] = position.reshape(self._plane_position.shape)
+        self._plane_quaternion[:] = quaternion.reshape(self._plane_quaternion.shape)
         try:
             self._simulations.step()
         except SimulationError as error:  # those have not moved, the others have
             self._qvel[error.ids] = np.nan
         return np.concatenate((self._qpos, self._qvel, self._sensors), axis=1)
 
-    def _seat(self, numbers: Rows, walkers: list[Carried]) -> None:
-        self.numbers, self._walkers = numbers, walkers
-        self._simulations = Simulations(walkers[0].model, len(walkers), nthread=1)
-        self._simulations.set_models([walker.model for walker in walkers])
-        names = ("ctrl", "qpos", "qvel", "sensordata")
-        self._torque, self._qpos, self._qvel, self._sensors = map(self._simulations.bind, names)
+    def _seat(self, numbers: Rows, models: list[mujoco.MjModel]) -> None:
+        self.numbers, self._models = numbers, models
+        self._simulations = Simulations(models[0], len(models), nthread=1)
+        self._simulations.set_models(models)
+        bind = self._simulations.bind
+        self._torque, self._sensors = bind("ctrl"), bind("sensordata")
+        self._qpos, self._qvel = bind("qpos"), bind("qvel")
+        self._plane_position, self._plane_quaternion = bind("mocap_pos"), bind("mocap_quat")
 
 
-def boxes_in_view(ground: Boxes) -> int:
-    """How many boxes a model needs so that those around a walker are always there."""
-    return min(ground.most_within(2 * VIEW_M), len(ground))
-
-
-@lru_cache(maxsize=CACHED)
-def _boxes(terrain: Terrain) -> Boxes:
-    return boxes(terrain)
-
-
-@lru_cache(maxsize=CACHED)
-def _model(
-    terrain: Terrain, body: tuple[float, ...], friction: float, settings: Settings
-) -> mujoco.MjModel:
-    """The model of a body (masses, inertias, centres of mass) with the first boxes of a ground."""
-    mass, inertia, com = np.array(body).reshape(3, 1, -1)
-    ground = _boxes(terrain)
-    count = boxes_in_view(ground)
-    first = Boxes(*(values[:count] for values in vars(ground).values()))
-    model = compiled(walker_xml(Bodies(mass, inertia, com), first, settings, friction))
-    # A box that is level here is taken as level wherever it moves, unless it is told otherwise.
-    model.geom_sameframe[:count] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-    return model
-
-
-def carried(batch: Batch, walker: int, settings: Settings) -> Carried:
-    """A walker of a batch at the start."""
-    terrain, bodies = batch.terrains[batch.terrain_index[walker]], batch.bodies
+def model_of(batch: Batch, walker: int, settings: Settings) -> mujoco.MjModel:
+    """The model of a walker of a batch."""
+    bodies = batch.bodies
     columns = (bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m)
     body = tuple(float(x) for values in columns for x in values[walker])
-    friction = float(batch.worlds.friction[walker])
-    return Carried(_model(terrain, body, friction, settings), _boxes(terrain), start_state(terrain))
+    return _model(body, float(batch.worlds.friction[walker]), settings)
+
+
+@lru_cache(maxsize=CACHED)
+def _model(body: tuple[float, ...], friction: float, settings: Settings) -> mujoco.MjModel:
+    """The model of a body: masses, inertias, centres of mass."""
+    mass, inertia, com = np.array(body).reshape(3, 1, -1)
+    return walk_model(Bodies(mass, inertia, com), settings, friction)
 
 
 def start_state(terrain: Terrain) -> Array:
@@ -189,12 +141,7 @@ class _Engine:
         self._heights = np.array(
             [ground.height_m for ground in batch.terrains], dtype=backend.real_dtype()
         )
-        walkers = [carried(batch, n, settings) for n in range(len(batch))]
-        sizes = np.array([walker.boxes for walker in walkers])
-        self._herds = [
-            Herd(np.flatnonzero(sizes == size), [w for w in walkers if w.boxes == size])
-            for size in np.unique(sizes)
-        ]
+        self._herd = Herd(batch, settings)
         self._bound: NDArray[Any] | None = None
 
     def launch(self, packs: Packs, first_tick: int, ticks: int) -> None:
@@ -209,9 +156,6 @@ class _Engine:
                     self._seat(packs)
                 if not self._up:
                     return
-                if tick % VIEW_TICKS == 0:
-                    for herd, _seats in self._up:
-                        herd.look_around()
                 for substep in range(substeps):
                     self._drive.launch(tick=tick, commands=int(substep == 0))
                     self._move()
@@ -240,20 +184,15 @@ class _Engine:
         """Let go who has fallen, and note in which pack and lane the others are."""
         places = np.flatnonzero(packs.up())
         self._active = np.count_nonzero(packs.rows[:, State.active])
-        up = packs.walkers[places]
-        self._herds = [herd for herd in self._herds if np.isin(herd.numbers, up).any()]
-        self._up = []
-        for herd in self._herds:
-            still = np.isin(herd.numbers, up)
-            if not still.all():
-                herd.keep(still)
-            mine = places[np.searchsorted(up, herd.numbers)]
-            self._up.append((herd, np.divmod(mine, packs.lanes)))
+        self._up = len(places)
+        if 0 < self._up < len(self._herd.numbers):
+            self._herd.keep(np.isin(self._herd.numbers, packs.walkers[places]))
+        self._seats = np.divmod(places, packs.lanes)
 
     def _move(self) -> None:
         """MuJoCo's step of each walker that is up."""
-        for herd, seats in self._up:
-            self._motions[seats] = motion_rows(herd.step(self._torques[seats]))
+        seen = self._herd.step(self._torques[self._seats])
+        self._motions[self._seats] = motion_rows(seen)
 
 
 def motion_rows(seen: Array) -> Array:

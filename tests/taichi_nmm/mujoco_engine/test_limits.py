@@ -5,12 +5,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import terrain
 from taichi_nmm.body import Bodies
 from taichi_nmm.kernel.joint_stops import STOP_STIFFNESS_NMPRAD
-from taichi_nmm.mujoco_engine.ground import boxes
 from taichi_nmm.mujoco_engine.limits import LEAST_RANGE_RAD, STOPS, limit
-from taichi_nmm.mujoco_engine.mjcf import JOINTS, compiled, walker_xml
+from taichi_nmm.mujoco_engine.mjcf import JOINTS, walk_model
 from taichi_nmm.settings import MujocoSettings, Settings
 
 SECONDS = 0.3
@@ -26,7 +24,7 @@ def crept(
     settings = Settings(
         engine="mujoco", physics_step_s=step_s, mujoco=MujocoSettings(limits=limits)
     )
-    model = compiled(walker_xml(Bodies.nominal(), boxes(terrain.flat()), settings, 0.9))
+    model = walk_model(Bodies.nominal(), settings, 0.9)
     model.opt.gravity[:] = 0.0
     data = mujoco.MjData(model)
     index, stop = JOINTS.index(joint), STOPS[joint.split("_")[0]]
@@ -85,7 +83,7 @@ def test_the_law_begins_with_a_root() -> None:
 
 def test_mujocos_own_limits_are_left_as_they_are() -> None:
     settings = Settings(engine="mujoco", mujoco=MujocoSettings(limits="mujoco"))
-    model = compiled(walker_xml(Bodies.nominal(), boxes(terrain.flat()), settings, 0.9))
+    model = walk_model(Bodies.nominal(), settings, 0.9)
     default = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><body><joint limited='true' range='0 1'/><geom size='1'/></body>"
         "</worldbody></mujoco>"

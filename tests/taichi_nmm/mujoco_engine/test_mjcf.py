@@ -7,10 +7,11 @@ import pytest
 from taichi_nmm import terrain
 from taichi_nmm.body import GRAVITY_MPS2, SEGMENT_NAMES, Bodies
 from taichi_nmm.initial import SPEED_MPS
+from taichi_nmm.kernel.contact_planes import SOLE_RADIUS_M
+from taichi_nmm.mujoco_engine.boxes import boxes
 from taichi_nmm.mujoco_engine.engine import start_state
-from taichi_nmm.mujoco_engine.ground import boxes
 from taichi_nmm.mujoco_engine.limits import STOPS
-from taichi_nmm.mujoco_engine.mjcf import JOINTS, SOLE_RADIUS_M, write_mjcf
+from taichi_nmm.mujoco_engine.mjcf import JOINTS, write_mjcf
 from taichi_nmm.settings import MujocoSettings, Settings
 from taichi_nmm.world import WorldRanges
 
@@ -89,14 +90,12 @@ def test_the_key_frame_is_the_start_of_every_walk(model: mujoco.MjModel) -> None
 
 def test_a_walker_is_advanced_as_its_file_is(model: mujoco.MjModel) -> None:
     """The first steps without torque, from the key frame and by the engine's own model."""
-    from taichi_nmm.mujoco_engine.engine import Herd, carried
+    from taichi_nmm.mujoco_engine.engine import Herd
     from taichi_nmm.parameters import K_T
     from taichi_nmm.walkers import check_batch
 
     worlds = WorldRanges(friction=(FRICTION, FRICTION)).draw([0])
-    walker = carried(check_batch(K_T, BODY, GROUND, worlds=worlds), 0, SETTINGS)
-    herd = Herd(np.arange(1), [walker])
-    herd.look_around()
+    herd = Herd(check_batch(K_T, BODY, GROUND, worlds=worlds), SETTINGS)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     for _ in range(200):
