@@ -20,10 +20,10 @@ SPEED = "mean_speed_mps"  # on the base setting
 MEAN = Survival().name  # the feature that is also the prior
 OPTIONS: dict[str, Any] = {"prior": MEAN}
 COVERED_OPTIONS: dict[str, Any] = {"prior": Coverage.name}
-# Of a store of worlds: grounds that the first rows cover, the plainest first, and more families
-# that tell gaits apart. Each has one of longer walks.
-GROUNDS = ("rough", "blocks", "up", "down")
-RISING = ("rough_rising", "blocks_rising")
+# Of a store of worlds: the grounds that the first row is for, on contacts soft and stiff, and all
+# that the first rows cover. Each has a family of longer walks.
+PLAINEST = ("rough", "rough_stiff")
+GROUNDS = (*PLAINEST, "blocks", "up", "down")
 LONGER = "_long"
 
 
@@ -37,41 +37,47 @@ def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ..
 
 
 def covered_features(
-    grounds: tuple[str, ...] = GROUNDS, others: tuple[str, ...] = RISING, grid_only: bool = False
+    plainest: tuple[str, ...] = PLAINEST,
+    grounds: tuple[str, ...] = GROUNDS,
+    grid_only: bool = False,
 ) -> tuple[Feature, ...]:
-    """Place in the order that covers these grounds, survival of each and of others, and the speed.
+    """Place in the order that covers these grounds, survival of each, and the speed.
 
     The survival of a ground is that of its two families on average: few walks, and many long ones.
     To cover it counts the long ones alone. With `grid_only` rows that a search bred are left out.
     """
-    each = tuple(
-        Survival((ground, f"{ground}{LONGER}"), ground, survivors=True, grid_only=grid_only)
-        for ground in (*grounds, *others)
-    )
+
+    def survival(grounds: tuple[str, ...], name: str) -> Survival:
+        families = tuple(family for ground in grounds for family in (ground, f"{ground}{LONGER}"))
+        return Survival(families, name, survivors=True, grid_only=grid_only)
+
     longer = tuple(Survival((f"{ground}{LONGER}",)) for ground in grounds)
-    return (Coverage(each[0], longer), *each, SPEED)
+    each = (survival((ground,), ground) for ground in grounds)
+    return (Coverage(survival(plainest, "plainest"), longer), *each, SPEED)
 
 
 @checks.checked(
     path=checks.path,
+    plainest=checks.each(checks.text, least=1),
     grounds=checks.each(checks.text, least=1),
-    others=checks.each(checks.text),
 )
 def covered_table(
-    path: str | Path, grounds: tuple[str, ...] = GROUNDS, others: tuple[str, ...] = RISING
+    path: str | Path,
+    plainest: tuple[str, ...] = PLAINEST,
+    grounds: tuple[str, ...] = GROUNDS,
 ) -> FeatureTable:
     """The rows of a store of worlds with what tells them apart on these grounds.
 
     Args:
         path: of a store with a family of each ground, and one of longer walks after it; rows that
             fell on its base setting are not proposed.
-        grounds: names of families that the first rows cover, the plainest first.
-        others: of families that only tell gaits apart.
+        plainest: families that the first row is to survive, on average.
+        grounds: families that the first rows cover.
 
     Raises:
         InputError: no store, or one without these families or with other bounds.
     """
-    return _table(path, covered_features(grounds, others))
+    return _table(path, covered_features(plainest, grounds))
 
 
 @checks.checked(path=checks.path, families=checks.each(checks.text))

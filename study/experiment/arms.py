@@ -260,7 +260,7 @@ _ALL = (
     ),
     _table_arm(
         "best-stairs", "best, stairs' store", "best, having seen other stairs alone",
-        "stairs", covered_features(("stairs",), ()), **COVERED_OPTIONS,
+        "stairs", covered_features(("stairs",), ("stairs",)), **COVERED_OPTIONS,
     ),
     _ordered_arm(
         "score-first-stairs", "best stairs' score first", "rows that survive other stairs first",

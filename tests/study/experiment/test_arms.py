@@ -12,12 +12,12 @@ from study.experiment.controls import TOP_ROWS, score_order
 from study.experiment.experiment import Experiment
 from study.experiment.saw import NOTHING, saw
 from study.experiment.task import Task
-from study.survival import GROUNDS, LONGER
+from study.survival import GROUNDS, LONGER, PLAINEST
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons
-from tests.study.fake_walker import KINDS, WORLDS
+from tests.study.fake_walker import KINDS
 
 pytestmark = pytest.mark.slow
 
@@ -139,17 +139,22 @@ def test_arms_say_what_their_stores_saw(comparisons: Comparisons) -> None:
 def test_an_order_that_covers_grounds_has_seen_them(tmp_path: Path, fake_simulator: None) -> None:
     world = {"world": {"friction": [0.6, 1.0]}, "min_survival_s": 1.0}
     first = world | {"settings": 1, "body": {"disturbance": 0.2}}
-    families = {name: first for name in WORLDS}
+    families = {name: first for name in GROUNDS}
     families |= {
-        f"{name}{LONGER}": first | {"after": name, "min_survived_fraction": 0.5} for name in WORLDS
+        f"{name}{LONGER}": first | {"after": name, "min_survived_fraction": 0.5} for name in GROUNDS
     }
     fake_walker.write_store(tmp_path / "worlds", families=families)
     stores = {"worlds": tmp_path / "worlds"}
-    # The order reads the plainest ground's short walks, and the long ones of those that it covers.
-    for name, count in (("score-first-worlds", 1 + len(GROUNDS)), ("best-worlds", 2 * len(WORLDS))):
+    # The order reads the plainest grounds' short walks, and the long ones of those that it covers.
+    short = len(PLAINEST)
+    for name, count in (
+        ("score-first-worlds", short + len(GROUNDS)),
+        ("best-worlds", 2 * len(GROUNDS)),
+    ):
         seen = "; ".join(["level ground"] * count)
         assert saw(ARMS[name], stores).endswith(
             f"bodies disturbed by 20 %, in worlds that differ: {seen}"
         )
-    longer = (f"{name}{LONGER}" for name in GROUNDS)
-    assert saw(ARMS["score-first-worlds"], {}).endswith(", ".join((GROUNDS[0], *longer)))
+    both = [family for name in PLAINEST for family in (name, f"{name}{LONGER}")]
+    longer = [f"{name}{LONGER}" for name in GROUNDS if name not in PLAINEST]
+    assert saw(ARMS["score-first-worlds"], {}).endswith(", ".join([*both, *longer]))
