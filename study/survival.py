@@ -20,10 +20,10 @@ SPEED = "mean_speed_mps"  # on the base setting
 MEAN = Survival().name  # the feature that is also the prior
 OPTIONS: dict[str, Any] = {"prior": MEAN}
 COVERED_OPTIONS: dict[str, Any] = {"prior": Coverage.name}
-# Of a store of worlds: the grounds that the first row is for, on contacts soft and stiff, and all
-# that the first rows cover. Each has a family of longer walks.
+# Of a store of worlds: the ground that the first row is for, on contacts soft and stiff, and those
+# that the next rows cover. Each has a family of longer walks.
 PLAINEST = ("rough", "rough_stiff")
-GROUNDS = (*PLAINEST, "blocks", "up", "down")
+GROUNDS = ("blocks", "up", "down")
 LONGER = "_long"
 
 
@@ -41,7 +41,7 @@ def covered_features(
     grounds: tuple[str, ...] = GROUNDS,
     grid_only: bool = False,
 ) -> tuple[Feature, ...]:
-    """Place in the order that covers these grounds, survival of each, and the speed.
+    """Place in the order that covers these grounds, survival of each of them all, and the speed.
 
     The survival of a ground is that of its two families on average: few walks, and many long ones.
     To cover it counts the long ones alone. With `grid_only` rows that a search bred are left out.
@@ -52,7 +52,7 @@ def covered_features(
         return Survival(families, name, survivors=True, grid_only=grid_only)
 
     longer = tuple(Survival((f"{ground}{LONGER}",)) for ground in grounds)
-    each = (survival((ground,), ground) for ground in grounds)
+    each = (survival((ground,), ground) for ground in dict.fromkeys((*plainest, *grounds)))
     return (Coverage(survival(plainest, "plainest"), longer), *each, SPEED)
 
 
@@ -72,7 +72,7 @@ def covered_table(
         path: of a store with a family of each ground, and one of longer walks after it; rows that
             fell on its base setting are not proposed.
         plainest: families that the first row is to survive, on average.
-        grounds: families that the first rows cover.
+        grounds: families that the rows after it cover.
 
     Raises:
         InputError: no store, or one without these families or with other bounds.

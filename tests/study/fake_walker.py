@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.experiment.experiment import Experiment, read_experiment
-from study.survival import GROUNDS, LONGER
+from study.survival import GROUNDS, LONGER, PLAINEST
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table
 from taichi_nmm.parameters import gain_rows, lower_bounds, upper_bounds
@@ -30,7 +30,8 @@ TRIAL_S = float(os.environ.get("FAKE_TRIAL_S", "0"))  # of a call, for those who
 WALKS_FROM = 0.7  # quality
 EMPTY = Trajectory(0, *[np.empty((0, 9))] * 9)  # of which nothing can be drawn
 STORE_ROWS = 150
-KINDS = (*GROUNDS, "stairs")  # of families that the toy's store has, each with one of longer walks
+WORLDS = (*PLAINEST, *GROUNDS)
+KINDS = (*WORLDS, "stairs")  # of families that the toy's store has, each with one of longer walks
 THETA_REF = 7  # of the low-level gains
 
 calls: list[dict[str, Any]] = []  # what the simulator was called with

@@ -17,7 +17,7 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons
-from tests.study.fake_walker import KINDS
+from tests.study.fake_walker import KINDS, WORLDS
 
 pytestmark = pytest.mark.slow
 
@@ -139,22 +139,21 @@ def test_arms_say_what_their_stores_saw(comparisons: Comparisons) -> None:
 def test_an_order_that_covers_grounds_has_seen_them(tmp_path: Path, fake_simulator: None) -> None:
     world = {"world": {"friction": [0.6, 1.0]}, "min_survival_s": 1.0}
     first = world | {"settings": 1, "body": {"disturbance": 0.2}}
-    families = {name: first for name in GROUNDS}
+    families = {name: first for name in WORLDS}
     families |= {
-        f"{name}{LONGER}": first | {"after": name, "min_survived_fraction": 0.5} for name in GROUNDS
+        f"{name}{LONGER}": first | {"after": name, "min_survived_fraction": 0.5} for name in WORLDS
     }
     fake_walker.write_store(tmp_path / "worlds", families=families)
     stores = {"worlds": tmp_path / "worlds"}
-    # The order reads the plainest grounds' short walks, and the long ones of those that it covers.
-    short = len(PLAINEST)
+    # The order reads all walks on the plainest grounds, and the long ones on those that it covers.
     for name, count in (
-        ("score-first-worlds", short + len(GROUNDS)),
-        ("best-worlds", 2 * len(GROUNDS)),
+        ("score-first-worlds", 2 * len(PLAINEST) + len(GROUNDS)),
+        ("best-worlds", 2 * len(WORLDS)),
     ):
         seen = "; ".join(["level ground"] * count)
         assert saw(ARMS[name], stores).endswith(
             f"bodies disturbed by 20 %, in worlds that differ: {seen}"
         )
     both = [family for name in PLAINEST for family in (name, f"{name}{LONGER}")]
-    longer = [f"{name}{LONGER}" for name in GROUNDS if name not in PLAINEST]
+    longer = [f"{name}{LONGER}" for name in GROUNDS]
     assert saw(ARMS["score-first-worlds"], {}).endswith(", ".join([*both, *longer]))

@@ -23,6 +23,7 @@ from study.survival import OPTIONS as BEST
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons
+from tests.study.fake_walker import WORLDS
 
 # A third of the fake's points falls sooner.
 STRICT = {"settings": 1, "min_survival_s": 2.8, "body": {"disturbance": 0.15}}
@@ -128,7 +129,7 @@ def test_the_best_arm_is_what_its_definition_says() -> None:
 
 
 def test_the_best_arm_of_worlds_takes_each_ground_by_its_few_and_its_long_walks() -> None:
-    each = [[name, name, f"{name}{LONGER}", "survivors only"] for name in GROUNDS]
+    each = [[name, name, f"{name}{LONGER}", "survivors only"] for name in WORLDS]
     both = [family for name in PLAINEST for family in (name, f"{name}{LONGER}")]
     plainest = ["plainest", *both, "survivors only"]
     longer = [["survival", f"{name}{LONGER}"] for name in GROUNDS]
