@@ -43,8 +43,8 @@ def lay_planes(
         for sole in ti.static(range(CONTACTS)):
             x, z = sole_centre(w, sole, qpos)
             first, second = nearest_points(x, z, index[w], nodes, heights)
-            lay(w, 2 * sole, first, positions, quaternions)
-            lay(w, 2 * sole + 1, second, positions, quaternions)
+            lay(w, PLANES_PER_SOLE * sole, first, positions, quaternions)
+            lay(w, PLANES_PER_SOLE * sole + 1, second, positions, quaternions)
 
 
 @ti.func
@@ -78,8 +78,8 @@ def nearest_points(x, z, ground, nodes: Array, heights: Array):
     """The two points of the ground that carry a sole at x, z: distance, x, z, normal x, z of each.
 
     They are local minima of the distance, on a piece between two nodes or at a node that stands
-    out; of the piece under x and those beside it, since no sole reaches farther. From in the ground
-    the least deep one is the way out, and others hold only what is above them.
+    out; of the piece under x and those beside it, since no sole reaches farther. From within
+    the ground the least deep one is the way out, and others hold only what is above them.
     """
     zero = ti.f64(0.0)
     cell = cell_under(x, nodes)
