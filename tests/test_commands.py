@@ -114,7 +114,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         request = ("--arms", "dog", "--runs", 8, "--trials", 13, "--no-artifacts", "--workers", 1)
         config = "configs/rough8-smooth.toml"
         assert run_tool(patch, "compare", "--config", config, *request) == 0
-        request = ("--arms", "score-first-diverse", "--runs", 1, "--trials", 1, *request[-3:])
+        request = ("--arms", "best-worlds", "--runs", 1, "--trials", 1, *request[-3:])
         config = "configs/mujoco-rough8-soft.toml"
         assert run_tool(patch, "compare", "--config", config, *request) == 0
         request = ("--arms", "best-stairs", "--runs", 4, "--trials", 9, *request[-3:])
