@@ -7,11 +7,11 @@ import pytest
 from taichi_nmm import terrain
 from taichi_nmm.body import GRAVITY_MPS2, SEGMENT_NAMES, Bodies
 from taichi_nmm.initial import SPEED_MPS
-from taichi_nmm.kernel.contact_planes import SOLE_RADIUS_M
+from taichi_nmm.kernel.contact_planes import PLANES, PLANES_PER_SOLE, SOLE_RADIUS_M
 from taichi_nmm.mujoco_engine.boxes import boxes
 from taichi_nmm.mujoco_engine.engine import start_state
 from taichi_nmm.mujoco_engine.limits import STOPS
-from taichi_nmm.mujoco_engine.mjcf import JOINTS, write_mjcf
+from taichi_nmm.mujoco_engine.mjcf import JOINTS, walk_model, write_mjcf
 from taichi_nmm.settings import MujocoSettings, Settings
 from taichi_nmm.world import WorldRanges
 
@@ -71,6 +71,22 @@ def test_contacts_are_as_asked(model: mujoco.MjModel) -> None:
     assert not collide[spheres][:, spheres].any() and not collide[~spheres][:, ~spheres].any()
 
 
+def test_the_contacts_of_a_walk_are_those_of_the_file(model: mujoco.MjModel) -> None:
+    """Each sole meets its own planes, by the same numbers, and nothing meets anything else."""
+    walked = walk_model(BODY, SETTINGS, FRICTION)
+    assert walked.npair == PLANES
+    assert not (walked.geom_contype[:, None] & walked.geom_conaffinity).any()
+    for pair in range(PLANES):
+        plane, sole = walked.pair_geom1[pair], walked.pair_geom2[pair]
+        assert walked.geom(plane).name == f"plane_{pair}"
+        assert walked.geom(sole).name == f"sole_{pair // PLANES_PER_SOLE}"
+    np.testing.assert_array_equal(walked.pair_friction[:, :2], FRICTION)
+    for name in ("dim", "solref", "solimp", "margin", "gap"):
+        pairs = getattr(walked, f"pair_{name}")
+        of_file = getattr(model, "geom_condim" if name == "dim" else f"geom_{name}")[0]
+        np.testing.assert_array_equal(pairs, np.broadcast_to(of_file, pairs.shape), err_msg=name)
+
+
 def test_the_key_frame_is_the_start_of_every_walk(model: mujoco.MjModel) -> None:
     """Soles on or over the ground, one foot touching, the hip at its speed."""
     assert model.nkey == 1 and model.key(0).name == "start"
@@ -90,10 +106,12 @@ def test_the_key_frame_is_the_start_of_every_walk(model: mujoco.MjModel) -> None
 
 def test_a_walker_is_advanced_as_its_file_is(model: mujoco.MjModel) -> None:
     """The first steps without torque, from the key frame and by the engine's own model."""
+    from taichi_nmm.kernel import backend
     from taichi_nmm.mujoco_engine.engine import Herd
     from taichi_nmm.parameters import K_T
     from taichi_nmm.walkers import check_batch
 
+    backend.start(SETTINGS.on_processor())
     worlds = WorldRanges(friction=(FRICTION, FRICTION)).draw([0])
     herd = Herd(check_batch(K_T, BODY, GROUND, worlds=worlds), SETTINGS)
     data = mujoco.MjData(model)
