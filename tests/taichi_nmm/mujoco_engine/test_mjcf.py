@@ -76,15 +76,16 @@ def test_the_contacts_of_a_walk_are_those_of_the_file(model: mujoco.MjModel) -> 
     walked = walk_model(BODY, SETTINGS, FRICTION)
     assert walked.npair == PLANES
     assert not (walked.geom_contype[:, None] & walked.geom_conaffinity).any()
-    for pair in range(PLANES):
-        plane, sole = walked.pair_geom1[pair], walked.pair_geom2[pair]
-        assert walked.geom(plane).name == f"plane_{pair}"
-        assert walked.geom(sole).name == f"sole_{pair // PLANES_PER_SOLE}"
+    pairs = np.column_stack([walked.pair_geom1, walked.pair_geom2])
+    assert {frozenset(walked.geom(geom).name for geom in pair) for pair in pairs} == {
+        frozenset((f"plane_{plane}", f"sole_{plane // PLANES_PER_SOLE}")) for plane in range(PLANES)
+    }
     np.testing.assert_array_equal(walked.pair_friction[:, :2], FRICTION)
     for name in ("dim", "solref", "solimp", "margin", "gap"):
-        pairs = getattr(walked, f"pair_{name}")
+        numbers = getattr(walked, f"pair_{name}")
         of_file = getattr(model, "geom_condim" if name == "dim" else f"geom_{name}")[0]
-        np.testing.assert_array_equal(pairs, np.broadcast_to(of_file, pairs.shape), err_msg=name)
+        expected = np.broadcast_to(of_file, numbers.shape)
+        np.testing.assert_array_equal(numbers, expected, err_msg=name)
 
 
 def test_the_key_frame_is_the_start_of_every_walk(model: mujoco.MjModel) -> None:
