@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from taichi_nmm.neighbours import require_neighbours
 
 if TYPE_CHECKING:
-    from study.feature_table import FeatureTable
+    from study.features.feature_table import FeatureTable
+    from study.features.survival import SurvivalSampler, covered_table, survival_table
     from study.sampler.dog_sampler import DoGSampler
     from study.sampler.feature_sampler import FeatureKernelSampler
-    from study.survival import SurvivalSampler, covered_table, survival_table
 
 __all__ = [
     "DoGSampler",
@@ -26,10 +26,10 @@ __all__ = [
 _MODULES = {
     "DoGSampler": "study.sampler.dog_sampler",
     "FeatureKernelSampler": "study.sampler.feature_sampler",
-    "FeatureTable": "study.feature_table",
-    "SurvivalSampler": "study.survival",
-    "covered_table": "study.survival",
-    "survival_table": "study.survival",
+    "FeatureTable": "study.features.feature_table",
+    "SurvivalSampler": "study.features.survival",
+    "covered_table": "study.features.survival",
+    "survival_table": "study.features.survival",
 }
 
 require_neighbours("storage")

@@ -112,7 +112,7 @@ def parse() -> argparse.Namespace:
 def code_of(arm: str, problem: str) -> str:
     sources = [ROOT / "study" / "benchmarks" / "outside" / f"{name}.py" for name in SOURCES]
     if outside_arms.ARMS[arm].kind == "ours":
-        ours = [*sources, ROOT / "study" / "feature_table.py", *OUR_SOURCES]
+        ours = [*sources, ROOT / "study" / "features" / "feature_table.py", *OUR_SOURCES]
         return fingerprint(ours, OUR_PACKAGES, digest(problem))
     return fingerprint(sources, PEER_PACKAGES, digest(problem))
 

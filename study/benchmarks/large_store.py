@@ -14,7 +14,7 @@ from storage import open_store
 from storage.specification import Specification, read_specification
 from storage.store_folder import StoreFolder
 from study.benchmarks.sampler_timing import memory_mib
-from study.feature_table import FeatureTable
+from study.features.feature_table import FeatureTable
 from study.sampler.feature_sampler import FeatureKernelSampler
 from taichi_nmm.config import Table
 from taichi_nmm.parameters import lower_bounds, upper_bounds

@@ -14,10 +14,10 @@ from optuna.distributions import FloatDistribution
 from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, GPSampler
 
-from study.feature_table import FeatureTable
+from study.features.feature_table import FeatureTable
+from study.features.survival import MEAN, SurvivalSampler
 from study.sampler.feature_sampler import FeatureKernelSampler
 from study.sampler.history import ROW_ATTRIBUTE
-from study.survival import MEAN, SurvivalSampler
 
 Floats = NDArray[np.float64]
 

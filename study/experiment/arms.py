@@ -12,14 +12,14 @@ from optuna.samplers import BaseSampler, TPESampler
 
 from study.draws import Purpose, seed_32bit
 from study.experiment import cmaes, controls
-from study.experiment.features import Feature, Survival, definition_of, name_of
 from study.experiment.off_grid import StoreFeatures
 from study.experiment.task import Task
+from study.features.store_features import Feature, Survival, definition_of, name_of
+from study.features.survival import COVERED_OPTIONS, FAMILIES, covered_features, survival_features
+from study.features.survival import OPTIONS as BEST
 from study.sampler.dog_sampler import PAPER
 from study.sampler.feature_sampler import FeatureKernelSampler
 from study.sampler.random_sampler import ReproducibleRandomSampler
-from study.survival import COVERED_OPTIONS, FAMILIES, covered_features, survival_features
-from study.survival import OPTIONS as BEST
 from taichi_nmm.errors import InputError
 
 PAPER_ARM = "dog"  # the paper's method, to which all others are compared

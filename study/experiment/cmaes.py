@@ -17,7 +17,7 @@ from study.draws import Purpose, generator, seed_32bit, turn
 from study.experiment.controls import RowSampler, score_order
 from study.experiment.pycma import new_strategy
 from study.experiment.task import Task
-from study.feature_table import FeatureTable
+from study.features.feature_table import FeatureTable
 from study.sampler.random_sampler import ReproducibleRandomSampler
 from study.sampler.space import Space
 from taichi_nmm.errors import InputError

@@ -13,7 +13,7 @@ from optuna.trial import FrozenTrial
 
 from study.draws import Purpose, generator, turn
 from study.experiment.task import Task
-from study.feature_table import FeatureTable
+from study.features.feature_table import FeatureTable
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from study.sampler.random_sampler import ReproducibleRandomSampler
 from study.sampler.source import set_attributes

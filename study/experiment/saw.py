@@ -6,7 +6,7 @@ from typing import Any
 
 from storage.store import Store, open_store
 from study.experiment.arms import Arm
-from study.experiment.features import survivals
+from study.features.store_features import survivals
 from taichi_nmm.errors import InputError
 
 NOTHING = "nothing but its own trials"

@@ -8,8 +8,8 @@ from storage.manifest import MANIFEST_NAME, Manifest
 from storage.shard import file_hash
 from storage.store import Store, open_store
 from study.experiment.experiment import Experiment, search_space
-from study.experiment.features import Feature, check_feature, feature_table
-from study.feature_table import FeatureTable
+from study.features.feature_table import FeatureTable
+from study.features.store_features import Feature, check_feature, feature_table
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import Parameter
 

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from study.experiment.experiment import Experiment
-from study.experiment.features import Feature, name_of
 from study.experiment.stores import candidates
-from study.feature_table import FeatureTable
+from study.features.feature_table import FeatureTable
+from study.features.store_features import Feature, name_of
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from storage.schema import EVOLVED_ROW, ORIGIN
 from storage.store import Store
-from study.experiment.features import COLUMN_END
 from study.explore.message import Message
 from study.explore.selection import Ranges, read_selection, selection_text
 from study.explore.stage import SCRIPTS
@@ -36,6 +35,7 @@ from study.explore.store_plots import (
     parallel,
     table,
 )
+from study.features.store_features import COLUMN_END
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]

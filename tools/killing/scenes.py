@@ -11,9 +11,9 @@ from importlib import import_module
 from pathlib import Path
 
 from study.comparison import compare
+from study.features.survival import GROUNDS
 from study.guard import run_command
 from study.optimum import generations
-from study.survival import GROUNDS
 
 STORE = """
 samples = 32

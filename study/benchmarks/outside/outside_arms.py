@@ -15,7 +15,7 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, CmaEsSampler, GPSampler, RandomSampler, TPESampler
 
 from study.benchmarks.outside.outside_problem import OutsideProblem
-from study.feature_table import FeatureTable
+from study.features.feature_table import FeatureTable
 from study.sampler.feature_sampler import FeatureKernelSampler
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,7 @@ from study.experiment.controls import TOP_ROWS, score_order
 from study.experiment.experiment import Experiment
 from study.experiment.saw import NOTHING, saw
 from study.experiment.task import Task
-from study.survival import GROUNDS, LONGER, PLAINEST
+from study.features.survival import GROUNDS, LONGER, PLAINEST
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from tests.study import fake_walker

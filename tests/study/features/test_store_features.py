@@ -8,8 +8,9 @@ import pytest
 
 from storage.store import Store, open_store
 from study.experiment.arms import ARMS, RELATIVES
-from study.experiment.coverage import earliness
-from study.experiment.features import (
+from study.experiment.stores import candidates
+from study.features.coverage import earliness
+from study.features.store_features import (
     Coverage,
     Feature,
     Survival,
@@ -17,9 +18,8 @@ from study.experiment.features import (
     feature_values,
     survivals,
 )
-from study.experiment.stores import candidates
-from study.survival import FAMILIES, GROUNDS, LONGER, PLAINEST
-from study.survival import OPTIONS as BEST
+from study.features.survival import FAMILIES, GROUNDS, LONGER, PLAINEST
+from study.features.survival import OPTIONS as BEST
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from storage.store import open_store
-from study.experiment.features import Coverage, Feature, Survival, check_feature, feature_table
-from study.feature_table import FeatureTable
+from study.features.feature_table import FeatureTable
+from study.features.store_features import Coverage, Feature, Survival, check_feature, feature_table
 from study.sampler.candidate_table import CandidateTable
 from study.sampler.feature_sampler import FeatureKernelSampler
 from taichi_nmm import checks

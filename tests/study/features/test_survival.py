@@ -12,8 +12,8 @@ import study
 from storage.store import open_store
 from study.experiment.arms import ARMS
 from study.experiment.task import Task
-from study.feature_table import FeatureTable
-from study.survival import (
+from study.features.feature_table import FeatureTable
+from study.features.survival import (
     COVERED_OPTIONS,
     FAMILIES,
     OPTIONS,

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from storage.schema import ORIGIN, SOBOL_ROW, evaluated_name
 from storage.store import Store
-from study.experiment.coverage import earliness
-from study.feature_table import FeatureTable
+from study.features.coverage import earliness
+from study.features.feature_table import FeatureTable
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]

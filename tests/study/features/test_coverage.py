@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from study.experiment import coverage
-from study.experiment.coverage import RELIABILITY, chances, covering_order, earliness
+from study.features import coverage
+from study.features.coverage import RELIABILITY, chances, covering_order, earliness
 
 
 def test_the_first_row_is_the_best_on_the_plainest_ground() -> None:
