@@ -117,7 +117,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         request = ("--arms", "best-worlds", "--runs", 1, "--trials", 1, *request[-3:])
         config = "configs/mujoco-rough8-soft.toml"
         assert run_tool(patch, "compare", "--config", config, *request) == 0
-        request = ("--arms", "best-stairs", "--runs", 4, "--trials", 9, *request[-3:])
+        request = ("--arms", "best-stairs", "--runs", 32, "--trials", 10, *request[-3:])
         config = "configs/stairs-up-high.toml"
         assert run_tool(patch, "compare", "--config", config, *request) == 0
     return folder
