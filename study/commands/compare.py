@@ -20,6 +20,7 @@ from study.command import default_workers
 from study.command_options import LARGEST_SEED, Options, asked_cluster
 from study.comparison.compare import Outcome, Request, compare
 from study.comparison.finished import Progress
+from study.experiment.check import with_store
 from study.experiment.experiment import MOST_RUNS, MOST_TRIALS, Experiment, read_experiment
 from study.report.documents import read_facts
 from study.report.lines import arms_documents, arms_text
@@ -75,6 +76,10 @@ def parse() -> Namespace:
         "--out", type=Path, metavar="DIR", help="default: out/compare/NAME or NAME-seed-N"
     )
     parser.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
+    parser.add_argument(
+        "--store", type=Path, metavar="DIR",
+        help="the scores, if the arms read one store; default: the config's",
+    )  # fmt: skip
     parser.workers()
     parser.cluster()
     parser.add_argument(
@@ -96,6 +101,8 @@ def main() -> None:
     out = args.out or Path("out") / "compare" / name
     read_facts(out)  # what the report at the end will want to know
     arms = tuple(args.arms.split(",")) if args.arms is not None else None
+    if args.store is not None:
+        experiment = with_store(experiment, arms or experiment.arms, args.store)
     settings = experiment.conditions.settings
     workers = default_workers(settings) if args.workers is None else args.workers
     request = Request(

@@ -12,7 +12,6 @@ import json
 import sys
 from argparse import Namespace
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
 
 import optuna
@@ -24,9 +23,9 @@ from storage.databases.urls import is_postgresql
 from study.command import require_engine
 from study.command_options import LARGEST_SEED, Options
 from study.comparison.experiment_folder import live_artifacts
-from study.experiment.arms import ARMS, find_arm
-from study.experiment.check import check_arms
-from study.experiment.experiment import MOST_TRIALS, Experiment, read_experiment, study_name
+from study.experiment.arms import ARMS
+from study.experiment.check import check_arms, with_store
+from study.experiment.experiment import MOST_TRIALS, read_experiment, study_name
 from study.runner import check_study, run_study
 from study.summary import (
     Commands,
@@ -37,7 +36,6 @@ from study.summary import (
     summary,
     summary_text,
 )
-from taichi_nmm.errors import InputError
 from taichi_nmm.settings import ARCHITECTURES
 
 
@@ -57,22 +55,13 @@ def parse() -> Namespace:
     return parser.parse_args()
 
 
-def read(args: Namespace) -> Experiment:
-    """The experiment, with the store that was asked for."""
-    experiment = read_experiment(args.config, args.arch, args.seed)
-    if args.store is None:
-        return experiment
-    store = find_arm(args.arm).store
-    if not store:
-        raise InputError("store", str(args.store), f"none: the arm {args.arm} reads no store")
-    return replace(experiment, stores={**experiment.stores, store: args.store})
-
-
 def main() -> None:
     """Run the study, or go on with it."""
     args = parse()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    experiment = read(args)
+    experiment = read_experiment(args.config, args.arch, args.seed)
+    if args.store is not None:
+        experiment = with_store(experiment, (args.arm,), args.store)
     experiment.require_run(args.run)
     trials = experiment.trials if args.trials is None else args.trials
     (arm,) = check_arms(experiment, (args.arm,), trials)

@@ -1,6 +1,8 @@
 """What is refused before any work is done or any file is touched."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 from study.experiment.arms import Arm, check_installed, find_arm
 from study.experiment.experiment import Experiment
@@ -35,3 +37,16 @@ def _check(experiment: Experiment, arm: Arm, trials: int) -> None:
         raise InputError("trials", trials, allowed)
     if arm.off_grid:
         StoreFeatures(experiment, arm.store, arm.columns)
+
+
+def with_store(experiment: Experiment, names: Sequence[str], path: Path) -> Experiment:
+    """The experiment with a store of the caller's, in place of the one that the arms read.
+
+    Raises:
+        InputError: an unknown arm, or arms that read no store or several.
+    """
+    read = sorted({arm.store for arm in map(find_arm, names) if arm.store})
+    if len(read) != 1:
+        found = f"{', '.join(names)}: {' and '.join(read) or 'none'}"
+        raise InputError("store", str(path), f"with arms that read one store; {found}")
+    return replace(experiment, stores={**experiment.stores, read[0]: path})

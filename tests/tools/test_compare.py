@@ -19,6 +19,7 @@ import pytest
 import taichi_nmm
 from storage.databases import studies
 from study.comparison import compare
+from study.experiment.stores import store_digest
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 from tests.tools.running import ROOT, run_tool
@@ -103,6 +104,23 @@ def test_another_seed_has_a_folder_of_its_own(command: Command) -> None:
     out = Path("out") / "compare" / "toy-seed-7"
     assert json.loads((out / "experiment.json").read_text())["seed"] == 7
     assert pq.read_metadata(out / "trials.parquet").num_rows == 3
+
+
+def test_a_store_in_place_of_the_configs(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is what the trials are of: a folder goes on with no other."""
+    fake_walker.write_store(command.folder / "larger", samples=400)
+    store = str(command.folder / "larger")
+    assert command.run(trials=3, arms="dog", store=store) == 0
+    facts = json.loads((command.folder / "out" / "experiment.json").read_text())
+    assert facts["stores"] == {"flat": store_digest(Path(store))}
+    capsys.readouterr()
+    assert command.run(trials=4, arms="dog") == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ") and "flat" in said and said.count("\n") == 1
+    assert command.run(trials=3, store=store) == 2  # the configuration's arms read two
+    assert capsys.readouterr().err.startswith(f"error: store: '{store}' ")
 
 
 def test_sessions_that_cannot_be_read_are_refused_before_the_work(

@@ -280,7 +280,7 @@ def no_gpu(settings: Settings) -> None:
         ({"run": 50}, "run: 50 .* 0 to 49, the runs of rough8"),
         ({"run": -1}, "run: -1 "),
         ({"seed": -1}, "seed: -1 "),
-        ({"arm": "random"}, "store: .* none: the arm random reads no store"),
+        ({"arm": "random"}, "store: .* arms that read one store; random: none"),
         ({"trials": 0}, "trials: 0"),
         ({"trials": 1000}, "trials: 1000 .* at most 200"),
         ({"storage": "postgresql://host/db"}, r"storage: '\*\*\*' .* sqlite:///FILE"),

@@ -7,7 +7,7 @@ import pytest
 
 from study.experiment import arms
 from study.experiment.arms import PRINTED, find_arm
-from study.experiment.check import check_arms
+from study.experiment.check import check_arms, with_store
 from study.experiment.experiment import Experiment
 from study.experiment.off_grid import StoreFeatures
 from study.experiment.stores import candidates, store_path
@@ -135,3 +135,24 @@ def test_points_off_the_grid_are_simulated_as_their_store_was(
     assert features(K_T[None]).shape == (1, 1)
     settings = fake_walker.calls[-1]["settings"]
     assert (settings.engine, settings.mujoco.time_constant_s) == ("mujoco", 0.01)
+
+
+def test_a_store_of_the_callers_is_that_of_the_arms(toy: Experiment, tmp_path: Path) -> None:
+    experiment = with_store(toy, ("random", "dog", "cmaes-source"), tmp_path)
+    assert experiment.stores == {**toy.stores, "flat": tmp_path} != toy.stores
+    assert replace(experiment, stores=toy.stores) == toy
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (("random", "tpe"), "store: '.*' .* arms that read one store; random, tpe: none"),
+        (("dog", "best"), "store: '.*' .* arms that read one store; dog, best: diverse and flat"),
+        (("dog", "cat"), "arm: 'cat' "),
+    ],
+)
+def test_a_store_for_arms_that_read_none_or_several(
+    names: tuple[str, ...], message: str, toy: Experiment, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=message):
+        with_store(toy, names, tmp_path)
