@@ -105,7 +105,9 @@ def dashboard_command(url: str, artifacts: Path) -> str:
 
 def command_line(*words: str) -> str:
     """A line that runs a command of ours, whether the environment is active or not."""
-    return f"{os.path.relpath(sys.executable)} {shlex.join(['-m', 'taichi_nmm', *words])}"
+    here = Path(sys.executable).is_relative_to(Path.cwd())
+    program = os.path.relpath(sys.executable) if here else sys.executable
+    return shlex.join([program, "-m", "taichi_nmm", *words])
 
 
 def best_gains(study: optuna.Study) -> dict[str, float]:

@@ -43,6 +43,8 @@ TAKEN_AWAY = {
     "gains.json": json.dumps(dict(zip(GAIN_NAMES, taichi_nmm.K_T.tolist(), strict=True))),
     "walk.toml": 'seed = 1\n[terrain]\nkind = "rough"\n',
 }
+# What a document has copied and changed.
+COPIED = {"store-diverse-10s.toml": (ROOT / "configs" / "store-diverse.toml").read_text()}
 
 Words = tuple[str, ...]
 
@@ -92,7 +94,7 @@ def configurations(words: Words) -> set[str]:
 def test_every_configuration_is_named_by_a_command() -> None:
     pairs = {(words[0], config) for words in COMMANDS for config in configurations(words)}
     assert {tool for tool, _ in pairs} == set(SHORT)
-    assert {config for _, config in pairs} - set(TAKEN_AWAY) == CONFIGS
+    assert {config for _, config in pairs} - {*TAKEN_AWAY, *COPIED} == CONFIGS
     assert len(pairs) > len(CONFIGS)
 
 
@@ -104,11 +106,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.chdir(folder)
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
         (folder / "configs").symlink_to(ROOT / "configs")
-        for name, text in TAKEN_AWAY.items():
+        for name, text in (TAKEN_AWAY | COPIED).items():
             (folder / name).write_text(text)
         out = folder / "out"
         fake_walker.write_store(out / "store")
-        for kind in ("robust", "mild", "ramps", "diverse", "worlds", "stairs"):
+        one_family, more = ("robust", "mild", "ramps", "stairs"), ("diverse", "worlds")
+        for kind in (*one_family, *more, "diverse-10s", "worlds-large"):
             (out / f"store-{kind}").symlink_to(out / "store")
         fake_walker.write_store(out / "store-torso", searched=["theta_ref"])
         request = ("--arms", "dog", "--runs", 8, "--trials", 13, "--no-artifacts", "--workers", 1)
@@ -138,7 +141,7 @@ def test_a_command_that_is_named_is_taken(
 ) -> None:
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     monkeypatch.chdir(tmp_path)
-    for name in ("configs", "out", *TAKEN_AWAY):
+    for name in ("configs", "out", *TAKEN_AWAY, *COPIED):
         (tmp_path / name).symlink_to(made / name)
     assert run_tool(monkeypatch, *words, *SHORT[words[0]]) == 0
     assert (tmp_path / "made").is_dir()

@@ -3,6 +3,7 @@ that they are the studies of a comparison."""
 
 import json
 import pickle
+import shlex
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -440,3 +441,16 @@ def test_the_lines_to_look_at_it_name_what_is_not_the_default() -> None:
     assert line.endswith("-m taichi_nmm dashboard --storage sqlite:///x.db")
     line = dashboard_command("postgresql+psycopg://me:secret@host/walker", out)
     assert line.endswith("--artifacts out") and "secret" not in line
+
+
+def test_the_lines_name_the_python_of_this_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a path that is short where it can be, and never one by way of `..`."""
+    monkeypatch.setattr("sys.executable", str(tmp_path / "my env" / "bin" / "python"))
+    (tmp_path / "elsewhere").mkdir()
+    words = ["-m", "taichi_nmm", "walk", "--gains", "gains.json", "--config", "my.toml"]
+    for here, shown in ((".", "my env"), ("elsewhere", f"{tmp_path}/my env")):
+        monkeypatch.chdir(tmp_path / here)
+        line = film_command(Path("gains.json"), Path("my.toml"))
+        assert shlex.split(line) == [f"{shown}/bin/python", *words]
