@@ -42,9 +42,10 @@ def note_worths(
     storage = open_studies(url)
     try:
         with storage_errors(url):
-            for arm, run, study in _noted(storage, experiment, arms, runs, url):
-                if renew or not get_note(study):
-                    note_worth(experiment, arm, run, study)
+            for arm, run, name in _noted(storage, experiment, arms, runs):
+                if not renew and get_note(optuna.load_study(study_name=name, storage=storage)):
+                    continue  # without a look at its trials, which take far longer
+                note_worth(experiment, arm, run, _checked(storage, name, experiment, url))
     finally:
         storage.engine.dispose()
 
@@ -59,8 +60,8 @@ def check_noted(experiment: Experiment, arms: Sequence[Arm], runs: Sequence[int]
         return
     with read_studies(url) as storage:
         if storage is not None:
-            for _ in _noted(storage, experiment, arms, runs, url):
-                pass
+            for _, _, name in _noted(storage, experiment, arms, runs):
+                _checked(storage, name, experiment, url)
 
 
 def _has_notes(arm: Arm) -> bool:
@@ -69,16 +70,20 @@ def _has_notes(arm: Arm) -> bool:
 
 
 def _noted(
-    storage: RDBStorage, experiment: Experiment, arms: Iterable[Arm], runs: Sequence[int], url: str
-) -> Iterator[tuple[Arm, int, optuna.Study]]:
-    """Each study that has trials and gets a note, its trials as this project writes them."""
+    storage: RDBStorage, experiment: Experiment, arms: Iterable[Arm], runs: Sequence[int]
+) -> Iterator[tuple[Arm, int, str]]:
+    """Each study that has trials and gets a note, by its name."""
     counts = trial_counts(storage)
     for arm, run in product(filter(_has_notes, arms), runs):
         name = study_name(experiment.name, arm.name, run)
-        if not counts.get(name):
-            continue
-        with read_errors(url):
-            study = load_whole(storage, name)
-            require_notes(name, storage)
-        require_written(study, experiment)
-        yield arm, run, study
+        if counts.get(name):
+            yield arm, run, name
+
+
+def _checked(storage: RDBStorage, name: str, experiment: Experiment, url: str) -> optuna.Study:
+    """The study, its trials and its note as this project writes them."""
+    with read_errors(url):
+        study = load_whole(storage, name)
+        require_notes(name, storage)
+    require_written(study, experiment)
+    return study

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import optuna
@@ -11,7 +12,7 @@ from optuna.storages import InMemoryStorage
 from optuna_dashboard import get_note, save_note
 
 from storage.databases.bulk import trial_counts
-from storage.databases.studies import open_studies
+from storage.databases.studies import load_whole, open_studies
 from study import FeatureKernelSampler, FeatureTable
 from study.comparison.compare import Request, compare
 from study.experiment.arms import ARMS, find_arm
@@ -107,7 +108,10 @@ class TestComparison:
         before = (tmp_path / "out" / "trials.parquet").read_bytes()
         with monkeypatch.context() as context:
             context.setattr("study.comparison.worth_notes.note_worth", refuse)
+            read = Mock(wraps=load_whole)
+            context.setattr("study.comparison.worth_notes.load_whole", read)
             outcome(arms=("dog",))  # no new trials, no new notes
+            assert read.call_count == 2  # each study once
         assert self.notes(url) == notes
         assert (tmp_path / "out" / "trials.parquet").read_bytes() == before
         outcome(arms=("dog",), trials=7)
