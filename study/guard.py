@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from importlib.machinery import EXTENSION_SUFFIXES
 from types import FrameType
 from typing import NoReturn
 
@@ -84,12 +85,11 @@ def _one_line() -> Iterator[None]:
         sys.exit(EXIT_NO_READER)
     except (InputError, HiddenPackageError) as error:
         _leave(f"error: {error}", EXIT_BAD_INPUT)
-    except ModuleNotFoundError as error:
-        package = (error.name or "").partition(".")[0]
-        if not package or package in OURS:
+    except ImportError as error:
+        missing = what_is_missing(error)
+        if missing is None:
             raise  # a mistake of ours
-        line = f"error: package: {package!r} is not installed; allowed: an environment that has it"
-        _leave(line, EXIT_BAD_INPUT)
+        _leave(f"error: {missing}", EXIT_BAD_INPUT)
     except KeyboardInterrupt:
         _leave(INTERRUPTED, EXIT_INTERRUPTED)
     except MemoryError:
@@ -102,6 +102,22 @@ def _one_line() -> Iterator[None]:
         except OSError:  # it was this file
             _silence(STDOUT)
         _leave_refused(os.strerror(error.errno), REFUSALS[error.errno])
+
+
+def what_is_missing(error: ImportError) -> str | None:
+    """The package that is not installed, or the library of the machine that one is linked with.
+
+    None where neither is so: a mistake of ours.
+    """
+    name = (error.name or "").partition(".")[0]
+    if not name or name in OURS:
+        return None
+    if isinstance(error, ModuleNotFoundError):
+        return f"package: {name!r} is not installed; allowed: an environment that has it"
+    if error.path is None or not error.path.endswith(tuple(EXTENSION_SUFFIXES)):
+        return None
+    allowed = f"a machine with the libraries that {name} needs (README.md)"
+    return str(InputError(name, str(error), allowed))
 
 
 @contextmanager

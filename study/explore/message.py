@@ -8,6 +8,7 @@ from typing import Any
 
 from bokeh.models import Div
 
+from study.guard import what_is_missing
 from taichi_nmm.errors import InputError
 
 WARNING = "#B3261E"
@@ -29,8 +30,8 @@ class Message:
         """Say what a call raised: the line of bad input, or that the mistake is ours."""
         if isinstance(error, InputError):
             self.tell(str(error))
-        elif isinstance(error, ModuleNotFoundError):
-            self.tell(f"package: {error.name!r} is not installed")
+        elif isinstance(error, ImportError) and (missing := what_is_missing(error)) is not None:
+            self.tell(missing)
         else:
             traceback.print_exception(error, file=sys.stderr)
             self.tell(OURS)

@@ -23,7 +23,7 @@ from taichi_nmm.kernel.environment import settled_environment
 from taichi_nmm.settings import Settings
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # standard output is the commands'
-with settled_environment():
+with settled_environment(), contextlib.redirect_stdout(io.StringIO()):
     import taichi as ti
     from taichi._lib import core as _core
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext

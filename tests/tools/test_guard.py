@@ -1,4 +1,4 @@
-"""What ends every command in one line: Ctrl-C at any import, packages missing or hidden."""
+"""What ends every command in one line: Ctrl-C at any import, packages missing, broken or hidden."""
 
 import subprocess
 import sys
@@ -48,6 +48,22 @@ def test_a_missing_package_is_named_in_one_line(
         "-", "_"
     )
     assert "Traceback" not in done.stderr
+
+
+def test_a_library_that_a_package_needs_and_the_machine_lacks(tmp_path: Path) -> None:
+    """As Taichi without libX11."""
+    package = tmp_path / "site" / "taichi"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("print('advice')\nfrom taichi import core\n")
+    (package / "core.abi3.so").write_bytes(b"")
+    walk = ("-m", "taichi_nmm", "walk", "--duration", 1, "--movie-seconds", 0)
+    done = run_with_accident(tmp_path, walk)
+    line = (
+        f"error: core: '{package / 'core.abi3.so'}: file too short' cannot be used; "
+        "allowed: a machine with the libraries that core needs (README.md)"
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.splitlines()[-1] == line and "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("hidden", ["study.py", "storage.py", "study/__init__.py"])
