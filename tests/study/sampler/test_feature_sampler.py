@@ -341,6 +341,23 @@ def test_importing_the_package_is_light() -> None:
     assert "DoGSampler" in done.stdout
 
 
+def test_it_works_where_there_is_no_posix() -> None:
+    """As on Windows: stores and commands lock files, the sampler does not."""
+    code = """
+import sys
+sys.modules.update(dict.fromkeys(("fcntl", "resource", "termios", "pwd", "grp")))
+import numpy, optuna
+from study import FeatureKernelSampler, FeatureTable
+x = numpy.linspace(0.0, 1.0, 9)
+table = FeatureTable.from_arrays({"x": x}, x**2)
+study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
+study.optimize(lambda trial: trial.suggest_float("x", 0.0, 1.0), n_trials=9)
+print(study.best_value)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.stdout == "0.0\n", done.stderr
+
+
 def test_the_package_has_no_other_names() -> None:
     import study
 
