@@ -248,7 +248,7 @@ def test_ctrl_c_ends_all_processes(command: Command) -> None:
     said = process.stderr.read().decode()
     assert "the same command resumes" in said
     assert "Traceback" not in said
-    assert members(process.pid) == []
+    assert left_over(process.pid) == []
 
 
 @pytest.mark.campaign
@@ -263,16 +263,21 @@ def test_killed_ten_times_and_resumed_is_the_same_table(command: Command) -> Non
         process.wait()
         assert process.stderr is not None
         process.stderr.close()
-        deadline_s = time.monotonic() + 10.0
-        while members(process.pid) and time.monotonic() < deadline_s:
-            time.sleep(0.05)
-        assert members(process.pid) == []  # workers end with the main process
+        assert left_over(process.pid) == []  # workers end with the main process
     kept = command.rows()
     assert 0 < kept < 45 * 15
     assert command.run(**arms) == 0
     assert command.run(**arms | {"out": str(command.folder / "whole")}) == 0
     parts, whole = (command.folder / name / "trials.parquet" for name in ("out", "whole"))
     assert parts.read_bytes() == whole.read_bytes()
+
+
+def left_over(group: int) -> list[int]:
+    """Processes of a group that run on: Python's own tracker ends a moment after the last of us."""
+    deadline_s = time.monotonic() + 10.0
+    while (running := members(group)) and time.monotonic() < deadline_s:
+        time.sleep(0.05)
+    return running
 
 
 def members(group: int) -> list[int]:
