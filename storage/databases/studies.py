@@ -170,13 +170,20 @@ def only_run(url: str, study_name: str) -> Iterator[None]:
 
 
 def require_lockable(url: str, study_name: str) -> None:
-    """Refuse a study for whose lock no file can be made; nothing is touched.
+    """Refuse a study that another process holds in a file; nothing is touched.
+
+    The database is not asked: a process that was stopped while it wrote holds that as well.
 
     Raises:
-        InputError: naming the file.
+        InputError: naming the study, or the file that cannot be made for its lock.
     """
-    if not is_postgresql(url):
-        require_writable(_lock_file(url, study_name), "storage")
+    if is_postgresql(url):
+        return
+    lock = _lock_file(url, study_name)
+    require_writable(lock, "storage")
+    if lock.exists():
+        with only_run(url, study_name):
+            pass
 
 
 def _lock_file(url: str, study_name: str) -> Path:

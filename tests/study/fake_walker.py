@@ -6,6 +6,7 @@ milliseconds.
 """
 
 import os
+import signal
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -27,6 +28,7 @@ from taichi_nmm.terrain import Terrain
 from taichi_nmm.world import Worlds
 
 TRIAL_S = float(os.environ.get("FAKE_TRIAL_S", "0"))  # of a call, for those who want to kill it
+SIGNAL = os.environ.get("FAKE_SIGNAL", "")  # "5:SIGKILL": sent to this process in its fifth call
 WALKS_FROM = 0.7  # quality
 EMPTY = Trajectory(0, *[np.empty((0, 9))] * 9)  # of which nothing can be drawn
 STORE_ROWS = 150
@@ -59,6 +61,9 @@ def simulate(
 ) -> Result:
     """What `taichi_nmm.simulate` promises, with empty trajectories."""
     time.sleep(TRIAL_S)
+    number, _, name = SIGNAL.partition(":")
+    if number == str(len(calls) + 1):
+        signal.raise_signal(signal.Signals[name])
     tried = gain_rows(gains)
     calls.append(
         {

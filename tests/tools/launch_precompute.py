@@ -2,8 +2,9 @@
 
     python -m tests.tools.launch_precompute '{"delay_s": 0.05}' --config FILE --out DIR
 
-delay_s: seconds a simulation takes. kill_at_rename: die, as by kill -9, before the n-th file gets
-its name. largest_file_bytes: the system refuses to write more, as a full disk does.
+delay_s: seconds a simulation takes. interrupt_in_call: Ctrl-C comes in the n-th simulation.
+kill_at_rename: die, as by kill -9, before the n-th file gets its name. largest_file_bytes: the
+system refuses to write more, as a full disk does.
 """
 
 import json
@@ -13,6 +14,7 @@ import runpy
 import signal
 import sys
 import time
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +25,13 @@ from tests.storage import fake
 TOOL = Path(__file__).parents[2] / "tools" / "precompute.py"
 
 
-def install_simulator(delay_s: float) -> None:
+def install_simulator(delay_s: float, interrupt_in_call: int) -> None:
+    numbers = count(1)
+
     def simulate(*args: Any, **options: Any) -> Result:
         time.sleep(delay_s)
+        if next(numbers) == interrupt_in_call:
+            signal.raise_signal(signal.SIGINT)
         return fake.simulate(*args, **options)
 
     vars(taichi_nmm)["simulate"] = simulate
@@ -45,7 +51,7 @@ def die_at_rename(number: int) -> None:
 
 def main() -> None:
     accidents = json.loads(sys.argv[1])
-    install_simulator(accidents.get("delay_s", 0.0))
+    install_simulator(accidents.get("delay_s", 0.0), accidents.get("interrupt_in_call", 0))
     if "kill_at_rename" in accidents:
         die_at_rename(accidents["kill_at_rename"])
     if "largest_file_bytes" in accidents:

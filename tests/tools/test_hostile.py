@@ -9,7 +9,8 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import optuna
@@ -181,19 +182,26 @@ def test_a_folder_that_may_not_be_written_is_one_line_and_nothing_is_left(
     assert [path.name for path in folder.iterdir()] == ["toy.toml"]
 
 
+@contextmanager
+def stopped(folder: Path, command: Iterable[object]) -> Iterator["subprocess.Popen[bytes]"]:
+    """A command that is stopped in its second simulation; after the block it goes on to its end."""
+    environment = os.environ | {"FAKE_SIGNAL": "2:SIGSTOP"}
+    quiet = subprocess.DEVNULL
+    with subprocess.Popen(
+        words(command), cwd=folder, env=environment, stdout=quiet, stderr=quiet
+    ) as process:
+        assert os.WIFSTOPPED(os.waitpid(process.pid, os.WUNTRACED)[1])
+        yield process
+        process.send_signal(signal.SIGCONT)
+        process.wait(WAIT_S)
+
+
 def test_a_stopped_process_keeps_its_study_and_goes_on(
     folder: Path, undisturbed: list[dict[str, float]]
 ) -> None:
-    environment = os.environ | {"FAKE_TRIAL_S": "0.2"}
-    with subprocess.Popen(
-        words(STUDY), cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-    ) as process:
-        assert process.stderr is not None
-        process.stderr.readline()  # of the first trial
-        process.send_signal(signal.SIGSTOP)
+    with stopped(folder, STUDY) as process:
         second = run(folder, STUDY)
-        process.send_signal(signal.SIGCONT)
-        assert process.wait(WAIT_S) == 0
+    assert process.returncode == 0
     assert second.returncode == 2 and second.stderr.count("\n") == 1
     assert second.stderr.startswith("error: study: 'toy/dog/run-000'")
     assert trials(folder) == undisturbed
@@ -201,20 +209,9 @@ def test_a_stopped_process_keeps_its_study_and_goes_on(
 
 @pytest.mark.campaign
 def test_a_stopped_process_keeps_its_folder_and_goes_on(folder: Path) -> None:
-    environment = os.environ | {"FAKE_TRIAL_S": "0.2"}
-    with subprocess.Popen(
-        words(COMPARE),
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    ) as process:
-        assert process.stderr is not None
-        process.stderr.read(1)  # of the bar: the folder is held
-        process.send_signal(signal.SIGSTOP)
+    with stopped(folder, COMPARE) as process:
         second = run(folder, COMPARE)
-        process.send_signal(signal.SIGCONT)
-        assert process.wait(WAIT_S) == 0
+    assert process.returncode == 0
     assert second.returncode == 2 and "a folder that no other process is filling" in second.stderr
     table = (folder / "out" / "trials.parquet").read_bytes()
     shutil.rmtree(folder / "out")

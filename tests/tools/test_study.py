@@ -8,7 +8,6 @@ import signal
 import sqlite3
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -388,12 +387,23 @@ def test_another_programs_database_leaves_no_folder_and_is_kept(
     assert file.read_bytes() == before
 
 
+@pytest.mark.parametrize("writing", [False, True])
 def test_a_study_that_runs_already_is_refused(
-    command: Command, capsys: pytest.CaptureFixture[str]
+    writing: bool,
+    command: Command,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    with only_run(command.url(), "rough8/dog/run-000"):
+    monkeypatch.setattr(studies, "BUSY_TIMEOUT_S", 0.1)
+    assert command.run(trials=1) == 0
+    capsys.readouterr()
+    database = sqlite3.connect(command.folder / "studies.db")
+    with closing(database), only_run(command.url(), "rough8/dog/run-000"):
+        if writing:  # as a process that was stopped in the middle of it
+            database.execute("BEGIN EXCLUSIVE")
         assert command.run() == 2
-    assert "another process" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert said.startswith("error: study: 'rough8/dog/run-000'") and "another process" in said
 
 
 def test_ctrl_c_says_that_work_is_kept(
@@ -412,16 +422,13 @@ def test_killed_and_resumed_is_the_same_study(command: Command) -> None:
     whole = f"sqlite:///{command.folder / 'whole.db'}"
     assert command.run(trials=7, storage=whole) == 0
     program = [sys.executable, str(ROOT / "tests" / "tools" / "fake_command.py"), "study"]
-    with subprocess.Popen(
+    killed = subprocess.run(
         program + command.arguments(trials=7),
         stderr=subprocess.PIPE,
-        env=os.environ | {"FAKE_TRIAL_S": "0.5"},
-    ) as process:
-        assert process.stderr is not None
-        for _ in range(4):
-            assert b"rough8/dog/run-000" in process.stderr.readline()
-        time.sleep(0.25)  # into the fifth trial
-        process.send_signal(signal.SIGKILL)
+        env=os.environ | {"FAKE_SIGNAL": "5:SIGKILL"},
+    )
+    assert killed.returncode == -signal.SIGKILL
+    assert killed.stderr.count(b"rough8/dog/run-000") == 4
     assert len(command.rows()) == 4
     assert command.run(trials=7) == 0
     assert command.rows() == command.rows(whole)
