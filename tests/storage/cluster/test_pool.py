@@ -32,13 +32,14 @@ Open = Callable[..., AbstractContextManager[Pool]]
 
 @pytest.fixture
 def opened(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Open:
-    """A pool of the cluster, whose workers say at once what kind they are of."""
+    """A pool of the cluster's two workers, which say at once what kind they are of."""
     monkeypatch.setattr("storage.cluster.connection.own_kind", units.own_kind)
 
     @contextmanager
     def open_it(mixed: bool = False, stores: tuple[Path, ...] = ()) -> Iterator[Pool]:
         asked = Asked(cluster.address, mixed)
         with open_pool(1, asked, tmp_path / "out", Settings(arch="cpu"), stores=stores) as pool:
+            until(lambda: pool.room() == 4)  # a unit a worker, and one that waits there
             yield pool
 
     return open_it
@@ -89,7 +90,7 @@ def test_a_worker_that_joins_late_gets_work(cluster: Cluster, opened: Open) -> N
 def test_a_scheduler_that_dies_is_one_line(
     cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("storage.cluster.connection.CONNECT_S", 2.0)
+    monkeypatch.setattr("storage.cluster.connection.CONNECT_S", 6.0)
     line = r"cluster: 'tcp.* a scheduler that stays; the same command"
     with pytest.raises(InputError, match=line), opened() as pool:
         for _ in pool.results(units.slow_square, deque(range(100))):
@@ -151,17 +152,17 @@ def test_what_stalls_and_goes_on_loses_nothing(
                 worker = children(cluster.processes[1].pid)[0]
                 pid = cluster.scheduler.pid if who == "scheduler" else worker
                 stall(pid)
-                threading.Timer(5.0, os.kill, (pid, signal.SIGCONT)).start()
+                threading.Timer(3.0, os.kill, (pid, signal.SIGCONT)).start()
         assert found == {n: n**2 for n in range(20)}
 
 
 def test_calls_may_take_longer_than_a_cluster_may_be_without_workers(
     opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("storage.cluster.executor.WORKERLESS_S", 2.0)
+    monkeypatch.setattr("storage.cluster.executor.WORKERLESS_S", 1.0)
     monkeypatch.setattr("storage.cluster.executor.WATCH_S", 0.2)
     with opened() as pool:
-        assert results(pool, units.asleep, [8.0]) == {8.0: "awake"}
+        assert results(pool, units.asleep, [4.0]) == {4.0: "awake"}
 
 
 CLIENT = """
@@ -278,7 +279,6 @@ def test_certificates_of_ones_own(
     import dask
 
     monkeypatch.setattr("storage.cluster.connection.own_kind", units.own_kind)
-    monkeypatch.setattr("storage.cluster.connection.CONNECT_S", 3.0)
     assert certificates.address.startswith("tls://")
     opening = (1, Asked(certificates.address), tmp_path / "out", Settings(arch="cpu"))
     with pytest.raises(InputError, match=r"a scheduler that answers"), open_pool(*opening):
