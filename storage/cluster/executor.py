@@ -10,6 +10,7 @@ from typing import Any
 
 from distributed import Client, KilledWorker
 from distributed import Future as Remote
+from distributed.comm import CommClosedError
 
 from storage.cluster.gate import Gate
 from storage.cluster.plugin import answer
@@ -68,7 +69,7 @@ class ClusterExecutor(Executor):
             outcome, error = pickle.loads(await remote), None
         except InputError as refused:
             outcome, error = None, refused
-        except (asyncio.CancelledError, CancelledError):
+        except (asyncio.CancelledError, CancelledError, CommClosedError):
             outcome, error = None, self._given_up("a scheduler that stays")
         except KilledWorker as killed:
             said = f"workers that live: a call took {killed.allowed_failures + 1} with it"

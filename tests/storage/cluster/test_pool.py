@@ -97,6 +97,20 @@ def test_a_scheduler_that_dies_is_one_line(
             kill(cluster.scheduler.pid)
 
 
+def test_a_connection_that_breaks_under_an_answer_is_the_schedulers(opened: Open) -> None:
+    comm = pytest.importorskip("distributed.comm")
+
+    async def broken() -> None:
+        raise comm.CommClosedError("Connection reset by peer")
+
+    with opened() as pool:
+        executor: Any = pool.executor
+        future = executor.submit(units.asleep, 60.0)
+        executor._client.loop.add_callback(executor._follow, broken(), future)
+        with pytest.raises(InputError, match="a scheduler that stays; the same command"):
+            future.result(60.0)
+
+
 def test_a_cluster_without_workers_is_given_up(
     cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
