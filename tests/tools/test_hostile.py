@@ -191,9 +191,11 @@ def stopped(folder: Path, command: Iterable[object]) -> Iterator["subprocess.Pop
         words(command), cwd=folder, env=environment, stdout=quiet, stderr=quiet
     ) as process:
         assert os.WIFSTOPPED(os.waitpid(process.pid, os.WUNTRACED)[1])
-        yield process
-        process.send_signal(signal.SIGCONT)
-        process.wait(WAIT_S)
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGCONT)
+            process.wait(WAIT_S)
 
 
 def test_a_stopped_process_keeps_its_study_and_goes_on(
