@@ -5,7 +5,6 @@ Little is imported here, since nothing guards what is imported before.
 
 import errno
 import os
-import resource
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -63,7 +62,7 @@ def guarded_imports() -> Iterator[None]:
     something else listens to Ctrl-C, or nothing (as in a shell's background), it stays so.
     """
     with _one_line():
-        _require_addresses()
+        _require_system()
         if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
             yield
             return
@@ -146,9 +145,16 @@ def _open_closed() -> None:
             setattr(sys, name, os.fdopen(number, mode, closefd=False))
 
 
-def _require_addresses() -> None:
-    """Refuse a limit in which libraries end in ways of their own, or do not end at all."""
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+def _require_system() -> None:
+    """Refuse a system that locks files otherwise, and too few addresses.
+
+    Within those, libraries end in ways of their own, or do not end at all.
+    """
+    try:
+        import resource  # where it is not, there is no `fcntl`, with which `storage` locks
+    except ImportError:
+        raise InputError("machine", sys.platform, "Linux; on Windows, its WSL") from None
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESSES_B:
         allowed = f"{LEAST_ADDRESSES_B >> 10} or more, or unlimited"
         raise InputError("ulimit -v", limit >> 10, allowed)

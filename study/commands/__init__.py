@@ -4,8 +4,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from study.command_options import summary
-from study.guard import EXIT_BAD_INPUT, run
+from study.guard import EXIT_BAD_INPUT, guarded_imports, run
 from taichi_nmm.errors import InputError
 
 PROGRAM = "taichi-nmm"
@@ -13,6 +12,8 @@ PROGRAM = "taichi-nmm"
 
 def run_named(words: Sequence[str]) -> None:
     """Run the command that the first word names on the others; leave with its exit code."""
+    with guarded_imports():
+        from study.command_options import summary
     files = {
         path.stem.replace("_", "-"): path for path in sorted(Path(__file__).parent.glob("[!_]*.py"))
     }

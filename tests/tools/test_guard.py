@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,15 @@ def test_a_missing_package_is_named_in_one_line(
         "-", "_"
     )
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("words", [("-m", "taichi_nmm"), ("-m", "taichi_nmm", "walk"), *TOOLS])
+def test_a_system_without_posix_is_one_line(words: Sequence[str] | str, tmp_path: Path) -> None:
+    """As Windows, where files are locked otherwise."""
+    called = [ROOT / "tools" / f"{words}.py"] if isinstance(words, str) else words
+    done = run_with_accident(tmp_path, called, missing=("fcntl", "resource"))
+    line = f"error: machine: {sys.platform!r} cannot be used; allowed: Linux; on Windows, its WSL\n"
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
 
 
 def test_a_library_that_a_package_needs_and_the_machine_lacks(tmp_path: Path) -> None:
