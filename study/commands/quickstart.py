@@ -125,7 +125,6 @@ def main() -> None:
     stores = dict.fromkeys(STORES, out / "store")
     experiment = replace(read_experiment(config_path(CONFIG)), stores=stores)
     require_engine(experiment.conditions.settings)
-    require_folder(out)
     make_store(out / "store")
     url = f"sqlite:///{out / 'studies.db'}"
     ground, duration_s = experiment.terrain(RUN).name, experiment.conditions.duration_s
