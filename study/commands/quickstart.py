@@ -13,7 +13,13 @@ from tqdm import tqdm
 
 import taichi_nmm
 from storage.commit import commit_json, require_folder
-from storage.databases.studies import only_run, open_studies, storage_errors
+from storage.databases.studies import (
+    only_run,
+    open_studies,
+    read_studies,
+    require_lockable,
+    storage_errors,
+)
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.command import require_engine
@@ -49,6 +55,14 @@ def parse() -> Namespace:
     parser = Options(__file__)
     parser.add_argument("--out", type=Path, default=Path("out/quickstart"), metavar="DIR")
     return parser.parse_args()
+
+
+def require_studies(experiment: Experiment, url: str) -> None:
+    """Refuse studies that cannot go on, before the store is made."""
+    for name in ARMS:
+        require_lockable(url, study_name(experiment.name, name, RUN))
+    with read_studies(url):
+        pass
 
 
 def make_store(path: Path) -> None:
@@ -125,8 +139,9 @@ def main() -> None:
     stores = dict.fromkeys(STORES, out / "store")
     experiment = replace(read_experiment(config_path(CONFIG)), stores=stores)
     require_engine(experiment.conditions.settings)
-    make_store(out / "store")
     url = f"sqlite:///{out / 'studies.db'}"
+    require_studies(experiment, url)
+    make_store(out / "store")
     ground, duration_s = experiment.terrain(RUN).name, experiment.conditions.duration_s
     say(f"2. {experiment.trials} trials with each sampler: {duration_s:g} s on {ground}")
     studies = [run_arm(experiment, arm, url, out) for arm in ARMS]

@@ -3,14 +3,16 @@
 import io
 import json
 import shlex
+import sqlite3
 import subprocess
-from contextlib import redirect_stdout
+from contextlib import closing, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import taichi_nmm
+from storage.databases.studies import only_run
 from study import pictures
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker
@@ -75,3 +77,23 @@ def test_a_store_of_something_else_is_one_line(
     assert run_tool(monkeypatch, "quickstart", "--out", tmp_path) == 2
     said = capfd.readouterr().err
     assert said.startswith("error: samples: 4000 ") and said.count("\n") == 1
+
+
+@pytest.mark.parametrize("field", ["study", "storage"])
+def test_studies_that_cannot_go_on_are_refused_before_the_store_is_made(
+    field: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Another process runs one of them; the database is another program's."""
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+    file = tmp_path / "studies.db"
+    with closing(sqlite3.connect(file)) as connection:
+        connection.execute("CREATE TABLE studies (title TEXT)")
+    taken = only_run(f"sqlite:///{file}", "rough8/dog/run-000")
+    with taken if field == "study" else nullcontext():
+        assert run_tool(monkeypatch, "quickstart", "--out", tmp_path) == 2
+    said = capfd.readouterr().err
+    assert said.startswith(f"error: {field}: ") and said.count("\n") == 1
+    assert not (tmp_path / "store").exists()
