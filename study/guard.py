@@ -62,7 +62,8 @@ def guarded_imports() -> Iterator[None]:
     something else listens to Ctrl-C, or nothing (as in a shell's background), it stays so.
     """
     with _one_line():
-        _require_system()
+        _require_posix()
+        _require_addresses()
         if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
             yield
             return
@@ -145,15 +146,18 @@ def _open_closed() -> None:
             setattr(sys, name, os.fdopen(number, mode, closefd=False))
 
 
-def _require_system() -> None:
-    """Refuse a system that locks files otherwise, and too few addresses.
-
-    Within those, libraries end in ways of their own, or do not end at all.
-    """
+def _require_posix() -> None:
+    """Refuse a system that locks files otherwise, as Windows does."""
     try:
-        import resource  # where it is not, there is no `fcntl`, with which `storage` locks
+        import_module("fcntl")
     except ImportError:
         raise InputError("machine", sys.platform, "Linux; on Windows, its WSL") from None
+
+
+def _require_addresses() -> None:
+    """Refuse a limit in which libraries end in ways of their own, or do not end at all."""
+    import resource  # of POSIX alone
+
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESSES_B:
         allowed = f"{LEAST_ADDRESSES_B >> 10} or more, or unlimited"
