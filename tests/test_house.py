@@ -1,11 +1,10 @@
-"""The house of CONTRIBUTING.md: who may know whom, no circles, no long file, no namesakes.
+"""The house of CONTRIBUTING.md: who may know whom, no circles, no long file.
 
 Read from the source alone, so that nothing is imported. A function's imports count; those under
 `if TYPE_CHECKING` do not.
 """
 
 import ast
-from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -162,12 +161,3 @@ def test_commands_are_imported_by_nobody() -> None:
 def test_no_file_is_long() -> None:
     lines = {name: len(file.read_text().splitlines()) for name, file in modules().items()}
     assert {name: count for name, count in lines.items() if count > MOST_LINES} == {}
-
-
-def test_no_two_modules_share_a_file_name() -> None:
-    places = defaultdict(list)
-    for name, file in modules().items():
-        if file.name != "__init__.py" and not any(within(name, part) for part in COMMANDS):
-            places[file.name].append(name)
-    shared = sorted(" and ".join(names) for names in places.values() if len(names) > 1)
-    assert not shared, "; ".join(shared)
