@@ -12,8 +12,8 @@ from optuna.trial import FrozenTrial, TrialState
 
 from storage.databases.urls import is_postgresql, public_url
 from study.experiment.objective import outcome_text
+from study.options import config_path
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
-from study.shipped import config_path
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ def main() -> None:
     except HiddenPackageError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
-    from study.commands import run_named  # not before it is known to be ours
+    from study.cli import main as run  # not before it is known to be ours
 
-    run_named(sys.argv[1:])
+    run()
 
 
 if __name__ == "__main__":

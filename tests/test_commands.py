@@ -20,8 +20,8 @@ from storage.store import open_store
 from study import pictures, trajectory_files
 from study.commands import quickstart
 from study.comparison import drawing
+from study.options import config_path
 from study.report import strips
-from study.shipped import config_path
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_NAMES
 from tests.study import fake_walker
 from tests.tools.running import ROOT, run_tool

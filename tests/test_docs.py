@@ -1,6 +1,5 @@
 """Documents say what the code says: parameters, commands, configurations and files."""
 
-import json
 import re
 import subprocess
 import sys
@@ -9,15 +8,11 @@ from pathlib import Path
 import pytest
 
 import taichi_nmm
-from study.command_options import summary
 from taichi_nmm.config import read_toml
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
 from tests.study import fake_walker
 
 ROOT = Path(__file__).resolve().parent.parent
-TOOLS = sorted(
-    path.name for path in (ROOT / "tools").glob("*.py") if path.name != "bench_worker.py"
-)
 CONFIGS = sorted((ROOT / "configs").glob("*.toml"))
 
 
@@ -31,53 +26,6 @@ def table_row(parameter: Parameter) -> str:
 @pytest.mark.parametrize("parameter", [*GAINS, *LOW_LEVEL_GAINS], ids=lambda p: p.name)
 def test_parameter_table_is_that_of_the_code(parameter: Parameter) -> None:
     assert table_row(parameter) in (ROOT / "docs" / "walker.md").read_text()
-
-
-# For a Python without docstrings: every tool in turn imports what is ours anew, and nothing else.
-EXPLAIN = """
-import contextlib, io, json, runpy, sys
-
-said = {}
-for tool in sys.argv[1:]:
-    for name in [name for name in sys.modules if name.split(".")[0] in OURS]:
-        del sys.modules[name]
-    sys.argv = [tool, "--help"]
-    with contextlib.redirect_stdout(io.StringIO()) as out:
-        try:
-            runpy.run_path(tool, run_name="__main__")
-            code = 0
-        except SystemExit as end:
-            code = end.code
-    said[tool] = code, out.getvalue()
-print(json.dumps(said))
-"""
-
-
-@pytest.fixture(scope="module")
-def explained() -> dict[str, tuple[int, str]]:
-    """Exit code and output of every tool with --help."""
-    code = EXPLAIN.replace("OURS", repr(("study", "storage", "taichi_nmm")))
-    files = [str(ROOT / "tools" / tool) for tool in TOOLS]
-    done = subprocess.run(
-        [sys.executable, "-OO", "-c", code, *files], capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    said = json.loads(done.stdout)
-    return {tool: said[file] for tool, file in zip(TOOLS, files, strict=True)}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("tool", TOOLS)
-def test_every_command_is_in_the_readme_and_explains_itself(
-    tool: str, explained: dict[str, tuple[int, str]]
-) -> None:
-    """To a Python without docstrings, too."""
-    assert f"tools/{tool}" in (ROOT / "README.md").read_text()
-    body = ROOT / "study" / "commands" / tool
-    says = summary(body if body.is_file() else ROOT / "tools" / tool)
-    code, out = explained[tool]
-    assert code == 0 and "usage:" in out
-    assert says and says in " ".join(out.split())
 
 
 @pytest.mark.parametrize("config", CONFIGS, ids=lambda path: path.name)

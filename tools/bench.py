@@ -21,10 +21,10 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from study.guard import guarded_imports, run_command
+from study.cli import guarded_imports, run_command
 
 with guarded_imports():
-    from study.command_options import Options
+    from study.options import Options
     from taichi_nmm.errors import InputError
     from taichi_nmm.settings import ARCHITECTURES
 

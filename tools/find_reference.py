@@ -16,7 +16,7 @@ from pathlib import Path
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from study.guard import guarded_imports, run_command
+from study.cli import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np
@@ -25,9 +25,9 @@ with guarded_imports():
     import taichi_nmm
     from storage.commit import commit_json, writable
     from storage.sobol import sobol_gains
-    from study.command_options import LARGEST_SEED, Options
     from study.experiment.experiment import MOST_GENERATIONS
     from study.experiment.pycma import new_strategy
+    from study.options import LARGEST_SEED, Options
     from study.pictures import human_ranges
     from study.pictures.strides import PERCENT, left_strides
     from taichi_nmm.body import GRAVITY_MPS2, SEGMENTS, Bodies

@@ -18,14 +18,14 @@ from pathlib import Path
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from study.guard import guarded_imports, run_command
+from study.cli import guarded_imports, run_command
 
 with guarded_imports():
     from tqdm import tqdm
 
     from storage.commit import require_folder
     from storage.pool import cores
-    from study.command_options import LARGEST_SEED, Options
+    from study.options import LARGEST_SEED, Options
     from taichi_nmm.errors import InputError
     from taichi_nmm.reading import is_folder
     from tests.fuzz.campaign import Plan, keep, run_cases, table

@@ -17,7 +17,7 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from study.guard import guarded_imports, run_command
+from study.cli import guarded_imports, run_command
 
 with guarded_imports():
     from tqdm import tqdm
@@ -27,7 +27,7 @@ with guarded_imports():
     from study.benchmarks.outside.definition import Settings
     from study.benchmarks.outside.making import make
     from study.benchmarks.outside.outside_problem import file_of
-    from study.command_options import Options
+    from study.options import Options
     from taichi_nmm.errors import InputError
 
 

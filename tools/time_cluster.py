@@ -15,14 +15,13 @@ from pathlib import Path
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from study.guard import guarded_imports, run_command
+from study.cli import guarded_imports, run_command
 
 with guarded_imports():
     from storage.pool import cores
     from storage.specification import read_specification
     from study.benchmarks.cluster_timing import SHARDS, ClusterTiming, measure
-    from study.command_options import Options
-    from study.shipped import config_path
+    from study.options import Options, config_path
     from taichi_nmm.config import read_toml
 
 MOST_ROUNDS = 100

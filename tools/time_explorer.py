@@ -18,11 +18,11 @@ from typing import Any
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from study.guard import guarded_imports, run_command
+from study.cli import guarded_imports, run_command
 
 with guarded_imports():
     from storage.store import open_store
-    from study.command_options import Options
+    from study.options import Options
     from tests.browser import opened_page
     from tests.study.explore.serving import explorer_process
 

@@ -25,7 +25,7 @@ from typing import Any
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from study.guard import guarded_imports, run_command
+from study.cli import guarded_imports, run_command
 
 with guarded_imports():
     from tqdm import tqdm
@@ -35,8 +35,8 @@ with guarded_imports():
     from study.benchmarks.large_store import LargeStore
     from study.benchmarks.run_cache import ONE_THREAD, ROOT, torch_is_installed
     from study.benchmarks.sampler_timing import Case, Measured
-    from study.command_options import Options
     from study.experiment.experiment import MOST_TRIALS
+    from study.options import Options
     from taichi_nmm.errors import InputError
 
 # Milliseconds of the processor, by sampler and number of features.

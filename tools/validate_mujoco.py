@@ -19,7 +19,7 @@ from pathlib import Path
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from study.guard import guarded_imports, run_command
+from study.cli import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np
@@ -31,8 +31,8 @@ with guarded_imports():
     from storage.sobol import sobol_gains
     from study.benchmarks.figure import Figure, page
     from study.command import require_engine
-    from study.command_options import LARGEST_SEED, Options
     from study.experiment.objective import walked
+    from study.options import LARGEST_SEED, Options
     from taichi_nmm import (
         K_T,
         Bodies,

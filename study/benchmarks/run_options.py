@@ -7,7 +7,7 @@ from pathlib import Path
 
 from storage.commit import require_folder
 from study.benchmarks.run_cache import ROOT, chosen
-from study.command_options import MOST_WORKERS, Options
+from study.options import MOST_WORKERS, Options
 
 MOST_SEEDS, MOST_TRIALS = 10_000, 100_000
 

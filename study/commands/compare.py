@@ -17,17 +17,16 @@ from tqdm import tqdm
 
 from storage.databases.studies import public_url
 from study.command import default_workers
-from study.command_options import LARGEST_SEED, Options, asked_cluster
 from study.comparison.compare import Outcome, Request, compare
 from study.comparison.finished import Progress
 from study.experiment.check import with_store
-from study.experiment.experiment import MOST_RUNS, MOST_TRIALS, Experiment, read_experiment
+from study.experiment.experiment import Experiment, read_experiment
+from study.options import asked_cluster
 from study.report.documents import read_facts
 from study.report.lines import arms_documents, arms_text
 from study.report.notes import dashboard_summary
 from study.report.numbers import numbers
 from study.report.runs import read_results
-from taichi_nmm.settings import ARCHITECTURES
 
 
 class ProgressBar:
@@ -61,40 +60,8 @@ class ProgressBar:
         self._bar.update(done - self._bar.n)
 
 
-def parse() -> Namespace:
-    """The options of this process."""
-    parser = Options(__file__)
-    parser.config()
-    parser.add_argument("--arms", metavar="A,B,C", help="default: the config's")
-    parser.whole("--runs", 1, MOST_RUNS, help="default: the config's")
-    parser.whole("--trials", 1, MOST_TRIALS, help="a run, in total; default: the config's")
-    parser.whole(
-        "--seed", 0, LARGEST_SEED,
-        help="other bodies, grounds and samplers than the config's, for tuning on them",
-    )  # fmt: skip
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="default: out/compare/NAME or NAME-seed-N"
-    )
-    parser.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
-    parser.add_argument(
-        "--store", type=Path, metavar="DIR",
-        help="the scores, if the arms read one store; default: the config's",
-    )  # fmt: skip
-    parser.workers()
-    parser.cluster()
-    parser.add_argument(
-        "--films", choices=("few", "all"), default="few",
-        help="of the best trials: of the first runs of each arm, or of all runs (%(default)s)",
-    )  # fmt: skip
-    parser.add_argument("--no-artifacts", action="store_true", help="no pictures, no films")
-    parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    return parser.parse_args()
-
-
-def main() -> None:
+def main(args: Namespace) -> None:
     """Compare, or go on."""
-    args = parse()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     experiment = read_experiment(args.config, args.arch, args.seed)
     name = experiment.name if args.seed is None else f"{experiment.name}-seed-{args.seed}"

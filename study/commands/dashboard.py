@@ -21,7 +21,6 @@ from storage.databases.bulk import study_ids
 from storage.databases.studies import URL_PREFIX as SQLITE
 from storage.databases.studies import open_studies, read_studies, shown_url, studies_path
 from storage.databases.urls import file_url
-from study.command_options import Options
 from study.comparison.experiment_folder import ARTIFACTS_NAME, DATABASE_NAME
 from study.dashboard_guard import guarded_dashboard
 from study.experiment.experiment import SUMMARY
@@ -43,19 +42,6 @@ class QuietHandler(WSGIRequestHandler):
 
     def log_message(self, format: str, *args: object) -> None:
         """Drop the line."""
-
-
-def parse() -> Namespace:
-    """The options of this process."""
-    parser = Options(__file__)
-    parser.add_argument(
-        "folder", nargs="?", type=Path, metavar="DIR",
-        help=f"of an experiment; default: the newest in {EXPERIMENTS}",
-    )  # fmt: skip
-    parser.add_argument("--storage", metavar="URL", help="default: DIR/studies.db")
-    parser.add_argument("--artifacts", type=Path, metavar="DIR", help="default: DIR/artifacts")
-    parser.whole("--port", 0, 65535, default=8080, help="%(default)s; 0: a free one")
-    return parser.parse_args()
 
 
 def find_database(folder: Path | None, storage: str | None) -> str:
@@ -102,9 +88,8 @@ def make(storage: RDBStorage, artifacts: Path | None, port: int) -> WSGIServer:
         raise InputError("port", port, f"a free port ({error.strerror})") from None
 
 
-def main() -> None:
+def main(args: Namespace) -> None:
     """Serve until Ctrl-C."""
-    args = parse()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     url = find_database(args.folder, args.storage)
     artifacts = find_artifacts(args.folder, url, args.artifacts)

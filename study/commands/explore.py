@@ -13,22 +13,14 @@ import webbrowser
 from argparse import Namespace
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
 
 from storage.processes import Processes
-from study.command_options import Options
+from study.explore.address import serve
+from study.explore.page import page_of
+from study.explore.walk import warm_up
 from taichi_nmm.kernel_cache import require_kernel_cache
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
-
-
-def parse() -> Namespace:
-    """The options of this process."""
-    parser = Options(__file__)
-    parser.add_argument("folder", type=Path, metavar="DIR", help="of a store or a comparison")
-    parser.whole("--port", 0, 65535, default=5006, help="%(default)s; 0: a free one")
-    parser.add_argument("--no-browser", action="store_true", help="only print the address")
-    return parser.parse_args()
 
 
 def has_display() -> bool:
@@ -36,16 +28,11 @@ def has_display() -> bool:
     return sys.platform == "darwin" or any(os.environ.get(name) for name in DISPLAYS)
 
 
-def main() -> None:
+def main(args: Namespace) -> None:
     """Serve until Ctrl-C."""
-    args = parse()
-    from study.explore.address import serve  # after the options: Bokeh takes a second
-    from study.explore.page import page_of
-    from study.explore.walk import warm_up
-
     require_kernel_cache()
     page = page_of(args.folder)
-    with Processes(1) as walkers, Processes(1) as makers:  # who walks does not wait for a film
+    with Processes(1) as walkers, Processes(1) as makers:  # a walk does not wait for a film
         loop, address = serve(partial(page, walkers, makers), args.port)
         walkers.submit(warm_up)
         print(f"explore     {address}", flush=True)

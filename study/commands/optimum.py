@@ -17,35 +17,15 @@ from typing import Any
 import optuna
 
 from study.command import default_workers
-from study.command_options import Options, asked_cluster
 from study.comparison.finished import Progress
 from study.experiment.experiment import (
-    MOST_GENERATIONS,
-    MOST_RUNS,
     Experiment,
     read_experiment,
 )
 from study.optimum.estimate import Reports, estimate
 from study.optimum.generations import CmaesProgress
 from study.optimum.optimum_folder import OPTIMUM_NAME
-from taichi_nmm.settings import ARCHITECTURES
-
-
-def parse() -> Namespace:
-    """The options of this process."""
-    parser = Options(__file__)
-    parser.config()
-    parser.whole("--runs", 1, MOST_RUNS, help="default: the config's")
-    parser.whole(
-        "--max-generations", 1, MOST_GENERATIONS,
-        help="where a run of CMA-ES is cut; default: the config's. More can be asked for later",
-    )  # fmt: skip
-    parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/optimum/NAME")
-    parser.workers()
-    parser.cluster()
-    parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
-    parser.add_argument("--json", action="store_true", help="print optimum.json")
-    return parser.parse_args()
+from study.options import asked_cluster
 
 
 def read(args: Namespace) -> Experiment:
@@ -57,9 +37,8 @@ def read(args: Namespace) -> Experiment:
     return replace(experiment, cmaes=replace(experiment.cmaes, max_generations=most))
 
 
-def main() -> None:
+def main(args: Namespace) -> None:
     """Estimate, or go on."""
-    args = parse()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     experiment = read(args)
     out = args.out or Path("out") / "optimum" / experiment.name

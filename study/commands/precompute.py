@@ -14,12 +14,10 @@ from tqdm import tqdm
 
 from storage.cluster.opening import open_pool
 from storage.precompute import Summary, precompute
-from storage.sobol import LARGEST_SEQUENCE
 from storage.specification import read_specification
 from study.command import default_workers, require_engine
-from study.command_options import Options, asked_cluster
+from study.options import asked_cluster
 from taichi_nmm.config import read_toml
-from taichi_nmm.settings import ARCHITECTURES
 
 
 class ProgressBar:
@@ -42,34 +40,19 @@ class ProgressBar:
             self._bar.close()
 
 
-def main() -> None:
+def main(args: Namespace) -> None:
     """Compute, or go on."""
-    options = parse()
-    specification = read_specification(read_toml(options.config), options.samples, options.arch)
+    specification = read_specification(read_toml(args.config), args.samples, args.arch)
     settings = specification.conditions.settings
     require_engine(settings)
-    out = options.out or Path("out") / options.config.stem
-    workers = default_workers(settings) if options.workers is None else options.workers
+    out = args.out or Path("out") / args.config.stem
+    workers = default_workers(settings) if args.workers is None else args.workers
     one_thread = specification.conditions.on_one_thread().settings
-    folder = None if options.fresh else out
-    opened = open_pool(workers, asked_cluster(options), folder, one_thread)
+    folder = None if args.fresh else out
+    opened = open_pool(workers, asked_cluster(args), folder, one_thread)
     with opened as pool, closing(ProgressBar(specification.walkers)) as bar:
-        summary = precompute(specification, out, options.fresh, bar.show, pool)
-    print(json.dumps(asdict(summary)) if options.json else text(summary))
-
-
-def parse() -> Namespace:
-    """The options of this process."""
-    parser = Options(__file__)
-    parser.config("store", stores=True)
-    parser.whole("--samples", 1, LARGEST_SEQUENCE, help="points, instead of the file's")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/<name of the config>")
-    parser.add_argument("--arch", choices=ARCHITECTURES, help="machine, instead of the file's")
-    parser.workers()
-    parser.cluster()
-    parser.add_argument("--fresh", action="store_true", help="start over")
-    parser.add_argument("--json", action="store_true", help="print the summary as one object")
-    return parser.parse_args()
+        summary = precompute(specification, out, args.fresh, bar.show, pool)
+    print(json.dumps(asdict(summary)) if args.json else text(summary))
 
 
 def text(summary: Summary) -> str:

@@ -23,13 +23,12 @@ from storage.databases.studies import (
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.command import require_engine
-from study.command_options import Options
 from study.comparison.experiment_folder import live_artifacts
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, read_experiment, study_name
 from study.experiment.simulation import simulate_trials
+from study.options import config_path
 from study.runner import run_study
-from study.shipped import config_path
 from study.summary import (
     best_gains,
     command_line,
@@ -48,13 +47,6 @@ ARMS = ("best", "dog", "random")
 STORES = ("flat", "diverse")  # that these arms read: one store is both
 RUN = 0
 REFERENCE_S = 30.0  # of the reference gait, for its pictures
-
-
-def parse() -> Namespace:
-    """The options of this process."""
-    parser = Options(__file__)
-    parser.add_argument("--out", type=Path, default=Path("out/quickstart"), metavar="DIR")
-    return parser.parse_args()
 
 
 def require_studies(experiment: Experiment, url: str) -> None:
@@ -131,9 +123,9 @@ def say(*lines: str) -> None:
     print(*lines, sep="\n", flush=True)
 
 
-def main() -> None:
+def main(args: Namespace) -> None:
     """All of it, or what is missing."""
-    out: Path = parse().out
+    out: Path = args.out
     require_folder(out)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     stores = dict.fromkeys(STORES, out / "store")

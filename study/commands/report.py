@@ -10,10 +10,8 @@ codes: 0, 2 bad input, 130 interrupted.
 
 import sys
 from argparse import Namespace
-from pathlib import Path
 
 from storage.commit import require_named
-from study.command_options import Options
 from study.experiment.experiment import Experiment
 from study.experiment.identity import documented_experiment
 from study.report.before_after import Pair, before_and_after
@@ -26,19 +24,6 @@ from taichi_nmm.errors import InputError
 NO_GROUND = "the folder does not say its ground: it is of version 0.1.0"
 
 
-def parse() -> Namespace:
-    """The options of this process."""
-    parser = Options(__file__)
-    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="of compare")
-    parser.add_argument("--out", type=Path, help="for the overview of several folders")
-    parser.add_argument(
-        "--optimum", type=Path, action="append", default=[],
-        help="optimum.json of optimum, drawn as a line; may be repeated, a cost each",
-    )  # fmt: skip
-    parser.add_argument("--no-strips", action="store_true", help="simulate and draw no walks")
-    return parser.parse_args()
-
-
 def strips_of(results: Results, experiment: Experiment | None) -> Pair | None:
     """The two walks to draw; a folder that does not say its ground only costs the strips."""
     if experiment is None:
@@ -47,9 +32,8 @@ def strips_of(results: Results, experiment: Experiment | None) -> Pair | None:
     return before_and_after(results, experiment)
 
 
-def main() -> None:
+def main(args: Namespace) -> None:
     """Report on every folder."""
-    args = parse()
     if args.out is not None and len(args.folders) == 1:
         raise InputError(
             "out", str(args.out), f"two folders or more; of one, it is DIR/{REPORT_NAME}"

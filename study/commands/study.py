@@ -21,11 +21,9 @@ from storage.databases.crew import Crew
 from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.databases.urls import is_postgresql
 from study.command import require_engine
-from study.command_options import LARGEST_SEED, Options
 from study.comparison.experiment_folder import live_artifacts
-from study.experiment.arms import ARMS
 from study.experiment.check import check_arms, with_store
-from study.experiment.experiment import MOST_TRIALS, read_experiment, study_name
+from study.experiment.experiment import read_experiment, study_name
 from study.runner import check_study, run_study
 from study.summary import (
     Commands,
@@ -36,28 +34,10 @@ from study.summary import (
     summary,
     summary_text,
 )
-from taichi_nmm.settings import ARCHITECTURES
 
 
-def parse() -> Namespace:
-    """The options of this process."""
-    parser = Options(__file__)
-    parser.config()
-    parser.add_argument("--arm", required=True, metavar="ARM", help=", ".join(ARMS))
-    parser.add_argument("--run", type=int, default=0, help="of the configuration's (%(default)s)")
-    parser.whole("--trials", 1, MOST_TRIALS, help="in total; default: the config's")
-    parser.whole("--seed", 0, LARGEST_SEED, help="in place of the config's, as in compare")
-    parser.add_argument("--storage", required=True, help="sqlite:///FILE, or of PostgreSQL")
-    parser.add_argument("--store", type=Path, help="the arm's scores; default: the config's")
-    parser.add_argument("--out", type=Path, help="for the best gains; default: out/NAME")
-    parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    return parser.parse_args()
-
-
-def main() -> None:
+def main(args: Namespace) -> None:
     """Run the study, or go on with it."""
-    args = parse()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     experiment = read_experiment(args.config, args.arch, args.seed)
     if args.store is not None:

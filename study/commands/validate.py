@@ -17,8 +17,6 @@ from tqdm import tqdm
 import taichi_nmm
 from storage.sobol import sobol_gains
 from study.benchmarks.figure import Figure, page
-from study.command_options import LARGEST_SEED, Options
-from study.experiment.experiment import MOST_RUNS
 from taichi_nmm import Bodies, Settings, terrain
 from taichi_nmm.result import COMPLETED
 
@@ -28,30 +26,19 @@ TOP_FRACTION = 0.05
 AGREEMENT_POINTS = 4096
 
 
-def main() -> None:
+def main(args: Namespace) -> None:
     """Measure and print."""
-    options = parse()
     figures = []
     with tqdm(unit="figure") as bar:
-        for figure in measure(options.samples, options.draws, options.seed):
+        for figure in measure(args.samples, args.draws, args.seed):
             figures.append(figure)
             bar.set_postfix_str(figure.what)
             bar.update()
-    if options.json:
+    if args.json:
         print(json.dumps([{**asdict(figure), "holds": figure.holds} for figure in figures]))
     else:
-        how = f"{options.samples} Sobol points, float32, 1 ms where not said otherwise"
+        how = f"{args.samples} Sobol points, float32, 1 ms where not said otherwise"
         print(page(figures, how))
-
-
-def parse() -> Namespace:
-    """The options of this process."""
-    parser = Options(__file__)
-    parser.whole("--samples", 100, MOST_SAMPLES, default=20_000, help="points; %(default)s")
-    parser.whole("--draws", 1, MOST_RUNS, default=4, help="disturbed bodies on rough grounds")
-    parser.whole("--seed", 0, LARGEST_SEED, default=2016, help="of the Sobol points and draws")
-    parser.add_argument("--json", action="store_true", help="print one list of objects")
-    return parser.parse_args()
 
 
 def measure(samples: int, draws: int, seed: int) -> Iterator[Figure]:

@@ -25,7 +25,6 @@ from tqdm import tqdm
 import taichi_nmm
 from storage.commit import commit, writable
 from study.command import require_engine
-from study.command_options import LARGEST_SEED, Options
 from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
 from study.experiment.objective import MEASURES, row_text
 from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial
@@ -41,7 +40,7 @@ from study.trajectory_files import (
 from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
-from taichi_nmm.settings import ARCHITECTURES, ENGINES
+from taichi_nmm.settings import ENGINES
 
 ANGLES = (
     "knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad",
@@ -52,33 +51,6 @@ REPORTED = (
     *MEASURES, "cost_of_transport_jpkgpm", "step_count",
     "phi_printed", "phi_corrected",
 )  # fmt: skip
-
-
-def parse() -> Namespace:
-    """The options of this process."""
-    parser = Options(__file__)
-    parser.add_argument("--gains", metavar="NAME|FILE", help="reference (default), K_T, FILE.json")
-    parser.add_argument("--row", type=int, metavar="N", help="of --store")
-    parser.add_argument("--store", type=Path, metavar="DIR", help="of scores, for --row")
-    parser.add_argument("--trial", metavar="STUDY/NUMBER", help="a finished trial, of --storage")
-    parser.add_argument("--storage", metavar="URL|DIR", help="study database, or a comparison")
-    parser.config("flat")
-    parser.add_argument("--run", type=int, default=0, help="whose body and ground (%(default)s)")
-    parser.whole("--seed", 0, LARGEST_SEED, help="in place of the config's, as in compare")
-    parser.add_argument("--duration", type=float, help="seconds; default: the config's")
-    parser.add_argument("--out", type=Path, help="for the pictures; default: out/walk/NAME")
-    parser.add_argument(
-        "--movie-seconds", type=float, default=8.0, help="length; 0: no movie (%(default)s)"
-    )
-    parser.add_argument("--engine", choices=(*ENGINES, BOTH), help="overrides the config's")
-    parser.add_argument("--mjcf", type=Path, metavar="FILE", help="write MuJoCo's model there too")
-    parser.add_argument(
-        "--trajectory", type=Path, metavar="FILE", action="append", default=[],
-        help="write all samples there too: .csv, or OpenSim's .mot (coordinates), .sto (forces)",
-    )  # fmt: skip
-    parser.add_argument("--arch", choices=ARCHITECTURES, help="overrides the config's")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    return parser.parse_args()
 
 
 def find_gains(args: Namespace) -> NamedGains:
@@ -230,9 +202,8 @@ def report(
     }
 
 
-def main() -> None:
+def main(args: Namespace) -> None:
     """Walk and draw."""
-    args = parse()
     gains = find_gains(args)
     if args.duration is not None:
         check_range("duration", args.duration, 0.1, LONGEST_TRIAL_S)

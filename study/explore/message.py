@@ -8,7 +8,7 @@ from typing import Any
 
 from bokeh.models import Div
 
-from study.guard import what_is_missing
+from study.cli import what_is_missing
 from taichi_nmm.errors import InputError
 
 WARNING = "#B3261E"

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from study.guard import EXIT_BAD_INPUT
+from study.cli import EXIT_BAD_INPUT, main
 
 ACCEPTED, REFUSED = 0, EXIT_BAD_INPUT
 LINE = re.compile(r"error: \S.*: .*\S", re.DOTALL)
@@ -76,13 +76,11 @@ def judge(words: tuple[str, ...], folder: Path) -> Verdict:
 
 def run(words: tuple[str, ...], folder: Path) -> tuple[int | None, str]:
     """Exit code of a command; or what it raised, and where."""
-    from study.commands import run_named
-
     before = Path.cwd()
     os.chdir(folder)
     try:
         with mock.patch.object(sys, "argv", []), warnings.catch_warnings():
-            run_named(words)
+            main(words)
     except SystemExit as end:
         return (end.code, "") if isinstance(end.code, int) else (int(bool(end.code)), "")
     except Reached:
@@ -135,7 +133,6 @@ def doors() -> Iterator[None]:
     import taichi_nmm.simulator
     from storage import pool
     from study.commands import dashboard, explore
-    from study.explore import address
 
     def reached(*_: object, **__: object) -> None:
         raise Reached
@@ -168,7 +165,7 @@ def doors() -> Iterator[None]:
             (pool, "Processes", reached),
             (dashboard.Server, "serve_forever", reached),
             (explore, "Processes", Idle),
-            (address, "serve", fill),
+            (explore, "serve", fill),
             *for_nothing,
         ):
             stack.enter_context(mock.patch.object(owner, name, instead))

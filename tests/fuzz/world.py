@@ -23,9 +23,9 @@ import pyarrow.parquet as pq
 import taichi_nmm
 from storage.shard import FOOTER_KEY, write_table
 from storage.stamped import DIGEST_KEY, write_stamped
-from study.commands import run_named
+from study.cli import main
 from study.comparison.results import TIME_COLUMNS, in_order
-from study.shipped import CONFIGS
+from study.options import CONFIGS
 from tests.study import fake_walker
 
 Words = tuple[str, ...]
@@ -152,7 +152,7 @@ def make_world(folder: Path) -> None:
 def command(words: Words) -> None:
     """A command that must succeed, in this process."""
     with mock.patch.object(sys, "argv", []):
-        run_named(words)
+        main(words)
 
 
 @contextmanager

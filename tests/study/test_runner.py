@@ -24,8 +24,8 @@ from study.experiment.objective import ATTRIBUTES
 from study.experiment.one_study import OneStudy, sampler_seed
 from study.experiment.simulation import simulate_trials
 from study.experiment.task import Task
+from study.options import config_path
 from study.runner import open_study, run_study
-from study.shipped import config_path
 from study.summary import (
     Commands,
     best_gains,

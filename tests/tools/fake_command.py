@@ -6,9 +6,9 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import taichi_nmm
-from study.commands import run_named
+from study.cli import main
 from tests.study import fake_walker
 
 if __name__ == "__main__":
     vars(taichi_nmm)["simulate"] = fake_walker.simulate
-    run_named(sys.argv[1:])
+    main()

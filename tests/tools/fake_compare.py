@@ -9,8 +9,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import taichi_nmm
+from study.cli import main
 from study.comparison import compare
-from study.guard import run
 from tests.study import fake_walker
 
 vars(taichi_nmm)["simulate"] = fake_walker.simulate
@@ -19,4 +19,4 @@ compare.EXPORT_S = 1e9
 compare.STRETCH_TRIALS = 2
 
 if __name__ == "__main__":
-    run("compare")
+    main(["compare", *sys.argv[1:]])

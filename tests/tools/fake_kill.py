@@ -6,7 +6,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import taichi_nmm
-from study.guard import run_command
+from study.cli import run_command
 from tests.study import fake_walker
 from tools import kill_commands
 

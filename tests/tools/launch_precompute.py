@@ -10,7 +10,6 @@ system refuses to write more, as a full disk does.
 import json
 import os
 import resource
-import runpy
 import signal
 import sys
 import time
@@ -19,10 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import taichi_nmm
+from study.cli import main as run
 from taichi_nmm.result import Result
 from tests.storage import fake
-
-TOOL = Path(__file__).parents[2] / "tools" / "precompute.py"
 
 
 def install_simulator(delay_s: float, interrupt_in_call: int) -> None:
@@ -57,8 +55,7 @@ def main() -> None:
     if "largest_file_bytes" in accidents:
         limit = accidents["largest_file_bytes"]
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-    sys.argv = [str(TOOL), "--workers", "1", *sys.argv[2:]]  # others would have no fake
-    runpy.run_path(str(TOOL), run_name="__main__")
+    run(["precompute", "--workers", "1", *sys.argv[2:]])  # other processes would have no fake
 
 
 if __name__ == "__main__":

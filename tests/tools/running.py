@@ -9,16 +9,27 @@ from types import ModuleType
 
 import pytest
 
+from study.cli import main
+from study.options import COMMANDS
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def run_tool(patch: pytest.MonkeyPatch, tool: str, *arguments: object) -> int:
-    """Exit code of tools/TOOL.py; its command is imported anew, and so finds what is replaced."""
+    """Exit code of a command, or of tools/TOOL.py.
+
+    A command is imported anew, and so finds what is replaced.
+    """
     forget_commands()
-    patch.setattr(sys, "argv", [f"{tool}.py", *map(str, arguments)])
-    patch.setattr(sys, "path", list(sys.path))
+    words = [*map(str, arguments)]
+    command = tool.replace("_", "-")
     try:
-        runpy.run_path(str(ROOT / "tools" / f"{tool}.py"), run_name="__main__")
+        if command in COMMANDS:
+            main([command, *words])
+        else:
+            patch.setattr(sys, "argv", [f"{tool}.py", *words])
+            patch.setattr(sys, "path", list(sys.path))
+            runpy.run_path(str(ROOT / "tools" / f"{tool}.py"), run_name="__main__")
     except SystemExit as end:
         return int(end.code or 0)
     return 0

@@ -19,8 +19,7 @@ import pytest
 
 from storage.databases.bulk import FinishedStudy, attach, write_studies
 from storage.databases.studies import open_studies
-from study.guard import run_command
-from tests.tools.running import load_command
+from tests.tools.running import load_command, run_tool
 
 pytestmark = pytest.mark.slow
 
@@ -62,14 +61,11 @@ def command() -> ModuleType:
 
 @pytest.fixture
 def refuse(
-    command: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., str]:
     def refuse(*arguments: str) -> str:
-        monkeypatch.setattr(sys, "argv", ["dashboard.py", *arguments])
-        with pytest.raises(SystemExit) as stop:
-            run_command(command.main)
+        assert run_tool(monkeypatch, "dashboard", *arguments) == 2
         said = capsys.readouterr().err
-        assert stop.value.code == 2
         assert said.startswith("error: ") and said.count("\n") == 1
         return said
 

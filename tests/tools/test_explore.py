@@ -14,7 +14,7 @@ import pytest
 
 import taichi_nmm
 from tests.study import fake_walker
-from tests.tools.running import ROOT, load_command, run_tool
+from tests.tools.running import load_command, run_tool
 
 pytestmark = pytest.mark.slow
 
@@ -83,7 +83,7 @@ def test_a_browser_of_a_terminal_is_not_opened(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_without_a_browser_the_address_is_enough(store: Path) -> None:
-    command = [sys.executable, ROOT / "tools" / "explore.py", store, "--port", "0"]
+    command = [sys.executable, "-m", "taichi_nmm", "explore", store, "--port", "0"]
     environment = os.environ | {"BROWSER": "no-such-program"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
         assert process.stdout is not None

@@ -7,7 +7,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from study.guard import run_command
+from study.cli import run_command
 from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import GAIN_NAMES, K_T, load_gains, lower_bounds, upper_bounds
 from taichi_nmm.result import RESULT_DTYPE

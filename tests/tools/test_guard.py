@@ -13,7 +13,8 @@ from tests.tools.running import ROOT
 pytestmark = pytest.mark.slow
 
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes\n"
-TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - {"bench_worker"})
+OTHERS = {"bench_worker", "checkout"}
+TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - OTHERS)
 FIRST = dict.fromkeys(TOOLS, "numpy") | {"bench": "taichi_nmm.settings"}
 
 

@@ -47,7 +47,7 @@ import os, sys
 sys.path.insert(0, {root!r})
 import taichi_nmm
 from study.commands import draw_store
-from study.guard import run_command
+from study.cli import run_command
 from tests.study import fake_walker
 from tools import kill_commands
 

@@ -3,7 +3,6 @@
 import json
 import os
 import random
-import runpy
 import signal
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from storage import open_store
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import Settings
 from tests.storage import fake
+from tests.tools.running import run_tool
 
 pytestmark = pytest.mark.slow
 
@@ -100,13 +100,7 @@ def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
 
     def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", [str(TOOL), "--workers", "1", *map(str, arguments)])
-        monkeypatch.setattr(sys, "path", sys.path.copy())
-        try:
-            runpy.run_path(str(TOOL), run_name="__main__")
-            code = 0
-        except SystemExit as leaving:
-            code = int(leaving.code or 0)
+        code = run_tool(monkeypatch, "precompute", "--workers", 1, *arguments)
         return code, *capsys.readouterr()
 
     return call

@@ -13,14 +13,13 @@ from typing import Any, NoReturn
 import pytest
 
 import taichi_nmm
-from study.command_options import Options, _Whole
-from study.guard import run_command
-from study.shipped import config_path
+from study.cli import main, run_command
+from study.options import COMMANDS, Options, _Whole, config_path, parser_of
 from tests.study import fake_walker
-from tests.tools.running import ROOT, load_command, load_tool, run_tool
+from tests.tools.running import ROOT, load_tool, run_tool
 
-COMMANDS = {path.stem for path in (ROOT / "study" / "commands").glob("[!_]*.py")}
-TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - {"bench_worker"})
+OTHERS = {"bench_worker", "checkout", *COMMANDS}
+TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - OTHERS)
 
 WORDS = {
     "300 letters": "x" * 300, "5,000 digits": "9" * 5000, "10^400": str(10**400),
@@ -33,7 +32,7 @@ DEEP = {
     "digits.toml": f"seed = {'9' * 5000}", "power.toml": f"seed = 1{'0' * 400}",
 }  # fmt: skip
 NEW_FILE = {
-    "draw_store": "--out", "find_reference": "--out", "make_outside": "--out", "walk": "--mjcf",
+    "draw-store": "--out", "find_reference": "--out", "make_outside": "--out", "walk": "--mjcf",
 }  # fmt: skip
 # What a tool calls to work, beside the simulator and the server.
 WORK = {
@@ -46,7 +45,7 @@ WORK = {
 # stands. CONFIG, STORE and DONE are of the fixture.
 COMPLETE: dict[str, tuple[str, ...]] = {
     "compare": ("--config", "CONFIG", "--arms", "random", "--no-artifacts"),
-    "draw_store": ("STORE",),
+    "draw-store": ("STORE",),
     "explore": ("STORE", "--no-browser"),
     "find_reference": ("--out", "gains.json"),
     "make_outside": ("--problem", "cart-pole"),
@@ -108,7 +107,7 @@ def options_of(module: ModuleType, patch: pytest.MonkeyPatch) -> list[Action]:
     with patch.context() as context, pytest.raises(AskedError):
         context.setattr(Options, "parse_args", ask)
         module.main()
-    return [action for action in found if action.nargs != 0]
+    return found
 
 
 def tries(tool: str, action: Action, places: Places) -> Iterator[tuple[str, list[str]]]:
@@ -137,7 +136,7 @@ def refuse_work(*_: Any, **__: Any) -> NoReturn:
     raise AssertionError("it went on to work")
 
 
-@pytest.mark.parametrize("tool", TOOLS)
+@pytest.mark.parametrize("tool", [*COMMANDS, *TOOLS])
 def test_it_is_refused_in_one_line(
     tool: str,
     places: Places,
@@ -148,17 +147,29 @@ def test_it_is_refused_in_one_line(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(vars(taichi_nmm), "simulate", refuse_work)
     monkeypatch.setattr("socketserver.BaseServer.serve_forever", refuse_work)
-    module = load_command(tool) if tool in COMMANDS else load_tool(tool)
-    if tool in WORK:
-        monkeypatch.setattr(module, WORK[tool], refuse_work)
+    if tool in COMMANDS:
+        actions = parser_of(tool)._actions
+
+        def run() -> None:
+            main([tool, *sys.argv[1:]])
+    else:
+        module = load_tool(tool)
+        actions = options_of(module, monkeypatch)
+        if tool in WORK:
+            monkeypatch.setattr(module, WORK[tool], refuse_work)
+
+        def run() -> None:
+            run_command(module.main)
+
     tried, wrong = 0, []
-    for action in [*options_of(module, monkeypatch), Action(["--new\nline"], "unknown")]:
+    actions = [action for action in actions if action.nargs != 0]
+    for action in [*actions, Action(["--new\nline"], "unknown")]:
         for name, words in tries(tool, action, places):
             tried += 1
             monkeypatch.setattr(sys, "argv", [f"{tool}.py", *words])
             code: object = None
             try:
-                run_command(module.main)
+                run()
             except SystemExit as end:
                 code = end.code
             except BaseException as error:

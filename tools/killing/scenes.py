@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 
+from study.cli import run_command
 from study.comparison import compare
 from study.features.survival import GROUNDS
-from study.guard import run_command
 from study.optimum import generations
 
 STORE = """

@@ -30,7 +30,7 @@ STUDY = """
 import sys, time
 import taichi_nmm
 from storage.databases import crew
-from study.commands import run_named
+from study.cli import main
 from tests.study import fake_walker
 
 def simulate(*args, **options):
@@ -39,7 +39,7 @@ def simulate(*args, **options):
 
 crew.BEAT_S, crew.GRACE_S = 0.5, 4.0
 vars(taichi_nmm)["simulate"] = simulate
-run_named(["study", *sys.argv[1:]])
+main(["study", *sys.argv[1:]])
 """
 OPEN = """
 import sys, time

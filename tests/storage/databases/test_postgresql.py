@@ -1,8 +1,6 @@
 """Study databases on a real PostgreSQL server, which the tests start themselves."""
 
 import json
-import runpy
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +15,7 @@ from taichi_nmm.errors import InputError
 from tests.storage.databases.conftest import Server
 from tests.storage.databases.test_bulk import STUDY, TRIALS
 from tests.study import fake_walker
+from tests.tools.running import run_tool
 
 pytestmark = pytest.mark.slow
 
@@ -95,12 +94,10 @@ def test_the_command_of_one_study_runs_and_resumes(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-    monkeypatch.setattr(sys, "path", list(sys.path))
     words = ["--config", ROOT / "configs" / "rough8.toml", "--arm", "random", "--json"]
     for trials in (2, 3):
         more = ["--storage", url, "--trials", trials, "--out", tmp_path]
-        monkeypatch.setattr(sys, "argv", ["study.py", *map(str, words + more)])
-        runpy.run_path(str(ROOT / "tools" / "study.py"), run_name="__main__")
+        assert run_tool(monkeypatch, "study", *words, *more) == 0
         said = capsys.readouterr()
         assert json.loads(said.out)["trials"] == trials
         assert "secret" not in said.out + said.err and "***" in said.out

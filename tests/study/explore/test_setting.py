@@ -7,7 +7,7 @@ import pytest
 
 from study.experiment.experiment import as_written, read_experiment
 from study.explore.setting import DISTURBANCES, GROUNDS, WORLDS, Setting, chosen_setting, to_toml
-from study.shipped import CONFIGS
+from study.options import CONFIGS
 from taichi_nmm.config import read_toml
 from taichi_nmm.errors import InputError
 

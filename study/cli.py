@@ -1,13 +1,23 @@
-"""What every command runs in: one line and an exit code for whatever a user can get wrong.
+"""The command line: `taichi-nmm COMMAND`, and the guard that ends every command in one line.
 
-Little is imported here, since nothing guards what is imported before.
+`main` finds the command, reads its options (`study/options.py`) and runs `main` of
+`study/commands/COMMAND.py`, all inside the guard: whatever a user can get wrong is one line on
+standard error and an exit code. Little is imported at the top of this file, since nothing guards
+what is imported before.
+
+| exit code | meaning |
+|---|---|
+| 0 | done |
+| 2 | bad input, a missing package, or a machine that refuses space or memory |
+| 130 | interrupted by Ctrl-C: finished work is kept |
+| 141 | the reader of standard output has left, as `head` does |
 """
 
 import errno
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.machinery import EXTENSION_SUFFIXES
@@ -36,30 +46,39 @@ REFUSALS = {
 }
 
 
-def run(name: str) -> None:
-    """Run the command of `study/commands/NAME.py`, and leave the process with its exit code."""
-    with guarded_imports():
-        command = import_module(f"study.commands.{name}")
-    run_command(command.main)
+def main(words: Sequence[str] | None = None) -> None:
+    """Run the command that the first word names; leave with its exit code.
 
-
-def run_command(main: Callable[[], None]) -> None:
-    """Run a command's `main` and leave the process with its exit code.
-
-    Bad input, and a package that is missing or hidden, print one line on standard error and exit
-    with 2; Ctrl-C exits with 130 and says that what was finished is kept. Where nobody reads on
-    what is printed, it ends without a word.
+    Args:
+        words: command and options; None: those that this process was called with.
     """
+    words = sys.argv[1:] if words is None else words
+    with guarded_imports():
+        from study.options import check_command, overview, parser_of
+    if not words or words[0] in ("-h", "--help"):
+        run_command(lambda: print(overview()))
+        return
+    name, *rest = words
     with _one_line():
-        main()
+        check_command(name)
+        options = parser_of(name).parse_args(rest)
+    with guarded_imports():
+        command = import_module(f"study.commands.{name.replace('-', '_')}")
+    run_command(lambda: command.main(options))
+
+
+def run_command(work: Callable[[], None]) -> None:
+    """Do the work of a command inside the guard; leave the process where it does not end well."""
+    with _one_line():
+        work()
 
 
 @contextmanager
 def guarded_imports() -> Iterator[None]:
-    """For what a command imports: as in `run_command`, but Ctrl-C ends the process at once.
+    """Guard imports: as `run_command`, but Ctrl-C ends the process at once.
 
-    Some packages swallow an exception while they are imported, or make another of it. Where
-    something else listens to Ctrl-C, or nothing (as in a shell's background), it stays so.
+    Some packages swallow an exception that is raised during their import, or replace it. A handler
+    of SIGINT that is not Python's own (in a shell's background, SIGINT is ignored) stays in place.
     """
     with _one_line():
         _require_posix()
@@ -80,7 +99,7 @@ def _one_line() -> Iterator[None]:
     try:
         with _all_printed():
             yield
-    except BrokenPipeError:  # of `| head`
+    except BrokenPipeError:  # as with `| head`
         _silence(STDOUT)
         sys.exit(EXIT_NO_READER)
     except (InputError, HiddenPackageError) as error:
@@ -99,15 +118,15 @@ def _one_line() -> Iterator[None]:
             raise  # a mistake of ours
         try:
             sys.stdout.flush()
-        except OSError:  # it was this file
+        except OSError:  # standard output is the file that failed
             _silence(STDOUT)
         _leave_refused(os.strerror(error.errno), REFUSALS[error.errno])
 
 
 def what_is_missing(error: ImportError) -> str | None:
-    """The package that is not installed, or the library of the machine that one is linked with.
+    """One line that names the missing package, or the system library that a package fails to load.
 
-    None where neither is so: a mistake of ours.
+    None for any other import error: a mistake of this project.
     """
     name = (error.name or "").partition(".")[0]
     if not name or name in OURS:
@@ -122,7 +141,7 @@ def what_is_missing(error: ImportError) -> str | None:
 
 @contextmanager
 def _all_printed() -> Iterator[None]:
-    """Print what is left where the work ends well or with an exit code."""
+    """Flush standard output where the work ends well or with an exit code."""
     try:
         yield
     except SystemExit:
@@ -132,7 +151,7 @@ def _all_printed() -> Iterator[None]:
 
 
 def _open_closed() -> None:
-    """Open closed standard files: the next file that is opened would get what is printed."""
+    """Open closed standard files; otherwise the next file that is opened gets what is printed."""
     for number, name, mode in (
         (STDIN, "stdin", "r"),
         (STDOUT, "stdout", "w"),
@@ -147,7 +166,7 @@ def _open_closed() -> None:
 
 
 def _require_posix() -> None:
-    """Refuse a system that locks files otherwise, as Windows does."""
+    """Refuse a system without POSIX file locks, such as Windows."""
     try:
         import_module("fcntl")
     except ImportError:
@@ -155,7 +174,7 @@ def _require_posix() -> None:
 
 
 def _require_addresses() -> None:
-    """Refuse a limit in which libraries end in ways of their own, or do not end at all."""
+    """Refuse a memory limit under which libraries crash or hang instead of reporting an error."""
     import resource  # of POSIX alone
 
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
@@ -165,7 +184,7 @@ def _require_addresses() -> None:
 
 
 def _silence(file: int) -> None:
-    """Have nothing come of what is still to be flushed."""
+    """Discard what is still to be flushed."""
     with suppress(OSError):  # no file more may be opened
         os.dup2(os.open(os.devnull, os.O_WRONLY), file)
 
@@ -182,6 +201,6 @@ def _leave_refused(refusal: str, allowed: str) -> NoReturn:
 def _leave(line: str, code: int) -> NoReturn:
     try:
         print(line, file=sys.stderr, flush=True)
-    except OSError:  # nowhere to say it
+    except OSError:  # standard error cannot be written either
         _silence(STDERR)
     sys.exit(code)

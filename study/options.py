@@ -1,0 +1,449 @@
+"""The options of every command, in a file that is quick to load: `taichi-nmm COMMAND --help`.
+
+`COMMANDS` has a function for each command that adds the command's options to its parser. The
+docstring of the command's file in `study/commands` is its description. Numbers are checked against
+the bounds of configurations; a configuration is a name or a file. An option that cannot be used is
+an `InputError`, which is one line, as for every other input.
+"""
+
+import argparse
+import ast
+import os
+import sys
+import tomllib
+import unicodedata
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from taichi_nmm.errors import InputError, one_line, shortened
+from taichi_nmm.settings import ARCHITECTURES, ENGINES
+
+if TYPE_CHECKING:
+    from storage.cluster.asked import Cluster
+
+PROGRAM = "taichi-nmm"
+HERE = Path(__file__).resolve().parent
+INSTALLED = HERE / "configs"  # the place of the configurations in a wheel
+CONFIGS = INSTALLED if INSTALLED.is_dir() else HERE.parent / "configs"
+
+MOST_WORKERS = 1024  # processes; each takes hundreds of MB
+LARGEST_SEED = 2**63 - 1  # as in configurations
+LARGEST_PORT = 65535
+LONGEST_NAME_BYTES = 255  # NAME_MAX of Linux and of macOS
+LONGEST_PATH_BYTES = 1023  # PATH_MAX of macOS without its end; Linux has 4095
+UNPRINTABLE = ("Cc", "Cs", "Zl", "Zp")  # Unicode's control characters, half characters, line ends
+BOTH_ENGINES = "both"
+FROM_CONFIG = "default: the configuration's"
+
+Bound = int | Callable[[], int]
+
+
+def later(module: str, name: str) -> Callable[[], int]:
+    """A bound that is looked up when a number is given: its module is slow to load."""
+    return lambda: int(getattr(import_module(module), name))
+
+
+MOST_RUNS = later("study.experiment.experiment", "MOST_RUNS")
+MOST_TRIALS = later("study.experiment.experiment", "MOST_TRIALS")
+MOST_GENERATIONS = later("study.experiment.experiment", "MOST_GENERATIONS")
+LARGEST_SEQUENCE = later("storage.sobol", "LARGEST_SEQUENCE")
+
+
+class Options(argparse.ArgumentParser):
+    """The parser of one command.
+
+    Args:
+        file: of the command; its docstring is the description. It is read from the source, since
+            `python -OO` drops docstrings.
+        prog: how the command is called; default: as this process was.
+    """
+
+    def __init__(self, file: str | Path, prog: str | None = None) -> None:
+        super().__init__(
+            prog=prog,
+            description=documentation(Path(file)),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+
+    def parse_args(self, words: Sequence[str] | None = None) -> argparse.Namespace:  # type: ignore[override]
+        """The options of a command line; by default that of this process.
+
+        Raises:
+            InputError: a word that is not text of one line, or a path that no file can have.
+        """
+        words = sys.argv[1:] if words is None else words
+        for word in words:
+            flag, _, value = word.partition("=")
+            if flag.startswith("--") and value == "--":  # argparse makes a list of it
+                raise InputError(flag.removeprefix("--"), value, "a value")
+        found = super().parse_args(words)
+        for name, value in vars(found).items():
+            for word in value if isinstance(value, list) else [value]:
+                _check_word(name.replace("_", "-"), word)
+        return found
+
+    def error(self, message: str) -> NoReturn:
+        """One line, as for all bad input."""
+        self.exit(2, f"error: {one_line(shortened(message))}\n")
+
+    def whole(self, flag: str, low: int, high: Bound, **options: Any) -> None:
+        """A whole number from `low` to `high`; further options are argparse's."""
+        options.setdefault("metavar", "N")
+        self.add_argument(flag, action=_Whole, bounds=(low, high), **options)
+
+    def out(self, default: str, metavar: str = "DIR") -> None:
+        """The folder or file to write."""
+        self.add_argument("--out", type=Path, metavar=metavar, help=f"default: {default}")
+
+    def seed(self, purpose: str = "replaces the configuration's") -> None:
+        """The seed of an experiment."""
+        self.whole("--seed", 0, LARGEST_SEED, help=purpose)
+
+    def arch(self) -> None:
+        """The Taichi backend."""
+        self.add_argument(
+            "--arch", choices=ARCHITECTURES, help="Taichi backend; overrides the configuration's"
+        )
+
+    def json(self, what: str = "the result") -> None:
+        """Output for programs."""
+        self.add_argument("--json", action="store_true", help=f"print {what} as one JSON object")
+
+    def workers(self) -> None:
+        """The number of processes of this machine."""
+        self.whole(
+            "--workers", 1, MOST_WORKERS, help="processes; default: one a core, or 1 on a GPU"
+        )
+
+    def cluster(self) -> None:
+        """A Dask cluster that does the work, in place of processes of this machine."""
+        self.add_argument(
+            "--cluster", metavar="ADDRESS|local:N",
+            help="a Dask scheduler, or N processes of this machine, instead of --workers",
+        )  # fmt: skip
+        self.add_argument(
+            "--mixed", action="store_true",
+            help="allow workers of a cluster whose results differ in their last bits",
+        )  # fmt: skip
+
+    def config(self, default: str | None = None, stores: bool = False) -> None:
+        """A configuration of an experiment or a store, and the list of those that ship.
+
+        It is required where there is no default.
+        """
+        what = "a shipped configuration's name, or a TOML file"
+        self.add_argument(
+            "--config", type=config_path, metavar="NAME|FILE",
+            required=default is None, default=default and config_path(default),
+            help=what if default is None else f"{what}; default: {default}",
+        )  # fmt: skip
+        self.add_argument(
+            "--list-configs", action=_ListConfigs, nargs=0, const=stores,
+            help="list the shipped configurations and exit",
+        )  # fmt: skip
+
+
+def compare(options: Options) -> None:
+    """Options of `compare`."""
+    options.config()
+    options.add_argument("--arms", metavar="A,B,C", help=FROM_CONFIG)
+    options.whole("--runs", 1, MOST_RUNS, help=FROM_CONFIG)
+    options.whole("--trials", 1, MOST_TRIALS, help=f"of a run, in total; {FROM_CONFIG}")
+    options.seed("other bodies, grounds and samplers than the configuration's, to tune on")
+    options.out("out/compare/NAME or NAME-seed-N")
+    options.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
+    options.add_argument(
+        "--store", type=Path, metavar="DIR",
+        help=f"the scores, if the arms read one store; {FROM_CONFIG}",
+    )  # fmt: skip
+    options.workers()
+    options.cluster()
+    options.add_argument(
+        "--films", choices=("few", "all"), default="few",
+        help="films of the best trials: of each arm's first runs, or of all runs (%(default)s)",
+    )  # fmt: skip
+    options.add_argument("--no-artifacts", action="store_true", help="no pictures, no films")
+    options.arch()
+    options.json()
+
+
+def dashboard(options: Options) -> None:
+    """Options of `dashboard`."""
+    options.add_argument(
+        "folder", nargs="?", type=Path, metavar="DIR",
+        help="of an experiment; default: the newest in out/compare",
+    )  # fmt: skip
+    options.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
+    options.add_argument("--artifacts", type=Path, metavar="DIR", help="default: DIR/artifacts")
+    options.whole("--port", 0, LARGEST_PORT, default=8080, help="%(default)s; 0: any free port")
+
+
+def draw_store(options: Options) -> None:
+    """Options of `draw-store`."""
+    options.add_argument("store", type=Path, metavar="STORE", help="folder or file of a store")
+    options.out("beside the store", "PNG")
+
+
+def explore(options: Options) -> None:
+    """Options of `explore`."""
+    options.add_argument("folder", type=Path, metavar="DIR", help="of a store or a comparison")
+    options.whole("--port", 0, LARGEST_PORT, default=5006, help="%(default)s; 0: any free port")
+    options.add_argument("--no-browser", action="store_true", help="only print the address")
+
+
+def optimum(options: Options) -> None:
+    """Options of `optimum`."""
+    options.config()
+    options.whole("--runs", 1, MOST_RUNS, help=FROM_CONFIG)
+    options.whole(
+        "--max-generations", 1, MOST_GENERATIONS,
+        help=f"limit of a run of CMA-ES, which can be raised later; {FROM_CONFIG}",
+    )  # fmt: skip
+    options.out("out/optimum/NAME")
+    options.workers()
+    options.cluster()
+    options.arch()
+    options.json("optimum.json")
+
+
+def precompute(options: Options) -> None:
+    """Options of `precompute`."""
+    options.config("store", stores=True)
+    options.whole("--samples", 1, LARGEST_SEQUENCE, help=f"points; {FROM_CONFIG}")
+    options.out("out/NAME of the configuration")
+    options.arch()
+    options.workers()
+    options.cluster()
+    options.add_argument("--fresh", action="store_true", help="delete the store and start over")
+    options.json("the summary")
+
+
+def quickstart(options: Options) -> None:
+    """Options of `quickstart`."""
+    options.add_argument(
+        "--out", type=Path, default=Path("out/quickstart"), metavar="DIR", help="%(default)s"
+    )
+
+
+def report(options: Options) -> None:
+    """Options of `report`."""
+    options.add_argument(
+        "folders", nargs="+", type=Path, metavar="DIR", help="folder of a comparison"
+    )
+    options.add_argument(
+        "--out", type=Path, metavar="DIR", help="for the overview of several folders"
+    )
+    options.add_argument(
+        "--optimum", type=Path, metavar="FILE", action="append", default=[],
+        help="an optimum.json to draw as a line; once for each cost",
+    )  # fmt: skip
+    options.add_argument("--no-strips", action="store_true", help="simulate and draw no walks")
+
+
+def study(options: Options) -> None:
+    """Options of `study`."""
+    options.config()
+    options.add_argument(
+        "--arm",
+        required=True,
+        metavar="ARM",
+        help="such as best, dog or random; an unknown one lists all",
+    )
+    options.add_argument(
+        "--run", type=int, default=0, metavar="N", help="of the configuration (%(default)s)"
+    )
+    options.whole("--trials", 1, MOST_TRIALS, help=f"in total; {FROM_CONFIG}")
+    options.seed()
+    options.add_argument(
+        "--storage", required=True, metavar="URL", help="sqlite:///FILE, or one of PostgreSQL"
+    )
+    options.add_argument(
+        "--store", type=Path, metavar="DIR", help=f"scores that the arm reads; {FROM_CONFIG}"
+    )
+    options.out("out/NAME, for the best gains")
+    options.arch()
+    options.json()
+
+
+def validate(options: Options) -> None:
+    """Options of `validate`."""
+    options.whole("--samples", 100, 1_000_000, default=20_000, help="points (%(default)s)")
+    options.whole("--draws", 1, MOST_RUNS, default=4, help="bodies and rough grounds (%(default)s)")
+    options.whole("--seed", 0, LARGEST_SEED, default=2016, help="of points and draws (%(default)s)")
+    options.json("the figures")
+
+
+def walk(options: Options) -> None:
+    """Options of `walk`."""
+    options.add_argument("--gains", metavar="NAME|FILE", help="reference (default), K_T, FILE.json")
+    options.add_argument("--row", type=int, metavar="N", help="a row of --store")
+    options.add_argument("--store", type=Path, metavar="DIR", help="a store, for --row")
+    options.add_argument("--trial", metavar="STUDY/NUMBER", help="a finished trial of --storage")
+    options.add_argument(
+        "--storage", metavar="URL|DIR", help="a study database, or a comparison's folder"
+    )
+    options.config("flat")
+    options.add_argument(
+        "--run", type=int, default=0, metavar="N", help="whose body and ground (%(default)s)"
+    )
+    options.seed()
+    options.add_argument("--duration", type=float, metavar="S", help=f"seconds; {FROM_CONFIG}")
+    options.out("out/walk/NAME, for the pictures")
+    options.add_argument(
+        "--movie-seconds", type=float, default=8.0, metavar="S",
+        help="length of the film (%(default)s); 0: none",
+    )  # fmt: skip
+    options.add_argument(
+        "--engine", choices=(*ENGINES, BOTH_ENGINES), help="overrides the configuration's"
+    )
+    options.add_argument("--mjcf", type=Path, metavar="FILE", help="write MuJoCo's model there too")
+    options.add_argument(
+        "--trajectory", type=Path, metavar="FILE", action="append", default=[],
+        help="write all samples there too: .csv, or OpenSim's .mot (coordinates), .sto (forces)",
+    )  # fmt: skip
+    options.arch()
+    options.json()
+
+
+COMMANDS: dict[str, Callable[[Options], None]] = {
+    "compare": compare, "dashboard": dashboard, "draw-store": draw_store, "explore": explore,
+    "optimum": optimum, "precompute": precompute, "quickstart": quickstart, "report": report,
+    "study": study, "validate": validate, "walk": walk,
+}  # fmt: skip
+
+
+def check_command(name: str) -> None:
+    """Refuse a word that is no command.
+
+    Raises:
+        InputError: listing the commands.
+    """
+    if name not in COMMANDS:
+        raise InputError("command", name, ", ".join(COMMANDS))
+
+
+def parser_of(name: str) -> Options:
+    """The parser of a command."""
+    parser = Options(file_of(name), f"{PROGRAM} {name}")
+    COMMANDS[name](parser)
+    return parser
+
+
+def parsers() -> dict[str, Options]:
+    """The parser of every command by its name; `parsers()[name].format_help()` is its help."""
+    return {name: parser_of(name) for name in COMMANDS}
+
+
+def overview() -> str:
+    """A line for each command."""
+    width = max(map(len, COMMANDS))
+    lines = [
+        f"  {name:<{width}}  {documentation(file_of(name)).partition(chr(10))[0]}"
+        for name in COMMANDS
+    ]
+    usage = f"usage: {PROGRAM} COMMAND [OPTION ...]   ({PROGRAM} COMMAND --help)"
+    return "\n".join([usage, "", *lines])
+
+
+def file_of(command: str) -> Path:
+    """The file of a command."""
+    return HERE / "commands" / f"{command.replace('-', '_')}.py"
+
+
+def documentation(file: Path) -> str:
+    """The docstring of a Python file, which is not imported."""
+    return ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+
+
+def asked_cluster(options: argparse.Namespace) -> "Cluster | None":
+    """The cluster of `--cluster` and `--mixed`.
+
+    Raises:
+        InputError: no address, no Dask, or --mixed without a cluster.
+    """
+    from storage.cluster.asked import Cluster
+
+    if options.cluster is not None:
+        return Cluster(options.cluster, options.mixed)
+    if options.mixed:
+        raise InputError("mixed", True, "only beside --cluster")
+    return None
+
+
+def config_path(name: str | Path) -> Path:
+    """The shipped configuration of this name; or else the file itself.
+
+    A name is a word, such as rough8; anything with a folder or a suffix is a file.
+    """
+    shipped = {path.stem: path for path in CONFIGS.glob("*.toml")}  # no file is looked up by a name
+    return shipped.get(str(name), Path(name))
+
+
+def shipped_configs(stores: bool) -> dict[str, str]:
+    """The first line of every shipped configuration of stores, or of experiments, by its name."""
+    texts = {path.stem: path.read_text(encoding="utf-8") for path in sorted(CONFIGS.glob("*.toml"))}
+    return {
+        name: text.partition("\n")[0].lstrip("# ")
+        for name, text in texts.items()
+        if ("samples" in tomllib.loads(text)) == stores
+    }
+
+
+def _check_word(field: str, word: object) -> None:
+    """Refuse a word of several lines, or of no encoding; and a path that is too long."""
+    if not isinstance(word, str | Path):
+        return
+    if any(unicodedata.category(character) in UNPRINTABLE for character in str(word)):
+        raise InputError(field, str(word), "text of one line, without control characters")
+    if isinstance(word, Path):
+        longest = max((len(os.fsencode(part)) for part in word.parts), default=0)
+        if longest > LONGEST_NAME_BYTES or len(os.fsencode(word)) > LONGEST_PATH_BYTES:
+            allowed = f"a path of at most {LONGEST_PATH_BYTES} bytes, {LONGEST_NAME_BYTES} a name"
+            raise InputError(field, str(word), allowed)
+
+
+class _Whole(argparse.Action):
+    """A whole number within bounds."""
+
+    def __init__(self, *args: Any, bounds: tuple[int, Bound], **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._low, self._high = bounds
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: str | Sequence[Any] | None,
+        option_string: str | None = None,
+    ) -> None:
+        """Check and keep the number."""
+        text = str(values)
+        high = self._high() if callable(self._high) else self._high
+        try:
+            value = int(text)
+        except ValueError:  # no number, or one of thousands of digits
+            value = None
+        if value is None or not self._low <= value <= high:
+            field = self.dest.replace("_", "-")
+            allowed = f"a whole number from {self._low} to {high}"
+            raise InputError(field, text if value is None else value, allowed)
+        setattr(namespace, self.dest, value)
+
+
+class _ListConfigs(argparse.Action):
+    """Prints the shipped configurations and leaves."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: str | Sequence[Any] | None,
+        option_string: str | None = None,
+    ) -> NoReturn:
+        """A line each."""
+        listed = shipped_configs(self.const)
+        width = max(map(len, listed))
+        print(*(f"{name:<{width}}  {says}" for name, says in listed.items()), sep="\n")
+        parser.exit()
