@@ -269,7 +269,8 @@ def study(options: Options) -> None:
 
 def validate(options: Options) -> None:
     """Options of `validate`."""
-    options.whole("--samples", 100, 1_000_000, default=20_000, help="points (%(default)s)")
+    most = 1_000_000  # at once in memory, unlike those of a store
+    options.whole("--samples", 100, most, default=20_000, help="points (%(default)s)")
     options.whole("--draws", 1, MOST_RUNS, default=4, help="bodies and rough grounds (%(default)s)")
     options.whole("--seed", 0, LARGEST_SEED, default=2016, help="of points and draws (%(default)s)")
     options.json("the figures")

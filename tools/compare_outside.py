@@ -11,11 +11,11 @@ PyTorch, which this project does not install: without it that arm is left out.
 
 import argparse
 import json
-import os
 import sys
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -24,97 +24,350 @@ from study.cli import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np
+    from numpy.typing import NDArray
+    from scipy.stats import rankdata, spearmanr
 
-    from study.benchmarks.outside import catalogue, outside_arms, outside_document
-    from study.benchmarks.outside.outside_problem import digest, outside_problem
-    from study.benchmarks.outside.outside_report import OutsideReport
-    from study.benchmarks.run_cache import (
-        ONE_THREAD,
-        OUR_PACKAGES,
-        OUR_SOURCES,
-        PEER_PACKAGES,
-        ROOT,
-        chosen,
-        collect,
-        execute,
-        fingerprint,
-        runnable,
-    )
-    from study.benchmarks.run_options import command, parsed, run_parser
+    from study import palette
+    from study.report.statistics import wilcoxon
+    from tools.benchmarks import outside, runs
+    from tools.benchmarks.outside import ARMS, OutsideProblem, outside_problem
+    from tools.benchmarks.runs import OURS, PEER, Bar, Costs, Floats, Run
 
-DEFAULT_ARMS = tuple(outside_arms.ARMS)
-GROUPS = {
-    "tuning": catalogue.TUNING,
-    "reported": catalogue.REPORTED,
-    "all": catalogue.PROBLEMS,
+NAME = "sampler-outside"
+GROUPS = {"tuning": outside.TUNING, "reported": outside.REPORTED, "all": outside.PROBLEMS}
+CHECKPOINTS = (5, 10, 20, 40)  # trials
+OUR_ARMS = tuple(name for name, arm in ARMS.items() if arm.kind == OURS)
+WITHOUT_HINT = tuple(name for name, arm in ARMS.items() if arm.kind == PEER and not arm.enqueued)
+BEHIND_P, AHEAD_P = 0.05, 0.01
+PANELS_A_ROW = 3
+LEGEND_IN = 2.9
+# Okabe & Ito: ours in colour and unbroken, peers dashed, the ranking alone dotted.
+LINES: dict[str, dict[str, Any]] = {
+    "ours": {"color": palette.BLUE, "linewidth": 1.8},
+    "ours-prior": {"color": palette.VERMILION, "linewidth": 1.8},
+    "ranking": {"color": palette.ORANGE, "linewidth": 1.5, "linestyle": ":"},
+    "tpe-ranking": {"color": palette.BROWN, "linewidth": 1.3, "linestyle": "--"},
+    "tpe": {"color": palette.VIOLET, "linewidth": 1.3, "linestyle": "--"},
+    "gp": {"color": palette.SKY_BLUE, "linewidth": 1.3, "linestyle": "--"},
+    "cmaes": {"color": palette.GREY, "linewidth": 1.3, "linestyle": "--"},
+    "random": {"color": palette.GREY, "linewidth": 1.3, "linestyle": (0, (1, 3))},
 }
-# What decides a run beside the problem's numbers and the sampler.
-SOURCES = ("definition", "nearest", "outside_problem", "outside_arms")
-
-
-@dataclass(frozen=True)
-class Run:
-    """One study: a problem, an arm, the sampler's seed and a number of trials."""
-
-    problem: str
-    arm: str
-    seed: int
-    trials: int
-
-    def file(self, cache: Path) -> Path:
-        """Where its result is kept."""
-        name = f"{self.trials}-trials-seed-{self.seed:03d}.json"
-        return cache / self.problem / self.arm / name
-
-    def code(self) -> str:
-        """Fingerprint of what decides it: numbers, reader and sampler."""
-        return code_of(self.arm, self.problem)
-
-    def costs(self) -> np.ndarray:
-        """Costs of its trials, [trials]."""
-        problem = outside_problem(self.problem).drawn(self.seed)
-        return outside_arms.run(self.arm, problem, self.seed, self.trials)
 
 
 def main() -> None:
     options = parse()
-    os.environ.update(ONE_THREAD)
-    arms = runnable(options.arms)
-    runs = [
-        Run(problem, arm, seed, options.trials)
+    arms = runs.runnable(options.arms)
+    wanted = [
+        Run("outside", problem, arm, seed, options.trials)
         for problem in options.problems
         for arm in arms
         for seed in range(options.seeds)
     ]
-    execute(runs, options.cache, options.processes)
-    report = OutsideReport.of(collect(runs, options.cache))
+    report = OutsideReport.of(runs.execute(wanted, options.cache, options.processes))
     if options.json:
         print(json.dumps(report.as_dict()))
         return
-    text = outside_document.markdown(report, command())
-    outside_document.write(options.out, report, text)
+    text = markdown(report)
+    runs.write(options.out, NAME, text, lambda path: plot(path, report))
     print(text)
 
 
 def parse() -> argparse.Namespace:
-    parser = run_parser(__file__, DEFAULT_ARMS, trials=40, cache="outside")
-    names = ",".join(catalogue.PROBLEMS)
+    parser = runs.options(__file__, tuple(ARMS), trials=40, cache="outside")
+    names = ",".join(outside.PROBLEMS)
     parser.add_argument(
         "--problems", default="tuning", help=f"{', '.join(GROUPS)}, or some of {names}; %(default)s"
     )
-    options = parsed(parser, DEFAULT_ARMS)
+    options = runs.parsed(parser, tuple(ARMS))
     group = GROUPS.get(options.problems)
-    options.problems = group or chosen("problems", options.problems, catalogue.PROBLEMS)
+    options.problems = group or runs.chosen("problems", options.problems, outside.PROBLEMS)
     return options
 
 
-@cache
-def code_of(arm: str, problem: str) -> str:
-    sources = [ROOT / "study" / "benchmarks" / "outside" / f"{name}.py" for name in SOURCES]
-    if outside_arms.ARMS[arm].kind == "ours":
-        ours = [*sources, ROOT / "study" / "features" / "feature_table.py", *OUR_SOURCES]
-        return fingerprint(ours, OUR_PACKAGES, digest(problem))
-    return fingerprint(sources, PEER_PACKAGES, digest(problem))
+@dataclass(frozen=True)
+class Versus:
+    """One of our arms against another, seeds in pairs, after so many trials.
+
+    Attributes:
+        problem: by name.
+        ours: arm.
+        other: arm.
+        trial: of both; the other's may be less (`other_trial`).
+        other_trial: at which the other is looked at.
+        wins: seeds on which ours had found a lower cost.
+        losses: seeds on which the other had.
+        p: Wilcoxon's signed-rank test, two-sided, not corrected for how many tests there are.
+        ahead: whether ours leads, by the test's sum of signed ranks (or nobody does).
+    """
+
+    problem: str
+    ours: str
+    other: str
+    trial: int
+    other_trial: int
+    wins: int
+    losses: int
+    p: float
+    ahead: bool
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether the other leads, beyond chance."""
+        return not self.ahead and self.p < BEHIND_P
+
+    @property
+    def is_ahead(self) -> bool:
+        """Whether ours leads, well beyond chance."""
+        return self.ahead and self.p < AHEAD_P
+
+
+@dataclass(frozen=True, eq=False)
+class OutsideReport:
+    """Everything that the runs say.
+
+    Attributes:
+        best: least cost so far, [seeds, trials] for each (problem, arm).
+        checkpoints: trials at which arms are compared.
+        different: how many of the seeds' runs differ at all, for each (problem, arm); a sampler
+            that draws nothing repeats one run, and its seeds are then no sample.
+    """
+
+    best: Costs
+    checkpoints: tuple[int, ...]
+    different: dict[tuple[str, str], int]
+
+    @classmethod
+    def of(cls, costs: Costs) -> "OutsideReport":
+        """The report of costs, [seeds, trials] for each (problem, arm)."""
+        trials = next(iter(costs.values())).shape[1]
+        best = {key: np.minimum.accumulate(values, axis=1) for key, values in costs.items()}
+        checkpoints = (*(at for at in CHECKPOINTS if at < trials), trials)
+        return cls(best, checkpoints, {k: len(np.unique(v, axis=0)) for k, v in costs.items()})
+
+    @property
+    def seeds(self) -> int:
+        """Of each arm."""
+        return len(next(iter(self.best.values())))
+
+    @property
+    def problems(self) -> list[OutsideProblem]:
+        """In the order they were run."""
+        return [outside_problem(name) for name in dict.fromkeys(name for name, _ in self.best)]
+
+    def arms(self, *among: str) -> list[str]:
+        """The arms that were run, in their order; of those named, if any are."""
+        run = dict.fromkeys(arm for _, arm in self.best)
+        return [arm for arm in ARMS if arm in run and (not among or arm in among)]
+
+    def median(self, problem: str, arm: str, trial: int) -> float:
+        """Median over seeds of the least cost after so many trials."""
+        return float(np.median(self.best[problem, arm][:, trial - 1]))
+
+    def versus(
+        self, problem: str, ours: str, other: str, trial: int, other_trial: int | None = None
+    ) -> Versus:
+        """One of our arms against another; both after `trial`, unless the other has a number."""
+        at = other_trial or trial
+        mine, theirs = self.best[problem, ours][:, trial - 1], self.best[problem, other][:, at - 1]
+        wins, losses = int((mine < theirs).sum()), int((mine > theirs).sum())
+        more = (mine - theirs)[mine != theirs]
+        ahead = bool((rankdata(np.abs(more)) * np.sign(more)).sum() <= 0)
+        p = wilcoxon(mine, theirs).p
+        return Versus(problem, ours, other, trial, at, wins, losses, p, ahead)
+
+    @cached_property
+    def tests(self) -> list[Versus]:
+        """Each of our arms against every arm that is not ours, at every checkpoint."""
+        others = [arm for arm in self.arms() if ARMS[arm].kind != OURS]
+        return [
+            self.versus(problem.name, ours, other, trial)
+            for problem in self.problems
+            for ours in self.arms(*OUR_ARMS)
+            for other in others
+            for trial in self.checkpoints
+        ]
+
+    @cached_property
+    def bars(self) -> list[Bar]:
+        """What our arms must show, of what was run."""
+        found = []
+        for ours in self.arms(*OUR_ARMS):
+            label = ARMS[ours].label
+            others = self.arms(*WITHOUT_HINT)
+            rounds = [
+                self.versus(problem.name, ours, other, at)
+                for problem in self.problems
+                for other in others
+                for at in self.checkpoints
+            ]
+            what = f"{label}: never behind a sampler without features (p < {BEHIND_P:g})"
+            found.append(never(what, [each for each in rounds if each.is_behind]))
+            for at in (10, self.checkpoints[-1]):
+                if "tpe" in others and at in self.checkpoints:
+                    what = f"{label}: ahead of TPESampler after {at} (p < {AHEAD_P:g})"
+                    of_tpe = [each for each in rounds if (each.other, each.trial) == ("tpe", at)]
+                    found.append(never(what, [each for each in of_tpe if not each.is_ahead]))
+        if "ranking" in self.arms():
+            found += self._bars_of_ranking()
+        return found
+
+    def _bars_of_ranking(self) -> list[Bar]:
+        """With the ranking as prior no worse than it; without a hint, after 10, as it after 5."""
+        found = []
+        if "ours-prior" in self.arms():
+            rounds = [self.versus(problem.name, "ours-prior", "ranking", at)
+                      for problem in self.problems for at in self.checkpoints]  # fmt: skip
+            what = f"{ARMS['ours-prior'].label}: never behind the ranking alone (p < {BEHIND_P:g})"
+            found.append(never(what, [each for each in rounds if each.is_behind]))
+        if "ours" in self.arms() and {5, 10} <= set(self.checkpoints):
+            rounds = [
+                self.versus(problem.name, "ours", "ranking", 10, 5) for problem in self.problems
+            ]
+            what = (
+                f"{ARMS['ours'].label}: after 10 not behind the ranking after 5 (p < {BEHIND_P:g})"
+            )
+            found.append(never(what, [each for each in rounds if each.is_behind]))
+        return found
+
+    def as_dict(self) -> dict[str, Any]:
+        """Medians, tests and bars as plain values."""
+        return {
+            "seeds": self.seeds,
+            "problems": [
+                {"name": problem.name, "purpose": problem.purpose, "best": problem.best,
+                 "spearman": worth(problem)}
+                for problem in self.problems
+            ],
+            "medians": [
+                {"problem": problem.name, "arm": arm, "trial": trial,
+                 "median": self.median(problem.name, arm, trial)}
+                for problem in self.problems for arm in self.arms() for trial in self.checkpoints
+            ],
+            "different_runs": [
+                {"problem": problem, "arm": arm, "runs": count}
+                for (problem, arm), count in self.different.items()
+            ],
+            "tests": [asdict(test) for test in self.tests],
+            "bars": [asdict(bar) for bar in self.bars],
+        }  # fmt: skip
+
+
+def worth(problem: OutsideProblem) -> dict[str, float]:
+    """Rank correlation with the cost of each feature from its good end, and of the ranking.
+
+    Where the feature failed, it ranks last.
+    """
+    columns = dict(zip(problem.feature_names, problem.ranks.T, strict=True))
+    columns["ranking"] = problem.ranking
+    return {name: float(spearmanr(c, problem.cost).statistic) for name, c in columns.items()}
+
+
+def never(what: str, rounds: list[Versus]) -> Bar:
+    """A bar that must fail nowhere: it fails in these problems, against these arms."""
+    fails = [
+        f"{each.problem}, {ARMS[each.other].label}, {each.trial} ({each.wins} : {each.losses})"
+        for each in rounds
+    ]
+    return Bar(what, "; ".join(fails), not fails)
+
+
+def markdown(report: OutsideReport) -> str:
+    """The document."""
+    lines = [
+        "# Samplers on problems from outside",
+        "",
+        runs.made_by(),
+        "",
+        "Nobody here invented these problems. Of each, the costly objective was computed once for"
+        " every candidate of a pool (`tools/benchmarks/data`, one Parquet file"
+        f" each). {report.seeds} seeds an arm, all arms with their defaults."
+        " A seed draws half of the pool, which is then the problem for every arm. Ours propose rows"
+        " of it. Peers propose any point, and are told the cost of the nearest row: Euclidean in"
+        " the unit cube, logarithmic parameters by their logarithm, a choice as one coordinate a"
+        " choice, 0 or 1. CMA-ES draws choices at random, as it does everywhere in Optuna. The"
+        " ranking is the mean rank of the features, each from its good end in the eyes of users;"
+        f' "{ARMS["ours-prior"].label}" has it as one more feature and as `prior=`.',
+        "",
+        f"![Rank of the best row found against trials]({NAME}.png)",
+        "",
+        "The median over seeds of how many rows of the pool are as good as the best found.",
+        "",
+        "Tests are Wilcoxon's signed ranks, two-sided, seeds in pairs, not corrected for their"
+        " number; bold: ours is behind (p < 0.05). Two halves"
+        " of a pool share rows: the tests are of this pool, not of all that there might be.",
+        *Bar.table(report.bars, "fails in (problem, against, trials, seeds won : lost)"),
+    ]
+    for problem in report.problems:
+        lines += ["", *section(report, problem)]
+    return "\n".join(lines) + "\n"
+
+
+def section(report: OutsideReport, problem: OutsideProblem) -> list[str]:
+    """What the problem is, medians of its arms, and their tests."""
+    name, at = problem.name, report.checkpoints
+    share = np.quantile(problem.cost, [0.01, 0.5])
+    lines = [
+        f"## {name} ({problem.purpose})",
+        "",
+        f"{problem.field.capitalize()}: {problem.cost_meaning}. {len(problem):,} candidates of"
+        f" {len(problem.space)} parameters ({', '.join(problem.space)}). Best possible"
+        f" {problem.best:.4g}, best 1 % below {share[0]:.4g}, half below {share[1]:.4g}.",
+        "",
+        "| feature | good | what | Spearman with the cost, from the good end |",
+        "|---|---|---|---|",
+    ]
+    worths = worth(problem)
+    for feature, said in problem.feature_meanings.items():
+        lines.append(f"| {feature} | {said.good} | {said.meaning} | {worths[feature]:.2f} |")
+    lines.append(f"| ranking | low | mean rank of these | {worths['ranking']:.2f} |")
+    head = " | ".join(f"after {trial}" for trial in at)
+    lines += ["", f"| median of the best | told | different runs | {head} |",
+              "|---|---|---|" + "---|" * len(at)]  # fmt: skip
+    for arm in report.arms():
+        cells = " | ".join(f"{report.median(name, arm, trial):.4g}" for trial in at)
+        different = report.different[name, arm]
+        lines.append(f"| {ARMS[arm].label} | {ARMS[arm].sees} | {different} | {cells} |")
+    tests = [test for test in report.tests if test.problem == name]
+    for ours in report.arms(*OUR_ARMS):
+        mine = [test for test in tests if test.ours == ours]
+        lines += ["", f"| {ARMS[ours].label}, seeds won : lost, p | {head} |",
+                  "|---|" + "---|" * len(at)]  # fmt: skip
+        for other in dict.fromkeys(test.other for test in mine):
+            cells = " | ".join(cell(test) for test in mine if test.other == other)
+            lines.append(f"| {ARMS[other].label} | {cells} |")
+    return lines
+
+
+def cell(test: Versus) -> str:
+    """Seeds won and lost, and how sure it is; bold where ours is behind."""
+    text = f"{test.wins} : {test.losses}, {test.p:.2g}"
+    return f"**{text}**" if test.is_behind else text
+
+
+def plot(path: Path, report: OutsideReport) -> None:
+    """How many rows are as good as the best found against trials, a panel a problem."""
+    from study.pictures import style
+
+    problems = report.problems
+    across = min(len(problems), PANELS_A_ROW)
+    down = -(-len(problems) // PANELS_A_ROW)
+    figure = style.new_figure(3.6 * across + LEGEND_IN, 3.0 * down)
+    for place, problem in enumerate(problems):
+        axes = figure.add_subplot(down, across, place + 1)
+        style.tidy(axes)
+        for arm in report.arms():
+            median = np.median(as_good(problem, report.best[problem.name, arm]), axis=0)
+            axes.plot(np.arange(1, len(median) + 1), median, label=ARMS[arm].label, **LINES[arm])
+        axes.set_yscale("log")
+        axes.set_title(problem.name, fontsize=style.TITLE_PT, loc="left")
+        axes.set_xlabel("trials", fontsize=style.TEXT_PT)
+        axes.set_ylabel("rows as good as the best found", fontsize=style.TEXT_PT)
+    runs.save_panels(figure, path, LEGEND_IN)
+
+
+def as_good(problem: OutsideProblem, best: Floats) -> NDArray[np.int64]:
+    """Rows of the pool that cost no more than the best found, [seeds, trials]; 1: the best row."""
+    return np.searchsorted(np.sort(problem.cost), best, side="right")
 
 
 if __name__ == "__main__":

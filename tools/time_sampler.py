@@ -2,7 +2,6 @@
 
     python tools/time_sampler.py                   # a table and a plot into docs/; minutes
     python tools/time_sampler.py --rows 5000 --sweep 10,50 --json
-    python tools/time_sampler.py --store-rows 10000000    # that alone, of a store made up for it
 
 Each figure comes from a fresh process on one thread. Optuna's GPSampler is timed in the same run
 where PyTorch, which it needs, is installed; greenlet, where it is installed too, halves its time.
@@ -13,11 +12,12 @@ import argparse
 import json
 import multiprocessing
 import os
+import statistics
 import sys
-import tempfile
+import time
+import warnings
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from datetime import date
+from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -28,26 +28,90 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from study.cli import guarded_imports, run_command
 
 with guarded_imports():
+    import numpy as np
+    import optuna
+    from optuna.distributions import FloatDistribution
+    from optuna.exceptions import ExperimentalWarning
+    from optuna.samplers import BaseSampler, GPSampler
     from tqdm import tqdm
 
-    from storage.commit import commit_text, require_folder, writable
-    from study.benchmarks import comparison_report, large_store, sampler_timing
-    from study.benchmarks.large_store import LargeStore
-    from study.benchmarks.run_cache import ONE_THREAD, ROOT, torch_is_installed
-    from study.benchmarks.sampler_timing import Case, Measured
+    from storage.commit import require_folder
     from study.experiment.experiment import MOST_TRIALS
+    from study.features.feature_table import FeatureTable
+    from study.features.survival import MEAN, SurvivalSampler
     from study.options import Options
+    from study.sampler.feature_sampler import FeatureKernelSampler
+    from study.sampler.history import ROW_ATTRIBUTE
     from taichi_nmm.errors import InputError
+    from tools.benchmarks import runs
+    from tools.benchmarks.runs import ROOT, Floats
+
+NAME = "sampler-timing"
+DIMENSION = 16
+NAMES = tuple(f"p{number:02d}" for number in range(DIMENSION))
+SEED = 16
+NOISE = 0.3  # of the cost, in standard deviations of what the features explain
+STANDING = 0.1  # of the rows of a table like that of `best`: the others fell, and have no features
+WARM_UP = 1  # proposals that are not counted: the first one loads libraries
 
 # Milliseconds of the processor, by sampler and number of features.
 BARS_MS = {("ours", 1): 10.0, ("ours", 5): 45.0, ("rbf", 1): 10.0}
 MOST_FEATURES = 5
 MOST_ROWS = 10_000_000
-MOST_STORE_ROWS = 100_000_000
 BEST_FEATURES, BEST_BAR_MS = 6, 10.0
 LONG_BAR_MS = 1000.0  # at the largest number of observations
 GP_RATIO_BAR = 5.0  # GPSampler's time over ours with one feature
 MEMORY_BAR_MIB = 200e6 / 2**20  # 200 MB, for the largest number of features
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is measured.
+
+    Attributes:
+        sampler: "ours", with its defaults; "rbf", ours with the paper's kernel; "best",
+            `SurvivalSampler` on a table of which a tenth may be proposed; or "gp" (Optuna's
+            GPSampler, in the box of the table).
+        rows: of the table.
+        features: of a row.
+        observations: finished trials before the first proposal.
+        repeats: proposals, after one that is not counted.
+    """
+
+    sampler: str
+    rows: int
+    features: int
+    observations: int
+    repeats: int
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Seconds of each proposal; MiB by which the process grew from before the table was made.
+
+    On a busy machine a proposal waits for the processor; `cpu_seconds` leaves the waiting out.
+    """
+
+    case: Case
+    seconds: tuple[float, ...]
+    cpu_seconds: tuple[float, ...]
+    grown_mib: float | None
+    peak_grown_mib: float | None
+
+    @property
+    def median_ms(self) -> float:
+        """Median time of a proposal, milliseconds."""
+        return 1e3 * statistics.median(self.seconds)
+
+    @property
+    def median_cpu_ms(self) -> float:
+        """Median processor time of a proposal, milliseconds."""
+        return 1e3 * statistics.median(self.cpu_seconds)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The case, all times and their medians as plain values."""
+        medians = {"median_ms": self.median_ms, "median_cpu_ms": self.median_cpu_ms}
+        return {**asdict(self), **medians}
 
 
 @dataclass(frozen=True)
@@ -63,8 +127,8 @@ class Timings:
     def as_dict(self) -> dict[str, Any]:
         """Plain values for programs."""
         return {
-            "machine": comparison_report.machine(),
-            "versions": comparison_report.versions(),
+            "machine": runs.machine(),
+            "versions": runs.versions(),
             "proposals": [measured.as_dict() for measured in self.proposals],
             "best": self.best.as_dict(),
             "gp_sampler": None if self.peer is None else self.peer.as_dict(),
@@ -75,20 +139,13 @@ class Timings:
 
 def main() -> None:
     options = parse()
-    os.environ.update(ONE_THREAD)
-    if options.store_rows is not None:
-        found = large(options.store_rows)
-        print(json.dumps(found.as_dict()) if options.json else large_text(found))
-        return
+    os.environ.update(runs.ONE_THREAD)
     timings = measure(options)
     if options.json:
         print(json.dumps(timings.as_dict()))
         return
     text = markdown(timings, options)
-    with writable(options.out):
-        options.out.mkdir(parents=True, exist_ok=True)
-    plot(timings, options.out / "sampler-timing.png")
-    commit_text(options.out / "sampler-timing.md", text)
+    runs.write(options.out, NAME, text, lambda path: plot(timings, path))
     print(text)
 
 
@@ -99,7 +156,6 @@ def parse() -> argparse.Namespace:
     parser.whole("--repeats", 1, MOST_TRIALS, default=11, help="of each proposal; %(default)s")
     parser.add_argument("--sweep", default="10,30,100,300,1000", help="observations; %(default)s")
     parser.whole("--large-rows", 1, MOST_ROWS, default=1_000_000, help="%(default)s")
-    parser.whole("--store-rows", 100, MOST_STORE_ROWS, help="time a store of so many rows, no more")
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="of the table and plot")
     parser.add_argument("--json", action="store_true", help="print one object, write no document")
     options = parser.parse_args()
@@ -129,7 +185,7 @@ def measure(options: argparse.Namespace) -> Timings:
     sweep = [replace(base, observations=n) for n in options.sweep]
     large = replace(base, rows=options.large_rows, features=MOST_FEATURES, repeats=1)
     best = replace(base, sampler="best", features=BEST_FEATURES)
-    peer = [replace(base, sampler="gp")] if peer_can_run() else []
+    peer = [replace(base, sampler="gp")] if runs.torch_is_installed() else []
     cases = tqdm([*proposals, *sweep, best, large, *peer], unit="case")
     done = iter([fresh(case) for case in cases])
     return Timings(
@@ -141,47 +197,113 @@ def measure(options: argparse.Namespace) -> Timings:
     )
 
 
-def large(rows: int) -> LargeStore:
-    """Of a store in a folder that goes again."""
-    with tempfile.TemporaryDirectory() as scratch:
-        large_store.make(rows, Path(scratch, "store"))
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(1, mp_context=context) as pool:
-            return pool.submit(large_store.measure, Path(scratch, "store")).result()
-
-
-def large_text(found: LargeStore) -> str:
-    lines = [
-        ("rows of the store", f"{found.rows:,} ({found.disk_bytes / 2**30:.2f} GiB)"),
-        ("open_store", f"{found.open_s:.1f} s"),
-        ("16 parameters, 2 features", f"{found.table_s:.1f} s"),
-        ("first proposal", f"{found.first_s:.1f} s"),
-        ("proposals of the model, median", f"{found.median_s:.2f} s"),
-        ("memory at the peak", mib(found.peak_mib)),
-    ]
-    return "\n".join(f"{name:<32} {value}" for name, value in lines)
-
-
-def peer_can_run() -> bool:
-    if torch_is_installed():
-        return True
-    print("GPSampler is left out: it needs PyTorch (pip install torch)", file=sys.stderr)
-    return False
-
-
 def fresh(case: Case) -> Measured:
     """Measure in a new process, so that memory is its own and nothing is warm."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as pool:
-        return pool.submit(sampler_timing.measure, case).result()
+        return pool.submit(measure_case, case).result()
+
+
+def measure_case(case: Case) -> Measured:
+    """Propose `repeats` times; each proposal sees one finished trial more than the one before."""
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    before_mib = memory_mib("VmRSS")
+    study = _prepare(case)
+    spent = [_propose(study, case) for _ in range(WARM_UP + case.repeats)][WARM_UP:]
+    seconds, cpu_seconds = zip(*spent, strict=True)
+    after_mib, peak_mib = memory_mib("VmRSS"), memory_mib("VmHWM")
+    kept, most = _less(after_mib, before_mib), _less(peak_mib, before_mib)
+    return Measured(case, seconds, cpu_seconds, kept, most)
+
+
+def _prepare(case: Case) -> optuna.Study:
+    """A study with the sampler and with `observations` finished trials."""
+    rng = np.random.default_rng(SEED)
+    points = rng.uniform(size=(case.rows, DIMENSION))
+    features = _features(points, case.features)
+    standing = np.arange(case.rows)
+    if case.sampler == "best":
+        standing = np.sort(rng.choice(standing, int(STANDING * case.rows), replace=False))
+    seen = rng.choice(standing, case.observations, replace=False)
+    costs = features[seen].sum(axis=1) + NOISE * rng.standard_normal(case.observations)
+    trials = [_finished(points, row, cost) for row, cost in zip(seen, costs, strict=True)]
+    known = np.full_like(features, np.nan)
+    known[standing] = features[standing]
+    study = optuna.create_study(sampler=_sampler(case, points, known))
+    study.add_trials(trials)
+    return study
+
+
+def _features(points: Floats, k: int) -> Floats:
+    """k smooth numbers of each point, of about unit variance, [n, k]."""
+    directions = np.random.default_rng(SEED).standard_normal((DIMENSION, k))
+    return np.asarray(np.sqrt(2.0) * np.sin(2.0 * points @ directions))
+
+
+def _sampler(case: Case, points: Floats, features: Floats) -> BaseSampler:
+    """The sampler of a case, over points [n, 16] with features [n, k]."""
+    if case.sampler == "gp":
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            return GPSampler(seed=SEED)
+    space = {name: FloatDistribution(0.0, 1.0) for name in NAMES}
+    columns = dict(zip(NAMES, points.T, strict=True))
+    names = [f"feature_{column}" for column in range(case.features)]
+    if case.sampler == "best":
+        names[0] = MEAN
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of the rows that fell
+            table = FeatureTable.from_arrays(columns, features, names, space=space)
+        return SurvivalSampler(table, seed=SEED)
+    table = FeatureTable.from_arrays(columns, features, names, space=space)
+    kernel = "rbf" if case.sampler == "rbf" else None
+    return FeatureKernelSampler(table, seed=SEED, kernel=kernel)
+
+
+def _finished(points: Floats, row: int, cost: float) -> optuna.trial.FrozenTrial:
+    """A trial of a row, with the note that the sampler leaves in those that it proposes."""
+    return optuna.create_trial(
+        params=dict(zip(NAMES, points[row].tolist(), strict=True)),
+        distributions={name: FloatDistribution(0.0, 1.0) for name in NAMES},
+        user_attrs={ROW_ATTRIBUTE: int(row)},
+        value=float(cost),
+    )
+
+
+def _propose(study: optuna.Study, case: Case) -> tuple[float, float]:
+    """Seconds and processor's seconds from asking for a trial to its last parameter.
+
+    Then the trial finishes.
+    """
+    began, cpu_began = time.perf_counter(), time.process_time()
+    trial = study.ask()
+    point = [trial.suggest_float(name, 0.0, 1.0) for name in NAMES]
+    spent = (time.perf_counter() - began, time.process_time() - cpu_began)
+    study.tell(trial, float(_features(np.array([point]), case.features).sum()))
+    return spent
+
+
+def memory_mib(field: str) -> float | None:
+    """Resident memory of this process (VmRSS) or the most it ever was (VmHWM); None off Linux."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        return None
+    for line in status.read_text(encoding="ascii").splitlines():
+        if line.startswith(f"{field}:"):
+            return int(line.split()[1]) / 1024
+    return None
+
+
+def _less(after: float | None, before: float | None) -> float | None:
+    """The difference; None where either is unknown."""
+    return None if after is None or before is None else after - before
 
 
 def markdown(timings: Timings, options: argparse.Namespace) -> str:
     lines = [
         "# One proposal of the feature-kernel sampler",
         "",
-        f"Written by `{' '.join(['python', 'tools/time_sampler.py', *sys.argv[1:]])}` on"
-        f" {date.today()}: {comparison_report.machine()}; {comparison_report.versions()}.",
+        runs.made_by(),
         f"One thread; median of {options.repeats} proposals, each in a study of"
         f" {options.observations} finished trials of 16 parameters, {options.rows:,} rows. Ours"
         " with its defaults, where nothing else is said.",
@@ -246,7 +368,7 @@ def memory_row(measured: Measured, bar_mib: float | None) -> str:
     kept, most = mib(measured.grown_mib), mib(measured.peak_grown_mib)
     bar = "" if bar_mib is None else verdict(measured.peak_grown_mib, bar_mib, "MiB")
     return (
-        f"| {case.rows:,} | {sampler_timing.DIMENSION} + {case.features}"
+        f"| {case.rows:,} | {DIMENSION} + {case.features}"
         f" | {measured.median_ms:.0f} ms | {kept} | {most} | {bar} |"
     )
 

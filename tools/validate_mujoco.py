@@ -29,8 +29,8 @@ with guarded_imports():
     import taichi_nmm
     from storage.pool import cores
     from storage.sobol import sobol_gains
-    from study.benchmarks.figure import Figure, page
     from study.command import require_engine
+    from study.commands.validate import Figure, page
     from study.experiment.objective import walked
     from study.options import LARGEST_SEED, Options
     from taichi_nmm import (

@@ -5,9 +5,11 @@ precisions. About twelve minutes for 20,000 points on two cores.
 """
 
 import json
+import platform
 from argparse import Namespace
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from datetime import date
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +18,53 @@ from tqdm import tqdm
 
 import taichi_nmm
 from storage.sobol import sobol_gains
-from study.benchmarks.figure import Figure, page
 from taichi_nmm import Bodies, Settings, terrain
 from taichi_nmm.result import COMPLETED
 
 SHORT_S, LONG_S = 5.0, 100.0
-MOST_SAMPLES = 1_000_000  # at once in memory, unlike those of a store
 TOP_FRACTION = 0.05
 AGREEMENT_POINTS = 4096
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A measured number beside its bar.
+
+    Attributes:
+        what: was measured.
+        value: the measured number.
+        low: the least that is allowed; None: no lower bound.
+        high: the most that is allowed; with both None, the number is only reported.
+        unit: of the three.
+    """
+
+    what: str
+    value: float
+    low: float | None = None
+    high: float | None = None
+    unit: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the number lies within its bar."""
+        enough = self.low is None or self.value >= self.low
+        return enough and (self.high is None or self.value <= self.high)
+
+    def row(self) -> str:
+        """A row of a Markdown table."""
+        value = f"| {self.what} | {self.value:.4g} {self.unit} "
+        if self.low is None and self.high is None:
+            return f"{value}| | |"
+        low = "" if self.low is None else f"{self.low:g}"
+        high = "" if self.high is None else f" to {self.high:g}"
+        return f"{value}| {low}{high} | {'yes' if self.holds else '**no**'} |"
+
+
+def page(figures: Sequence[Figure], how: str) -> str:
+    """The figures as Markdown, after a line on how, when and on what they were measured."""
+    machine = f"{date.today()}, {platform.machine()}, Python {platform.python_version()}"
+    lines = [f"{how}; {machine}.", "", "| what | measured | bar | holds |", "|---|---|---|---|"]
+    return "\n".join([*lines, *(figure.row() for figure in figures)])
 
 
 def main(args: Namespace) -> None:

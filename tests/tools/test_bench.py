@@ -2,7 +2,6 @@
 
 import json
 import os
-import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import pytest
 
 from taichi_nmm.errors import InputError
+from tests.tools.running import load_tool
 
 pytestmark = pytest.mark.slow
 
@@ -75,30 +75,14 @@ def test_mujoco_steps_are_counted_in_the_same_run(report: dict[str, Any]) -> Non
     assert mujoco["ratio_to_all"] == pytest.approx(ours / mujoco["steps_per_s_all"])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "field"),
-    [
-        (("--samples", "0"), "samples"),
-        (("--lanes", "1,65"), "lanes"),
-        (("--against", "docs"), "against"),
-    ],
-)
-def test_bad_arguments_are_one_line_and_exit_code_2(arguments: tuple[str, ...], field: str) -> None:
-    done = bench(*arguments)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.startswith(f"error: {field}: ")
-    assert len(done.stderr.splitlines()) == 1
-
-
 def test_two_checkouts_are_compared_by_their_median_turns() -> None:
-    turns_text = runpy.run_path(str(ROOT / "tools" / "bench.py"))["turns_text"]
+    turns_text = load_tool("bench").turns_text
     turns = {"steady": {"this": [100.0, 300.0, 120.0], "other": [200.0, 400.0, 240.0]}}
     assert turns_text(turns).splitlines()[1].split() == ["steady", "120.0", "240.0", "0.500"]
 
 
 def test_lane_widths_are_read_from_a_list() -> None:
-    lane_widths = runpy.run_path(str(ROOT / "tools" / "bench.py"))["lane_widths"]
+    lane_widths = load_tool("bench").lane_widths
     assert lane_widths("") == []
     assert lane_widths("1,4,16") == [1, 4, 16]
     for wrong in ("0", "4,,8", "1,four", "1.5"):

@@ -42,8 +42,23 @@ HUGE = 10**9
         ("time_sampler", ("--sweep", f"10,{HUGE}"), "sweep: "),
         ("compare_peers", ("--seeds", HUGE), f"seeds: {HUGE}"),
         ("compare_outside", ("--trials", HUGE), f"trials: {HUGE}"),
-        ("find_reference", ("--out", "a.json", "--generations", HUGE), f"generations: {HUGE}"),
-        ("make_outside", ("--problem", "a", "--rows", HUGE), f"rows: {HUGE}"),
+        ("bench", ("--samples", 0), "samples: 0"),
+        ("bench", ("--lanes", "1,65"), "lanes: '1,65'"),
+        ("bench", ("--against", "."), "against: "),
+        ("time_sampler", ("--sweep", "10,x"), "sweep: '10,x'"),
+        ("time_sampler", ("--sweep", "0,10"), "sweep: '0,10'"),
+        ("time_sampler", ("--repeats", 0), "repeats: 0"),
+        ("time_sampler", ("--rows", 500), "rows: 500 cannot be used; allowed: more than 1011"),
+        *(
+            (tool, (flag, value), f"{flag[2:]}: {value!r} cannot".replace("random,best", "best"))
+            for tool in ("compare_peers", "compare_outside")
+            for flag, value in (
+                ("--arms", "random,best"),
+                ("--problems", "easy"),
+                ("--trials", 1),
+                ("--seeds", 0),
+            )
+        ),
     ],
 )
 def test_a_number_out_of_bounds_is_one_line(

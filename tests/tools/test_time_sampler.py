@@ -1,7 +1,6 @@
 """The timing command on small tables: what it measures, writes and refuses."""
 
 import json
-import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -9,11 +8,12 @@ from typing import Any
 
 import pytest
 
-from study.benchmarks.sampler_timing import Case, Measured, measure
+from tests.tools.running import load_tool
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
+TOOL = load_tool("time_sampler")
 SMALL = ("--rows", "2000", "--observations", "12", "--repeats", "3", "--sweep", "5,30")
 
 
@@ -51,25 +51,24 @@ def test_memory_grows_at_least_by_the_table(report: dict[str, Any]) -> None:
 
 
 def test_a_proposal_is_made_in_a_study_of_the_observations_asked_for() -> None:
-    measured = measure(Case("ours", rows=300, features=2, observations=9, repeats=2))
+    measured = TOOL.measure_case(TOOL.Case("ours", rows=300, features=2, observations=9, repeats=2))
     assert len(measured.seconds) == 2
     assert measured.median_ms > 0.0
 
 
-def fake(features: int, ms: float, sampler: str = "ours", observations: int = 100) -> Measured:
-    case = Case(sampler, 100_000, features, observations, 1)
-    return Measured(case, (ms / 1e3,), (ms / 2e3,), 50.0, 150.0)
+def fake(features: int, ms: float, sampler: str = "ours", observations: int = 100) -> Any:
+    case = TOOL.Case(sampler, 100_000, features, observations, 1)
+    return TOOL.Measured(case, (ms / 1e3,), (ms / 2e3,), 50.0, 150.0)
 
 
-def document(tmp_path: Path, peer: Measured | None) -> str:
-    tool = runpy.run_path(str(ROOT / "tools" / "time_sampler.py"))
+def document(tmp_path: Path, peer: Any) -> str:
     proposals = [fake(1, 30.0), fake(5, 70.0), fake(1, 5.0, "rbf")]
     sweep = [fake(1, 8.0, observations=10), fake(1, 900.0, observations=1000)]
-    timings = tool["Timings"](proposals, fake(6, 18.0), peer, sweep, fake(5, 400.0))
+    timings = TOOL.Timings(proposals, fake(6, 18.0), peer, sweep, fake(5, 400.0))
     options = type("Options", (), {"repeats": 1, "observations": 100, "rows": 100_000})
-    tool["plot"](timings, tmp_path / "plot.png")
+    TOOL.plot(timings, tmp_path / "plot.png")
     assert (tmp_path / "plot.png").stat().st_size > 5_000
-    return str(tool["markdown"](timings, options))
+    return str(TOOL.markdown(timings, options))
 
 
 def test_the_document_says_which_bars_hold(tmp_path: Path) -> None:
@@ -87,30 +86,3 @@ def test_the_document_says_which_bars_hold(tmp_path: Path) -> None:
 
 def test_the_document_says_that_gpsampler_was_not_measured(tmp_path: Path) -> None:
     assert "| GPSampler | not measured: no PyTorch | | | |" in document(tmp_path, None)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "field"),
-    [
-        (("--sweep", "10,x"), "sweep"),
-        (("--sweep", "0,10"), "sweep"),
-        (("--repeats", "0"), "repeats"),
-        (("--rows", "500"), "rows"),
-    ],
-)
-def test_bad_arguments_are_one_line_and_exit_code_2(arguments: tuple[str, ...], field: str) -> None:
-    done = time_sampler(*arguments)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.startswith(f"error: {field}: ")
-    assert len(done.stderr.splitlines()) == 1
-
-
-def test_a_store_of_many_rows_is_measured() -> None:
-    done = time_sampler("--store-rows", "70000", "--json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["rows"] == 70_000 and len(found["later_s"]) == 10
-    assert 0.0 < found["median_s"] < 60.0 and 100 < found["peak_mib"] < 10_000
-    refused = time_sampler("--store-rows", "99")
-    assert refused.returncode == 2 and refused.stderr.startswith("error: store-rows: 99 ")

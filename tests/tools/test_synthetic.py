@@ -5,9 +5,9 @@ import optuna
 import pytest
 from scipy.stats import spearmanr
 
-from study.benchmarks import synthetic
-from study.benchmarks.synthetic import DIMENSION, NAMES, PROBLEMS, Floats, Problem, problem
 from taichi_nmm.errors import InputError
+from tools.benchmarks import synthetic
+from tools.benchmarks.synthetic import DIMENSION, NAMES, PROBLEMS, Floats, Problem, problem
 
 SEEDS = range(5)
 

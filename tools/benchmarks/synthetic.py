@@ -15,22 +15,38 @@ little. Rastrigin's is a bowl with ripples, so they teach it much; a feature tha
 anything must not take that away.
 
 Each seed is another instance: Schwefel's is mirrored in random parameters, Rastrigin's is shifted
-and rotated at random. Nothing here knows of a sampler.
+and rotated at random. `ARMS` are the samplers that are compared on it.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import optuna
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution, FloatDistribution
+from optuna.samplers import BaseSampler
 from scipy.stats import ortho_group, qmc
 
+from study.sampler.candidate_table import CandidateTable
+from study.sampler.feature_sampler import FeatureKernelSampler
 from taichi_nmm.errors import InputError
+from tools.benchmarks.runs import (
+    CONTROL,
+    OUR_PACKAGES,
+    OUR_SOURCES,
+    OURS,
+    PEER_PACKAGES,
+    Arm,
+    Floats,
+    costs_of,
+    fingerprint,
+    peer,
+)
 
-Floats = NDArray[np.float64]
 Function = Callable[[Floats], Floats]
 
 DIMENSION = 16
@@ -50,6 +66,7 @@ RASTRIGIN_RIPPLE = 10.0
 TERMS_MISSED = 3  # by the cheap simulation: it explains 13/16 of the cost's variance
 FOLDED_SHARE = 0.1  # of the space, the best by the cheap simulation
 WAVES = 50.0  # across the width of the box
+OFF_GRID = 256  # perturbations a trial, of the arm that may leave the table
 
 
 class _Draw(IntEnum):
@@ -180,3 +197,79 @@ def _sobol(half_width: float, bits: int, rng: np.random.Generator) -> Floats:
 def _rng(seed: int, draw: _Draw) -> np.random.Generator:
     """The generator of one kind of draw."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(draw),)))
+
+
+def folder(problem_name: str, arm: str, seed: int) -> Path:
+    """Where runs are kept; problems of one cost share those that see no feature."""
+    found = problem(problem_name, seed)
+    return Path(problem_name if ARMS[arm].features else found.landscape, arm)
+
+
+@cache
+def code(_: str, arm: str) -> str:
+    """Fingerprint of what decides an arm's costs: the problems, and the sampler."""
+    if ARMS[arm].kind == OURS:
+        return fingerprint([Path(__file__), *OUR_SOURCES], OUR_PACKAGES)
+    return fingerprint([Path(__file__)], PEER_PACKAGES)
+
+
+def costs(problem_name: str, arm: str, seed: int, trials: int) -> Floats:
+    """Costs of the trials of one run in their order, [trials]; the problem's seed decides all."""
+    found, sampler = problem(problem_name, seed), ARMS[arm].sampler
+    if sampler is None:
+        rows = found.rows()
+        return found.cost(rows[_CONTROL_ORDERS[arm](found, rows)[:trials]])
+    return costs_of(lambda: sampler(found, seed), found.objective, trials)
+
+
+def _table(found: Problem) -> CandidateTable:
+    """The problem's rows with their feature."""
+    rows = found.rows()
+    columns = dict(zip(NAMES, rows.T, strict=True))
+    return CandidateTable.from_arrays(columns, found.features(rows), space=found.distributions())
+
+
+def _over_rows(kernel: str | None = None) -> Callable[[Problem, int], BaseSampler]:
+    """Our sampler over the rows of the table; None: the kernel that it has by default."""
+    return lambda found, seed: FeatureKernelSampler(_table(found), seed=seed, kernel=kernel)
+
+
+def _euclidean(found: Problem, seed: int) -> BaseSampler:
+    """Our sampler over the whole space, a Gaussian process of the parameters."""
+    return FeatureKernelSampler(None, seed=seed, space=found.distributions())
+
+
+def _off_grid(found: Problem, seed: int) -> BaseSampler:
+    """Our sampler over the rows, and over points near the best of them."""
+    return FeatureKernelSampler(
+        _table(found), seed=seed, feature_function=found.features, off_grid=OFF_GRID
+    )
+
+
+def _random_rows(found: Problem, rows: Floats) -> NDArray[np.int64]:
+    """Row numbers in random order."""
+    return np.random.default_rng(found.seed).permutation(len(rows))
+
+
+def _score_first(found: Problem, rows: Floats) -> NDArray[np.int64]:
+    """Row numbers, the least feature first."""
+    return np.argsort(found.features(rows)[:, 0], kind="stable")
+
+
+_CONTROL_ORDERS = {"random-rows": _random_rows, "score-first": _score_first}
+
+_SPACE = "the space"
+_ROWS = "4,096 rows"
+_FEATURE = "4,096 rows and their feature"
+_MORE = "4,096 rows, points near the best of them, the feature of each"
+
+ARMS = {
+    **{name: peer(name, _SPACE) for name in ("random", "tpe", "gp", "cmaes")},
+    "random-rows": Arm("random rows", _ROWS, CONTROL),
+    "score-first": Arm("least feature first", _FEATURE, CONTROL, features=True),
+    "euclidean": Arm("ours, Euclidean", _SPACE, OURS, _euclidean),
+    "euclidean-rows": Arm("ours, Euclidean, rows", _ROWS, OURS, _over_rows("euclidean")),
+    "ours": Arm("ours", _FEATURE, OURS, _over_rows(), features=True),
+    "paper": Arm("ours, the paper's kernel", _FEATURE, OURS, _over_rows("rbf"), features=True),
+    "off-grid": Arm("ours, off the table", _MORE, OURS, _off_grid, features=True),
+}

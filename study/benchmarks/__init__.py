@@ -1,1 +1,0 @@
-"""How the sampler does on synthetic problems beside Optuna's own, and how fast it is."""

@@ -1,0 +1,351 @@
+"""Problems from outside: their files, what a study meets, and how samplers are compared on them."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+from scipy.stats import spearmanr
+
+from taichi_nmm.errors import InputError
+from tests.tools.running import load_tool, run_tool
+from tools.benchmarks import outside
+from tools.benchmarks.outside import (
+    ARMS,
+    PROBLEMS,
+    REPORTED,
+    TUNING,
+    Feature,
+    OutsideProblem,
+    digest,
+    file_of,
+    outside_problem,
+    read,
+    rows_by_ranking,
+)
+from tools.benchmarks.runs import Run
+
+# Of names, parameters, features and cost. Other numbers are another problem: figures made with the
+# old ones must be made again.
+DIGESTS = {
+    "digits-network": "919632c690f2a73b",
+    "transport-solver": "6d51af5a2bb14237",
+    "cluster-evolution": "5d0d1e116e6a8ad0",
+    "tumour-boosting": "1a495df8295b6a6a",
+    "cart-pole": "9bf9a956a3fd60a3",
+    "stiff-reactions": "2a9aa0e97ba72051",
+}
+MOST_KB = 150
+
+
+def content_digest(name: str) -> str:
+    problem = outside_problem(name)
+    found = hashlib.sha256(repr((name, [*problem.columns], problem.feature_names)).encode())
+    for column in problem.columns.values():
+        found.update(repr(column.tolist()).encode())
+    found.update(np.ascontiguousarray(problem.features).tobytes())
+    found.update(problem.cost.tobytes())
+    return found.hexdigest()[:16]
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_a_file_has_a_pool_its_features_and_finite_costs(name: str) -> None:
+    problem = outside_problem(name)
+    assert problem.name == name
+    assert problem.purpose == ("tuning" if name in TUNING else "reported")
+    assert 1000 <= len(problem) <= 1500
+    assert 4 <= len(problem.space) <= 8
+    assert 2 <= len(problem.feature_names) <= 6
+    assert problem.features.shape == (len(problem), len(problem.feature_names))
+    assert np.isfinite(problem.cost).all()
+    assert problem.best == problem.cost.min()
+    assert problem.made_by == f"python tools/make_outside.py --problem {name}"
+    assert file_of(name).stat().st_size < 1000 * MOST_KB
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_parameters_are_mixed_and_lie_in_their_space(name: str) -> None:
+    problem = outside_problem(name)
+    kinds: set[object] = set()
+    for parameter, distribution in problem.space.items():
+        values = problem.columns[parameter].tolist()
+        assert all(distribution._contains(distribution.to_internal_repr(v)) for v in values)
+        assert len(set(values)) > 1
+        kinds |= {type(distribution)} | ({"log"} if getattr(distribution, "log", False) else set())
+    assert kinds >= {CategoricalDistribution, FloatDistribution, "log"}
+    rows = [tuple(problem.settings(row).values()) for row in range(len(problem))]
+    assert len(set(rows)) == len(rows)
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_numbers_are_those_that_figures_were_made_with(name: str) -> None:
+    assert content_digest(name) == DIGESTS[name]
+    assert digest(name) == hashlib.sha256(file_of(name).read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_a_problem_is_neither_flat_nor_easy_nor_without_a_clue(name: str) -> None:
+    """Half the rows differ clearly from the best, ten random rows do not find it, features help."""
+    problem = outside_problem(name)
+    order = np.sort(problem.cost)
+    assert len(np.unique(problem.cost)) > 0.5 * len(problem)
+    rng = np.random.default_rng(0)
+    drawn = [problem.cost[rng.permutation(len(problem))[:10]].min() for _ in range(200)]
+    assert np.median(drawn) > order[5]
+    worth = [abs(spearmanr(ranks, problem.cost).statistic) for ranks in problem.ranks.T]
+    assert 0.4 <= max(worth) <= 0.97
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_choices_and_integers_have_equal_shares_of_the_pool(name: str) -> None:
+    problem, tried = outside_problem(name), 0
+    for parameter, distribution in problem.space.items():
+        _, counts = np.unique(problem.columns[parameter], return_counts=True)
+        equal = isinstance(distribution, CategoricalDistribution) or (
+            isinstance(distribution, IntDistribution) and not distribution.log
+        )
+        if equal:
+            tried += 1
+            assert counts.max() - counts.min() <= 2
+    assert tried
+
+
+def test_there_are_three_to_tune_on_and_three_to_report() -> None:
+    assert len(TUNING) == len(REPORTED) == 3
+    fields = {outside_problem(name).field for name in PROBLEMS}
+    assert len(fields) == len(PROBLEMS)
+
+
+def test_an_unknown_problem_is_one_line() -> None:
+    for refused in (outside_problem, file_of):
+        with pytest.raises(InputError, match=r"^problem: 'easy'.*digits-network.*stiff-reactions$"):
+            refused("easy")
+
+
+SPACE = {
+    "rate": FloatDistribution(1e-4, 1.0, log=True),
+    "depth": IntDistribution(1, 9),
+    "kind": CategoricalDistribution(("plain", "fancy")),
+}
+COLUMNS = {
+    "rate": np.array([1e-4, 1e-2, 1.0, 1.0]),
+    "depth": np.array([1, 5, 9, 9]),
+    "kind": np.array(["plain", "fancy", "plain", "fancy"]),
+}
+FEATURES = {"depth": Feature("low", "itself"), "minus": Feature("high", "its opposite")}
+
+
+def made(*names: str) -> OutsideProblem:
+    """A problem of four rows, with some of the parameters."""
+    features = np.array([[1.0, np.nan], [5.0, -5.0], [np.inf, -9.0], [np.inf, -9.0]])
+    return OutsideProblem(
+        name="made", purpose="tuning", field="testing", cost_meaning="a sum", made_by="hand",
+        space={name: SPACE[name] for name in names},
+        columns={name: COLUMNS[name] for name in names},
+        feature_meanings=FEATURES, features=features, cost=np.array([1.0, 2.0, 4.0, 3.0]),
+    )  # fmt: skip
+
+
+WHOLE = made(*SPACE)
+
+
+def nearest(**settings: float | int | str) -> int:
+    return WHOLE.row_nearest_to(settings)
+
+
+def test_a_row_is_nearest_to_itself() -> None:
+    for row in range(4):
+        assert nearest(**{name: values[row].item() for name, values in COLUMNS.items()}) == row
+    problem = outside_problem("digits-network")
+    for row in range(0, len(problem), 50):
+        assert problem.row_nearest_to(problem.settings(row)) == row
+
+
+def test_distance_is_on_the_scale_of_the_parameter() -> None:
+    """3e-3 is nearer to 1e-2 than to 1e-4 by its logarithm alone; integers count by their steps."""
+    rates, depths = made("rate"), made("depth")
+    assert [rates.row_nearest_to({"rate": rate}) for rate in (5e-4, 3e-3, 0.05, 0.2)] == [
+        0,
+        1,
+        1,
+        2,
+    ]
+    assert [depths.row_nearest_to({"depth": depth}) for depth in (2, 3, 4, 8)] == [0, 0, 1, 2]
+
+
+def test_a_choice_is_kept_unless_all_else_would_change() -> None:
+    # Another choice is sqrt 2 away, the ends of both numbers together as much.
+    assert nearest(rate=1e-4, depth=5, kind="fancy") == 1
+    assert nearest(rate=1.0, depth=9, kind="fancy") == 3
+    assert nearest(rate=1.0, depth=9, kind="plain") == 2
+    assert nearest(rate=1e-4, depth=2, kind="fancy") == 1
+
+
+def test_the_objective_is_the_cost_of_the_nearest_row() -> None:
+    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=1))
+    study.enqueue_trial(WHOLE.settings(3))
+    study.optimize(WHOLE.objective, n_trials=5)
+    assert study.trials[0].value == WHOLE.cost[3]
+    for trial in study.trials:
+        assert trial.value == WHOLE.cost[WHOLE.row_nearest_to(trial.params)]
+        assert trial.distributions == WHOLE.space
+
+
+def test_the_ranking_is_the_mean_rank_from_the_good_ends() -> None:
+    """Equal values share the mean of their ranks; what failed ranks last."""
+    np.testing.assert_array_equal(WHOLE.ranks, [[1, 4], [2, 1], [3.5, 2.5], [3.5, 2.5]])
+    np.testing.assert_array_equal(WHOLE.ranking, [2.5, 1.5, 3, 3])
+
+
+def test_a_file_that_is_none_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "broken.parquet").write_text("PAR1")
+    for name in ("broken.parquet", "missing.parquet"):
+        with pytest.raises(InputError, match=r"a file of tools/benchmarks/data"):
+            read(tmp_path / name)
+
+
+PROBLEM = "transport-solver"
+TRIALS, SEEDS = 7, 2
+REPORT = load_tool("compare_outside").OutsideReport
+RUN_ARMS = [arm for arm in ARMS if arm != "gp"]
+
+
+def compare(patch: pytest.MonkeyPatch, folder: Path, *arguments: object) -> int:
+    sizes = ("--seeds", SEEDS, "--trials", TRIALS, "--processes", 1, "--arms", ",".join(RUN_ARMS))
+    where = ("--problems", PROBLEM, "--cache", folder / "cache", "--out", folder / "docs")
+    return run_tool(patch, "compare_outside", *sizes, *where, *arguments)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The documents and the cache of one run of the command."""
+    path = tmp_path_factory.mktemp("outside")
+    with pytest.MonkeyPatch.context() as patch:
+        assert compare(patch, path) == 0
+    return path
+
+
+def kept(folder: Path, arm: str, seed: int) -> dict[str, Any]:
+    name = f"{TRIALS}-trials-seed-{seed:03d}.json"
+    found: dict[str, Any] = json.loads((folder / "cache" / PROBLEM / arm / name).read_text())
+    return found
+
+
+@pytest.mark.slow
+def test_the_document_has_the_problem_its_arms_and_its_tests(folder: Path) -> None:
+    text = (folder / "docs" / "sampler-outside.md").read_text()
+    assert text.startswith("# Samplers on problems from outside")
+    assert f"## {PROBLEM} (tuning)" in text
+    for arm in RUN_ARMS:
+        assert f"| {ARMS[arm].label} | {ARMS[arm].sees} |" in text
+    for name in outside_problem(PROBLEM).feature_names:
+        assert f"| {name} |" in text
+    assert "never behind a sampler without features" in text
+    assert "| ours, seeds won : lost, p | after 5 | after 7 |" in text
+    assert "![Rank" in text and "](sampler-outside.png)" in text
+    assert (folder / "docs" / "sampler-outside.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_every_arm_shows_costs_of_the_pool(folder: Path) -> None:
+    for arm in RUN_ARMS:
+        for seed in range(SEEDS):
+            costs = kept(folder, arm, seed)["costs"]
+            assert len(costs) == TRIALS
+            assert set(costs) <= set(outside_problem(PROBLEM).drawn(seed).cost.tolist())
+    problem = outside_problem(PROBLEM).drawn(1)
+    first = problem.cost[rows_by_ranking(problem, 1)]
+    np.testing.assert_array_equal(kept(folder, "ranking", 1)["costs"], first[:TRIALS])
+    np.testing.assert_array_equal(kept(folder, "tpe-ranking", 1)["costs"][:3], first[:3])
+
+
+@pytest.mark.slow
+def test_the_same_command_takes_all_from_the_cache(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {file: file.stat().st_mtime_ns for file in (folder / "cache").rglob("*.json")}
+    assert len(before) == SEEDS * len(RUN_ARMS)
+    assert compare(monkeypatch, folder, "--json") == 0
+    assert {file: file.stat().st_mtime_ns for file in (folder / "cache").rglob("*.json")} == before
+    said = json.loads(capsys.readouterr().out)
+    assert said["seeds"] == SEEDS
+    of_ranking = [row for row in said["medians"] if row["arm"] == "ranking"]
+    assert [row["trial"] for row in of_ranking] == [5, TRIALS]
+    costs = [kept(folder, "ranking", seed)["costs"] for seed in range(SEEDS)]
+    assert of_ranking[-1]["median"] == np.median(np.min(costs, axis=1))
+
+
+@pytest.mark.slow
+def test_other_numbers_are_other_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Run("outside", PROBLEM, "random", 0, TRIALS)
+    assert run.is_current(folder / "cache")
+    monkeypatch.setattr(outside, "digest", lambda _: "other")
+    outside.code.cache_clear()
+    assert not run.is_current(folder / "cache")
+    outside.code.cache_clear()
+
+
+def test_a_seed_draws_half_of_the_pool() -> None:
+    whole = outside_problem(PROBLEM)
+    one, again, other = whole.drawn(1), whole.drawn(1), whole.drawn(2)
+    assert (
+        len(one) == len(whole) // 2 == len(one.features) == len(one.columns[next(iter(one.space))])
+    )
+    np.testing.assert_array_equal(one.cost, again.cost)
+    assert set(one.cost) <= set(whole.cost)
+    assert set(one.cost) != set(other.cost)
+
+
+def test_ties_of_the_ranking_are_broken_by_the_seed_and_nothing_else() -> None:
+    problem = outside_problem(PROBLEM)
+    first, second = rows_by_ranking(problem, 1), rows_by_ranking(problem, 2)
+    for rows in (first, second):
+        assert sorted(rows) == list(range(len(problem)))
+        assert (np.diff(problem.ranking[rows]) >= 0).all()
+    np.testing.assert_array_equal(first, rows_by_ranking(problem, 1))
+
+
+def test_our_arms_get_the_pool_as_it_is() -> None:
+    problem = outside_problem(PROBLEM)
+    plain = outside.table(problem, ranking=False)
+    told = outside.table(problem, ranking=True)
+    assert len(plain) == len(told) == len(problem)
+    assert told.rows.feature_names[-1] == "ranking"
+    assert plain.rows.feature_names == problem.feature_names
+
+
+def report(ours: list[float], tpe: list[float], ranking: list[float]) -> Any:
+    """Of ten seeds: least cost after 5 and after 10 trials, more for each seed by a little."""
+    seeds = 1.0 + 0.001 * np.arange(12)[:, None]
+    after = {"ours": ours, "tpe": tpe, "ranking": ranking}
+    return REPORT.of(
+        {(PROBLEM, arm): np.repeat(costs, 5)[None] * seeds for arm, costs in after.items()}
+    )
+
+
+def test_bars_hold_where_ours_leads_and_name_where_it_does_not() -> None:
+    good = report(ours=[2.0, 1.0], tpe=[3.0, 2.0], ranking=[1.5, 1.4])
+    assert [bar.holds for bar in good.bars] == [True] * len(good.bars)
+    bad = report(ours=[2.0, 1.9], tpe=[1.0, 1.0], ranking=[1.5, 1.4])
+    assert not any(bar.holds for bar in bad.bars)
+    assert bad.bars[0].measured.startswith(f"{PROBLEM}, TPESampler, 5 (0 : 12)")
+    test = bad.versus(PROBLEM, "ours", "tpe", 10)
+    assert (test.wins, test.losses) == (0, 12) and test.is_behind and not test.is_ahead
+    assert bad.median(PROBLEM, "tpe", 5) == pytest.approx(1.0055)
+
+
+def test_runs_that_repeat_each_other_are_counted_once() -> None:
+    costs = np.array([[3.0, 2.0, 5.0], [3.0, 2.0, 4.0], [3.0, 2.0, 5.0]])
+    made = REPORT.of({(PROBLEM, "ours"): costs, (PROBLEM, "tpe"): costs[:1].repeat(3, 0)})
+    assert made.different == {(PROBLEM, "ours"): 2, (PROBLEM, "tpe"): 1}
+
+
+def test_equal_runs_are_neither_ahead_nor_behind() -> None:
+    same = report(ours=[2.0, 1.0], tpe=[2.0, 1.0], ranking=[2.0, 1.0])
+    test = same.versus(PROBLEM, "ours", "tpe", 10)
+    assert (test.wins, test.losses, test.p) == (0, 0, 1.0)
+    assert not test.is_ahead and not test.is_behind

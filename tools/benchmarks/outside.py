@@ -1,0 +1,323 @@
+"""Tuning problems from outside: pools of candidates whose costly objective was computed once.
+
+Nobody here invented them: they are what users of public packages tune. A problem is a Parquet file
+of `data/`: candidates, cheap features and the cost of each. `ARMS` are the samplers that are
+compared on it. All of them are answered by the same objective: ours propose rows of the pool,
+Optuna's propose any point of the space and are told the cost of the nearest row.
+"""
+
+import hashlib
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import optuna
+from numpy.typing import ArrayLike, NDArray
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+    json_to_distribution,
+)
+from optuna.samplers import BaseSampler
+from scipy.stats import rankdata
+
+from study.features.feature_table import FeatureTable
+from study.sampler.feature_sampler import FeatureKernelSampler
+from taichi_nmm.errors import InputError
+from taichi_nmm.reading import parse_json, reading
+from tools.benchmarks.runs import (
+    CONTROL,
+    OUR_PACKAGES,
+    OUR_SOURCES,
+    OURS,
+    PEER,
+    PEER_PACKAGES,
+    PEERS,
+    ROOT,
+    Arm,
+    Floats,
+    costs_of,
+    fingerprint,
+    peer,
+)
+
+Columns = dict[str, NDArray[Any]]
+Settings = Mapping[str, float | int | str]  # one candidate: its parameters by name
+
+TUNING = ("digits-network", "transport-solver", "cluster-evolution")  # our defaults saw them
+REPORTED = ("tumour-boosting", "cart-pole", "stiff-reactions")  # looked at once, at the end
+PROBLEMS = (*TUNING, *REPORTED)
+
+DATA = Path(__file__).parent / "data"
+METADATA_KEY = b"outside"
+COST = "cost"
+FEATURE_PREFIX = "feature."  # of a column's name: a feature may be called as a parameter is
+RANKING = "ranking"  # the feature that is the problem's mean rank, low is good
+ENQUEUED = 3  # rows that are tried before a peer's own first trial
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A cheap number that a practitioner would have of each candidate, as it comes.
+
+    Attributes:
+        good: the end that practitioners prefer.
+        meaning: with its unit.
+    """
+
+    good: Literal["low", "high"]
+    meaning: str
+
+
+@dataclass(frozen=True, eq=False)
+class OutsideProblem:
+    """A pool of n candidates, of which everything is known.
+
+    Attributes:
+        name: one of `PROBLEMS`.
+        purpose: "tuning" or "reported".
+        field: whose problem it is.
+        cost_meaning: what is minimised, with its unit.
+        space: of the parameters, d of them, as Optuna has it.
+        columns: of the parameters, [n] each: floats, integers, or words.
+        feature_meanings: of k features by name: the good end, and what the numbers are.
+        features: as they came, [n, k]; infinite or NaN where the cheap run failed.
+        cost: [n], finite; less is better.
+        made_by: the command that computed the file.
+    """
+
+    name: str
+    purpose: str
+    field: str
+    cost_meaning: str
+    space: dict[str, BaseDistribution]
+    columns: Columns
+    feature_meanings: dict[str, Feature]
+    features: Floats
+    cost: Floats
+    made_by: str
+
+    def __len__(self) -> int:
+        """Number of candidates, n."""
+        return len(self.cost)
+
+    @property
+    def best(self) -> float:
+        """The least cost of the pool: nobody gets below it."""
+        return float(self.cost.min())
+
+    @property
+    def feature_names(self) -> tuple[str, ...]:
+        """Of the columns of `features`, k."""
+        return tuple(self.feature_meanings)
+
+    @cached_property
+    def ranks(self) -> Floats:
+        """Rank of each candidate by each feature from its good end, [n, k]; 1 is best.
+
+        Equal values share the mean of their ranks, and NaN ranks last.
+        """
+        signs = [1.0 if each.good == "low" else -1.0 for each in self.feature_meanings.values()]
+        badness = np.where(np.isnan(self.features), np.inf, self.features * signs)
+        return np.asarray(rankdata(badness, axis=0))
+
+    @cached_property
+    def ranking(self) -> Floats:
+        """Mean rank of a candidate over the features, [n]: a guess of anybody who has them."""
+        return np.asarray(self.ranks.mean(axis=1))
+
+    def drawn(self, seed: int) -> "OutsideProblem":
+        """The same problem with half of the candidates, drawn by the seed: a sample of problems."""
+        rng = np.random.default_rng(np.random.SeedSequence(seed))
+        rows = np.sort(rng.choice(len(self), len(self) // 2, replace=False))
+        return replace(
+            self,
+            columns={name: column[rows] for name, column in self.columns.items()},
+            features=self.features[rows],
+            cost=self.cost[rows],
+        )
+
+    def settings(self, row: int) -> dict[str, float | int | str]:
+        """The parameters of a candidate, as plain Python values."""
+        return {name: column[row].item() for name, column in self.columns.items()}
+
+    def row_nearest_to(self, settings: Settings) -> int:
+        """The candidate nearest to any point of the space; of several, the first.
+
+        Distance is Euclidean in a cube. A number is its place between the ends of its range, on its
+        own scale (logarithmic where its distribution is). A choice is one coordinate a choice, of
+        which one is 1: two choices are sqrt 2 apart, farther than the ends of a range, so that the
+        proposed choice is kept unless everything else would have to change.
+        """
+        point = self._coordinates({name: [settings[name]] for name in self.space})
+        return int(np.argmin(((self._points - point) ** 2).sum(axis=1)))
+
+    def objective(self, trial: optuna.Trial) -> float:
+        """The cost of the candidate nearest to what is suggested; the row itself costs its own."""
+        settings = {name: _suggest(trial, name, self.space[name]) for name in self.space}
+        return float(self.cost[self.row_nearest_to(settings)])
+
+    @cached_property
+    def _points(self) -> Floats:
+        return self._coordinates(self.columns)
+
+    def _coordinates(self, columns: Mapping[str, ArrayLike]) -> Floats:
+        """Columns [n] as points of the cube, [n, coordinates]."""
+        return np.column_stack([_cube(self.space[name], columns[name]) for name in self.space])
+
+
+def require_known(name: str) -> None:
+    """Refuse a name that no problem has.
+
+    Raises:
+        InputError: listing those that there are.
+    """
+    if name not in PROBLEMS:
+        raise InputError("problem", name, f"one of {', '.join(PROBLEMS)}")
+
+
+def file_of(name: str) -> Path:
+    """Where a problem's file is.
+
+    Raises:
+        InputError: no such problem.
+    """
+    require_known(name)
+    return DATA / f"{name}.parquet"
+
+
+def digest(name: str) -> str:
+    """SHA-256 of a problem's file: other numbers are another problem."""
+    return hashlib.sha256(file_of(name).read_bytes()).hexdigest()
+
+
+@cache
+def outside_problem(name: str) -> OutsideProblem:
+    """A problem by its name; read once a process, and not to be written to.
+
+    Raises:
+        InputError: no such problem, or its file is missing or broken.
+    """
+    return read(file_of(name))
+
+
+def read(path: Path) -> OutsideProblem:
+    """A problem from its file.
+
+    Raises:
+        InputError: the file is missing, broken or another's.
+    """
+    import pyarrow.parquet as pq  # slow to load
+
+    with reading("problem", path, "a file of tools/benchmarks/data") as file:
+        table = pq.read_table(file)
+        said = parse_json(table.schema.metadata[METADATA_KEY])
+    column = {name: np.array(table[name].to_pylist()) for name in table.column_names}
+    meanings = {name: Feature(**meaning) for name, meaning in said["features"].items()}
+    stacked = [column[FEATURE_PREFIX + name].astype(np.float64) for name in meanings]
+    space = {name: json_to_distribution(text) for name, text in said["space"].items()}
+    return OutsideProblem(
+        name=said["name"],
+        purpose=said["purpose"],
+        field=said["field"],
+        cost_meaning=said["cost_meaning"],
+        space=space,
+        columns={name: column[name] for name in space},
+        feature_meanings=meanings,
+        features=np.column_stack(stacked),
+        cost=column[COST].astype(np.float64),
+        made_by=said["command"],
+    )
+
+
+def _suggest(trial: optuna.Trial, name: str, distribution: BaseDistribution) -> float | int | str:
+    """A parameter of the trial, suggested by its distribution."""
+    if isinstance(distribution, CategoricalDistribution):
+        return str(trial.suggest_categorical(name, distribution.choices))
+    if isinstance(distribution, IntDistribution):
+        return trial.suggest_int(name, distribution.low, distribution.high, log=distribution.log)
+    assert isinstance(distribution, FloatDistribution)
+    return trial.suggest_float(name, distribution.low, distribution.high, log=distribution.log)
+
+
+def _cube(distribution: BaseDistribution, values: ArrayLike) -> Floats:
+    """A column [n] as coordinates, [n, 1] or, of a choice, [n, choices]."""
+    if isinstance(distribution, CategoricalDistribution):
+        equal = np.asarray(values)[:, None] == np.array(distribution.choices)
+        return np.asarray(equal, dtype=np.float64)
+    assert isinstance(distribution, FloatDistribution | IntDistribution)
+    numbers = np.asarray(values, dtype=np.float64)
+    low, high = float(distribution.low), float(distribution.high)
+    if distribution.log:
+        numbers, low, high = np.log(numbers), np.log(low), np.log(high)
+    return np.asarray(((numbers - low) / (high - low))[:, None])
+
+
+def folder(problem: str, arm: str, _: int) -> Path:
+    """Where runs are kept."""
+    return Path(problem, arm)
+
+
+@cache
+def code(problem: str, arm: str) -> str:
+    """Fingerprint of what decides an arm's costs: numbers, this file and the sampler."""
+    if ARMS[arm].kind == OURS:
+        table = ROOT / "study" / "features" / "feature_table.py"
+        return fingerprint([Path(__file__), table, *OUR_SOURCES], OUR_PACKAGES, digest(problem))
+    return fingerprint([Path(__file__)], PEER_PACKAGES, digest(problem))
+
+
+def costs(problem: str, arm: str, seed: int, trials: int) -> Floats:
+    """Costs of the trials of one run in their order, [trials]; the seed draws half of the pool."""
+    found, sampler = outside_problem(problem).drawn(seed), ARMS[arm].sampler
+    ranked = rows_by_ranking(found, seed)
+    if sampler is None:
+        return found.cost[ranked[:trials]]
+    first = [found.settings(int(row)) for row in ranked[: ARMS[arm].enqueued]]
+    return costs_of(lambda: sampler(found, seed), found.objective, trials, first)
+
+
+def rows_by_ranking(problem: OutsideProblem, seed: int) -> NDArray[np.int64]:
+    """Row numbers, the best-ranked first, [n]; the seed decides among equals and nothing else."""
+    among_equals = np.random.default_rng(np.random.SeedSequence(seed)).permutation(len(problem))
+    return np.lexsort((among_equals, problem.ranking))
+
+
+def table(problem: OutsideProblem, ranking: bool) -> FeatureTable:
+    """The pool with its features as they come; with `ranking`, the ranking is one more."""
+    features, names = problem.features, [*problem.feature_names]
+    if ranking:
+        features, names = np.column_stack([features, problem.ranking]), [*names, RANKING]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of features that are not finite
+        return FeatureTable.from_arrays(problem.columns, features, names, space=problem.space)
+
+
+def _ours(problem: OutsideProblem, seed: int) -> BaseSampler:
+    return FeatureKernelSampler(table(problem, ranking=False), seed=seed)
+
+
+def _ours_with_prior(problem: OutsideProblem, seed: int) -> BaseSampler:
+    return FeatureKernelSampler(table(problem, ranking=True), seed=seed, prior=f"-{RANKING}")
+
+
+_NOTHING = "nothing"
+_FEATURES = "features"
+_RANKED = "features, and which end of each is good"
+
+ARMS = {
+    "ours": Arm("ours", _FEATURES, OURS, _ours, features=True),
+    "ours-prior": Arm("ours, ranking as prior", _RANKED, OURS, _ours_with_prior, features=True),
+    "ranking": Arm("the ranking alone", _RANKED, CONTROL, features=True),
+    "tpe-ranking": Arm(
+        f"TPESampler, {ENQUEUED} best-ranked rows first", _RANKED, PEER,
+        lambda _, seed: PEERS["tpe"][1](seed), enqueued=ENQUEUED,
+    ),
+    **{name: peer(name, _NOTHING) for name in ("tpe", "gp", "cmaes", "random")},
+}  # fmt: skip
