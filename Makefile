@@ -4,6 +4,7 @@
 # make test         all tests
 # make test-fast    those that take no long: for daily work
 # make test-campaign   2,000 damaged inputs, dozens of kills: what takes long and has kin in `make test`
+# make fuzz CASES=20000 SEED=7   damaged input of every format to every command; failures go to out/fuzz
 # make docs         the site, out/site/index.html: runs the notebooks, needs no network
 # make lint         style and types, as CI checks them
 # make hooks        run the lint before every commit
@@ -14,7 +15,7 @@ BIN := .venv/bin
 PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: quickstart compare results test test-fast test-campaign docs lint hooks store store-diverse store-worlds store-torso store-stairs
+.PHONY: quickstart compare results test test-fast test-campaign fuzz docs lint hooks store store-diverse store-worlds store-torso store-stairs
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
@@ -51,6 +52,11 @@ test-fast: .venv/installed
 
 test-campaign: .venv/installed
 	$(BIN)/python -m pytest $(PARALLEL) -m campaign
+
+CASES ?= 2000
+SEED ?= 1
+fuzz: .venv/installed
+	$(BIN)/python -m tests.fuzz.campaign --cases $(CASES) --seed $(SEED)
 
 # Without the theme's notice of its successor: the versions are pinned.
 docs: .venv/installed

@@ -1,15 +1,78 @@
-"""Damage to bytes, texts and documents; each returns a new one, and `rng` is all its luck."""
+"""Damage to bytes, texts, documents, Parquet files and databases, and values that nobody expects.
 
+Each kind of damage returns a new content, or writes a file again; `rng` decides all of it.
+"""
+
+import hashlib
 import json
 import math
 import re
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing, suppress
 from copy import deepcopy
+from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.random import Generator
 
-from tests.fuzz.hostile import VALUES, WORDS, chance, pick
+from storage.document import document_hash
+from storage.shard import FOOTER_KEY
+from storage.stamped import DIGEST_KEY, table_digest
+
+HUGE = 10**400
+SURROGATE = "\udcff"  # of a name that is not UTF-8, as Python has it
+
+# Of JSON, TOML, Parquet and SQLite.
+VALUES: tuple[Any, ...] = (
+    None, True, False, 0, -1, 1, 2, 3, 7, 2**31, 2**63 - 1, 2**63, -(2**63), 10**30, HUGE, 0.0,
+    -0.0, 0.5, -1.5, 1e-320, 1e-9, 1e16, 1e308, -1e308, float("nan"), float("inf"), float("-inf"),
+    "", " ", "a", "dog", "random", "flat", "rough", "file", "mujoco", "cuda", "1", "nan", "null",
+    "..", ".", "/", "a/b", "../toy", "hill.csv", "store", "nowhere", "\n", "\x00", "\x1b[31m", "é",
+    "\u202eab", "\U0001f600", "%s{0}", "$x^2$", "<script>", "x" * 5000, [], [[]], {}, {"a": 1},
+    [1, 2], [2, 1], [0.5, 0.5], [None], ["a", "a"], ["theta_ref"], [{}], {"": ""}, {"kind": "flat"},
+    [0] * 2000,
+)  # fmt: skip
+
+# Of text files, in place of a word or between two.
+WORDS: tuple[str, ...] = (
+    "", "nan", "inf", "-inf", "1e400", "-1", "0", "-0.0", "1e-320", "9" * 5000, "0x10", "1_000",
+    "\u0663", "true", "null", "None", "\"a\"", "'", '"', "[" * 200, "{", "}", "]", ",", ":", "=",
+    "#", "\\", "\\u0000", "\\ud800", "\x00", "\ufeff", "\r", "\r\n", "\t", "\x1b", "\x85", "\u2028",
+    "/*", "//", "[a]", "[[a]]", "a.b = 1", "\n\n", ";", "1,2,3", "1 2", "1;2", "1,5",
+)  # fmt: skip
+
+# Of options. Some are names of files and folders of the world. None is an absolute path that can be
+# written: whoever runs this may be root.
+OPTIONS: tuple[str, ...] = (
+    "", " ", "-", "--", "-1", "0", "1", "2", "00", "+1", "1.5", "1e3", "nan", "inf", "-inf",
+    "1e400", "9" * 30, "9" * 5000, "\u0663", "\u00b2", "1_0", "0x1", " 1 ", "1\n", "a", "dog",
+    "dog,dog", "dog,", ",", "random", "best", "é", "\u202ea", "\U0001f600", "a b", "a\nb", "a\tb",
+    "\x1b[31m",
+    SURROGATE, f"a{SURROGATE}", "x" * 300, "x" * 5000, "%s", "%(default)s", "{}", "{0}", "*", "~",
+    ".", "..", "./.", "a/b/c", "store", "compared", "toy.toml", "hill.csv", "live.db", "gains.json",
+    "toy.toml/x", "/dev/null/x", "auto", "cpu", "cuda", "vulkan",
+    "mujoco", "both", "taichi", "few", "all", "sqlite:///", "sqlite:///live.db",
+    "sqlite:///toy.toml", "sqlite:///store", "sqlite:///a/b.db", "sqlite:///:memory:",
+    "sqlite:///x?mode=ro", "sqlite:///%00", "sqlite:///%ff", "sqlite:///~/x", "sqlite://",
+    "mysql://a", "postgresql+psycopg://", "postgresql://x:secret@y/z",
+    "postgresql+psycopg://u:secret@127.0.0.1:1/x", "postgresql+psycopg://[::1",
+    "toy/dog/run-000/0", "toy/dog/run-000/1", "toy/dog/run-000/9", "toy/dog/run-000/x", "toy/dog/0",
+    "////", "toy/dog/run-000/\u0663", "toy/dog/run-000/-1", "K_T", "reference", "rough8", "store-v",
+)  # fmt: skip
+
+
+def pick(rng: Generator, values: Any) -> Any:
+    """One of a sequence."""
+    return values[int(rng.integers(len(values)))]
+
+
+def chance(rng: Generator, of: float) -> bool:
+    """True in this part of all calls."""
+    return bool(rng.random() < of)
+
 
 PIECES = re.compile(r"[\w.+-]+|\s+|[^\w\s]")
 DEEP = 200  # lists in each other
@@ -144,4 +207,165 @@ def toml_value(value: Any) -> str:
         return "[" + ", ".join(map(toml_value, value)) + "]"
     if isinstance(value, float) and not math.isfinite(value):
         return "nan" if math.isnan(value) else f"{value}"
+    return json.dumps(value)
+
+
+TYPES = (
+    pa.int8(), pa.int32(), pa.int64(), pa.uint64(), pa.float16(), pa.float32(), pa.float64(),
+    pa.string(), pa.large_string(), pa.binary(), pa.bool_(), pa.null(), pa.timestamp("s"),
+    pa.list_(pa.float64()), pa.dictionary(pa.int32(), pa.string()), pa.decimal128(20, 2),
+)  # fmt: skip
+DEFERRED = "PRAGMA ignore_check_constraints = ON"
+
+
+def damaged_columns(rng: Generator, path: Path) -> None:
+    """Write the file again: a column dropped, renamed, doubled, of another type, with other values.
+
+    Its footer stays; a digest in it is made to fit, so that a reader must look at the values.
+    """
+    table = pq.read_table(path, partitioning=None)
+    footer = table.schema.metadata
+    for _ in range(1 + int(rng.exponential(0.4))):
+        table = other_table(rng, table.replace_schema_metadata(None))
+    if footer and FOOTER_KEY in footer:
+        document = json.loads(footer[FOOTER_KEY])
+        if DIGEST_KEY in document and chance(rng, 0.8):
+            with suppress(Exception):  # of types that have no digest
+                document[DIGEST_KEY] = table_digest(table)
+        table = table.replace_schema_metadata({FOOTER_KEY: json.dumps(document)})
+    pq.write_table(table, path, compression="zstd", write_page_checksum=True)
+
+
+def other_table(rng: Generator, table: pa.Table) -> pa.Table:
+    """A table with one change."""
+    place = int(rng.integers(table.num_columns)) if table.num_columns else 0
+    rows = len(table)
+    kind = int(rng.integers(9))
+    if kind == 0 or not table.num_columns:
+        return table.slice(int(rng.integers(rows + 1)), int(rng.integers(rows + 1)))
+    field = table.schema.field(place)
+    if kind == 1:
+        return table.remove_column(place)
+    if kind == 2:
+        names = list(table.column_names)
+        names[place] = pick(rng, ("", "a", names[0], names[-1], "\n", f" {names[place]}"))
+        return table.rename_columns(names)
+    if kind == 3:
+        return table.append_column(field, table.column(place))
+    if kind == 4:
+        return pa.concat_tables([table, table.slice(0, min(rows, 2))])
+    if kind == 5:
+        return table.take(pa.array(rng.permutation(rows)))
+    values = table.column(place).to_pylist()
+    if kind == 6:
+        return table.set_column(place, field.name, as_column(values, pick(rng, TYPES)))
+    for _ in range(pick(rng, (1, 1, 2, rows))):
+        if rows:
+            values[int(rng.integers(rows))] = pick(rng, VALUES)
+    return table.set_column(place, field.name, as_column(values, field.type))
+
+
+def as_column(values: list[Any], kind: pa.DataType) -> pa.Array:
+    """The values as this type; those that are none of it are left out."""
+    kept = []
+    for value in values:
+        try:
+            pa.array([value], kind)
+        except (pa.ArrowException, TypeError, ValueError, OverflowError):
+            value = None
+        kept.append(value)
+    return pa.array(kept, kind)
+
+
+def damaged_footer(rng: Generator, path: Path) -> None:
+    """Write the file again with a damaged document in its footer, or none, or no JSON.
+
+    Hashes in it are made to fit now and then, so that a reader must look at what is said.
+    """
+    table = pq.read_table(path, partitioning=None)
+    document = damaged_document(rng, json.loads(table.schema.metadata[FOOTER_KEY]))
+    if chance(rng, 0.5):
+        sign(document)
+    text = json.dumps(document).encode()
+    metadata = pick(rng, ({FOOTER_KEY: text},) * 20 + (None, {FOOTER_KEY: b"\xff"}, {b"a": text}))
+    pq.write_table(
+        table.replace_schema_metadata(metadata), path, compression="zstd", write_page_checksum=True
+    )
+    manifest = path.with_name("manifest.json")
+    if manifest.is_file() and chance(rng, 0.5):
+        known = json.loads(manifest.read_text())
+        for shard in known["shards"]:
+            if shard["file"] == path.name:
+                shard["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+        if isinstance(document, dict) and "specification" in document:
+            known["specification"] = document["specification"]
+            sign(known)
+        manifest.write_text(json.dumps(known))
+
+
+def sign(document: Any) -> None:
+    """Have the hash of a specification fit it, where there is one."""
+    if isinstance(document, dict) and "specification" in document:
+        document["specification_hash"] = document_hash(document["specification"])
+
+
+def damaged_database(rng: Generator, path: Path) -> None:
+    """Values of cells replaced, rows dropped or doubled, a table dropped or renamed."""
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute(DEFERRED)
+        for _ in range(1 + int(rng.exponential(0.5))):
+            with suppress(sqlite3.Error):  # a constraint that stands in the way
+                change_database(rng, connection)
+        connection.commit()
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
+
+def change_database(rng: Generator, connection: sqlite3.Connection) -> None:
+    """One change."""
+    names = [
+        row[0]
+        for row in connection.execute(
+            "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite%'"
+            " ORDER BY name"
+        )
+    ]
+    name = pick(rng, names)
+    columns = [row[1] for row in connection.execute(f'PRAGMA table_info("{name}")')]
+    column = pick(rng, columns)
+    rows = connection.execute(f'SELECT rowid, "{column}" FROM "{name}" ORDER BY rowid').fetchall()
+    kind = int(rng.integers(14))
+    if kind == 0:
+        connection.execute(f'DROP TABLE "{name}"')
+    elif kind == 1:
+        connection.execute(f'ALTER TABLE "{name}" RENAME COLUMN "{column}" TO "{column}_"')
+    elif not rows:
+        return
+    elif kind == 2:
+        connection.execute(f'DELETE FROM "{name}" WHERE rowid = ?', (pick(rng, rows)[0],))
+    elif kind == 3:
+        connection.execute(f'DELETE FROM "{name}"')
+    elif kind == 4:
+        others = ", ".join(f'"{each}"' for each in columns[1:])
+        connection.execute(f'INSERT INTO "{name}" ({others}) SELECT {others} FROM "{name}"')
+    else:
+        row, old = pick(rng, rows)
+        value = in_cell(rng, old)
+        every = "" if chance(rng, 0.15) else f" WHERE rowid = {row}"
+        connection.execute(f'UPDATE "{name}" SET "{column}" = ?{every}', (value,))
+
+
+def in_cell(rng: Generator, old: Any) -> Any:
+    """A value for a cell: of JSON, where there was JSON."""
+    if isinstance(old, str):
+        with suppress(ValueError):
+            document = json.loads(old)
+            changed = damaged_document(rng, document) if chance(rng, 0.7) else pick(rng, VALUES)
+            return json.dumps(changed) if chance(rng, 0.9) else json.dumps(changed)[:-1]
+    value = pick(rng, VALUES)
+    if isinstance(value, str):
+        return value.encode() if chance(rng, 0.2) else value
+    if value is None or isinstance(value, float):
+        return value
+    if isinstance(value, int) and abs(value) < 2**63:
+        return value
     return json.dumps(value)

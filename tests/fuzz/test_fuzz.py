@@ -1,6 +1,6 @@
 """Damaged inputs end in success or one line; and what does not is noticed.
 
-`python tools/fuzz.py --cases 50000` has more of them.
+`make fuzz CASES=50000 SEED=1` has more of them.
 """
 
 import os
@@ -14,11 +14,21 @@ import numpy as np
 import pytest
 
 from storage.pool import cores
-from tests.fuzz.campaign import BEGUN, Plan, keep, run_cases, table
+from tests.fuzz.campaign import (
+    ACCEPTED,
+    BEGUN,
+    REFUSED,
+    Plan,
+    Verdict,
+    content,
+    judge,
+    keep,
+    run_cases,
+    table,
+    wrong,
+)
 from tests.fuzz.cases import HERE, NAMES, every_option, make_case
-from tests.fuzz.damage import as_json, damaged_document, nudged
-from tests.fuzz.hostile import HUGE, VALUES
-from tests.fuzz.judge import ACCEPTED, REFUSED, Verdict, content, judge, wrong
+from tests.fuzz.damage import HUGE, VALUES, as_json, damaged_document, nudged
 from tests.fuzz.world import COMMANDS, Words, make_world
 
 pytestmark = pytest.mark.slow
@@ -65,7 +75,7 @@ def test_every_option_gets_every_word(plan: Plan) -> None:
     listed = every_option()
     assert len(set(listed)) == len(listed) > 20_000
     assert {words[0] for words in listed} >= {words[0] for words in COMMANDS.values()}
-    some = range(7, len(listed), len(listed) // FEW)  # tools/fuzz.py --every-option has all
+    some = range(7, len(listed), len(listed) // FEW)  # --every-option has all
     outcomes = list(run_cases(replace(elsewhere(plan, "options"), seed=None), some, cores()))
     assert [outcome.words for outcome in outcomes if outcome.verdict.wrong] == []
     assert len(outcomes) == len(some)

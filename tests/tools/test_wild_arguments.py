@@ -31,13 +31,10 @@ DEEP = {
     "power.json": f'{{"K_SOL": 1{"0" * 400}}}', "deep.toml": "a = " + "[" * 100_000,
     "digits.toml": f"seed = {'9' * 5000}", "power.toml": f"seed = 1{'0' * 400}",
 }  # fmt: skip
-NEW_FILE = {
-    "draw-store": "--out", "find_reference": "--out", "make_outside": "--out", "walk": "--mjcf",
-}  # fmt: skip
-# What a tool calls to work, beside the simulator and the server.
+NEW_FILE = {"draw-store": "--out", "walk": "--mjcf"}
+# The function that a tool calls to work, beside the simulator and the server.
 WORK = {
-    "bench": "measure", "compare_outside": "execute", "compare_peers": "execute",
-    "find_reference": "starts", "make_outside": "make", "time_explorer": "measure",
+    "bench": "measure", "compare_outside": "runs.execute", "compare_peers": "runs.execute",
     "time_sampler": "measure",
 }  # fmt: skip
 
@@ -47,8 +44,6 @@ COMPLETE: dict[str, tuple[str, ...]] = {
     "compare": ("--config", "CONFIG", "--arms", "random", "--no-artifacts"),
     "draw-store": ("STORE",),
     "explore": ("STORE", "--no-browser"),
-    "find_reference": ("--out", "gains.json"),
-    "make_outside": ("--problem", "cart-pole"),
     "optimum": ("--config", "CONFIG"),
     "report": ("DONE",),
     "dashboard": ("DONE",),
@@ -57,7 +52,7 @@ COMPLETE: dict[str, tuple[str, ...]] = {
 }
 BESIDE = {
     "--row": ("--store", "STORE"), "--store": ("--row", "0"), "--trial": ("--storage", "DONE"),
-    "--storage": ("--trial", "toy/random/run-000/0"), "--rows": ("--out", "rows.parquet"),
+    "--storage": ("--trial", "toy/random/run-000/0"),
 }  # fmt: skip
 FORMS = {
     "--storage": ("{}", "sqlite:///{}", "postgresql+psycopg://{}", "postgresql+psycopg://me@127.0.0.1:1/{}"),
@@ -119,7 +114,7 @@ def tries(tool: str, action: Action, places: Places) -> Iterator[tuple[str, list
     if is_text and NEW_FILE.get(tool) != flag:
         words = words | {name: str(places.folder / name) for name in DEEP}
     complete = COMPLETE.get(tool, ())
-    beside = BESIDE.get(flag, ()) if tool == "walk" or flag == "--rows" else ()
+    beside = BESIDE.get(flag, ()) if tool == "walk" else ()
     for name, word in words.items():
         for form in FORMS.get(flag, ("{}",)):
             tried = form.format(word)
@@ -156,7 +151,8 @@ def test_it_is_refused_in_one_line(
         module = load_tool(tool)
         actions = options_of(module, monkeypatch)
         if tool in WORK:
-            monkeypatch.setattr(module, WORK[tool], refuse_work)
+            *inner, name = WORK[tool].split(".")
+            monkeypatch.setattr(getattr(module, inner[0]) if inner else module, name, refuse_work)
 
         def run() -> None:
             run_command(module.main)

@@ -1,0 +1,380 @@
+"""Commands killed at commits and at random moments: what they leave is compared with a whole run.
+
+    python -m tests.tools.kills --kills 100 --seed 1
+
+In every folder a command is killed at a commit, just before it or just after, and then, resumed, at
+any moment. Resumed once more it ends, and its folder must hold the same bits as that of a run that
+was not killed. The simulator is replaced by a formula. Exit code 1 where a folder differs.
+
+A commit is a file that gets its name, or a transaction of a database. Python's audit events and
+SQLAlchemy's report them: the commands know nothing of this. Processes are forked from one that has
+imported the commands and has done nothing else, since an import takes longer than a command.
+"""
+
+import atexit
+import hashlib
+import json
+import os
+import random
+import re
+import select
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from itertools import cycle
+from pathlib import Path
+from typing import Any, NoReturn
+
+import optuna
+import pyarrow.parquet as pq
+from optuna.trial import TrialState
+from sqlalchemy import Engine, Pool, event
+
+import taichi_nmm
+from storage.databases.urls import file_url
+from study.cli import main as command_line
+from study.cli import run_command
+from study.comparison import compare
+from study.comparison.experiment_folder import RUN_NAME, TIMES_NAME
+from study.comparison.results import PROPOSAL_TIME
+from study.optimum import generations
+from study.optimum.optimum_folder import OPTIMUM_NAME
+from study.options import COMMANDS, LARGEST_SEED, Options
+from tests.study import fake_walker
+
+NAMING = ("os.rename", "os.link")  # the audit events of os.replace and its like
+DATABASE = "a transaction"  # in place of a file's name
+
+STORE = """
+samples = 32
+shard_rows = 16
+seed = 7
+[simulation]
+duration_s = 2.0
+[families.up]
+settings = 1
+min_survival_s = 0.5
+terrain = {kind = "ramp"}
+"""
+REPERTOIRE = """
+[repertoire]
+evaluations = 300
+settings = 1
+candidates = 6
+"""
+EXPERIMENT = """
+name = "{kind}"
+seed = 5
+runs = 2
+trials = 4
+arms = ["random", "dog"]
+[objective]
+cost = "smooth"
+[simulation]
+duration_s = 2.0
+[body]
+disturbance = {disturbance}
+[terrain]
+kind = "{kind}"
+[cmaes]
+population = 4
+max_generations = 3
+[stores]
+flat = "{base}/store"
+diverse = "{base}/store"
+"""
+ONE = "--workers 1"
+COMPARE = f"compare --config {{base}}/rough.toml {ONE} --no-artifacts --out"
+# The commands that write, run in a folder of their own; {base} is the folder of what they need.
+SCENES = {
+    "precompute": f"precompute --config {{base}}/bred.toml --out out {ONE}",
+    "study": "study --config {base}/rough.toml --arm dog --storage sqlite:///out/s.db --out out",
+    "compare": f"{COMPARE} out",
+    "report": "report compared --no-strips",
+    "optimum": f"optimum --config {{base}}/flat.toml --out out {ONE}",
+    "draw-store": "draw-store {base}/store --out store.png",
+}
+PREPARATIONS = (f"precompute --config {{base}}/store.toml --out store {ONE}", f"{COMPARE} compared")
+
+
+@dataclass(frozen=True)
+class Death:
+    """When a process is killed; by default never.
+
+    Attributes:
+        commit: name of the file, or `DATABASE`, whose commit it dies at.
+        number: of that commit among those of its name, from 1.
+        after: die at whatever comes after the commit; otherwise just before it.
+        delay_s: die so long after the beginning, in place of a commit.
+    """
+
+    commit: str = ""
+    number: int = 1
+    after: bool = False
+    delay_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a process ended: its exit code, its commits in their order, its duration."""
+
+    code: int
+    commits: tuple[str, ...]
+    wall_s: float
+
+    @property
+    def killed(self) -> bool:
+        """Whether it was killed before it had ended."""
+        return self.code == -signal.SIGKILL
+
+
+class Watch:
+    """Counts the commits of this process, reports each to a file descriptor, and kills at one."""
+
+    def __init__(self, death: Death, report: int) -> None:
+        self._death, self._report = death, report
+        self._count = 0
+        self._dying: tuple[str, int] | None = None  # kind of event, and thread, that dies next
+
+    def begin(self) -> None:
+        """Watch from here on."""
+        os.write(self._report, b"\n")
+        sys.addaudithook(self._on_audit)
+        event.listen(Engine, "commit", lambda _: self._on_commit(DATABASE, "checkin"))
+        event.listen(Pool, "checkin", lambda *_: self._on_next("checkin"))
+
+    def _on_audit(self, name: str, arguments: tuple[Any, ...]) -> None:
+        if name in NAMING:
+            self._on_commit(Path(arguments[1]).name, "audit")
+        elif self._dying is not None:
+            self._on_next("audit")
+
+    def _on_commit(self, name: str, next_kind: str) -> None:
+        os.write(self._report, f"{name}\n".encode())
+        self._count += name == self._death.commit
+        if name != self._death.commit or self._count != self._death.number:
+            return
+        if not self._death.after:
+            os.kill(os.getpid(), signal.SIGKILL)
+        self._dying = next_kind, threading.get_ident()
+
+    def _on_next(self, kind: str) -> None:
+        if self._dying == (kind, threading.get_ident()):
+            self._dying = None  # os.kill is an audit event, too
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+def in_process(work: Callable[[], None], folder: Path, log: Path, death: Death = Death()) -> Ended:
+    """Do some work in a fork of this process, in a folder; what it prints goes to the log."""
+    ours, theirs = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        os.close(ours)
+        be(work, folder, log, Watch(death, theirs))
+    os.close(theirs)
+    begun_s, words, delay_s = time.monotonic(), b"", death.delay_s
+    with os.fdopen(ours, "rb", buffering=0) as pipe:
+        while True:
+            waits = delay_s is not None and words
+            left_s = max(0.0, begun_s + (delay_s or 0.0) - time.monotonic()) if waits else None
+            if not select.select([pipe], [], [], left_s)[0]:
+                os.kill(pid, signal.SIGKILL)
+                delay_s = None
+                continue
+            word = pipe.read(4096)
+            if not word:
+                break
+            begun_s = begun_s if words else time.monotonic()  # from the end of the fork
+            words += word
+    _, status = os.waitpid(pid, 0)
+    commits = tuple(words.decode().split("\n")[1:-1])
+    return Ended(os.waitstatus_to_exitcode(status), commits, time.monotonic() - begun_s)
+
+
+def be(work: Callable[[], None], folder: Path, log: Path, watch: Watch) -> NoReturn:
+    """The forked process, which runs none of its parent's code."""
+    code: Any = 1
+    try:
+        printed = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        os.dup2(printed, 1)
+        os.dup2(printed, 2)
+        os.chdir(folder)
+        watch.begin()
+        work()
+        code = 0
+    except SystemExit as leaving:
+        code = leaving.code or 0
+    finally:
+        sys.stdout.flush()
+        atexit._run_exitfuncs()
+        os._exit(code)
+
+
+class Theatre:
+    """A folder in which commands are run, beside a base with what all of them need."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._base = folder, folder / "base"
+        self._log, self._stage = folder / "log.txt", folder / "stage"
+        self._base.mkdir(parents=True)
+        texts = {"store": STORE, "bred": STORE + REPERTOIRE}
+        for kind, disturbance in (("rough", 0.15), ("flat", 0.0)):
+            texts[kind] = EXPERIMENT.format(kind=kind, disturbance=disturbance, base=self._base)
+        for name, text in texts.items():
+            (self._base / f"{name}.toml").write_text(text)
+        for line in PREPARATIONS:
+            self._play(line, self._base, Death())
+
+    def run(self, command: str, *deaths: Death) -> tuple[list[Ended], dict[str, str]]:
+        """A command in a new folder, killed so often and then whole; the folder's digest."""
+        shutil.rmtree(self._stage, ignore_errors=True)
+        self._stage.mkdir()
+        if command == "report":
+            shutil.copytree(self._base / "compared", self._stage / "compared")
+        ended = [self._play(SCENES[command], self._stage, each) for each in (*deaths, Death())]
+        return ended, self._digest()
+
+    def _play(self, line: str, folder: Path, death: Death) -> Ended:
+        self._log.write_text("")
+        words = line.format(base=self._base).split()
+        ended = in_process(lambda: command_line(words), folder, self._log, death)
+        if ended.code and not ended.killed:
+            raise RuntimeError(f"{line} ended with {ended.code}: {self._log.read_text()}")
+        return ended
+
+    def _digest(self) -> dict[str, str]:
+        """In a process of its own: this one opens no database, and so forks none that is open."""
+        file = self._folder / "digest.json"
+
+        def write() -> None:
+            file.write_text(json.dumps(digest(self._stage)))
+
+        in_process(write, self._folder, self._log)
+        found: dict[str, str] = json.loads(file.read_text())
+        file.unlink()
+        return found
+
+
+OF_THE_SESSION = {"date", "wall_s", "machine"}  # in optimum.json
+OF_THE_DATABASE = (".db-wal", ".db-shm")  # read with it
+OF_REPEATS = {"failed_trial", "retry_history", "fixed_params"}  # of a trial that was cut short
+VERSION = re.compile("note_ver")  # counts how often a note was written
+TRIAL_NOTE = re.compile(r"dashboard:(\d+):")  # by the trial's identity, in the order of writing
+IDENTITIES = re.compile(r"/artifacts/\d+/\d+/")  # of study and trial, in the order of writing
+
+
+def digest(folder: Path) -> dict[str, str]:
+    """SHA-256 of each file, by its name within the folder, less times, dates and interruptions.
+
+    Every file counts, so what a killed process left behind is a difference.
+    """
+    files = sorted(file for file in folder.rglob("*") if file.is_file())
+    return {
+        str(file.relative_to(folder)): hashlib.sha256(content(file)).hexdigest()
+        for file in files
+        if not file.name.endswith(OF_THE_DATABASE)
+    }
+
+
+def content(file: Path) -> bytes:
+    """The content of a file that two runs agree upon."""
+    if file.name == RUN_NAME:
+        return b""
+    if file.name == TIMES_NAME or file.parent.name == "arms":
+        return repr(pq.read_table(file).drop_columns(PROPOSAL_TIME).to_pylist()).encode()
+    if file.name == OPTIMUM_NAME:
+        document = json.loads(file.read_text())
+        return json.dumps({k: v for k, v in document.items() if k not in OF_THE_SESSION}).encode()
+    if file.suffix == ".db":
+        storage = optuna.storages.RDBStorage(file_url(file))
+        names = optuna.get_all_study_names(storage)
+        found = {
+            name: of_study(optuna.load_study(study_name=name, storage=storage)) for name in names
+        }
+        storage.engine.dispose()
+        return json.dumps(found, sort_keys=True).encode()
+    return file.read_bytes()
+
+
+def of_study(study: optuna.Study) -> dict[str, Any]:
+    """Attributes and finished trials of a study, less numbers that count trials cut short."""
+    finished = study.get_trials(states=(TrialState.COMPLETE,))
+    places = {trial._trial_id: place for place, trial in enumerate(finished)}
+
+    def renamed(key: str) -> str:
+        return TRIAL_NOTE.sub(lambda found: f"trial {places.get(int(found[1]))}:", key)
+
+    system = study._storage.get_study_system_attrs(study._study_id)
+    kept = {renamed(key): text for key, text in system.items() if not VERSION.search(key)}
+    trials = [
+        {
+            "params": trial.params, "values": trial.values, "user": trial.user_attrs,
+            "system": {k: v for k, v in trial.system_attrs.items() if k not in OF_REPEATS},
+        }
+        for trial in finished
+    ]  # fmt: skip
+    text = json.dumps({"user": study.user_attrs, "system": kept})
+    return json.loads(IDENTITIES.sub("/artifacts/", text)) | {"trials": trials}
+
+
+def kill(theatre: Theatre, commands: list[str], kills: int, seed: int) -> dict[str, list[int]]:
+    """Kill the commands by turns, so often in total.
+
+    Returns:
+        Of each command: kills, those at a commit, folders, and folders that are bit-equal.
+    """
+    dice = random.Random(seed)
+    wholes = {command: theatre.run(command) for command in commands}
+    counts = {command: [0, 0, 0, 0] for command in commands}
+    for command in cycle(commands):
+        if sum(count[0] for count in counts.values()) >= kills:
+            break
+        (whole,), expected = wholes[command]
+        name = dice.choice(sorted(set(whole.commits)))
+        number = dice.randint(1, whole.commits.count(name))
+        at_commit = Death(name, number, after=dice.random() < 0.5)
+        deaths = (at_commit, Death(delay_s=dice.uniform(0.0, whole.wall_s)))
+        ended, found = theatre.run(command, *deaths)
+        names = sorted({name for name, _ in expected.items() ^ found.items()})
+        this = (sum(each.killed for each in ended), ended[0].killed, 1, not names)
+        counts[command] = [a + b for a, b in zip(counts[command], this, strict=True)]
+        print(f"{command}: {', '.join(names) or 'equal'}, {deaths}", file=sys.stderr)
+    return counts
+
+
+def main() -> None:
+    """Kill, and print a table."""
+    parser = Options(__file__)
+    parser.whole("--kills", 1, 100_000, default=100, help="in total (%(default)s)")
+    parser.whole("--seed", 0, LARGEST_SEED, default=1, help="of the moments (%(default)s)")
+    parser.add_argument("--commands", metavar="A,B,C", default=",".join(SCENES), help="%(default)s")
+    args = parser.parse_args()
+    vars(taichi_nmm)["simulate"] = fake_walker.simulate
+    compare.CHECKPOINT_S = compare.EXPORT_S = generations.CHECKPOINT_S = (
+        0.0  # often, not every 20 s
+    )
+    compare.STRETCH_TRIALS, generations.STRETCH_GENERATIONS = 2, 1
+    for name in COMMANDS:  # so that no process has to
+        import_module(f"study.commands.{name.replace('-', '_')}")
+    for late in ("ribs.archives", "optuna_dashboard"):
+        import_module(late)
+    folder = Path(tempfile.mkdtemp())  # TemporaryDirectory's would go with the first process
+    try:
+        counts = kill(Theatre(folder), args.commands.split(","), args.kills, args.seed)
+    finally:
+        shutil.rmtree(folder)
+    print("| command | kills | at a commit | folders | bit-equal |\n|---|--:|--:|--:|--:|")
+    for command, count in counts.items():
+        print(f"| {command} | {' | '.join(map(str, count))} |")
+    if any(folders != equal for _, _, folders, equal in counts.values()):
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    run_command(main)
