@@ -1,7 +1,7 @@
 # make quickstart   a walker found on rough ground, from a fresh clone, in minutes
 # make compare      the paper's first experiment: stores, all samplers, figures; resumes where it was stopped
 # make results      every experiment of the documents, on both engines; hours; resumes where it was stopped
-# make test         all tests
+# make test         all tests, and which took longest
 # make test-fast    those that take no long: for daily work
 # make test-campaign   2,000 damaged inputs, dozens of kills: what takes long and has kin in `make test`
 # make fuzz CASES=20000 SEED=7   damaged input of every format to every command; failures go to out/fuzz
@@ -44,22 +44,22 @@ compare: $(STORES)
 results: $(addprefix compare-,$(PAPER) $(STAIRS) $(TORSO) $(OUTSIDE) $(MUJOCO))
 	$(BIN)/python tools/report.py $(addprefix out/compare/,$(PAPER) $(STAIRS) $(TORSO) $(OUTSIDE) $(MUJOCO)) --out out/results
 
-test: .venv/installed
-	$(BIN)/python -m pytest $(PARALLEL)
+test: .venv/test-installed
+	$(BIN)/python -m pytest $(PARALLEL) --durations=25
 
-test-fast: .venv/installed
+test-fast: .venv/test-installed
 	$(BIN)/python -m pytest $(PARALLEL) -m "not slow and not campaign"
 
-test-campaign: .venv/installed
+test-campaign: .venv/test-installed
 	$(BIN)/python -m pytest $(PARALLEL) -m campaign
 
 CASES ?= 2000
 SEED ?= 1
-fuzz: .venv/installed
+fuzz: .venv/test-installed
 	$(BIN)/python -m tests.fuzz.campaign --cases $(CASES) --seed $(SEED)
 
 # Without the theme's notice of its successor: the versions are pinned.
-docs: .venv/installed
+docs: .venv/docs-installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 lint: .venv/lint-installed
@@ -70,13 +70,23 @@ lint: .venv/lint-installed
 hooks: .venv/lint-installed
 	$(BIN)/pre-commit install
 
+# A stamp for each set of packages: `make quickstart` installs no test, document or lint packages.
 .venv/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14) and "error: Python 3.11 to 3.13 is needed: make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
-	@echo "Installing the pinned packages into .venv (a minute or two) ..."
-	$(INSTALL) -e '.[test,docs]'
+	@echo "Installing the pinned packages into .venv (half a minute) ..."
+	$(INSTALL) -e .
 	@touch $@
 
-.venv/lint-installed: .venv/installed
-	$(INSTALL) -e '.[test,docs,dev]'
+.venv/test-installed: .venv/installed
+	@echo "Installing what the tests need ..."
+	$(INSTALL) -e '.[test]'
+	@touch $@
+
+.venv/docs-installed: .venv/installed
+	$(INSTALL) -e '.[docs]'
+	@touch $@
+
+.venv/lint-installed: .venv/test-installed .venv/docs-installed
+	$(INSTALL) -e '.[dev]'
 	@touch $@
