@@ -55,8 +55,9 @@ THERE = ("--cluster", "local:2")
 
 def start(folder: Path, tool: str, *words: object) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, str(ROOT / "tools" / f"{tool}.py"), *map(str, words)],
+        [sys.executable, "-m", "taichi_nmm", tool, *map(str, words)],
         cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -151,21 +152,3 @@ def test_ctrl_c_is_one_line_and_what_is_done_is_kept(folder: Path) -> None:
     assert said[-1] == "interrupted: finished work is kept; the same command resumes"
     assert "Traceback" not in error
     assert 3 <= len(list((folder / "stopped").glob("part-*"))) < 500
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (("--cluster", "nowhere"), "error: cluster: 'nowhere' cannot be used; allowed: local:N"),
-        (("--mixed",), "error: mixed: True cannot be used; allowed: only beside --cluster"),
-    ],
-)
-@pytest.mark.parametrize("tool", ["precompute", "compare", "optimum"])
-def test_what_is_refused_leaves_nothing(
-    folder: Path, tool: str, words: tuple[str, ...], line: str
-) -> None:
-    config = "store.toml" if tool == "precompute" else "rough8"
-    process = start(folder, tool, "--config", config, "--out", "nothing", *words)
-    out, error = process.communicate(timeout=WAIT_S)
-    assert (process.returncode, out, error.count("\n")) == (2, "", 1)
-    assert error.startswith(line) and not (folder / "nothing").exists()

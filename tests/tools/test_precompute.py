@@ -145,31 +145,6 @@ def test_another_specification_is_refused_and_fresh_starts_over(
     assert content(out) == uninterrupted
 
 
-@pytest.mark.parametrize(
-    ("text", "options", "line"),
-    [
-        ("samples = 5\nsead = 1", [], "error: sead: 1 cannot be used"),
-        ("samples = 'all'", [], "error: samples: 'all' cannot be used"),
-        ("samples = 5", ["--samples", "0"], "error: samples: 0 cannot be used"),
-        ("samples = ", [], "error: config: "),
-        (None, [], "error: config: "),
-        ("samples = 5", ["--out", "/dev/null/store"], "error: out: "),
-        ("samples = 5", ["--workers", "0"], "error: workers: 0 cannot be used"),
-        ("samples = 5", ["--workers", "-1"], "error: workers: -1 cannot be used"),
-    ],
-)
-def test_bad_input_is_one_line_and_touches_nothing(
-    tmp_path: Path, command: Command, text: str | None, options: list[str], line: str
-) -> None:
-    config = tmp_path / "bad.toml"
-    if text is not None:
-        config.write_text(text)
-    code, out, error = command("--config", config, "--out", tmp_path / "store", *options)
-    assert (code, out, error.count("\n")) == (2, "", 1)
-    assert error.startswith(line)
-    assert not (tmp_path / "store").exists()
-
-
 def test_a_missing_gpu_is_refused_before_anything_is_written(
     config: Path, tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -337,3 +312,35 @@ def test_several_processes_ended_in_the_middle_again_and_again_resume_bit_equal(
     code, _, error = finish(start_real(tmp_path, "store", workers=2))
     assert code == 0, error
     assert content(tmp_path / "store") == real_store
+
+
+BRED = """
+samples = 64
+shard_rows = 32
+seed = 7
+[families.up]
+settings = 2
+terrain = {kind = "ramp"}
+[repertoire]
+evaluations = 800
+settings = 2
+candidates = 10
+"""
+RENAMES_OF_THE_GRID = 3  # the specification and two shards
+
+
+@pytest.mark.campaign
+def test_a_killed_search_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
+    pytest.importorskip("ribs")
+    config = tmp_path / "store.toml"
+    config.write_text(BRED)
+    code, text, _ = run(config, tmp_path / "whole", "--json")
+    walks = json.loads(text)["walks_searched"]
+    assert code == 0 and len(open_store(tmp_path / "whole", verify=True)) == 74
+    last = RENAMES_OF_THE_GRID + 3
+    killed, *_ = run(config, tmp_path / "killed", "--json", kill_at_rename=last)
+    assert killed == -signal.SIGKILL
+    assert len(list((tmp_path / "killed").glob("search-up-*.parquet"))) == 2
+    code, text, _ = run(config, tmp_path / "killed", "--json")
+    assert code == 0 and 0 < json.loads(text)["walks_searched"] < walks
+    assert content(tmp_path / "killed") == content(tmp_path / "whole")

@@ -1,0 +1,201 @@
+"""Input that cannot be used: one line that names it, exit code 2, and nothing written.
+
+One table of commands, their words and the beginning of the line. The words are run in a folder with
+the files below; {base} is what a command needs to be complete.
+"""
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import taichi_nmm
+from taichi_nmm.parameters import GAIN_NAMES, K_T
+from tests.study import fake_walker
+from tests.tools.running import run_tool
+
+GAINS = dict(zip(GAIN_NAMES, K_T.tolist(), strict=True))
+HUGE = 10**9
+FAR = 2**40
+ONE_OF = "cannot be used; allowed: "
+
+FILES: dict[str, Any] = {
+    "nan.json": GAINS | {"K_SOL": float("nan")},
+    "word.json": GAINS | {"K_SOL": "much"},
+    "high.json": GAINS | {"K_SOL": 99},
+    "low-level.json": GAINS | {"theta_ref": 3.0},
+    "unknown.json": GAINS | {"K_XYZ": 1.0},
+    "missing.json": {name: value for name, value in GAINS.items() if name != "l_clr"},
+    "result.json": {"gains": GAINS | {"K_SOL": 99}},
+    "brace.json": "{",
+    "list.json": "[1, 2]",
+    "number.json": '{"gains": 3}',
+    "empty.toml": "",
+    "sede.toml": "seed = 1\nsede = 1",
+    "long.toml": "seed = 1\n[simulation]\nduration_s = 'long'",
+    "step.toml": "seed = 1\n[simulation]\nphysics_step_s = 0.002",
+    "sea.toml": "seed = 1\n[terrain]\nkind = 'sea'",
+    "body.toml": "seed = 1\n[body]\ndisturbance = 2.0",
+    "bracket.toml": "[",
+    "sead.toml": "samples = 5\nsead = 1",
+    "all.toml": "samples = 'all'",
+    "half.toml": "samples = ",
+    "five.toml": "samples = 5",
+    "file": "in the way",
+}
+BASE = {
+    "compare": "--config rough8-smooth --out new",
+    "optimum": "--config optimum-smooth --out new",
+    "study": "--config rough8-smooth --arm random --storage sqlite:///new.db --out new",
+    "precompute": "--config five.toml --out new --workers 1",
+    "walk": "--config flat --out new",
+    "walk of K_T": "--gains K_T --config flat --out new",
+    "compare_peers": "--out new --cache new",
+    "compare_outside": "--out new --cache new",
+}
+PLACES = [("row: 1", "--row 1 --store store"), ("trial: 'a/b/0'", "--trial a/b/0 --storage .")]
+
+REFUSED: list[tuple[str, str, str]] = [
+    ("compare", f"--runs {HUGE}", f"runs: {HUGE} {ONE_OF}a whole number from 1 to 10000"),
+    ("compare", f"--trials {HUGE}", f"trials: {HUGE}"),
+    ("compare", f"--workers {HUGE}", f"workers: {HUGE}"),
+    ("compare", f"--seed {2**63}", f"seed: {2**63}"),
+    ("compare", f"--runs {'9' * 5000}", "runs: '999"),
+    ("compare", "--runs 1.5", f"runs: '1.5' {ONE_OF}a whole"),
+    ("compare", "--rums 1", "unrecognized arguments: --rums 1"),
+    ("compare of nothing", "", "the following arguments are required: --config"),
+    ("optimum", "--runs 1000000", "runs: 1000000"),
+    ("optimum", f"--max-generations {HUGE}", f"max-generations: {HUGE}"),
+    ("precompute", f"--samples {FAR}", f"samples: {FAR}"),
+    ("precompute", "--samples 0", "samples: 0"),
+    ("precompute", "--workers 0", "workers: 0"),
+    ("precompute", "--workers -1", "workers: -1"),
+    ("precompute", "--out /dev/null/store", "out: "),
+    *(("precompute", f"--config {name}.toml", line) for name, line in [
+        ("sead", f"sead: 1 {ONE_OF}"), ("all", f"samples: 'all' {ONE_OF}"), ("half", "config: "),
+        ("nowhere", "config: "),
+    ]),
+    ("study", f"--trials {HUGE}", f"trials: {HUGE}"),
+    ("study", "--seed -1", "seed: -1"),
+    ("study", f"--run {HUGE}", f"run: {HUGE}"),
+    ("validate", f"--samples {FAR}", f"samples: {FAR}"),
+    ("validate", "--samples 99", f"samples: 99 {ONE_OF}a whole number from 100"),
+    ("validate", f"--draws {HUGE}", f"draws: {HUGE}"),
+    ("validate", "--seed -1", "seed: -1"),
+    ("validate_mujoco", f"--samples {FAR}", f"samples: {FAR}"),
+    ("bench", f"--samples {FAR}", f"samples: {FAR}"),
+    ("bench", "--samples 0", "samples: 0"),
+    ("bench", "--lanes 1,65", "lanes: '1,65'"),
+    ("bench", "--against .", "against: "),
+    ("time_sampler", f"--rows {FAR}", f"rows: {FAR}"),
+    ("time_sampler", f"--sweep 10,{HUGE}", "sweep: "),
+    ("time_sampler", "--sweep 10,x", "sweep: '10,x'"),
+    ("time_sampler", "--sweep 0,10", "sweep: '0,10'"),
+    ("time_sampler", "--repeats 0", "repeats: 0"),
+    ("time_sampler", "--rows 500", f"rows: 500 {ONE_OF}more than 1011"),
+    *((tool, words, line) for tool in ("compare_peers", "compare_outside") for words, line in [
+        ("--arms random,best", f"arms: 'best' {ONE_OF}"), ("--problems easy", "problems: 'easy'"),
+        ("--trials 1", "trials: 1"), ("--seeds 0", "seeds: 0"), (f"--seeds {HUGE}", "seeds: "),
+    ]),
+    *((name, words, line) for name in ("precompute", "compare", "optimum") for words, line in [
+        ("--cluster nowhere", f"cluster: 'nowhere' {ONE_OF}local:N"),
+        ("--mixed", f"mixed: True {ONE_OF}only beside --cluster"),
+    ]),
+    ("walk", "--seed -1", "seed: -1"),
+    ("walk", "--gains nobody.json", f"gains: 'nobody.json' {ONE_OF}one of K_T, reference"),
+    *(("walk", f"--gains {name}.json", line) for name, line in [
+        ("nan", f"gains.K_SOL: nan {ONE_OF}a finite number"),
+        ("word", f"gains.K_SOL: 'much' {ONE_OF}a number"),
+        ("high", f"gains.K_SOL: 99 {ONE_OF}0 to 24"),
+        ("result", f"gains.K_SOL: 99 {ONE_OF}0 to 24"),
+        ("low-level", f"gains.theta_ref: 3.0 {ONE_OF}-0.174533 to 0.523599"),
+        ("unknown", f"gains: 'K_XYZ' {ONE_OF}only the names"), ("missing", "gains.l_clr: None"),
+    ]),
+    *(("walk", f"--gains {name}.json", "... JSON object") for name in ("brace", "list", "number")),
+    *(("walk of K_T", f"--duration={value}", "duration: ") for value in ("0", "-1", "nan", "1e9")),
+    ("walk of K_T", "--movie-seconds=-1", "movie-seconds: -1.0"),
+    *(("walk of K_T", f"--config {name}.toml", line) for name, line in [
+        ("empty", "seed: 'missing'"), ("sede", "sede: 1"),
+        ("long", "simulation.duration_s: 'long'"), ("step", "simulation.physics_step_s: 0.002"),
+        ("sea", "terrain.kind: 'sea'"), ("body", "body.disturbance: 2.0"),
+        ("bracket", "... a readable TOML file"),
+    ]),
+    ("walk of K_T", "--config rough8 --run 50", f"run: 50 {ONE_OF}0 to 49, the runs of rough8"),
+    ("walk of K_T", "--config rough8 --run=-1", "run: -1"),
+    *(("walk of K_T", words, f"{field} {ONE_OF}none beside --gains") for field, words in PLACES),
+    ("walk", " ".join(words for _, words in PLACES), "... none beside --row"),
+    *(("walk", words, f"{field}: None {ONE_OF}a value: ") for words, field in [
+        ("--row 1", "store"), ("--store out/store", "row"),
+        ("--trial a/b/0", "storage"), ("--storage sqlite:///a.db", "trial"),
+    ]),
+    *(("walk", f"--row={row} --store store", f"row: {row} {ONE_OF}0 to 19, the rows of")
+      for row in (20, -1, 10**30)),
+    ("walk", "--row 1 --store nowhere", "... nowhere"),
+    ("walk of K_T", "--out file/below", "out: "),
+    *(("walk of K_T", f"--mjcf {path}", f"mjcf: '{path}'")
+      for path in ("file/walker.xml", "nowhere/walker.xml", ".")),
+    ("walk of K_T", "--engine mujoco --arch cuda", "simulation.arch: 'cuda'"),
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the files, and a store of 20 rows."""
+    folder = tmp_path_factory.mktemp("refusals")
+    for name, content in FILES.items():
+        (folder / name).write_text(content if isinstance(content, str) else json.dumps(content))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+        fake_walker.write_plain_store(folder / "store", 20)
+    return folder
+
+
+def refused(
+    patch: pytest.MonkeyPatch,
+    folder: Path,
+    capture: pytest.CaptureFixture[str],
+    name: str,
+    words: str,
+) -> str:
+    """The one line of a command that must write nothing."""
+    patch.chdir(folder)
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    line = [*shlex.split(BASE.get(name, "")), *shlex.split(words)]
+    code = run_tool(patch, name.partition(" of ")[0], *line)
+    said = capture.readouterr()
+    assert (code, said.out, said.err.count("\n")) == (2, "", 1), said.err
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+    return said.err
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "line"),
+    [pytest.param(*case, id=f"{case[0]} {case[1][:40]}") for case in REFUSED],
+)
+def test_it_is_refused_in_one_line(
+    name: str,
+    words: str,
+    line: str,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    said = refused(monkeypatch, folder, capsys, name, words)
+    if line.startswith("... "):
+        assert said.startswith("error: ") and line.removeprefix("... ") in said
+    else:
+        assert said.startswith(f"error: {line}")
+
+
+def test_a_machine_without_ffmpeg_or_mujoco(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
+        assert "allowed: a working ffmpeg" in refused(patch, folder, capsys, "walk of K_T", "")
+    monkeypatch.setattr("taichi_nmm.mujoco_engine.find_spec", lambda name: None)
+    for words in ("--engine mujoco", "--mjcf walker.xml"):
+        said = refused(monkeypatch, folder, capsys, "walk of K_T", words)
+        assert "pip install 'taichi-nmm[mujoco]'" in said
