@@ -38,7 +38,6 @@ ALLOWED = {
         "study.comparison",
         "study.experiment",
         "study.sampler.history",
-        "study.command",
         "study.pictures",
         "storage",
         "taichi_nmm",

@@ -19,7 +19,7 @@ from pathlib import Path
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from study.cli import guarded_imports, run_command
+from study.cli import guarded_imports, require_engine, run_command
 
 with guarded_imports():
     import numpy as np
@@ -29,7 +29,6 @@ with guarded_imports():
     import taichi_nmm
     from storage.pool import cores
     from storage.sobol import sobol_gains
-    from study.command import require_engine
     from study.commands.validate import Figure, page
     from study.experiment.objective import walked
     from study.options import LARGEST_SEED, Options

@@ -16,7 +16,7 @@ import optuna
 from tqdm import tqdm
 
 from storage.databases.studies import public_url
-from study.command import default_workers
+from study.cli import default_workers, require_engine
 from study.comparison.compare import Outcome, Request, compare
 from study.comparison.finished import Progress
 from study.experiment.check import with_store
@@ -71,6 +71,7 @@ def main(args: Namespace) -> None:
     if args.store is not None:
         experiment = with_store(experiment, arms or experiment.arms, args.store)
     settings = experiment.conditions.settings
+    require_engine(settings)
     workers = default_workers(settings) if args.workers is None else args.workers
     request = Request(
         out,

@@ -16,7 +16,7 @@ from typing import Any
 
 import optuna
 
-from study.command import default_workers
+from study.cli import default_workers, require_engine
 from study.comparison.finished import Progress
 from study.experiment.experiment import (
     Experiment,
@@ -43,6 +43,7 @@ def main(args: Namespace) -> None:
     experiment = read(args)
     out = args.out or Path("out") / "optimum" / experiment.name
     settings = experiment.conditions.settings
+    require_engine(settings)
     workers = default_workers(settings) if args.workers is None else args.workers
     reports = Reports(show_dog, show_cmaes)
     document = estimate(experiment, out, args.runs, workers, reports, asked_cluster(args))

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from storage.cluster.opening import open_pool
 from storage.precompute import Summary, precompute
 from storage.specification import read_specification
-from study.command import default_workers, require_engine
+from study.cli import default_workers, require_engine
 from study.options import asked_cluster
 from taichi_nmm.config import read_toml
 

@@ -22,7 +22,7 @@ from storage.databases.studies import (
 )
 from storage.precompute import precompute
 from storage.specification import read_specification
-from study.command import require_engine
+from study.cli import require_engine
 from study.comparison.experiment_folder import live_artifacts
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, read_experiment, study_name

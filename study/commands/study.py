@@ -20,7 +20,7 @@ from storage.commit import commit_json, writable
 from storage.databases.crew import Crew
 from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.databases.urls import is_postgresql
-from study.command import require_engine
+from study.cli import require_engine
 from study.comparison.experiment_folder import live_artifacts
 from study.experiment.check import check_arms, with_store
 from study.experiment.experiment import read_experiment, study_name

@@ -24,7 +24,7 @@ from tqdm import tqdm
 
 import taichi_nmm
 from storage.commit import commit, writable
-from study.command import require_engine
+from study.cli import require_engine
 from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
 from study.experiment.objective import MEASURES, row_text
 from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial

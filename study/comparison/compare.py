@@ -14,7 +14,6 @@ from storage.cluster.asked import Cluster
 from storage.cluster.opening import open_pool
 from storage.databases.urls import file_url
 from storage.pool import Pool, local_pool
-from study.command import require_engine
 from study.comparison.block import Advanced, Block, advance
 from study.comparison.database import Summarise, check_database, export
 from study.comparison.experiment_folder import DATABASE_NAME, ExperimentFolder
@@ -109,7 +108,6 @@ def compare(
     trials = _positive("trials", request.trials, experiment.trials)
     _positive("workers", request.workers, 1)
     arms = check_arms(experiment, request.arms or experiment.arms, trials)
-    require_engine(experiment.conditions.settings)
     if request.artifacts:
         _require_ffmpeg()
     identity = document(experiment, arms)

@@ -12,7 +12,6 @@ import pyarrow as pa
 
 from storage.cluster.asked import Cluster
 from storage.cluster.opening import open_pool
-from study.command import require_engine
 from study.comparison.compare import Request, compare
 from study.comparison.finished import Progress
 from study.experiment.arms import PAPER_ARM
@@ -74,7 +73,6 @@ def estimate(
         if value < 1:
             raise InputError(name, value, "1 or more")
     (arm,) = check_arms(experiment, (PAPER_ARM,), experiment.trials)
-    require_engine(experiment.conditions.settings)
     began_s = time.monotonic()
     opened = open_pool(
         workers,
