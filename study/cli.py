@@ -29,6 +29,8 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.neighbours import HiddenPackageError
 
 if TYPE_CHECKING:
+    from tqdm import tqdm
+
     from taichi_nmm.settings import Settings
 
 STDIN, STDOUT, STDERR = 0, 1, 2  # files: they need no object that Ctrl-C may have found half made
@@ -76,6 +78,34 @@ def run_command(work: Callable[[], None]) -> None:
     """Do the work of a command inside the guard; leave the process where it does not end well."""
     with _one_line():
         work()
+
+
+class ProgressBar:
+    """A bar on standard error: units a second, and the time left.
+
+    It is shown from the first step on, which tells how much earlier runs have done: that is no part
+    of the rate.
+    """
+
+    def __init__(self) -> None:
+        self._bar: tqdm[None] | None = None
+
+    def move(self, unit: str, done: float, total: int, note: str = "") -> None:
+        """Show `done` of `total`; another unit gets a line of its own."""
+        from tqdm import tqdm
+
+        if self._bar is not None and self._bar.unit != unit:
+            self.close()
+        if self._bar is None:
+            self._bar = tqdm(total=total, initial=int(done), unit=unit, smoothing=0.05)
+        self._bar.set_postfix_str(note, refresh=False)
+        self._bar.update(int(done) - self._bar.n)
+
+    def close(self) -> None:
+        """Leave the line."""
+        if self._bar is not None:
+            self._bar.close()
+        self._bar = None
 
 
 def require_engine(settings: "Settings") -> None:

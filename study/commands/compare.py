@@ -9,14 +9,15 @@ codes: 0, 2 bad input, 130 interrupted.
 
 import json
 from argparse import Namespace
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import optuna
-from tqdm import tqdm
 
 from storage.databases.studies import public_url
-from study.cli import default_workers, require_engine
+from study.cli import ProgressBar, default_workers, require_engine
 from study.comparison.compare import Outcome, Request, compare
 from study.comparison.finished import Progress
 from study.experiment.check import with_store
@@ -27,37 +28,6 @@ from study.report.lines import arms_documents, arms_text
 from study.report.notes import dashboard_summary
 from study.report.numbers import numbers
 from study.report.runs import read_results
-
-
-class ProgressBar:
-    """Trials a second, the time left, and the studies with a walker, on standard error."""
-
-    def __init__(self) -> None:
-        """Not shown yet."""
-        self._bar: tqdm[None] | None = None
-
-    def show(self, progress: Progress) -> None:
-        """Move on; the first call tells what was there."""
-        walkers = f"{progress.walkers} of {progress.studies} studies with a walker"
-        self._move("trial", progress.trials, progress.total, walkers)
-
-    def draw(self, done: int, total: int) -> None:
-        """The same of pictures, on a line of its own."""
-        self._move("picture", done, total)
-
-    def close(self) -> None:
-        """Leave the line."""
-        if self._bar is not None:
-            self._bar.close()
-        self._bar = None
-
-    def _move(self, unit: str, done: int, total: int, note: str = "") -> None:
-        if self._bar is not None and self._bar.unit != unit:
-            self.close()
-        if self._bar is None:
-            self._bar = tqdm(total=total, initial=done, unit=unit, smoothing=0.05)
-        self._bar.set_postfix_str(note, refresh=False)
-        self._bar.update(done - self._bar.n)
 
 
 def main(args: Namespace) -> None:
@@ -84,11 +54,14 @@ def main(args: Namespace) -> None:
         args.films,
         asked_cluster(args),
     )
-    bar = ProgressBar()
-    try:
-        outcome = compare(experiment, request, bar.show, bar.draw, dashboard_summary)
-    finally:
-        bar.close()
+    with closing(ProgressBar()) as bar:
+
+        def show(progress: Progress) -> None:
+            walkers = f"{progress.walkers} of {progress.studies} studies with a walker"
+            bar.move("trial", progress.trials, progress.total, walkers)
+
+        draw = partial(bar.move, "picture")
+        outcome = compare(experiment, request, show, draw, dashboard_summary)
     print(json.dumps(report(experiment, outcome, out)) if args.json else text(outcome, out))
 
 

@@ -8,36 +8,15 @@ import json
 from argparse import Namespace
 from contextlib import closing
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-
-from tqdm import tqdm
 
 from storage.cluster.opening import open_pool
 from storage.precompute import Summary, precompute
 from storage.specification import read_specification
-from study.cli import default_workers, require_engine
+from study.cli import ProgressBar, default_workers, require_engine
 from study.options import asked_cluster
 from taichi_nmm.config import read_toml
-
-
-class ProgressBar:
-    """Walkers a second and the time left; what earlier runs computed is no part of the rate."""
-
-    def __init__(self, total: int) -> None:
-        """A bar of `total` walkers, not shown yet."""
-        self._total = total
-        self._bar: tqdm[None] | None = None
-
-    def show(self, points: float) -> None:
-        """Move to `points`; the first call tells what was there."""
-        if self._bar is None:
-            self._bar = tqdm(total=self._total, initial=int(points), unit="walker", smoothing=0.05)
-        self._bar.update(int(points) - self._bar.n)
-
-    def close(self) -> None:
-        """Leave the line."""
-        if self._bar is not None:
-            self._bar.close()
 
 
 def main(args: Namespace) -> None:
@@ -50,8 +29,9 @@ def main(args: Namespace) -> None:
     one_thread = specification.conditions.on_one_thread().settings
     folder = None if args.fresh else out
     opened = open_pool(workers, asked_cluster(args), folder, one_thread)
-    with opened as pool, closing(ProgressBar(specification.walkers)) as bar:
-        summary = precompute(specification, out, args.fresh, bar.show, pool)
+    with opened as pool, closing(ProgressBar()) as bar:
+        progress = partial(bar.move, "walker", total=specification.walkers)
+        summary = precompute(specification, out, args.fresh, progress, pool)
     print(json.dumps(asdict(summary)) if args.json else text(summary))
 
 

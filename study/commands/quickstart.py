@@ -4,12 +4,13 @@ It does what precompute, study and walk do, one after the other, and goes on whe
 """
 
 from argparse import Namespace
+from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import optuna
-from tqdm import tqdm
 
 import taichi_nmm
 from storage.commit import commit_json, require_folder
@@ -22,7 +23,7 @@ from storage.databases.studies import (
 )
 from storage.precompute import precompute
 from storage.specification import read_specification
-from study.cli import require_engine
+from study.cli import ProgressBar, require_engine
 from study.comparison.experiment_folder import live_artifacts
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, read_experiment, study_name
@@ -65,9 +66,9 @@ def make_store(path: Path) -> None:
     say(
         f"1. Scoring {specification.samples} walkers, {duration_s:g} s on flat ground; then {names}"
     )
-    # Not shown before the first walkers: what is there may be refused.
-    with tqdm(total=specification.walkers, unit="walker", delay=1e-3) as bar:
-        precompute(specification, path, progress=lambda points: bar.update(int(points) - bar.n))
+    with closing(ProgressBar()) as bar:
+        progress = partial(bar.move, "walker", total=specification.walkers)
+        precompute(specification, path, progress=progress)
 
 
 def run_arm(experiment: Experiment, name: str, url: str, out: Path) -> optuna.Study:
