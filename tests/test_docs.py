@@ -1,19 +1,56 @@
-"""Documents say what the code says: parameters, commands, configurations and files."""
+"""Documents agree with the code: tables, commands, links; and every example on them runs."""
 
+import importlib.util
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import optuna
 import pytest
+from PIL import Image
 
 import taichi_nmm
-from taichi_nmm.config import read_toml
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
 from tests.study import fake_walker
 
 ROOT = Path(__file__).resolve().parent.parent
-CONFIGS = sorted((ROOT / "configs").glob("*.toml"))
+DOCS = ROOT / "docs"
+README, CONTRIBUTING = ROOT / "README.md", ROOT / "CONTRIBUTING.md"
+PAGES = [README, CONTRIBUTING, ROOT / "CHANGELOG.md", *sorted(DOCS.rglob("*.md"))]
+LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
+pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+
+
+def code_blocks(page: Path, language: str = "python") -> list[str]:
+    """The code of a page in one language, block by block."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE)
+
+
+def prose(page: Path) -> str:
+    """A page without its code."""
+    return re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """Of headings, as GitHub makes them: lower case, words joined by hyphens."""
+    titles = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title).lower().replace(" ", "-") for title in titles}
+
+
+def run_as_a_newcomer(code: str, folder: Path) -> str:
+    """What the code prints as a file of its own, in a process of its own."""
+    (folder / "example.py").write_text(code)
+    done = subprocess.run(
+        [sys.executable, "example.py"],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    return done.stdout
 
 
 def table_row(parameter: Parameter) -> str:
@@ -25,57 +62,101 @@ def table_row(parameter: Parameter) -> str:
 
 @pytest.mark.parametrize("parameter", [*GAINS, *LOW_LEVEL_GAINS], ids=lambda p: p.name)
 def test_parameter_table_is_that_of_the_code(parameter: Parameter) -> None:
-    assert table_row(parameter) in (ROOT / "docs" / "walker.md").read_text()
+    assert table_row(parameter) in (DOCS / "walker.md").read_text()
 
 
-@pytest.mark.parametrize("config", CONFIGS, ids=lambda path: path.name)
-def test_every_configuration_is_toml_and_its_command_is_named(config: Path) -> None:
-    """In a document or, so that an experiment is one file, in its own comments."""
-    read_toml(config)
-    pages = [config, ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
-    command = re.compile(rf"tools/\w+\.py .*configs/{re.escape(config.name)}")
-    assert any(command.search(page.read_text()) for page in pages)
+def test_the_page_of_commands_is_made_from_their_help() -> None:
+    """`python docs/write_commands.py` writes it anew."""
+    file = DOCS / "write_commands.py"
+    spec = importlib.util.spec_from_file_location("write_commands", file)
+    assert spec is not None and spec.loader is not None
+    writer = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(writer)
+    assert (DOCS / "commands.md").read_text() == writer.page()
 
 
-def test_links_to_files_of_the_repository_lead_somewhere() -> None:
-    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
-        for link in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
-            assert (page.parent / link).exists(), f"{page.name}: {link}"
+@pytest.mark.parametrize("tool", sorted(path.name for path in (ROOT / "tools").glob("*.py")))
+def test_every_tool_is_in_a_document(tool: str) -> None:
+    assert any(tool in page.read_text() for page in PAGES)
 
 
-def python_blocks(page: Path) -> list[str]:
-    """The Python code of a page, block by block."""
-    return re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
+@pages
+def test_links_lead_somewhere(page: Path) -> None:
+    for file, anchor in LINK.findall(prose(page)):
+        if "://" in file:
+            continue
+        target = page.parent / file if file else page
+        assert target.exists(), file
+        if anchor and "api" not in target.parts:  # whose anchors mkdocstrings makes: test_site.py
+            assert anchor in anchors(target), f"{file}#{anchor}"
+
+
+def test_the_readme_is_short_and_moves() -> None:
+    text = README.read_text()
+    assert len(text.splitlines()) <= 110
+    (file,) = re.findall(r"\]\((\S+\.gif)\)", text)
+    assert (ROOT / file).stat().st_size < 1e6
+    with Image.open(ROOT / file) as picture:
+        assert getattr(picture, "n_frames", 1) > 50
 
 
 @pytest.mark.slow
-def test_the_readmes_simulation_runs() -> None:
-    code = python_blocks(ROOT / "README.md")[0]
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    assert "completed" in done.stdout and "(10000, 6)" in done.stdout
+def test_the_readmes_simulation_runs(tmp_path: Path) -> None:
+    printed = run_as_a_newcomer(code_blocks(README)[0], tmp_path)
+    assert "completed" in printed and "(10000, 6)" in printed
 
 
 @pytest.mark.slow
-def test_the_start_pages_walk_prints_what_it_shows() -> None:
-    page = ROOT / "docs" / "index.md"
-    shown = re.findall(r"```text\n(.*?)```", page.read_text(), flags=re.DOTALL)
-    code = python_blocks(page)[0]
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-    assert (done.stdout, done.stderr) == (shown[0], "")
+def test_the_start_pages_walk_prints_what_it_shows(tmp_path: Path) -> None:
+    page = DOCS / "index.md"
+    assert run_as_a_newcomer(code_blocks(page)[0], tmp_path) == code_blocks(page, "text")[0]
 
 
 @pytest.mark.slow
-def test_the_readmes_study_and_the_stores_page_run_on_small_stores(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("page", "block"), [(README, 1), (DOCS / "store.md", 0)])
+def test_examples_that_read_a_store_run_on_a_small_one(
+    page: Path, block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "store").symlink_to(ROOT / "tests" / "assets" / "store-v1")
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     fake_walker.write_store(tmp_path / "out" / "store-diverse")
-    blocks = [python_blocks(ROOT / "README.md")[1], python_blocks(ROOT / "docs" / "store.md")[0]]
-    for code in blocks:
-        done = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path
-        )
-        assert done.returncode == 0, done.stderr
+    run_as_a_newcomer(code_blocks(page)[block], tmp_path)
+
+
+@pytest.mark.slow
+def test_the_samplers_complete_example_runs_in_an_empty_folder(tmp_path: Path) -> None:
+    page = DOCS / "sampler.md"
+    printed, shown = run_as_a_newcomer(code_blocks(page)[0], tmp_path), code_blocks(page, "text")[0]
+    best, promised = (float(re.findall(r"best of 20: (\S+)", text)[0]) for text in (printed, shown))
+    assert best == pytest.approx(promised, abs=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::optuna.exceptions.ExperimentalWarning")
+def test_all_examples_of_the_sampler_run_in_their_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each continues from those before, so they share one namespace."""
+    page = DOCS / "sampler.md"
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "__main__"}
+    blocks = code_blocks(page)
+    for number, code in enumerate([*blocks, blocks[-1]]):  # the last is a program to run again
+        exec(compile(code, f"docs/sampler.md, block {number}", "exec"), names)
+    printed, shown = capsys.readouterr().out, code_blocks(page, "text")[1:]
+    assert shown and all(text in printed for text in shown)
+    study = names["study"]
+    assert isinstance(study, optuna.Study)
+    rows = [trial.user_attrs["row"] for trial in study.trials]
+    assert len(set(rows)) == len(rows) == 10  # stopped after five, then continued
+
+
+@pytest.mark.slow
+def test_the_body_of_the_controllers_page_walks_100_s(tmp_path: Path) -> None:
+    page = DOCS / "controller.md"
+    printed = run_as_a_newcomer(code_blocks(page)[0], tmp_path)
+    walked, distance, speed = map(float, re.findall(r"[\d.]+", printed))
+    assert walked == 100.0
+    assert 1.1 < speed < 1.5 and abs(distance - 100 * speed) < 2.0
+    assert code_blocks(page, "text")[0].split(",")[0] == printed.split(",")[0]

@@ -1,0 +1,75 @@
+"""Write docs/commands.md from the commands' own --help.
+
+    python docs/write_commands.py
+
+`tests/test_docs.py` fails when the page is not what this writes.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from study.options import parsers  # noqa: E402
+
+PAGE = ROOT / "docs" / "commands.md"
+INTRODUCTION = """\
+# Commands
+
+Each command prints this text with `--help`. Made by `python docs/write_commands.py`.
+
+- **Three spellings** do the same: `taichi-nmm walk` after an installation, `python -m taichi_nmm
+  walk` in a checkout, and for some commands `python tools/walk.py`.
+- **Configurations**: one TOML file describes a store or an experiment. `--config` takes a file, or
+  the name of a file that ships; `--list-configs` lists these names.
+- **Extras**: `explore`, `mujoco`, `repertoire`, `postgres` and `cluster` install what some commands
+  need besides, as in `pip install -c constraints.txt '.[mujoco]'`. Commands name a missing package.
+- **Bad input** ends a command with one line and exit code 2. The line names the field, its value
+  and what is allowed.
+- **Ctrl-C or a kill** loses some seconds of work. The same command resumes, and its results are the
+  same bits, with any number of `--workers`, or with `--cluster` on [many machines](cluster.md).
+- **`--json`** prints one object in place of text.
+"""
+
+
+def page() -> str:
+    """The whole page."""
+    chapters = ("\n".join(chapter(name, parser)) for name, parser in parsers().items())
+    return "\n".join([INTRODUCTION, *chapters])
+
+
+def chapter(name: str, parser: argparse.ArgumentParser) -> Iterator[str]:
+    """A command: its first sentence, the rest of its description as it is printed, its options."""
+    first, _, rest = (parser.description or "").strip().partition("\n")
+    yield from (f"## {name}", first, "", "```text", rest.strip("\n"), "```", "")
+    yield from ("| option | meaning |", "|---|---|")
+    for action in parser._actions:
+        if action.help != argparse.SUPPRESS and not isinstance(action, argparse._HelpAction):
+            yield f"| `{words(action)}` | {cell(meaning(action))} |"
+    yield ""
+
+
+def words(action: argparse.Action) -> str:
+    """An option with the name of its value, or the name of a positional argument."""
+    value = str(action.metavar or "")
+    if action.choices is not None and not value:
+        value = "{" + ",".join(map(str, action.choices)) + "}"
+    return cell(" ".join(filter(None, [", ".join(action.option_strings), value])) or action.dest)
+
+
+def meaning(action: argparse.Action) -> str:
+    """The help of an option, its default in place."""
+    return (action.help or "") % vars(action)
+
+
+def cell(text: str) -> str:
+    """Text that does not end a cell of a table."""
+    return " ".join(text.split()).replace("|", r"\|")
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
+    print(PAGE.relative_to(ROOT))
