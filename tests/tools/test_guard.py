@@ -7,14 +7,16 @@ from pathlib import Path
 
 import pytest
 
+from study.options import COMMANDS
 from tests.tools.accidents import run_with_accident
 from tests.tools.running import ROOT
 
 pytestmark = pytest.mark.slow
 
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes\n"
-OTHERS = {"bench_worker", "checkout"}
-TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - OTHERS)
+# The tools beside the commands, and one command: all commands begin in study/cli.py.
+OTHERS = {"bench_worker", "checkout", *(name.replace("-", "_") for name in COMMANDS)}
+TOOLS = ["walk", *sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - OTHERS)]
 FIRST = dict.fromkeys(TOOLS, "numpy") | {"bench": "taichi_nmm.settings"}
 
 

@@ -3,23 +3,18 @@
 A command that took such a word would go on to its work, which is not there in these tests.
 """
 
-import sys
 from argparse import Action
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NoReturn
 
 import pytest
 
 import taichi_nmm
-from study.cli import main, run_command
-from study.options import COMMANDS, Options, _Whole, config_path, parser_of
+from study.cli import main
+from study.options import COMMANDS, _Whole, config_path, parser_of
 from tests.study import fake_walker
-from tests.tools.running import ROOT, load_tool, run_tool
-
-OTHERS = {"bench_worker", "checkout", *COMMANDS}
-TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - OTHERS)
+from tests.tools.running import run_tool
 
 WORDS = {
     "300 letters": "x" * 300, "5,000 digits": "9" * 5000, "10^400": str(10**400),
@@ -32,12 +27,6 @@ DEEP = {
     "digits.toml": f"seed = {'9' * 5000}", "power.toml": f"seed = 1{'0' * 400}",
 }  # fmt: skip
 NEW_FILE = {"draw-store": "--out", "walk": "--mjcf"}
-# The function that a tool calls to work, beside the simulator and the server.
-WORK = {
-    "bench": "measure", "compare_outside": "runs.execute", "compare_peers": "runs.execute",
-    "time_sampler": "measure",
-}  # fmt: skip
-
 # What makes a command complete, for each of its options: of an option that is tried, the last
 # stands. CONFIG, STORE and DONE are of the fixture.
 COMPLETE: dict[str, tuple[str, ...]] = {
@@ -88,33 +77,16 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Places:
     return places
 
 
-def options_of(module: ModuleType, patch: pytest.MonkeyPatch) -> list[Action]:
-    """Every option of a command that takes a word."""
-    found: list[Action] = []
-
-    class AskedError(Exception):
-        pass
-
-    def ask(parser: Options, *_: Any) -> NoReturn:
-        found.extend(parser._actions)
-        raise AskedError
-
-    with patch.context() as context, pytest.raises(AskedError):
-        context.setattr(Options, "parse_args", ask)
-        module.main()
-    return found
-
-
-def tries(tool: str, action: Action, places: Places) -> Iterator[tuple[str, list[str]]]:
+def tries(command: str, action: Action, places: Places) -> Iterator[tuple[str, list[str]]]:
     """What is tried with an option: what it is called, and all words of the command."""
     flag = action.option_strings[-1] if action.option_strings else ""
     of_text = action.type in (None, Path, config_path) and not isinstance(action, _Whole)
     is_text = of_text and action.choices is None
     words = WORDS if is_text else {"5,000 digits": WORDS["5,000 digits"]}
-    if is_text and NEW_FILE.get(tool) != flag:
+    if is_text and NEW_FILE.get(command) != flag:
         words = words | {name: str(places.folder / name) for name in DEEP}
-    complete = COMPLETE.get(tool, ())
-    beside = BESIDE.get(flag, ()) if tool == "walk" else ()
+    complete = COMPLETE.get(command, ())
+    beside = BESIDE.get(flag, ()) if command == "walk" else ()
     for name, word in words.items():
         for form in FORMS.get(flag, ("{}",)):
             tried = form.format(word)
@@ -131,9 +103,9 @@ def refuse_work(*_: Any, **__: Any) -> NoReturn:
     raise AssertionError("it went on to work")
 
 
-@pytest.mark.parametrize("tool", [*COMMANDS, *TOOLS])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_it_is_refused_in_one_line(
-    tool: str,
+    command: str,
     places: Places,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -142,30 +114,14 @@ def test_it_is_refused_in_one_line(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(vars(taichi_nmm), "simulate", refuse_work)
     monkeypatch.setattr("socketserver.BaseServer.serve_forever", refuse_work)
-    if tool in COMMANDS:
-        actions = parser_of(tool)._actions
-
-        def run() -> None:
-            main([tool, *sys.argv[1:]])
-    else:
-        module = load_tool(tool)
-        actions = options_of(module, monkeypatch)
-        if tool in WORK:
-            *inner, name = WORK[tool].split(".")
-            monkeypatch.setattr(getattr(module, inner[0]) if inner else module, name, refuse_work)
-
-        def run() -> None:
-            run_command(module.main)
-
     tried, wrong = 0, []
-    actions = [action for action in actions if action.nargs != 0]
+    actions = [action for action in parser_of(command)._actions if action.nargs != 0]
     for action in [*actions, Action(["--new\nline"], "unknown")]:
-        for name, words in tries(tool, action, places):
+        for name, words in tries(command, action, places):
             tried += 1
-            monkeypatch.setattr(sys, "argv", [f"{tool}.py", *words])
             code: object = None
             try:
-                run()
+                main([command, *words])
             except SystemExit as end:
                 code = end.code
             except BaseException as error:
