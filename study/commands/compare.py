@@ -1,9 +1,9 @@
-"""Compare samplers on the walker: the same bodies and grounds for each, going on side by side.
+"""Compare samplers on the walker: every arm tries the same robots on the same grounds.
 
     taichi-nmm compare --config rough8-smooth --arms dog,random --runs 10
 
-writes trials.parquet and proposal_times.parquet to the folder --out. Stop it when you like; the
-same command goes on where it stopped, and more arms, runs or trials can be asked for later. Exit
+writes trials.parquet and proposal_times.parquet to the folder --out. The command can be stopped at
+any time; the same command goes on where it stopped. A later call may add arms, runs or trials. Exit
 codes: 0, 2 bad input, 130 interrupted.
 """
 
@@ -36,7 +36,7 @@ def main(args: Namespace) -> None:
     experiment = read_experiment(args.config, args.arch, args.seed)
     name = experiment.name if args.seed is None else f"{experiment.name}-seed-{args.seed}"
     out = args.out or Path("out") / "compare" / name
-    read_facts(out)  # what the report at the end will want to know
+    read_facts(out)  # refused before the work, since the report at the end reads them
     arms = tuple(args.arms.split(",")) if args.arms is not None else None
     if args.store is not None:
         experiment = with_store(experiment, arms or experiment.arms, args.store)

@@ -1,10 +1,10 @@
-"""Open optuna-dashboard on an experiment's studies, with their pictures and films.
+"""Show the studies of an experiment in optuna-dashboard, with their pictures and films.
 
     taichi-nmm dashboard                         # the newest folder in out/compare
     taichi-nmm dashboard out/compare/rough8-smooth
     taichi-nmm dashboard --storage postgresql+psycopg://me@host/walker --artifacts DIR
 
-It serves this machine only (127.0.0.1), until Ctrl-C. Exit codes: 0, 2 bad input.
+The server answers this machine only (127.0.0.1), until Ctrl-C. Exit codes: 0, 2 bad input.
 """
 
 # optuna-dashboard asks for no password and trusts its database, and a page of any site may send a
@@ -41,7 +41,7 @@ Environment = dict[str, Any]
 Application = Callable[[Environment, Callable[..., Any]], Iterable[bytes]]
 
 EXPERIMENTS = Path("out") / "compare"
-HOST = "127.0.0.1"  # the dashboard asks nobody who they are
+HOST = "127.0.0.1"  # the dashboard knows no passwords
 LOOPBACK = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d+)?", re.IGNORECASE)
 ARTIFACTS = "/artifacts/"
 KINDS = (
@@ -58,20 +58,20 @@ class Server(ThreadingMixIn, WSGIServer):
 
 
 class QuietHandler(WSGIRequestHandler):
-    """Says nothing about requests."""
+    """Logs no requests."""
 
     def log_message(self, format: str, *args: object) -> None:
         """Drop the line."""
 
 
 def find_database(folder: Path | None, storage: str | None) -> str:
-    """URL of the database that is meant; one that is not there is refused, not made."""
+    """URL of the database; one that does not exist is refused, not created."""
     if storage is None:
         folder = folder or newest()
         if not is_file(folder / DATABASE_NAME):
             raise InputError("folder", str(folder), f"an experiment's folder, with {DATABASE_NAME}")
         return file_url(folder / DATABASE_NAME)
-    shown = shown_url(storage)  # refuses what is no such URL
+    shown = shown_url(storage)  # refuses any other text
     if storage.startswith(SQLITE) and not studies_path(storage).is_file():
         raise InputError("storage", shown, "a database that is there")
     return storage
@@ -191,7 +191,7 @@ def main(args: Namespace) -> None:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     url = find_database(args.folder, args.storage)
     artifacts = find_artifacts(args.folder, url, args.artifacts)
-    with read_studies(url) as known:  # what is refused is left alone
+    with read_studies(url) as known:  # a database that is refused is not changed
         numbers = study_ids(known) if known is not None else {}
     storage = open_studies(url)
     with make(storage, artifacts, args.port) as server:

@@ -1,8 +1,9 @@
-"""A picture of a store: what survives which family of settings, at which speed.
+"""Draw a store: which gaits survive which family of disturbances, and at which speed.
 
     taichi-nmm draw-store out/store-stairs --out out/store-stairs.png
 
-Grey dots are points of the grid, red ones candidates that a search bred.
+Grey dots are points of the grid; red dots are candidates that a search has bred. Exit codes: 0, 2
+bad input.
 """
 
 from argparse import Namespace

@@ -1,10 +1,11 @@
-"""Look into a store or a comparison in the browser, and let any of its gaits walk.
+"""Explore a store or a comparison in the browser, where a click lets any gait walk.
 
     taichi-nmm explore out/store
     taichi-nmm explore out/compare/rough8-smooth
 
-opens a page of this machine only (127.0.0.1), until Ctrl-C, and prints its address. Nothing is
-written into the folder. It needs the extra `explore`. Exit codes: 0, 2 bad input.
+opens a page that this machine alone can reach (127.0.0.1), until Ctrl-C, and prints its address.
+Nothing is written into the folder. The command needs the extra `explore`. Exit codes: 0, 2 bad
+input.
 """
 
 import os
@@ -24,7 +25,7 @@ DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
 
 
 def has_display() -> bool:
-    """Whether a browser would have a window: one of a terminal would take the terminal."""
+    """Whether a browser would open a window; a text browser would take over the terminal."""
     return sys.platform == "darwin" or any(os.environ.get(name) for name in DISPLAYS)
 
 

@@ -1,10 +1,11 @@
-"""Estimate the optimum as the paper does: level ground, undisturbed body, the best of many runs.
+"""Estimate the optimum as the paper does: nominal body, level ground, the best of many runs.
 
     taichi-nmm optimum --config optimum-smooth
 
 runs CMA-ES until convergence and the determinants-of-gait sampler, and writes optimum.json and
-runs.parquet to the folder --out. Stop it when you like; the same command goes on where it stopped,
-and more runs or generations can be asked for later. Exit codes: 0, 2 bad input, 130 interrupted.
+runs.parquet to the folder --out. The command can be stopped at any time; the same command goes on
+where it stopped. A later call may add runs or generations. Exit codes: 0, 2 bad input, 130
+interrupted.
 """
 
 import json

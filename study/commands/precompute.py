@@ -1,7 +1,11 @@
-"""Compute a store of gait scores: points of a Sobol sequence, simulated and written shard by shard.
+"""Compute a store of gait scores: simulate points of a Sobol sequence, shard by shard.
 
-With a table [repertoire] in the file, then candidates that a search breeds from their survivors.
-Stop it when you like; the same command goes on where it stopped.
+    taichi-nmm precompute --config store
+    taichi-nmm precompute --config store-worlds --workers 8
+
+With a table [repertoire] in the configuration, a search then breeds further candidates from the
+survivors. The command can be stopped at any time; the same command goes on where it stopped. Exit
+codes: 0, 2 bad input, 130 interrupted.
 """
 
 import json

@@ -1,6 +1,9 @@
-"""From nothing to a walker on rough ground: a small store, three studies, pictures.
+"""Find a walker on rough ground from nothing: a small store, three studies, pictures.
 
-It does what precompute, study and walk do, one after the other, and goes on where it was stopped.
+    taichi-nmm quickstart
+
+does what precompute, study and walk do, in about a minute. The same command goes on where it was
+stopped. Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
 from argparse import Namespace
@@ -45,13 +48,13 @@ from taichi_nmm.terrain import Terrain, flat
 
 CONFIG, STORE_CONFIG = "rough8", "quickstart-store"
 ARMS = ("best", "dog", "random")
-STORES = ("flat", "diverse")  # that these arms read: one store is both
+STORES = ("flat", "diverse")  # names under which these arms read the one store
 RUN = 0
 REFERENCE_S = 30.0  # of the reference gait, for its pictures
 
 
 def require_studies(experiment: Experiment, url: str) -> None:
-    """Refuse studies that cannot go on, before the store is made."""
+    """Refuse studies that cannot be resumed, before the store is made."""
     for name in ARMS:
         require_lockable(url, study_name(experiment.name, name, RUN))
     with read_studies(url):
@@ -59,7 +62,7 @@ def require_studies(experiment: Experiment, url: str) -> None:
 
 
 def make_store(path: Path) -> None:
-    """The store of scores, or what is missing of it."""
+    """Make the store of scores, or the missing part of it."""
     specification = read_specification(read_toml(config_path(STORE_CONFIG)))
     duration_s = specification.conditions.duration_s
     names = ", ".join(family.name for family in specification.families)
@@ -72,7 +75,7 @@ def make_store(path: Path) -> None:
 
 
 def run_arm(experiment: Experiment, name: str, url: str, out: Path) -> optuna.Study:
-    """The study of an arm, or what is missing of it."""
+    """Run the study of an arm, or the missing trials of it."""
     arm, trials = find_arm(name), experiment.trials
     storage = open_studies(url)
     with only_run(url, study_name(experiment.name, name, RUN)), storage_errors(url):
@@ -125,7 +128,7 @@ def say(*lines: str) -> None:
 
 
 def main(args: Namespace) -> None:
-    """All of it, or what is missing."""
+    """Do all of it, or the missing part."""
     out: Path = args.out
     require_folder(out)
     optuna.logging.set_verbosity(optuna.logging.WARNING)

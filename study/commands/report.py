@@ -1,11 +1,11 @@
-"""Figures and tables of one or several comparisons.
+"""Make figures and tables of one or several comparisons.
 
     taichi-nmm report out/compare/rough8-smooth
     taichi-nmm report out/compare/* --out out/overview --optimum out/optimum/optimum.json
 
-Each folder gets a folder `report`; of several, the overview goes to --out. An unfinished comparison
-is reported as far as it is, and says so. Two walks of each are simulated again to be drawn. Exit
-codes: 0, 2 bad input, 130 interrupted.
+Each folder gets a folder `report`; the overview of several goes to --out. The report of an
+unfinished comparison covers its finished trials, and states how many those are. Two walks of each
+comparison are simulated again and drawn. Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
 import sys
@@ -21,11 +21,11 @@ from study.report.runs import Results, read_results
 from study.report.writing import REPORT_NAME, write_overview, write_report
 from taichi_nmm.errors import InputError
 
-NO_GROUND = "the folder does not say its ground: it is of version 0.1.0"
+NO_GROUND = "the folder is of version 0.1.0 and does not name its ground"
 
 
 def strips_of(results: Results, experiment: Experiment | None) -> Pair | None:
-    """The two walks to draw; a folder that does not say its ground only costs the strips."""
+    """The two walks to draw; None for a folder of 0.1.0, which does not name its ground."""
     if experiment is None:
         print(f"{results.name}: no strips ({NO_GROUND})", file=sys.stderr)
         return None

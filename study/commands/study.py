@@ -1,11 +1,11 @@
-"""Run one study of the walker, live: an arm proposes gains, the simulator tries them.
+"""Run one live study of the walker: an arm proposes gains, and the simulator tries them.
 
     taichi-nmm study --config rough8 --arm dog --trials 30 \\
         --storage sqlite:///out/studies.db
 
-Its trials are those of the same arm and run in a comparison of the same configuration; the best has
-its picture in the dashboard. The same command goes on where it was stopped. Exit codes: 0, 2 bad
-input, 130 interrupted.
+Its trials equal those of the same arm and run in a comparison of the same configuration. The
+dashboard shows a picture of the best one. The same command goes on where it was stopped. Exit
+codes: 0, 2 bad input, 130 interrupted.
 """
 
 import json
@@ -55,7 +55,7 @@ def main(args: Namespace) -> None:
     def report(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
         print(progress_line(study, trial, trials), file=sys.stderr, flush=True)
 
-    # What a library keeps a state of is told its trials in one order, by one process.
+    # A sampler with a state of its own (CMA-ES) needs its trials in one order, from one process.
     shared = is_postgresql(args.storage) and not arm.replayed
     taken = Crew.joined(args.storage, name) if shared else only_run(args.storage, name)
     with taken as crew, storage_errors(args.storage):

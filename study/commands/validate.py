@@ -1,7 +1,10 @@
-"""Measure the walker against the figures it must show, and print them as a Markdown table.
+"""Measure the walker against the figures that it must show, as a Markdown table.
 
-The population of the search space on flat and on rough ground, the published gait, step sizes and
-precisions. About twelve minutes for 20,000 points on two cores.
+    taichi-nmm validate --samples 20000
+
+measures the population of the search space on flat and on rough ground, the published gait, step
+sizes and precisions. It takes about twelve minutes for 20,000 points on two cores. Exit codes: 0, 2
+bad input.
 """
 
 import json

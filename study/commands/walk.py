@@ -1,15 +1,15 @@
-"""Simulate one controller and show how it walks.
+"""Simulate one controller, and draw how it walks.
 
     taichi-nmm walk --gains reference --config flat --out out/walk/reference
     taichi-nmm walk --store out/store --row 17
     taichi-nmm walk --trial rough8-smooth/dog/run-007/12 --storage out/compare/rough8-smooth \\
         --config rough8-smooth --run 7
 
-writes strip.png, gait_cycle.png and movie.mp4 to the folder. Gains are a name (reference, K_T), a
-JSON file of gains, a row of a store, or a finished trial of a study database or of a comparison.
-With --engine mujoco the body is MuJoCo's; with both, strips.png shows one walk above the other.
---mjcf writes MuJoCo's model, on its ground, for MuJoCo's own viewer; --trajectory all samples.
-Exit codes: 0, 2 bad input, 130 interrupted.
+writes strip.png, gait_cycle.png and movie.mp4 to the folder --out. Gains are a name (reference,
+K_T), a JSON file of gains, a row of a store, or a finished trial of a study database or of a
+comparison. With --engine mujoco, MuJoCo moves the body; with --engine both, strips.png shows both
+walks, one above the other. --mjcf writes MuJoCo's model and its ground for MuJoCo's own viewer;
+--trajectory writes all samples. Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
 import json
@@ -54,7 +54,7 @@ REPORTED = (
 
 
 def find_gains(args: Namespace) -> NamedGains:
-    """The one controller that was asked for."""
+    """The controller that the options name."""
     for one, other in (("row", "store"), ("trial", "storage")):
         if (getattr(args, one) is None) != (getattr(args, other) is None):
             missing = one if getattr(args, one) is None else other
@@ -70,7 +70,7 @@ def find_gains(args: Namespace) -> NamedGains:
 
 
 def read(args: Namespace) -> Experiment:
-    """The experiment, with the duration and the engine that were asked for."""
+    """The experiment, with the duration and the engine of the options."""
     experiment = read_experiment(args.config, args.arch, args.seed)
     experiment.require_run(args.run)
     conditions = experiment.conditions
@@ -83,7 +83,7 @@ def read(args: Namespace) -> Experiment:
 
 
 def on_engine(experiment: Experiment, engine: str) -> Experiment:
-    """The same on an engine; what is an engine's own is as configured, or as it is by default."""
+    """The same experiment on another engine, whose own settings stay as configured."""
     conditions = experiment.conditions
     settings = replace(conditions.settings, engine=engine)
     return replace(experiment, conditions=replace(conditions, settings=settings))
@@ -96,7 +96,7 @@ def check_range(name: str, value: float, low: float, high: float) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Create the folder and see that it can be written, before the work."""
+    """Create the folder and check that it can be written, before the work."""
     with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
@@ -136,7 +136,7 @@ def write_model(path: Path, experiment: Experiment, run: int) -> None:
 def write_engines(
     gains: NamedGains, result: taichi_nmm.Result, experiment: Experiment, run: int, folder: Path
 ) -> dict[str, str]:
-    """The same gains once more, on MuJoCo: both walks one above the other."""
+    """Simulate the same gains on MuJoCo, and draw both walks one above the other."""
     other = simulate(gains, on_engine(experiment, "mujoco"), run)
     first, second = (
         Shown(engine, f"{engine}: {row_text(walk.rows[0])}", walk.trajectories[0])
@@ -169,7 +169,7 @@ def write_pictures(
 
 
 def summary(title: str, row: np.void) -> str:
-    """What a person wants to know, a line each."""
+    """For people, a line each."""
     degrees = {field: float(np.rad2deg(row[field])) for field in ANGLES}
     return "\n".join(
         (
@@ -194,7 +194,7 @@ def report(
     """The same for programs: one object of plain values."""
     numbers = {field: row[field].item() for field in REPORTED}
     return {
-        # JSON has no NaN: what a walker that diverged has not got is null.
+        # JSON has no NaN: numbers that a diverged walker lacks are null.
         **{field: value if np.isfinite(value) else None for field, value in numbers.items()},
         "end_reason": end_reason,
         "gains": gains.as_document(),

@@ -93,7 +93,7 @@ def test_a_folder_that_does_not_say_its_ground_has_no_strips(
     folder = write(tmp_path / "rough8")
     assert report(monkeypatch, folder) == 0
     assert capsys.readouterr().err == (
-        "rough8: no strips (the folder does not say its ground: it is of version 0.1.0)\n"
+        "rough8: no strips (the folder is of version 0.1.0 and does not name its ground)\n"
     )
     assert not (folder / "report" / "strips.png").exists()
     assert report(monkeypatch, folder, "--no-strips") == 0
