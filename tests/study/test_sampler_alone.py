@@ -50,7 +50,7 @@ print("done")
 
 def packages_of_the_line() -> set[str]:
     line = r"`pip install --no-deps \. && pip install ([^`]*)`"
-    (words,) = re.findall(line, (ROOT / "README.md").read_text())
+    (words,) = re.findall(line, (ROOT / "docs" / "sampler.md").read_text())
     return {word for word in words.split() if re.fullmatch(r"[a-z][a-z-]*", word)}
 
 
