@@ -20,6 +20,8 @@ DOCS = ROOT / "docs"
 README, CONTRIBUTING = ROOT / "README.md", ROOT / "CONTRIBUTING.md"
 PAGES = [README, CONTRIBUTING, ROOT / "CHANGELOG.md", *sorted(DOCS.rglob("*.md"))]
 LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
+NUMBER = r"(?:[-<>\d.%+() ]|of|to)*\d(?:[-<>\d.%+() ]|of|to)*"
+SEVERAL_NUMBERS = re.compile(rf" *{NUMBER}(?:[;,] {NUMBER})+")
 pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 
 
@@ -89,6 +91,14 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert target.exists(), file
         if anchor and "api" not in target.parts:  # whose anchors mkdocstrings makes: test_site.py
             assert anchor in anchors(target), f"{file}#{anchor}"
+
+
+@pages
+def test_a_cell_of_a_table_has_one_number(page: Path) -> None:
+    cells = [
+        cell for line in re.findall(r"^\|(.*)\|$", prose(page), re.M) for cell in line.split("|")
+    ]
+    assert [cell for cell in cells if SEVERAL_NUMBERS.fullmatch(cell.strip())] == []
 
 
 def test_the_readme_is_short_and_moves() -> None:
