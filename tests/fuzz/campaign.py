@@ -1,10 +1,9 @@
 """Damaged input for every command: it ends with 0, or with 2, one line, and its folder as it was.
 
     python -m tests.fuzz.campaign --cases 50000 --seed 1
-    python -m tests.fuzz.campaign --every-option
 
-Case n of a seed is the same everywhere; or every option of every command gets every hostile word.
-Failed cases lie below --out, with the words that repeat them. The simulator is replaced by a door:
+Case n of a seed is the same everywhere. Failed cases lie below --out, with the words that repeat
+them. The simulator is replaced by a door:
 a command that gets there has passed all checks of its input, and counts as accepted. Cases run in
 processes of their own: an abort, or a case that takes too long, ends one process and tells which
 case it was. Exit codes: 0, 1 something failed, 2 bad input, 130 interrupted.
@@ -42,7 +41,7 @@ from study.cli import EXIT_BAD_INPUT, main, run_command
 from study.options import LARGEST_SEED, Options
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder
-from tests.fuzz.cases import every_option, make_case
+from tests.fuzz.cases import make_case
 from tests.fuzz.world import Words, make_world
 
 ACCEPTED, REFUSED = 0, EXIT_BAD_INPUT
@@ -250,14 +249,14 @@ class Plan:
     """What all processes know.
 
     Attributes:
-        seed: of the cases; None: of `every_option`.
+        seed: of the cases.
         world: folder of sound files.
         scratch: folder for the processes' own.
         limit_s: of a case.
         judge: on a case.
     """
 
-    seed: int | None
+    seed: int
     world: Path
     scratch: Path
     limit_s: float = LIMIT_S
@@ -404,19 +403,17 @@ def fuzz() -> None:
     require_folder(options.out)
     if is_folder(options.out) and any(options.out.iterdir()):
         raise InputError("out", str(options.out), "a new folder, or an empty one")
-    count = len(every_option()) if options.every_option else options.cases
     began_s, outcomes, failed = time.monotonic(), [], 0
-    with tempfile.TemporaryDirectory() as scratch, tqdm(total=count, unit="case") as bar:
-        seed = None if options.every_option else options.seed
-        plan = Plan(seed, Path(scratch) / "world", Path(scratch))
+    with tempfile.TemporaryDirectory() as scratch, tqdm(total=options.cases, unit="case") as bar:
+        plan = Plan(options.seed, Path(scratch) / "world", Path(scratch))
         make_world(plan.world)
-        for outcome in run_cases(plan, range(count), options.workers or cores()):
+        for outcome in run_cases(plan, range(options.cases), options.workers or cores()):
             outcomes.append(outcome)
             bar.update()
             if outcome.verdict.wrong:
                 failed += 1
                 bar.set_postfix_str(f"{failed} failed")
-                keep(plan, outcome, options.out / f"{seed}-{outcome.number}")
+                keep(plan, outcome, options.out / f"{options.seed}-{outcome.number}")
     print(table(outcomes))
     print(f"\n{time.monotonic() - began_s:.0f} s")
     if failed:
@@ -428,7 +425,6 @@ def parse() -> Namespace:
     parser = Options(__file__)
     parser.whole("--cases", 1, MOST_CASES, default=2000, help="(%(default)s)")
     parser.whole("--seed", 0, LARGEST_SEED, default=1, help="of the cases (%(default)s)")
-    parser.add_argument("--every-option", action="store_true", help="in place of cases of a seed")
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"), help="(%(default)s)")
     parser.workers()
     return parser.parse_args()

@@ -27,7 +27,7 @@ from tests.fuzz.campaign import (
     table,
     wrong,
 )
-from tests.fuzz.cases import HERE, NAMES, every_option, make_case
+from tests.fuzz.cases import HERE, NAMES, make_case
 from tests.fuzz.damage import HUGE, VALUES, as_json, damaged_document, nudged
 from tests.fuzz.world import COMMANDS, Words, make_world
 
@@ -69,16 +69,6 @@ def test_damaged_input_ends_in_one_line(cases: int, plan: Plan) -> None:
     assert sorted(each.number for each in outcomes) == list(range(cases))
     assert {each.name for each in outcomes} == set(NAMES) or cases < CASES
     assert sum(each.verdict.code == REFUSED for each in outcomes) > cases / 2
-
-
-def test_every_option_gets_every_word(plan: Plan) -> None:
-    listed = every_option()
-    assert len(set(listed)) == len(listed) > 20_000
-    assert {words[0] for words in listed} >= {words[0] for words in COMMANDS.values()}
-    some = range(7, len(listed), len(listed) // FEW)  # --every-option has all
-    outcomes = list(run_cases(replace(elsewhere(plan, "options"), seed=None), some, cores()))
-    assert [outcome.words for outcome in outcomes if outcome.verdict.wrong] == []
-    assert len(outcomes) == len(some)
 
 
 def test_undamaged_input_is_accepted(plan: Plan) -> None:
