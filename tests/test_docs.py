@@ -20,8 +20,8 @@ DOCS = ROOT / "docs"
 README, CONTRIBUTING = ROOT / "README.md", ROOT / "CONTRIBUTING.md"
 PAGES = [README, CONTRIBUTING, ROOT / "CHANGELOG.md", *sorted(DOCS.rglob("*.md"))]
 LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
-NUMBER = r"(?:[-<>\d.%+() ]|of|to)*\d(?:[-<>\d.%+() ]|of|to)*"
-SEVERAL_NUMBERS = re.compile(rf" *{NUMBER}(?:[;,] {NUMBER})+")
+NUMBER = r"(?:[-<>\d.%+*() ]|of|to)*\d(?:[-<>\d.%+*() ]|of|to)*"
+SEVERAL_NUMBERS = re.compile(rf" *{NUMBER}(?:(?:[;,]| :) {NUMBER})+")
 pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 
 

@@ -278,23 +278,28 @@ def markdown(report: OutsideReport) -> str:
         "",
         runs.made_by(),
         "",
-        "Nobody here invented these problems. Of each, the costly objective was computed once for"
-        " every candidate of a pool (`tools/benchmarks/data`, one Parquet file"
-        f" each). {report.seeds} seeds an arm, all arms with their defaults."
-        " A seed draws half of the pool, which is then the problem for every arm. Ours propose rows"
-        " of it. Peers propose any point, and are told the cost of the nearest row: Euclidean in"
-        " the unit cube, logarithmic parameters by their logarithm, a choice as one coordinate a"
-        " choice, 0 or 1. CMA-ES draws choices at random, as it does everywhere in Optuna. The"
-        " ranking is the mean rank of the features, each from its good end in the eyes of users;"
-        f' "{ARMS["ours-prior"].label}" has it as one more feature and as `prior=`.',
+        "These problems were not invented here. The costly objective of each was computed once for"
+        " every candidate of a pool (`tools/benchmarks/data`, one Parquet file each). Every arm has"
+        f" {report.seeds} seeds and its default options. A seed draws half of the pool, which is"
+        " then the problem of every arm.",
+        "",
+        "- *Ours* proposes rows of the pool. Its peers propose any point and get the cost of the"
+        " nearest row: Euclidean distance in the unit cube, logarithmic parameters by their"
+        " logarithm, a choice as one coordinate an option, 0 or 1.",
+        "- `CmaEsSampler` draws choices at random, as everywhere in Optuna.",
+        "- The *ranking* is the mean rank of the features, each counted from the end that users"
+        f' consider good. "{ARMS["ours-prior"].label}" has the ranking as one more feature and as'
+        " `prior=`.",
         "",
         f"![Rank of the best row found against trials]({NAME}.png)",
         "",
-        "The median over seeds of how many rows of the pool are as good as the best found.",
+        "The figure shows the median over seeds of the number of rows that are as good as the best"
+        " row found.",
         "",
-        "Tests are Wilcoxon's signed ranks, two-sided, seeds in pairs, not corrected for their"
-        " number; bold: ours is behind (p < 0.05). Two halves"
-        " of a pool share rows: the tests are of this pool, not of all that there might be.",
+        "Tests are Wilcoxon's signed ranks, two-sided, paired by seed, not corrected for their"
+        " number. *Won* and *lost* count seeds. A bold p says that ours is behind (p < 0.05). Two"
+        " halves of a pool share rows, so the tests hold for this pool, not for all possible"
+        " candidates.",
         *Bar.table(report.bars, "fails in (problem, against, trials, seeds won : lost)"),
     ]
     for problem in report.problems:
@@ -330,18 +335,18 @@ def section(report: OutsideReport, problem: OutsideProblem) -> list[str]:
     tests = [test for test in report.tests if test.problem == name]
     for ours in report.arms(*OUR_ARMS):
         mine = [test for test in tests if test.ours == ours]
-        lines += ["", f"| {ARMS[ours].label}, seeds won : lost, p | {head} |",
-                  "|---|" + "---|" * len(at)]  # fmt: skip
+        heads = " | ".join(f"after {trial}: won | lost | p" for trial in at)
+        lines += ["", f"| {ARMS[ours].label} against | {heads} |", "|---|" + "---:|" * 3 * len(at)]
         for other in dict.fromkeys(test.other for test in mine):
-            cells = " | ".join(cell(test) for test in mine if test.other == other)
+            cells = " | ".join(cells_of(test) for test in mine if test.other == other)
             lines.append(f"| {ARMS[other].label} | {cells} |")
     return lines
 
 
-def cell(test: Versus) -> str:
-    """Seeds won and lost, and how sure it is; bold where ours is behind."""
-    text = f"{test.wins} : {test.losses}, {test.p:.2g}"
-    return f"**{text}**" if test.is_behind else text
+def cells_of(test: Versus) -> str:
+    """Seeds won, seeds lost and p, in three cells; p is bold where ours is behind."""
+    p = f"**{test.p:.2g}**" if test.is_behind else f"{test.p:.2g}"
+    return f"{test.wins} | {test.losses} | {p}"
 
 
 def plot(path: Path, report: OutsideReport) -> None:

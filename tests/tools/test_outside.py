@@ -245,7 +245,7 @@ def test_the_document_has_the_problem_its_arms_and_its_tests(folder: Path) -> No
     for name in outside_problem(PROBLEM).feature_names:
         assert f"| {name} |" in text
     assert "never behind a sampler without features" in text
-    assert "| ours, seeds won : lost, p | after 5 | after 7 |" in text
+    assert "| ours against | after 5: won | lost | p | after 7: won | lost | p |" in text
     assert "![Rank" in text and "](sampler-outside.png)" in text
     assert (folder / "docs" / "sampler-outside.png").stat().st_size > 10_000
 
