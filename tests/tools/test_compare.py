@@ -24,7 +24,7 @@ from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 from tests.tools.running import ROOT, run_tool
 
-PROGRAM = [sys.executable, str(ROOT / "tests" / "tools" / "fake_compare.py")]
+PROGRAM = [sys.executable, str(ROOT / "tests" / "tools" / "fake_command.py"), "compare"]
 
 
 class Command:
@@ -46,7 +46,7 @@ class Command:
 
     def start(self, **changes: str | int) -> subprocess.Popen[bytes]:
         """The command in a process of its own, a tenth of a second a round."""
-        environment = os.environ | {"FAKE_TRIAL_S": "0.1"}
+        environment = os.environ | {"FAKE_TRIAL_S": "0.1", "FAKE_STRETCH": "2"}
         return subprocess.Popen(
             [*PROGRAM, *self.arguments(**changes)],
             env=environment,

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -18,13 +17,11 @@ import taichi_nmm
 from storage import open_store
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import Settings
-from tests.storage import fake
-from tests.tools.running import run_tool
+from tests.study import fake_walker
+from tests.tools.running import ROOT, run_tool
 
 pytestmark = pytest.mark.slow
 
-REPOSITORY = Path(__file__).parents[2]
-TOOL = REPOSITORY / "tools" / "precompute.py"
 CONFIG = """
 samples = 96
 shard_rows = 8
@@ -46,11 +43,14 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
-def start(config: Path, out: Path, *options: str, **accidents: Any) -> subprocess.Popen[str]:
-    launcher = [sys.executable, "-m", "tests.tools.launch_precompute", json.dumps(accidents)]
+def start(config: Path, out: Path, *options: str, **accidents: object) -> subprocess.Popen[str]:
+    """The command in a process of its own; the accidents are those of fake_command.py."""
+    program = [sys.executable, str(ROOT / "tests" / "tools" / "fake_command.py"), "precompute"]
+    words = ("--workers", "1", "--config", str(config), "--out", str(out), *options)
+    environment = {f"FAKE_{name.upper()}": str(value) for name, value in accidents.items()}
     return subprocess.Popen(
-        [*launcher, "--config", str(config), "--out", str(out), *options],
-        cwd=REPOSITORY,
+        [*program, *words],
+        env={**os.environ, **environment},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -63,7 +63,7 @@ def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     return process.returncode, out, (err.strip().splitlines() or [""])[-1]
 
 
-def run(config: Path, out: Path, *options: str, **accidents: Any) -> tuple[int, str, str]:
+def run(config: Path, out: Path, *options: str, **accidents: object) -> tuple[int, str, str]:
     return finish(start(config, out, *options, **accidents))
 
 
@@ -97,7 +97,7 @@ Command = Callable[..., tuple[int, str, str]]
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
     """The command within this process: exit code, standard output, standard error."""
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
 
     def call(*arguments: object) -> tuple[int, str, str]:
         code = run_tool(monkeypatch, "precompute", "--workers", 1, *arguments)
@@ -163,7 +163,7 @@ def test_kill_9_again_and_again_then_equal(
 ) -> None:
     out, dice, codes = tmp_path / "store", random.Random(1), []
     while shards(out) < SHARDS - 4:
-        process = start(config, out, delay_s=0.05)
+        process = start(config, out, trial_s=0.05)
         wait_for_shards(process, out, shards(out) + 3)
         time.sleep(dice.uniform(0.0, 0.08))  # while simulating, while writing, in between
         process.kill()
@@ -181,7 +181,7 @@ def test_kill_9_between_writing_and_naming_a_file(
     # Files get their names in this order: the specification, twelve shards, the manifest.
     out = tmp_path / "store"
     for rename, expected in ((1, 0), (3, 1), (12, SHARDS)):
-        code, _, _ = run(config, out, kill_at_rename=rename)
+        code, _, _ = run(config, out, death=rename)
         assert (code, shards(out)) == (-signal.SIGKILL, expected)
         assert len(list(out.glob(".*.tmp"))) == 1
     assert run(config, out)[0] == 0
@@ -192,7 +192,7 @@ def test_interrupt_exits_130_and_resumes(
     config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
 ) -> None:
     out = tmp_path / "store"
-    code, _, error = run(config, out, interrupt_in_call=5)  # a shard takes two, for its family
+    code, _, error = run(config, out, signal="5:SIGINT")  # a shard takes two, for its family
     assert (code, error) == (130, "interrupted: finished work is kept; the same command resumes")
     kept = shards(out)
     assert kept == 2
@@ -205,7 +205,7 @@ def test_two_launchers_on_one_folder(
     config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
 ) -> None:
     out = tmp_path / "store"
-    first = start(config, out, delay_s=0.15)
+    first = start(config, out, trial_s=0.15)
     wait_for_shards(first, out, 1)
     code, _, error = run(config, out)
     assert code == 2 and error.startswith("error: out: ") and "no other process" in error
@@ -218,7 +218,7 @@ def test_a_full_disk_is_one_line(
     config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
 ) -> None:
     out = tmp_path / "store"
-    code, _, error = run(config, out, largest_file_bytes=8000)
+    code, _, error = run(config, out, largest_b=8000)
     assert code == 2 and error.startswith("error: out: ") and "File too large" in error
     assert sorted(content(out)) == [".lock", "specification.json"]
     assert run(config, out)[0] == 0
@@ -241,8 +241,7 @@ def start_real(tmp_path: Path, name: str, workers: int) -> subprocess.Popen[str]
     config.write_text(REAL)
     options = ["--config", config, "--out", tmp_path / name, "--workers", workers]
     return subprocess.Popen(
-        [sys.executable, str(TOOL), *map(str, options)],
-        cwd=REPOSITORY,
+        [sys.executable, str(ROOT / "tools" / "precompute.py"), *map(str, options)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -338,7 +337,7 @@ def test_a_killed_search_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
     walks = json.loads(text)["walks_searched"]
     assert code == 0 and len(open_store(tmp_path / "whole", verify=True)) == 74
     last = RENAMES_OF_THE_GRID + 3
-    killed, *_ = run(config, tmp_path / "killed", "--json", kill_at_rename=last)
+    killed, *_ = run(config, tmp_path / "killed", "--json", death=last)
     assert killed == -signal.SIGKILL
     assert len(list((tmp_path / "killed").glob("search-up-*.parquet"))) == 2
     code, text, _ = run(config, tmp_path / "killed", "--json")
