@@ -1,4 +1,4 @@
-"""The command line: `taichi-nmm COMMAND`, and the guard that ends every command in one line.
+"""The command line: `taichi-nmm COMMAND`, the guard that ends every command in one line, progress.
 
 `main` finds the command, reads its options (`study/options.py`) and runs `main` of
 `study/commands/COMMAND.py`, all inside the guard: whatever a user can get wrong is one line on
@@ -62,14 +62,13 @@ def main(words: Sequence[str] | None = None) -> None:
     words = sys.argv[1:] if words is None else words
     with guarded_imports():
         from study.options import check_command, overview, parser_of
-    if not words or words[0] in ("-h", "--help"):
-        run_command(lambda: print(overview()))
-        return
-    name, *rest = words
-    with _one_line():
+
+        if not words or words[0] in ("-h", "--help"):
+            print(overview())
+            return
+        name, *rest = words
         check_command(name)
         options = parser_of(name).parse_args(rest)
-    with guarded_imports():
         command = import_module(f"study.commands.{name.replace('-', '_')}")
     run_command(lambda: command.main(options))
 
@@ -78,71 +77,6 @@ def run_command(work: Callable[[], None]) -> None:
     """Do the work of a command inside the guard; leave the process where it does not end well."""
     with _one_line():
         work()
-
-
-class ProgressBar:
-    """A bar on standard error: units a second, and the time left.
-
-    It is shown from the first step on, which tells how much earlier runs have done: that is no part
-    of the rate.
-    """
-
-    def __init__(self) -> None:
-        self._bar: tqdm[None] | None = None
-
-    def move(self, unit: str, done: float, total: int, note: str = "") -> None:
-        """Show `done` of `total`; another unit gets a line of its own."""
-        from tqdm import tqdm
-
-        if self._bar is not None and self._bar.unit != unit:
-            self.close()
-        if self._bar is None:
-            self._bar = tqdm(total=total, initial=int(done), unit=unit, smoothing=0.05)
-        self._bar.set_postfix_str(note, refresh=False)
-        self._bar.update(int(done) - self._bar.n)
-
-    def close(self) -> None:
-        """Leave the line."""
-        if self._bar is not None:
-            self._bar.close()
-        self._bar = None
-
-
-def require_engine(settings: "Settings") -> None:
-    """Refuse a machine on which the simulator cannot run, before any file is touched.
-
-    Raises:
-        InputError: there is no place for compiled kernels, no such GPU, or no MuJoCo.
-    """
-    from taichi_nmm.kernel_cache import require_kernel_cache
-    from taichi_nmm.mujoco_engine import require_mujoco
-
-    require_kernel_cache()
-    if settings.engine == "mujoco":
-        require_mujoco()
-    if settings.arch in GPUS:
-        _started_arch(settings)
-
-
-def default_workers(settings: "Settings") -> int:
-    """Processes of a command without --workers: one a core; one where a GPU computes.
-
-    Raises:
-        InputError: no such GPU.
-    """
-    from storage.pool import cores
-
-    cpu = settings.arch == "cpu" or settings.engine == "mujoco"
-    no_gpu = cpu or (settings.arch == "auto" and not find_library("cuda"))
-    return cores() if no_gpu or _started_arch(settings) == "cpu" else 1
-
-
-def _started_arch(settings: "Settings") -> str:
-    """The backend that the simulator computes on; it is started, which takes a second."""
-    from taichi_nmm.kernel import backend
-
-    backend.start(settings)
-    return str(backend.metadata()["arch"])
 
 
 @contextmanager
@@ -276,3 +210,68 @@ def _leave(line: str, code: int) -> NoReturn:
     except OSError:  # standard error cannot be written either
         _silence(STDERR)
     sys.exit(code)
+
+
+class ProgressBar:
+    """A bar on standard error: units a second, and the time left.
+
+    It is shown from the first step on, which tells how much earlier runs have done: that is no part
+    of the rate.
+    """
+
+    def __init__(self) -> None:
+        self._bar: tqdm[None] | None = None
+
+    def move(self, unit: str, done: float, total: int, note: str = "") -> None:
+        """Show `done` of `total`; another unit gets a line of its own."""
+        from tqdm import tqdm
+
+        if self._bar is not None and self._bar.unit != unit:
+            self.close()
+        if self._bar is None:
+            self._bar = tqdm(total=total, initial=int(done), unit=unit, smoothing=0.05)
+        self._bar.set_postfix_str(note, refresh=False)
+        self._bar.update(int(done) - self._bar.n)
+
+    def close(self) -> None:
+        """Leave the line."""
+        if self._bar is not None:
+            self._bar.close()
+        self._bar = None
+
+
+def require_engine(settings: "Settings") -> None:
+    """Refuse a machine on which the simulator cannot run, before any file is touched.
+
+    Raises:
+        InputError: there is no place for compiled kernels, no such GPU, or no MuJoCo.
+    """
+    from taichi_nmm.kernel_cache import require_kernel_cache
+    from taichi_nmm.mujoco_engine import require_mujoco
+
+    require_kernel_cache()
+    if settings.engine == "mujoco":
+        require_mujoco()
+    if settings.arch in GPUS:
+        _started_arch(settings)
+
+
+def default_workers(settings: "Settings") -> int:
+    """Processes of a command without --workers: one a core; one where a GPU computes.
+
+    Raises:
+        InputError: no such GPU.
+    """
+    from storage.pool import cores
+
+    cpu = settings.arch == "cpu" or settings.engine == "mujoco"
+    no_gpu = cpu or (settings.arch == "auto" and not find_library("cuda"))
+    return cores() if no_gpu or _started_arch(settings) == "cpu" else 1
+
+
+def _started_arch(settings: "Settings") -> str:
+    """The backend that the simulator computes on; it is started, which takes a second."""
+    from taichi_nmm.kernel import backend
+
+    backend.start(settings)
+    return str(backend.metadata()["arch"])

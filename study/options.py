@@ -252,7 +252,7 @@ def study(options: Options) -> None:
         help="such as best, dog or random; an unknown one lists all",
     )
     options.add_argument(
-        "--run", type=int, default=0, metavar="N", help="of the configuration (%(default)s)"
+        "--run", type=int, default=0, metavar="N", help="its body and ground (%(default)s)"
     )
     options.whole("--trials", 1, MOST_TRIALS, help=f"in total; {FROM_CONFIG}")
     options.seed()
