@@ -1,4 +1,4 @@
-"""The site of docs/ as it is built: without a warning, all links, every public name, no network."""
+"""The site of docs/: no warning, all links, every public name, the notebooks' pictures, no network."""
 
 import inspect
 import json

@@ -1,4 +1,4 @@
-"""Each message that docs/sampler.md explains is said by the code, and each case is explained."""
+"""Every message that docs/sampler.md explains is raised by the code, and every case is explained."""
 
 import re
 import warnings
@@ -17,7 +17,7 @@ from study import FeatureKernelSampler, FeatureTable
 
 PAGE = Path(__file__).parents[3] / "docs" / "sampler.md"
 EXPLAINED = re.findall(
-    r"^\| (?:warning )?`([^`]+)`", PAGE.read_text().split("## What it says")[1], re.M
+    r"^\| (?:warning )?`([^`]+)`", PAGE.read_text().split("## Messages, and what to do")[1], re.M
 )
 
 PARAMETERS = {"a": [0.1, 0.5, 0.9], "b": [1.0, 2.0, 3.0]}
