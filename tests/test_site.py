@@ -1,4 +1,4 @@
-"""The site of docs/: no warning, all links, every public name, the notebooks' pictures, no network."""
+"""The site of docs/: no warning, all links, every public name, pictures of notebooks, no network."""
 
 import inspect
 import json

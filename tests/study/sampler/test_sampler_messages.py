@@ -1,4 +1,4 @@
-"""Every message that docs/sampler.md explains is raised by the code, and every case is explained."""
+"""Each message that docs/sampler.md explains is raised by the code; each case is explained."""
 
 import re
 import warnings
