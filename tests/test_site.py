@@ -1,4 +1,4 @@
-"""The site of docs/: no warning, all links, every public name, pictures of notebooks, no network."""
+"""The site of docs/: no warning, all links, every public name, notebooks, no network."""
 
 import inspect
 import json
