@@ -87,6 +87,6 @@ hooks: .venv/lint-installed
 	$(INSTALL) -e '.[docs]'
 	@touch $@
 
-.venv/lint-installed: .venv/test-installed .venv/docs-installed
-	$(INSTALL) -e '.[dev]'
-	@touch $@
+.venv/lint-installed: .venv/installed
+	$(INSTALL) -e '.[test,docs,dev]'
+	@touch $@ .venv/test-installed .venv/docs-installed

@@ -29,6 +29,7 @@ from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experi
 from study.experiment.objective import MEASURES, row_text
 from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial
 from study.one_walk import recorded_walk
+from study.options import BOTH_ENGINES
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
 from study.report.before_after import Pair, Shown
 from study.report.strips import write_strips
@@ -46,7 +47,6 @@ ANGLES = (
     "knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad",
 )  # fmt: skip
 LONGEST_MOVIE_S = 120.0
-BOTH = "both"  # engines
 REPORTED = (
     *MEASURES, "cost_of_transport_jpkgpm", "step_count",
     "phi_printed", "phi_corrected",
@@ -79,7 +79,7 @@ def read(args: Namespace) -> Experiment:
     experiment = replace(experiment, conditions=conditions)
     if args.engine in ENGINES:
         return on_engine(experiment, args.engine)
-    return on_engine(experiment, "taichi") if args.engine == BOTH else experiment
+    return on_engine(experiment, "taichi") if args.engine == BOTH_ENGINES else experiment
 
 
 def on_engine(experiment: Experiment, engine: str) -> Experiment:
@@ -212,7 +212,7 @@ def main(args: Namespace) -> None:
     if args.movie_seconds > 0:
         find_ffmpeg()
     require_engine(experiment.conditions.settings)
-    if args.engine == BOTH or args.mjcf is not None:
+    if args.engine == BOTH_ENGINES or args.mjcf is not None:
         require_mujoco()
     folder = args.out or Path("out") / "walk" / gains.name
     for file in args.trajectory:
@@ -224,7 +224,7 @@ def main(args: Namespace) -> None:
     row, end_reason = result.rows[0], str(result.end_reason[0])
     title = f"{gains.name} on {experiment.terrain(args.run).name}: {row_text(row)}"
     paths = write_pictures(result, experiment, args.run, folder, title, args.movie_seconds)
-    if args.engine == BOTH:
+    if args.engine == BOTH_ENGINES:
         paths |= write_engines(gains, result, experiment, args.run, folder)
     if args.mjcf is not None:
         paths["mjcf"] = str(args.mjcf)
