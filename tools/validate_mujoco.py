@@ -7,12 +7,10 @@ input, 130 interrupted.
 """
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -24,12 +22,11 @@ from study.cli import guarded_imports, require_engine, run_command
 with guarded_imports():
     import numpy as np
     from numpy.typing import NDArray
-    from tqdm import tqdm
 
     import taichi_nmm
     from storage.pool import cores
     from storage.sobol import sobol_gains
-    from study.commands.validate import Figure, page
+    from study.commands.validate import Figure, show
     from study.experiment.objective import walked
     from study.options import LARGEST_SEED, Options
     from taichi_nmm import (
@@ -59,16 +56,8 @@ GENTLE = 0.02  # roughness, m, and disturbance: so that all stay up while they a
 def main() -> None:
     options = parse()
     require_engine(MUJOCO)
-    figures = []
-    with tqdm(unit="figure") as bar:
-        for figure in measure(options.samples, options.seed):
-            figures.append(figure)
-            bar.set_postfix_str(figure.what)
-            bar.update()
-    if options.json:
-        print(json.dumps([{**asdict(figure), "holds": figure.holds} for figure in figures]))
-    else:
-        print(page(figures, f"{options.samples} Sobol points, MuJoCo's default contact, 1 ms"))
+    how = f"{options.samples} Sobol points, MuJoCo's default contact, 1 ms"
+    show(measure(options.samples, options.seed), how, options.json)
 
 
 def parse() -> argparse.Namespace:

@@ -10,7 +10,7 @@ bad input.
 import json
 import platform
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from datetime import date
 
@@ -63,26 +63,26 @@ class Figure:
         return f"{value}| {low}{high} | {'yes' if self.holds else '**no**'} |"
 
 
-def page(figures: Sequence[Figure], how: str) -> str:
-    """The figures as Markdown, after a line on how, when and on what they were measured."""
+def show(measured: Iterable[Figure], how: str, as_json: bool) -> None:
+    """Print the figures once all are measured: as Markdown after a line on `how`, or as JSON."""
+    figures = []
+    with tqdm(unit="figure") as bar:
+        for figure in measured:
+            figures.append(figure)
+            bar.set_postfix_str(figure.what)
+            bar.update()
+    if as_json:
+        print(json.dumps([{**asdict(figure), "holds": figure.holds} for figure in figures]))
+        return
     machine = f"{date.today()}, {platform.machine()}, Python {platform.python_version()}"
-    lines = [f"{how}; {machine}.", "", "| what | measured | bar | holds |", "|---|---|---|---|"]
-    return "\n".join([*lines, *(figure.row() for figure in figures)])
+    print(f"{how}; {machine}.", "", "| what | measured | bar | holds |", sep="\n")
+    print("|---|---|---|---|", *(figure.row() for figure in figures), sep="\n")
 
 
 def main(args: Namespace) -> None:
     """Measure and print."""
-    figures = []
-    with tqdm(unit="figure") as bar:
-        for figure in measure(args.samples, args.draws, args.seed):
-            figures.append(figure)
-            bar.set_postfix_str(figure.what)
-            bar.update()
-    if args.json:
-        print(json.dumps([{**asdict(figure), "holds": figure.holds} for figure in figures]))
-    else:
-        how = f"{args.samples} Sobol points, float32, 1 ms where not said otherwise"
-        print(page(figures, how))
+    how = f"{args.samples} Sobol points, float32, 1 ms unless stated otherwise"
+    show(measure(args.samples, args.draws, args.seed), how, args.json)
 
 
 def measure(samples: int, draws: int, seed: int) -> Iterator[Figure]:
