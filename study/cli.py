@@ -1,9 +1,8 @@
 """The command line: `taichi-nmm COMMAND`, the guard that ends every command in one line, progress.
 
 `main` finds the command, reads its options (`study/options.py`) and runs `main` of
-`study/commands/COMMAND.py`, all inside the guard: whatever a user can get wrong is one line on
-standard error and an exit code. Little is imported at the top of this file, since nothing guards
-what is imported before.
+`study/commands/COMMAND.py`, all inside the guard: a mistake of the user ends in one line on
+standard error and an exit code. This file imports little at its top, where nothing is guarded.
 
 | exit code | meaning |
 |---|---|
@@ -43,7 +42,7 @@ GPUS = ("cuda", "vulkan")
 
 LEAST_ADDRESSES_B = 3 << 30  # a walk on two cores takes 2.3e9; OpenBLAS waits for ever for 0.4e9
 
-# What a machine may refuse at any place, and what it would have to allow.
+# Errors by which a machine may refuse resources at any place, and the remedy.
 SPACE = "space for files and for what is printed"
 MEMORY = "more memory, threads and processes (ulimit -v, -u)"
 REFUSALS = {
@@ -157,7 +156,7 @@ def _all_printed() -> Iterator[None]:
 
 
 def _open_closed() -> None:
-    """Open closed standard files; otherwise the next file that is opened gets what is printed."""
+    """Open closed standard files; otherwise the next opened file gets the output."""
     for number, name, mode in (
         (STDIN, "stdin", "r"),
         (STDOUT, "stdout", "w"),
@@ -190,7 +189,7 @@ def _require_addresses() -> None:
 
 
 def _silence(file: int) -> None:
-    """Discard what is still to be flushed."""
+    """Discard output that is not flushed yet."""
     with suppress(OSError):  # no file more may be opened
         os.dup2(os.open(os.devnull, os.O_WRONLY), file)
 

@@ -446,5 +446,5 @@ class _ListConfigs(argparse.Action):
         """A line each."""
         listed = shipped_configs(self.const)
         width = max(map(len, listed))
-        print(*(f"{name:<{width}}  {says}" for name, says in listed.items()), sep="\n")
+        print(*(f"{name:<{width}}  {line}" for name, line in listed.items()), sep="\n")
         parser.exit()

@@ -5,7 +5,7 @@
 
 Each figure comes from a fresh process. "Cold" starts with an empty cache of compiled kernels,
 "warm" with a full one; both import, start the engine and compile. Run the command on an idle
-machine: the figures of two cores in use by something else say nothing.
+machine: other work makes its figures meaningless.
 """
 
 import argparse
@@ -88,7 +88,7 @@ def lane_widths(listed: str) -> list[int]:
 
 
 def measure(options: argparse.Namespace, cache: Path) -> Measured:
-    """Everything that was asked for; nothing runs beside anything else."""
+    """All measurements that the options name, one after the other."""
     arch = ["--arch", options.arch]
     cold = worker("cold start", cache / "main", "--samples", "0", *arch)
     run = worker("run", cache / "main", "--samples", str(options.samples), *arch)
@@ -113,7 +113,7 @@ def measure(options: argparse.Namespace, cache: Path) -> Measured:
 
 
 def worker(what: str, cache: Path, *arguments: str) -> Measured:
-    """What `bench_worker.py` measures with this cache of kernels."""
+    """A measurement by `bench_worker.py` with this cache of kernels."""
     return run_json(what, [str(WORKER), *arguments], {CACHE_VARIABLE: str(cache)})
 
 
@@ -192,7 +192,7 @@ def turn_taker(root: Path, cache: Path) -> "subprocess.Popen[str]":
 
 
 def answer(process: "subprocess.Popen[str]", load: str) -> str:
-    """What a turn-taker prints next, having been asked for `load`."""
+    """Send `load` to a turn-taker, and return the next line that it prints."""
     assert process.stdin is not None and process.stdout is not None
     if load:
         process.stdin.write(f"{load}\n")

@@ -189,7 +189,7 @@ class OutsideReport:
 
     @cached_property
     def bars(self) -> list[Bar]:
-        """What our arms must show, of what was run."""
+        """The bars of our arms, as far as the runs allow to check them."""
         found = []
         for ours in self.arms(*OUR_ARMS):
             label = ARMS[ours].label
@@ -308,7 +308,7 @@ def markdown(report: OutsideReport) -> str:
 
 
 def section(report: OutsideReport, problem: OutsideProblem) -> list[str]:
-    """What the problem is, medians of its arms, and their tests."""
+    """A problem, the medians of its arms, and their tests."""
     name, at = problem.name, report.checkpoints
     share = np.quantile(problem.cost, [0.01, 0.5])
     lines = [

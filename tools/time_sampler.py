@@ -66,7 +66,7 @@ MEMORY_BAR_MIB = 200e6 / 2**20  # 200 MB, for the largest number of features
 
 @dataclass(frozen=True)
 class Case:
-    """What is measured.
+    """A sampler, a table and a study whose proposals are timed.
 
     Attributes:
         sampler: "ours", with its defaults; "rbf", ours with the paper's kernel; "best",
@@ -306,7 +306,7 @@ def markdown(timings: Timings, options: argparse.Namespace) -> str:
         runs.made_by(),
         f"One thread; median of {options.repeats} proposals, each in a study of"
         f" {options.observations} finished trials of 16 parameters, {options.rows:,} rows. Ours"
-        " with its defaults, where nothing else is said.",
+        " with its defaults unless stated otherwise.",
         "",
         "| case | median | fastest to slowest | processor, median | bar of the processor's |",
         "|---|---|---|---|---|",

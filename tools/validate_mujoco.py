@@ -2,7 +2,7 @@
 
 Standing load, the two known gaits, agreement with our own engine over the search space and of
 MuJoCo with itself at half the step, speed of the engine and of the controller. Needs the package
-mujoco. About ten minutes for 1,000 points; the speeds want an idle machine. Exit codes: 0, 2 bad
+mujoco. About ten minutes for 1,000 points; the speeds need an idle machine. Exit codes: 0, 2 bad
 input, 130 interrupted.
 """
 
@@ -111,7 +111,7 @@ def share(which: NDArray[np.bool_]) -> float:
 
 
 def speeds() -> Iterator[Figure]:
-    """Walker-steps a second of processes side by side, and what a tick of the controller takes."""
+    """Walker-steps a second of processes side by side, and the time of a tick of the controller."""
     context = get_context("spawn")
     alone, together = [], []
     with ProcessPoolExecutor(2, mp_context=context) as pool:

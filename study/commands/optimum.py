@@ -30,7 +30,7 @@ from study.options import asked_cluster
 
 
 def read(args: Namespace) -> Experiment:
-    """The experiment, with the cut that was asked for."""
+    """The experiment, with the limit of the options."""
     experiment = read_experiment(args.config, args.arch)
     most = args.max_generations
     if most is None:

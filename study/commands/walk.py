@@ -156,7 +156,7 @@ def write_pictures(
     title: str,
     movie_s: float,
 ) -> dict[str, str]:
-    """Paths of the pictures by what they show."""
+    """Draw, and return the paths of the pictures by their names."""
     trajectory, terrain = result.trajectories[0], experiment.terrain(run)
     weight_n = float(experiment.body(run).mass_kg[0].sum() * GRAVITY_MPS2)
     paths = {

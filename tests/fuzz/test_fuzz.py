@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from storage.pool import cores
+from study import options
 from tests.fuzz.campaign import (
     ACCEPTED,
     BEGUN,
@@ -72,7 +73,8 @@ def test_damaged_input_ends_in_one_line(cases: int, plan: Plan) -> None:
 
 
 def test_undamaged_input_is_accepted(plan: Plan) -> None:
-    """Else nothing would be tried above."""
+    """Otherwise the cases above would try nothing; and every command has one."""
+    assert {words[0] for words in COMMANDS.values()} == options.COMMANDS.keys()
     sound = replace(elsewhere(plan, "sound"), judge=without_damage)
     outcomes = list(run_cases(sound, range(len(COMMANDS)), 1))
     assert [each.verdict.code for each in outcomes] == [ACCEPTED] * len(COMMANDS)

@@ -1,6 +1,6 @@
 """Tuning problems from outside: pools of candidates whose costly objective was computed once.
 
-Nobody here invented them: they are what users of public packages tune. A problem is a Parquet file
+Users of public packages tune them; none was invented here. A problem is a Parquet file
 of `data/`: candidates, cheap features and the cost of each. `ARMS` are the samplers that are
 compared on it. All of them are answered by the same objective: ours propose rows of the pool,
 Optuna's propose any point of the space and are told the cost of the nearest row.
@@ -83,10 +83,10 @@ class OutsideProblem:
         name: one of `PROBLEMS`.
         purpose: "tuning" or "reported".
         field: whose problem it is.
-        cost_meaning: what is minimised, with its unit.
+        cost_meaning: the minimised quantity, with its unit.
         space: of the parameters, d of them, as Optuna has it.
         columns: of the parameters, [n] each: floats, integers, or words.
-        feature_meanings: of k features by name: the good end, and what the numbers are.
+        feature_meanings: of k features by name.
         features: as they came, [n, k]; infinite or NaN where the cheap run failed.
         cost: [n], finite; less is better.
         made_by: the command that computed the file.
@@ -129,7 +129,7 @@ class OutsideProblem:
 
     @cached_property
     def ranking(self) -> Floats:
-        """Mean rank of a candidate over the features, [n]: a guess of anybody who has them."""
+        """Mean rank of a candidate over the features, [n]: the simplest guess from features."""
         return np.asarray(self.ranks.mean(axis=1))
 
     def drawn(self, seed: int) -> "OutsideProblem":
@@ -159,7 +159,7 @@ class OutsideProblem:
         return int(np.argmin(((self._points - point) ** 2).sum(axis=1)))
 
     def objective(self, trial: optuna.Trial) -> float:
-        """The cost of the candidate nearest to what is suggested; the row itself costs its own."""
+        """The cost of the candidate nearest to the suggested settings."""
         settings = {name: _suggest(trial, name, self.space[name]) for name in self.space}
         return float(self.cost[self.row_nearest_to(settings)])
 
@@ -217,22 +217,22 @@ def read(path: Path) -> OutsideProblem:
 
     with reading("problem", path, "a file of tools/benchmarks/data") as file:
         table = pq.read_table(file)
-        said = parse_json(table.schema.metadata[METADATA_KEY])
+        document = parse_json(table.schema.metadata[METADATA_KEY])
     column = {name: np.array(table[name].to_pylist()) for name in table.column_names}
-    meanings = {name: Feature(**meaning) for name, meaning in said["features"].items()}
+    meanings = {name: Feature(**meaning) for name, meaning in document["features"].items()}
     stacked = [column[FEATURE_PREFIX + name].astype(np.float64) for name in meanings]
-    space = {name: json_to_distribution(text) for name, text in said["space"].items()}
+    space = {name: json_to_distribution(text) for name, text in document["space"].items()}
     return OutsideProblem(
-        name=said["name"],
-        purpose=said["purpose"],
-        field=said["field"],
-        cost_meaning=said["cost_meaning"],
+        name=document["name"],
+        purpose=document["purpose"],
+        field=document["field"],
+        cost_meaning=document["cost_meaning"],
         space=space,
         columns={name: column[name] for name in space},
         feature_meanings=meanings,
         features=np.column_stack(stacked),
         cost=column[COST].astype(np.float64),
-        made_by=said["command"],
+        made_by=document["command"],
     )
 
 
@@ -266,7 +266,7 @@ def folder(problem: str, arm: str, _: int) -> Path:
 
 @cache
 def code(problem: str, arm: str) -> str:
-    """Fingerprint of what decides an arm's costs: numbers, this file and the sampler."""
+    """Fingerprint of all that decides an arm's costs: numbers, this file and the sampler."""
     if ARMS[arm].kind == OURS:
         table = ROOT / "study" / "features" / "feature_table.py"
         return fingerprint([Path(__file__), table, *OUR_SOURCES], OUR_PACKAGES, digest(problem))

@@ -66,7 +66,7 @@ class Arm:
 
     Attributes:
         label: for tables and plots.
-        sees: what it may choose from, or what it is told beside the costs.
+        sees: the points it may choose from, or its information beside the costs.
         kind: `OURS`, `PEER` or `CONTROL`.
         sampler: for a problem and a seed; None for the controls, which need no study.
         features: whether it is told features.
@@ -107,8 +107,8 @@ def costs_of(
 class Run:
     """One study: a module of this package, and a problem, an arm, a seed and a number of trials.
 
-    The module has `folder(problem, arm, seed)`, `code(problem, arm)`: a fingerprint of what decides
-    the costs, and `costs(problem, arm, seed, trials)`.
+    The module has `folder(problem, arm, seed)`, `costs(problem, arm, seed, trials)`, and
+    `code(problem, arm)`: a fingerprint of all that decides the costs.
     """
 
     benchmark: str
@@ -160,7 +160,7 @@ class Run:
 
 
 def execute(runs: Sequence[Run], cache: Path, processes: int) -> Costs:
-    """Run what the cache has not got, each study in one process; costs of all, seeds in order."""
+    """Run the studies that the cache lacks, one a process; costs of all, seeds in order."""
     os.environ.update(ONE_THREAD)
     missing = {run.file(cache): run for run in runs if not run.is_current(cache)}
     context = multiprocessing.get_context("spawn")
@@ -243,7 +243,7 @@ def chosen(field: str, listed: str, known: Sequence[str]) -> list[str]:
 def torch_is_installed() -> bool:
     """Whether GPSampler can run: it needs PyTorch, which this project does not.
 
-    A line says so where it cannot.
+    Prints a line where it cannot.
     """
     found = importlib.util.find_spec("torch") is not None
     if not found:
@@ -292,7 +292,7 @@ def _installed(package: str) -> str:
 
 @dataclass(frozen=True)
 class Bar:
-    """A figure that must be reached: what it is, what was measured, and whether that is enough."""
+    """A figure that must be reached, the measured value, and whether it is enough."""
 
     what: str
     measured: str

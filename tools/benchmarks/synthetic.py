@@ -70,7 +70,7 @@ OFF_GRID = 256  # perturbations a trial, of the arm that may leave the table
 
 
 class _Draw(IntEnum):
-    """What a random draw is for: the spawn key beside the seed."""
+    """Purposes of random draws: the spawn key beside the seed."""
 
     COST = 0
     TABLE = 1
@@ -207,7 +207,7 @@ def folder(problem_name: str, arm: str, seed: int) -> Path:
 
 @cache
 def code(_: str, arm: str) -> str:
-    """Fingerprint of what decides an arm's costs: the problems, and the sampler."""
+    """Fingerprint of all that decides an arm's costs: the problems, and the sampler."""
     if ARMS[arm].kind == OURS:
         return fingerprint([Path(__file__), *OUR_SOURCES], OUR_PACKAGES)
     return fingerprint([Path(__file__)], PEER_PACKAGES)
