@@ -7,6 +7,7 @@ Optuna's propose any point of the space and are told the cost of the nearest row
 """
 
 import hashlib
+import inspect
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -39,7 +40,6 @@ from tools.benchmarks.runs import (
     PEER,
     PEER_PACKAGES,
     PEERS,
-    ROOT,
     Arm,
     Floats,
     costs_of,
@@ -268,7 +268,7 @@ def folder(problem: str, arm: str, _: int) -> Path:
 def code(problem: str, arm: str) -> str:
     """Fingerprint of all that decides an arm's costs: numbers, this file and the sampler."""
     if ARMS[arm].kind == OURS:
-        table = ROOT / "study" / "features" / "feature_table.py"
+        table = Path(inspect.getfile(FeatureTable))
         return fingerprint([Path(__file__), table, *OUR_SOURCES], OUR_PACKAGES, digest(problem))
     return fingerprint([Path(__file__)], PEER_PACKAGES, digest(problem))
 

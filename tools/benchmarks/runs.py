@@ -30,6 +30,7 @@ from optuna.samplers import BaseSampler, CmaEsSampler, GPSampler, RandomSampler,
 from tqdm import tqdm
 
 from storage.commit import commit_json, commit_text, require_folder, writable
+from study import draws
 from study.options import MOST_WORKERS, Options
 from taichi_nmm.errors import InputError
 
@@ -41,7 +42,7 @@ Costs = dict[tuple[str, str], Floats]  # of a problem and an arm, [seeds, trials
 
 ROOT = Path(__file__).resolve().parents[2]
 # The sources that decide our arms, beside a benchmark's own file.
-OUR_SOURCES = (ROOT / "study" / "draws.py", *sorted((ROOT / "study" / "sampler").glob("*.py")))
+OUR_SOURCES = (Path(draws.__file__), *sorted((ROOT / "study" / "sampler").glob("*.py")))
 OUR_PACKAGES = ("numpy", "scipy", "optuna", "scikit-learn")
 PEER_PACKAGES = ("numpy", "scipy", "optuna", "cmaes", "torch")
 PACKAGES = ("numpy", "scipy", "scikit-learn", "optuna", "cmaes", "torch", "greenlet")
