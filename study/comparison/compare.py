@@ -1,4 +1,4 @@
-"""A comparison from its configuration to its table, as the command `tools/compare.py` runs it."""
+"""A comparison from its configuration to its table, as the command `taichi-nmm compare` runs it."""
 
 import time
 from collections import deque

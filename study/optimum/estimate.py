@@ -1,4 +1,4 @@
-"""The estimate from its configuration to its document, as tools/optimum.py runs it."""
+"""The estimate from its configuration to its document, as taichi-nmm optimum runs it."""
 
 import time
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The line of a figure that shows the estimated optimum of its cost: of tools/optimum.py."""
+"""The line of a figure that shows the estimated optimum of its cost: of taichi-nmm optimum."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ def find_optimum(results: Results, given: Sequence[Path]) -> float | None:
     """The best cost of the first document of the experiment's cost: given, or in its folder.
 
     Raises:
-        InputError: a document that was given is missing, or none of tools/optimum.py.
+        InputError: a document that was given is missing, or none of taichi-nmm optimum.
     """
     for path in given:
         if not is_file(path):
@@ -25,7 +25,7 @@ def find_optimum(results: Results, given: Sequence[Path]) -> float | None:
             continue
         cost, best = document.get("cost"), document.get("best_cost")
         if not isinstance(cost, str) or best is None or not is_number(best):
-            raise InputError("optimum", str(path), "a document of tools/optimum.py")
+            raise InputError("optimum", str(path), "a document of taichi-nmm optimum")
         if cost == results.cost:
             return float(best)
     return None

@@ -66,7 +66,7 @@ def table_files(folder: Path) -> list[Path]:
         InputError: no such folder.
     """
     if not is_folder(folder):
-        raise InputError("folder", str(folder), "the output folder of tools/compare.py")
+        raise InputError("folder", str(folder), "the output folder of taichi-nmm compare")
     final = folder / RESULTS_NAME
     checkpoints = sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))
     return ([final] if final.exists() else []) + checkpoints

@@ -131,7 +131,7 @@ def read_results(folder: str | Path) -> Results:
             if arm not in arms or len(arms[arm]) < len(rows):
                 arms[arm] = rows
     if not arms:
-        allowed = f"the output of tools/compare.py: {RESULTS_NAME}, with trials"
+        allowed = f"the output of taichi-nmm compare: {RESULTS_NAME}, with trials"
         raise InputError("folder", str(folder), allowed)
     times = _proposal_times(folder)
     facts = read_facts(folder)

@@ -1,4 +1,4 @@
-"""tools/compare.py as its users meet it: output, exit codes, kill -9, Ctrl-C."""
+"""taichi-nmm compare as its users meet it: output, exit codes, kill -9, Ctrl-C."""
 
 import json
 import os

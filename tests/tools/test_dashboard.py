@@ -1,4 +1,4 @@
-"""tools/dashboard.py as its users run it."""
+"""taichi-nmm dashboard as its users run it."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""tools/explore.py: what it refuses, in one line."""
+"""taichi-nmm explore: what it refuses, in one line."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""tools/optimum.py: convergence on a known problem, resuming, results, refusals."""
+"""taichi-nmm optimum: convergence on a known problem, resuming, results, refusals."""
 
 import json
 import shutil

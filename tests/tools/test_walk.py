@@ -1,4 +1,4 @@
-"""tools/walk.py as its users run it: gains from everywhere, and pictures."""
+"""taichi-nmm walk as its users run it: gains from everywhere, and pictures."""
 
 import json
 from collections.abc import Callable
