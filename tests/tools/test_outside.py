@@ -9,7 +9,6 @@ import numpy as np
 import optuna
 import pytest
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
-from scipy.stats import spearmanr
 
 from taichi_nmm.errors import InputError
 from tests.tools.running import load_tool, run_tool
@@ -68,50 +67,9 @@ def test_a_file_has_a_pool_its_features_and_finite_costs(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_parameters_are_mixed_and_lie_in_their_space(name: str) -> None:
-    problem = outside_problem(name)
-    kinds: set[object] = set()
-    for parameter, distribution in problem.space.items():
-        values = problem.columns[parameter].tolist()
-        assert all(distribution._contains(distribution.to_internal_repr(v)) for v in values)
-        assert len(set(values)) > 1
-        kinds |= {type(distribution)} | ({"log"} if getattr(distribution, "log", False) else set())
-    assert kinds >= {CategoricalDistribution, FloatDistribution, "log"}
-    rows = [tuple(problem.settings(row).values()) for row in range(len(problem))]
-    assert len(set(rows)) == len(rows)
-
-
-@pytest.mark.parametrize("name", PROBLEMS)
 def test_numbers_are_those_that_figures_were_made_with(name: str) -> None:
     assert content_digest(name) == DIGESTS[name]
     assert digest(name) == hashlib.sha256(file_of(name).read_bytes()).hexdigest()
-
-
-@pytest.mark.parametrize("name", PROBLEMS)
-def test_a_problem_is_neither_flat_nor_easy_nor_without_a_clue(name: str) -> None:
-    """Half the rows differ clearly from the best, ten random rows do not find it, features help."""
-    problem = outside_problem(name)
-    order = np.sort(problem.cost)
-    assert len(np.unique(problem.cost)) > 0.5 * len(problem)
-    rng = np.random.default_rng(0)
-    drawn = [problem.cost[rng.permutation(len(problem))[:10]].min() for _ in range(200)]
-    assert np.median(drawn) > order[5]
-    worth = [abs(spearmanr(ranks, problem.cost).statistic) for ranks in problem.ranks.T]
-    assert 0.4 <= max(worth) <= 0.97
-
-
-@pytest.mark.parametrize("name", PROBLEMS)
-def test_choices_and_integers_have_equal_shares_of_the_pool(name: str) -> None:
-    problem, tried = outside_problem(name), 0
-    for parameter, distribution in problem.space.items():
-        _, counts = np.unique(problem.columns[parameter], return_counts=True)
-        equal = isinstance(distribution, CategoricalDistribution) or (
-            isinstance(distribution, IntDistribution) and not distribution.log
-        )
-        if equal:
-            tried += 1
-            assert counts.max() - counts.min() <= 2
-    assert tried
 
 
 def test_there_are_three_to_tune_on_and_three_to_report() -> None:
