@@ -1,0 +1,90 @@
+"""Trace one proposal of the feature-kernel sampler: the files, classes and functions it runs.
+
+    python tools/trace_proposal.py
+
+The proposal is the eleventh of a study over a table of 200 rows with three features. What runs is
+counted with `sys.setprofile`: calls of this project's functions, by file, and the classes whose
+methods ran. A test holds the numbers of files and classes.
+"""
+
+import sys
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import optuna
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from study import FeatureKernelSampler, FeatureTable  # noqa: E402
+
+PACKAGES = tuple(str(ROOT / package) for package in ("study", "storage", "taichi_nmm"))
+ROWS, TRIALS_BEFORE = 200, 10
+
+
+@dataclass
+class Trace:
+    """Calls by file and by function, and the names of the classes whose methods ran."""
+
+    files: Counter[str] = field(default_factory=Counter)
+    functions: Counter[str] = field(default_factory=Counter)
+    classes: set[str] = field(default_factory=set)
+
+    def __call__(self, frame: FrameType, event: str, argument: Any) -> None:
+        """Count one call (the profile function of `sys.setprofile`)."""
+        code = frame.f_code
+        if event != "call" or not code.co_filename.startswith(PACKAGES):
+            return
+        file = str(Path(code.co_filename).relative_to(ROOT))
+        self.files[file] += 1
+        self.functions[f"{file}: {code.co_qualname}"] += 1
+        owner, _, _ = code.co_qualname.partition(".<locals>")[0].rpartition(".")
+        if owner:
+            self.classes.add(owner)
+
+
+def traced_proposal() -> Trace:
+    """What one proposal over a table runs, from `ask` to the last suggested parameter."""
+    rng = np.random.default_rng(1)
+    names = ("a", "b", "c", "d")
+    columns = dict(zip(names, rng.random((len(names), ROWS)), strict=True))
+    table = FeatureTable.from_arrays(columns, rng.random((ROWS, 3)))
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
+
+    def objective(trial: optuna.Trial) -> float:
+        return sum((trial.suggest_float(name, *ends) - 0.5) ** 2 for name, ends in bounds.items())
+
+    bounds = {name: (float(column.min()), float(column.max())) for name, column in columns.items()}
+    study.optimize(objective, n_trials=TRIALS_BEFORE)
+    trace = Trace()
+    sys.setprofile(trace)
+    try:
+        objective(study.ask())
+    finally:
+        sys.setprofile(None)
+    return trace
+
+
+def main() -> None:
+    """Print the trace."""
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    trace = traced_proposal()
+    print(
+        f"{len(trace.files)} files, {len(trace.classes)} classes, "
+        f"{len(trace.functions)} functions, {trace.functions.total()} calls"
+    )
+    print(f"classes: {', '.join(sorted(trace.classes))}")
+    for file, calls in trace.files.most_common():
+        print(f"\n{file}: {calls} calls")
+        for function, count in trace.functions.most_common():
+            owner, name = function.split(": ")
+            if owner == file:
+                print(f"  {count:5} {name}")
+
+
+if __name__ == "__main__":
+    main()
