@@ -6,8 +6,8 @@ from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment
 from study.experiment.one_study import sampler_seed
 from study.experiment.task import Task
+from study.sampler.diagnostics import TITLE, Worth
 from study.sampler.feature_sampler import FeatureKernelSampler
-from study.sampler.worth import TITLE, Worth
 
 
 def worth_of_study(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> Worth | None:

@@ -10,7 +10,7 @@ from optuna.distributions import BaseDistribution
 
 from study.sampler.candidate_table import COLUMN_CHECKS, CandidateTable
 from study.sampler.checked_rows import Bounds, make_rows
-from study.sampler.large import new_matrix
+from study.sampler.points import new_matrix
 from study.sampler.rows import Rows
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError

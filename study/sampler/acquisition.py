@@ -1,22 +1,252 @@
-"""Which candidate to try next: the largest expected improvement, ties broken at random."""
+"""How good each candidate is: expected improvement, kept limits, and the model behind both."""
 
-from functools import cache
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache, cached_property
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from study.sampler.evidence import Evidence
+from study.sampler.gp import (
+    Covariance,
+    Kernel,
+    Layout,
+    Posterior,
+    condition,
+    learn,
+    new_covariance,
+)
+from study.sampler.points import Points
+from study.sampler.transforms import Guess, log_excess, squarable
+
 Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 TIE_TOLERANCE = 1e-9  # relative: below this, two candidates differ by rounding
 LOG_SQRT_2PI = 0.5 * np.log(2.0 * np.pi)
 SQRT_HALF = np.sqrt(0.5)
 SQRT_HALF_PI = np.sqrt(0.5 * np.pi)
-BLOCK = 4096  # candidates at a time, to stay in the cache
+EI_BLOCK = 4096  # candidates at a time, to stay in the cache
 # Standard deviations.
 FAR_BELOW, FAR_ABOVE = -1e3, 1e1
 NODES_FROM, NODES_TO = -40, 10
 NODES_A_UNIT = 64
+# A squared exponential bends by 1 / (8 x 100^2) = 1.3e-5 of its height between two nodes.
+NODES_A_LENGTH = 100
+WORK = 1e10  # multiplications for the variance of all candidates; beyond, a part of them
+LEAST_CANDIDATES = 1000
+MOST_CANDIDATES = 4096  # of a kernel over features and parameters
+CACHED_CONSTANTS = 8
+REFITS = ((32, 1), (128, 4))  # up to so many trials, constants are learned anew after so many
+LAST_EVERY = 16
+
+
+@dataclass
+class Constants:
+    """Learned constants by the trials they were learned from: recomputed where they are missing."""
+
+    known: dict[tuple[Covariance, bytes], Floats] = field(default_factory=dict)
+
+    def learned(self, covariance: Covariance, x: Floats, y: Floats) -> Floats:
+        """What `learn` gives, computed once for the same covariance and trials."""
+        key = (covariance, x.tobytes() + y.tobytes())
+        if key not in self.known:
+            if len(self.known) >= CACHED_CONSTANTS:
+                self.known.pop(next(iter(self.known)))
+            self.known[key] = learn(covariance, x, y)
+        return self.known[key]
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The posterior after some trials, and the improvement that it lets expect.
+
+    Attributes:
+        kernel: of this trial.
+        guess: what the user says of a feature; None: nothing, or it is not believed.
+        parameters: d.
+        evidence: at least one finished trial.
+        constants: known so far.
+    """
+
+    kernel: Kernel
+    guess: Guess | None
+    parameters: int
+    evidence: Evidence
+    constants: Constants
+
+    def utility(self, points: Points, offered: Mask, rng: np.random.Generator) -> Floats:
+        """How good each of m candidates is, [m]; minus infinity where not offered or not looked at.
+
+        The log of the expected improvement times the probability that all limits are kept.
+
+        Args:
+            points: the candidates.
+            offered: which may be taken, [m].
+            rng: of this trial.
+        """
+        seen = self._looked_at(points, offered, rng)
+        some = points if len(seen) == len(points) else points.take(seen)
+        utility = np.full(len(points), -np.inf)
+        utility[seen] = self._values(some)
+        return np.where(offered, utility, -np.inf)
+
+    @cached_property
+    def posterior(self) -> Posterior:
+        """Of the cost less what was guessed, running trials taken to show what is expected."""
+        posterior = self._after(self.evidence.points, self._unguessed)
+        running = self._visible(self.evidence.running)
+        return posterior.believing(running) if len(running) else posterior
+
+    @cached_property
+    def limits(self) -> list[Posterior]:
+        """One posterior a constraint that has been reported."""
+        posteriors = []
+        for limit in self.evidence.limits.T:
+            known = np.isfinite(limit)
+            if known.any():
+                points = self.evidence.points.take(known)
+                posteriors.append(self._after(points, limit[known].__getitem__))
+        return posteriors
+
+    @cached_property
+    def one_dimensional(self) -> bool:
+        """Whether candidates differ by one number only."""
+        return not self.kernel.of_parameters and self.evidence.points.features.shape[1] == 1
+
+    def cost(self, some: slice = slice(None)) -> Floats:
+        """The costs of some trials as the process sees them, [n]."""
+        cost = self.evidence.cost[some]
+        return log_excess(cost) if self.kernel.by_order else squarable(cost)
+
+    def _unguessed(self, some: slice) -> Floats:
+        """The same less what was guessed."""
+        cost = self.cost(some)
+        return cost - self.guessed(self.evidence.points, cost)[some]
+
+    def guessed(self, points: Points, cost: Floats) -> Floats:
+        """What the user says of the costs of points, [m], in the unit of these costs."""
+        if self.guess is None:
+            return np.zeros(len(points))
+        return (float(cost.std()) or 1.0) * self.guess.cost(points)
+
+    def _after(self, points: Points, y: Callable[[slice], Floats]) -> Posterior:
+        """The posterior of something that trials showed, y giving what some of them did."""
+        seen = self._visible(points)
+        x = seen.matrix()
+        layout = Layout(seen.features.shape[1], seen.coordinates.shape[1], self.parameters)
+        covariance = new_covariance(self.kernel, layout)
+        first = last_refit(len(x))
+        theta = self.constants.learned(covariance, x[:first], y(slice(first)))
+        # Over features alone, noise is the spread of alike candidates: the next one shows it too.
+        noisy = not self.kernel.of_parameters
+        return condition(covariance, theta, x, y(slice(None)), noisy=noisy)
+
+    def _visible(self, points: Points) -> Points:
+        """The columns that the kernel looks at."""
+        return points.only(features=self.kernel.of_features, coordinates=self.kernel.of_parameters)
+
+    def _looked_at(
+        self, points: Points, offered: Mask, rng: np.random.Generator
+    ) -> NDArray[np.int64]:
+        """Numbers of the candidates whose posterior is computed.
+
+        Where they are too many, half of them are those that a straight line through the trials
+        (`_merit`) thinks best, the others are drawn.
+        """
+        if self.one_dimensional:
+            return np.arange(len(points))
+        trials = len(self.evidence.cost) + len(self.evidence.running)
+        most = max(int(WORK / trials**2), LEAST_CANDIDATES)
+        if self.kernel.by_order:
+            most = min(most, MOST_CANDIDATES)
+        free = np.flatnonzero(offered)
+        if len(points) <= most and len(free) > len(points) // 2:
+            return np.arange(len(points))  # leaving out a few would cost a copy of the others
+        if len(free) <= most:
+            return free
+        if not self.kernel.of_features:
+            return np.sort(rng.choice(free, most, replace=False))
+        split = len(free) - most // 2
+        order = np.argpartition(self._merit(points)[free], split)
+        drawn = rng.choice(order[:split], most - most // 2, replace=False)
+        return np.sort(free[np.concatenate([order[split:], drawn])])
+
+    def _merit(self, points: Points) -> Floats:
+        """Minus the costs by a ridge regression on the features, unit slopes against unit noise."""
+        seen, residual = self.evidence.points.features, self.posterior.y
+        residual = residual[: len(seen)]  # less what running trials are believed to show
+        slopes = np.linalg.solve(seen.T @ seen + np.eye(seen.shape[1]), seen.T @ residual)
+        learned = self.posterior.cost_sd * (points.features @ slopes)
+        return np.asarray(-(learned + self.guessed(points, self.cost())))
+
+    def _values(self, points: Points) -> Floats:
+        """The utility of candidates, [m]."""
+        if not self.one_dimensional:
+            return self._improvement(points) + log_all_kept(self.limits, self._visible(points))
+        shared = Shared.of(self.posterior, points)
+        values = self._improvement(shared.points) + log_all_kept(self.limits, shared.points)
+        return shared.spread(values)
+
+    def _improvement(self, points: Points) -> Floats:
+        """log expected improvement, [m]; all alike where there is nothing to improve on."""
+        feasible = self.evidence.feasible
+        if not feasible.any():  # first find a candidate that holds
+            return np.zeros(len(points))
+        mean, variance = self.posterior.predict(self._visible(points))
+        cost = self.cost()
+        best = float(cost[feasible].min())
+        mean += self.guessed(points, cost)
+        return log_expected_improvement(mean, np.sqrt(variance), best)
+
+
+def last_refit(trials: int) -> int:
+    """How many of the first trials constants are learned from: they change ever more slowly."""
+    for most, every in REFITS:
+        if trials <= most:
+            return trials - trials % every
+    return trials - trials % LAST_EVERY
+
+
+@dataclass(frozen=True, eq=False)
+class Shared:
+    """Few points that stand for the many candidates of one feature: its distinct values, or nodes.
+
+    Between nodes the posterior is all but straight.
+
+    Attributes:
+        points: distinct features, or nodes.
+        values: the distinct features of the candidates, ascending.
+        place: which of them each candidate has, [m].
+    """
+
+    points: Points
+    values: Floats
+    place: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, posterior: Posterior, points: Points) -> "Shared":
+        """For m candidates; nodes only where the posterior may be approximate."""
+        values, place = points.distinct
+        nodes = _nodes_between(posterior, values) if posterior.fast else values
+        return cls(Points(nodes[:, None], np.empty((len(nodes), 0))), values, place)
+
+    def spread(self, computed: Floats) -> Floats:
+        """What was computed at the points, at all candidates, [m]."""
+        nodes = self.points.features[:, 0]
+        if len(nodes) != len(self.values):
+            computed = np.interp(self.values, nodes, computed)
+        return computed[self.place]
+
+
+def _nodes_between(posterior: Posterior, values: Floats) -> Floats:
+    """Evenly spaced values, or the values themselves if they are fewer."""
+    length = posterior.shortest_scale
+    span = float(values[-1] - values[0])
+    count = int(min(np.ceil(span / length * NODES_A_LENGTH), len(values))) + 1
+    return values if count >= len(values) else np.linspace(values[0], values[-1], count)
 
 
 def log_expected_improvement(mean: Floats, sd: Floats, best: float) -> Floats:
@@ -39,8 +269,8 @@ def _log_h(z: Floats) -> Floats:
     """log h(z), h(z) = phi(z) + z Phi(z), within 1e-9, [m]: by a cubic between nodes."""
     nodes = _nodes()
     log_h = np.empty_like(z)
-    for start in range(0, len(z), BLOCK):
-        block = slice(start, start + BLOCK)
+    for start in range(0, len(z), EI_BLOCK):
+        block = slice(start, start + EI_BLOCK)
         place = NODES_A_UNIT * (np.fmin(np.fmax(z[block], NODES_FROM), NODES_TO) - NODES_FROM)
         node = place.astype(np.intp)
         place -= node
@@ -92,3 +322,21 @@ def argmax_random_tie(values: Floats, rng: np.random.Generator) -> int:
         return int(rng.choice(np.flatnonzero(values == largest)))
     tied = np.flatnonzero(values >= largest - TIE_TOLERANCE * abs(largest))
     return int(rng.choice(tied))
+
+
+def log_kept(mean: Floats, variance: Floats) -> Floats:
+    """log P(limit <= 0) of a limit ~ N(mean, variance), [m].
+
+    Gelbart, Snoek, Adams 2014, section 3. Of a mere failed / did not fail, told as 1 / -1, it is
+    the least-squares classifier (Rasmussen, Williams 2006, section 6.5).
+    """
+    sd = np.sqrt(np.maximum(variance, 1e-24))
+    return np.asarray(scipy.special.log_ndtr(-mean / sd))
+
+
+def log_all_kept(limits: list[Posterior], points: Points) -> Floats:
+    """The sum over independent limits, [m]."""
+    total = np.zeros(len(points))
+    for posterior in limits:
+        total += log_kept(*posterior.predict(points))
+    return total

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
 
 from study.sampler.columns import Floats, feature_matrix, parameter_column
-from study.sampler.large import columns_of, let_go, new_matrix
+from study.sampler.points import columns_of, let_go, new_matrix
 from study.sampler.rows import Rows
 from study.sampler.space import STEP_TOLERANCE, Space
 from taichi_nmm.errors import InputError

@@ -22,13 +22,12 @@ from study.sampler.constraints import (
     store_constraints,
 )
 from study.sampler.description import call_text
-from study.sampler.examination import worth_of
+from study.sampler.diagnostics import Worth, worth_of
 from study.sampler.feature_function import Features
 from study.sampler.options import Options
 from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
 from study.sampler.source import one_thread
 from study.sampler.sources import new_source
-from study.sampler.worth import Worth
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
@@ -55,10 +54,10 @@ class FeatureKernelSampler(BaseSampler):
         g ~ GP(0, t^2 exp(-|u - u'|^2 / 2 L^2))
 
     v, s, t, the length scales and the noise maximise the marginal likelihood times a prior
-    (`study.sampler.kernels`): what explains nothing gets no weight. Once no trial has been better
-    than all before for some time, every other one is left to g alone (`study.sampler.trust`), so
-    that features that mislead cost half the trials from then on. Trials running elsewhere are
-    conditioned on as if they had shown what is expected of them.
+    (`study.sampler.gp`): what explains nothing gets no weight. Once no trial has been better
+    than all before for some time, every other one is left to g alone
+    (`study.sampler.transforms`), so that features that mislead cost half the trials from then on.
+    Trials running elsewhere are conditioned on as if they had shown what is expected of them.
 
     What it promises: everything is recomputed from the study's trials, and each draw is seeded by
     the seed and the trial, so a resumed study or another process proposes the same. FAIL and PRUNED
@@ -70,7 +69,8 @@ class FeatureKernelSampler(BaseSampler):
         seed: of all draws; None takes one from the machine's entropy.
         prior: a feature whose high values are thought good; with a minus before its name, its low
             ones. The first three trials are the best rows of that ranking, in its order; then the
-            cost is expected to follow it, as far as trials bear that out (`study.sampler.guess`).
+            cost is expected to follow it, as far as trials confirm that
+            (`study.sampler.transforms.Guess`).
         kernel: None: the model above with features, "euclidean" without. "additive": the model
             above. "rbf": f alone, of features as they are (standardised), one length scale for all
             and the cost as it is, the paper's; "rbf_ard": the same with a length scale a feature.

@@ -13,8 +13,8 @@ by most of them at once. Of several guesses of a cost, the good end is one of th
 import numpy as np
 from numpy.typing import NDArray
 
-from study.sampler.guess import Guess
 from study.sampler.options import Options
+from study.sampler.transforms import Guess
 
 Floats = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from optuna.distributions import BaseDistribution
 
-from study.sampler.kernels import ADDITIVE, KERNELS, Kernel
+from study.sampler.gp import ADDITIVE, KERNELS, Kernel
 from taichi_nmm.checks import is_number
 from taichi_nmm.errors import InputError
 

@@ -12,7 +12,7 @@ from optuna.distributions import BaseDistribution
 
 from study.sampler.checked_rows import Bounds, make_rows
 from study.sampler.columns import Floats
-from study.sampler.large import let_go
+from study.sampler.points import let_go
 from study.sampler.rows import Rows
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, reading

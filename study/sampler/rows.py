@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
-from study.sampler.large import BLOCK, by_blocks, columns_of, let_go
-from study.sampler.points import Points
-from study.sampler.scale import NormalScores, Scale, Standard
+from study.sampler.points import BLOCK, Points, by_blocks, columns_of, let_go
 from study.sampler.space import Space, first_not_taken
+from study.sampler.transforms import NormalScores, Scale, Standard
 
 Floats = NDArray[np.float64]
 REMEMBERED = 4096  # rows

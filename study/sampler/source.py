@@ -17,16 +17,15 @@ from optuna.trial import FrozenTrial, TrialState
 from threadpoolctl import ThreadpoolController
 
 from study.draws import Purpose, generator
+from study.sampler.acquisition import Constants, Model
+from study.sampler.diagnostics import Present
 from study.sampler.evidence import Evidence, read_limits
-from study.sampler.guess import Guess
+from study.sampler.gp import NEARNESS, Kernel
 from study.sampler.history import History
-from study.sampler.kernels import NEARNESS, Kernel
-from study.sampler.model import Constants, Model
 from study.sampler.options import Options
 from study.sampler.points import Points
-from study.sampler.present import Present
 from study.sampler.proposals import Proposals
-from study.sampler.trust import is_doubtful
+from study.sampler.transforms import Guess, is_doubtful
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -14,8 +14,8 @@ from study.draws import Purpose, turn
 from study.sampler import first_trials
 from study.sampler.acquisition import argmax_random_tie
 from study.sampler.candidates import anywhere, nearby, not_among
+from study.sampler.diagnostics import Present
 from study.sampler.feature_function import Features, call_features
-from study.sampler.guess import Guess
 from study.sampler.history import (
     FEATURES_ATTRIBUTE,
     OFF_TABLE,
@@ -26,9 +26,7 @@ from study.sampler.history import (
 )
 from study.sampler.options import Options
 from study.sampler.points import Points
-from study.sampler.present import Present
 from study.sampler.proposals import Proposal
-from study.sampler.scale import NormalScores, Scale, Standard
 from study.sampler.source import (
     Candidate,
     Source,
@@ -37,6 +35,7 @@ from study.sampler.source import (
     set_attributes,
 )
 from study.sampler.space import Space
+from study.sampler.transforms import Guess, NormalScores, Scale, Standard
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]

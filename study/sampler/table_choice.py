@@ -9,19 +9,17 @@ from optuna.trial import FrozenTrial
 
 from study.draws import Purpose
 from study.sampler import first_trials
-from study.sampler.acquisition import argmax_random_tie
+from study.sampler.acquisition import Model, argmax_random_tie
 from study.sampler.candidate_table import CandidateTable
 from study.sampler.candidates import nearby, not_among
+from study.sampler.diagnostics import Present
 from study.sampler.feature_function import Features, call_features
-from study.sampler.guess import Guess
 from study.sampler.history import OFF_TABLE, History, noted_features
-from study.sampler.model import Model
 from study.sampler.options import Options
 from study.sampler.points import Points
-from study.sampler.present import Present
 from study.sampler.rows import Rows
-from study.sampler.scale import Scale
 from study.sampler.source import Candidate, Source
+from study.sampler.transforms import Guess, Scale
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]

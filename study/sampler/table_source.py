@@ -12,6 +12,7 @@ from study.draws import turn
 from study.sampler import first_trials
 from study.sampler.candidate_table import CandidateTable
 from study.sampler.claims import withdraw_or_keep
+from study.sampler.diagnostics import Present
 from study.sampler.feature_function import Features
 from study.sampler.fit import distribution_misfit, not_suggested, proves_fit, shown_misfit
 from study.sampler.fixed_values import no_row_has
@@ -27,7 +28,6 @@ from study.sampler.history import (
 )
 from study.sampler.off_table import IGNORED, OffTable
 from study.sampler.options import Options
-from study.sampler.present import Present
 from study.sampler.proposals import NOTHING, Proposal
 from study.sampler.row_notes import notes_of, taken_back
 from study.sampler.rows import Rows

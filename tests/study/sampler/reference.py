@@ -9,14 +9,16 @@ from scipy.optimize import minimize
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor, kernels
 
-from study.sampler.composites import Product, Sum
-from study.sampler.covariance import Covariance
-from study.sampler.gaussian_process import ITERATIONS, NOISE_STARTS, SECOND_START_TRIALS
-from study.sampler.kernels import KERNELS, NEARNESS
-from study.sampler.likelihood import JITTER
-from study.sampler.parts import Constant, Linear, Part
-from study.sampler.posterior import Posterior
-from study.sampler.stationary import RBF
+from study.sampler.gp import (
+    ITERATIONS,
+    JITTER,
+    KERNELS,
+    NEARNESS,
+    NOISE_STARTS,
+    SECOND_START_TRIALS,
+    Covariance,
+    Posterior,
+)
 
 Floats = NDArray[np.float64]
 
@@ -62,37 +64,33 @@ class Columns(kernels.Kernel):  # type: ignore[misc]
         return self.kernel.is_stationary()
 
 
-def of_part(part: Part) -> Any:
-    """The same kernel of scikit-learn's, with the same theta and bounds."""
-    if isinstance(part, Sum):
-        return kernels.Sum(of_part(part.first), of_part(part.second))
-    if isinstance(part, Product):
-        return kernels.Product(of_part(part.first), of_part(part.second))
-    if isinstance(part, Constant):
-        return kernels.ConstantKernel(part.value, part.limits)
-    if isinstance(part, Linear):
-        inner: Any = kernels.DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
-        return Columns(inner, part.columns)
-    assert isinstance(part, RBF)
-    scales = part.scales[0] if len(part.scales) == 1 else np.array(part.scales)
-    return Columns(kernels.RBF(scales, part.limits), part.columns)
+def of_covariance(covariance: Covariance, theta: Floats) -> Any:
+    """The same kernel of scikit-learn's with these constants and the same bounds."""
+    total: Any = None
+    for term, variance, scales in covariance.valued(theta):
+        columns = slice(term.first, term.end)
+        if len(scales):
+            limits = term.scales[0].bounds
+            inner = kernels.RBF(scales[0] if len(scales) == 1 else scales, limits)
+        else:
+            inner = kernels.DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
+        factor = kernels.ConstantKernel(variance, term.variance.bounds)
+        product = kernels.Product(factor, Columns(inner, columns))
+        total = product if total is None else kernels.Sum(total, product)
+    return total + kernels.WhiteKernel(np.exp(theta[-1]), covariance.noise.bounds)
 
 
-def of_covariance(covariance: Covariance) -> Any:
-    """The same kernel of scikit-learn's, noise included."""
-    noise = kernels.WhiteKernel(covariance.noise, covariance.noise_limits)
-    return of_part(covariance.kernel) + noise
-
-
-def conditioned(covariance: Covariance, x: Floats, y: Floats) -> GaussianProcessRegressor:
+def conditioned(
+    covariance: Covariance, theta: Floats, x: Floats, y: Floats
+) -> GaussianProcessRegressor:
     """After trials x [n, p] with y [n] in standard units; constants are kept."""
-    kernel = of_covariance(covariance)
+    kernel = of_covariance(covariance, theta)
     return GaussianProcessRegressor(kernel, alpha=JITTER, optimizer=None).fit(x, y)
 
 
 def misfit(covariance: Covariance, x: Floats, y: Floats, theta: Floats) -> tuple[float, Floats]:
-    """What `likelihood.Misfit` is, by scikit-learn."""
-    regressor = conditioned(covariance, x, y)
+    """`gp.misfit`, by scikit-learn."""
+    regressor = conditioned(covariance, theta, x, y)
     likelihood, gradient = regressor.log_marginal_likelihood(theta, eval_gradient=True)
     z = (theta - covariance.modes) / covariance.spreads
     return float(-likelihood + 0.5 * z @ z), -gradient + z / covariance.spreads
@@ -121,7 +119,7 @@ def learned(covariance: Covariance, x: Floats, y: Floats) -> Floats:
         best = min(found, key=lambda result: float(result.fun))
         return best.x, float(best.fun)
 
-    kernel = of_covariance(covariance)
+    kernel = of_covariance(covariance, covariance.start)
     regressor = GaussianProcessRegressor(kernel, alpha=JITTER, optimizer=optimizer)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
@@ -130,4 +128,4 @@ def learned(covariance: Covariance, x: Floats, y: Floats) -> Floats:
 
 def of_posterior(posterior: Posterior) -> GaussianProcessRegressor:
     """The same posterior, in standard units."""
-    return conditioned(posterior.covariance, posterior.x, posterior.y)
+    return conditioned(posterior.covariance, posterior.theta, posterior.x, posterior.y)

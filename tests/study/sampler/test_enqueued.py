@@ -15,8 +15,8 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, TrialState
 
 from study import FeatureKernelSampler, FeatureTable
+from study.sampler.acquisition import Model
 from study.sampler.history import read_history, row_of
-from study.sampler.model import Model
 from taichi_nmm.errors import InputError
 from tests.study.sampler.test_history import kill
 

@@ -7,9 +7,9 @@ from numpy.testing import assert_allclose
 from scipy.stats import norm
 
 from study import FeatureKernelSampler, FeatureTable
+from study.sampler.acquisition import log_kept
 from study.sampler.evidence import read_limits
-from study.sampler.feasibility import log_kept
-from study.sampler.kernels import KERNELS
+from study.sampler.gp import KERNELS
 
 
 def test_the_probability_is_the_normal_one() -> None:

@@ -20,8 +20,8 @@ from optuna.trial import TrialState
 
 from storage.databases.studies import open_studies
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.kernels import KERNELS
-from study.sampler.model import Model
+from study.sampler.acquisition import Model
+from study.sampler.gp import KERNELS
 from study.sampler.points import Points
 
 ROOT = Path(__file__).parents[3]

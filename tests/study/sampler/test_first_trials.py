@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from optuna.distributions import FloatDistribution
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.kernels import KERNELS
+from study.sampler.gp import KERNELS
 
 Floats = NDArray[np.float64]
 ROWS = 70

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from study.sampler.acquisition import log_expected_improvement
+from study.sampler.acquisition import MOST_CANDIDATES, Constants, Model, log_expected_improvement
 from study.sampler.evidence import Evidence
-from study.sampler.guess import SLOPE, Guess
-from study.sampler.kernels import KERNELS
-from study.sampler.model import MOST_CANDIDATES, Constants, Model
+from study.sampler.gp import KERNELS
 from study.sampler.points import Points
-from study.sampler.transforms import log_excess
+from study.sampler.transforms import SLOPE, Guess, log_excess
 from taichi_nmm.errors import InputError
 
 NAMES = ("score", "error", "-odd")
@@ -42,7 +40,7 @@ def predicted(model: Model, points: Points) -> np.ndarray:
         return log_expected_improvement(mean, sd, best)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("study.sampler.model.log_expected_improvement", spied)
+        patch.setattr("study.sampler.acquisition.log_expected_improvement", spied)
         model.utility(points, np.ones(len(points), dtype=bool), np.random.default_rng(0))
     return np.asarray(means[0])
 

@@ -5,11 +5,17 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import approx_fprime
 
-from study.sampler.covariance import Covariance
-from study.sampler.gaussian_process import LIKELIHOOD_TRIALS, learn
-from study.sampler.kernels import SIGNAL_PRIOR, Layout, new_covariance
-from study.sampler.likelihood import Misfit
-from study.sampler.parts import Linear
+from study.sampler.gp import (
+    FEATURE_NOISE,
+    LIKELIHOOD_TRIALS,
+    SLOPE,
+    Covariance,
+    Layout,
+    Term,
+    learn,
+    misfit,
+    new_covariance,
+)
 from tests.study.sampler import reference
 
 LAYOUT = Layout(features=3, coordinates=4, parameters=4)
@@ -38,7 +44,7 @@ def test_the_misfit_and_its_gradient_are_scikit_learns(form: str) -> None:
         for draw in range(3):
             theta = anywhere(covariance, draw)
             expected, slopes = reference.misfit(covariance, x, y, theta)
-            found, gradient = Misfit(covariance, x, y)(theta)
+            found, gradient = misfit(covariance, x, y, theta)
             assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
             assert_allclose(gradient, slopes, rtol=1e-6, atol=1e-6 * np.abs(slopes).max())
 
@@ -46,10 +52,10 @@ def test_the_misfit_and_its_gradient_are_scikit_learns(form: str) -> None:
 @pytest.mark.parametrize("form", reference.FORMS)
 def test_the_gradient_is_that_of_the_misfit(form: str) -> None:
     covariance = new_covariance(reference.FORMS[form], LAYOUT)
-    misfit = Misfit(covariance, *trials(25, 0))
-    theta = covariance.theta
-    slopes = approx_fprime(theta, lambda at: misfit(at)[0], 1e-6)
-    assert_allclose(misfit(theta)[1], slopes, rtol=1e-4, atol=1e-4)
+    x, y = trials(25, 0)
+    theta = covariance.start
+    slopes = approx_fprime(theta, lambda at: misfit(covariance, x, y, at)[0], 1e-6)
+    assert_allclose(misfit(covariance, x, y, theta)[1], slopes, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("count", [2, 8, 30, 31, LIKELIHOOD_TRIALS])
@@ -61,8 +67,9 @@ def test_the_constants_are_those_that_scikit_learn_finds(form: str, count: int) 
 
 
 def test_without_a_cholesky_factor_the_misfit_is_infinite() -> None:
-    covariance = Covariance(Linear(slice(0, 1)), 1e-4, (1e-4, 1e1), (SIGNAL_PRIOR,))
+    covariance = Covariance((Term(0, 1, SLOPE, ()),), FEATURE_NOISE)
     x = np.array([[1.0], [1.0], [3.0]]) * 1e12
-    found, gradient = Misfit(covariance, x, np.ones(3))(covariance.theta)
+    theta = np.array([0.0, np.log(1e-4)])
+    found, gradient = misfit(covariance, x, np.ones(3), theta)
     assert found == np.inf
     assert_allclose(gradient, 0.0)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from study.sampler.acquisition import Constants, Model
 from study.sampler.evidence import Evidence
-from study.sampler.kernels import KERNELS
-from study.sampler.model import Constants, Model
+from study.sampler.gp import KERNELS
 from study.sampler.points import Points
 
 TRIALS = 40

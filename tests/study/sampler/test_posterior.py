@@ -4,12 +4,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from study.sampler.covariance import Covariance
-from study.sampler.gaussian_process import LIKELIHOOD_TRIALS, condition, learn
-from study.sampler.kernels import Layout, new_covariance
-from study.sampler.one_dimension import Shared
+from study.sampler.acquisition import Shared
+from study.sampler.gp import (
+    BLOCK,
+    LIKELIHOOD_TRIALS,
+    Covariance,
+    Layout,
+    Posterior,
+    condition,
+    learn,
+    new_covariance,
+)
 from study.sampler.points import Points
-from study.sampler.posterior import BLOCK, Posterior
 from tests.study.sampler import reference
 
 LAYOUT = Layout(features=3, coordinates=4, parameters=4)
@@ -47,7 +53,7 @@ def oracle(posterior: Posterior, candidates: Points) -> tuple[np.ndarray, np.nda
 
 def prior_variance(posterior: Posterior, x: np.ndarray) -> np.ndarray:
     """Before any trial, noise included."""
-    return posterior.cost_sd**2 * (posterior.kernel.variance(x) + posterior.noise) * np.ones(len(x))
+    return posterior.cost_sd**2 * (posterior.prior_variance(x) + posterior.noise) * np.ones(len(x))
 
 
 @pytest.mark.parametrize("form", reference.FORMS)
@@ -109,7 +115,7 @@ def test_believing_adds_trials_and_keeps_constants() -> None:
     believed = posterior.believing(more)
     candidates = some_points(200, seed=6)
     mean, variance = posterior.predict(candidates)
-    assert_allclose(believed.covariance.theta, posterior.covariance.theta)
+    assert_allclose(believed.theta, posterior.theta)
     assert_allclose(believed.predict(candidates)[0], mean, rtol=1e-6)
     assert np.all(believed.predict(candidates)[1] <= variance * (1 + 1e-9))
     assert believed.predict(more)[1].sum() < posterior.predict(more)[1].sum()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm, rankdata
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.scale import LEAST_GAPS, NormalScores, Standard
+from study.sampler.transforms import LEAST_GAPS, NormalScores, Standard
 
 Floats = NDArray[np.float64]
 NAN, INF = np.nan, np.inf

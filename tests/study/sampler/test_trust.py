@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.kernels import ADDITIVE, NEARNESS
-from study.sampler.model import Model
-from study.sampler.trust import PATIENCE, PATIENCE_TOLD, is_doubtful
+from study.sampler.acquisition import Model
+from study.sampler.gp import ADDITIVE, NEARNESS
+from study.sampler.transforms import PATIENCE, PATIENCE_TOLD, is_doubtful
 
 Floats = NDArray[np.float64]
 

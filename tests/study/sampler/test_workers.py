@@ -15,7 +15,7 @@ from optuna.trial import TrialState
 from storage.databases.studies import open_studies
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
 from study.sampler.claims import withdraw_or_keep
-from study.sampler.posterior import Posterior
+from study.sampler.gp import Posterior
 
 pytestmark = pytest.mark.slow
 

@@ -14,14 +14,17 @@ from optuna.trial import TrialState, create_trial
 from scipy import stats
 
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
-from study.sampler.gaussian_process import condition
-from study.sampler.leave_one_out import residuals, residuals_of_constant
+from study.sampler.diagnostics import (
+    Present,
+    RankCorrelation,
+    Worth,
+    percents,
+    residuals,
+    residuals_of_constant,
+)
+from study.sampler.gp import condition
 from study.sampler.points import Points
-from study.sampler.present import Present
-from study.sampler.rank_correlation import RankCorrelation
-from study.sampler.scale import NormalScores, Standard
-from study.sampler.weights import percents
-from study.sampler.worth import Worth
+from study.sampler.transforms import NormalScores, Standard
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -147,7 +150,7 @@ def test_leaving_out_is_that_of_refits_with_the_same_constants(
     sampler = FeatureKernelSampler(table(), seed=1, kernel=kernel, prior=prior)
     posterior = present(sampler, drawn_rows(table(), 12)).model.posterior
     y = posterior.cost_mean + posterior.cost_sd * posterior.y
-    theta = posterior.covariance.theta
+    theta = posterior.theta
     missed = []
     for left in range(len(y)):
         others = np.arange(len(y)) != left
@@ -186,8 +189,8 @@ def test_likeness_is_split_by_the_length_scales() -> None:
     """With the formula written out, of the model of one score a feature."""
     sampler = FeatureKernelSampler(table(), seed=1, kernel="rbf_ard")
     study = drawn_rows(table(), 15)
-    covariance = present(sampler, study).model.posterior.covariance
-    s2, *scales, noise = np.exp(covariance.theta)
+    theta = present(sampler, study).model.posterior.theta
+    s2, *scales, noise = np.exp(theta)
     x = Standard.of(good_features()).standard(good_features())
     squared = ((x[:, None] - x[None]) ** 2 / np.array(scales) ** 2).sum(axis=2)
     likeness = s2 * (1 - np.exp(-squared / 2).mean())

@@ -1,0 +1,452 @@
+"""Whether the features of a study are worth anything: figures, a verdict and a small table."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from math import atanh, sqrt, tanh
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from study.sampler.acquisition import Constants, Model
+from study.sampler.evidence import Evidence
+from study.sampler.gp import JITTER, Kernel, Posterior, shape_of
+from study.sampler.points import Points
+from study.sampler.transforms import Guess, is_doubtful
+
+Floats = NDArray[np.float64]
+
+LEAST_TRIALS = 5
+# Standard errors that make a gain: with two, one in ten studies of features that say nothing would
+# have one, since the constants were learned from the trials that are left out.
+GAIN = 3.0
+TITLE = "Are the features worth anything?"
+HEAD = ("feature", "rank correlation with the cost", "weight")
+UNKNOWN = "-"
+CHOSEN = (
+    "In brackets: 95 %. Trials are chosen, not drawn: among the best rows, correlations are weaker "
+    "than over all, and what features were worth in choosing these rows does not show. Some rows "
+    "drawn at random would tell."
+)
+WEIGHT = (
+    "Weight: the share of the costs' variation over all candidates that the model puts down to it."
+)
+MAXIMISED = "The cost is minus the study's value."
+DOUBTED = (
+    "No trial has been better than all before for some time: every other one is left to the "
+    "parameters."
+)
+LEAST_RANKED = 4  # trials with a feature, for its correlation
+NORMAL_95 = 1.959964  # 97.5 % quantile of the normal distribution
+CANDIDATES = 512  # whose variation is computed, evenly among all
+
+
+@dataclass(frozen=True)
+class RankCorrelation:
+    """Spearman's rank correlation of a feature and the cost, -1 to 1, with its interval.
+
+    r is the correlation of ranks, equal values sharing the mean of theirs. Its interval is that of
+    Fisher's z = artanh r, which is about normal with the standard error
+
+        sqrt((1 + r^2 / 2) / (n - 3))
+
+    (Bonett, Wright 2000, "Sample size requirements for estimating Pearson, Kendall and Spearman
+    correlations"). Of trials in perfect order z is infinite: they get the interval of trials of
+    which two neighbours are out of order, up to the end of the scale.
+
+    Attributes:
+        value: r.
+        low: end of the interval that holds it with 95 %.
+        high: its other end.
+        errors: r in standard errors, on the scale of z.
+    """
+
+    value: float
+    low: float
+    high: float
+    errors: float
+
+    @classmethod
+    def of(cls, feature: Floats, cost: Floats) -> "RankCorrelation | None":
+        """Of n trials, [n] each; those without the feature (NaN) are left out.
+
+        None: too few trials are left, or all have the same feature or the same cost.
+        """
+        known = ~np.isnan(feature)
+        n = int(known.sum())
+        if n < LEAST_RANKED:
+            return None
+        a, b = (scipy.stats.rankdata(v) - (n + 1) / 2 for v in (feature[known], cost[known]))
+        spread = sqrt(float((a @ a) * (b @ b)))
+        if spread == 0:
+            return None
+        value = float(np.clip(a @ b / spread, -1.0, 1.0))
+        most = 1.0 - 12.0 / (n**3 - n)  # 1 - 6 sum d^2 / (n^3 - n), two neighbours exchanged
+        inner = min(max(value, -most), most)
+        z, error = atanh(inner), sqrt((1.0 + inner**2 / 2.0) / (n - 3))
+        low, high = tanh(z - NORMAL_95 * error), tanh(z + NORMAL_95 * error)
+        return cls(value, min(low, value), max(high, value), z / error)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Shares of the expected variation, which sum to 1.
+
+    Attributes:
+        features: of each of the k features.
+        parameters: of their likeness; 0 where the kernel does not look at them.
+        noise: of what nothing explains.
+    """
+
+    features: tuple[float, ...]
+    parameters: float
+    noise: float
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Leave-one-out errors, as shares of that of a constant.
+
+    Attributes:
+        model: of the sampler's model.
+        without: of one over the parameters alone; None: the sampler has none.
+        gain: by how much the model is nearer to the costs than the better of the others, on
+            average over the trials, in standard errors of this average.
+    """
+
+    model: float
+    without: float | None
+    gain: float
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What features were worth to a sampler in the finished trials of a study.
+
+    Attributes:
+        trials: that could be learned from.
+        names: of the k features; () where nothing is known of them yet.
+        correlations: of each with the cost; None: too few trials have it, or it is constant.
+        weights: that the model gives; None: too few trials.
+        errors: None: too few trials, or all cost the same.
+        is_doubted: every other trial is left to the parameters at present.
+        maximised: the study's value is; costs are minus the values.
+    """
+
+    trials: int
+    names: tuple[str, ...]
+    correlations: tuple[RankCorrelation | None, ...]
+    weights: Weights | None
+    errors: Errors | None
+    is_doubted: bool
+    maximised: bool
+
+    @property
+    def verdict(self) -> str:
+        """In a sentence; a correlation counts that is sure at 95 % for all features at once."""
+        if self.trials < LEAST_TRIALS:
+            return f"too few trials: {self.trials} of {LEAST_TRIALS}"
+        if self.errors is None:
+            return f"nothing is known of the features: all {self.trials} trials cost the same"
+        without = self.errors.without
+        other = "" if without is None else f", and {without:.2f} of it without features"
+        error = f"the model's error is {self.errors.model:.2f} of a constant's{other}"
+        better = self.errors.model < min(1.0, 1.0 if without is None else without)
+        if better and self.errors.gain > GAIN:
+            return f"The features explain part of the costs of these trials: {error}."
+        if (found := self._strongest()) is not None:
+            name, r = found
+            gain = "may gain" if better else "does not gain"
+            return (
+                f"The costs follow a feature ({name}, {r.value:+.2f}); among these trials, the "
+                f"model {gain} by the features: {error}."
+            )
+        if better:
+            return (
+                f"The features may explain part of the costs, which {self.trials} trials do not "
+                f"settle: {error}."
+            )
+        return f"Among these trials, the features are not (yet) worth anything: {error}."
+
+    def _strongest(self) -> tuple[str, RankCorrelation] | None:
+        """The feature that goes with the cost most surely; None: none is sure, of so many."""
+        named = zip(self.names, self.correlations, strict=True)
+        known = [(name, r) for name, r in named if r is not None]
+        if not known:
+            return None
+        best = max(known, key=lambda one: abs(one[1].errors))
+        needed = float(scipy.special.ndtri(1.0 - 0.025 / len(known)))  # Bonferroni
+        return best if abs(best[1].errors) > needed else None
+
+    def __str__(self) -> str:
+        """A table for people."""
+        rows = [HEAD, *self._rows()]
+        widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]
+        lines = [
+            f"{name:<{widths[0]}}  {r:<{widths[1]}}  {weight:>{widths[2]}}"
+            for name, r, weight in rows
+        ]
+        return "\n".join([self.verdict, "", *(lines if self.names else ()), *self._remarks()])
+
+    def markdown(self) -> str:
+        """The same for a note in the dashboard."""
+        head = ["| " + " | ".join(HEAD) + " |", "|---|---|--:|"]
+        rows = ["| " + " | ".join(map(_escaped, row)) + " |" for row in self._rows()]
+        table = [*head, *rows, ""] if self.names else []
+        return "\n".join([f"## {TITLE}", "", self.verdict, "", *table, *self._remarks()]).rstrip()
+
+    def _rows(self) -> Iterator[tuple[str, str, str]]:
+        """Of the table: features, and what they leave to others."""
+        weights = [UNKNOWN] * len(self.names)
+        others: list[tuple[str, str, str]] = []
+        if self.weights is not None:
+            shares = (*self.weights.features, self.weights.parameters, self.weights.noise)
+            *weights, parameters, noise = (f"{share} %" for share in percents(shares))
+            if self.weights.parameters > 0:
+                others.append(("(parameters)", "", parameters))
+            others.append(("(noise)", "", noise))
+        for name, r, weight in zip(self.names, self.correlations, weights, strict=True):
+            yield name, _correlation_text(r), weight
+        yield from others
+
+    def _remarks(self) -> Iterator[str]:
+        """What is to be known of the figures."""
+        if not self.names:
+            return
+        yield f"{self.trials} trials. {CHOSEN}"
+        if self.weights is not None:
+            yield WEIGHT
+        if self.maximised:
+            yield MAXIMISED
+        if self.is_doubted:
+            yield DOUBTED
+
+
+def _correlation_text(r: RankCorrelation | None) -> str:
+    return UNKNOWN if r is None else f"{r.value:+.2f} ({r.low:+.2f} to {r.high:+.2f})"
+
+
+def _escaped(cell: str) -> str:
+    """So that a name does not end a cell."""
+    return cell.replace("|", "\\|")
+
+
+@dataclass(frozen=True, eq=False)
+class Present:
+    """The finished trials of a study, and what the sampler makes of them.
+
+    Attributes:
+        names: of the k features.
+        features: of the n trials, in units of their own, NaN where unknown, [n, k].
+        seen: the trials as the kernel sees them.
+        cost: of each, lower is better, [n].
+        candidates: rows that may be proposed, or points anywhere, as the kernel sees them.
+        owners: of each column of their features, the number of the feature.
+        parameters: d.
+        kernel: of the sampler.
+        guess: of the user.
+        learns_trust: whether the sampler may leave trials to the parameters.
+        constants: known so far.
+    """
+
+    names: tuple[str, ...]
+    features: Floats
+    seen: Points
+    cost: Floats
+    candidates: Points
+    owners: tuple[int, ...]
+    parameters: int
+    kernel: Kernel
+    guess: Guess | None
+    learns_trust: bool
+    constants: Constants
+
+    @cached_property
+    def model(self) -> Model:
+        """The sampler's, as it is where the features are followed."""
+        return self._model(self.seen, self.guess)
+
+    @cached_property
+    def blind(self) -> Model | None:
+        """The same learned where all have the same features; None: nothing else is looked at.
+
+        Not the one over the parameters alone that the sampler falls back on: that learns no mean,
+        and falls behind also where features say nothing at all.
+        """
+        if not self.kernel.of_parameters:
+            return None
+        alike = Points(np.zeros_like(self.seen.features), self.seen.coordinates)
+        return self._model(alike, None)
+
+    @property
+    def is_doubted(self) -> bool:
+        """Whether every other trial is left to the parameters at present."""
+        told = self.guess is not None
+        return self.learns_trust and any(is_doubtful(self.cost, turn, told) for turn in (0, 1))
+
+    def _model(self, seen: Points, guess: Guess | None) -> Model:
+        """After the finished trials, whatever others show and whichever limits there are."""
+        unknown = np.empty((len(self.cost), 0))
+        evidence = Evidence(seen, self.cost, unknown, seen.take(np.arange(0)))
+        return Model(self.kernel, guess, self.parameters, evidence, self.constants)
+
+
+def worth_of(present: Present | None, *, maximised: bool) -> Worth:
+    """The worth of features.
+
+    The error of a model is compared with that of a constant and, where the model uses parameters
+    too, with that of the same model blind to the features. The gain is the difference of the
+    absolute leave-one-out errors, averaged over the trials; its standard error follows from how it
+    differs from trial to trial, as in Vehtari, Gelman, Gabry 2017 ("Practical Bayesian model
+    evaluation using leave-one-out cross-validation and WAIC", section 5.1) for log densities.
+
+    Args:
+        present: of the sampler; None: nothing is known.
+        maximised: the study's values are.
+    """
+    if present is None or not len(present.cost):
+        names = () if present is None else present.names
+        return Worth(0, names, (None,) * len(names), None, None, False, maximised)
+    enough = len(present.cost) >= LEAST_TRIALS
+    count = len(present.names)
+    return Worth(
+        len(present.cost),
+        present.names,
+        tuple(RankCorrelation.of(feature, present.cost) for feature in present.features.T),
+        weights_of(present.model, present.candidates, present.owners, count) if enough else None,
+        _errors(present) if enough else None,
+        present.is_doubted,
+        maximised,
+    )
+
+
+def _errors(present: Present) -> Errors | None:
+    """Of the model, as a share of the constant's; None where all trials cost the same."""
+    cost = present.model.cost()
+    constant = residuals_of_constant(cost)
+    unit = rms(constant)
+    if unit <= 1e-12 * float(np.abs(cost).max()):
+        return None
+    with_features, other, without = residuals(present.model.posterior), constant, None
+    if present.blind is not None:
+        blind = residuals(present.blind.posterior)
+        without = rms(blind) / unit
+        other = blind if without < 1.0 else constant
+    return Errors(rms(with_features) / unit, without, _gain(with_features, other))
+
+
+def _gain(ours: Floats, others: Floats) -> float:
+    """Mean difference of the sizes of errors [n], in its standard errors."""
+    less = np.abs(others) - np.abs(ours)
+    spread = float(less.std(ddof=1)) / sqrt(len(less))
+    return float(less.mean()) / spread if spread > 0 else 0.0
+
+
+def weights_of(model: Model, candidates: Points, owners: tuple[int, ...], count: int) -> Weights:
+    """The shares that a model gives: which part of the costs it puts down to what.
+
+    A function of the candidates varies among m of them by (1/m) sum_a (f_a - mean f)^2. With the
+    learned constants, a model expects of its parts, in standard units of the cost,
+
+    | part | expected variation among the candidates |
+    |---|---|
+    | slope along column j | E[w_j^2 given the trials] var(phi_j) |
+    | likeness, nearness | s^2 (1 - mean_ab k(x_a, x_b)): little where length scales are long |
+    | noise | its variance |
+
+    The slopes have one variance v in common, which tells nothing about one feature: so they count
+    as the trials leave them, w = m + v Phi^T K^-1 y with covariance v I - v^2 Phi^T K^-1 Phi, m
+    being the user's guess (Rasmussen, Williams 2006, section 2.7). Where m = 0 and v is likeliest,
+    v is the mean of these E[w_j^2] (a fixed point of expectation maximisation: Dempster, Laird,
+    Rubin 1977). Likeness is divided among the columns by var(phi_j) / l_j^2, their share of a
+    squared distance.
+
+    Args:
+        model: after at least one trial.
+        candidates: the m rows that may be proposed, or points anywhere.
+        owners: of each column of their features, the number of the feature.
+        count: of features, k.
+    """
+    points = candidates.take(_evenly(len(candidates)))
+    x = points.only(features=True, coordinates=model.kernel.of_parameters).matrix()
+    posterior, columns = model.posterior, len(owners)
+    each, parameters = np.zeros(columns), 0.0
+    spread = x[:, :columns].var(axis=0)
+    for term, variance, scales in posterior.covariance.valued(posterior.theta):
+        if not len(scales):
+            each += _slopes_squared(model, variance, columns) * spread
+            continue
+        shape, _ = shape_of(x[:, term.first : term.end], scales)
+        variation = variance * max(1.0 - float(np.mean(shape)), 0.0)
+        if term.first >= columns:
+            parameters += variation
+            continue
+        relative = spread / np.broadcast_to(scales, columns) ** 2
+        if relative.any():
+            each += variation * relative / relative.sum()
+    features = np.bincount(owners, each, minlength=count)
+    total = float(features.sum()) + parameters + posterior.noise
+    shares = tuple((features / total).tolist())
+    return Weights(shares, parameters / total, posterior.noise / total)
+
+
+def percents(shares: tuple[float, ...]) -> tuple[int, ...]:
+    """Shares that sum to 1 as whole percents that sum to 100, the largest remainders rounded up."""
+    exact = 100.0 * np.array(shares)
+    rounded = np.floor(exact)
+    missing = round(100 - float(rounded.sum()))
+    up = np.argsort(rounded - exact, kind="stable")[:missing]
+    rounded[up] += 1.0
+    return tuple(rounded.astype(int).tolist())
+
+
+def _evenly(count: int) -> NDArray[np.int64]:
+    """Numbers of the candidates that are looked at."""
+    return np.unique(np.linspace(0, count - 1, min(count, CANDIDATES)).astype(np.int64))
+
+
+def _slopes_squared(model: Model, v: float, columns: int) -> Floats:
+    """E[w_j^2] of the first columns after the trials, in standard units of the cost, [columns]."""
+    posterior = model.posterior
+    k = posterior.gram()
+    phi = posterior.x[:, :columns]
+    noisy = k + (posterior.noise + JITTER) * np.eye(len(k))
+    solved = np.linalg.solve(noisy, np.column_stack([posterior.y, phi]))
+    ends = Points(np.eye(columns), np.empty((columns, 0)))
+    told = model.guessed(ends, model.cost()) / posterior.cost_sd
+    mean = told + v * (phi.T @ solved[:, 0])
+    variance = v - v**2 * np.einsum("nj,nj->j", phi, solved[:, 1:])
+    return np.asarray(mean**2 + np.maximum(variance, 0.0))
+
+
+def residuals(posterior: Posterior) -> Floats:
+    """Costs less what the other trials let expect, in the unit of the costs, [n].
+
+    With K the covariance of the n trials, noise included, and y their costs less what is expected
+    before any of them, the cost of trial i is missed by [K^-1 y]_i / [K^-1]_ii (Rasmussen, Williams
+    2006, equation 5.12), without a fit for each trial: the constants are those learned from all.
+    What is expected is the mean of the costs, here that of the others, so that a model that knows
+    nothing errs as the constant does.
+    """
+    k = posterior.gram()
+    n, y = len(posterior.y), posterior.y  # whose mean is zero
+    if n < 2:
+        return np.full(n, np.nan)
+    inverse = np.linalg.inv(k + (posterior.noise + JITTER) * np.eye(n))
+    others = -y / (n - 1)  # mean of the others
+    missed = (inverse @ y - others * inverse.sum(axis=1)) / np.diag(inverse)
+    return np.asarray(posterior.cost_sd * missed)
+
+
+def residuals_of_constant(cost: Floats) -> Floats:
+    """The same where the mean of the others is expected, [n]."""
+    n = len(cost)
+    if n < 2:
+        return np.full(n, np.nan)
+    return np.asarray((cost - cost.mean()) * n / (n - 1))
+
+
+def rms(values: Floats) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,551 @@
+"""The Gaussian process of the sampler: its kernels, their constants, and the posterior.
+
+| symbol | shape | meaning |
+|---|---|---|
+| phi | [n, k] | features, in standard units |
+| u | [n, e] | parameters as coordinates in the unit cube; d parameters have e >= d coordinates |
+| X = (phi, u) | [n, p] | trials, a row each |
+| y | [n] | their costs, in standard units |
+| theta | [t] | logarithms of the constants of a kernel, the noise variance last |
+| K | [n, n] | covariance of the trials, noise included |
+| L | [n, n] | Cholesky factor of K |
+| a | [n] | K^-1 y |
+| k | [n, m] | covariance of the trials and m candidates |
+| W | [n, n] | derivative of a number by each entry of K |
+
+Four kernels are sums of at most three terms, each a variance times a shape:
+
+| term | formula | additive | rbf | rbf_ard | euclidean |
+|---|---|---|---|---|---|
+| slopes | v phi . phi' | yes | | | |
+| likeness | s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) | l each | l shared | l each | |
+| nearness | t^2 exp(-sum_j (u_j - u'_j)^2 / 2 L_j^2) | L shared | | | L each |
+
+With slopes w ~ N(0, v I), the first term is the covariance of w . phi (Rasmussen, Williams 2006,
+section 2.7). The constants maximise
+
+    log p(y | X, theta) + sum_i log N(theta_i; mode_i, sd_i^2),
+    log p(y | X, theta) = -(y . a + log det K + n log 2 pi) / 2,
+
+whose derivative by K is (a a^T - K^-1) / 2 (equations 2.30 and 5.9 there). With few trials the
+likelihood alone would allow almost any constants. The posterior at a candidate x has
+
+    mean = k^T K^-1 y = (L^-1 k)^T (L^-1 y),   variance = k(x, x) - |L^-1 k|^2  (algorithm 2.1).
+
+The priors, normal in the logarithm of each constant:
+
+| constant | unit | normal around | sd |
+|---|---|---|---|
+| s^2, t^2, variance of likeness or nearness | cost^2 | log 1 | 1.5 |
+| v, variance of a slope | (cost / feature)^2 | log 0.3 | 1.5 |
+| l, length scale of a feature | feature | log sqrt k | 1 |
+| L, length scale of parameters | their range | sqrt 2 + (log d) / 2 - 3 | sqrt 3 |
+| noise of a kernel with features | cost^2 | log 0.1 | 1.5 |
+| noise over parameters alone | cost^2 | -5 | 1 |
+
+Length scales of parameters follow Hvarfner, Hellsten, Nardi 2024 ("Vanilla Bayesian optimization
+performs great in high dimensions"): log-normal with mu = sqrt 2 + (log d) / 2, sigma = sqrt 3, so
+that the assumed complexity does not grow with d. A log-normal density of L is, as a function of
+log L and up to a factor, a normal density around mu - sigma^2; so is BoTorch's log-normal(-4, 1)
+of the noise around -5.
+
+Parameter sets with equal features differ in cost, and no repetition would show it. Over features,
+noise is that spread, so it is expected to be large.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import exp, log, sqrt
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from study.sampler.points import Points
+
+Floats = NDArray[np.float64]
+AnyFloats = NDArray[Any]
+Pull = Callable[[Floats], Floats]  # W [n, n] -> sum_ij W_ij dK_ij/dtheta, [t]
+Towards = Callable[[Floats], AnyFloats]  # candidates [m, p] -> k [n, m]
+
+# Bounds of the constants; they keep 32-bit arithmetic right.
+SIGNAL_BOUNDS = (1e-2, 1e2)
+SLOPE_BOUNDS = (1e-4, 1e2)
+FEATURE_SCALE_BOUNDS = (5e-2, 5e1)
+PARAMETER_SCALE_BOUNDS = (5e-2, 1e2)
+NOISE_BOUNDS = (1e-4, 1e1)
+
+NEGLIGIBLE = -80.0  # exp of it is 1e-35
+JITTER = 1e-10  # variance added to the noise, so that equal rows do no harm
+LIKELIHOOD_TRIALS = 120  # at most; constants are few, and the cost grows with the cube
+ITERATIONS = 40
+NOISE_STARTS = (0.0, 3.0)  # added to the log noise: the likelihood has a mode that is all noise
+SECOND_START_TRIALS = 30  # up to so many: with more, the modes are rarely two
+BLOCK = 512  # candidates at a time, so that a block stays in the cache
+LARGEST_RATIO = 5e2  # of prior variance to noise, for which 32 bits keep within 1e-4
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """What a kernel's name stands for.
+
+    Attributes:
+        slopes: whether the cost has a part that is linear in the features.
+        feature_scales: length scales of the features: "each", "shared", or None for no likeness.
+        parameter_scales: the same for the parameters.
+        by_order: features count by their order, costs by their logarithm; else both as they are.
+    """
+
+    slopes: bool
+    feature_scales: str | None
+    parameter_scales: str | None
+    by_order: bool
+
+    @property
+    def of_features(self) -> bool:
+        """Whether features count."""
+        return self.slopes or self.feature_scales is not None
+
+    @property
+    def of_parameters(self) -> bool:
+        """Whether coordinates count; if not, candidates of equal features are the same."""
+        return self.parameter_scales is not None
+
+
+ADDITIVE = Kernel(True, "each", "shared", by_order=True)
+NEARNESS = Kernel(False, None, "shared", by_order=True)  # `ADDITIVE` without features
+KERNELS = {
+    "additive": ADDITIVE,
+    "rbf": Kernel(False, "shared", None, by_order=False),
+    "rbf_ard": Kernel(False, "each", None, by_order=False),
+    "euclidean": Kernel(False, None, "each", by_order=False),
+}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which columns of a row are what: k features, then e coordinates of d parameters."""
+
+    features: int
+    coordinates: int
+    parameters: int
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A positive constant to be learned: bounds, and a normal prior of its logarithm."""
+
+    mode: float
+    sd: float
+    bounds: tuple[float, float]
+
+    @property
+    def start(self) -> float:
+        """Logarithm of the likeliest value before any trial, within the bounds."""
+        return float(np.log(min(max(exp(self.mode), self.bounds[0]), self.bounds[1])))
+
+
+SIGNAL = Constant(0.0, 1.5, SIGNAL_BOUNDS)
+SLOPE = Constant(log(0.3), 1.5, SLOPE_BOUNDS)
+FEATURE_NOISE = Constant(log(0.1), 1.5, NOISE_BOUNDS)
+PARAMETER_NOISE = Constant(-5.0, 1.0, NOISE_BOUNDS)  # log-normal(-4, 1)
+
+
+@dataclass(frozen=True)
+class Term:
+    """A variance times a shape over the columns from `first` up to `end`.
+
+    Attributes:
+        first: column.
+        end: the column after the last.
+        variance: v, s^2 or t^2.
+        scales: length scales of a squared exponential, one a column or one for all; () where the
+            shape is linear.
+    """
+
+    first: int
+    end: int
+    variance: Constant
+    scales: tuple[Constant, ...]
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """A kernel for rows of some layout: the sum of its terms, and independent noise."""
+
+    terms: tuple[Term, ...]
+    noise: Constant
+
+    @cached_property
+    def constants(self) -> tuple[Constant, ...]:
+        """In the order of theta, t of them: variance and scales of each term, then the noise."""
+        each = (constant for term in self.terms for constant in (term.variance, *term.scales))
+        return (*each, self.noise)
+
+    @cached_property
+    def start(self) -> Floats:
+        """Theta before any trial, [t]."""
+        return np.array([constant.start for constant in self.constants])
+
+    @cached_property
+    def bounds(self) -> Floats:
+        """Least and greatest theta, [t, 2]."""
+        return np.log([constant.bounds for constant in self.constants])
+
+    @cached_property
+    def modes(self) -> Floats:
+        """Where the priors are largest, [t]."""
+        return np.array([constant.mode for constant in self.constants])
+
+    @cached_property
+    def spreads(self) -> Floats:
+        """Standard deviations of the priors, [t]."""
+        return np.array([constant.sd for constant in self.constants])
+
+    def valued(self, theta: Floats) -> Iterator[tuple[Term, float, Floats]]:
+        """Each term with the values of its variance and of its length scales."""
+        place = 0
+        for term in self.terms:
+            values = np.exp(theta[place : place + 1 + len(term.scales)])
+            yield term, float(values[0]), values[1:]
+            place += len(values)
+
+    def gram(self, theta: Floats, x: Floats) -> tuple[Floats, Pull]:
+        """K without noise of rows [n, p], and the derivative of a number by theta, from its W.
+
+        No derivative of K is formed: sum_ij W_ij dK_ij/dtheta is taken term by term (reverse
+        accumulation; Griewank, Walther 2008, chapter 3). W may be of any form, as triangular.
+        """
+        k: Any = 0.0
+        parts: list[tuple[float, Floats, Pull]] = []
+        for term, variance, scales in self.valued(theta):
+            shape, pull = shape_of(x[:, term.first : term.end], scales)
+            parts.append((variance, shape, pull))
+            k = k + variance * shape
+
+        def pull_all(weights: Floats) -> Floats:
+            slopes: list[Floats] = []
+            for variance, shape, pull in parts:
+                slopes.append(np.array([variance * (weights * shape).sum()]))
+                slopes.append(pull(weights * variance))
+            return np.concatenate(slopes)
+
+        return k, pull_all
+
+    def towards(self, theta: Floats, a: Floats, precision: type[np.floating[Any]]) -> Towards:
+        """The covariance, without noise, of rows a [n, p] and others; in 32 or 64 bits.
+
+        Distances are taken in 64 bits always; what is of size [n, m] after that may be in 32.
+        """
+        sides = [
+            (term, variance, scales, _left(_scaled(a[:, term.first : term.end], scales)).T)
+            if len(scales)
+            else (term, variance, scales, a[:, term.first : term.end])
+            for term, variance, scales in self.valued(theta)
+        ]
+
+        def cross(x: Floats) -> AnyFloats:
+            total: Any = None
+            for term, variance, scales, left in sides:
+                seen = x[:, term.first : term.end]
+                other = _right(_scaled(seen, scales)) if len(scales) else seen.T
+                k = (left @ other).astype(precision, copy=False)
+                if len(scales):
+                    np.exp(k, out=k)
+                k *= variance
+                if total is None:
+                    total = k
+                else:
+                    total += k
+            return np.asarray(total)
+
+        return cross
+
+    def variance(self, theta: Floats, x: Floats) -> Any:
+        """k(x, x) of rows [m, p], [m], or a number where it is the same for all."""
+        total: Any = 0.0
+        for term, variance, scales in self.valued(theta):
+            seen = x[:, term.first : term.end]
+            total = total + variance * (1.0 if len(scales) else np.einsum("mp,mp->m", seen, seen))
+        return total
+
+
+def new_covariance(kernel: Kernel, layout: Layout) -> Covariance:
+    """The covariance of rows of this layout."""
+    k, e = layout.features, layout.coordinates
+    terms = []
+    if kernel.slopes:
+        terms.append(Term(0, k, SLOPE, ()))
+    if kernel.feature_scales is not None:
+        scale = Constant(log(sqrt(k)), 1.0, FEATURE_SCALE_BOUNDS)
+        terms.append(Term(0, k, SIGNAL, (scale,) * (k if kernel.feature_scales == "each" else 1)))
+    if kernel.parameter_scales is not None:
+        mode = sqrt(2.0) + log(layout.parameters) / 2.0 - 3.0
+        scale = Constant(mode, sqrt(3.0), PARAMETER_SCALE_BOUNDS)
+        count = e if kernel.parameter_scales == "each" else 1
+        terms.append(Term(k, k + e, SIGNAL, (scale,) * count))
+    return Covariance(tuple(terms), FEATURE_NOISE if kernel.of_features else PARAMETER_NOISE)
+
+
+def shape_of(x: Floats, scales: Floats) -> tuple[Floats, Pull]:
+    """The shape of a term for all pairs of rows [n, q], and its pull by the log length scales.
+
+    Without scales x . x'; else exp(-r^2 / 2), r the distance in length scales, whose derivative by
+    log l_j is itself times (x_j - x'_j)^2 / l_j^2.
+    """
+    if not len(scales):
+        return x @ x.T, lambda weights: np.empty(0)
+    scaled = _scaled(x, scales)
+    half = _left(scaled).T @ _right(scaled)
+    # Never so small that products of it are denormal numbers, which are slow.
+    np.maximum(half, NEGLIGIBLE, out=half)
+    value = np.exp(half, out=half)
+
+    def pull(weights: Floats) -> Floats:
+        # sum_ij w_ij (s_i - s_j)^2 = sum_i s_i^2 (row + column) - 2 sum_ij s_i w_ij s_j
+        weights = weights * value
+        ends = weights.sum(axis=0) + weights.sum(axis=1)
+        each = scaled**2 @ ends - 2.0 * np.einsum("kn,kn->k", scaled @ weights, scaled)
+        return each if len(scales) == len(each) else np.array([each.sum()])
+
+    return value, pull
+
+
+def _scaled(x: Floats, scales: Floats) -> Floats:
+    """Rows [n, q] in length scales, as columns: [q, n]."""
+    return np.asarray(x.T / scales[:, None])
+
+
+def _left(scaled: Floats) -> Floats:
+    """a, -|a|^2/2 and -1/2 on top of each other, [q + 2, n].
+
+    `_left`^T `_right` is -r^2/2 = a . b - |a|^2/2 - |b|^2/2, by one product of matrices; it is
+    wrong by 1e-16 of |a|^2 + |b|^2.
+    """
+    extended = _right(scaled)
+    extended[-2:] = -0.5 * extended[:-3:-1]
+    return extended
+
+
+def _right(scaled: Floats) -> Floats:
+    """b, 1 and |b|^2 on top of each other, [q + 2, m]."""
+    count, m = scaled.shape
+    extended = np.empty((count + 2, m))
+    extended[:count] = scaled
+    extended[count] = 1.0
+    np.einsum("km,km->m", scaled, scaled, out=extended[-1])
+    return extended
+
+
+def misfit(covariance: Covariance, x: Floats, y: Floats, theta: Floats) -> tuple[float, Floats]:
+    """-log p(y | X, theta) - sum_i log N(theta_i; mode_i, sd_i^2), and its gradient [t].
+
+    The constant of the normal densities is left out. Infinite, with gradient zero, where rounding
+    leaves K without a Cholesky factor.
+    """
+    noise = float(np.exp(theta[-1]))
+    k, pull = covariance.gram(theta, x)
+    factor, failed = cholesky(k, noise)
+    if failed:
+        return np.inf, np.zeros_like(theta)
+    alpha = scipy.linalg.lapack.dpotrs(factor, y, lower=1)[0]
+    log_root = np.log(factor.diagonal()).sum()  # of det K
+    value = 0.5 * y @ alpha + (log_root + 0.5 * len(y) * np.log(2 * np.pi))
+    # The lower halves of K^-1 and of K^-1 - a a^T. K is symmetric: one half, of which the diagonal
+    # counts once and the rest twice, stands for both.
+    inverse = scipy.linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
+    syrk = scipy.linalg.blas.dsyrk
+    w = syrk(-1.0, alpha[:, None], beta=1.0, c=inverse, lower=1, overwrite_c=1).T
+    np.einsum("ii->i", w)[:] *= 0.5
+    gradient = np.append(pull(w), noise * np.trace(w))
+    z = (theta - covariance.modes) / covariance.spreads
+    return float(value + 0.5 * z @ z), gradient + z / covariance.spreads
+
+
+def cholesky(k: Floats, noise: float) -> tuple[Floats, bool]:
+    """L [n, n] with L L^T = k + noise I, zero above its diagonal, and whether there is none."""
+    matrix = np.array(k.T, order="F")  # as it lies in memory: it is symmetric
+    np.einsum("ii->i", matrix)[:] += noise + JITTER
+    factor, info = scipy.linalg.lapack.dpotrf(matrix, lower=1, clean=1, overwrite_a=1)
+    return factor, info != 0
+
+
+def learn(covariance: Covariance, x: Floats, y: Floats) -> Floats:
+    """Theta [t] from trials x [n, p] with costs y [n], by L-BFGS.
+
+    The mean of the process is that of the costs.
+    """
+    some = _informative(y)
+    scaled, _, _ = _standard(y)
+    x, y = x[some], scaled[some]
+    found = []
+    for shift in NOISE_STARTS if len(scaled) <= SECOND_START_TRIALS else NOISE_STARTS[:1]:
+        start = covariance.start.copy()
+        start[-1] += shift
+        result = scipy.optimize.minimize(
+            lambda theta: misfit(covariance, x, y, theta),
+            np.clip(start, covariance.bounds[:, 0], covariance.bounds[:, 1]),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=covariance.bounds,
+            options={"maxiter": ITERATIONS, "ftol": 1e-5},
+        )
+        found.append(result)
+    return np.asarray(min(found, key=lambda result: float(result.fun)).x)
+
+
+def condition(
+    covariance: Covariance,
+    theta: Floats,
+    x: Floats,
+    y: Floats,
+    *,
+    noisy: bool,
+    fast: bool = True,
+) -> "Posterior":
+    """The posterior under given constants, after trials x [n, p] with costs y [n]."""
+    scaled, mean, sd = _standard(y)
+    return Posterior(covariance, theta, x, scaled, mean, sd, noisy, fast)
+
+
+def _standard(y: Floats) -> tuple[Floats, float, float]:
+    """Costs in standard units, their mean and their standard deviation (one if they are equal)."""
+    mean = float(y.mean())
+    sd = float(np.sqrt(np.mean((y - mean) ** 2)))
+    sd = sd if sd > 1e-12 * abs(mean) and sd > 0 else 1.0
+    return (y - mean) / sd, mean, sd
+
+
+def _informative(y: Floats) -> NDArray[np.int64]:
+    """Trials that the constants are learned from: the best half of the limit, the rest evenly."""
+    if len(y) <= LIKELIHOOD_TRIALS:
+        return np.arange(len(y))
+    order = np.argsort(y, kind="stable")
+    best, others = np.split(order, [LIKELIHOOD_TRIALS // 2])
+    spread = np.linspace(0, len(others) - 1, LIKELIHOOD_TRIALS - len(best)).astype(np.int64)
+    return np.sort(np.concatenate([best, others[spread]]))
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """What is known of the cost, in its own unit, after some trials.
+
+    The fast path computes the mean as (L^-1 k)^T (L^-1 y), whose factors are of the size of the
+    costs; those of k^T K^-1 y would cancel in 32 bits.
+
+    Attributes:
+        covariance: of the trials.
+        theta: the constants that were learned, [t].
+        x: X, the trials.
+        y: their costs in standard units, [n].
+        cost_mean: what `y` was centred by.
+        cost_sd: what `y` was divided by.
+        noisy: whether the variance is that of the next trial, noise included, or that of its
+            expectation.
+        fast: 32 bits, where they are enough.
+    """
+
+    covariance: Covariance
+    theta: Floats
+    x: Floats
+    y: Floats
+    cost_mean: float
+    cost_sd: float
+    noisy: bool
+    fast: bool
+
+    @property
+    def noise(self) -> float:
+        """Variance of the noise, in standard units."""
+        return float(np.exp(self.theta[-1]))
+
+    @property
+    def shortest_scale(self) -> float:
+        """The smallest length scale, in standard units; infinite without any."""
+        values = self.covariance.valued(self.theta)
+        return min((float(scales.min()) for _, _, scales in values if len(scales)), default=np.inf)
+
+    def gram(self) -> Floats:
+        """K without noise."""
+        return self.covariance.gram(self.theta, self.x)[0]
+
+    def prior_variance(self, x: Floats) -> Any:
+        """k(x, x) of rows [m, p], [m] or a number."""
+        return self.covariance.variance(self.theta, x)
+
+    @cached_property
+    def fast_is_right(self) -> bool:
+        """Whether 32 bits are allowed, and enough: rounding grows with the root of this ratio."""
+        prior = np.max(self.prior_variance(self.x))
+        return self.fast and bool(prior <= LARGEST_RATIO * self.noise)
+
+    def predict(self, points: Points) -> tuple[Floats, Floats]:
+        """Mean and variance of the cost at m candidates, [m] each."""
+        mean, variance = np.empty(len(points)), np.empty(len(points))
+        weights = (self._inverse @ self.y).astype(self._precision)
+        ones = np.ones_like(weights)
+        for block, x in blocks(points):
+            whitened = self._whitened(x)
+            mean[block] = weights @ whitened
+            variance[block] = self.prior_variance(x)
+            variance[block] -= ones @ np.square(whitened, out=whitened)
+        np.maximum(variance, 0.0, out=variance)
+        variance += self.noise if self.noisy else 0.0
+        return self.cost_mean + self.cost_sd * mean, self.cost_sd**2 * variance
+
+    def mean(self, points: Points) -> Floats:
+        """The mean alone, [m]."""
+        mean = np.empty(len(points))
+        alpha = self._inverse.T @ (self._inverse @ self.y)
+        for block, x in blocks(points):
+            mean[block] = self._cross(x).T @ alpha
+        return self.cost_mean + self.cost_sd * mean
+
+    def believing(self, points: Points) -> "Posterior":
+        """The same after further trials that showed what is expected; constants are kept."""
+        y = (self.mean(points) - self.cost_mean) / self.cost_sd
+        x = np.vstack([self.x, points.matrix()])
+        return replace(self, x=x, y=np.concatenate([self.y, y]))
+
+    @property
+    def _precision(self) -> type[np.floating[Any]]:
+        """Of everything that is [n, m]."""
+        return np.float32 if self.fast_is_right else np.float64
+
+    @cached_property
+    def _cross(self) -> Towards:
+        """Covariance of the trials and candidates [m, p]: [n, m]."""
+        return self.covariance.towards(self.theta, self.x, self._precision)
+
+    @cached_property
+    def _inverse(self) -> Floats:
+        """L^-1, [n, n]."""
+        factor, failed = cholesky(self.gram(), self.noise)
+        if failed:
+            raise np.linalg.LinAlgError("the covariance of the trials has no Cholesky factor")
+        return np.asarray(scipy.linalg.lapack.dtrtri(factor, lower=1, overwrite_c=1)[0])
+
+    @cached_property
+    def _whitener(self) -> AnyFloats:
+        """L^-1 in the order and precision of the product below."""
+        return np.asfortranarray(self._inverse.astype(self._precision))
+
+    def _whitened(self, x: Floats) -> AnyFloats:
+        """L^-1 k of candidates [b, p], [n, b]: by a triangle, in half the steps of a square."""
+        blas = scipy.linalg.blas
+        times = blas.strmm if self.fast_is_right else blas.dtrmm
+        # BLAS counts along columns: to it, k is its transpose, and is multiplied from the right.
+        k = self._cross(x).T
+        whitened: AnyFloats = times(
+            1.0, self._whitener, k, side=1, lower=1, trans_a=1, overwrite_b=1
+        )
+        return whitened.T
+
+
+def blocks(points: Points) -> Iterator[tuple[slice, Floats]]:
+    """Candidates block by block: which ones, and their rows [b, p]."""
+    for start in range(0, len(points), BLOCK):
+        block = slice(start, min(start + BLOCK, len(points)))
+        yield block, points.matrix(block)
