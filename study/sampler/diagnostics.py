@@ -25,12 +25,11 @@ TITLE = "Are the features worth anything?"
 HEAD = ("feature", "rank correlation with the cost", "weight")
 UNKNOWN = "-"
 CHOSEN = (
-    "In brackets: 95 %. Trials are chosen, not drawn: among the best rows, correlations are weaker "
-    "than over all, and what features were worth in choosing these rows does not show. Some rows "
-    "drawn at random would tell."
+    "In brackets: 95 % intervals. The sampler selected these trials, so correlations are biased "
+    "towards zero. Evaluate some random rows for an unbiased estimate."
 )
 WEIGHT = (
-    "Weight: the share of the costs' variation over all candidates that the model puts down to it."
+    "Weight: the share of the costs' variation over all candidates that the model attributes to it."
 )
 MAXIMISED = "The cost is minus the study's value."
 DOUBTED = (
@@ -95,7 +94,7 @@ class Weights:
 
     Attributes:
         features: of each of the k features.
-        parameters: of their likeness; 0 where the kernel does not look at them.
+        parameters: of their likeness; 0 where the kernel does not use them.
         noise: of what nothing explains.
     """
 
@@ -211,7 +210,7 @@ class Worth:
         yield from others
 
     def _remarks(self) -> Iterator[str]:
-        """What is to be known of the figures."""
+        """Notes on how to read the figures."""
         if not self.names:
             return
         yield f"{self.trials} trials. {CHOSEN}"
@@ -228,7 +227,7 @@ def _correlation_text(r: RankCorrelation | None) -> str:
 
 
 def _escaped(cell: str) -> str:
-    """So that a name does not end a cell."""
+    """The text with its bars escaped, so that a name does not end a cell of the table."""
     return cell.replace("|", "\\|")
 
 
@@ -264,7 +263,7 @@ class Present:
 
     @cached_property
     def model(self) -> Model:
-        """The sampler's, as it is where the features are followed."""
+        """The sampler's model, for trials that follow the features."""
         return self._model(self.seen, self.guess)
 
     @cached_property

@@ -1,5 +1,7 @@
 """What `sampler.worth(study)` says: its closed forms, features of known worth, and its texts."""
 
+import importlib
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -450,3 +452,10 @@ def test_turns_that_are_left_to_the_parameters_are_said() -> None:
     assert "left to the parameters" not in str(
         FeatureKernelSampler(table(), seed=1, kernel="rbf").worth(study)
     )
+
+
+def test_worth_is_still_found_at_its_old_place() -> None:
+    sys.modules.pop("study.sampler.worth", None)
+    with pytest.warns(DeprecationWarning, match="study.sampler.diagnostics"):
+        old = importlib.import_module("study.sampler.worth")
+    assert old.Worth is Worth
