@@ -429,7 +429,7 @@ def test_the_table_has_a_row_a_feature() -> None:
     assert lines[2].split() == ["feature", "rank", "correlation", "with", "the", "cost", "weight"]
     assert [line.split()[0] for line in lines[3:8]] == [*NAMES, "(parameters)", "(noise)"]
     assert sum(int(line.split()[-2]) for line in lines[3:8]) == 100
-    assert "20 trials" in lines[8] and "chosen, not drawn" in lines[8]
+    assert "20 trials" in lines[8] and "biased towards zero" in lines[8]
 
 
 def test_the_note_is_a_table_in_markdown() -> None:
