@@ -111,8 +111,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (folder / name).write_text(text)
         out = folder / "out"
         fake_walker.write_store(out / "store")
-        one_family, more = ("robust", "mild", "ramps", "stairs"), ("diverse", "worlds")
-        for kind in (*one_family, *more, "diverse-10s", "worlds-large"):
+        for kind in ("diverse", "worlds", "stairs", "diverse-10s", "worlds-large"):
             (out / f"store-{kind}").symlink_to(out / "store")
         fake_walker.write_store(out / "store-torso", searched=["theta_ref"])
         request = ("--arms", "dog", "--runs", 8, "--trials", 13, "--no-artifacts", "--workers", 1)

@@ -35,7 +35,7 @@ def note_worths(
     Raises:
         InputError: the database cannot be used.
     """
-    if not any(map(_has_notes, arms)):
+    if not any(arm.features for arm in arms):
         return
     from optuna_dashboard import get_note  # a second
 
@@ -56,7 +56,7 @@ def check_noted(experiment: Experiment, arms: Sequence[Arm], runs: Sequence[int]
     Raises:
         InputError: as `note_worths`.
     """
-    if not any(map(_has_notes, arms)):
+    if not any(arm.features for arm in arms):
         return
     with read_studies(url) as storage:
         if storage is not None:
@@ -64,17 +64,12 @@ def check_noted(experiment: Experiment, arms: Sequence[Arm], runs: Sequence[int]
                 _checked(storage, name, experiment, url)
 
 
-def _has_notes(arm: Arm) -> bool:
-    """Of points off its store's grid an arm would have to simulate the features again."""
-    return bool(arm.features) and not arm.off_grid
-
-
 def _noted(
     storage: RDBStorage, experiment: Experiment, arms: Iterable[Arm], runs: Sequence[int]
 ) -> Iterator[tuple[Arm, int, str]]:
     """Each study that has trials and gets a note, by its name."""
     counts = trial_counts(storage)
-    for arm, run in product(filter(_has_notes, arms), runs):
+    for arm, run in product((arm for arm in arms if arm.features), runs):
         name = study_name(experiment.name, arm.name, run)
         if counts.get(name):
             yield arm, run, name

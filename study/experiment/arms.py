@@ -3,7 +3,6 @@
 An arm is added here and nowhere else: one study, comparisons and reports know it from this list.
 """
 
-import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -12,7 +11,6 @@ from optuna.samplers import BaseSampler, TPESampler
 
 from study.draws import Purpose, seed_32bit
 from study.experiment import cmaes, controls
-from study.experiment.off_grid import StoreFeatures
 from study.experiment.task import Task
 from study.features.store_features import Feature, Survival, definition_of, name_of
 from study.features.survival import COVERED_OPTIONS, FAMILIES, covered_features, survival_features
@@ -26,15 +24,18 @@ PAPER_ARM = "dog"  # the paper's method, to which all others are compared
 BEST_ARM = "best"  # our best combination
 Kind = Literal["ours", "peer", "control"]
 
-DETERMINANTS = (
-    "m1_mean", "m2_mean", "m3_mean", "m4_mean", "m5_mean_mps", "survived_fraction",
-)  # fmt: skip
 PRINTED = ("phi_printed",)
-SURVIVAL = Survival()  # over all disturbed settings that the store has
-ROBUST = (SURVIVAL,)
-RELATIVES = {"rough": ("rough", "blocks"), "ramps": ("up", "down")}  # families that are relatives
 TIES = "phi_corrected"
-OFF_GRID = 32  # points a trial that are simulated beside the store's
+
+# Arms of version 0.2.0 that are gone, and the arm to use instead.
+REMOVED = {
+    "gp-optuna": "bo-euclidean", "dog-kd": "dog", "dog-robust": "best", "dog-off-grid": "dog",
+    "dog-mild": "best", "dog-ramps": "best", "dog-diverse": "best",
+    "score-first": "score-first-diverse", "score-top": "score-first-diverse",
+    "score-first-flat": "score-first-diverse", "ei-prior": "best", "best-robust": "best",
+    "best-mild": "best", "best-ramps": "best", "best-without-rough": "best",
+    "best-without-ramps": "best",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,6 @@ class Arm:
         features: columns of that store, or what is computed of several.
         fresh: its sampler is made anew for each trial, since the library keeps a state in it.
         replayed: the library keeps a state in the trials, which a resumed study must repeat.
-        needs: a package that is not among this project's own; "" for none.
-        off_grid: simulates points that are no rows of its store.
         options: what else decides what it proposes.
     """
 
@@ -65,8 +64,6 @@ class Arm:
     features: tuple[Feature, ...] = ()
     fresh: bool = False
     replayed: bool = False
-    needs: str = ""
-    off_grid: bool = False
     options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -85,18 +82,14 @@ def find_arm(name: str) -> Arm:
     """The arm of that name.
 
     Raises:
-        InputError: there is none.
+        InputError: there is none, or it was taken away.
     """
+    if name in REMOVED:
+        instead = f"{REMOVED[name]}; version 0.2.0 was the last with {name}"
+        raise InputError("arm", name, instead)
     if name not in ARMS:
         raise InputError("arm", name, f"one of {', '.join(ARMS)}")
     return ARMS[name]
-
-
-def check_installed(arm: Arm) -> None:
-    """Refuse an arm whose library is not there."""
-    if arm.needs and importlib.util.find_spec(arm.needs) is None:
-        allowed = f"an environment with {arm.needs}: pip install {arm.needs}"
-        raise InputError("arm", arm.name, allowed)
 
 
 def _random(task: Task) -> BaseSampler:
@@ -109,19 +102,6 @@ def _euclidean(task: Task) -> BaseSampler:
 
 def _tpe(task: Task) -> BaseSampler:
     return TPESampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn))
-
-
-def _gp_optuna(task: Task) -> BaseSampler:
-    from optuna.samplers import GPSampler
-
-    return GPSampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn))
-
-
-def _off_grid(task: Task) -> BaseSampler:
-    function = StoreFeatures(task.experiment, task.store, task.columns)
-    return FeatureKernelSampler(
-        task.table, seed=task.seed, feature_function=function, off_grid=OFF_GRID, **PAPER
-    )
 
 
 def _table_arm(
@@ -139,23 +119,6 @@ def _table_arm(
         return FeatureKernelSampler(task.table, seed=task.seed, **options)
 
     return Arm(name, label, kind, summary, new_sampler, store, features, options=options)
-
-
-def _paper_arm(name: str, label: str, summary: str, store: str, families: tuple[str, ...]) -> Arm:
-    """The paper's kernel over another score: the mean survival of some families."""
-    return _table_arm(name, label, summary, store, (Survival(families),), **PAPER)
-
-
-def _best_arm(name: str, label: str, summary: str, store: str, families: tuple[str, ...]) -> Arm:
-    """Likeness by the survival of each family and the speed; their mean is also a prior."""
-    return _table_arm(name, label, summary, store, survival_features(families), **BEST)
-
-
-def _best_without(kind: str) -> Arm:
-    """The best arm, blind to the families of one kind of ground."""
-    families = tuple(family for family in FAMILIES if family not in RELATIVES[kind])
-    name, label = f"best-without-{kind}", f"best, no {kind} seen"
-    return _best_arm(name, label, f"best, having seen no {kind}", "diverse", families)
 
 
 def _ordered_arm(
@@ -185,66 +148,19 @@ _ALL = (
         "bo-euclidean", "plain BO", "peer", "Bayesian optimisation over the gains, ours",
         _euclidean,
     ),
-    Arm(
-        "gp-optuna", "GPSampler", "peer", "Optuna's GPSampler", _gp_optuna,
-        fresh=True, needs="torch",
-    ),
     Arm("tpe", "TPE", "peer", "Optuna's TPESampler", _tpe, fresh=True),
     _table_arm(
         PAPER_ARM, "DoG, as printed", "the paper's method: kernel over the score",
         "flat", PRINTED, **PAPER,
     ),
-    _table_arm(
-        "dog-kd", "DoG, k-D", "kernel over the determinants", "flat", DETERMINANTS,
-        **PAPER | {"kernel": "rbf_ard"},
-    ),
-    _table_arm(
-        "dog-robust", "DoG, robust score", "kernel over the robust score", "robust", ROBUST,
-        **PAPER,
-    ),
-    Arm(
-        "dog-off-grid", "DoG, off the grid", "ours", "as dog, and points near the best rows",
-        _off_grid, "flat", PRINTED, off_grid=True, options=PAPER | {"off_grid": OFF_GRID},
-    ),
-    _ordered_arm(
-        "score-first", "best score first", "best score first", "robust", (*ROBUST, TIES)
-    ),
-    Arm(
-        "score-top", "random in top 100", "control", "random among the 100 best scores",
-        controls.score_top, "robust", (*ROBUST, TIES), options={"rows": controls.TOP_ROWS},
-    ),
-    _table_arm(
-        "ei-prior", "plain BO, score prior",
-        "plain Bayesian optimisation, its mean a slope of the score", "robust", ROBUST,
-        kind="control", kernel="euclidean", prior=SURVIVAL.name,
-    ),
-    _paper_arm(
-        "dog-mild", "DoG, mild score", "as dog, on the score of milder settings", "mild",
-        ("robust",),
-    ),
-    _paper_arm(
-        "dog-ramps", "DoG, ramps' score", "as dog, on the score of another family", "ramps",
-        ("up", "down"),
-    ),
-    _paper_arm(
-        "dog-diverse", "DoG, diverse score", "as dog, on the mean score of all families",
-        "diverse", FAMILIES,
-    ),
-    _ordered_arm(
-        "score-first-flat", "best printed score first", "best printed score first", "flat",
-        (*PRINTED, TIES),
-    ),
     _ordered_arm(
         "score-first-diverse", "best diverse score first",
         "best mean score of all families first", "diverse", (Survival(FAMILIES), TIES),
     ),
-    _best_arm(BEST_ARM, "best combination", "the best that we found", "diverse", FAMILIES),
-    _best_arm("best-robust", "best, rough store", "best, on rough ground only", "robust",
-              ("robust",)),
-    _best_arm("best-mild", "best, mild store", "best, on milder settings", "mild", ("robust",)),
-    _best_arm("best-ramps", "best, ramps' store", "best, on another family", "ramps",
-              ("up", "down")),
-    *(_best_without(kind) for kind in RELATIVES),
+    _table_arm(
+        BEST_ARM, "best combination", "the best that we found", "diverse",
+        survival_features(FAMILIES), **BEST,
+    ),
     _table_arm(
         "best-worlds", "best, worlds' store",
         "best, on worlds that differ, with evolved candidates", "worlds", covered_features(),

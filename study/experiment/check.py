@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from study.experiment.arms import Arm, check_installed, find_arm
+from study.experiment.arms import Arm, find_arm
 from study.experiment.experiment import Experiment
-from study.experiment.off_grid import StoreFeatures
 from study.experiment.stores import candidates, check_store
 from taichi_nmm.errors import InputError
 
@@ -15,8 +14,8 @@ def check_arms(experiment: Experiment, names: Sequence[str], trials: int) -> tup
     """The arms of these names, each found able to run `trials` trials of the experiment.
 
     Raises:
-        InputError: no arm at all, an unknown one, one whose library is missing, or one whose store
-            is missing, of other parameters, without a feature, or with fewer rows than trials.
+        InputError: no arm at all, an unknown one, or one whose store is missing, of other
+            parameters, without a feature, or with fewer rows than trials.
     """
     if not names:
         raise InputError("arms", "none", "one arm or more, in the configuration or by --arms")
@@ -27,7 +26,6 @@ def check_arms(experiment: Experiment, names: Sequence[str], trials: int) -> tup
 
 
 def _check(experiment: Experiment, arm: Arm, trials: int) -> None:
-    check_installed(arm)
     if not arm.store:
         return
     store = check_store(experiment, arm.store, arm.features)
@@ -35,8 +33,6 @@ def _check(experiment: Experiment, arm: Arm, trials: int) -> None:
     if trials > rows:
         allowed = f"at most {rows}, the rows that {arm.name} may take of the store {store.path}"
         raise InputError("trials", trials, allowed)
-    if arm.off_grid:
-        StoreFeatures(experiment, arm.store, arm.columns)
 
 
 def with_store(experiment: Experiment, names: Sequence[str], path: Path) -> Experiment:

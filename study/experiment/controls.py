@@ -11,7 +11,7 @@ from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial
 
-from study.draws import Purpose, generator, turn
+from study.draws import turn
 from study.experiment.task import Task
 from study.features.feature_table import FeatureTable
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
@@ -19,8 +19,6 @@ from study.sampler.random_sampler import ReproducibleRandomSampler
 from study.sampler.source import set_attributes
 
 Order = NDArray[np.int64]
-
-TOP_ROWS = 100  # that "among the top" means
 
 
 class RowSampler(BaseSampler, ABC):
@@ -89,11 +87,3 @@ def score_order(table: FeatureTable) -> Order:
 def score_first(task: Task) -> BaseSampler:
     """The best score first."""
     return RankedSampler(task.table, score_order(task.table))
-
-
-def score_top(task: Task) -> BaseSampler:
-    """The top rows in a random order, then the rest in the order of the score."""
-    order = score_order(task.table)
-    rng = generator(task.seed, Purpose.STARTUP_ROW)
-    shuffled = np.concatenate([rng.permutation(order[:TOP_ROWS]), order[TOP_ROWS:]])
-    return RankedSampler(task.table, shuffled)

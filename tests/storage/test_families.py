@@ -258,14 +258,12 @@ def test_another_family_in_the_folder_is_refused_by_name(tmp_path: Path) -> None
         assert caught.value.field == field
 
 
-def test_shipped_controls() -> None:
-    (mild,) = read_specification(read_toml(CONFIGS / "store-mild.toml")).families
-    assert (mild.name, mild.disturbance, len(mild.bodies)) == ("robust", 0.075, 6)
-    ramps = read_specification(read_toml(CONFIGS / "store-ramps.toml"))
-    assert [family.name for family in ramps.families] == ["down", "up"]
-    for family, sign in zip(ramps.families, (-1, 1), strict=True):
-        slopes = np.diff(family.terrains[0].height_m) / 0.05 * sign
-        assert slopes.max() == pytest.approx(0.10) and slopes.min() == 0.0
+def test_shipped_ramps_go_up_and_down() -> None:
+    diverse = read_specification(read_toml(CONFIGS / "store-diverse.toml"))
+    ramps = {family.name: family for family in diverse.families}
+    for name, sign in (("down", -1), ("up", 1)):
+        slopes = np.diff(ramps[name].terrains[0].height_m) / 0.05 * sign
+        assert slopes.max() == pytest.approx(0.20) and slopes.min() == 0.0
 
 
 @pytest.mark.parametrize(

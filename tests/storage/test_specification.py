@@ -26,9 +26,11 @@ def test_shards_cover_the_samples_once() -> None:
 def test_shipped_configs_are_valid() -> None:
     flat = read_specification(read_toml(CONFIGS / "store.toml"))
     assert (flat.conditions.duration_s, flat.families, flat.terrain.name) == (5.0, (), "flat")
-    (robust,) = read_specification(read_toml(CONFIGS / "store-robust.toml")).families
-    assert len(robust.bodies) == len(robust.terrains) == 6
-    assert (robust.min_survival_s, robust.horizon_s, robust.disturbance) == (3.0, 20.0, 0.15)
+    families = read_specification(read_toml(CONFIGS / "store-diverse.toml")).families
+    assert [family.name for family in families] == ["blocks", "down", "rough", "up"]
+    for each in families:
+        assert len(each.bodies) == len(each.terrains) == 4
+        assert (each.min_survival_s, each.horizon_s, each.disturbance) == (5.0, 20.0, 0.15)
 
 
 def test_robust_settings_differ_from_each_other_and_come_from_the_seed() -> None:

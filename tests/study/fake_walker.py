@@ -138,7 +138,7 @@ name = "toy"
 seed = 5
 runs = 3
 trials = 8
-arms = ["random", "dog", "score-first"]
+arms = ["random", "dog", "score-first-diverse"]
 {top}
 [objective]
 cost = "smooth"
@@ -150,9 +150,6 @@ disturbance = 0.15
 kind = "rough"
 [stores]
 flat = "{store}"
-robust = "{store}"
-mild = "{store}"
-ramps = "{store}"
 diverse = "{store}"
 worlds = "{store}"
 stairs = "{store}"

@@ -81,7 +81,7 @@ def test_json_is_one_object(command: Command, capsys: pytest.CaptureFixture[str]
     out, err = capsys.readouterr()
     found = json.loads(out)
     assert found["trials"] == found["trials_computed"] == 27
-    assert [arm["arm"] for arm in found["arms"]] == ["dog", "random", "score-first"]
+    assert [arm["arm"] for arm in found["arms"]] == ["dog", "random", "score-first-diverse"]
     assert "studies with a walker" in err
     names = optuna.get_all_study_names(found["storage"])
     assert "toy/dog/run-002" in names

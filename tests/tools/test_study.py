@@ -205,7 +205,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arm", [arm.name for arm in ARMS.values() if not arm.needs])
+@pytest.mark.parametrize("arm", ARMS)
 def test_every_arm_can_be_run(
     shared: Path, arm: str, command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -128,7 +128,7 @@ def test_an_input_error_passes_between_processes_whole() -> None:
 @pytest.mark.slow
 def test_a_block_that_is_handed_on_travels_and_goes_on(toy: Experiment) -> None:
     """All arms: what a library keeps in its trials comes along, what does not pickle stays."""
-    arms = [name for name, arm in ARMS.items() if not arm.needs]
+    arms = list(ARMS)
     studies = tuple((name, 1) for name in arms)
     whole = advance(Block(toy, studies, NOTHING, 6)).table
     first = advance(Block(toy, studies, NOTHING, 2))

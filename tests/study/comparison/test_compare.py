@@ -96,8 +96,8 @@ def test_the_footer_is_the_experiment(comparisons: Comparisons) -> None:
     footer = json.loads(comparisons.table("out").schema.metadata[b"taichi_nmm"])
     assert footer == written
     assert written["name"] == "toy"
-    assert set(written["stores"]) == {"flat", "robust"}
-    assert set(written["arms"]) == {"random", "dog", "score-first"}
+    assert set(written["stores"]) == {"flat", "diverse"}
+    assert set(written["arms"]) == {"random", "dog", "score-first-diverse"}
     assert written["arms"]["dog"]["options"] == {"kernel": "rbf"}
     assert "optuna" in written["versions"]
 
@@ -328,7 +328,7 @@ def test_the_seventeenth_parameter_is_searched_simulated_and_written(
     folder.mkdir()
     experiment = fake_walker.experiment(folder, 'searched = ["theta_ref"]')
     fake_walker.calls.clear()
-    arms = ("random", "dog", "cmaes-warm", "cmaes-cold", "bo-euclidean", "score-first")
+    arms = ("random", "dog", "cmaes-warm", "cmaes-cold", "bo-euclidean", "score-first-diverse")
     comparisons.run("torso/out", experiment=experiment, arms=arms, trials=5)
     frame = comparisons.table("torso/out").to_pandas()
     assert frame.theta_ref.nunique() > 50
@@ -337,7 +337,7 @@ def test_the_seventeenth_parameter_is_searched_simulated_and_written(
     walks = frame.drop_duplicates(["run", *GAIN_NAMES, "theta_ref"])  # of two arms, once
     assert sorted(simulated) == sorted(walks.theta_ref)
     store = pq.read_table(folder / "store" / "part-00000.parquet").to_pandas()
-    ranked = frame[frame.arm == "score-first"]
+    ranked = frame[frame.arm == "score-first-diverse"]
     np.testing.assert_array_equal(ranked.theta_ref, store.theta_ref[ranked.row])
 
 

@@ -43,14 +43,6 @@ def test_requests(request_: dict[str, Any], message: str | None, comparisons: Co
     assert not (comparisons.folder / "out").exists()
 
 
-def test_an_arm_without_its_library(
-    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(arms.importlib.util, "find_spec", lambda name: None)  # type: ignore[attr-defined]
-    with pytest.raises(InputError, match=r"gp-optuna.*pip install torch"):
-        comparisons.run("out", arms=("gp-optuna",))
-
-
 def edited(comparisons: Comparisons, old: str, new: str) -> Path:
     path = comparisons.folder / "edited.toml"
     text = fake_walker.write_config(comparisons.folder).read_text()
@@ -121,7 +113,7 @@ def test_another_definition_of_an_arm_in_the_folder(
     ("new", "message"),
     [
         ('flat = "nowhere"', "nowhere"),
-        ('plane = "nowhere"', "stores.flat: 'missing' .* which has plane, robust, mild"),
+        ('plane = "nowhere"', "stores.flat: 'missing' .* which has plane, diverse, worlds"),
     ],
 )
 def test_a_store_that_is_not_there(new: str, message: str, comparisons: Comparisons) -> None:
@@ -133,9 +125,9 @@ def test_a_store_that_is_not_there(new: str, message: str, comparisons: Comparis
 
 def test_a_store_without_a_feature(comparisons: Comparisons) -> None:
     fake_walker.write_store(comparisons.folder / "plain", robust={}, families={})
-    line = f'robust = "{comparisons.folder}/'
+    line = f'diverse = "{comparisons.folder}/'
     config = edited(comparisons, f'{line}store"', f'{line}plain"')
-    with pytest.raises(InputError, match=r"plain.*robust_survived_fraction_mean"):
+    with pytest.raises(InputError, match=r"plain.*rough_survived_fraction_mean"):
         comparisons.run("out", experiment=read_experiment(config))
 
 

@@ -56,6 +56,8 @@ def test_walks_of_before_are_known(toy: Experiment, handed_on: bool) -> None:
 
 def test_another_robot_is_another_walk(toy: Experiment) -> None:
     fake_walker.calls.clear()
-    table = advance(Block(toy, (("score-first", 0), ("score-first", 1)), NOTHING, 1)).table
+    table = advance(
+        Block(toy, (("score-first-diverse", 0), ("score-first-diverse", 1)), NOTHING, 1)
+    ).table
     assert table["row"][0] == table["row"][1] and simulated() == 2
     assert table["distance_m"][0] != table["distance_m"][1]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from study.experiment import cmaes
-from study.experiment.arms import ARMS, find_arm
-from study.experiment.controls import TOP_ROWS, score_order
+from study.experiment.arms import ARMS, REMOVED, find_arm
+from study.experiment.controls import score_order
 from study.experiment.experiment import Experiment
 from study.experiment.saw import NOTHING, saw
 from study.experiment.task import Task
@@ -17,21 +17,20 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons
-from tests.study.fake_walker import KINDS, WORLDS
+from tests.study.fake_walker import WORLDS
 
 pytestmark = pytest.mark.slow
 
-RUNNABLE = [arm.name for arm in ARMS.values() if not arm.needs]
-ON_OTHER_STORES = ("best-", "dog-mild", "dog-ramps", "dog-diverse", "score-first-")
-DIFFERENT = [name for name in RUNNABLE if not name.startswith(ON_OTHER_STORES)]
+ON_OTHER_STORES = ("best-", "score-first-worlds", "score-first-stairs")
+DIFFERENT = [name for name in ARMS if not name.startswith(ON_OTHER_STORES)]
 
 
 def test_all_arms_go_on_after_a_restart_together(comparisons: Comparisons) -> None:
     for out, steps in (("parts", (2, 5)), ("whole", (5,))):
         for trials in steps:
-            comparisons.run(out, arms=tuple(RUNNABLE), runs=1, trials=trials)
+            comparisons.run(out, arms=tuple(ARMS), runs=1, trials=trials)
     assert comparisons.content("parts") == comparisons.content("whole")
-    assert len(comparisons.table("whole")) == 5 * len(RUNNABLE)
+    assert len(comparisons.table("whole")) == 5 * len(ARMS)
 
 
 @pytest.mark.parametrize("arm", DIFFERENT)
@@ -60,25 +59,14 @@ def task(experiment: Experiment, arm: str) -> Task:
 def test_score_first_goes_down_the_score_ties_by_the_second_then_by_row(
     comparisons: Comparisons,
 ) -> None:
-    comparisons.run("out", arms=("score-first",), runs=2, trials=30)
+    comparisons.run("out", arms=("score-first-diverse",), runs=2, trials=30)
     frame = comparisons.table("out").to_pandas()
     rows = frame.row[frame.run == 0].to_numpy()
     np.testing.assert_array_equal(rows, frame.row[frame.run == 1])
-    table = task(comparisons.experiment, "score-first").table
+    table = task(comparisons.experiment, "score-first-diverse").table
     features = np.column_stack([table.rows.features, -np.arange(len(table))])
     expected = sorted(range(len(table)), key=lambda row: tuple(-features[row]))
     np.testing.assert_array_equal(rows, expected[:30])
-
-
-def test_score_top_takes_the_top_rows_in_another_order(comparisons: Comparisons) -> None:
-    comparisons.run("out", arms=("score-top",), runs=2, trials=110)
-    frame = comparisons.table("out").to_pandas()
-    order = score_order(task(comparisons.experiment, "score-top").table)
-    for run in range(2):
-        rows = frame.row[frame.run == run].to_numpy()
-        assert set(rows[:TOP_ROWS]) == set(order[:TOP_ROWS])
-        assert list(rows[:TOP_ROWS]) != list(order[:TOP_ROWS])
-        np.testing.assert_array_equal(rows[TOP_ROWS:], order[TOP_ROWS:110])
 
 
 def test_warm_cmaes_evaluates_its_start_a_row_of_the_top(
@@ -102,7 +90,7 @@ def test_warm_cmaes_moves_towards_better_costs(comparisons: Comparisons) -> None
 
 def test_arms_whose_library_keeps_a_state_are_made_anew_or_replayed() -> None:
     assert {name for name, arm in ARMS.items() if arm.fresh} == {
-        "cmaes-cold", "cmaes-source", "gp-optuna", "tpe",
+        "cmaes-cold", "cmaes-source", "tpe",
     }  # fmt: skip
     assert {name for name, arm in ARMS.items() if arm.replayed} == {"cmaes-cold", "cmaes-source"}
 
@@ -120,6 +108,14 @@ def test_every_arm_is_found_by_its_name_and_says_what_it_is() -> None:
         find_arm("cat")
 
 
+@pytest.mark.parametrize("name", REMOVED)
+def test_an_arm_that_was_taken_away_names_the_one_to_use(name: str) -> None:
+    assert name not in ARMS and REMOVED[name] in ARMS
+    with pytest.raises(InputError, match=rf"{REMOVED[name]}; version 0\.2\.0 .*{name}") as caught:
+        find_arm(name)
+    assert "\n" not in str(caught.value)
+
+
 def test_arms_say_what_their_stores_saw(comparisons: Comparisons) -> None:
     stores = comparisons.experiment.stores
     for arm in ARMS.values():
@@ -130,10 +126,9 @@ def test_arms_say_what_their_stores_saw(comparisons: Comparisons) -> None:
     level = "undisturbed body: level ground"
     assert saw(ARMS["dog"], stores) == level
     rough = "rough +-0.08 m every 1 m"
-    assert saw(ARMS["best-robust"], stores) == f"{level}; bodies disturbed by 15 %: {rough}"
-    # The toy's stores are one, and "robust" reads every family of it.
-    assert saw(ARMS["score-first"], stores).count(rough) == 1 + 2 * len(KINDS)
-    assert saw(ARMS["best-without-ramps"], {}).endswith("families: rough, blocks")
+    disturbed = "; ".join([rough] * 2)
+    assert saw(ARMS["best-stairs"], stores) == f"{level}; bodies disturbed by 15 %: {disturbed}"
+    assert saw(ARMS["best"], {}).endswith("families: rough, blocks, up, down")
 
 
 def test_an_order_that_covers_grounds_has_seen_them(tmp_path: Path, fake_simulator: None) -> None:

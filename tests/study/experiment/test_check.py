@@ -5,14 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from study.experiment import arms
-from study.experiment.arms import PRINTED, find_arm
+from study.experiment.arms import ARMS, find_arm
 from study.experiment.check import check_arms, with_store
 from study.experiment.experiment import Experiment
-from study.experiment.off_grid import StoreFeatures
 from study.experiment.stores import candidates, store_path
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import K_T
 from tests.study import fake_walker
 
 ROWS = fake_walker.STORE_ROWS
@@ -23,9 +20,8 @@ def test_arms_are_found_each_once_in_their_order(toy: Experiment) -> None:
     assert found == (find_arm("dog"), find_arm("random"))
 
 
-def test_every_arm_that_is_installed_can_run_on_the_toys_store(toy: Experiment) -> None:
-    runnable = [arm.name for arm in arms.ARMS.values() if not arm.needs]
-    assert len(check_arms(toy, runnable, 20)) == len(runnable)
+def test_every_arm_can_run_on_the_toys_store(toy: Experiment) -> None:
+    assert len(check_arms(toy, tuple(ARMS), 20)) == len(ARMS)
 
 
 @pytest.mark.parametrize(
@@ -34,8 +30,8 @@ def test_every_arm_that_is_installed_can_run_on_the_toys_store(toy: Experiment) 
         ((), 8, "arms: 'none' .* one arm or more"),
         (("dog", "cat"), 8, "arm: 'cat' .* one of random, "),
         (("dog",), ROWS + 1, rf"trials: {ROWS + 1} .* at most {ROWS}, the rows that dog may take"),
-        (("score-first",), ROWS + 1, f"at most {ROWS}, the rows that score-first"),
-        (("dog-off-grid",), ROWS + 1, f"at most {ROWS}"),
+        (("score-first-diverse",), ROWS + 1, f"at most {ROWS}, the rows that score-first-div"),
+        (("dog-off-grid",), 8, "arm: 'dog-off-grid' .* dog; version 0.2.0 was the last"),
     ],
 )
 def test_arms_that_cannot_run(
@@ -62,20 +58,14 @@ def test_rows_that_an_arm_leaves_out_do_not_count(toy: Experiment, tmp_path: Pat
         check_arms(experiment, ("best",), rows + 1)
 
 
-def test_an_arm_without_its_library(toy: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(arms.importlib.util, "find_spec", lambda name: None)  # type: ignore[attr-defined]
-    with pytest.raises(InputError, match=r"gp-optuna.*pip install torch"):
-        check_arms(toy, ("gp-optuna",), 3)
-
-
 def test_a_store_that_the_configuration_does_not_name(toy: Experiment) -> None:
     stores = {name: path for name, path in toy.stores.items() if name != "flat"}
     experiment = replace(toy, stores=stores)
-    with pytest.raises(InputError, match=r"stores\.flat: 'missing' .* which has robust, mild"):
+    with pytest.raises(InputError, match=r"stores\.flat: 'missing' .* which has diverse, worlds"):
         check_arms(experiment, ("dog",), 3)
     with pytest.raises(InputError, match=r"stores\.flat: 'missing' .* which has none"):
         store_path(replace(toy, stores={}), "flat")
-    assert check_arms(experiment, ("score-first",), 3)
+    assert check_arms(experiment, ("score-first-diverse",), 3)
 
 
 def test_a_store_that_is_not_there(toy: Experiment, tmp_path: Path) -> None:
@@ -88,8 +78,8 @@ def test_a_store_without_a_feature(toy: Experiment, tmp_path: Path) -> None:
     fake_walker.write_plain_store(tmp_path / "plain")
     experiment = replace(toy, stores=dict.fromkeys(toy.stores, tmp_path / "plain"))
     assert check_arms(experiment, ("dog", "cmaes-warm"), 3)
-    with pytest.raises(InputError, match=r"plain.*robust_survived_fraction_mean"):
-        check_arms(experiment, ("score-first",), 3)
+    with pytest.raises(InputError, match=r"plain.*rough_survived_fraction_mean"):
+        check_arms(experiment, ("score-first-diverse",), 3)
     with pytest.raises(InputError, match=r"plain.*rough_survived_fraction_mean"):
         check_arms(experiment, ("best",), 3)
 
@@ -102,39 +92,6 @@ def test_a_store_of_other_parameters(toy: Experiment, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"stores.flat: .*torso with theta_ref"):
         check_arms(experiment, ("dog",), 3)
     assert check_arms(replace(experiment, searched=("theta_ref",)), ("dog",), 3)
-
-
-@pytest.mark.parametrize(
-    ("change", "features", "message"),
-    [
-        ({"terrain": {"kind": "rough"}}, ("phi_printed",), "whose base setting is level ground"),
-        ({"body": {"disturbance": 0.1}}, ("phi_printed",), "and the undisturbed body"),
-        ({}, ("phi",), "feature: 'phi' .* one of"),
-    ],
-)
-def test_points_off_the_grid_of_such_a_store_cannot_be_scored(
-    change: dict[str, object],
-    features: tuple[str, ...],
-    message: str,
-    toy: Experiment,
-    tmp_path: Path,
-) -> None:
-    fake_walker.write_store(tmp_path / "other", **change)
-    experiment = replace(toy, stores={"flat": tmp_path / "other"})
-    with pytest.raises(InputError, match=message):
-        StoreFeatures(experiment, "flat", features)
-
-
-def test_points_off_the_grid_are_simulated_as_their_store_was(
-    toy: Experiment, tmp_path: Path
-) -> None:
-    simulation = {"engine": "mujoco", "mujoco": {"time_constant_s": 0.01}}
-    fake_walker.write_store(tmp_path / "mujoco", simulation=simulation)
-    features = StoreFeatures(replace(toy, stores={"flat": tmp_path / "mujoco"}), "flat", PRINTED)
-    fake_walker.calls.clear()
-    assert features(K_T[None]).shape == (1, 1)
-    settings = fake_walker.calls[-1]["settings"]
-    assert (settings.engine, settings.mujoco.time_constant_s) == ("mujoco", 0.01)
 
 
 def test_a_store_of_the_callers_is_that_of_the_arms(toy: Experiment, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from storage.store import Store, open_store
-from study.experiment.arms import ARMS, RELATIVES
+from study.experiment.arms import ARMS
 from study.experiment.stores import candidates
 from study.features.coverage import earliness
 from study.features.store_features import (
@@ -151,18 +151,3 @@ def test_its_control_differs_in_the_rows_that_are_proposed_only() -> None:
 def test_the_arm_of_stairs_reads_nothing_else() -> None:
     read = {name for each in survivals(ARMS["best-stairs"].features) for name in each.families}
     assert read == {"stairs", f"stairs{LONGER}"}
-
-
-@pytest.mark.parametrize("kind", RELATIVES)
-def test_a_best_arm_without_a_kind_of_ground_reads_nothing_of_it(kind: str) -> None:
-    arm = ARMS[f"best-without-{kind}"]
-    read = {name for each in arm.features if isinstance(each, Survival) for name in each.families}
-    assert read == set(FAMILIES) - set(RELATIVES[kind])
-    assert arm.definition["options"] == BEST
-
-
-def test_best_arms_on_other_stores_differ_in_what_they_read_only() -> None:
-    read = {"best": "diverse", "best-robust": "robust", "best-mild": "mild", "best-ramps": "ramps"}
-    for name, store in read.items():
-        assert ARMS[name].store == store
-        assert ARMS[name].definition["options"] == BEST

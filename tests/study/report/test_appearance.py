@@ -19,7 +19,7 @@ def test_the_best_peer_has_most_walkers_then_the_earliest() -> None:
 
 
 def test_an_arm_that_nobody_knows_any_more_has_its_name_and_is_ours() -> None:
-    assert (kind_of("gp-optuna"), label_of("gp-optuna")) == ("peer", "GPSampler")
+    assert (kind_of("tpe"), label_of("tpe")) == ("peer", "TPE")
     assert (kind_of("score-first-old"), label_of("score-first-old")) == ("ours", "score-first-old")
     assert best_peer([arm("score-first-old", [1])]) is None
 
