@@ -13,9 +13,9 @@ from tests.tools.running import ROOT
 def explorer_process(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The process, and the address of its page."""
     command = [
-        sys.executable, ROOT / "tools" / "explore.py", folder, "--port", "0", "--no-browser",
+        sys.executable, "-m", "taichi_nmm", "explore", folder, "--port", "0", "--no-browser",
     ]  # fmt: skip
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
         assert process.stdout is not None
         yield process, process.stdout.readline().split()[1]
         process.terminate()
