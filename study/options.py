@@ -376,20 +376,37 @@ def asked_cluster(options: argparse.Namespace) -> "Cluster | None":
 def config_path(name: str | Path) -> Path:
     """The shipped configuration of this name; or else the file itself.
 
-    A name is a word, such as rough8; anything with a folder or a suffix is a file.
+    A name is a word, such as rough8; anything with a folder or a suffix is a file. The name of a
+    variant, such as ramp-up-gentle, stands for a file that `taichi_nmm.config.read_toml` finds in
+    ramp-up.toml.
     """
-    shipped = {path.stem: path for path in CONFIGS.glob("*.toml")}  # no file is looked up by a name
-    return shipped.get(str(name), Path(name))
+    word = str(name)
+    for shipped in CONFIGS.glob("*.toml"):  # no file is looked up by a name that was given
+        if word == shipped.stem:
+            return shipped
+        if word.startswith(f"{shipped.stem}-") and word in _described(shipped):
+            return shipped.with_stem(word)
+    return Path(name)
 
 
 def shipped_configs(stores: bool) -> dict[str, str]:
-    """The first line of every shipped configuration of stores, or of experiments, by its name."""
-    texts = {path.stem: path.read_text(encoding="utf-8") for path in sorted(CONFIGS.glob("*.toml"))}
-    return {
-        name: text.partition("\n")[0].lstrip("# ")
-        for name, text in texts.items()
-        if ("samples" in tomllib.loads(text)) == stores
+    """A line on every shipped configuration of stores, or of experiments, by its name."""
+    found: dict[str, str] = {}
+    for file in sorted(CONFIGS.glob("*.toml")):
+        if ("samples" in tomllib.loads(file.read_text(encoding="utf-8"))) == stores:
+            found |= _described(file)
+    return found
+
+
+def _described(file: Path) -> dict[str, str]:
+    """A line on a shipped configuration and on each of its variants, by name."""
+    text = file.read_text(encoding="utf-8")
+    tables = tomllib.loads(text)
+    first = text.partition("\n")[0].lstrip("# ")
+    variants = {
+        f"{file.stem}-{name}": table["about"] for name, table in tables.get("variants", {}).items()
     }
+    return variants if tables.get("only_variants") else {file.stem: first} | variants
 
 
 def _check_word(field: str, word: object) -> None:

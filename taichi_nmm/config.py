@@ -6,9 +6,10 @@ from typing import Any
 
 from taichi_nmm.checks import is_number
 from taichi_nmm.errors import InputError
-from taichi_nmm.reading import toml_document
+from taichi_nmm.reading import is_file, toml_document
 
 REQUIRED = object()
+READABLE = "a readable TOML file"
 
 
 class Table:
@@ -114,9 +115,84 @@ class Table:
 
 
 def read_toml(path: str | Path) -> Table:
-    """The top table of a TOML file.
+    """The top table of a TOML file, or of a variant of it.
+
+    FILE-VARIANT.toml, if there is no such file, is FILE.toml with its table [variants.VARIANT] laid
+    over it (`laid_over`); `about` in that table is a line for readers, and `name` is followed by
+    the variant's. A file with `only_variants = true` is used as one of its variants. A table with
+    `like = "other"` is laid over the table `other` beside it.
 
     Raises:
-        InputError: no such file, or one that cannot be read.
+        InputError: no such file, one that cannot be read, or no such variant.
     """
-    return Table(toml_document("config", path, "a readable TOML file"))
+    file, name = _file_and_variant(Path(path))
+    data, variants = read_variants(file)
+    allowed = f"a variant of {file}: {', '.join(variants)}"
+    if data.pop("only_variants", False) and not name:
+        raise InputError("config", str(path), allowed)
+    if name and name not in variants:
+        if not variants:
+            toml_document("config", path, READABLE)  # which says that there is none
+        raise InputError("config", str(path), allowed)
+    if name:
+        data = laid_over(data, variants[name])
+        data.pop("about", None)
+        if isinstance(data.get("name"), str):
+            data["name"] += f"-{name}"
+    return Table(data)
+
+
+def read_variants(file: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """The tables of a TOML file without its variants, and the tables of each variant by its name.
+
+    Raises:
+        InputError: as `read_toml`, of a file that is there.
+    """
+    data = _completed(toml_document("config", file, READABLE))
+    variants = data.pop("variants", {})
+    if not isinstance(variants, dict) or not all(isinstance(v, dict) for v in variants.values()):
+        raise InputError("variants", variants, "tables by name")
+    return data, variants
+
+
+def laid_over(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """The keys of `over`, and those of `under` that it leaves out; of tables in both, likewise.
+
+    A table of another `kind` (a ramp over stairs) takes nothing from `under`.
+    """
+    if "kind" in over and over["kind"] != under.get("kind"):
+        return over
+    merged = under | over
+    for key in under.keys() & over.keys():
+        if isinstance(under[key], dict) and isinstance(over[key], dict):
+            merged[key] = laid_over(under[key], over[key])
+    return merged
+
+
+def _file_and_variant(path: Path) -> tuple[Path, str]:
+    """The file that is there, and the name of its variant; "" for the file itself."""
+    if not is_file(path):
+        for cut in reversed(range(1, len(path.stem))):
+            base = path.with_name(path.stem[:cut] + path.suffix)
+            if path.stem[cut] == "-" and is_file(base):
+                return base, path.stem[cut + 1 :]
+    return path, ""
+
+
+def _completed(data: dict[str, Any]) -> dict[str, Any]:
+    """The tables with what each takes from the one that it is `like`."""
+    done: dict[str, Any] = {}
+
+    def complete(key: str, asked_by: tuple[str, ...]) -> Any:
+        if key in done or not isinstance(data[key], dict):
+            return done.setdefault(key, data[key])
+        table = dict(data[key])
+        if "like" in table:
+            other, beside = table.pop("like"), [name for name in data if name not in asked_by]
+            if other not in beside or not isinstance(data[other], dict):
+                raise InputError(f"{key}.like", other, "a table beside it that is not like it")
+            table = laid_over(complete(other, (*asked_by, other)), table)
+        done[key] = _completed(table)
+        return done[key]
+
+    return {key: complete(key, (key,)) for key in data}

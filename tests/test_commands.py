@@ -20,13 +20,13 @@ from storage.store import open_store
 from study import pictures, trajectory_files
 from study.commands import quickstart
 from study.comparison import drawing
-from study.options import config_path
+from study.options import config_path, shipped_configs
 from study.report import strips
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker
 from tests.tools.running import ROOT, run_tool
 
-CONFIGS = {path.name for path in (ROOT / "configs").glob("*.toml")}
+CONFIGS = {*shipped_configs(stores=True), *shipped_configs(stores=False)}
 PAINTERS = ("write_strip", "write_gait_cycle", "write_movie")
 
 # How a command is made short, by options at its end: those before them stand, but for these.
@@ -45,7 +45,7 @@ TAKEN_AWAY = {
     "walk.toml": 'seed = 1\n[terrain]\nkind = "rough"\n',
 }
 # What a document has copied and changed.
-COPIED = {"store-diverse-10s.toml": (ROOT / "configs" / "store-diverse.toml").read_text()}
+COPIED = {"short.toml": (ROOT / "configs" / "store.toml").read_text()}
 
 Words = tuple[str, ...]
 
@@ -73,7 +73,7 @@ def named_commands() -> list[Words]:
 
 def alike(words: Words) -> bool:
     """Whether it differs in numbers from another one: another contact of MuJoCo's."""
-    return any(re.search(r"mujoco-.*-(middle|hard)\.toml", word) for word in words)
+    return any(re.search(r"mujoco-.*-(middle|hard)", word) for word in words)
 
 
 COMMANDS = named_commands()
@@ -85,17 +85,17 @@ TAKEN = [  # the quickstart's own test runs it, twice
 
 
 def configurations(words: Words) -> set[str]:
-    """Files that a command line names; the quickstart reads two by itself."""
+    """Configurations that a command line names; the quickstart reads two by itself."""
     given = {other for word, other in pairwise(words) if word == "--config"}
     if words[0] == "quickstart":
         given = {quickstart.CONFIG, quickstart.STORE_CONFIG}
-    return {config_path(name).name for name in given}
+    return {config_path(name).stem for name in given}
 
 
 def test_every_configuration_is_named_by_a_command() -> None:
     pairs = {(words[0], config) for words in COMMANDS for config in configurations(words)}
     assert {tool for tool, _ in pairs} == set(SHORT)
-    assert {config for _, config in pairs} - {*TAKEN_AWAY, *COPIED} == CONFIGS
+    assert {config for _, config in pairs} - {"walk", "short-diverse"} == CONFIGS
     assert len(pairs) > len(CONFIGS)
 
 
@@ -115,13 +115,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (out / f"store-{kind}").symlink_to(out / "store")
         fake_walker.write_store(out / "store-torso", searched=["theta_ref"])
         request = ("--arms", "dog", "--runs", 8, "--trials", 13, "--no-artifacts", "--workers", 1)
-        config = "configs/rough8-smooth.toml"
+        config = "rough8-smooth"
         assert run_tool(patch, "compare", "--config", config, *request) == 0
         request = ("--arms", "best-worlds", "--runs", 1, "--trials", 1, *request[-3:])
-        config = "configs/mujoco-rough8-soft.toml"
+        config = "mujoco-rough8-soft"
         assert run_tool(patch, "compare", "--config", config, *request) == 0
         request = ("--arms", "best-stairs", "--runs", 32, "--trials", 10, *request[-3:])
-        config = "configs/stairs-up-high.toml"
+        config = "stairs-up-high"
         assert run_tool(patch, "compare", "--config", config, *request) == 0
     return folder
 

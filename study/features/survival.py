@@ -1,7 +1,7 @@
 """The sampler that did best in the comparisons: gaits are alike that survive the same grounds.
 
 What a gait survives was computed beforehand, on several families of disturbed bodies and uneven
-grounds (`configs/store-diverse.toml`); docs/comparison.md says how all of this was chosen.
+grounds (`store-diverse`); docs/comparison.md says how all of this was chosen.
 """
 
 from pathlib import Path

@@ -193,7 +193,7 @@ FORMATS: tuple[Format | Arguments, ...] = (
          (*NEW_STUDY, "toy.toml", "--arm", "random")),
         toml_of,
     ),
-    Format("experiment on MuJoCo, TOML", 4, ("mujoco-rough8-soft.toml",), (WALK_SOFT,), toml_of),
+    Format("experiment on MuJoCo, TOML", 4, ("mujoco-rough8.toml",), (WALK_SOFT,), toml_of),
     Format("optimum's experiment, TOML", 3, ("level.toml",), ("optimum",), toml_of),
     Format("store, TOML", 8, ("grid.toml",), ("precompute", PRECOMPUTE_NEW, PRECOMPUTE_NEW),
            toml_of),

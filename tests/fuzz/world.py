@@ -132,7 +132,7 @@ def make_world(folder: Path) -> None:
     texts = {"toy.toml": TOY, "level.toml": LEVEL, "grid.toml": GRID}
     for name, text in texts.items():
         (folder / name).write_text(text)
-    for name in ("store-worlds", "mujoco-rough8-soft"):
+    for name in ("store-worlds", "mujoco-rough8"):
         (folder / f"{name}.toml").write_text((CONFIGS / f"{name}.toml").read_text())
     for ending, pack in {"": bytes, **PACKERS}.items():
         name = f"hill.csv{ending}"

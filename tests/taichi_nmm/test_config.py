@@ -1,5 +1,6 @@
 """TOML read strictly: each value is checked, each mistake named with its key."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -39,6 +40,67 @@ def test_a_file_that_is_not_toml_is_refused(tmp_path: Path, content: bytes) -> N
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     error = refused(lambda: read_toml(tmp_path / "none.toml"))
     assert "none.toml" in str(error)
+
+
+HILLS = """
+name = "hill"
+terrain = { kind = "ramp", increment = 0.04, direction = "up" }
+[variants.steep]
+about = "a line for readers"
+terrain.increment = 0.08
+[variants.rough]
+terrain.kind = "rough"
+[variants.steep-down]
+like = "steep"
+terrain.direction = "down"
+"""
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "terrain"),
+    [
+        ("hill", "hill", {"kind": "ramp", "increment": 0.04, "direction": "up"}),
+        ("hill-steep", "hill-steep", {"kind": "ramp", "increment": 0.08, "direction": "up"}),
+        ("hill-rough", "hill-rough", {"kind": "rough"}),
+        (
+            "hill-steep-down", "hill-steep-down",
+            {"kind": "ramp", "increment": 0.08, "direction": "down"},
+        ),
+    ],
+)  # fmt: skip
+def test_a_variant_is_laid_over_its_file(
+    tmp_path: Path, file: str, name: str, terrain: dict[str, object]
+) -> None:
+    (tmp_path / "hill.toml").write_text(HILLS)
+    assert read_toml(tmp_path / f"{file}.toml").unread == {"name": name, "terrain": terrain}
+
+
+def test_a_file_of_its_own_goes_before_a_variant(tmp_path: Path) -> None:
+    (tmp_path / "hill.toml").write_text(HILLS)
+    (tmp_path / "hill-steep.toml").write_text("seed = 3")
+    assert read_toml(tmp_path / "hill-steep.toml").unread == {"seed": 3}
+
+
+@pytest.mark.parametrize(
+    ("text", "file", "message"),
+    [
+        (HILLS, "hill-flat", "hill-flat.toml.* a variant of .*hill.toml: steep, rough, steep-down"),
+        ("only_variants = true" + HILLS, "hill", "hill.toml.* a variant of .*: steep, rough"),
+        ("seed = 3", "hill-flat", "hill-flat.toml.*No such file"),
+        ("variants = 3", "hill", "variants: '?3"),
+        ("variants.a = 3", "hill-a", "variants: "),
+        ('[a]\nlike = "b"\n[b]\nlike = "a"', "hill", "b.like: 'a'"),
+        ('[a]\nlike = "a"', "hill", "a.like: 'a'"),
+        ('b = 3\n[a]\nlike = "b"', "hill", "a.like: 'b'"),
+        ("[a]\nlike = [3]", "hill", "a.like: "),
+    ],
+)
+def test_variants_and_likenesses_that_are_refused(
+    tmp_path: Path, text: str, file: str, message: str
+) -> None:
+    (tmp_path / "hill.toml").write_text(text)
+    error = refused(lambda: read_toml(tmp_path / f"{file}.toml"))
+    assert re.search(message, str(error))
 
 
 def test_values_within_range_are_returned() -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from study.options import shipped_configs
 from tests.tools.running import ROOT
 
 pytestmark = pytest.mark.slow
@@ -105,7 +106,7 @@ def test_configurations_are_listed_by_name(installed: Installed) -> None:
     stores = installed.run("taichi-nmm", "precompute", "--list-configs").splitlines()
     others = installed.run("taichi-nmm", "study", "--list-configs").splitlines()
     names = [line.split()[0] for line in (*stores, *others)]
-    assert sorted(names) == sorted(path.stem for path in (ROOT / "configs").glob("*.toml"))
+    assert sorted(names) == sorted([*shipped_configs(stores=True), *shipped_configs(stores=False)])
     assert any(line.startswith("store-diverse ") for line in stores)
     assert any(line.startswith("rough8-smooth ") and "first experiment" in line for line in others)
 

@@ -7,7 +7,7 @@ import pytest
 
 from study.experiment.experiment import as_written, read_experiment
 from study.explore.setting import DISTURBANCES, GROUNDS, WORLDS, Setting, chosen_setting, to_toml
-from study.options import CONFIGS
+from study.options import config_path
 from taichi_nmm.config import read_toml
 from taichi_nmm.errors import InputError
 
@@ -39,10 +39,11 @@ def test_a_chosen_setting_is_a_configuration(ground: str, tmp_path: Path) -> Non
         same_robot(setting, reread(setting, tmp_path))
 
 
-@pytest.mark.parametrize("name", ["rough8-smooth", "mujoco-rough8-soft", "outside-weak", "torso"])
+@pytest.mark.parametrize(
+    "name", ["rough8-smooth", "mujoco-rough8-soft", "outside-weak", "ramp-up-torso"]
+)
 def test_a_run_of_an_experiment_is_a_configuration(name: str, tmp_path: Path) -> None:
-    path = CONFIGS / f"{name}.toml"
-    experiment = read_experiment(path if path.exists() else CONFIGS / "ramp-up-torso.toml")
+    experiment = read_experiment(config_path(name))
     setting = Setting(experiment, run=7)
     again = reread(setting, tmp_path)
     same_robot(setting, again)

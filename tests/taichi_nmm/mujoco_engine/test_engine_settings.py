@@ -147,7 +147,7 @@ def test_configurations_with_three_contacts() -> None:
     """MuJoCo's default, half of it, and a quarter at half the step; all else is equal."""
     configs = Path(__file__).resolve().parents[3] / "configs"
     contacts = {"soft": (0.02, 1e-3), "middle": (0.01, 1e-3), "hard": (0.005, 0.5e-3)}
-    grounds = {path.stem.rsplit("-", 1)[0] for path in configs.glob("mujoco-*.toml")}
+    grounds = {path.stem for path in configs.glob("mujoco-*.toml")}
     assert len(grounds) == 5
     for ground in grounds:
         others = []
