@@ -169,7 +169,7 @@ class Real:
 
     def __init__(self, folder: Path) -> None:
         self.store = folder / "store"
-        self.config = small_config("rough8-smooth.toml", folder)
+        self.config = small_config("rough8.toml", folder).with_stem("rough8-smooth")
         self.compared = folder / "compared"
         self.url = f"sqlite:///{folder / 'live.db'}"
 
@@ -269,7 +269,8 @@ def test_a_row_of_a_store_walks_as_it_did(real: Real, walk: Walk) -> None:
 def test_a_17th_parameter_is_kept(
     walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    config, out = small_config("ramp-up-torso.toml", tmp_path, 2.0), tmp_path / "compared"
+    config = small_config("ramp-up.toml", tmp_path, 2.0).with_stem("ramp-up-torso")
+    out = tmp_path / "compared"
     given = ("--config", config, "--arms", "random", "--runs", 1, *SMALL, "--out", out)
     assert run_tool(monkeypatch, "compare", *given) == 0
     live = ("--config", config, "--arm", "random", "--trials", TRIALS, "--out", tmp_path / "live")
