@@ -70,12 +70,13 @@ lint: .venv/lint-installed
 hooks: .venv/lint-installed
 	$(BIN)/pre-commit install
 
-# A stamp for each set of packages: `make quickstart` installs no test, document or lint packages.
+# A stamp for each set of packages: `make quickstart` installs the package and the explorer, which it ends by naming; no test,
+# document or lint packages.
 .venv/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14) and "error: Python 3.11 to 3.13 is needed: make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
 	@echo "Installing the pinned packages into .venv (half a minute) ..."
-	$(INSTALL) -e .
+	$(INSTALL) -e '.[explore]'
 	@touch $@
 
 .venv/test-installed: .venv/installed
