@@ -1,6 +1,6 @@
 """Gains to look at: by name, from a file, a store's row, or a finished trial."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,11 +11,13 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from optuna.trial import TrialState
 
+import taichi_nmm
 from storage.databases.studies import read_studies, shown_url, studies_path
 from storage.databases.urls import SQLITE
 from storage.shard import read_columns
 from storage.store import open_store
 from study.comparison.experiment_folder import ARMS_NAME, RESULTS_NAME
+from study.experiment.experiment import Experiment
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
     GAIN_NAMES,
@@ -148,3 +150,37 @@ def named_gains(name: str, values: Mapping[str, Any]) -> NamedGains:
     both |= {key: values[key] for key in (*GAIN_NAMES, *LOW_LEVEL_NAMES) if key in values}
     gains, low_level = np.split(check_gains(both, (*GAINS, *LOW_LEVEL_GAINS)), [len(GAINS)])
     return NamedGains(name, gains, low_level)
+
+
+def recorded_walk(
+    gains: NamedGains,
+    experiment: Experiment,
+    run: int,
+    rate_hz: float,
+    progress: Callable[[float, int], None] | None = None,
+) -> taichi_nmm.Result:
+    """The result of one walker, with its trajectory at so many samples a second.
+
+    Args:
+        gains: of the walker.
+        experiment: whose conditions.
+        run: whose body, world and ground.
+        rate_hz: samples a second.
+        progress: as `taichi_nmm.simulate` takes it.
+
+    Raises:
+        InputError: what the simulator refuses.
+    """
+    conditions = experiment.conditions
+    return taichi_nmm.simulate(
+        gains.gains,
+        low_level_gains=gains.low_level,
+        duration_s=conditions.duration_s,
+        bodies=experiment.body(run),
+        worlds=experiment.world(run),
+        terrains=experiment.terrain(run),
+        settings=conditions.settings,
+        record=[0],
+        record_rate_hz=rate_hz,
+        progress=progress,
+    )

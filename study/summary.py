@@ -11,7 +11,7 @@ import optuna
 from optuna.trial import FrozenTrial, TrialState
 
 from storage.databases.urls import is_postgresql, public_url
-from study.experiment.objective import outcome_text
+from study.experiment.trials import outcome_text
 from study.options import config_path
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 

@@ -27,7 +27,7 @@ with guarded_imports():
     from storage.pool import cores
     from storage.sobol import sobol_gains
     from study.commands.validate import Figure, show
-    from study.experiment.objective import walked
+    from study.experiment.trials import walked
     from study.options import LARGEST_SEED, Options
     from taichi_nmm import (
         K_T,

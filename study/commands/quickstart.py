@@ -30,9 +30,9 @@ from study.cli import ProgressBar, require_engine
 from study.comparison.experiment_folder import live_artifacts
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, read_experiment, study_name
-from study.experiment.simulation import simulate_trials
+from study.experiment.live_study import run_study
+from study.experiment.trials import simulate_trials
 from study.options import config_path
-from study.runner import run_study
 from study.summary import (
     best_gains,
     command_line,

@@ -26,9 +26,8 @@ import taichi_nmm
 from storage.commit import commit, writable
 from study.cli import require_engine
 from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
-from study.experiment.objective import MEASURES, row_text
-from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial
-from study.one_walk import recorded_walk
+from study.experiment.trials import MEASURES, row_text
+from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial, recorded_walk
 from study.options import BOTH_ENGINES
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
 from study.report.before_after import Pair, Shown

@@ -28,8 +28,7 @@ from study.comparison.experiment_folder import ARTIFACTS_NAME, live_artifacts
 from study.comparison.results import gains_of
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.identity import fingerprint
-from study.experiment.objective import outcome_text
-from study.experiment.simulation import simulate_trials
+from study.experiment.trials import outcome_text, simulate_trials
 from study.pictures import find_ffmpeg
 
 RECORDED_S = 12.0  # from the start of the trial

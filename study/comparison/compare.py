@@ -20,8 +20,7 @@ from study.comparison.experiment_folder import DATABASE_NAME, ExperimentFolder
 from study.comparison.finished import FinishedTrials, Progress
 from study.comparison.results import Key
 from study.comparison.worth_notes import check_noted, note_worths
-from study.experiment.arms import Arm
-from study.experiment.check import check_arms
+from study.experiment.arms import Arm, check_arms
 from study.experiment.experiment import Experiment
 from study.experiment.identity import deciding_packages, document, machine
 from study.experiment.stores import store_path

@@ -29,8 +29,8 @@ from storage.databases.studies import (
 from study.comparison.results import as_if_gone_on, by_study
 from study.experiment.experiment import Experiment, study_name, summary_name
 from study.experiment.identity import LIVE_ATTRIBUTE, fingerprint
-from study.experiment.objective import ATTRIBUTES, metric_name
-from study.experiment.written_trials import require_notes
+from study.experiment.live_study import require_notes
+from study.experiment.trials import ATTRIBUTES, metric_name
 from study.sampler.history import ROW_ATTRIBUTE
 from taichi_nmm.errors import InputError
 

@@ -14,7 +14,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from study.experiment.experiment import Experiment
-from study.experiment.objective import KEPT, OUTCOMES, walked
+from study.experiment.trials import KEPT, OUTCOMES, walked
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS
 from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
 

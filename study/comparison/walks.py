@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.experiment.experiment import Experiment
-from study.experiment.objective import costs, finite
-from study.experiment.simulation import simulate_trials
+from study.experiment.trials import costs, finite, simulate_trials
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.void]

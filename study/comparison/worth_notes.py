@@ -16,8 +16,8 @@ from storage.databases.studies import (
 )
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
-from study.experiment.worth_note import note_worth
-from study.experiment.written_trials import require_notes, require_written
+from study.experiment.live_study import require_notes, require_written
+from study.experiment.one_study import note_worth
 
 
 def note_worths(

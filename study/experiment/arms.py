@@ -3,16 +3,20 @@
 An arm is added here and nowhere else: one study, comparisons and reports know it from this list.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal
 
 from optuna.samplers import BaseSampler, TPESampler
 
+from storage.store import Store, open_store
 from study.draws import Purpose, seed_32bit
-from study.experiment import cmaes, controls
-from study.experiment.task import Task
-from study.features.store_features import Feature, Survival, definition_of, name_of
+from study.experiment import samplers
+from study.experiment.experiment import Experiment
+from study.experiment.samplers import Task
+from study.experiment.stores import candidates, check_store
+from study.features.store_features import Feature, Survival, definition_of, name_of, survivals
 from study.features.survival import COVERED_OPTIONS, FAMILIES, covered_features, survival_features
 from study.features.survival import OPTIONS as BEST
 from study.sampler.dog_sampler import PAPER
@@ -26,6 +30,7 @@ Kind = Literal["ours", "peer", "control"]
 
 PRINTED = ("phi_printed",)
 TIES = "phi_corrected"
+NOTHING = "nothing but its own trials"  # that an arm without a store has seen
 
 # Arms of version 0.2.0 that are gone, and the arm to use instead.
 REMOVED = {
@@ -125,24 +130,24 @@ def _ordered_arm(
     name: str, label: str, summary: str, store: str, features: tuple[Feature, ...]
 ) -> Arm:
     """The rows of a store in the order of its features: the first, ties by the second, then row."""
-    return Arm(name, label, "control", summary, controls.score_first, store, features)
+    return Arm(name, label, "control", summary, samplers.score_first, store, features)
 
 
 _ALL = (
     Arm("random", "random", "peer", "uniform random", _random),
     Arm(
-        "cmaes-cold", "CMA-ES", "peer", "CMA-ES from a random mean", cmaes.cold,
-        fresh=True, replayed=True, options={"sigma": cmaes.SIGMA_COLD},
+        "cmaes-cold", "CMA-ES", "peer", "CMA-ES from a random mean", samplers.cmaes_cold,
+        fresh=True, replayed=True, options={"sigma": samplers.SIGMA_COLD},
     ),
     Arm(
         "cmaes-warm", "CMA-ES, warm", "peer", "CMA-ES from one of the 100 best rows",
-        cmaes.warm, "flat", PRINTED,
-        options={"sigma": cmaes.SIGMA_WARM, "rows": cmaes.START_ROWS},
+        samplers.cmaes_warm, "flat", PRINTED,
+        options={"sigma": samplers.SIGMA_WARM, "rows": samplers.START_ROWS},
     ),
     Arm(
         "cmaes-source", "CMA-ES, source", "peer", "CMA-ES from the best rows' distribution",
-        cmaes.source, "flat", PRINTED,
-        fresh=True, replayed=True, options={"rows": cmaes.SOURCE_ROWS},
+        samplers.cmaes_source, "flat", PRINTED,
+        fresh=True, replayed=True, options={"rows": samplers.SOURCE_ROWS},
     ),
     Arm(
         "bo-euclidean", "plain BO", "peer", "Bayesian optimisation over the gains, ours",
@@ -185,3 +190,84 @@ _ALL = (
 )  # fmt: skip
 
 ARMS: dict[str, Arm] = {arm.name: arm for arm in _ALL}
+
+
+def check_arms(experiment: Experiment, names: Sequence[str], trials: int) -> tuple[Arm, ...]:
+    """The arms of these names, each found able to run `trials` trials of the experiment.
+
+    Raises:
+        InputError: no arm at all, an unknown one, or one whose store is missing, of other
+            parameters, without a feature, or with fewer rows than trials.
+    """
+    if not names:
+        raise InputError("arms", "none", "one arm or more, in the configuration or by --arms")
+    arms = tuple(find_arm(name) for name in dict.fromkeys(names))
+    for arm in arms:
+        _check(experiment, arm, trials)
+    return arms
+
+
+def _check(experiment: Experiment, arm: Arm, trials: int) -> None:
+    if not arm.store:
+        return
+    store = check_store(experiment, arm.store, arm.features)
+    rows = int(candidates(experiment, arm.store, arm.features).rows.offered.sum())
+    if trials > rows:
+        allowed = f"at most {rows}, the rows that {arm.name} may take of the store {store.path}"
+        raise InputError("trials", trials, allowed)
+
+
+def with_store(experiment: Experiment, names: Sequence[str], path: Path) -> Experiment:
+    """The experiment with a store of the caller's, in place of the one that the arms read.
+
+    Raises:
+        InputError: an unknown arm, or arms that read no store or several.
+    """
+    read = sorted({arm.store for arm in map(find_arm, names) if arm.store})
+    if len(read) != 1:
+        found = f"{', '.join(names)}: {' and '.join(read) or 'none'}"
+        raise InputError("store", str(path), f"with arms that read one store; {found}")
+    return replace(experiment, stores={**experiment.stores, read[0]: path})
+
+
+def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
+    """What an arm's store had seen of the world before the first trial, in words.
+
+    Args:
+        arm: that reads the store.
+        stores: folders of stores by key. If the arm's store is missing or cannot be read, only the
+            names of the families that the arm reads are given.
+    """
+    if not arm.store:
+        return NOTHING
+    try:
+        return _of_store(arm, open_store(stores[arm.store]))
+    except (KeyError, InputError):
+        asked = [
+            name for survival in survivals(arm.features) for name in survival.families or ("all",)
+        ]
+        names = ", ".join(dict.fromkeys(asked))
+        return f"base setting of the store {arm.store}{f'; its families: {names}' * bool(names)}"
+
+
+def _of_store(arm: Arm, store: Store) -> str:
+    specification = store.specification
+    known = {"robust": specification.get("robust"), **specification.get("families", {})}
+    read = {
+        name: known[name] for each in survivals(arm.features) for name in each.families_of(store)
+    }
+    by_body: dict[str, list[str]] = {}
+    for setting in (specification, *read.values()):
+        by_body.setdefault(_body(setting), []).append(_ground(setting))
+    return "; ".join(f"{body}: {'; '.join(grounds)}" for body, grounds in by_body.items())
+
+
+def _ground(setting: dict[str, Any]) -> str:
+    name = str(setting["terrain"]["name"])
+    return "level ground" if name == "flat" else name
+
+
+def _body(setting: dict[str, Any]) -> str:
+    percent = 100.0 * setting["body"]["disturbance"]
+    body = f"bodies disturbed by {percent:g} %" if percent else "undisturbed body"
+    return f"{body}, in worlds that differ" if "world" in setting else body

@@ -15,15 +15,16 @@ from optuna.distributions import FloatDistribution
 
 from storage.searched import searched_parameters
 from study.draws import Purpose, stream
-from study.experiment.objective import COST_FUNCTIONS
 from taichi_nmm.body import Bodies
 from taichi_nmm.conditions import Conditions, read_conditions
 from taichi_nmm.config import Table, read_toml
+from taichi_nmm.cost import smooth_cost, walking_cost
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS, Parameter
 from taichi_nmm.terrain import Terrain
 from taichi_nmm.world import Worlds
 
+COST_FUNCTIONS = {"smooth": smooth_cost, "walking": walking_cost}  # the paper's two
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 MOST_RUNS = 10_000
 SUMMARY = "/summary"  # end of a study's name that has no trials and compares other studies
@@ -152,7 +153,7 @@ def read_experiment(
 ) -> Experiment:
     """Read and check an experiment's TOML; `arch` and `seed` override the file's.
 
-    Which arms there are, and what their stores hold, is checked by `study.experiment.check`.
+    Which arms there are, and what their stores hold, is checked by `study.experiment.arms`.
 
     Raises:
         InputError: an unknown key, a wrong type, or a value out of range.

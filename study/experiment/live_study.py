@@ -1,89 +1,345 @@
-"""A study in a database, which others may write to as well.
+"""One study, live: an arm in a run of an experiment, through any number of interruptions.
 
-Optuna's CMA-ES keeps its state in the trials, pickled, and whatever is unpickled may run anything.
-So a sampler of such a library never sees a study of a database: it is asked in a twin, a study in
-memory that this process has made and told the same trials, and what it proposes there is suggested
-here.
+Each trial is in the database as soon as it is finished. Its trials are those that a comparison of
+the same experiment has for this arm and run.
 """
 
-import math
+import re
+import time
+import warnings
+from collections.abc import Callable
+from contextlib import ExitStack
+from copy import copy
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import optuna
-from optuna.distributions import BaseDistribution
-from optuna.samplers import BaseSampler, RandomSampler
-from optuna.trial import FrozenTrial
+from optuna.distributions import check_distribution_compatibility
+from optuna.exceptions import (
+    ExperimentalWarning,
+    StorageInternalError,
+    UpdateFinishedTrialError,
+)
+from optuna.storages import BaseStorage, RetryHeartbeatStaleTrialCallback
+from optuna.study import StudyDirection
+from optuna.trial import FrozenTrial, TrialState
 
+from storage.commit import require_folder
+from storage.databases.crew import Crew
+from storage.databases.studies import name_metric, read_studies, require_lockable
+from storage.document import difference
 from study.experiment.arms import Arm
-from study.experiment.experiment import Experiment
-from study.experiment.one_study import OneStudy
+from study.experiment.experiment import Experiment, study_name
+from study.experiment.identity import LIVE_ATTRIBUTE, document
+from study.experiment.one_study import FELL_ATTRIBUTE, SHOWN_ATTRIBUTE, LiveStudy, note_worth
+from study.experiment.trials import (
+    ATTRIBUTES,
+    attributes,
+    costs,
+    finite,
+    metric_name,
+    simulate_trials,
+)
+from study.sampler.history import FEATURES_ATTRIBUTE, FIXED_ATTRIBUTE, SCORE_ATTRIBUTE
+from taichi_nmm import checks
+from taichi_nmm.errors import InputError
+
+WAIT_S = 1.0  # between two looks at what the others of a crew do
+
+Report = Callable[[optuna.Study, FrozenTrial], None]
 
 
-class LiveStudy(OneStudy):
-    """An arm in a run, over a study of a database.
+def run_study(
+    experiment: Experiment,
+    arm: Arm,
+    run: int,
+    trials: int,
+    storage: BaseStorage,
+    report: Report | None = None,
+    crew: Crew | None = None,
+) -> optuna.Study:
+    """Run the study until it has `trials` finished trials, and return it.
+
+    At the end its note in the dashboard says what the arm's features were worth, if it has any.
+
+    Finished means COMPLETE. Trials found running are taken for dead (the caller sees to it that no
+    other process runs this study: `storage.databases.studies.only_run`); they are marked failed and
+    run again, with the same parameters, before anything else. Of a crew that is done with trials
+    whose heart has stopped, and a process that finds enough of them begun waits for the others.
 
     Args:
         experiment: of the study.
-        arm: that proposes its trials.
+        arm: that proposes; found able to by `study.experiment.arms`.
         run: whose body and ground it is about.
-        study: where its trials are kept.
+        trials: the total, not the number to add; an experiment may end a study before, with its
+            first walker.
+        storage: of Optuna.
+        report: called after each finished trial.
+        crew: the processes that work on the study; None: this one alone.
 
     Raises:
-        InputError: trials of an arm that is replayed are not those that it proposes.
+        InputError: the run is none of the experiment's, or a study of that name was made otherwise.
     """
-
-    def __init__(self, experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> None:
-        """The study as it stands; a twin is told its trials."""
-        super().__init__(experiment, arm, run, study)
-        self._names = experiment.names
-        self._given: BaseSampler | None = None
-        self._twin = OneStudy(experiment, arm, run) if arm.replayed else None
-        if self._twin is not None:
-            for trial in self.finished():
-                gains = [trial.params.get(name, math.nan) for name in self._names]
-                self._twin.restore(gains, trial.values[0], {})
-
-    def ask(self) -> list[float]:
-        """As of any study.
-
-        Raises:
-            InputError: the trial was queued by somebody else, who fixed other gains.
-        """
-        if self._twin is None:
-            return super().ask()
-        proposed = self._twin.ask()
-        self._given = GivenSampler(dict(zip(self._names, proposed, strict=True)))
-        asked = super().ask()
-        self.require_proposed(asked, proposed)
-        return asked
-
-    def _sampler_of_turn(self) -> BaseSampler:
-        return self._given or super()._sampler_of_turn()
-
-    def _tell(self, cost: float, attributes: dict[str, Any]) -> FrozenTrial:
-        if self._twin is not None:
-            self._twin._tell(cost, {})
-        return super()._tell(cost, attributes)
+    experiment.require_run(run)
+    one = LiveStudy(experiment, arm, run, open_study(experiment, arm, run, storage))
+    told_of = report or (lambda study, told: None)
+    if crew is not None:
+        _run_together(experiment, one, trials, told_of, crew)
+        with crew.turn():
+            note_worth(experiment, arm, run, one.study)
+        return one.study
+    _repeat(experiment, one.study, running(one.study))
+    while one.trials < trials and not _ended(experiment, one):
+        told_of(one.study, _run_trial(experiment, one))
+    note_worth(experiment, arm, run, one.study)
+    return one.study
 
 
-class GivenSampler(RandomSampler):
-    """Proposes what it is given.
+def _run_together(
+    experiment: Experiment, one: LiveStudy, trials: int, report: Report, crew: Crew
+) -> None:
+    """As one of several processes: propose in turns, simulate side by side."""
+    while True:
+        with ExitStack() as until_told:
+            with crew.turn():
+                dead = crew.dead()
+                _repeat(experiment, one.study, [t for t in running(one.study) if t.number in dead])
+                done, begun = len(one.finished()), len(running(one.study))
+                if done >= trials or _ended(experiment, one):
+                    return
+                is_due = done + begun < trials
+                if is_due:
+                    one.trials = done + begun
+                    gains = one.ask()
+                    until_told.enter_context(crew.alive(one.asked.number))
+            if not is_due:
+                time.sleep(WAIT_S)
+                continue
+            number = one.asked.number
+            try:
+                report(one.study, _simulated(experiment, one, gains))
+            except UpdateFinishedTrialError:
+                pass  # it was taken for dead, and another process has it
+            except BaseException:
+                with crew.turn():
+                    left = [trial for trial in running(one.study) if trial.number == number]
+                    _repeat(experiment, one.study, left)
+                raise
+
+
+def _ended(experiment: Experiment, one: LiveStudy) -> bool:
+    """Whether a study that ends with its first walker has one."""
+    walkers = (trial.user_attrs.get("walked") for trial in one.finished())
+    return experiment.until_walker and any(walkers)
+
+
+def open_study(experiment: Experiment, arm: Arm, run: int, storage: BaseStorage) -> optuna.Study:
+    """The study of an arm in a run, new or resumed; one that was made otherwise is refused.
+
+    Raises:
+        InputError: naming the study, the first field that differs, and the value it has there.
+    """
+    name, identity = _check_study(experiment, arm, run, storage)
+    study = optuna.create_study(
+        storage=storage, study_name=name, direction="minimize", load_if_exists=True
+    )
+    if LIVE_ATTRIBUTE not in study.user_attrs:
+        study.set_user_attr(LIVE_ATTRIBUTE, identity)
+    name_metric(study, metric_name(experiment.cost))
+    return study
+
+
+def check_study(experiment: Experiment, arm: Arm, run: int, url: str, out: Path) -> None:
+    """Refuse a study that cannot go on, before anything is written.
 
     Args:
-        values: by name.
+        experiment: of the study.
+        arm: that proposes.
+        run: whose body and ground it is about.
+        url: of the database, which need not be there.
+        out: folder for what the study finds.
+
+    Raises:
+        InputError: as `open_study`, or what cannot be read or written.
     """
+    experiment.require_run(run)
+    require_folder(out)
+    require_lockable(url, study_name(experiment.name, arm.name, run))
+    with read_studies(url) as storage:
+        if storage is not None:
+            _check_study(experiment, arm, run, storage)
 
-    def __init__(self, values: dict[str, float]) -> None:
-        """Nothing is drawn."""
-        super().__init__(seed=0)
-        self._values = values
 
-    def sample_independent(
-        self,
-        study: optuna.Study,
-        trial: FrozenTrial,
-        param_name: str,
-        param_distribution: BaseDistribution,
-    ) -> Any:
-        """The value of that name."""
-        return self._values[param_name]
+def _check_study(
+    experiment: Experiment, arm: Arm, run: int, storage: BaseStorage
+) -> tuple[str, dict[str, Any]]:
+    """Name and document of the study, which is new or was begun with this document."""
+    name, identity = study_name(experiment.name, arm.name, run), document(experiment, (arm,))
+    _refuse_older(f"{experiment.name}/{arm.name}", name, storage)
+    if name not in optuna.get_all_study_names(storage):
+        return name, identity
+    study = optuna.load_study(study_name=name, storage=storage)
+    trials = study.get_trials(deepcopy=False)  # read before anything is written
+    known = study.user_attrs.get(LIVE_ATTRIBUTE)
+    if known is None:
+        if trials:
+            raise InputError("study", name, "a name that no study of another program has")
+    elif not isinstance(known, dict):  # the experiment's name
+        allowed = "another --storage: this study is of a comparison, which goes on by itself"
+        raise InputError("study", name, allowed)
+    elif found := difference(identity, known):
+        field, ours, theirs = found
+        allowed = f"{theirs!r}, with which it was made; or another name, or another database"
+        raise InputError(f"study {name}: {field}", ours, allowed)
+    require_written(study, experiment)
+    require_notes(name, storage)
+    return name, identity
+
+
+def _refuse_older(old: str, new: str, storage: BaseStorage) -> None:
+    """Refuse to go on beside a study of before studies had runs; its seeds were others."""
+    if old in optuna.get_all_study_names(storage):
+        allowed = f"another --storage: this study is of an earlier version, and is now {new}"
+        raise InputError("study", old, allowed)
+
+
+def _run_trial(experiment: Experiment, one: LiveStudy) -> FrozenTrial:
+    """Ask, simulate, tell; an interrupted trial is put back in the queue."""
+    try:
+        return _simulated(experiment, one, one.ask())
+    except StorageInternalError:
+        raise  # nothing can be written now; the trial stays running, and the next run repeats it
+    except BaseException:
+        _repeat(experiment, one.study, running(one.study))
+        raise
+
+
+def _simulated(experiment: Experiment, one: LiveStudy, gains: list[float]) -> FrozenTrial:
+    """Try what was asked for, and tell."""
+    rows = finite(simulate_trials(experiment, [one.run], np.array([gains])).rows)
+    return one.tell(float(costs(rows, experiment.cost)[0]), rows, attributes(rows))
+
+
+def running(study: optuna.Study) -> list[FrozenTrial]:
+    """Trials that somebody has begun, and nobody has finished."""
+    return study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
+
+
+def _repeat(experiment: Experiment, study: optuna.Study, dead: list[FrozenTrial]) -> None:
+    """Fail trials that nobody runs, and queue others with the parameters that they had been given.
+
+    One that had been given some of them is asked for anew: samplers draw them one after the other.
+    """
+    for trial in dead:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            retry = RetryHeartbeatStaleTrialCallback()
+            # First the successor: killed between the two steps, the next run must not lose it.
+            waiting = study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
+            if not any(trial.number in retry.retry_history(other) for other in waiting):
+                retry(study, trial if set(trial.params) == set(experiment.names) else _bare(trial))
+        study.tell(trial.number, state=TrialState.FAIL)
+
+
+def _bare(trial: FrozenTrial) -> FrozenTrial:
+    bare = copy(trial)
+    bare.params, bare.distributions = {}, {}
+    return bare
+
+
+RETRIED_ATTRIBUTE = "retry_history"  # Optuna's, of the system
+
+_number, _flag = checks.number(), checks.flag
+_whole_numbers = checks.each(checks.whole(0))
+_numbers = checks.each(checks.optional(_number))
+
+# Of a finished trial, those that must be there; and of any, those that may be.
+FINISHED: dict[str, Callable[[str, Any], Any]] = dict.fromkeys(ATTRIBUTES, _number) | {
+    "end_reason": checks.text, "walked": _flag,
+}  # fmt: skip
+IF_THERE: dict[str, Callable[[str, Any], Any]] = {
+    SCORE_ATTRIBUTE: checks.optional(_number), FEATURES_ATTRIBUTE: _numbers,
+    FELL_ATTRIBUTE: _flag, SHOWN_ATTRIBUTE: _numbers,
+}  # fmt: skip
+OF_OPTUNA: dict[str, Callable[[str, Any], Any]] = {
+    FIXED_ATTRIBUTE: checks.by_name(checks.anything), RETRIED_ATTRIBUTE: _whole_numbers,
+}  # fmt: skip
+
+# The keys that optuna-dashboard keeps a note under, of a study or of a trial: a version, and parts.
+NOTE = re.compile(r"(dashboard:(?:\d+:)?note_)(ver|str:(\d+))")
+
+
+def require_written(study: optuna.Study, experiment: Experiment) -> None:
+    """Refuse a study whose trials nobody could go on with.
+
+    Raises:
+        InputError: naming the study, the trial, and what of it.
+    """
+    if study.directions != [StudyDirection.MINIMIZE]:
+        directions = [direction.name for direction in study.directions]
+        raise InputError(f"study {study.study_name}: directions", directions, "one, MINIMIZE")
+    for place, trial in enumerate(study.get_trials(deepcopy=False)):
+        prefix = f"study {study.study_name}, trial {trial.number}"
+        if trial.number != place:
+            raise InputError(prefix, trial.number, f"{place}: trials without a gap")
+        if trial.state is TrialState.COMPLETE:
+            _require_finished(trial, experiment, prefix)
+        _require_compatible(trial, experiment, prefix)
+        _require(trial.user_attrs, IF_THERE, prefix)
+        _require(trial.system_attrs, OF_OPTUNA, prefix)
+
+
+def require_notes(study: str, storage: BaseStorage) -> None:
+    """Refuse notes that the dashboard could not read: they are renewed when the work has ended.
+
+    Raises:
+        InputError: naming the study.
+    """
+    attributes = storage.get_study_system_attrs(storage.get_study_id_from_name(study))
+    parts: dict[str, set[int]] = {}
+    for key, value in attributes.items():
+        if (found := NOTE.fullmatch(key)) is None:
+            continue
+        if found[3] is None:
+            checks.whole(0)(f"study {study}: note", value)
+        else:
+            checks.text(f"study {study}: note", value)
+            parts.setdefault(found[1], set()).add(int(found[3]))
+    for numbers in parts.values():
+        if numbers != set(range(len(numbers))):
+            raise InputError(f"study {study}: note", sorted(numbers), "parts without a gap")
+
+
+def _require_finished(trial: FrozenTrial, experiment: Experiment, prefix: str) -> None:
+    checks.each(_number)(f"{prefix}: values", trial.values)
+    if trial.params.keys() != experiment.space.keys():
+        allowed = f"one of each of {', '.join(experiment.names)}"
+        raise InputError(f"{prefix}: parameters", list(trial.params), allowed)
+    for parameter in experiment.parameters:
+        ends = checks.number(parameter.low, parameter.high)
+        ends(f"{prefix}: {parameter.name}", trial.params[parameter.name])
+    for name in FINISHED:
+        if name not in trial.user_attrs:
+            raise InputError(f"{prefix}: {name}", "missing", "what the walk came to")
+    _require(trial.user_attrs, FINISHED, prefix)
+
+
+def _require_compatible(trial: FrozenTrial, experiment: Experiment, prefix: str) -> None:
+    """Refuse distributions beside which Optuna takes none of ours."""
+    for name, distribution in trial.distributions.items():
+        ours = experiment.space.get(name)
+        if ours is None:
+            continue
+        try:
+            check_distribution_compatibility(distribution, ours)
+        except ValueError:
+            raise InputError(f"{prefix}: {name}", str(distribution), str(ours)) from None
+
+
+def _require(
+    found: dict[str, Any], form: dict[str, Callable[[str, Any], Any]], prefix: str
+) -> None:
+    for name, check in form.items():
+        if name in found:
+            check(f"{prefix}: {name}", found[name])

@@ -4,19 +4,26 @@ The study is in memory, one of many, or in a database, alone and live (`LiveStud
 run and experiment give the same trials in both.
 """
 
+import math
 from typing import Any
 
 import numpy as np
 import optuna
 from numpy.typing import NDArray
+from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler, RandomSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from study.draws import Purpose, name_key, seed_64bit
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment
-from study.experiment.objective import KEPT, fell
-from study.experiment.task import Task
+from study.experiment.samplers import Task
+from study.experiment.trials import (
+    KEPT,
+    fell,
+)
+from study.sampler.diagnostics import TITLE, Worth
+from study.sampler.feature_sampler import FeatureKernelSampler
 from study.sampler.source import one_thread
 from taichi_nmm.errors import InputError
 
@@ -154,9 +161,106 @@ class OneStudy:
         return self._sampler
 
 
+class LiveStudy(OneStudy):
+    """An arm in a run, over a study of a database, to which others may write as well.
+
+    Optuna's CMA-ES keeps its state in the trials, pickled, and unpickling may run any code. So a
+    sampler of such a library never sees a study of a database. It proposes in a twin, a study in
+    memory that this process has made and told the same trials, and its proposal is suggested here.
+
+    Args:
+        experiment: of the study.
+        arm: that proposes its trials.
+        run: whose body and ground it is about.
+        study: where its trials are kept.
+
+    Raises:
+        InputError: trials of an arm that is replayed are not those that it proposes.
+    """
+
+    def __init__(self, experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> None:
+        """The study as it stands; a twin is told its trials."""
+        super().__init__(experiment, arm, run, study)
+        self._names = experiment.names
+        self._given: BaseSampler | None = None
+        self._twin = OneStudy(experiment, arm, run) if arm.replayed else None
+        if self._twin is not None:
+            for trial in self.finished():
+                gains = [trial.params.get(name, math.nan) for name in self._names]
+                self._twin.restore(gains, trial.values[0], {})
+
+    def ask(self) -> list[float]:
+        """As of any study.
+
+        Raises:
+            InputError: the trial was queued by somebody else, who fixed other gains.
+        """
+        if self._twin is None:
+            return super().ask()
+        proposed = self._twin.ask()
+        self._given = GivenSampler(dict(zip(self._names, proposed, strict=True)))
+        asked = super().ask()
+        self.require_proposed(asked, proposed)
+        return asked
+
+    def _sampler_of_turn(self) -> BaseSampler:
+        return self._given or super()._sampler_of_turn()
+
+    def _tell(self, cost: float, attributes: dict[str, Any]) -> FrozenTrial:
+        if self._twin is not None:
+            self._twin._tell(cost, {})
+        return super()._tell(cost, attributes)
+
+
+class GivenSampler(RandomSampler):
+    """Proposes what it is given.
+
+    Args:
+        values: by name.
+    """
+
+    def __init__(self, values: dict[str, float]) -> None:
+        """Nothing is drawn."""
+        super().__init__(seed=0)
+        self._values = values
+
+    def sample_independent(
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        param_name: str,
+        param_distribution: BaseDistribution,
+    ) -> Any:
+        """The value of that name."""
+        return self._values[param_name]
+
+
 def shown(arm: Arm, rows: NDArray[np.void]) -> dict[str, Any]:
     """What a trial shows to samplers that learn from it, beside its cost; rows [1]."""
     found: dict[str, Any] = {FELL_ATTRIBUTE: bool(fell(rows)[0])}
     if arm.columns and all(name in KEPT for name in arm.columns):
         found[SHOWN_ATTRIBUTE] = [float(rows[name][0]) for name in arm.columns]
     return found
+
+
+def worth_of_study(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> Worth | None:
+    """The worth of the arm's features in the trials of its study; None: it follows none."""
+    if not arm.features:
+        return None
+    seed = sampler_seed(experiment.seed, arm.name, run)
+    sampler = arm.new_sampler(Task(experiment, seed, 0, arm.store, arm.features))
+    if not isinstance(sampler, FeatureKernelSampler) or not sampler.has_features:
+        return None
+    return sampler.worth(study)
+
+
+def note_worth(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> None:
+    """Show it with the study, in place of an earlier one; a note of the user's stays."""
+    worth = worth_of_study(experiment, arm, run, study)
+    if worth is None:
+        return
+    from optuna_dashboard import get_note, save_note  # a second, which other studies need not spend
+
+    known, note = get_note(study), worth.markdown()
+    if note != known and (not known or known.startswith(f"## {TITLE}")):
+        save_note(study, note)

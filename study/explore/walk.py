@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from study.experiment.objective import row_text
+from study.experiment.trials import row_text
 from study.explore.frames import Frames, frames_of
 from study.explore.setting import Setting, chosen_setting
-from study.gains import NamedGains, gains_of_source
-from study.one_walk import recorded_walk
+from study.gains import NamedGains, gains_of_source, recorded_walk
 from study.pictures.window import finite
 from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.result import COMPLETED, DIVERGED, END_REASONS, Trajectory

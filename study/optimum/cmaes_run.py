@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from study.draws import Purpose, generator
 from study.experiment.experiment import CmaesOptions
-from study.experiment.pycma import new_strategy
+from study.experiment.samplers import new_strategy
 from taichi_nmm.parameters import GAINS, lower_bounds, upper_bounds
 
 Floats = NDArray[np.float64]

@@ -14,8 +14,7 @@ from storage.cluster.asked import Cluster
 from storage.cluster.opening import open_pool
 from study.comparison.compare import Request, compare
 from study.comparison.finished import Progress
-from study.experiment.arms import PAPER_ARM
-from study.experiment.check import check_arms
+from study.experiment.arms import PAPER_ARM, check_arms
 from study.experiment.experiment import Experiment
 from study.experiment.identity import deciding_packages, document, machine
 from study.experiment.stores import store_path

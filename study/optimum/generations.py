@@ -14,8 +14,7 @@ import pyarrow.compute as pc
 
 from storage.pool import Pool
 from study.experiment.experiment import Experiment
-from study.experiment.objective import OUTCOMES, costs, finite, walked
-from study.experiment.simulation import simulate_trials
+from study.experiment.trials import OUTCOMES, costs, finite, simulate_trials, walked
 from study.optimum.cmaes_run import CmaesRun
 from study.optimum.optimum_folder import EVALUATIONS, OptimumFolder
 from taichi_nmm.errors import InputError

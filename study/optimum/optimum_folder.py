@@ -22,7 +22,7 @@ from storage.document import agree
 from storage.shard import write_table
 from storage.stamped import read_stamped, write_stamped
 from study.experiment.identity import GROWING
-from study.experiment.objective import OUTCOMES
+from study.experiment.trials import OUTCOMES
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 

@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 
 from study.experiment.arms import BEST_ARM, PAPER_ARM
 from study.experiment.experiment import Experiment
-from study.experiment.simulation import simulate_trials
+from study.experiment.trials import simulate_trials
 from study.report.appearance import by_rank, label_of
 from study.report.files import read_trials, table_files
 from study.report.runs import Results

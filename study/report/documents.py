@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from study.comparison.experiment_folder import EXPERIMENT_NAME, RUN_NAME
-from study.experiment.objective import COST_FUNCTIONS
+from study.experiment.experiment import COST_FUNCTIONS
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, json_document
 

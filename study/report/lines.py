@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from study.experiment.arms import ARMS
-from study.experiment.saw import saw
+from study.experiment.arms import ARMS, saw
 from study.report.numbers import ArmNumbers, Numbers
 from study.report.words import count_text
 

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from study.experiment.arms import ARMS, PAPER_ARM
-from study.experiment.saw import saw
+from study.experiment.arms import ARMS, PAPER_ARM, saw
 from study.report.facts import facts
 from study.report.numbers import Comparison, Numbers
 from study.report.runs import Results

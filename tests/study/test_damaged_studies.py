@@ -12,8 +12,8 @@ from study.comparison.compare import Request, compare
 from study.comparison.database import Summary
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment
+from study.experiment.live_study import check_study, run_study
 from study.gains import gains_of_trial
-from study.runner import check_study, run_study
 from taichi_nmm.errors import InputError
 
 

@@ -14,8 +14,8 @@ from storage.store import open_store
 from study.comparison.compare import Request, compare
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment
+from study.experiment.live_study import run_study
 from study.gains import gains_of_row, gains_of_source, gains_of_trial
-from study.runner import run_study
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, K_T, LOW_LEVEL_GAINS, load_all_gains
 from tests.study import fake_walker

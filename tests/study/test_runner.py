@@ -20,12 +20,11 @@ from storage.databases.studies import open_studies
 from study.comparison.compare import Request, compare
 from study.experiment.arms import ARMS, find_arm
 from study.experiment.experiment import Experiment, study_name
-from study.experiment.objective import ATTRIBUTES
+from study.experiment.live_study import open_study, run_study
 from study.experiment.one_study import OneStudy, sampler_seed
-from study.experiment.simulation import simulate_trials
-from study.experiment.task import Task
+from study.experiment.samplers import Task
+from study.experiment.trials import ATTRIBUTES, simulate_trials
 from study.options import config_path
-from study.runner import open_study, run_study
 from study.summary import (
     Commands,
     best_gains,

@@ -17,8 +17,8 @@ from study import FeatureKernelSampler, FeatureTable
 from study.comparison.compare import Request, compare
 from study.experiment.arms import ARMS, find_arm
 from study.experiment.experiment import Experiment, study_name
-from study.experiment.worth_note import worth_of_study
-from study.runner import run_study
+from study.experiment.live_study import run_study
+from study.experiment.one_study import worth_of_study
 
 TITLE = "## Are the features worth anything?"
 NOTED = ("dog", "best-stairs", "best")  # of the live ones below, those whose sampler has features
@@ -51,7 +51,7 @@ def test_it_is_renewed_and_a_note_of_the_users_stays(toy: Experiment) -> None:
 
 def test_trials_are_what_they_were(toy: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
     noted = run_study(toy, find_arm("best"), 0, 6, InMemoryStorage())
-    monkeypatch.setattr("study.runner.note_worth", lambda *_: None)
+    monkeypatch.setattr("study.experiment.live_study.note_worth", lambda *_: None)
     bare = run_study(toy, find_arm("best"), 0, 6, InMemoryStorage())
     facts = [[(t.params, t.values, t.user_attrs) for t in study.trials] for study in (noted, bare)]
     assert facts[0] == facts[1]

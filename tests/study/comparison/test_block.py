@@ -14,7 +14,7 @@ from study.comparison.block import Block, advance
 from study.comparison.results import NOTES, PROPOSAL_TIME, STATE_SCHEMA, in_order, outcomes_of
 from study.experiment.arms import ARMS
 from study.experiment.experiment import Experiment
-from study.experiment.objective import KEPT
+from study.experiment.trials import KEPT
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import COMPLETED
 from tests.study import fake_walker

@@ -6,12 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.experiment import cmaes
-from study.experiment.arms import ARMS, REMOVED, find_arm
-from study.experiment.controls import score_order
+from study.experiment import samplers
+from study.experiment.arms import ARMS, NOTHING, REMOVED, find_arm, saw
 from study.experiment.experiment import Experiment
-from study.experiment.saw import NOTHING, saw
-from study.experiment.task import Task
+from study.experiment.samplers import Task, score_order
 from study.features.survival import GROUNDS, LONGER, PLAINEST
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
@@ -72,7 +70,7 @@ def test_score_first_goes_down_the_score_ties_by_the_second_then_by_row(
 def test_warm_cmaes_evaluates_its_start_a_row_of_the_top(
     comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cmaes, "START_ROWS", 5)
+    monkeypatch.setattr(samplers, "START_ROWS", 5)
     comparisons.run("out", arms=("cmaes-warm",), runs=6, trials=2)
     frame = comparisons.table("out").to_pandas()
     starts = frame.row[frame.trial == 0].tolist()

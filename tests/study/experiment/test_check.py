@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from study.experiment.arms import ARMS, find_arm
-from study.experiment.check import check_arms, with_store
+from study.experiment.arms import ARMS, check_arms, find_arm, with_store
 from study.experiment.experiment import Experiment
 from study.experiment.stores import candidates, store_path
 from taichi_nmm.errors import InputError

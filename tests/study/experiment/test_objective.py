@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import taichi_nmm
-from study.experiment.objective import attributes, costs, fell, finite, outcome_text, walked
+from study.experiment.trials import attributes, costs, fell, finite, outcome_text, walked
 from taichi_nmm.parameters import K_T
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, RESULT_DTYPE
 from tests.study import fake_walker

@@ -7,9 +7,8 @@ import pytest
 
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment
-from study.experiment.objective import costs
 from study.experiment.one_study import OneStudy, sampler_seed, shown
-from study.experiment.simulation import simulate_trials
+from study.experiment.trials import costs, simulate_trials
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE
 from tests.study import fake_walker

@@ -6,7 +6,7 @@ import numpy as np
 
 from study.draws import Purpose, stream
 from study.experiment.experiment import Experiment
-from study.experiment.simulation import simulate_trials
+from study.experiment.trials import simulate_trials
 from taichi_nmm import terrain as terrains
 from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import K_T, LOW_LEVEL_GAINS

@@ -11,7 +11,7 @@ import pytest
 import study
 from storage.store import open_store
 from study.experiment.arms import ARMS
-from study.experiment.task import Task
+from study.experiment.samplers import Task
 from study.features.feature_table import FeatureTable
 from study.features.survival import (
     COVERED_OPTIONS,

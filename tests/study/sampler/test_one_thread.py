@@ -12,7 +12,7 @@ from study import FeatureKernelSampler, FeatureTable
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment
 from study.experiment.one_study import OneStudy
-from study.experiment.simulation import simulate_trials
+from study.experiment.trials import simulate_trials
 from study.sampler import acquisition as model
 
 GIVEN = 2

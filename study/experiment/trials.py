@@ -1,15 +1,19 @@
-"""What became of a trial: its cost, and whether it walked."""
+"""Trials of an experiment: simulated as one batch, what they cost, and whether they walked."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from taichi_nmm.cost import smooth_cost, walking_cost
-from taichi_nmm.result import COMPLETED, END_REASONS, SCORE_FIELDS
+import taichi_nmm
+from storage.searched import split_points
+from study.experiment.experiment import COST_FUNCTIONS, Experiment
+from taichi_nmm.body import Bodies
+from taichi_nmm.parameters import GAINS
+from taichi_nmm.result import COMPLETED, END_REASONS, SCORE_FIELDS, Result
+from taichi_nmm.world import Worlds
 
-COST_FUNCTIONS = {"smooth": smooth_cost, "walking": walking_cost}  # the paper's two
 WALKING_SPEED_MPS = 0.3  # slower, a walker that lasted to the end has stood rather than walked
 
 # What is kept of a trial beside its cost: how it ended, and the components of the score.
@@ -23,6 +27,56 @@ ATTRIBUTES = (
     "duration_s", "distance_m", "mean_speed_mps", "end_reason", "walked", "phi_printed",
     "phi_corrected", "survived_fraction",
 )  # fmt: skip
+
+
+def simulate_trials(
+    experiment: Experiment,
+    runs: ArrayLike,
+    gains: NDArray[np.float64],
+    record: bool | Sequence[int] = False,
+    *,
+    duration_s: float | None = None,
+    record_rate_hz: float = 100.0,
+) -> Result:
+    """Simulate n trials at once.
+
+    Args:
+        experiment: whose bodies, grounds and settings.
+        runs: of each trial, [n].
+        gains: the searched parameters of each, [n, 16 + k], in the order of `experiment.names`.
+        record: rows whose trajectory is wanted; True: all of them.
+        duration_s: of a trial; None is the experiment's.
+        record_rate_hz: samples a second of the trajectories.
+
+    Raises:
+        InputError: what `taichi_nmm.simulate` refuses.
+    """
+    different, index = np.unique(np.asarray(runs, dtype=np.int64), return_inverse=True)
+    bodies = [experiment.body(int(run)) for run in different]
+    rows = range(len(gains)) if record is True else record or ()
+    conditions = experiment.conditions
+    own, low_level = split_points(gains, experiment.parameters[len(GAINS) :])
+    return taichi_nmm.simulate(
+        own,
+        duration_s=conditions.duration_s if duration_s is None else duration_s,
+        bodies=_stacked(bodies).take(index),
+        worlds=Worlds.stacked(experiment.world(int(run)) for run in different).take(index),
+        terrains=[experiment.terrain(int(run)) for run in different],
+        terrain_index=index.astype(np.int32),
+        low_level_gains=low_level if experiment.searched else None,
+        settings=conditions.settings,
+        record=tuple(rows),
+        record_rate_hz=record_rate_hz,
+    )
+
+
+def _stacked(bodies: Sequence[Bodies]) -> Bodies:
+    """Several batches of bodies as one."""
+    return Bodies(
+        np.vstack([body.mass_kg for body in bodies]),
+        np.vstack([body.inertia_kgm2 for body in bodies]),
+        np.vstack([body.com_m for body in bodies]),
+    )
 
 
 def walked(rows: NDArray[np.void]) -> NDArray[np.bool_]:

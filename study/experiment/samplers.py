@@ -1,7 +1,12 @@
-"""CMA-ES, three ways to start it: from nowhere, from a good row, from many good rows."""
+"""Samplers that do not look at features: rows in the order of a score, and CMA-ES.
+
+CMA-ES starts in three ways: from nowhere, from a good row, from many good rows.
+"""
 
 import warnings
+from abc import ABC
 from copy import copy
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -14,15 +19,18 @@ from optuna.samplers import BaseSampler, CmaEsSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from study.draws import Purpose, generator, seed_32bit, turn
-from study.experiment.controls import RowSampler, score_order
-from study.experiment.pycma import new_strategy
-from study.experiment.task import Task
+from study.experiment.experiment import Experiment
+from study.experiment.stores import candidates
 from study.features.feature_table import FeatureTable
+from study.features.store_features import Feature
+from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from study.sampler.random_sampler import ReproducibleRandomSampler
+from study.sampler.source import set_attributes
 from study.sampler.space import Space
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
+Order = NDArray[np.int64]
 
 SIGMA_COLD = 0.2  # of each range
 SIGMA_WARM = 0.1
@@ -30,7 +38,120 @@ START_ROWS = 100  # best rows by score, of which a warm start takes one
 SOURCE_ROWS = 1000  # Optuna's warm start takes the best tenth of them
 
 
-def cold(task: Task) -> BaseSampler:
+@dataclass(frozen=True)
+class Task:
+    """One study of an experiment, and, of samplers that are new every trial, one trial.
+
+    Attributes:
+        experiment: of the study.
+        seed: of the sampler.
+        turn: number of the trial.
+        store: key of the arm's store; "" for none.
+        features: of the arm.
+    """
+
+    experiment: Experiment
+    seed: int
+    turn: int
+    store: str
+    features: tuple[Feature, ...]
+
+    @property
+    def table(self) -> FeatureTable:
+        """The arm's candidates and features."""
+        return candidates(self.experiment, self.store, self.features)
+
+
+class RowSampler(BaseSampler, ABC):
+    """Proposes all parameters of a table at once; parameters that are not in it are uniform."""
+
+    def __init__(self, table: FeatureTable, seed: int) -> None:
+        """Nothing is computed."""
+        self._table = table
+        self._independent = ReproducibleRandomSampler(seed=seed)
+
+    def infer_relative_search_space(
+        self, study: optuna.Study, trial: FrozenTrial
+    ) -> dict[str, BaseDistribution]:
+        """The table's parameters."""
+        return self._table.rows.space.as_dict()
+
+    def sample_independent(
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        param_name: str,
+        param_distribution: BaseDistribution,
+    ) -> Any:
+        """Uniform, for parameters that the table does not have."""
+        return self._independent.sample_independent(study, trial, param_name, param_distribution)
+
+    def take(self, study: optuna.Study, trial: FrozenTrial, row: int) -> dict[str, Any]:
+        """The parameters of a row, which is noted in the trial."""
+        score = float(self._table.rows.features[row, 0])
+        set_attributes(study, trial, {ROW_ATTRIBUTE: row, SCORE_ATTRIBUTE: score})
+        return self._table.rows.as_parameters(row)
+
+
+class RankedSampler(RowSampler):
+    """Rows of a table in an order that was fixed beforehand: trial t is row `order[t]`.
+
+    Args:
+        table: of candidates.
+        order: rows, best first, at least as many as there are trials.
+    """
+
+    def __init__(self, table: FeatureTable, order: Order) -> None:
+        """Nothing is computed."""
+        super().__init__(table, seed=0)
+        self._order = order
+
+    def sample_relative(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """The trial's row."""
+        return self.take(study, trial, int(self._order[turn(study, trial)]))
+
+
+@lru_cache(maxsize=32)
+def score_order(table: FeatureTable) -> Order:
+    """Rows by the first feature, descending; ties by the second, and so on, then by row, [m].
+
+    Unknown features come last; rows that repeat the parameters of another are left out.
+    """
+    rows = table.rows
+    known = np.where(np.isfinite(rows.features), rows.features, -np.inf)
+    order = np.lexsort((np.arange(len(rows)), *(-known).T[::-1]))
+    return order[rows.offered[order]]
+
+
+def score_first(task: Task) -> BaseSampler:
+    """The best score first."""
+    return RankedSampler(task.table, score_order(task.table))
+
+
+def new_strategy(start: Floats, sigma: float, draws: np.random.Generator, **options: Any) -> Any:
+    """A `cma.CMAEvolutionStrategy`; the same start, draws and costs give the same points.
+
+    Args:
+        start: mean of the first generation, in the unit cube, [d].
+        sigma: its spread, of each range.
+        draws: all random numbers.
+        **options: of pycma, such as popsize and tolfun.
+    """
+    import cma
+
+    ours = {
+        "bounds": [0.0, 1.0],
+        "verbose": -9,
+        "seed": np.nan,  # pycma's own seed is NumPy's global one, which all strategies would share
+        "randn": lambda *shape: draws.standard_normal(shape),
+        "signals_filename": "",  # it would read options from a file of the current folder
+    }
+    return cma.CMAEvolutionStrategy(start, sigma, ours | options)
+
+
+def cmaes_cold(task: Task) -> BaseSampler:
     """Optuna's CMA-ES from a random mean; trial 0 is random.
 
     It keeps its state in the trials; a new object with a seed of its own for each trial makes it
@@ -45,7 +166,7 @@ def cold(task: Task) -> BaseSampler:
         return TurnCmaEsSampler(x0=start, sigma0=SIGMA_COLD, **_common(task))
 
 
-def source(task: Task) -> BaseSampler:
+def cmaes_source(task: Task) -> BaseSampler:
     """Optuna's CMA-ES from the distribution of the best rows; trial 0 is random."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
@@ -87,7 +208,7 @@ def _source_trials(table: FeatureTable) -> list[FrozenTrial]:
     ]
 
 
-def warm(task: Task) -> BaseSampler:
+def cmaes_warm(task: Task) -> BaseSampler:
     """pycma from one of the best rows, drawn for the run."""
     best = score_order(task.table)[:START_ROWS]
     row = int(generator(task.seed, Purpose.STARTUP_ROW).choice(best))
