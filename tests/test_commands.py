@@ -19,7 +19,7 @@ import taichi_nmm
 from storage.store import open_store
 from study import pictures, trajectory_files
 from study.commands import quickstart
-from study.comparison import drawing
+from study.comparison import artifacts
 from study.options import config_path, shipped_configs
 from study.report import strips
 from taichi_nmm.parameters import GAIN_NAMES
@@ -129,7 +129,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PAINTERS:
-        for module in (pictures, drawing):  # which would keep what it finds when it is imported
+        for module in (pictures, artifacts):  # which would keep what it finds when it is imported
             monkeypatch.setattr(module, name, lambda path, *_: path, raising=module is pictures)
     monkeypatch.setattr(strips, "write_strips", lambda folder, *_: [folder])
     monkeypatch.setattr(trajectory_files, "write_trajectory", lambda *_: None)

@@ -18,8 +18,7 @@ import optuna
 
 from storage.databases.studies import public_url
 from study.cli import ProgressBar, default_workers, require_engine
-from study.comparison.compare import Outcome, Request, compare
-from study.comparison.finished import Progress
+from study.comparison.compare import Outcome, Progress, Request, compare
 from study.experiment.arms import with_store
 from study.experiment.experiment import Experiment, read_experiment
 from study.options import asked_cluster

@@ -32,7 +32,7 @@ from storage.databases.bulk import study_ids
 from storage.databases.studies import URL_PREFIX as SQLITE
 from storage.databases.studies import open_studies, read_studies, shown_url, studies_path
 from storage.databases.urls import file_url
-from study.comparison.experiment_folder import ARTIFACTS_NAME, DATABASE_NAME
+from study.comparison.folder import ARTIFACTS_NAME, DATABASE_NAME
 from study.experiment.experiment import SUMMARY
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_file, is_folder

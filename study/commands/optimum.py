@@ -18,7 +18,7 @@ from typing import Any
 import optuna
 
 from study.cli import default_workers, require_engine
-from study.comparison.finished import Progress
+from study.comparison.compare import Progress
 from study.experiment.experiment import (
     Experiment,
     read_experiment,

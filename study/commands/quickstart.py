@@ -27,7 +27,7 @@ from storage.databases.studies import (
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.cli import ProgressBar, require_engine
-from study.comparison.experiment_folder import live_artifacts
+from study.comparison.folder import live_artifacts
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, read_experiment, study_name
 from study.experiment.live_study import run_study

@@ -21,7 +21,7 @@ from storage.databases.crew import Crew
 from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.databases.urls import is_postgresql
 from study.cli import require_engine
-from study.comparison.experiment_folder import live_artifacts
+from study.comparison.folder import live_artifacts
 from study.experiment.arms import check_arms, with_store
 from study.experiment.experiment import read_experiment, study_name
 from study.experiment.live_study import check_study, run_study

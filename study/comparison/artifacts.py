@@ -1,7 +1,7 @@
 """A picture and a film of the best trial of each study, where the dashboard looks for them.
 
-The trials are simulated once more, recorded, many at a time; processes draw them. Trials of several
-arms that are equal share their files. A file that is there is whole, and is not made again.
+The trials are simulated once more, recorded, many at a time; processes draw them. Equal trials of
+several arms share their files. A file that is there is whole, and is not made again.
 """
 
 import json
@@ -16,21 +16,22 @@ import optuna
 import pyarrow as pa
 from numpy.typing import NDArray
 from optuna.storages import RDBStorage
-from optuna_dashboard import get_note, save_note
-from optuna_dashboard.artifact import get_artifact_path
 
 from storage.commit import TEMPORARY_SUFFIX, writable
 from storage.databases.bulk import attach
 from storage.databases.studies import open_studies, read_errors, storage_errors
 from storage.pool import IN_PROCESS, Pool
-from study.comparison.drawing import FILM, STRIP, Drawing, draw
-from study.comparison.experiment_folder import ARTIFACTS_NAME, live_artifacts
-from study.comparison.results import gains_of
+from study.comparison.folder import ARTIFACTS_NAME, gains_of, live_artifacts
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.identity import fingerprint
 from study.experiment.trials import outcome_text, simulate_trials
-from study.pictures import find_ffmpeg
+from study.pictures import SMALL, find_ffmpeg, write_movie, write_strip
+from taichi_nmm.result import Trajectory
+from taichi_nmm.terrain import Terrain
 
+STRIP, FILM = "strip", "film"
+STRIP_DPI = 100
+FILM_S = 8.0
 RECORDED_S = 12.0  # from the start of the trial
 RECORD_RATE_HZ = 50.0
 FILM_RUNS = 2  # of each arm: a film takes five times as long as a picture
@@ -39,6 +40,40 @@ NAMESPACE = uuid.UUID("6f1d2b3c-5d0e-4b57-9a52-0f4a7f6f3b11")
 KINDS = {STRIP: ("strip.png", "image/png"), FILM: ("film.mp4", "video/mp4")}
 
 Drawn = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """A unit of work for any pool: a walk, the paths of its picture and film, and the encoder.
+
+    If `film` is None, only the picture is drawn.
+    """
+
+    trajectory: Trajectory
+    terrain: Terrain
+    title: str
+    strip: Path
+    film: Path | None
+    program: str
+
+
+def draw(drawing: Drawing) -> bool:
+    """Draw what is not there yet.
+
+    Returns:
+        Whether there was anything to draw: a walk that diverged before its first sample has none.
+
+    Raises:
+        InputError: a file cannot be written, or the encoder failed.
+    """
+    if not np.isfinite(drawing.trajectory.q).all(axis=1).any():
+        return False
+    walk = (drawing.trajectory, drawing.terrain)
+    if not drawing.strip.exists():
+        write_strip(drawing.strip, *walk, drawing.title, STRIP_DPI)
+    if drawing.film is not None and not drawing.film.exists():
+        write_movie(drawing.film, *walk, FILM_S, drawing.title, film=SMALL, program=drawing.program)
+    return True
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +267,10 @@ def _attach(experiment: Experiment, walks: Sequence[Walk], url: str) -> None:
 
 
 def _note(storage: RDBStorage, study_name: str, number: int, title: str, strip: str) -> None:
-    """What the trial's page says: how it went, and the picture in full width."""
+    """Write the note of the trial's page: how the walk ended, and the picture in full width."""
+    from optuna_dashboard import get_note, save_note  # a second, which processes that draw spare
+    from optuna_dashboard.artifact import get_artifact_path
+
     study = optuna.load_study(study_name=study_name, storage=storage)
     trial_id = storage.get_trial_id_from_study_id_trial_number(study._study_id, number)
     trial = optuna.trial.Trial(study, trial_id)

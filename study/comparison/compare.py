@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -15,11 +15,17 @@ from storage.cluster.opening import open_pool
 from storage.databases.urls import file_url
 from storage.pool import Pool, local_pool
 from study.comparison.block import Advanced, Block, advance
-from study.comparison.database import Summarise, check_database, export
-from study.comparison.experiment_folder import DATABASE_NAME, ExperimentFolder
-from study.comparison.finished import FinishedTrials, Progress
-from study.comparison.results import Key
-from study.comparison.worth_notes import check_noted, note_worths
+from study.comparison.database import Summarise, check_database, check_noted, export, note_worths
+from study.comparison.folder import (
+    DATABASE_NAME,
+    RESULT_SCHEMA,
+    STATE_SCHEMA,
+    ExperimentFolder,
+    Key,
+    by_study,
+    in_order,
+    walkers,
+)
 from study.experiment.arms import Arm, check_arms
 from study.experiment.experiment import Experiment
 from study.experiment.identity import deciding_packages, document, machine
@@ -33,6 +39,92 @@ EXPORT_S = 60.0  # between two renewals of the study database
 # share the simulator's packs; no result depends on either number.
 BLOCK_STUDIES = 64
 STRETCH_TRIALS = 5
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a comparison is.
+
+    Attributes:
+        trials: finished, those of earlier sessions included.
+        total: that there are to be.
+        studies: that there are.
+        walkers: studies with a trial that walked.
+    """
+
+    trials: int
+    total: int
+    studies: int
+    walkers: int
+
+
+class FinishedTrials:
+    """Finished trials by study; the folder gets those of an arm whole, at each `commit`.
+
+    Args:
+        folder: whose arms are read and written.
+        studies: arm and run of each study of this call; others of their arms are kept too.
+        until_walker: whether a study ends with its first walker.
+    """
+
+    def __init__(
+        self, folder: ExperimentFolder, studies: Iterable[Key], until_walker: bool = False
+    ) -> None:
+        """Read what is finished."""
+        self.studies = tuple(studies)
+        self._until_walker = until_walker
+        self._walkers: set[Key] = set()
+        self._folder = folder
+        self._tables: dict[Key, list[pa.Table]] = {key: [] for key in self.studies}
+        self._uncommitted: set[str] = set()
+        for arm in dict.fromkeys(arm for arm, _ in self.studies):
+            self._take(folder.read_arm(arm))
+
+    def add(self, table: pa.Table) -> None:
+        """Keep trials that have just been finished, `STATE_SCHEMA`."""
+        self._take(table)
+        self._uncommitted |= set(table["arm"].to_pylist())
+
+    def known(self, studies: Iterable[Key]) -> pa.Table:
+        """The trials of some studies, sorted, `STATE_SCHEMA`."""
+        tables = [table for key in studies for table in self._tables[key]]
+        return in_order([STATE_SCHEMA.empty_table(), *tables])
+
+    def done(self, key: Key) -> int:
+        """How many trials a study has."""
+        return sum(len(table) for table in self._tables[key])
+
+    def lacks(self, key: Key, trials: int) -> bool:
+        """Whether a study has not yet come to its end, if each is to have so many trials."""
+        ended = self._until_walker and key in self._walkers
+        return self.done(key) < trials and not ended
+
+    @property
+    def count(self) -> int:
+        """Trials of the studies of this call."""
+        return sum(map(self.done, self.studies))
+
+    def progress(self, trials: int) -> Progress:
+        """How far they are, if each is to have so many trials."""
+        found = sum(key in self._walkers for key in self.studies)
+        total = sum(trials if self.lacks(key, trials) else self.done(key) for key in self.studies)
+        return Progress(self.count, total, len(self.studies), found)
+
+    def results(self) -> pa.Table:
+        """All trials of the arms of this call, `RESULT_SCHEMA`."""
+        return self.known(self._tables).select(RESULT_SCHEMA.names)
+
+    def commit(self) -> None:
+        """Write the arms that have new trials."""
+        for arm in sorted(self._uncommitted):
+            table = self.known(key for key in self._tables if key[0] == arm)
+            self._folder.write_arm(arm, table)
+        self._uncommitted.clear()
+
+    def _take(self, table: pa.Table) -> None:
+        self._walkers |= walkers(table)
+        for arm, run, rows in by_study(table):
+            self._tables.setdefault((arm, run), []).append(rows)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,11 @@
-"""The trials of an experiment in a study database, for the dashboard and Optuna's own tools."""
+"""An experiment in a study database, for the dashboard and Optuna's own tools.
 
-from collections.abc import Callable, Iterator, Mapping
+The database gets all trials, a study that compares the arms, and notes on the features' worth.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import optuna
@@ -26,10 +30,12 @@ from storage.databases.studies import (
     shown_url,
     storage_errors,
 )
-from study.comparison.results import as_if_gone_on, by_study
+from study.comparison.folder import as_if_gone_on, by_study
+from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name, summary_name
 from study.experiment.identity import LIVE_ATTRIBUTE, fingerprint
-from study.experiment.live_study import require_notes
+from study.experiment.live_study import require_notes, require_written
+from study.experiment.one_study import note_worth
 from study.experiment.trials import ATTRIBUTES, metric_name
 from study.sampler.history import ROW_ATTRIBUTE
 from taichi_nmm.errors import InputError
@@ -161,3 +167,67 @@ def _show(experiment: Experiment, storage: RDBStorage, url: str, summary: Summar
     save_note(study, summary.note)
     # The dashboard asks of a figure only that it turns into JSON: plotly itself is not needed.
     save_plotly_graph_object(study, summary.figure, graph_object_id=FIGURE_ID)
+
+
+def note_worths(
+    experiment: Experiment, arms: Sequence[Arm], runs: Sequence[int], url: str, renew: bool
+) -> None:
+    """Write or renew the notes; arms without features have none.
+
+    Args:
+        experiment: whose studies.
+        arms: of the experiment, whose stores are there.
+        runs: of each arm.
+        url: of the study database, to which the trials were exported before.
+        renew: whether there may be new trials; if not, a study that has a note keeps it.
+
+    Raises:
+        InputError: the database cannot be used.
+    """
+    if not any(arm.features for arm in arms):
+        return
+    from optuna_dashboard import get_note  # a second
+
+    storage = open_studies(url)
+    try:
+        with storage_errors(url):
+            for arm, run, name in _noted(storage, experiment, arms, runs):
+                if not renew and get_note(optuna.load_study(study_name=name, storage=storage)):
+                    continue  # without a look at its trials, which take far longer
+                note_worth(experiment, arm, run, _checked(storage, name, experiment, url))
+    finally:
+        storage.engine.dispose()
+
+
+def check_noted(experiment: Experiment, arms: Sequence[Arm], runs: Sequence[int], url: str) -> None:
+    """Refuse studies that `note_worths` would refuse, before the work; nothing is written.
+
+    Raises:
+        InputError: as `note_worths`.
+    """
+    if not any(arm.features for arm in arms):
+        return
+    with read_studies(url) as storage:
+        if storage is not None:
+            for _, _, name in _noted(storage, experiment, arms, runs):
+                _checked(storage, name, experiment, url)
+
+
+def _noted(
+    storage: RDBStorage, experiment: Experiment, arms: Iterable[Arm], runs: Sequence[int]
+) -> Iterator[tuple[Arm, int, str]]:
+    """Each study that has trials and gets a note, by its name."""
+    counts = trial_counts(storage)
+    for arm, run in product((arm for arm in arms if arm.features), runs):
+        name = study_name(experiment.name, arm.name, run)
+        if counts.get(name):
+            yield arm, run, name
+
+
+def _checked(storage: RDBStorage, name: str, experiment: Experiment, url: str) -> optuna.Study:
+    """The study, its trials and its note as this project writes them."""
+    with read_errors(url):
+        study = load_whole(storage, name)
+        require_notes(name, storage)
+    require_written(study, experiment)
+    return study

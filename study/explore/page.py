@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from storage.shard import SHARD_PATTERN
 from storage.store import Store, open_store
 from storage.store_folder import SPECIFICATION_NAME
-from study.comparison.experiment_folder import EXPERIMENT_NAME, RESULTS_NAME
+from study.comparison.folder import EXPERIMENT_NAME, RESULTS_NAME
 from study.experiment.experiment import Experiment
 from study.experiment.identity import documented_experiment
 from study.explore.comparison_view import ComparisonView

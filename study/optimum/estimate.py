@@ -12,8 +12,7 @@ import pyarrow as pa
 
 from storage.cluster.asked import Cluster
 from storage.cluster.opening import open_pool
-from study.comparison.compare import Request, compare
-from study.comparison.finished import Progress
+from study.comparison.compare import Progress, Request, compare
 from study.experiment.arms import PAPER_ARM, check_arms
 from study.experiment.experiment import Experiment
 from study.experiment.identity import deciding_packages, document, machine

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from study.comparison.experiment_folder import EXPERIMENT_NAME, RUN_NAME
+from study.comparison.folder import EXPERIMENT_NAME, RUN_NAME
 from study.experiment.experiment import COST_FUNCTIONS
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, json_document

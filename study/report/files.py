@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from study.comparison.experiment_folder import ARMS_NAME, RESULTS_NAME
+from study.comparison.folder import ARMS_NAME, RESULTS_NAME
 from study.experiment.experiment import NAME_PATTERN
 from study.report.documents import LARGEST_NUMBER
 from taichi_nmm.errors import InputError

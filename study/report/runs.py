@@ -10,11 +10,11 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from study.comparison.experiment_folder import (
+from study.comparison.folder import (
     RESULTS_NAME,
     TIMES_NAME,
+    as_if_gone_on,
 )
-from study.comparison.results import as_if_gone_on
 from study.report.documents import read_facts
 from study.report.files import read_trials, table_files
 from taichi_nmm.errors import InputError

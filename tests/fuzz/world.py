@@ -24,7 +24,7 @@ import taichi_nmm
 from storage.shard import FOOTER_KEY, write_table
 from storage.stamped import DIGEST_KEY, write_stamped
 from study.cli import main
-from study.comparison.results import TIME_COLUMNS, in_order
+from study.comparison.folder import TIME_COLUMNS, in_order
 from study.options import CONFIGS
 from tests.study import fake_walker
 

@@ -105,9 +105,9 @@ class TestComparison:
         assert get_note(live) == dogs[1]  # to the letter
         before = (tmp_path / "out" / "trials.parquet").read_bytes()
         with monkeypatch.context() as context:
-            context.setattr("study.comparison.worth_notes.note_worth", refuse)
+            context.setattr("study.comparison.database.note_worth", refuse)
             read = Mock(wraps=load_whole)
-            context.setattr("study.comparison.worth_notes.load_whole", read)
+            context.setattr("study.comparison.database.load_whole", read)
             outcome(arms=("dog",))  # no new trials, no new notes
             assert read.call_count == 2  # each study once
         assert self.notes(url) == notes

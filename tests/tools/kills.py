@@ -41,8 +41,7 @@ from storage.databases.urls import file_url
 from study.cli import main as command_line
 from study.cli import run_command
 from study.comparison import compare
-from study.comparison.experiment_folder import RUN_NAME, TIMES_NAME
-from study.comparison.results import PROPOSAL_TIME
+from study.comparison.folder import PROPOSAL_TIME, RUN_NAME, TIMES_NAME
 from study.optimum import generations
 from study.optimum.optimum_folder import OPTIMUM_NAME
 from study.options import COMMANDS, LARGEST_SEED, Options

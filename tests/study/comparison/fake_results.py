@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from study.comparison.results import RESULT_SCHEMA
+from study.comparison.folder import RESULT_SCHEMA
 from study.experiment.experiment import Experiment
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS

@@ -16,10 +16,9 @@ from optuna_dashboard import get_note, save_note
 from storage.databases.studies import open_studies
 from storage.pool import IN_PROCESS, Pool, local_pool
 from study.comparison import artifacts
-from study.comparison.artifacts import FILM_RUNS, best_walks, make_artifacts
+from study.comparison.artifacts import FILM_RUNS, Drawing, best_walks, draw, make_artifacts
 from study.comparison.database import export
-from study.comparison.drawing import Drawing, draw
-from study.comparison.results import gains_of
+from study.comparison.folder import gains_of
 from study.pictures import movie
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import Result

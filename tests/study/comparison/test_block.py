@@ -11,7 +11,7 @@ import pytest
 
 from storage.pool import local_pool
 from study.comparison.block import Block, advance
-from study.comparison.results import NOTES, PROPOSAL_TIME, STATE_SCHEMA, in_order, outcomes_of
+from study.comparison.folder import NOTES, PROPOSAL_TIME, STATE_SCHEMA, in_order, outcomes_of
 from study.experiment.arms import ARMS
 from study.experiment.experiment import Experiment
 from study.experiment.trials import KEPT

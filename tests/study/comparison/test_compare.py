@@ -14,9 +14,8 @@ import pytest
 import taichi_nmm
 from storage.pool import InProcess, Pool
 from study.comparison import compare as comparing
-from study.comparison.compare import Request, compare, cut
-from study.comparison.finished import Progress
-from study.comparison.results import RESULT_SCHEMA
+from study.comparison.compare import Progress, Request, compare, cut
+from study.comparison.folder import RESULT_SCHEMA
 from study.experiment.experiment import Experiment
 from study.experiment.one_study import OneStudy
 from taichi_nmm.errors import InputError

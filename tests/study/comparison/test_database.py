@@ -16,7 +16,7 @@ from optuna_dashboard._custom_plot_data import get_plotly_graph_objects
 from storage.databases.bulk import METRIC_ATTRIBUTE, study_ids, trial_counts
 from storage.databases.studies import open_studies
 from study.comparison.database import check_database, export
-from study.comparison.results import as_if_gone_on
+from study.comparison.folder import as_if_gone_on
 from study.experiment.identity import fingerprint
 from study.report.notes import dashboard_summary
 from taichi_nmm.errors import InputError

@@ -12,7 +12,7 @@ import pytest
 
 from storage.shard import write_table
 from storage.stamped import DIGEST_KEY
-from study.comparison.experiment_folder import ExperimentFolder
+from study.comparison.folder import ExperimentFolder
 from study.experiment import arms
 from study.experiment.experiment import read_experiment
 from taichi_nmm.errors import InputError

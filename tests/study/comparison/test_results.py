@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from study.comparison.results import as_if_gone_on, by_study
+from study.comparison.folder import as_if_gone_on, by_study
 from study.experiment.arms import ARMS
 
 

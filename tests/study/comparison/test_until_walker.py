@@ -13,9 +13,8 @@ import pytest
 import taichi_nmm
 from study.comparison import compare as comparing
 from study.comparison.block import Block, advance
-from study.comparison.compare import Request, compare
-from study.comparison.finished import Progress
-from study.comparison.results import STATE_SCHEMA
+from study.comparison.compare import Progress, Request, compare
+from study.comparison.folder import STATE_SCHEMA
 from study.experiment.experiment import Experiment
 from study.report.runs import read_results
 from tests.study import fake_walker

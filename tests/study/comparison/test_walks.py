@@ -4,7 +4,7 @@ import pyarrow as pa
 import pytest
 
 from study.comparison.block import Block, advance
-from study.comparison.results import PROPOSAL_TIME, STATE_SCHEMA, in_order
+from study.comparison.folder import PROPOSAL_TIME, STATE_SCHEMA, in_order
 from study.experiment.experiment import Experiment
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker
