@@ -1,20 +1,32 @@
 """Work spread over an executor: in this process, over processes of this machine, or any other.
 
 A unit of work is a function of an importable module and its arguments, and depends on nothing else;
-what comes of it is the same wherever it is run, and the order in which units end decides nothing.
+its result is the same wherever it is run, and the order in which units end decides nothing. That
+holds for machines of one *kind*: bits are the same at any number of threads, but not on any
+processor. Machines of one kind may fill a folder together; two kinds would mix two simulators.
 """
 
+import hashlib
 import os
+import platform
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
 from storage.processes import Processes
+from storage.simulator import Simulator
+from taichi_nmm import __version__
 from taichi_nmm.errors import InputError
+
+Kind = dict[str, str]
+"""Of each part what it is: "canary", "processor", "taichi-nmm", and packages by their names."""
+
+KIND_NAME = "kind.json"  # in a folder: the kind of the workers that fill it
 
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
@@ -61,7 +73,7 @@ class Pool:
         """
 
     @property
-    def kinds(self) -> list[dict[str, str]]:
+    def kinds(self) -> list[Kind]:
         """Of the machines that compute, where they are others than this one."""
         return []
 
@@ -131,3 +143,50 @@ def cores() -> int:
     """Cores of this machine that this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)  # not everywhere
     return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+def own_kind(simulator: Simulator, packages: Sequence[str] = ()) -> Kind:
+    """The kind of this machine: the digest of a small batch, its processor, its versions.
+
+    Args:
+        simulator: that computes the batch.
+        packages: that decide results, beside the simulator's.
+    """
+    rows = simulator.canary()
+    digest = hashlib.sha256()
+    for name in rows.dtype.names or ():
+        digest.update(rows[name].tobytes())
+    names = dict.fromkeys([*simulator.packages, *packages])
+    return {
+        "canary": digest.hexdigest(),
+        "processor": processor(),
+        "taichi-nmm": __version__,
+        **{name: version(name) for name in names},
+    }
+
+
+def processor(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
+    """The name of the processor; where it is not known, its architecture."""
+    try:
+        lines = cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(named, "") or platform.processor() or platform.machine()
+
+
+def differences(kind: Kind, reference: Kind) -> str:
+    """In what a kind differs from another, in a line; empty: in nothing."""
+    names = dict.fromkeys([*reference, *kind])
+    return ", ".join(
+        f"{name} {_shown(kind.get(name))}, not {_shown(reference.get(name))}"
+        for name in names
+        if kind.get(name) != reference.get(name)
+    )
+
+
+def _shown(value: str | None) -> str:
+    """A digest by its beginning."""
+    if value is None:
+        return "none"
+    return value[:12] if len(value) == hashlib.sha256().digest_size * 2 else value

@@ -3,31 +3,38 @@
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
-from storage.evolved import evolved_points
-from storage.kind import PACKAGES, own_kind
-from storage.pool import IN_PROCESS, Pool
-from storage.schema import evaluated_name
-from storage.scoring import Report, ScoredShard, score_shard
-from storage.specification import Specification
+from storage.points import sobol_points
+from storage.pool import IN_PROCESS, Pool, own_kind
+from storage.schema import EVOLVED_ROW, SOBOL_ROW, evaluated_name, family_names, shard_table
+from storage.search import evolved_points
+from storage.simulator import END, LASTED, SURVIVED, Report
+from storage.specification import Family, Specification
 from storage.store import open_store
 from storage.store_folder import StoreFolder
-from taichi_nmm import __version__
-from taichi_nmm.result import COMPLETED, END_REASONS
+
+TYPICAL_ALIVE = 0.1  # of random points, at the age from which families run them
+TYPICAL_KEPT = 0.01  # of random points, where a family comes after another one
 
 Progress = Callable[[float], None]
 """Called with the points done so far, those of earlier runs and parts of a shard included.
 
-The walks of a search count as points.
+The runs of a search count as points.
 """
 
 Unit = tuple[Specification, int, NDArray[np.float64] | None]
 """A store, the number of one of its shards, and the shard's points if they are no Sobol points."""
+
+ScoredShard = tuple[pa.Table, dict[str, Any]]
+"""A shard's table, and what computed it."""
 
 
 @dataclass(frozen=True)
@@ -84,16 +91,15 @@ def precompute(
     Raises:
         InputError: see `StoreFolder.claim`; the disk is full, or a process of the pool was killed.
     """
-    with StoreFolder.claim(path, specification, fresh) as folder:
+    layout = specification.layout
+    with StoreFolder.claim(path, specification.document, fresh) as folder:
         pool.agree(path)
         missing = folder.missing()
-        grid = [number for number in missing if number < specification.grid_shards]
-        computed = sum(specification.shard_range(number)[1] for number in missing)
+        grid = [number for number in missing if number < layout.grid_shards]
+        computed = sum(layout.shard_range(number)[1] for number in missing)
         start_s = time.perf_counter()
-        tally = Tally(progress, specification.rows - computed)
-        asked = specification
-        if pool.shares_machine:  # threads decide no number, and are no part of what a store is
-            asked = replace(specification, conditions=specification.conditions.on_one_thread())
+        tally = Tally(progress, layout.rows - computed)
+        asked = specification.on_one_thread() if pool.shares_machine else specification
         _fill(folder, asked, grid, tally, pool)
         if specification.repertoire is not None:
             points = evolved_points(folder, asked, specification.repertoire, pool, tally.walked)
@@ -136,27 +142,34 @@ def _fill(
     pool: Pool,
     evolved: NDArray[np.float64] | None = None,
 ) -> None:
-    """Commit the missing shards of one kind as they come; `evolved` are the points of all rows
-    after the grid's, [candidates, 16 + k].
+    """Commit the missing shards of one kind as they come.
+
+    Args:
+        folder: of the store.
+        asked: the store's specification, as units of work are to be run.
+        missing: numbers of the shards.
+        tally: of what is done.
+        pool: that computes them; a single shard is computed in this process.
+        evolved: points of all rows after the grid's, [candidates, p]; None: shards of the grid.
     """
-    specification, code = folder.specification, {"code_version": __version__}
+    layout, code = folder.layout, {"code_version": asked.simulator.code_version}
     pool = pool if len(missing) > 1 or pool.kinds else IN_PROCESS
 
     def unit(number: int) -> Unit:
         if evolved is None:
             return asked, number, None
-        first, size = specification.shard_range(number)
-        return asked, number, evolved[first - specification.samples :][:size]
+        first, size = layout.shard_range(number)
+        return asked, number, evolved[first - layout.samples :][:size]
 
     def score_here(unit: Unit) -> ScoredShard:
-        _, size = specification.shard_range(unit[1])
+        _, size = layout.shard_range(unit[1])
         return _score(unit, lambda part: tally.progress(tally.done + part * size))
 
     score = score_here if pool.in_process else _score_mixed if pool.mixed else _score
     tally.add(0)
-    for (_, number, _), shard in pool.results(score, deque(map(unit, missing))):
-        folder.write_shard(number, shard.table, code | shard.engine)
-        tally.add(specification.shard_range(number)[1])
+    for (_, number, _), (table, computed_by) in pool.results(score, deque(map(unit, missing))):
+        folder.write_shard(number, table, code | computed_by)
+        tally.add(layout.shard_range(number)[1])
 
 
 def _score(unit: Unit, report: Report = lambda part: None) -> ScoredShard:
@@ -166,26 +179,112 @@ def _score(unit: Unit, report: Report = lambda part: None) -> ScoredShard:
 
 def _score_mixed(unit: Unit) -> ScoredShard:
     """With the kind of the machine beside what it computed."""
-    shard = _score(unit)
-    kind = own_kind(unit[0].conditions.settings, PACKAGES)
-    return ScoredShard(shard.table, shard.engine | {"kind": kind})
+    table, computed_by = _score(unit)
+    return table, computed_by | {"kind": own_kind(unit[0].simulator)}
+
+
+def score_shard(
+    specification: Specification,
+    number: int,
+    report: Report,
+    evolved: NDArray[np.float64] | None = None,
+) -> ScoredShard:
+    """Run the points of a shard in the base setting, and those that last in the families' worlds.
+
+    A shard depends on no other shard.
+
+    Args:
+        specification: of the store.
+        number: of the shard.
+        report: called with the fraction of it that is done.
+        evolved: its points, [n, p], where it is one of those after the grid's.
+    """
+    simulator, families = specification.simulator, specification.families
+    first, count = specification.layout.shard_range(number)
+    points = evolved
+    if points is None:
+        points = sobol_points(specification.seed, first, count, simulator.parameters)
+    parts = progress_parts(specification, report)
+    horizon_s = specification.horizon_s
+    rows, computed_by = simulator.run(points, specification.worlds, horizon_s, parts[0])
+    base = rows[:, 0]
+    columns: dict[str, NDArray[Any]] = {}
+    for family, part in zip(families, parts[1:], strict=True):
+        chosen = base[LASTED] >= family.min_survival_s
+        if family.after:
+            survived = columns[family_names(family.after, SURVIVED)[0]]
+            chosen &= survived >= family.min_survived_fraction
+        columns |= score_family(specification, family, points, chosen, part)
+        part(1.0)
+    origin = SOBOL_ROW if evolved is None else EVOLVED_ROW
+    table = shard_table(specification.schema, simulator, first, points, base, columns, origin)
+    return table, dict(computed_by)
+
+
+def score_family(
+    specification: Specification,
+    family: Family,
+    points: NDArray[np.float64],
+    chosen: NDArray[np.bool_],
+    report: Report,
+) -> dict[str, NDArray[Any]]:
+    """Mean and spread of every score over the worlds of a family.
+
+    Args:
+        specification: the store that the family belongs to.
+        family: one of its families.
+        points: [n, p].
+        chosen: the points to run, [n]; the others get zeros.
+        report: called with the fraction of this family that is done.
+
+    Returns:
+        Columns by name, [n] each.
+    """
+    simulator = specification.simulator
+    columns: dict[str, NDArray[Any]] = {evaluated_name(family.name): chosen}
+    names = [family_names(family.name, score) for score in simulator.scores]
+    columns |= {name: np.zeros(len(points)) for pair in names for name in pair}
+    place = np.flatnonzero(chosen)
+    if not len(place):
+        return columns
+    rows, _ = simulator.run(points[place], family.worlds, family.horizon_s, report)
+    for score, (mean, spread) in zip(simulator.scores, names, strict=True):
+        values = rows[score].astype(np.float64)
+        columns[mean][place] = values.mean(axis=1)
+        columns[spread][place] = values.std(axis=1)
+    return columns
+
+
+def progress_parts(specification: Specification, report: Report) -> list[Report]:
+    """`report` cut into one for the base setting and one a family, in proportion to their work."""
+    work = [specification.horizon_s]
+    for family in specification.families:
+        share = TYPICAL_KEPT if family.after else TYPICAL_ALIVE
+        work.append(share * family.settings * family.horizon_s)
+    ends = np.cumsum([0.0, *work]) / sum(work)
+    ends[-1] = 1.0
+
+    def part(start: float, end: float) -> Report:
+        return lambda done: report(start + (end - start) * min(done, 1.0))
+
+    return [part(float(start), float(end)) for start, end in pairwise(ends)]
 
 
 def _summary(
     specification: Specification, path: Path, computed: int, walks: int, wall_s: float
 ) -> Summary:
-    store = open_store(path)
-    alive = np.count_nonzero(store.numpy(["end_reason"])["end_reason"] == END_REASONS[COMPLETED])
+    store, rows = open_store(path), specification.layout.rows
+    alive = np.count_nonzero(store.numpy([END])[END] == specification.simulator.ends[0])
     names = {family.name: evaluated_name(family.name) for family in specification.families}
     run = store.numpy(names.values())
     return Summary(
         path=str(path),
-        points=specification.rows,
+        points=rows,
         points_computed=computed,
         walks_searched=walks,
-        shards=specification.shard_count,
+        shards=specification.layout.shards,
         alive_at_horizon=int(alive),
-        alive_fraction=float(alive / specification.rows),
+        alive_fraction=float(alive / rows),
         evaluated={family: int(run[name].sum()) for family, name in names.items()},
         wall_s=round(wall_s, 3),
         walkers_per_s=round((computed + walks) / wall_s, 1) if computed + walks else 0.0,

@@ -1,52 +1,164 @@
-"""The search of a repertoire: for each family, generation after generation, on any executor.
+"""The search for candidates that survive a family: quality-diversity by CMA-ME.
 
-The families' searches know nothing of each other, so one goes on while another waits.
+Fontaine, Togelius, Nikolaidis & Hoover 2020, Covariance matrix adaptation for the rapid
+illumination of behavior space; archive and emitters are those of pyribs. Every family has a search
+of its own, so one goes on while another waits; each generation is a file until the search is over.
 """
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.evolution import Evolution
-from storage.families import Family
-from storage.gait_measures import measures, objective
-from storage.generation_files import Generation, GenerationFiles
+from storage.points import in_unit_cube, within_bounds
 from storage.pool import Pool
-from storage.repertoire import Repertoire
-from storage.scoring import walk_family
-from storage.specification import Specification
-from taichi_nmm.parameters import lower_bounds, upper_bounds
+from storage.schema import evaluated_name, family_names
+from storage.simulator import SURVIVED, Simulator
+from storage.specification import BATCH, EMITTERS, STARTS, Family, Repertoire, Specification
+from storage.store_folder import StoreFolder, Tried
+from taichi_nmm.errors import InputError
+
+if TYPE_CHECKING:
+    from ribs.emitters import EvolutionStrategyEmitter
+
+STEP = 0.1  # of an emitter at its start, in widths of the bounds
+CELLS = 8  # of the archive, a measure
+
+Walked = Callable[[int, bool], None]
+"""Called with the runs of a generation, and whether this call made them or an earlier one."""
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
-    """Where the search for a family begins, and how long it is.
+class Generation:
+    """Points that were tried for a family at a time, and what came of them.
 
     Attributes:
-        points: of the grid, [n, 16 + k]: the first generation.
-        generations: after that one.
+        points: [n, p], within the bounds.
+        objective: [n].
+        measures: [n, m].
     """
 
     points: NDArray[np.float64]
-    generations: int
+    objective: NDArray[np.float64]
+    measures: NDArray[np.float64]
+
+    @staticmethod
+    def names(simulator: Simulator) -> list[str]:
+        """Columns of a generation's file."""
+        # Measures are in other worlds than a row's columns of the same names.
+        tried = (f"tried_{name}" for name in simulator.measures)
+        return [*(each.name for each in simulator.parameters), simulator.objective, *tried]
+
+    def columns(self, simulator: Simulator) -> Tried:
+        """All of it by column."""
+        every = np.column_stack([self.points, self.objective, self.measures])
+        return dict(zip(self.names(simulator), every.T, strict=True))
+
+    @staticmethod
+    def of(columns: Tried, simulator: Simulator) -> "Generation":
+        """The generation of a file's columns."""
+        every = np.column_stack([columns[name] for name in Generation.names(simulator)])
+        count = len(simulator.parameters)
+        return Generation(every[:, :count], every[:, count], every[:, count + 1 :])
+
+    @staticmethod
+    def joined(parts: list["Generation"]) -> "Generation":
+        """One generation of several parts."""
+        names = ("points", "objective", "measures")
+        return Generation(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
 
-Walked = Callable[[int, bool], None]
-"""Called with the walks of a generation, and whether this run did them or an earlier one."""
+def evolved_points(
+    folder: StoreFolder, asked: Specification, repertoire: Repertoire, pool: Pool, walked: Walked
+) -> NDArray[np.float64]:
+    """The points of all rows after the grid's, [candidates, p]: kept ones, or found by a search.
+
+    Args:
+        folder: whose grid is complete.
+        asked: the store's specification, as units of work are to be run.
+        repertoire: of the store.
+        pool: that runs the candidates.
+        walked: called with the runs of the search as they are done.
+
+    Raises:
+        InputError: the grid has no point to start from.
+    """
+    kept = folder.read_repertoire()
+    if kept is None:
+        found = _search(folder, asked, repertoire, pool, walked)
+        lengths = {name: len(generations) - 1 for name, generations in found.items()}
+        chosen = choose(found, shares(repertoire.candidates, lengths), asked.simulator)
+        columns = {name: [g.columns(asked.simulator) for g in found[name]] for name in found}
+        folder.write_repertoire(columns, chosen)
+        kept = folder.read_repertoire()
+    else:
+        walked(repertoire.walks, False)
+    folder.finish_search()
+    if kept is None:
+        raise InputError("out", str(folder.path), "a folder whose files stay as they were written")
+    return kept
+
+
+def _search(
+    folder: StoreFolder, asked: Specification, repertoire: Repertoire, pool: Pool, walked: Walked
+) -> dict[str, list[Generation]]:
+    """All generations of all families, those of earlier calls included."""
+    starts = grid_starts(folder, asked, repertoire)
+    parts = -(-pool.slots // len(repertoire.trials))
+    lines = {
+        family.name: Line(
+            asked, family, repertoire.stream(family.name), *starts[family.name], folder, walked
+        )
+        for family in repertoire.trials
+    }
+    units = deque(unit for line in lines.values() for unit in line.next_units(parts))
+    for unit, tried in pool.results(try_points, units):
+        line = lines[unit.family.name]
+        if line.take(unit.part, tried):
+            units.extend(line.next_units(parts))
+    return {name: line.generations for name, line in lines.items()}
+
+
+def grid_starts(
+    folder: StoreFolder, specification: Specification, repertoire: Repertoire
+) -> dict[str, tuple[NDArray[np.float64], int]]:
+    """For each family, the points of the grid that survive it longest, and generations after them.
+
+    The less the grid survives a family, the longer is the search for it.
+
+    Raises:
+        InputError: no point was run on a family.
+    """
+    names = [parameter.name for parameter in specification.simulator.parameters]
+    families = [family.name for family in repertoire.families]
+    survived = [family_names(name, SURVIVED)[0] for name in families]
+    table = folder.read_grid([*names, *survived, *map(evaluated_name, families)])
+    points = np.column_stack([table[name].to_numpy() for name in names])
+    starts, falls = {}, {}
+    for name, column in zip(families, survived, strict=True):
+        run = np.flatnonzero(table[evaluated_name(name)].to_numpy())
+        if not len(run):
+            allowed = f"a grid of which some point is run on the family {name}"
+            raise InputError("samples", specification.samples, allowed)
+        fraction = table[column].to_numpy()[run]
+        best = np.argsort(-fraction, kind="stable")[:STARTS]
+        starts[name], falls[name] = points[run[best]], 1.0 - float(fraction[best].mean())
+    generations = shares(repertoire.generations, falls)
+    return {name: (starts[name], generations[name]) for name in families}
 
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """Some points of a generation, to be walked: a unit of work.
+    """Some points of a generation, to be run: a unit of work.
 
     Attributes:
         specification: of the store.
-        family: the settings to walk them on.
-        part: which of the generation's units it is.
-        points: [n, 16 + k].
+        family: whose worlds they are run in.
+        part: number of the unit in the generation.
+        points: [n, p].
     """
 
     specification: Specification
@@ -57,125 +169,199 @@ class Unit:
 
 def try_points(unit: Unit) -> Generation:
     """The points with what came of them."""
-    rows = walk_family(unit.specification, unit.family, unit.points, lambda part: None)
-    return Generation(unit.points, objective(rows, unit.family.horizon_s), measures(rows))
+    simulator, family = unit.specification.simulator, unit.family
+    rows, _ = simulator.run(unit.points, family.worlds, family.horizon_s, lambda part: None)
+    return Generation(unit.points, *simulator.judge(rows, family.horizon_s))
 
 
-def search(
-    specification: Specification,
-    repertoire: Repertoire,
-    starts: dict[str, Start],
-    files: GenerationFiles,
-    pool: Pool,
-    walked: Walked,
-) -> dict[str, list[Generation]]:
-    """All generations of all families, those of earlier runs included.
-
-    Args:
-        specification: of the store, as units are to be run.
-        repertoire: what to search for.
-        starts: of each family.
-        files: where generations are kept.
-        pool: what walks them.
-        walked: called for every generation.
-    """
-    parts = -(-pool.slots // len(repertoire.trials))
-    lines = {
-        family.name: Line(
-            specification,
-            family,
-            repertoire.stream(family.name),
-            starts[family.name],
-            files,
-            walked,
-        )
-        for family in repertoire.trials
-    }
-    units: deque[Unit] = deque()
-    for line in lines.values():
-        units.extend(line.next_units(parts))
-    for unit, tried in pool.results(try_points, units):
-        line = lines[unit.family.name]
-        if line.take(unit.part, tried):
-            units.extend(line.next_units(parts))
-    return {name: line.generations for name, line in lines.items()}
-
-
-@dataclass(eq=False)
 class Line:
     """The search for one family, as far as it has come.
 
-    Attributes:
+    Args:
         specification: of the store, as units are to be run.
-        family: settings of the search's own.
+        family: with worlds of the search's own.
         seed: of its evolution.
-        start: where it begins.
-        files: where generations are kept.
+        start: points of the grid, [n, p]: the first generation.
+        length: generations after that one.
+        folder: where generations are kept.
         walked: called for every generation.
-        generations: that are done.
     """
 
-    specification: Specification
-    family: Family
-    seed: np.random.SeedSequence
-    start: Start
-    files: GenerationFiles
-    walked: Walked
-    generations: list[Generation] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        parameters = self.specification.parameters
-        self._low, self._high = lower_bounds(parameters), upper_bounds(parameters)
-        self._evolution = Evolution(len(parameters), self.seed)
+    def __init__(
+        self,
+        specification: Specification,
+        family: Family,
+        seed: np.random.SeedSequence,
+        start: NDArray[np.float64],
+        length: int,
+        folder: StoreFolder,
+        walked: Walked,
+    ) -> None:
+        """No generation is known yet."""
+        self.generations: list[Generation] = []
+        self._specification, self._family = specification, family
+        self._start, self._length = start, length
+        self._folder, self._walked = folder, walked
+        self._evolution = Evolution(specification.simulator, seed)
         self._done: dict[int, Generation] = {}
         self._parts = 0
 
     def next_units(self, parts: int) -> list[Unit]:
-        """What has to be walked next, in so many units; nothing when the search is over.
+        """What has to be run next, in so many units; nothing when the search is over.
 
-        Generations that are kept in files are taken from there.
+        Generations that are kept in files are taken from there. On another machine the search may
+        ask other points, in their last bits: then a file is not of this generation, and it and
+        later ones are tried again.
         """
-        while len(self.generations) <= self.start.generations:
-            points = self._asked()
-            kept = self.files.read(self.family.name, len(self.generations), points)
-            if kept is None:
+        simulator, name = self._specification.simulator, self._family.name
+        while (number := len(self.generations)) <= self._length:
+            points = self._evolution.ask() if self.generations else self._start
+            columns = self._folder.read_generation(name, number, Generation.names(simulator))
+            kept = None if columns is None else Generation.of(columns, simulator)
+            if kept is None or not np.array_equal(kept.points, points):
                 stretches = np.array_split(points, parts)
                 self._done, self._parts = {}, len(stretches)
                 return [
-                    Unit(self.specification, self.family, part, stretch)
+                    Unit(self._specification, self._family, part, stretch)
                     for part, stretch in enumerate(stretches)
                 ]
             self._tell(kept, now=False)
         return []
 
     def take(self, part: int, tried: Generation) -> bool:
-        """What came of a unit; whether it was the generation's last one, which is then kept."""
+        """Take what came of a unit; True: the generation is complete, and kept."""
         self._done[part] = tried
         if len(self._done) < self._parts:
             return False
-        whole = joined([self._done[part] for part in range(self._parts)])
-        self.files.write(self.family.name, len(self.generations), whole)
+        whole = Generation.joined([self._done[part] for part in range(self._parts)])
+        columns = whole.columns(self._specification.simulator)
+        self._folder.write_generation(self._family.name, len(self.generations), columns)
         self._tell(whole, now=True)
         return True
 
-    def _asked(self) -> NDArray[np.float64]:
-        if not self.generations:
-            return self.start.points
-        points: NDArray[np.float64] = self._low + self._evolution.ask() * (self._high - self._low)
-        return points
-
     def _tell(self, tried: Generation, now: bool) -> None:
-        unit = (tried.points - self._low) / (self._high - self._low)
-        tell = self._evolution.tell if self.generations else self._evolution.begin
-        tell(unit, tried.objective, tried.measures)
+        self._evolution.tell(tried)
         self.generations.append(tried)
-        self.walked(len(tried.points) * self.family.settings, now)
+        self._walked(len(tried.points) * self._family.settings, now)
 
 
-def joined(stretches: list[Generation]) -> Generation:
-    """One generation of several."""
-    return Generation(
-        np.concatenate([stretch.points for stretch in stretches]),
-        np.concatenate([stretch.objective for stretch in stretches]),
-        np.concatenate([stretch.measures for stretch in stretches]),
-    )
+class Evolution:
+    """An archive of candidates, and the evolution strategies (CMA-ES) that fill it.
+
+    What it asks depends on the seed and on what it was told, on nothing else. The library works on
+    the unit cube.
+
+    Args:
+        simulator: whose parameters are searched, and whose measures the archive covers.
+        seed: of all draws.
+    """
+
+    def __init__(self, simulator: Simulator, seed: np.random.SeedSequence) -> None:
+        """Nothing is known yet."""
+        from ribs.archives import GridArchive  # here: it compiles, and most stores do without
+
+        own, *self._seeds = map(int, seed.generate_state(1 + EMITTERS))
+        self._parameters = simulator.parameters
+        self._archive: GridArchive = GridArchive(
+            solution_dim=len(self._parameters),
+            dims=(CELLS,) * len(simulator.measures),
+            ranges=tuple(simulator.measures.values()),
+            seed=own,
+        )
+        self._emitters: list[EvolutionStrategyEmitter] = []
+
+    def ask(self) -> NDArray[np.float64]:
+        """The next generation, [GENERATION, p]."""
+        unit = folded(np.concatenate([emitter.ask() for emitter in self._emitters]))
+        return within_bounds(unit, self._parameters)
+
+    def tell(self, tried: Generation) -> None:
+        """What came of the generation that was asked last; or first, of the points to start from.
+
+        Emitters begin at the best of these.
+        """
+        points = in_unit_cube(tried.points, self._parameters)
+        added = self._archive.add(points, tried.objective, tried.measures)
+        if not self._emitters:
+            best = points[np.argsort(-tried.objective, kind="stable")]
+            self._emitters = [
+                self._emitter(best[number % len(best)], seed)
+                for number, seed in enumerate(self._seeds)
+            ]
+            return
+        for number, emitter in enumerate(self._emitters):
+            own = slice(number * BATCH, (number + 1) * BATCH)
+            told = {name: values[own] for name, values in added.items()}
+            emitter.tell(points[own], tried.objective[own], tried.measures[own], told)
+
+    def _emitter(self, start: NDArray[np.float64], seed: int) -> "EvolutionStrategyEmitter":
+        from ribs.emitters import EvolutionStrategyEmitter
+
+        return EvolutionStrategyEmitter(
+            self._archive,
+            x0=start,
+            sigma0=STEP,
+            ranker="2imp",  # new cells first, then by what a cell gained
+            batch_size=BATCH,
+            seed=seed,
+        )
+
+
+def folded(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points beyond the unit cube's faces, reflected into it.
+
+    The library would draw until all are inside, for ever where a wide strategy sits in a corner.
+    """
+    return 1.0 - np.abs(np.mod(points, 2.0) - 1.0)
+
+
+def choose(
+    found: dict[str, list[Generation]], shares: dict[str, int], simulator: Simulator
+) -> dict[str, NDArray[np.int64]]:
+    """Candidates of each family that become rows of the store.
+
+    Half of a family's are the best of a cell each, which keeps ways to succeed apart; the others
+    the best of all, however alike: of two that do the same in the search's worlds, one may survive
+    in a world where the other fails. The grid's own points are rows already.
+
+    Args:
+        found: generations by family; the first one is the grid's.
+        shares: how many of a family, by its name.
+        simulator: whose measures make the cells.
+
+    Returns:
+        By family, numbers of points, counted through its generations; the best come first.
+    """
+    chosen = {}
+    for family, generations in found.items():
+        share = shares[family]
+        objective = np.concatenate([one.objective for one in generations])
+        cell = _cells(np.concatenate([one.measures for one in generations]), simulator)
+        best = np.argsort(-objective, kind="stable")
+        best = best[best >= len(generations[0].points)]
+        _, first = np.unique(cell[best], return_index=True)
+        elites = best[np.sort(first)][: share // 2]
+        others = best[~np.isin(best, elites)][: share - len(elites)]
+        both = np.concatenate([elites, others])
+        chosen[family] = both[np.argsort(-objective[both], kind="stable")]
+    return chosen
+
+
+def _cells(measured: NDArray[np.float64], simulator: Simulator) -> NDArray[np.int64]:
+    """Numbers of the archive's cells that measures [n, m] lie in, [n]; beyond: the last one."""
+    low, high = np.transpose(list(simulator.measures.values()))
+    place = (measured - low) / (high - low) * CELLS
+    inside = np.clip(place.astype(np.int64), 0, CELLS - 1)
+    return np.asarray(np.ravel_multi_index(tuple(inside.T), (CELLS,) * len(low)), dtype=np.int64)
+
+
+def shares(whole: int, weights: dict[str, float] | dict[str, int]) -> dict[str, int]:
+    """Parts of a whole in proportion to weights, each at least 1; the largest remainders go up."""
+    total, rest = sum(weights.values()), whole - len(weights)
+    equal = 1.0 / len(weights)
+    exact = {key: rest * (value / total if total else equal) for key, value in weights.items()}
+    parts = {key: 1 + int(value) for key, value in exact.items()}
+    left = whole - sum(parts.values())
+    for key in sorted(exact, key=lambda key: int(exact[key]) - exact[key])[:left]:
+        parts[key] += 1
+    return parts

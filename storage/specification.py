@@ -1,110 +1,196 @@
 """What a store holds: everything that decides its numbers, and nothing else.
 
-Architecture and threads are not part of it, so a store begun on one machine is finished on another.
+Points of a simulator's parameters are run in one world, the *base setting*. Those that last are run
+in the worlds of *families*; a *repertoire* adds candidates that a search bred for families.
+Architecture and threads are no part of it, so another machine can finish a store.
 """
 
-from dataclasses import dataclass
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
+from zlib import crc32
 
+import numpy as np
 import pyarrow as pa
 
-from storage.digests import body_document, terrain_document, world_document
 from storage.document import FORMAT, document_hash
-from storage.families import (
-    LONGEST_DURATION_S,
-    ROBUST,
-    SHORTEST_DURATION_S,
-    Family,
-    read_families,
+from storage.points import (
+    BASE_WORLD,
+    EVOLUTION,
+    FAMILY_WORLD,
+    LARGEST_SEQUENCE,
+    TRIAL_WORLDS,
+    seed_sequence,
 )
-from storage.repertoire import Repertoire, read_repertoire
-from storage.schema import arrow_schema, columns_of
-from storage.searched import searched_parameters
-from storage.seeds import BODY, TERRAIN, WORLD, seed_sequence
-from storage.sobol import LARGEST_SEQUENCE
-from taichi_nmm import __version__
-from taichi_nmm.body import Bodies
-from taichi_nmm.conditions import Conditions, read_conditions
+from storage.schema import ORIGIN, arrow_schema, columns_of
+from storage.simulator import (
+    END,
+    LASTED,
+    SIMULATOR_KEY,
+    SURVIVED,
+    WALKER,
+    Simulator,
+    WorldRule,
+    Worlds,
+    find_simulator,
+)
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
-from taichi_nmm.mujoco_engine import require_mujoco
-from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
-from taichi_nmm.settings import OWN_ENGINE
-from taichi_nmm.terrain import Terrain
-from taichi_nmm.world import Worlds
 
-DURATION_S = 5.0  # of the base setting, where the file names none
+HORIZON_S = 5.0  # of the base setting, where the configuration names none
+SHORTEST_HORIZON_S, LONGEST_HORIZON_S = 0.1, 1000.0
 SHARD_ROWS = 4096  # seconds of work on two cores, and a few MB
-CANDIDATE_SHARD_ROWS = 64  # at most: nearly all of them walk to the end of every family
+CANDIDATE_SHARD_ROWS = 64  # at most: nearly all candidates run to the end of every family
+
+ROBUST = "robust"  # the family that has a table of its own
+NAME_PATTERN = r"[a-z][a-z0-9_]*"
+MOST_WORLDS = 64  # of a family
+
+LIBRARY = "ribs"  # of quality-diversity optimisation
+EMITTERS = 4  # evolution strategies of a search, each begun elsewhere
+BATCH = 24  # points of an emitter in a generation: twice what CMA-ES takes in 16 dimensions
+GENERATION = EMITTERS * BATCH  # points that a search tries at a time
+STARTS = 2 * GENERATION  # points of the grid that a search may begin with
+SEARCH_WORLDS = 8  # of a family, for a candidate: fewer find gaits for these worlds alone
+LARGEST_NUMBER = 2**30  # of runs, or of candidates
 
 
 @dataclass(frozen=True, eq=False)
-class Specification:
-    """A store to be computed: points, shards, physics, and the settings they are run on.
+class Family:
+    """Worlds in which every point that lasts `min_survival_s` is run for `horizon_s`.
 
-    It pickles: any process computes a shard from it.
+    A family that comes after another one is for the few that survive that: more worlds, longer.
+    All points share the worlds.
 
     Attributes:
-        samples: points.
-        shard_rows: points of a shard; the last may have fewer.
-        seed: of the Sobol sequence, and of the body and the terrain where they are drawn.
-        conditions: under which every point is run, the base setting.
-        families: further settings for the points that survive.
-        searched: low-level gains that are part of the points, after the 16 gains.
-        repertoire: how candidates beyond the grid are found; None: there are none.
+        name: at the beginning of its columns.
+        settings: number of worlds.
+        min_survival_s: how long a point must last in the base setting.
+        after: another family that a point must have survived; "": none.
+        min_survived_fraction: how much of that family's horizon, on average over its worlds.
+        horizon_s: of every run.
+        seed: of the worlds.
+        rule: by which worlds are drawn.
+    """
+
+    name: str
+    settings: int
+    min_survival_s: float
+    after: str
+    min_survived_fraction: float
+    horizon_s: float
+    seed: int
+    rule: WorldRule
+
+    @cached_property
+    def worlds(self) -> Worlds:
+        """Its worlds, drawn."""
+        seeds = [seed_sequence(self.seed, FAMILY_WORLD, index) for index in range(self.settings)]
+        return self.rule.draw(seeds)
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """All of it but the name as JSON values."""
+        stage = {"after": self.after, "min_survived_fraction": self.min_survived_fraction}
+        return {
+            "settings": self.settings,
+            "min_survival_s": self.min_survival_s,
+            **(stage if self.after else {}),  # the keys are newer than many stores
+            "horizon_s": self.horizon_s,
+            "seed": self.seed,
+            **self.rule.document(self.worlds),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Repertoire:
+    """A search around what survives in the grid, and how much of what it finds the store keeps.
+
+    Attributes:
+        evaluations: runs of the whole search: so many candidates times `settings`.
+        candidates: rows that the store gets.
+        seed: of the search, and of the worlds that candidates are tried in.
+        settings: worlds that a candidate is tried in, of the one family that it is bred for.
+        families: that candidates are bred for; none of them comes after another.
+    """
+
+    evaluations: int
+    candidates: int
+    seed: int
+    settings: int
+    families: tuple[Family, ...]
+
+    @cached_property
+    def trials(self) -> tuple[Family, ...]:
+        """The families with worlds of the search's own, [f].
+
+        A candidate is chosen for what it does in these, and measured in the family's own.
+        """
+        return tuple(
+            replace(family, settings=self.settings, seed=self._trial_seed(family.name))
+            for family in self.families
+        )
+
+    @property
+    def generations(self) -> int:
+        """Of all families, after those that are the grid's."""
+        points = self.evaluations // self.settings
+        return (points - STARTS * len(self.families)) // GENERATION
+
+    @property
+    def walks(self) -> int:
+        """Runs of the whole search; fewer than were asked for: generations are whole."""
+        return (STARTS * len(self.families) + self.generations * GENERATION) * self.settings
+
+    def stream(self, family: str) -> np.random.SeedSequence:
+        """Of the search for a family."""
+        return seed_sequence(self.seed, EVOLUTION, crc32(family.encode()))
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """All of it as JSON values."""
+        return {
+            "evaluations": self.evaluations,
+            "candidates": self.candidates,
+            "seed": self.seed,
+            "settings": self.settings,
+            "families": {family.name: family.document for family in self.trials},
+            "library": f"{LIBRARY} {library_version()}",  # another version evolves other candidates
+        }
+
+    def _trial_seed(self, family: str) -> int:
+        """Another family of the store does not change it."""
+        sequence = seed_sequence(self.seed, TRIAL_WORLDS, crc32(family.encode()))
+        return int(sequence.generate_state(1, np.uint64)[0])
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which rows are in which shard: those of the grid, then those of the candidates.
+
+    Attributes:
+        samples: points of the grid.
+        shard_rows: points of a shard of the grid; the last may have fewer.
+        candidates: rows after those of the grid.
     """
 
     samples: int
     shard_rows: int
-    seed: int
-    conditions: Conditions
-    families: tuple[Family, ...] = ()
-    searched: tuple[Parameter, ...] = ()
-    repertoire: Repertoire | None = None
+    candidates: int
 
-    @cached_property
-    def body(self) -> Bodies:
-        """The one of the base setting."""
-        return self.conditions.body(seed_sequence(self.seed, BODY))
-
-    @cached_property
-    def terrain(self) -> Terrain:
-        """The one of the base setting."""
-        return self.conditions.terrain(seed_sequence(self.seed, TERRAIN))
-
-    @cached_property
-    def world(self) -> Worlds:
-        """The one of the base setting."""
-        return self.conditions.world(seed_sequence(self.seed, WORLD))
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """What a point consists of, [16 + k]."""
-        return (*GAINS, *self.searched)
-
-    @property
-    def schema(self) -> pa.Schema:
-        """The columns of every shard."""
-        searched = [parameter.name for parameter in self.searched]
-        families = [family.name for family in self.families]
-        return arrow_schema(searched, families, origin=self.repertoire is not None)
-
-    @property
-    def candidates(self) -> int:
-        """Rows after those of the grid."""
-        return self.repertoire.candidates if self.repertoire else 0
+    @staticmethod
+    def of(document: dict[str, Any]) -> "Layout":
+        """The layout of a specification's document."""
+        candidates = document.get("repertoire", {}).get("candidates", 0)
+        return Layout(document["samples"], document["shard_rows"], candidates)
 
     @property
     def rows(self) -> int:
-        """Rows of the finished store."""
+        """Of the finished store."""
         return self.samples + self.candidates
-
-    @property
-    def walkers(self) -> int:
-        """What there is to do, as progress counts it: rows, and walks of the search."""
-        return self.rows + (self.repertoire.walks if self.repertoire else 0)
 
     @property
     def grid_shards(self) -> int:
@@ -112,48 +198,101 @@ class Specification:
         return -(-self.samples // self.shard_rows)
 
     @property
-    def shard_count(self) -> int:
-        """Shards of the finished store."""
-        return self.grid_shards - (-self.candidates // self.candidate_shard_rows)
-
-    @property
-    def candidate_shard_rows(self) -> int:
-        """Candidates of a shard; the last may have fewer."""
-        return min(self.shard_rows, CANDIDATE_SHARD_ROWS)
+    def shards(self) -> int:
+        """Of the finished store."""
+        return self.grid_shards - (-self.candidates // self._candidate_rows)
 
     def shard_range(self, number: int) -> tuple[int, int]:
         """First row of a shard, and how many it has."""
         start, rows, end = 0, self.shard_rows, self.samples
         if number >= self.grid_shards:
-            start, rows, end = self.samples, self.candidate_shard_rows, self.rows
+            start, rows, end = self.samples, self._candidate_rows, self.rows
             number -= self.grid_shards
         first = start + number * rows
         return first, min(rows, end - first)
 
+    @property
+    def _candidate_rows(self) -> int:
+        return min(self.shard_rows, CANDIDATE_SHARD_ROWS)
+
+
+@dataclass(frozen=True, eq=False)
+class Specification:
+    """A store to be computed. It pickles: any process computes a shard from it.
+
+    Attributes:
+        simulator: that runs the points, with its settings.
+        samples: points of the grid.
+        shard_rows: points of a shard; the last may have fewer.
+        seed: of the Sobol sequence, and of the world of the base setting.
+        horizon_s: of the base setting.
+        rule: by which the world of the base setting is drawn.
+        families: of worlds, for the points that last in the base setting.
+        repertoire: how candidates beyond the grid are found; None: there are none.
+    """
+
+    simulator: Simulator
+    samples: int
+    shard_rows: int
+    seed: int
+    horizon_s: float
+    rule: WorldRule
+    families: tuple[Family, ...] = ()
+    repertoire: Repertoire | None = None
+
+    @cached_property
+    def worlds(self) -> Worlds:
+        """The one world of the base setting."""
+        return self.rule.draw([seed_sequence(self.seed, BASE_WORLD)])
+
+    @property
+    def schema(self) -> pa.Schema:
+        """The columns of every shard."""
+        families = [family.name for family in self.families]
+        return arrow_schema(self.simulator, families, origin=self.repertoire is not None)
+
+    @property
+    def layout(self) -> Layout:
+        """Which rows are in which shard."""
+        candidates = self.repertoire.candidates if self.repertoire else 0
+        return Layout(self.samples, self.shard_rows, candidates)
+
+    @property
+    def walkers(self) -> int:
+        """All work, as progress counts it: rows, and runs of the search."""
+        return self.layout.rows + (self.repertoire.walks if self.repertoire else 0)
+
+    def on_one_thread(self) -> "Specification":
+        """The same for one of several processes of a machine; no number depends on it."""
+        return replace(self, simulator=self.simulator.on_one_thread())
+
     @cached_property
     def document(self) -> dict[str, Any]:
-        """All of it as JSON values: what specification.json and the footers carry."""
+        """All of it as JSON values, which specification.json and the footers hold.
+
+        Its hash depends on the order of keys. Keys that are newer than many stores appear only
+        where they are needed, so that these stores can be finished.
+        """
+        simulator, own = self.simulator, self.simulator.document()
+        families = {family.name: family.document for family in self.families}
+        robust = families.pop(ROBUST, None)
         return {
             "format": FORMAT,
-            "code_version": __version__,  # shards of two simulators must not mix
+            "code_version": simulator.code_version,
+            **({} if simulator.name == WALKER else {SIMULATOR_KEY: simulator.name}),
             "samples": self.samples,
             "shard_rows": self.shard_rows,
             "seed": self.seed,
             "gains": {
-                gain.name: {"low": float(gain.low), "high": float(gain.high)}
-                for gain in self.parameters
+                parameter.name: {"low": float(parameter.low), "high": float(parameter.high)}
+                for parameter in simulator.parameters
             },
-            "low_level_gains": {
-                gain.name: float(gain.default)
-                for gain in LOW_LEVEL_GAINS
-                if gain not in self.searched
-            },
-            "simulation": self.conditions.simulation_document(),
-            "terrain": terrain_document((self.terrain,)),
-            "body": body_document(self.conditions.disturbance, self.body),
-            **world_document(self.conditions.world_ranges, self.world),
-            **self._family_documents(),
-            **self._engine_document(),
+            **own,
+            "simulation": {"duration_s": self.horizon_s, **own.get("simulation", {})},
+            **self.rule.document(self.worlds),
+            "robust": robust,
+            **({"families": families} if families else {}),
+            **simulator.versions(),
             **({"repertoire": self.repertoire.document} if self.repertoire else {}),
             "columns": columns_of(self.schema),
         }
@@ -162,20 +301,6 @@ class Specification:
     def hash(self) -> str:
         """SHA-256 of the document."""
         return document_hash(self.document)
-
-    def _engine_document(self) -> dict[str, Any]:
-        """The version of another engine than our own: shards of two must not mix."""
-        engine = self.conditions.settings.engine
-        if engine == OWN_ENGINE:
-            return {}
-        require_mujoco()
-        return {"engine_version": version(engine)}
-
-    def _family_documents(self) -> dict[str, Any]:
-        """The key "families" is newer than many stores, so it appears only where it is needed."""
-        documents = {family.name: family.document for family in self.families}
-        robust = documents.pop(ROBUST, None)
-        return {"robust": robust} | ({"families": documents} if documents else {})
 
 
 def read_specification(
@@ -189,24 +314,24 @@ def read_specification(
     configured = table.integer("samples", low=1, high=LARGEST_SEQUENCE)
     seed = table.integer("seed", 0)
     shard_rows = table.integer("shard_rows", SHARD_ROWS, 1, LARGEST_SEQUENCE)
-    conditions = read_conditions(
-        table,
-        duration_s=DURATION_S,
-        shortest_s=SHORTEST_DURATION_S,
-        longest_s=LONGEST_DURATION_S,
-        arch=arch,
-    )
-    families = read_families(table, conditions.duration_s)
-    searched = searched_parameters(table.texts("searched"))
-    repertoire = read_repertoire(table, families)
+    simulation = table.table("simulation")
+    horizon_s = simulation.number("duration_s", HORIZON_S, SHORTEST_HORIZON_S, LONGEST_HORIZON_S)
+    kind = find_simulator(table.text(SIMULATOR_KEY, WALKER))
+    simulator = kind.read(simulation, table.texts("searched"), arch)
+    simulation.done()
+    _check_columns(simulator)
+    rule = simulator.read_worlds(table)
+    families = _read_families(table, simulator, horizon_s)
+    repertoire = _read_repertoire(table, simulator, families)
     table.done()
     return Specification(
-        samples=_checked_samples(configured if samples is None else samples),
+        simulator=simulator,
+        samples=configured if samples is None else _checked_samples(samples),
         shard_rows=shard_rows,
         seed=seed,
-        conditions=conditions,
+        horizon_s=horizon_s,
+        rule=rule,
         families=families,
-        searched=searched,
         repertoire=repertoire,
     )
 
@@ -215,3 +340,141 @@ def _checked_samples(samples: int) -> int:
     if not 1 <= samples <= LARGEST_SEQUENCE:
         raise InputError("samples", samples, f"a whole number from 1 to {LARGEST_SEQUENCE}")
     return samples
+
+
+def _check_columns(simulator: Simulator) -> None:
+    """Refuse a simulator without the columns that every store reads."""
+    names = simulator.columns.names or ()
+    if not {LASTED, END, SURVIVED} <= set(names) or SURVIVED not in simulator.scores:
+        allowed = f"rows with {LASTED}, {END} and {SURVIVED}, the last one a score"
+        raise InputError(SIMULATOR_KEY, simulator.name, allowed)
+
+
+def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tuple[Family, ...]:
+    """The tables [robust] and [families.<name>] of a store: robust first, the others by name.
+
+    Families that come after another one are last.
+
+    Args:
+        table: the store's top table.
+        simulator: of the store.
+        horizon_s: of the base setting.
+
+    Raises:
+        InputError: a name that cannot begin columns, a setting out of range, or a family after one
+            that does not exist.
+    """
+    robust = table.table(ROBUST)
+    count = robust.integer("settings", 0, 0, MOST_WORLDS)
+    families = [_read_family(ROBUST, robust, count, simulator, horizon_s)] if count else []
+    robust.done()
+    others = table.table("families")
+    for name in sorted(others.unread):
+        _check_name(name, arrow_schema(simulator).names)
+        family = others.table(name)
+        count = family.integer("settings", low=1, high=MOST_WORLDS)
+        families.append(_read_family(name, family, count, simulator, horizon_s))
+        family.done()
+    first = [member.name for member in families if not member.after]
+    later = [member for member in families if member.after]
+    for member in later:
+        if member.after not in first:
+            allowed = f"a family that comes after none: {', '.join(first) or 'there is none'}"
+            raise InputError(f"families.{member.name}.after", member.after, allowed)
+    return (*(member for member in families if not member.after), *later)
+
+
+def _check_name(name: str, columns: Sequence[str]) -> None:
+    """Refuse a name whose columns could be taken for others."""
+    allowed = "lower-case letters, digits and '_', first a letter"
+    if not re.fullmatch(NAME_PATTERN, name):
+        raise InputError("families", name, allowed)
+    if name == ROBUST:
+        raise InputError("families", name, "another name; this family is the table [robust]")
+    for column in columns:
+        if f"{column}_".startswith(f"{name}_"):
+            raise InputError("families", name, f"a name that does not begin a column's ({column})")
+
+
+def _read_family(
+    name: str, table: Table, count: int, simulator: Simulator, horizon_s: float
+) -> Family:
+    after = table.text("after", "") if name != ROBUST else ""
+    fraction = table.number("min_survived_fraction", low=0.0, high=1.0) if after else 0.0
+    return Family(
+        name=name,
+        settings=count,
+        min_survival_s=table.number("min_survival_s", 3.0, 0.0, horizon_s),
+        after=after,
+        min_survived_fraction=fraction,
+        horizon_s=table.number("horizon_s", 8.0, SHORTEST_HORIZON_S, LONGEST_HORIZON_S),
+        seed=table.integer("seed", 0),
+        rule=simulator.read_worlds(table),
+    )
+
+
+def _read_repertoire(
+    table: Table, simulator: Simulator, families: tuple[Family, ...]
+) -> Repertoire | None:
+    """The table [repertoire] of a store, or None where there is none. Reads every key.
+
+    Args:
+        table: the store's top table.
+        simulator: of the store.
+        families: of the store.
+
+    Raises:
+        InputError: a value out of range, no family to breed for or one that does not exist, fewer
+            evaluations than the candidates take, or a simulator that measures nothing.
+    """
+    own = table.table("repertoire")
+    if not own.unread:
+        return None
+    if not simulator.measures:
+        raise InputError("repertoire", simulator.name, "a simulator that has measures")
+    first = {family.name: family for family in families if not family.after}
+    names = own.texts("families") or tuple(first)
+    for name in names:
+        if name not in first:
+            allowed = f"families that come after none: {', '.join(first) or 'there is none'}"
+            raise InputError(own.path("families"), name, allowed)
+    if not first:
+        raise InputError("repertoire", "no family", "a store with [families.<name>] or [robust]")
+    if any(f"{ORIGIN}_".startswith(f"{family.name}_") for family in families):
+        raise InputError("families", ORIGIN, "another name; it is a column of this store")
+    repertoire = Repertoire(
+        evaluations=own.integer("evaluations", 100_000, 1, LARGEST_NUMBER),
+        candidates=own.integer("candidates", 2000, 1, LARGEST_NUMBER),
+        seed=own.integer("seed", 0),
+        settings=own.integer("settings", SEARCH_WORLDS, 1, MOST_WORLDS),
+        families=tuple(first[name] for name in sorted(names)),
+    )
+    own.done()
+    _check_evaluations(repertoire)
+    return repertoire
+
+
+def _check_evaluations(repertoire: Repertoire) -> None:
+    """Refuse a search that would have to keep more than half of what it tries."""
+    families = len(repertoire.families)
+    if repertoire.candidates < families:
+        allowed = f"at least {families}, one a family"
+        raise InputError("repertoire.candidates", repertoire.candidates, allowed)
+    generations = max(families, -(-2 * repertoire.candidates // GENERATION))
+    least = (STARTS * families + generations * GENERATION) * repertoire.settings
+    if repertoire.evaluations < least:
+        allowed = f"at least {least} for {repertoire.candidates} candidates"
+        raise InputError("repertoire.evaluations", repertoire.evaluations, allowed)
+
+
+def library_version() -> str:
+    """The version of the library that searches.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        return version(LIBRARY)
+    except PackageNotFoundError:
+        allowed = f"an environment with {LIBRARY}: pip install 'taichi-nmm[repertoire]'"
+        raise InputError(LIBRARY, "missing", allowed) from None

@@ -1,4 +1,4 @@
-"""Reading a store: a finished folder, one shard of it, or a merged file."""
+"""A store: its manifest and its shards as files, and reading them: whole, one shard, or merged."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -7,20 +7,84 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from storage.document import document_hash
-from storage.manifest import MANIFEST_NAME, Manifest
+from storage.commit import commit_json
+from storage.document import FORMAT, document_hash
 from storage.schema import columns_of
-from storage.shard import SHARD_PATTERN, file_hash, read_columns, read_footer, write_table
-from storage.stored import check_specification
+from storage.simulator import SIMULATOR_KEY, WALKER, known_simulator
+from storage.tables import file_hash, footer_of, read_columns, write_table
 from taichi_nmm import checks
+from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
-from taichi_nmm.reading import is_folder
+from taichi_nmm.reading import is_folder, json_document, reading
 
 if TYPE_CHECKING:
     import pandas
+
+MANIFEST_NAME = "manifest.json"
+SHARD_PATTERN = "part-*.parquet"
+FOOTER_NEEDS = {"format", "rows", "shard", "specification", "specification_hash"}
+
+
+def shard_name(number: int) -> str:
+    """File name of a shard."""
+    return f"part-{number:05d}.parquet"
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """Content of manifest.json.
+
+    Attributes:
+        specification: what was computed.
+        rows: of the whole store.
+        hashes: SHA-256 by file name, in the order of the rows.
+    """
+
+    specification: dict[str, Any]
+    rows: int
+    hashes: dict[str, str]
+
+    def write(self, folder: Path) -> None:
+        """Commit it to a folder."""
+        document = {
+            "format": FORMAT,
+            "specification_hash": document_hash(self.specification),
+            "rows": self.rows,
+            "shards": [{"file": name, "sha256": value} for name, value in self.hashes.items()],
+            "specification": self.specification,
+        }
+        commit_json(folder / MANIFEST_NAME, document)
+
+    @staticmethod
+    def read(folder: Path) -> "Manifest":
+        """The manifest of a folder.
+
+        Raises:
+            InputError: there is none (the store is not finished), or it is damaged.
+        """
+        path = folder / MANIFEST_NAME
+        allowed = "a finished store, which has an undamaged manifest: run precompute.py again"
+        document = json_document("store", path, allowed)
+        with reading("store", path, allowed):
+            return _sound(document)
+
+
+def _sound(document: dict[str, Any]) -> Manifest:
+    """What a manifest says, unless it is none; then whatever is raised tells why."""
+    if document["format"] != FORMAT:
+        raise ValueError(f"of format {document['format']!r}, not {FORMAT}")
+    specification, rows = document["specification"], document["rows"]
+    if document_hash(specification) != document["specification_hash"]:
+        raise ValueError("its specification has another hash")
+    hashes = {shard["file"]: shard["sha256"] for shard in document["shards"]}
+    if not hashes or list(hashes) != [shard_name(number) for number in range(len(hashes))]:
+        raise ValueError("its shards are not part-00000.parquet and so on, in the same folder")
+    if not all(isinstance(value, str) for value in hashes.values()) or type(rows) is not int:
+        raise ValueError("rows or hashes that are none")
+    return Manifest(specification, rows, hashes)
 
 
 @dataclass(frozen=True)
@@ -94,10 +158,14 @@ class Store:
         return np.column_stack([table[name].to_numpy() for name in self.gain_names])
 
     def require_bounds(self) -> None:
-        """Refuse a store whose points were drawn from other bounds than those of this version."""
+        """Refuse a store whose points were drawn from other bounds than those of this version.
+
+        Raises:
+            InputError: naming the parameter; or a simulator that this project does not have.
+        """
         stored = self.specification["gains"]
-        searched = [gain for gain in LOW_LEVEL_GAINS if gain.name in stored]
-        current = {gain.name: {"low": gain.low, "high": gain.high} for gain in (*GAINS, *searched)}
+        parameters = known_simulator(self.specification).parameters_of(tuple(stored))
+        current = {each.name: {"low": each.low, "high": each.high} for each in parameters}
         for name in dict.fromkeys([*current, *stored]):
             if stored.get(name) != current.get(name):
                 allowed = f"{current.get(name)}, the bounds of this version; compute a new store"
@@ -198,3 +266,52 @@ def _common(footers: tuple[dict[str, Any], ...], key: str) -> Any:
 def _as_numpy(column: pa.ChunkedArray) -> NDArray[Any]:
     values: NDArray[Any] = column.to_numpy()
     return values.astype(np.str_) if values.dtype == object else values
+
+
+def read_footer(path: Path) -> tuple[dict[str, Any], pa.Schema]:
+    """Footer and columns of a shard or a merged file.
+
+    Raises:
+        InputError: missing, truncated, not Parquet, or not of this project.
+    """
+    allowed = "a Parquet file that is whole"
+    with reading("store", path, allowed) as whole, pq.ParquetFile(whole) as file:
+        footer, schema, rows = footer_of(file), file.schema_arrow, file.metadata.num_rows
+        schema.names  # noqa: B018  # refuses those that are no text
+    if footer is None or not footer.keys() >= FOOTER_NEEDS:
+        raise InputError("store", str(path), "a file whose footer has a store's specification")
+    if footer["format"] != FORMAT:
+        raise InputError("store", str(path), f"format {FORMAT}, not {footer['format']!r}")
+    if footer["rows"] != rows:
+        raise InputError("store", str(path), f"a file of {footer['rows']!r} rows, not {rows}")
+    footer["rows"] = rows  # a whole number, which 1.0 or true are not
+    return footer, schema.remove_metadata()
+
+
+def check_specification(specification: Any, where: str) -> None:
+    """Refuse a specification without what readers of stores take from it.
+
+    Args:
+        specification: as JSON gave it.
+        where: the file that it stands in, for messages.
+
+    Raises:
+        InputError: naming the file and the key.
+    """
+    if not isinstance(specification, dict):
+        raise InputError(where, specification, "a specification, which is an object")
+    table = Table(specification, where)
+    columns = [column.partition(":")[0] for column in table.texts("columns")]
+    gains = table.table("gains")
+    if not gains.unread or not set(gains.unread) <= set(columns):
+        raise InputError(f"{where}.gains", list(gains.unread), "names of columns, one at least")
+    for name in gains.unread:
+        ends = gains.table(name)
+        ends.number("low", high=ends.number("high"))
+    table.table("simulation").number("duration_s")
+    table.text(SIMULATOR_KEY, WALKER)
+    families = table.table("families")
+    for name in families.unread:
+        families.table(name)
+    if specification.get("robust") is not None:
+        table.table("robust")

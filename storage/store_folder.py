@@ -1,4 +1,4 @@
-"""The folder of a store. The folder is the state; this class knows every file in it.
+"""The folder of a store that is being filled. The folder is the state; this class knows its files.
 
 specification.json   written first: what the store is to hold
 part-00000.parquet   a shard; done when it opens, is undamaged and its footer is as expected
@@ -9,121 +9,150 @@ kind.json            of a store that a cluster fills: what its workers compute w
 .lock                held by the one process that writes
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cached_property
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
-from storage.chosen import REPERTOIRE_NAME, RepertoireFile
-from storage.claim import claimed, remove
-from storage.document import FORMAT, agree, document_hash
-from storage.generation_files import GENERATION_PATTERN, GenerationFiles
-from storage.kind import KIND_NAME
-from storage.manifest import MANIFEST_NAME, Manifest
+from storage.document import FORMAT, document_hash
+from storage.folder import Folder, remove
+from storage.pool import KIND_NAME
 from storage.schema import columns_of
-from storage.shard import (
-    SHARD_PATTERN,
-    file_hash,
-    read_columns,
-    read_footer,
-    shard_name,
-    write_table,
-)
-from storage.specification import Specification
+from storage.specification import Layout
+from storage.store import MANIFEST_NAME, SHARD_PATTERN, Manifest, read_footer, shard_name
+from storage.tables import file_hash, read_columns, read_own, write_table
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import reading
 
 SPECIFICATION_NAME = "specification.json"
-REMEDY = "another --out; or --fresh, which starts over"
+REPERTOIRE_NAME = "repertoire.parquet"
+GENERATION_PATTERN = "search-*.parquet"
+
+NOT_CHOSEN = -1
+FAMILY, GENERATION, ROW = "family", "generation", "row"  # columns of the repertoire
+
+Tried = dict[str, NDArray[Any]]
+"""Columns by name: points that a search has tried, and what came of them."""
 
 
 @dataclass(frozen=True)
-class StoreFolder:
-    """A folder being filled; made by `claim`, which gives one process the right to write."""
+class StoreFolder(Folder):
+    """The folder of a store; its document is the specification's."""
 
-    path: Path
-    specification: Specification
+    KIND = "a store"
+    FIRST = SPECIFICATION_NAME
+    REMEDY = "another --out; or --fresh, which starts over"
+    FILES = (MANIFEST_NAME, SHARD_PATTERN, GENERATION_PATTERN, REPERTOIRE_NAME, KIND_NAME)
 
-    @staticmethod
-    @contextmanager
-    def claim(path: Path, specification: Specification, fresh: bool) -> Iterator["StoreFolder"]:
-        """Hold the folder: new, or begun with the same specification, or emptied by `fresh`.
-
-        Raises:
-            InputError: in use by another process, not a store, a store of another specification,
-                or not writable.
-        """
-        with claimed(path, SPECIFICATION_NAME, "a store"):
-            _require_files(path)
-            if fresh:
-                remove(path, MANIFEST_NAME, SHARD_PATTERN, GENERATION_PATTERN)
-                remove(path, REPERTOIRE_NAME, KIND_NAME, SPECIFICATION_NAME)
-            agree(path / SPECIFICATION_NAME, specification.document, remedy=REMEDY)
-            yield StoreFolder(path, specification)
-
-    @property
-    def generations(self) -> GenerationFiles:
-        """The files of a search under way."""
-        return GenerationFiles(self.path, self.specification.hash, self._names)
-
-    @property
-    def repertoire(self) -> RepertoireFile:
-        """The file of a search that is over."""
-        first_row = self.specification.samples
-        return RepertoireFile(
-            self.path / REPERTOIRE_NAME, self.specification.hash, self._names, first_row
-        )
-
-    def finish_search(self) -> None:
-        """Remove the generations: the repertoire holds all of them."""
-        remove(self.path, GENERATION_PATTERN)
+    @cached_property
+    def layout(self) -> Layout:
+        """Which rows are in which shard."""
+        return Layout.of(self.document)
 
     def missing(self) -> list[int]:
         """Shards that are not done: absent, damaged, or of something else."""
-        known = self._known_hashes()
-        numbers = range(self.specification.shard_count)
-        return [number for number in numbers if not self._is_done(number, known)]
+        try:
+            known = Manifest.read(self.path).hashes  # of an earlier run
+        except InputError:
+            known = {}
+        return [number for number in range(self.layout.shards) if not self._is_done(number, known)]
 
     def write_shard(self, number: int, table: pa.Table, computed_by: dict[str, Any]) -> None:
         """Commit one shard; `computed_by` names code, engine and architecture."""
-        remove(self.path, MANIFEST_NAME)  # it would speak of the shard that this one replaces
+        remove(self.path, MANIFEST_NAME)  # it would list the shard that this one replaces
         footer = self._expected_footer(number) | {
             **computed_by,
-            "seed": self.specification.seed,
-            "specification": self.specification.document,
+            "seed": self.document["seed"],
+            "specification": self.document,
         }
         write_table(self.path / shard_name(number), table, footer)
 
     def write_manifest(self) -> None:
         """Commit the list of all shards, which finishes the store."""
-        names = [shard_name(number) for number in range(self.specification.shard_count)]
+        names = [shard_name(number) for number in range(self.layout.shards)]
         hashes = {name: file_hash(self.path / name) for name in names}
-        specification = self.specification
-        Manifest(specification.document, specification.rows, hashes).write(self.path)
+        Manifest(self.document, self.layout.rows, hashes).write(self.path)
+
+    def read_grid(self, columns: list[str]) -> pa.Table:
+        """Columns of all shards of the grid, which is complete."""
+        files = (self.path / shard_name(number) for number in range(self.layout.grid_shards))
+        return pa.concat_tables(read_columns(file, columns) for file in files)
+
+    def write_generation(self, family: str, number: int, tried: Tried) -> None:
+        """Commit a generation of a search: whole or not at all."""
+        table = pa.table({name: np.ascontiguousarray(tried[name]) for name in tried})
+        name, footer = self._generation(family, number)
+        write_table(self.path / name, table, footer)
+
+    def read_generation(self, family: str, number: int, columns: Sequence[str]) -> Tried | None:
+        """These columns of a generation; None where there is none, or a damaged one."""
+        return self._read(*self._generation(family, number), columns)
+
+    def write_repertoire(
+        self, found: Mapping[str, list[Tried]], chosen: Mapping[str, NDArray[np.int64]]
+    ) -> None:
+        """Commit what a search found, and which points of each family become rows of the store."""
+        tables, row = [], self.layout.samples
+        for family, generations in found.items():
+            sizes = [len(next(iter(tried.values()))) for tried in generations]
+            rows = np.full(sum(sizes), NOT_CHOSEN)
+            rows[chosen[family]] = row + np.arange(len(chosen[family]))
+            row += len(chosen[family])
+            columns: dict[str, Any] = {
+                FAMILY: np.full(len(rows), family),
+                GENERATION: np.repeat(np.arange(len(sizes)), sizes),
+                ROW: rows,
+            }
+            names = generations[0]
+            columns |= {n: np.concatenate([tried[n] for tried in generations]) for n in names}
+            tables.append(pa.table(columns))
+        write_table(self.path / REPERTOIRE_NAME, pa.concat_tables(tables), self._footer)
+
+    def read_repertoire(self) -> NDArray[np.float64] | None:
+        """The candidates in the order of their rows, [c, p]; None: the search is not over."""
+        parameters = list(self.document["gains"])
+        tried = self._read(REPERTOIRE_NAME, self._footer, [*parameters, ROW])
+        if tried is None:
+            return None
+        rows = tried.pop(ROW)
+        points = np.column_stack(list(tried.values()))[np.argsort(rows, kind="stable")]
+        return points[np.count_nonzero(rows == NOT_CHOSEN) :]
+
+    def finish_search(self) -> None:
+        """Remove the generations: the repertoire holds all of them."""
+        remove(self.path, GENERATION_PATTERN)
+
+    @cached_property
+    def _footer(self) -> dict[str, Any]:
+        """With which each file of this store begins."""
+        return {"format": FORMAT, "specification_hash": document_hash(self.document)}
+
+    def _generation(self, family: str, number: int) -> tuple[str, dict[str, Any]]:
+        """Name and footer of a generation's file."""
+        footer = self._footer | {"family": family, "generation": number}
+        return f"search-{family}-{number:05d}.parquet", footer
+
+    def _read(self, name: str, footer: dict[str, Any], columns: Sequence[str]) -> Tried | None:
+        """Columns of a file with this footer; None where there is none, or a damaged one."""
+        try:
+            with reading("store", self.path / name, "a table of this store") as path:
+                table = read_own(path, footer)
+                return {column: table[column].to_numpy() for column in columns}
+        except InputError:
+            return None
 
     def _expected_footer(self, number: int) -> dict[str, Any]:
-        _, rows = self.specification.shard_range(number)
-        footer = {
-            "format": FORMAT,
-            "specification_hash": self.specification.hash,
-            "shard": number,
-            "rows": rows,
-        }
-        if number < self.specification.grid_shards:
+        _, rows = self.layout.shard_range(number)
+        footer = self._footer | {"shard": number, "rows": rows}
+        if number < self.layout.grid_shards:
             return footer
         # Its points are those of one search; a search on another machine may have found others.
-        return footer | {"repertoire": self._repertoire_hash()}
-
-    def _repertoire_hash(self) -> str | None:
-        """SHA-256 of the repertoire's file; None while it is not there."""
         path = self.path / REPERTOIRE_NAME
-        return file_hash(path) if path.exists() else None
-
-    @property
-    def _names(self) -> tuple[str, ...]:
-        return tuple(parameter.name for parameter in self.specification.parameters)
+        return footer | {"repertoire": file_hash(path) if path.exists() else None}
 
     def _is_done(self, number: int, known_hashes: dict[str, str]) -> bool:
         path = self.path / shard_name(number)
@@ -133,21 +162,6 @@ class StoreFolder:
         except InputError:
             return False
         expected = self._expected_footer(number).items() <= footer.items()
-        expected &= document_hash(footer["specification"]) == self.specification.hash
-        same_columns = columns_of(schema) == self.specification.document["columns"]
+        expected &= document_hash(footer["specification"]) == self._footer["specification_hash"]
+        same_columns = columns_of(schema) == self.document["columns"]
         return expected and same_columns and known_hashes.get(path.name) in (None, file_hash(path))
-
-    def _known_hashes(self) -> dict[str, str]:
-        """Hashes in the manifest of an earlier run, where there is one."""
-        try:
-            return Manifest.read(self.path).hashes
-        except InputError:
-            return {}
-
-
-def _require_files(path: Path) -> None:
-    """Refuse a folder that has the name of a file of ours: it would be noticed after the work."""
-    for pattern in (MANIFEST_NAME, SPECIFICATION_NAME, REPERTOIRE_NAME, SHARD_PATTERN):
-        for file in sorted(path.glob(pattern)):
-            if file.is_dir():
-                raise InputError("out", str(file), "a file there, not a folder; or another --out")

@@ -18,7 +18,6 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from ctypes.util import find_library
 from importlib import import_module
 from importlib.machinery import EXTENSION_SUFFIXES
 from types import FrameType
@@ -30,7 +29,6 @@ from taichi_nmm.neighbours import HiddenPackageError
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-    from taichi_nmm.settings import Settings
 
 STDIN, STDOUT, STDERR = 0, 1, 2  # files: they need no object that Ctrl-C may have found half made
 EXIT_BAD_INPUT = 2
@@ -38,7 +36,6 @@ EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 EXIT_NO_READER = 141  # 128 + SIGPIPE
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 OURS = ("study", "storage", "taichi_nmm")
-GPUS = ("cuda", "vulkan")
 
 LEAST_ADDRESSES_B = 3 << 30  # a walk on two cores takes 2.3e9; OpenBLAS waits for ever for 0.4e9
 
@@ -237,40 +234,3 @@ class ProgressBar:
         if self._bar is not None:
             self._bar.close()
         self._bar = None
-
-
-def require_engine(settings: "Settings") -> None:
-    """Refuse a machine on which the simulator cannot run, before any file is touched.
-
-    Raises:
-        InputError: there is no place for compiled kernels, no such GPU, or no MuJoCo.
-    """
-    from taichi_nmm.kernel_cache import require_kernel_cache
-    from taichi_nmm.mujoco_engine import require_mujoco
-
-    require_kernel_cache()
-    if settings.engine == "mujoco":
-        require_mujoco()
-    if settings.arch in GPUS:
-        _started_arch(settings)
-
-
-def default_workers(settings: "Settings") -> int:
-    """Processes of a command without --workers: one a core; one where a GPU computes.
-
-    Raises:
-        InputError: no such GPU.
-    """
-    from storage.pool import cores
-
-    cpu = settings.arch == "cpu" or settings.engine == "mujoco"
-    no_gpu = cpu or (settings.arch == "auto" and not find_library("cuda"))
-    return cores() if no_gpu or _started_arch(settings) == "cpu" else 1
-
-
-def _started_arch(settings: "Settings") -> str:
-    """The backend that the simulator computes on; it is started, which takes a second."""
-    from taichi_nmm.kernel import backend
-
-    backend.start(settings)
-    return str(backend.metadata()["arch"])

@@ -14,8 +14,8 @@ from optuna.trial import TrialState
 import taichi_nmm
 from storage.databases.studies import read_studies, shown_url, studies_path
 from storage.databases.urls import SQLITE
-from storage.shard import read_columns
 from storage.store import open_store
+from storage.tables import read_columns
 from study.comparison.folder import ARMS_NAME, RESULTS_NAME
 from study.experiment.experiment import Experiment
 from taichi_nmm.errors import InputError

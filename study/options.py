@@ -48,7 +48,7 @@ def later(module: str, name: str) -> Callable[[], int]:
 MOST_RUNS = later("study.experiment.experiment", "MOST_RUNS")
 MOST_TRIALS = later("study.experiment.experiment", "MOST_TRIALS")
 MOST_GENERATIONS = later("study.experiment.experiment", "MOST_GENERATIONS")
-LARGEST_SEQUENCE = later("storage.sobol", "LARGEST_SEQUENCE")
+LARGEST_SEQUENCE = later("storage.points", "LARGEST_SEQUENCE")
 
 
 class Options(argparse.ArgumentParser):

@@ -10,7 +10,8 @@ from taichi_nmm.errors import InputError
 CONTROL_TICK_S = 1e-3
 PHYSICS_STEPS_S = (1e-3, 0.5e-3, 0.25e-3)
 PRECISIONS = ("float32", "float64")
-ARCHITECTURES = ("auto", "cpu", "cuda", "vulkan")
+GPUS = ("cuda", "vulkan")
+ARCHITECTURES = ("auto", "cpu", *GPUS)
 
 CONTACT_RELAXATION_SPEED_MPS = (
     0.10  # gaits converge with the step; at 0.03 (Geyer & Herr 2010) they do not

@@ -64,13 +64,12 @@ def start_up(options: argparse.Namespace) -> None:
 
 def run(options: argparse.Namespace) -> dict[str, object]:
     """Sobol points over the bounds, on flat ground, from gains to results."""
-    from storage.sobol import sobol_gains
     from taichi_nmm import Settings, simulate
     from taichi_nmm.kernel import backend
     from taichi_nmm.result import COMPLETED
 
     settings = Settings(arch=options.arch)
-    gains = sobol_gains(SEED, 0, options.samples)
+    gains = sobol_gains(options.samples)
     began = time.perf_counter()
     result = simulate(gains, duration_s=options.duration, settings=settings)
     run_s = time.perf_counter() - began
@@ -88,12 +87,11 @@ def run(options: argparse.Namespace) -> dict[str, object]:
 
 def take_turns() -> None:
     """For each line of the input, `STEADY` or `SOBOL`, print CPU ns a walker-step, one thread."""
-    from storage.sobol import sobol_gains
     from taichi_nmm import K_T, Settings, simulate
 
     batches = {
         STEADY: (near_reference(STEADY_WALKERS), STEADY_S),
-        SOBOL: (sobol_gains(SEED, 0, SOBOL_POINTS), SOBOL_S),
+        SOBOL: (sobol_gains(SOBOL_POINTS), SOBOL_S),
     }
     settings = Settings(arch="cpu", threads=1)
     simulate(K_T, duration_s=TICK_S, settings=settings)
@@ -104,6 +102,19 @@ def take_turns() -> None:
         result = simulate(gains, duration_s=duration_s, settings=settings)
         spent_s = time.process_time() - began_s
         print(1e9 * spent_s * TICK_S / result["duration_s"].sum(), flush=True)
+
+
+def sobol_gains(walkers: int) -> "NDArray[np.float64]":
+    """The first points of a store with this seed, [walkers, 16], of any version of this project."""
+    import numpy as np
+    from scipy.stats import qmc
+
+    from taichi_nmm.parameters import lower_bounds, upper_bounds
+
+    stream = np.random.SeedSequence(SEED, spawn_key=(100, 0))
+    unit = qmc.Sobol(d=len(lower_bounds()), rng=np.random.default_rng(stream)).random(walkers)
+    gains: NDArray[np.float64] = lower_bounds() + unit * (upper_bounds() - lower_bounds())
+    return gains
 
 
 def near_reference(walkers: int) -> "NDArray[np.float64]":

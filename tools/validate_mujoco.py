@@ -17,19 +17,20 @@ from pathlib import Path
 # The repository comes before tools/, where study.py would hide the package of its name.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from study.cli import guarded_imports, require_engine, run_command
+from study.cli import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np
     from numpy.typing import NDArray
 
     import taichi_nmm
+    from storage.points import sobol_points
     from storage.pool import cores
-    from storage.sobol import sobol_gains
     from study.commands.validate import Figure, show
     from study.experiment.trials import walked
     from study.options import LARGEST_SEED, Options
     from taichi_nmm import (
+        GAINS,
         K_T,
         Bodies,
         Controller,
@@ -38,6 +39,7 @@ with guarded_imports():
         load_gains,
         terrain,
     )
+    from taichi_nmm.walker_simulator import require_engine
 
 LONG_S = 100.0
 MOST_SAMPLES = 100_000
@@ -71,7 +73,7 @@ def parse() -> argparse.Namespace:
 def measure(samples: int, seed: int) -> Iterator[Figure]:
     yield from speeds()
     yield from known_gaits()
-    gains = sobol_gains(seed, 0, samples)
+    gains = sobol_points(seed, 0, samples, GAINS)
     ours, mujoco, half = (verdicts(gains, settings) for settings in (OURS, MUJOCO, HALF_STEP))
     yield Figure("alive at 5 s", share(mujoco[0]), unit="%")
     yield Figure("walk 100 s", share(mujoco[1]), unit="%")

@@ -19,12 +19,11 @@ from storage.cluster.freight import Freight, packed
 from storage.cluster.gate import Gate
 from storage.cluster.plugin import Walkers
 from storage.document import agree
-from storage.kind import KIND_NAME, PACKAGES, Kind, own_kind
-from storage.pool import Pool
+from storage.pool import KIND_NAME, Kind, Pool, own_kind
 from storage.processes import Processes
+from storage.simulator import Simulator
 from taichi_nmm.errors import InputError, one_line, shortened
 from taichi_nmm.reading import json_document
-from taichi_nmm.settings import Settings
 
 SESSION = "taichi-nmm-"  # and the client's name
 AHEAD = 2  # calls a place, one of which waits on the worker
@@ -78,7 +77,7 @@ class ClusterPool(Pool):
 def cluster_pool(
     asked: Cluster,
     folder: Path | None,
-    settings: Settings,
+    simulator: Simulator,
     packages: tuple[str, ...] = (),
     stores: Sequence[Path] = (),
 ) -> Iterator[Pool]:
@@ -87,7 +86,7 @@ def cluster_pool(
     Args:
         asked: which cluster.
         folder: that is to be filled, and decides what kind workers must be of; None: a new one.
-        settings: of the simulator, on one thread.
+        simulator: that units use, on one thread.
         packages: beside the simulator's, that decide results.
         stores: that units read, by `Pool.there`.
 
@@ -95,7 +94,7 @@ def cluster_pool(
         InputError: no scheduler there, none of its workers is of the folder's kind, or a store
             that cannot be read.
     """
-    describe = partial(own_kind, settings, tuple(dict.fromkeys([*PACKAGES, *packages])))
+    describe = partial(own_kind, simulator, packages)
     freights = {store: packed(store) for store in stores}
     reference = None if asked.mixed or folder is None else folder_kind(folder, describe)
     with _scheduler(asked) as where, _client(asked, *where) as client:

@@ -6,7 +6,7 @@ import tarfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from storage.manifest import MANIFEST_NAME, Manifest
+from storage.store import MANIFEST_NAME, Manifest
 from taichi_nmm.reading import reading
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from distributed import Client
 
 from storage.cluster.plugin import let_in
-from storage.kind import Kind, differences
+from storage.pool import Kind, differences
 from taichi_nmm.errors import InputError
 
 START_S = 300.0  # for the first worker: its processes may have to compile the walker

@@ -6,14 +6,14 @@ from pathlib import Path
 
 from storage.cluster.asked import Cluster
 from storage.pool import Pool, local_pool
-from taichi_nmm.settings import Settings
+from storage.simulator import Simulator
 
 
 def open_pool(
     workers: int,
     cluster: Cluster | None,
     folder: Path | None,
-    settings: Settings,
+    simulator: Simulator,
     packages: Sequence[str] = (),
     stores: Sequence[Path] = (),
 ) -> AbstractContextManager[Pool]:
@@ -23,7 +23,7 @@ def open_pool(
         workers: processes.
         cluster: in their place.
         folder: that is to be filled; None: one that is begun anew.
-        settings: of the simulator, on one thread.
+        simulator: that units use, on one thread.
         packages: beside the simulator's, that decide results.
         stores: that units read.
 
@@ -34,4 +34,4 @@ def open_pool(
         return local_pool(workers)
     from storage.cluster.connection import cluster_pool  # Dask: a second, and an extra
 
-    return cluster_pool(cluster, folder, settings, tuple(packages), stores)
+    return cluster_pool(cluster, folder, simulator, tuple(packages), stores)

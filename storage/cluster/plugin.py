@@ -18,7 +18,7 @@ from typing import Any
 from distributed import Worker, WorkerPlugin, get_worker
 
 from storage.cluster.freight import Freight
-from storage.kind import Kind
+from storage.pool import Kind
 from storage.processes import Processes
 from taichi_nmm.errors import one_line, shortened
 

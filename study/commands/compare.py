@@ -17,7 +17,8 @@ from typing import Any
 import optuna
 
 from storage.databases.studies import public_url
-from study.cli import ProgressBar, default_workers, require_engine
+from storage.pool import cores
+from study.cli import ProgressBar
 from study.comparison.compare import Outcome, Progress, Request, compare
 from study.experiment.arms import with_store
 from study.experiment.experiment import Experiment, read_experiment
@@ -27,6 +28,7 @@ from study.report.lines import arms_documents, arms_text
 from study.report.notes import dashboard_summary
 from study.report.numbers import numbers
 from study.report.runs import read_results
+from taichi_nmm.walker_simulator import Walker, require_engine
 
 
 def main(args: Namespace) -> None:
@@ -41,7 +43,7 @@ def main(args: Namespace) -> None:
         experiment = with_store(experiment, arms or experiment.arms, args.store)
     settings = experiment.conditions.settings
     require_engine(settings)
-    workers = default_workers(settings) if args.workers is None else args.workers
+    workers = Walker(settings).processes(cores()) if args.workers is None else args.workers
     request = Request(
         out,
         args.storage,

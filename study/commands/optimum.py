@@ -17,7 +17,7 @@ from typing import Any
 
 import optuna
 
-from study.cli import default_workers, require_engine
+from storage.pool import cores
 from study.comparison.compare import Progress
 from study.experiment.experiment import (
     Experiment,
@@ -27,6 +27,7 @@ from study.optimum.estimate import Reports, estimate
 from study.optimum.generations import CmaesProgress
 from study.optimum.optimum_folder import OPTIMUM_NAME
 from study.options import asked_cluster
+from taichi_nmm.walker_simulator import Walker, require_engine
 
 
 def read(args: Namespace) -> Experiment:
@@ -45,7 +46,7 @@ def main(args: Namespace) -> None:
     out = args.out or Path("out") / "optimum" / experiment.name
     settings = experiment.conditions.settings
     require_engine(settings)
-    workers = default_workers(settings) if args.workers is None else args.workers
+    workers = Walker(settings).processes(cores()) if args.workers is None else args.workers
     reports = Reports(show_dog, show_cmaes)
     document = estimate(experiment, out, args.runs, workers, reports, asked_cluster(args))
     print(json.dumps(document) if args.json else text(document, out))

@@ -16,9 +16,10 @@ from functools import partial
 from pathlib import Path
 
 from storage.cluster.opening import open_pool
+from storage.pool import cores
 from storage.precompute import Summary, precompute
 from storage.specification import read_specification
-from study.cli import ProgressBar, default_workers, require_engine
+from study.cli import ProgressBar
 from study.options import asked_cluster
 from taichi_nmm.config import read_toml
 
@@ -26,13 +27,12 @@ from taichi_nmm.config import read_toml
 def main(args: Namespace) -> None:
     """Compute, or go on."""
     specification = read_specification(read_toml(args.config), args.samples, args.arch)
-    settings = specification.conditions.settings
-    require_engine(settings)
+    simulator = specification.simulator
+    simulator.require_machine()
     out = args.out or Path("out") / args.config.stem
-    workers = default_workers(settings) if args.workers is None else args.workers
-    one_thread = specification.conditions.on_one_thread().settings
+    workers = simulator.processes(cores()) if args.workers is None else args.workers
     folder = None if args.fresh else out
-    opened = open_pool(workers, asked_cluster(args), folder, one_thread)
+    opened = open_pool(workers, asked_cluster(args), folder, simulator.on_one_thread())
     with opened as pool, closing(ProgressBar()) as bar:
         progress = partial(bar.move, "walker", total=specification.walkers)
         summary = precompute(specification, out, args.fresh, progress, pool)

@@ -26,7 +26,7 @@ from storage.databases.studies import (
 )
 from storage.precompute import precompute
 from storage.specification import read_specification
-from study.cli import ProgressBar, require_engine
+from study.cli import ProgressBar
 from study.comparison.folder import live_artifacts
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, read_experiment, study_name
@@ -45,6 +45,7 @@ from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.config import read_toml
 from taichi_nmm.result import Result
 from taichi_nmm.terrain import Terrain, flat
+from taichi_nmm.walker_simulator import require_engine
 
 CONFIG, STORE_CONFIG = "rough8", "quickstart-store"
 ARMS = ("best", "dog", "random")
@@ -64,7 +65,7 @@ def require_studies(experiment: Experiment, url: str) -> None:
 def make_store(path: Path) -> None:
     """Make the store of scores, or the missing part of it."""
     specification = read_specification(read_toml(config_path(STORE_CONFIG)))
-    duration_s = specification.conditions.duration_s
+    duration_s = specification.horizon_s
     names = ", ".join(family.name for family in specification.families)
     say(
         f"1. Scoring {specification.samples} walkers, {duration_s:g} s on flat ground; then {names}"

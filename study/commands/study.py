@@ -20,7 +20,6 @@ from storage.commit import commit_json, writable
 from storage.databases.crew import Crew
 from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.databases.urls import is_postgresql
-from study.cli import require_engine
 from study.comparison.folder import live_artifacts
 from study.experiment.arms import check_arms, with_store
 from study.experiment.experiment import read_experiment, study_name
@@ -34,6 +33,7 @@ from study.summary import (
     summary,
     summary_text,
 )
+from taichi_nmm.walker_simulator import require_engine
 
 
 def main(args: Namespace) -> None:

@@ -20,8 +20,8 @@ from sklearn.metrics import roc_auc_score
 from tqdm import tqdm
 
 import taichi_nmm
-from storage.sobol import sobol_gains
-from taichi_nmm import Bodies, Settings, terrain
+from storage.points import sobol_points
+from taichi_nmm import GAINS, Bodies, Settings, terrain
 from taichi_nmm.result import COMPLETED
 
 SHORT_S, LONG_S = 5.0, 100.0
@@ -88,7 +88,7 @@ def main(args: Namespace) -> None:
 def measure(samples: int, draws: int, seed: int) -> Iterator[Figure]:
     """All figures, as they are measured."""
     yield from published_gait()
-    gains = sobol_gains(seed, 0, samples)
+    gains = sobol_points(seed, 0, samples, GAINS)
     short = taichi_nmm.simulate(gains, duration_s=SHORT_S).rows
     alive = short["end_reason"] == COMPLETED
     walks = np.zeros(samples, dtype=bool)

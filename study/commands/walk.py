@@ -24,7 +24,6 @@ from tqdm import tqdm
 
 import taichi_nmm
 from storage.commit import commit, writable
-from study.cli import require_engine
 from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
 from study.experiment.trials import MEASURES, row_text
 from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial, recorded_walk
@@ -41,6 +40,7 @@ from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.settings import ENGINES
+from taichi_nmm.walker_simulator import require_engine
 
 ANGLES = (
     "knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad",

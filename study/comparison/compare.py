@@ -31,6 +31,7 @@ from study.experiment.experiment import Experiment
 from study.experiment.identity import deciding_packages, document, machine
 from study.experiment.stores import store_path
 from taichi_nmm.errors import InputError
+from taichi_nmm.walker_simulator import Walker
 
 CHECKPOINT_S = 20.0
 EXPORT_S = 60.0  # between two renewals of the study database
@@ -246,7 +247,7 @@ def _opened(
         request.workers,
         request.cluster,
         request.out,
-        experiment.on_one_thread().conditions.settings,
+        Walker(experiment.on_one_thread().conditions.settings),
         deciding_packages(experiment),
         [store_path(experiment, key) for key in sorted({arm.store for arm in arms if arm.store})],
     )

@@ -25,13 +25,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from storage.claim import claimed, remove, require_claimable
 from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
 from storage.databases.studies import studies_path
 from storage.databases.urls import is_postgresql
 from storage.document import agree, agreed
-from storage.shard import write_table
-from storage.stamped import read_stamped, write_stamped
+from storage.folder import claimed, remove, require_claimable
+from storage.tables import read_stamped, write_stamped, write_table
 from study.experiment.experiment import Experiment
 from study.experiment.identity import GROWING
 from study.experiment.trials import KEPT, OUTCOMES, walked

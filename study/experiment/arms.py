@@ -242,7 +242,7 @@ def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
         return NOTHING
     try:
         return _of_store(arm, open_store(stores[arm.store]))
-    except (KeyError, InputError):
+    except (KeyError, TypeError, InputError):  # of another simulator, or edited
         asked = [
             name for survival in survivals(arm.features) for name in survival.families or ("all",)
         ]

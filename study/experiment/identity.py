@@ -11,7 +11,6 @@ from functools import cache, lru_cache
 from importlib.metadata import version
 from typing import Any
 
-from storage.digests import terrain_document
 from storage.document import FORMAT, document_hash
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, as_written, experiment_of
@@ -19,6 +18,7 @@ from study.experiment.stores import store_digest, store_path
 from taichi_nmm import __version__
 from taichi_nmm.config import Table
 from taichi_nmm.settings import Settings
+from taichi_nmm.walker_simulator import terrain_document
 
 PACKAGES = ("taichi", "optuna", "cma", "cmaes", "numpy", "scipy")
 GROWING = ("ground", "arms", "stores")  # parts that later calls add to

@@ -4,9 +4,8 @@ import hashlib
 from functools import lru_cache
 from pathlib import Path
 
-from storage.manifest import MANIFEST_NAME, Manifest
-from storage.shard import file_hash
-from storage.store import Store, open_store
+from storage.store import MANIFEST_NAME, Manifest, Store, open_store
+from storage.tables import file_hash
 from study.experiment.experiment import Experiment, search_space
 from study.features.feature_table import FeatureTable
 from study.features.store_features import Feature, check_feature, feature_table

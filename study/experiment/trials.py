@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import taichi_nmm
-from storage.searched import split_points
 from study.experiment.experiment import COST_FUNCTIONS, Experiment
 from taichi_nmm.body import Bodies
-from taichi_nmm.parameters import GAINS
+from taichi_nmm.parameters import GAINS, split_points
 from taichi_nmm.result import COMPLETED, END_REASONS, SCORE_FIELDS, Result
 from taichi_nmm.world import Worlds
 

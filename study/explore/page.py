@@ -13,8 +13,7 @@ from bokeh.layouts import column, row
 from bokeh.models import Div
 from numpy.typing import NDArray
 
-from storage.shard import SHARD_PATTERN
-from storage.store import Store, open_store
+from storage.store import SHARD_PATTERN, Store, open_store
 from storage.store_folder import SPECIFICATION_NAME
 from study.comparison.folder import EXPERIMENT_NAME, RESULTS_NAME
 from study.experiment.experiment import Experiment

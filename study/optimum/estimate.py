@@ -21,6 +21,7 @@ from study.optimum.generations import CmaesProgress, run_cmaes
 from study.optimum.optimum_folder import DOG_NAME, RUNS, OptimumFolder
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
+from taichi_nmm.walker_simulator import Walker
 
 METHODS = ("cmaes", "dog")
 TRIALS_DONE = "all trials"
@@ -76,7 +77,7 @@ def estimate(
         workers,
         cluster,
         out,
-        experiment.on_one_thread().conditions.settings,
+        Walker(experiment.on_one_thread().conditions.settings),
         deciding_packages(experiment),
         [store_path(experiment, arm.store)],
     )

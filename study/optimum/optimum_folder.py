@@ -16,11 +16,10 @@ from typing import Any
 
 import pyarrow as pa
 
-from storage.claim import claimed
 from storage.commit import commit_json
 from storage.document import agree
-from storage.shard import write_table
-from storage.stamped import read_stamped, write_stamped
+from storage.folder import claimed
+from storage.tables import read_stamped, write_stamped, write_table
 from study.experiment.identity import GROWING
 from study.experiment.trials import OUTCOMES
 from taichi_nmm.errors import InputError

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from storage.schema import EVOLVED_ROW, ORIGIN, SOBOL_ROW, evaluated_name, family_names
-from storage.scoring import SURVIVED
+from storage.simulator import SURVIVED
 from storage.store import Store
 from study.palette import VERMILION
 from study.pictures import style

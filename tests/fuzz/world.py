@@ -21,8 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import taichi_nmm
-from storage.shard import FOOTER_KEY, write_table
-from storage.stamped import DIGEST_KEY, write_stamped
+from storage.tables import DIGEST_KEY, FOOTER_KEY, write_stamped, write_table
 from study.cli import main
 from study.comparison.folder import TIME_COLUMNS, in_order
 from study.options import CONFIGS

@@ -30,7 +30,7 @@ def simulate(gains: Any, **options: Any) -> Result:
     fitness = unit * mass - 0.001 * np.array(slopes)[index]
     if "worlds" in options:
         fitness = fitness - 0.1 * (0.9 - options["worlds"].friction)
-    if "low_level_gains" in options:
+    if options.get("low_level_gains") is not None:
         fitness = fitness + 0.1 * options["low_level_gains"][:, -1]  # theta_ref
     rows = np.zeros(len(gains), RESULT_DTYPE)
     for number, name in enumerate(RESULT_DTYPE.names or ()):

@@ -10,7 +10,8 @@ import pyarrow as pa
 import pytest
 
 from storage.commit import commit, commit_json, temporary_sibling, together
-from storage.shard import read_columns, read_footer, write_table
+from storage.store import read_footer
+from storage.tables import read_columns, write_table
 from taichi_nmm.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -14,7 +14,7 @@ import pytest
 from storage import merge, open_store
 from storage.document import document_hash
 from storage.precompute import precompute
-from storage.shard import FOOTER_KEY
+from storage.tables import FOOTER_KEY
 from study import FeatureTable, covered_table, survival_table
 from taichi_nmm.errors import InputError
 from tests.storage import fake

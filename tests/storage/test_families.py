@@ -10,13 +10,13 @@ import pytest
 import taichi_nmm
 from storage import open_store
 from storage.document import difference, document_hash
-from storage.precompute import precompute
+from storage.points import sobol_points
+from storage.precompute import precompute, progress_parts, score_shard
 from storage.schema import family_names
-from storage.scoring import progress_parts, score_shard
-from storage.sobol import sobol_gains
 from storage.specification import Specification, read_specification
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAINS
 from taichi_nmm.result import RESULT_DTYPE, SCORE_FIELDS
 from tests.storage import fake
 
@@ -75,8 +75,8 @@ def test_documents_of_stores_without_other_families_are_what_they_were() -> None
 
 def test_family_columns_are_mean_and_spread_over_its_settings() -> None:
     specification = families()
-    table = score_shard(specification, 0, ignore).table
-    points = sobol_gains(specification.seed, 0, 8)
+    table, _ = score_shard(specification, 0, ignore)
+    points = sobol_points(specification.seed, 0, 8, GAINS)
     alive = table["duration_s"].to_numpy() >= 3.0
     assert 0 < alive.sum() < 8
     for family in specification.families:
@@ -84,9 +84,9 @@ def test_family_columns_are_mean_and_spread_over_its_settings() -> None:
         runs = [
             fake.simulate(
                 points,
-                bodies=family.bodies.take([setting] * 8),
-                worlds=family.worlds.take([setting] * 8),
-                terrains=family.terrains[setting],
+                bodies=family.worlds.bodies.take([setting] * 8),
+                worlds=family.worlds.surroundings.take([setting] * 8),
+                terrains=family.worlds.terrains[setting],
                 duration_s=family.horizon_s,
                 progress=lambda now_s, active: None,
             ).rows
@@ -115,8 +115,8 @@ def test_numbers_of_a_store_are_those_of_the_simulator(monkeypatch: pytest.Monke
         searched=["theta_ref"],
         families={"up": up},
     )
-    table = score_shard(specification, 0, ignore).table
-    points = sobol_gains(specification.seed, 0, 32, specification.parameters)
+    table, _ = score_shard(specification, 0, ignore)
+    points = sobol_points(specification.seed, 0, 32, specification.simulator.parameters)
     low_level = np.tile([gain.default for gain in taichi_nmm.LOW_LEVEL_GAINS], (32, 1))
     low_level[:, 7] = points[:, 16]
     (family,) = specification.families
@@ -124,10 +124,10 @@ def test_numbers_of_a_store_are_those_of_the_simulator(monkeypatch: pytest.Monke
         taichi_nmm.simulate(
             points[:, :16],
             duration_s=2.0,
-            bodies=family.bodies.take([setting] * 32),
-            terrains=family.terrains[setting],
+            bodies=family.worlds.bodies.take([setting] * 32),
+            terrains=family.worlds.terrains[setting],
             low_level_gains=low_level,
-            settings=specification.conditions.settings,
+            settings=specification.simulator.settings,
         ).rows
         for setting in range(2)
     ]
@@ -150,18 +150,23 @@ LATER = {"after": "down", "min_survived_fraction": 0.6}
 def test_a_family_draws_a_world_for_each_setting() -> None:
     ramps = {"up": RAMPS["up"] | {"world": WORLD}}
     (up,) = fake.specification(families=ramps).families
-    friction = up.worlds.friction
+    friction = up.worlds.surroundings.friction
     assert len(friction) == 2 and friction[0] != friction[1]
-    assert np.all((friction >= 0.3) & (friction <= 0.9)) and np.all(up.worlds.strength == 1.0)
+    assert np.all((friction >= 0.3) & (friction <= 0.9)) and np.all(
+        up.worlds.surroundings.strength == 1.0
+    )
     document = fake.specification(families=ramps).document["families"]["up"]["world"]
     assert document.keys() == {"friction", "contact_stiffness", "sha256"}
     assert document["friction"] == [0.3, 0.9]
     nominal = fake.specification(families={"up": RAMPS["up"]})
     assert "world" not in nominal.document["families"]["up"]
     base = fake.specification(world={"friction": [0.5, 0.5]})
-    assert base.document["world"]["friction"] == [0.5, 0.5] and base.world.friction[0] == 0.5
+    assert (
+        base.document["world"]["friction"] == [0.5, 0.5]
+        and base.worlds.surroundings.friction[0] == 0.5
+    )
     ours, theirs = (
-        score_shard(one, 0, ignore).table["up_survived_fraction_mean"].to_numpy()
+        score_shard(one, 0, ignore)[0]["up_survived_fraction_mean"].to_numpy()
         for one in (nominal, fake.specification(families=ramps))
     )
     assert np.all(theirs <= ours) and np.any(theirs < ours)
@@ -172,7 +177,7 @@ def test_a_later_family_is_run_on_the_survivors_of_another() -> None:
     late = RAMPS | {"a_late": fake.family(settings=3, seed=4) | LATER}
     specification = fake.specification(families=late)
     assert [family.name for family in specification.families] == ["down", "up", "a_late"]
-    table = score_shard(specification, 0, ignore).table
+    table, _ = score_shard(specification, 0, ignore)
     down, evaluated = table["down_survived_fraction_mean"].to_numpy(), table["a_late_evaluated"]
     assert np.array_equal(evaluated.to_numpy(), table["down_evaluated"].to_numpy() & (down >= 0.6))
     assert 0 < evaluated.to_numpy().sum() < table["down_evaluated"].to_numpy().sum()
@@ -185,16 +190,16 @@ def test_each_family_draws_from_its_own_seed() -> None:
     same, other = fake.family(seed=8, kind="rough"), fake.family(seed=9, kind="rough")
     store = fake.specification(families={"a": same, "b": other, "c": same})
     a, b, c = store.families
-    assert np.array_equal(a.terrains[3].height_m, c.terrains[3].height_m)
-    assert np.array_equal(a.bodies.mass_kg, c.bodies.mass_kg)
-    assert not np.array_equal(a.terrains[3].height_m, b.terrains[3].height_m)
-    assert not np.any(a.bodies.mass_kg == b.bodies.mass_kg)
+    assert np.array_equal(a.worlds.terrains[3].height_m, c.worlds.terrains[3].height_m)
+    assert np.array_equal(a.worlds.bodies.mass_kg, c.worlds.bodies.mass_kg)
+    assert not np.array_equal(a.worlds.terrains[3].height_m, b.worlds.terrains[3].height_m)
+    assert not np.any(a.worlds.bodies.mass_kg == b.worlds.bodies.mass_kg)
 
 
 def test_families_of_different_survivors() -> None:
     strict = RAMPS["up"] | {"min_survival_s": 4.5}
     store = fake.specification(families={"up": strict, "down": RAMPS["down"]})
-    table = score_shard(store, 0, ignore).table
+    table, _ = score_shard(store, 0, ignore)
     up, down = (table[f"{name}_evaluated"].to_numpy() for name in ("up", "down"))
     assert np.array_equal(up, table["duration_s"].to_numpy() >= 4.5)
     assert up.sum() < down.sum() and np.all(down[up])
@@ -262,7 +267,7 @@ def test_shipped_ramps_go_up_and_down() -> None:
     diverse = read_specification(read_toml(CONFIGS / "store-diverse.toml"))
     ramps = {family.name: family for family in diverse.families}
     for name, sign in (("down", -1), ("up", 1)):
-        slopes = np.diff(ramps[name].terrains[0].height_m) / 0.05 * sign
+        slopes = np.diff(ramps[name].worlds.terrains[0].height_m) / 0.05 * sign
         assert slopes.max() == pytest.approx(0.20) and slopes.min() == 0.0
 
 
@@ -283,7 +288,7 @@ def test_shipped_ramps_go_up_and_down() -> None:
         ("[families.robust]\nsettings = 2", "families"),
         ("[families.m1]\nsettings = 2", "families"),
         ("[families.row]\nsettings = 2", "families"),
-        ("[families.theta]\nsettings = 2", "families"),
+        ("searched = ['theta_ref']\n[families.theta]\nsettings = 2", "families"),
         ("families = 3", "families"),
         (f"[families.up]\n{LATER_TEXT}", "families.up.after"),
         (f"[families.up]\n{LATER_TEXT}\n[families.down]\n{LATER_TEXT}", "families.down.after"),

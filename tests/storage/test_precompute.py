@@ -15,8 +15,8 @@ from storage import open_store
 from storage import precompute as filling
 from storage.pool import Pool, local_pool
 from storage.precompute import Summary, precompute
-from storage.shard import FOOTER_KEY, read_columns
 from storage.store_folder import StoreFolder
+from storage.tables import FOOTER_KEY, read_columns
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import Result
 from tests.storage import fake
@@ -117,7 +117,7 @@ def test_where_machines_may_differ_each_shard_says_of_which_it_is(
     class Mixed(Pool):
         mixed = property(lambda self: True)
 
-    monkeypatch.setattr(filling, "own_kind", lambda settings, packages: {"processor": "Fast 3000"})
+    monkeypatch.setattr(filling, "own_kind", lambda simulator: {"processor": "Fast 3000"})
     with ThreadPoolExecutor(2) as executor:
         precompute(fake.specification(), tmp_path / "b", pool=Mixed(executor, 2))
     found = open_store(tmp_path / "b")
@@ -307,9 +307,9 @@ def test_out_is_a_file(tmp_path: Path) -> None:
 def test_a_folder_in_use_is_refused(store: Path) -> None:
     specification = fake.specification()
     with (
-        StoreFolder.claim(store, specification, fresh=False),
+        StoreFolder.claim(store, specification.document, fresh=False),
         pytest.raises(InputError, match="no other process"),
-        StoreFolder.claim(store, specification, fresh=True),
+        StoreFolder.claim(store, specification.document, fresh=True),
     ):
         pytest.fail("two processes would write")
     assert fill(store).points_computed == 0

@@ -11,18 +11,15 @@ import pytest
 
 import taichi_nmm
 from storage import merge, open_store
-from storage.chosen import NOT_CHOSEN, choose
-from storage.evolution import GENERATION, folded
-from storage.evolved import shares
-from storage.generation_files import Generation
+from storage.points import sobol_points
 from storage.pool import Pool
 from storage.precompute import Summary, precompute
-from storage.repertoire import STARTS
-from storage.sobol import sobol_gains
-from storage.specification import Specification, read_specification
+from storage.search import Generation, choose, folded, shares
+from storage.specification import GENERATION, STARTS, Specification, read_specification
+from storage.store_folder import NOT_CHOSEN
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import lower_bounds, upper_bounds
+from taichi_nmm.parameters import GAINS, lower_bounds, upper_bounds
 from taichi_nmm.result import Result
 from tests.storage import fake
 
@@ -83,7 +80,7 @@ def test_candidates_are_rows_after_the_grid(finished: tuple[Path, Summary]) -> N
     assert len(store) == summary.points == 70 and summary.shards == 7 + 3
     assert rows["row"].tolist() == list(range(70))
     assert rows["origin"].tolist() == ["sobol"] * 50 + ["evolved"] * 20
-    assert np.array_equal(store.gains()[:50], sobol_gains(7, 0, 50))
+    assert np.array_equal(store.gains()[:50], sobol_points(7, 0, 50, GAINS))
     assert np.all((store.gains() >= lower_bounds()) & (store.gains() <= upper_bounds()))
     assert len(np.unique(store.gains(), axis=0)) == 70
     assert [footer["rows"] for footer in store.footers] == [8] * 6 + [2, 8, 8, 4]
@@ -200,8 +197,8 @@ def test_candidates_are_tried_on_settings_of_their_own() -> None:
     assert specification.repertoire is not None
     for trial in specification.repertoire.trials:
         (own,) = (family for family in specification.families if family.name == trial.name)
-        assert len(trial.bodies) == 2 and trial.horizon_s == own.horizon_s
-        assert not np.any(np.isin(trial.bodies.mass_kg, own.bodies.mass_kg))
+        assert len(trial.worlds.bodies) == 2 and trial.horizon_s == own.horizon_s
+        assert not np.any(np.isin(trial.worlds.bodies.mass_kg, own.worlds.bodies.mass_kg))
     other = evolving(repertoire={"seed": 6}).repertoire
     assert other is not None and other.document != specification.repertoire.document
 
@@ -214,7 +211,7 @@ def test_a_share_holds_the_best_of_cells_and_of_all() -> None:
         return Generation(rng.random((count, 16)), rng.random(count), spread)
 
     found = {name: [generation(10), generation(60)] for name in ("a", "b", "c")}
-    chosen = choose(found, {"a": 10, "b": 31, "c": 1})
+    chosen = choose(found, {"a": 10, "b": 31, "c": 1}, evolving().simulator)
     assert [len(numbers) for numbers in chosen.values()] == [10, 31, 1]
     for name, numbers in chosen.items():
         objective = np.concatenate([one.objective for one in found[name]])
@@ -273,6 +270,6 @@ def test_a_grid_without_survivors_is_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_a_missing_library_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("storage.repertoire.LIBRARY", "no_such_library")
+    monkeypatch.setattr("storage.specification.LIBRARY", "no_such_library")
     with pytest.raises(InputError, match="pip install"):
         _ = evolving().document

@@ -1,9 +1,9 @@
 import numpy as np
 
+from storage.points import sobol_points
+from storage.precompute import score_shard
 from storage.schema import columns_of, family_names
-from storage.scoring import score_shard
-from storage.sobol import sobol_gains
-from taichi_nmm.parameters import GAIN_NAMES
+from taichi_nmm.parameters import GAIN_NAMES, GAINS
 from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
 from tests.storage import fake
 
@@ -25,30 +25,29 @@ def test_names_of_robust_columns_end_with_the_unit() -> None:
 
 def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
     specification = fake.specification()
-    shard = score_shard(specification, 2, report)
-    table = shard.table
+    table, computed_by = score_shard(specification, 2, report)
     assert columns_of(table.schema) == specification.document["columns"]
     assert table.column_names == ["row", *GAIN_NAMES, *(RESULT_DTYPE.names or ())]
     assert table["row"].to_pylist() == list(range(16, 24))
-    gains = sobol_gains(specification.seed, 16, 8)
+    gains = sobol_points(specification.seed, 16, 8, GAINS)
     assert np.array_equal(table["l_clr"].to_numpy(), gains[:, 15])
     assert set(table["end_reason"].to_pylist()) <= set(END_REASONS)
-    assert shard.engine == fake.ENGINE
+    assert computed_by == fake.ENGINE
 
 
 def test_robust_columns_are_mean_and_spread_over_the_settings() -> None:
     specification = fake.specification(robust=True)
     (robust,) = specification.families
-    table = score_shard(specification, 0, report).table
+    table, _ = score_shard(specification, 0, report)
     evaluated = table["robust_evaluated"].to_numpy()
     assert 0 < evaluated.sum() < len(evaluated)
     assert np.array_equal(evaluated, table["duration_s"].to_numpy() >= 3.0)
     point = int(np.flatnonzero(evaluated)[0])
     runs = [
         fake.simulate(
-            sobol_gains(specification.seed, point, 1),
-            bodies=robust.bodies.take([setting]),
-            terrains=robust.terrains[setting],
+            sobol_points(specification.seed, point, 1, GAINS),
+            bodies=robust.worlds.bodies.take([setting]),
+            terrains=robust.worlds.terrains[setting],
             duration_s=robust.horizon_s,
             progress=lambda now_s, active: None,
         ).rows[0]
@@ -61,7 +60,7 @@ def test_robust_columns_are_mean_and_spread_over_the_settings() -> None:
 
 
 def test_points_that_were_not_evaluated_hold_zero() -> None:
-    table = score_shard(fake.specification(robust=True), 0, report).table
+    table, _ = score_shard(fake.specification(robust=True), 0, report)
     skipped = ~table["robust_evaluated"].to_numpy()
     for component, _ in SCORE_FIELDS:
         for name in family_names("robust", component):
@@ -71,7 +70,7 @@ def test_points_that_were_not_evaluated_hold_zero() -> None:
 def test_a_shard_without_survivors_needs_no_robust_run() -> None:
     specification = fake.specification(robust=True, samples=8, simulation={"duration_s": 60.0})
     object.__setattr__(specification.families[0], "min_survival_s", 60.0)
-    table = score_shard(specification, 0, report).table
+    table, _ = score_shard(specification, 0, report)
     assert not table["robust_evaluated"].to_numpy().any()
 
 

@@ -5,18 +5,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import storage.store
 import taichi_nmm
 from storage import merge, open_store
 from storage.document import difference
-from storage.precompute import precompute
-from storage.scoring import score_shard
-from storage.searched import searched_parameters, split_points
-from storage.sobol import sobol_gains
+from storage.points import sobol_points
+from storage.precompute import precompute, score_shard
 from storage.specification import read_specification
+from taichi_nmm import walker_simulator
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, GAINS, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES
+from taichi_nmm.parameters import (
+    GAIN_NAMES,
+    GAINS,
+    LOW_LEVEL_GAINS,
+    LOW_LEVEL_NAMES,
+)
 from tests.storage import fake
 
 THETA_REF = LOW_LEVEL_GAINS[-1]
@@ -38,7 +41,7 @@ def test_points_have_a_column_more(folder: Path) -> None:
     assert store.gain_names == (*GAIN_NAMES, "theta_ref")
     assert store.columns[:19] == ("row", *GAIN_NAMES, "theta_ref", "duration_s")
     points = store.gains()
-    assert np.array_equal(points, sobol_gains(7, 0, 50, (*GAINS, THETA_REF)))
+    assert np.array_equal(points, sobol_points(7, 0, 50, (*GAINS, THETA_REF)))
     assert points.shape == (50, 17)
     angles = points[:, 16]
     assert THETA_REF.low <= angles.min() < 0 < np.deg2rad(25) < angles.max() <= THETA_REF.high
@@ -48,16 +51,16 @@ def test_points_have_a_column_more(folder: Path) -> None:
 
 def test_seventeen_dimensions_are_filled_evenly() -> None:
     group = (*GAINS, THETA_REF)
-    points = sobol_gains(3, 0, 256, group)
+    points = sobol_points(3, 0, 256, group)
     unit = (points[:, 16] - THETA_REF.low) / (THETA_REF.high - THETA_REF.low)
     assert np.histogram(unit, bins=16, range=(0, 1))[0].tolist() == [16] * 16
-    assert np.array_equal(sobol_gains(3, 100, 7, group), points[100:107])
+    assert np.array_equal(sobol_points(3, 100, 7, group), points[100:107])
 
 
 def test_points_of_plain_stores_are_what_they_were() -> None:
-    np.testing.assert_allclose(sobol_gains(7, 16, 1)[0, :3], POINT_3, rtol=1e-8)
+    np.testing.assert_allclose(sobol_points(7, 16, 1, GAINS)[0, :3], POINT_3, rtol=1e-8)
     plain = fake.specification()
-    assert plain.parameters == GAINS
+    assert plain.simulator.parameters == GAINS
     assert fake.specification(searched=[]).hash == plain.hash
 
 
@@ -73,7 +76,7 @@ def test_the_document_says_what_is_searched_and_what_is_fixed() -> None:
 def test_order_in_the_configuration_does_not_matter() -> None:
     one = fake.specification(searched=["theta_ref", "k_oe"])
     assert one.hash == fake.specification(searched=["k_oe", "theta_ref"]).hash
-    assert [parameter.name for parameter in one.searched] == ["k_oe", "theta_ref"]
+    assert [parameter.name for parameter in one.simulator.searched] == ["k_oe", "theta_ref"]
 
 
 def test_the_simulator_gets_each_walkers_low_level_gains(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,22 +89,10 @@ def test_the_simulator_gets_each_walkers_low_level_gains(monkeypatch: pytest.Mon
         return fake.simulate(gains, **options)
 
     monkeypatch.setitem(vars(taichi_nmm), "simulate", spy)
-    table = score_shard(specification, 0, lambda _: None).table
+    table, _ = score_shard(specification, 0, lambda _: None)
     expected, evaluated = (table[name].to_numpy() for name in ("theta_ref", "robust_evaluated"))
     assert np.array_equal(angles[0], expected)
     assert np.array_equal(angles[1], np.repeat(expected[evaluated], 6))
-
-
-def test_points_are_split_into_gains_and_low_level_gains() -> None:
-    searched = searched_parameters(["theta_ref", "k_flex"])
-    points = np.arange(36.0).reshape(2, 18)
-    gains, low_level = split_points(points, searched)
-    assert np.array_equal(gains, points[:, :16])
-    assert low_level[:, 1].tolist() == [16.0, 34.0] and low_level[:, 7].tolist() == [17.0, 35.0]
-    defaults = [parameter.default for parameter in LOW_LEVEL_GAINS]
-    assert low_level[1, [0, 2, 3, 4, 5, 6]].tolist() == [defaults[i] for i in (0, 2, 3, 4, 5, 6)]
-    gains, low_level = split_points(points[:, :16], ())
-    assert np.array_equal(low_level, [defaults, defaults])
 
 
 def test_other_bounds_of_a_searched_parameter_are_refused(
@@ -109,7 +100,7 @@ def test_other_bounds_of_a_searched_parameter_are_refused(
 ) -> None:
     store = open_store(folder)
     store.require_bounds()
-    monkeypatch.setattr(storage.store, "LOW_LEVEL_GAINS", LOW_LEVEL_GAINS[:-1])
+    monkeypatch.setattr(walker_simulator, "LOW_LEVEL_GAINS", LOW_LEVEL_GAINS[:-1])
     with pytest.raises(InputError) as caught:
         store.require_bounds()
     assert caught.value.field == "store.gains.theta_ref"

@@ -3,18 +3,18 @@ import warnings
 import numpy as np
 from scipy.stats import qmc
 
-from storage.sobol import sobol_gains
-from taichi_nmm.parameters import lower_bounds, upper_bounds
+from storage.points import sobol_points
+from taichi_nmm.parameters import GAINS, lower_bounds, upper_bounds
 
 
 def test_a_part_alone_equals_one_long_run() -> None:
-    whole = sobol_gains(3, 0, 512)
+    whole = sobol_points(3, 0, 512, GAINS)
     for first, count in ((0, 100), (100, 7), (107, 405), (511, 1)):
-        assert np.array_equal(sobol_gains(3, first, count), whole[first : first + count])
+        assert np.array_equal(sobol_points(3, first, count, GAINS), whole[first : first + count])
 
 
 def test_points_fill_the_bounds_evenly() -> None:
-    points = sobol_gains(3, 0, 1024)
+    points = sobol_points(3, 0, 1024, GAINS)
     unit = (points - lower_bounds()) / (upper_bounds() - lower_bounds())
     assert unit.min() >= 0 and unit.max() <= 1
     counts = [np.histogram(column, bins=16, range=(0, 1))[0] for column in unit.T]
@@ -23,10 +23,10 @@ def test_points_fill_the_bounds_evenly() -> None:
 
 
 def test_seeds_give_different_points() -> None:
-    assert not np.any(sobol_gains(3, 0, 8) == sobol_gains(4, 0, 8))
+    assert not np.any(sobol_points(3, 0, 8, GAINS) == sobol_points(4, 0, 8, GAINS))
 
 
 def test_no_warning_about_a_length_that_is_no_power_of_two() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert sobol_gains(0, 0, 5).shape == (5, 16)
+        assert sobol_points(0, 0, 5, GAINS).shape == (5, 16)

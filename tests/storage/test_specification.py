@@ -17,7 +17,7 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 
 def test_shards_cover_the_samples_once() -> None:
     store = specification(samples=50, shard_rows=8)
-    ranges = [store.shard_range(number) for number in range(store.shard_count)]
+    ranges = [store.layout.shard_range(number) for number in range(store.layout.shards)]
     rows = [row for first, count in ranges for row in range(first, first + count)]
     assert rows == list(range(50))
     assert ranges[-1] == (48, 2)
@@ -25,21 +25,21 @@ def test_shards_cover_the_samples_once() -> None:
 
 def test_shipped_configs_are_valid() -> None:
     flat = read_specification(read_toml(CONFIGS / "store.toml"))
-    assert (flat.conditions.duration_s, flat.families, flat.terrain.name) == (5.0, (), "flat")
+    assert (flat.horizon_s, flat.families, flat.worlds.terrains[0].name) == (5.0, (), "flat")
     families = read_specification(read_toml(CONFIGS / "store-diverse.toml")).families
     assert [family.name for family in families] == ["blocks", "down", "rough", "up"]
     for each in families:
-        assert len(each.bodies) == len(each.terrains) == 4
-        assert (each.min_survival_s, each.horizon_s, each.disturbance) == (5.0, 20.0, 0.15)
+        assert len(each.worlds.bodies) == len(each.worlds.terrains) == 4
+        assert (each.min_survival_s, each.horizon_s, each.rule.disturbance) == (5.0, 20.0, 0.15)
 
 
 def test_robust_settings_differ_from_each_other_and_come_from_the_seed() -> None:
     (robust,) = specification(robust=True).families
     (again,) = specification(robust=True).families
-    assert len(np.unique(robust.bodies.mass_kg[:, 0])) == 6
-    assert len({terrain.height_m.tobytes() for terrain in robust.terrains}) == 6
-    assert np.array_equal(robust.bodies.com_m, again.bodies.com_m)
-    assert np.array_equal(robust.terrains[5].height_m, again.terrains[5].height_m)
+    assert len(np.unique(robust.worlds.bodies.mass_kg[:, 0])) == 6
+    assert len({terrain.height_m.tobytes() for terrain in robust.worlds.terrains}) == 6
+    assert np.array_equal(robust.worlds.bodies.com_m, again.worlds.bodies.com_m)
+    assert np.array_equal(robust.worlds.terrains[5].height_m, again.worlds.terrains[5].height_m)
 
 
 def test_hash_ignores_machine_and_notices_everything_else() -> None:

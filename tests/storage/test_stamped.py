@@ -6,8 +6,15 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from storage.shard import FOOTER_NEEDS, read_columns, read_footer, write_table
-from storage.stamped import DIGEST_KEY, read_stamped, table_digest, write_stamped
+from storage.store import FOOTER_NEEDS, read_footer
+from storage.tables import (
+    DIGEST_KEY,
+    read_columns,
+    read_stamped,
+    table_digest,
+    write_stamped,
+    write_table,
+)
 from taichi_nmm.errors import InputError
 
 TABLE = pa.table({"arm": ["a", "b"], "cost": [1.0, 2.0], "walked": [True, False]})

@@ -10,10 +10,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-import storage.store
 from storage import merge, open_store
+from storage.points import sobol_points
 from storage.precompute import precompute
-from storage.sobol import sobol_gains
+from taichi_nmm import walker_simulator
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS
 from tests.storage import fake
@@ -57,7 +57,7 @@ def test_columns_come_as_asked(folder: Path) -> None:
 
 
 def test_gains_are_the_sobol_points(folder: Path) -> None:
-    assert np.array_equal(open_store(folder).gains(), sobol_gains(7, 0, 50))
+    assert np.array_equal(open_store(folder).gains(), sobol_points(7, 0, 50, GAINS))
 
 
 def test_one_shard_opens_alone(folder: Path, tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ def test_a_flipped_bit_is_found_by_reading(folder: Path, tmp_path: Path) -> None
 def test_a_store_of_other_bounds_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = open_store(folder)
     store.require_bounds()
-    monkeypatch.setattr(storage.store, "GAINS", GAINS[:-1])
+    monkeypatch.setattr(walker_simulator, "GAINS", GAINS[:-1])
     with pytest.raises(InputError) as caught:
         store.require_bounds()
     assert caught.value.field == f"store.gains.{GAIN_NAMES[-1]}"

@@ -5,12 +5,9 @@ import sys
 
 import pytest
 
-from storage.pool import cores
-from study import cli
-from study.cli import default_workers, main
+from study.cli import main
 from study.options import COMMANDS, Options, config_path, parsers
 from taichi_nmm.errors import InputError
-from taichi_nmm.settings import Settings
 
 SLOW_TO_LOAD = ("taichi", "matplotlib", "optuna", "pyarrow", "scipy", "sklearn")
 QUICK = [["--help"], [], *([name, "--help"] for name in COMMANDS), ["walk", "--list-configs"]]
@@ -23,7 +20,7 @@ import sys
 import study
 from storage.pool import cores
 from study import cli
-from study.cli import default_workers, main
+from study.cli import main
 for words in {QUICK!r}:
     try:
         main(words)
@@ -75,19 +72,3 @@ def test_two_dashes_are_no_value() -> None:
 
 def test_a_configuration_of_a_name_that_no_file_can_have() -> None:
     assert str(config_path("x" * 5000)) == "x" * 5000
-
-
-@pytest.mark.parametrize("settings", [Settings(arch="cpu"), Settings(engine="mujoco")])
-def test_a_core_each_where_no_gpu_computes(
-    settings: Settings, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """MuJoCo computes on the processor, whatever else the machine has."""
-    monkeypatch.setattr(cli, "find_library", lambda name: "libcuda.so")
-    monkeypatch.setattr(cli, "_started_arch", lambda settings: "cuda")
-    assert default_workers(settings) == cores()
-
-
-def test_one_where_a_gpu_computes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "find_library", lambda name: "libcuda.so")
-    monkeypatch.setattr(cli, "_started_arch", lambda settings: "cuda")
-    assert default_workers(Settings()) == 1

@@ -182,7 +182,7 @@ def test_bad_input_is_one_line(
         if settings.arch == "cuda":
             raise InputError("simulation.arch", "cuda", "an architecture of this machine")
 
-    monkeypatch.setattr("study.cli.require_engine", require_engine)
+    monkeypatch.setattr("taichi_nmm.walker_simulator.require_engine", require_engine)
     assert command.run(**changes) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1

@@ -13,8 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
-from storage.claim import claimed
-from storage.stamped import write_stamped
+from storage.folder import claimed
+from storage.tables import write_stamped
 from study.comparison import compare
 from study.experiment.experiment import CmaesOptions, read_experiment
 from study.optimum import generations

@@ -9,12 +9,13 @@ import pytest
 import taichi_nmm
 from storage.cluster.asked import Cluster
 from storage.cluster.freight import packed
-from storage.kind import differences, own_kind, processor
+from storage.pool import differences, own_kind, processor
 from storage.precompute import precompute
 from storage.store import open_store
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import Result
 from taichi_nmm.settings import Settings
+from taichi_nmm.walker_simulator import Walker
 from tests.storage import fake
 
 pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
@@ -70,14 +71,14 @@ def test_a_kind_says_what_computes(monkeypatch: pytest.MonkeyPatch) -> None:
         return result
 
     monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate)
-    settings = Settings(arch="cpu")
-    kind = own_kind(settings, ("numpy", "taichi"))
-    assert kind == own_kind(settings, ("numpy", "taichi"))
-    assert list(kind) == ["canary", "processor", "taichi-nmm", "numpy", "taichi"]
+    walker = Walker(Settings(arch="cpu"))
+    kind = own_kind(walker, ("numpy", "scipy"))
+    assert kind == own_kind(walker, ("scipy",))
+    assert list(kind) == ["canary", "processor", "taichi-nmm", "taichi", "numpy", "scipy"]
     assert differences(kind, kind) == ""
     speed_mps = 1.0
-    found = differences(own_kind(settings, ("numpy",)), kind)
-    assert found.startswith("canary ") and found.endswith(f", taichi none, not {kind['taichi']}")
+    found = differences(own_kind(walker), kind)
+    assert found.startswith("canary ") and found.endswith(f", scipy none, not {kind['scipy']}")
 
 
 def test_a_processor_has_a_name(tmp_path: Path) -> None:

@@ -21,12 +21,14 @@ from storage.pool import Pool
 from storage.precompute import precompute
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import Settings
+from taichi_nmm.walker_simulator import Walker
 from tests.storage import fake
 from tests.storage.cluster import units
 from tests.storage.cluster.conftest import REPOSITORY, Cluster, children, kill, until
 
 pytestmark = pytest.mark.slow
 
+WALKER = Walker(Settings(arch="cpu"))
 Open = Callable[..., AbstractContextManager[Pool]]
 
 
@@ -38,7 +40,7 @@ def opened(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     @contextmanager
     def open_it(mixed: bool = False, stores: tuple[Path, ...] = ()) -> Iterator[Pool]:
         asked = Asked(cluster.address, mixed)
-        with open_pool(1, asked, tmp_path / "out", Settings(arch="cpu"), stores=stores) as pool:
+        with open_pool(1, asked, tmp_path / "out", WALKER, stores=stores) as pool:
             until(lambda: pool.room() == 4)  # a unit a worker, and one that waits there
             yield pool
 
@@ -186,11 +188,12 @@ from pathlib import Path
 import storage.cluster.connection as connection
 from storage.cluster.asked import Cluster
 from taichi_nmm.settings import Settings
+from taichi_nmm.walker_simulator import Walker
 from tests.storage import fake
 from tests.storage.cluster import units
 connection.own_kind = units.own_kind
 asked = Cluster(sys.argv[1])
-with connection.cluster_pool(asked, Path(sys.argv[2], "out"), Settings(arch="cpu")) as pool:
+with connection.cluster_pool(asked, Path(sys.argv[2], "out"), Walker(Settings(arch="cpu"))) as pool:
     list(pool.results(units.wait_for, deque([Path(sys.argv[2], name) for name in "abcdef"])))
 """
 
@@ -252,7 +255,7 @@ def small_store(tmp_path: Path) -> Path:
 def test_nobody_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("storage.cluster.connection.CONNECT_S", 1.0)
     asked = Asked("127.0.0.1:9")
-    opening = open_pool(1, asked, tmp_path / "out", Settings(arch="cpu"))
+    opening = open_pool(1, asked, tmp_path / "out", WALKER)
     with pytest.raises(InputError, match=r"'127.0.0.1:9' .* a scheduler that answers"), opening:
         pass
     assert not (tmp_path / "out").exists()
@@ -265,7 +268,7 @@ def test_a_cluster_of_this_machine_is_heard_by_nobody_else(
     monkeypatch.setattr("storage.cluster.connection.own_kind", units.own_kind)
     me = psutil.Process()
     before = {child.pid for child in me.children(recursive=True)}
-    with open_pool(1, Asked("local:2"), tmp_path / "out", Settings(arch="cpu")) as pool:
+    with open_pool(1, Asked("local:2"), tmp_path / "out", WALKER) as pool:
         assert results(pool, units.square, [1, 2]) == {1: 1, 2: 4}
         ours = [me, *(child for child in me.children(recursive=True) if child.pid not in before)]
         heard = [
@@ -278,7 +281,7 @@ def test_a_cluster_of_this_machine_is_heard_by_nobody_else(
         address = pool.executor._client.scheduler.address  # type: ignore[attr-defined]
         assert address.startswith("tls://127.0.0.1:")
         other = Asked(address)
-        stranger = open_pool(1, other, tmp_path / "other", Settings(arch="cpu"))
+        stranger = open_pool(1, other, tmp_path / "other", WALKER)
         with pytest.raises(InputError, match=r"a scheduler that answers"), stranger:
             pass
     assert {child.pid for child in me.children(recursive=True)} <= before | {
@@ -294,7 +297,7 @@ def test_certificates_of_ones_own(
 
     monkeypatch.setattr("storage.cluster.connection.own_kind", units.own_kind)
     assert certificates.address.startswith("tls://")
-    opening = (1, Asked(certificates.address), tmp_path / "out", Settings(arch="cpu"))
+    opening = (1, Asked(certificates.address), tmp_path / "out", WALKER)
     with pytest.raises(InputError, match=r"a scheduler that answers"), open_pool(*opening):
         pass
     names = {"ca-file": "ca", "client.cert": "cert", "client.key": "key"}

@@ -10,8 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from storage.shard import write_table
-from storage.stamped import DIGEST_KEY
+from storage.tables import DIGEST_KEY, write_table
 from study.comparison.folder import ExperimentFolder
 from study.experiment import arms
 from study.experiment.experiment import read_experiment

@@ -39,7 +39,7 @@ METHODS: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
 
 def walk(walker: Any, ticks: int) -> Iterator[Array]:
     """State rows of the interpreted walkers after each tick of 1 ms on flat ground."""
-    from storage.sobol import sobol_gains
+    from storage.points import sobol_points
     from taichi_nmm import terrain
     from taichi_nmm.constants import constant_rows
     from taichi_nmm.initial import initial_rows
@@ -47,11 +47,12 @@ def walk(walker: Any, ticks: int) -> Iterator[Array]:
     from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
     from taichi_nmm.kernel.muscle_table import muscle_table
     from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
+    from taichi_nmm.parameters import GAINS as PARAMETERS
     from taichi_nmm.settings import Settings
     from taichi_nmm.walkers import check_batch
 
     flat, step_s = terrain.flat(), 1e-3
-    batch = check_batch(sobol_gains(SEED, 0, GAINS), None, flat, None, None)
+    batch = check_batch(sobol_points(SEED, 0, GAINS, PARAMETERS), None, flat, None, None)
     start = np.tile(initial_rows(flat)[:, None], GAINS)
     blocks = np.split(start, [FIRST_FIBRE, FIRST_DELAY, FIRST_EVENT])
     const = constant_rows(batch, Settings()).T

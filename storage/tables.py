@@ -1,27 +1,27 @@
-"""One shard: a Parquet file whose footer says what it is part of."""
+"""Parquet files whose footers say what they are part of: written whole, checked when read.
+
+A *stamped* table also carries the document of its folder and a digest of its content. Both are
+checked when the table is read again, so that a file of another folder, or one that was edited, is
+refused. They find mistakes, not malice: anybody who edits a table can make its digest too.
+"""
 
 import hashlib
 import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from storage.commit import commit
-from storage.document import FORMAT
+from storage.document import differs
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import parse_json, reading
 
 FOOTER_KEY = b"taichi_nmm"
-FOOTER_NEEDS = {"format", "rows", "shard", "specification", "specification_hash"}
-SHARD_PATTERN = "part-*.parquet"
+DIGEST_KEY = "content_sha256"  # in a stamped table's footer; files older than the key have none
 HASH_BLOCK_BYTES = 1 << 20
-
-
-def shard_name(number: int) -> str:
-    """File name of a shard."""
-    return f"part-{number:05d}.parquet"
 
 
 def write_table(path: Path, table: pa.Table, footer: dict[str, Any]) -> None:
@@ -56,26 +56,6 @@ def footer_of(file: pq.ParquetFile) -> dict[str, Any] | None:
         return parse_json((file.schema_arrow.metadata or {})[FOOTER_KEY])
     except (KeyError, ValueError, RecursionError):
         return None
-
-
-def read_footer(path: Path) -> tuple[dict[str, Any], pa.Schema]:
-    """Footer and columns of a shard or a merged file.
-
-    Raises:
-        InputError: missing, truncated, not Parquet, or not of this project.
-    """
-    allowed = "a Parquet file that is whole"
-    with reading("store", path, allowed) as whole, pq.ParquetFile(whole) as file:
-        footer, schema, rows = footer_of(file), file.schema_arrow, file.metadata.num_rows
-        schema.names  # noqa: B018  # refuses those that are no text
-    if footer is None or not footer.keys() >= FOOTER_NEEDS:
-        raise InputError("store", str(path), "a file whose footer has a store's specification")
-    if footer["format"] != FORMAT:
-        raise InputError("store", str(path), f"format {FORMAT}, not {footer['format']!r}")
-    if footer["rows"] != rows:
-        raise InputError("store", str(path), f"a file of {footer['rows']!r} rows, not {rows}")
-    footer["rows"] = rows  # a whole number, which 1.0 or true are not
-    return footer, schema.remove_metadata()
 
 
 def read_columns(path: Path, columns: list[str] | None = None) -> pa.Table:
@@ -117,4 +97,61 @@ def file_hash(path: Path) -> str:
     with reading("store", path, "a file that can be read") as whole, whole.open("rb") as file:
         while block := file.read(HASH_BLOCK_BYTES):
             digest.update(block)
+    return digest.hexdigest()
+
+
+def write_stamped(path: Path, table: pa.Table, document: dict[str, Any]) -> None:
+    """Commit a table with the document of its folder.
+
+    Raises:
+        InputError: the folder cannot be written or the disk is full; nothing is left behind.
+    """
+    write_table(path, table, document | {DIGEST_KEY: table_digest(table)})
+
+
+def read_stamped(path: Path, document: dict[str, Any], growing: tuple[str, ...] = ()) -> pa.Table:
+    """The table, found to be of this folder and as it was written.
+
+    Args:
+        path: of the file.
+        document: of the folder.
+        growing: dictionaries of the document to which calls add; the table may have fewer entries.
+
+    Raises:
+        InputError: damaged, without a document, of another one, or with other content.
+    """
+    table = read_columns(path)
+    with pq.ParquetFile(path) as file:
+        footer = footer_of(file)
+    digest = None if footer is None else footer.pop(DIGEST_KEY, None)
+    try:
+        found = (
+            ("document", "", "missing") if footer is None else differs(document, footer, growing)
+        )
+    except (AttributeError, TypeError):  # of other types than a document's
+        found = ("document", "", "damaged")
+    if found:
+        name, ours, theirs = found
+        allowed = (
+            f"a file of this folder, whose {name} is {ours!r}; in the file's footer: {theirs!r}"
+        )
+        raise InputError("out", str(path), allowed)
+    with reading("out", path, "columns of strings, numbers and flags, none missing"):
+        own = table_digest(table)
+    if digest not in (None, own):
+        allowed = "the file as it was written; its content does not fit the digest in its footer"
+        raise InputError("out", str(path), allowed)
+    return table
+
+
+def table_digest(table: pa.Table) -> str:
+    """SHA-256 of columns of strings, numbers and flags without nulls, in any version of Arrow."""
+    digest = hashlib.sha256()
+    for field in table.schema:
+        digest.update(json.dumps([field.name, str(field.type), len(table)]).encode())
+        column = table[field.name]
+        if pa.types.is_string(field.type):
+            digest.update(json.dumps(column.to_pylist()).encode())
+        else:
+            digest.update(np.ascontiguousarray(column.to_numpy()).tobytes())
     return digest.hexdigest()

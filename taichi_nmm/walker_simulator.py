@@ -1,0 +1,290 @@
+"""The walker as the simulator of a store: its parameters, its worlds, and runs of points in them.
+
+`storage.simulator.Simulator` says what each of these is for. That package imports nothing of this
+one but checks and errors, and this module nothing of it.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from ctypes.util import find_library
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from importlib.metadata import version
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+import taichi_nmm
+from taichi_nmm import __version__
+from taichi_nmm.body import Bodies
+from taichi_nmm.conditions import read_disturbance, read_settings
+from taichi_nmm.config import Table
+from taichi_nmm.errors import InputError
+from taichi_nmm.kernel_cache import require_kernel_cache
+from taichi_nmm.mujoco_engine import require_mujoco
+from taichi_nmm.parameters import (
+    GAINS,
+    K_T,
+    LOW_LEVEL_GAINS,
+    Parameter,
+    lower_bounds,
+    searched_parameters,
+    split_points,
+    upper_bounds,
+)
+from taichi_nmm.result import DIVERGED, END_REASONS, RESULT_DTYPE, SCORE_FIELDS
+from taichi_nmm.settings import GPUS, OWN_ENGINE, Settings
+from taichi_nmm.terrain import Ground, Terrain, read_ground, rough
+from taichi_nmm.world import NOT_OURS, OWN_CONTACT, WorldRanges, Worlds, read_world
+
+# By the purpose of a world's seed, those of the streams that draw its body, its ground, and its
+# contact, muscles and nerves: stores have them from a time when each was a draw of its own.
+STREAMS = {101: (101, 102, 105), 103: (103, 104, 106)}
+DIGEST_DECIMALS = 9  # nanometres: below what another machine's last bit can change
+
+# What tells gaits apart, with the range that a search covers: slow and fast, short and long steps,
+# feet that are lifted little and much.
+MEASURES = {
+    "mean_speed_mps": (0.4, 2.0),
+    "step_length_mean_m": (0.3, 1.0),
+    "knee_peak_swing_rad": (0.5, 1.8),
+}
+SLOWEST_MPS = 0.4  # a slower gait may be about to stand, which survives any ground
+
+CANARY_WALKERS = 16
+CANARY_S = 1.0
+CANARY_SEED = 1
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnWorlds:
+    """World k is body k on terrain k, with contact, muscles and nerves k."""
+
+    bodies: Bodies
+    terrains: tuple[Terrain, ...]
+    surroundings: Worlds
+
+
+@dataclass(frozen=True)
+class WalkerWorlds:
+    """What worlds are drawn from: the tables [body], [terrain] and [world].
+
+    Attributes:
+        disturbance: largest relative disturbance of a body.
+        ground: kind of terrain with its options.
+        ranges: of contact, muscles and nerves.
+    """
+
+    disturbance: float
+    ground: Ground
+    ranges: WorldRanges
+
+    def draw(self, seeds: Sequence[np.random.SeedSequence]) -> DrawnWorlds:
+        """One world a seed, whose spawn key is (purpose, index) with a purpose of `STREAMS`."""
+        streams = [
+            [
+                np.random.SeedSequence(seed.entropy, spawn_key=(purpose, *seed.spawn_key[1:]))
+                for purpose in STREAMS[seed.spawn_key[0]]
+            ]
+            for seed in seeds
+        ]
+        return DrawnWorlds(
+            Bodies.disturbed([body for body, _, _ in streams], self.disturbance),
+            tuple(self.ground.draw(ground) for _, ground, _ in streams),
+            self.ranges.draw([surroundings for _, _, surroundings in streams]),
+        )
+
+    def document(self, worlds: DrawnWorlds) -> dict[str, Any]:
+        """Names for people, and digests of all numbers that were drawn."""
+        return {
+            "terrain": terrain_document(worlds.terrains),
+            "body": _body_document(self.disturbance, worlds.bodies),
+            **_surroundings_document(self.ranges, worlds.surroundings),
+        }
+
+
+@dataclass(frozen=True)
+class Walker:
+    """The neuromuscular walker, on its own engine or on MuJoCo.
+
+    Attributes:
+        settings: how the simulation is integrated, and on which machine.
+        searched: low-level gains that points have after the 16 gains.
+    """
+
+    settings: Settings
+    searched: tuple[Parameter, ...] = ()
+
+    name: ClassVar[str] = "walker"
+    code_version: ClassVar[str] = __version__
+    packages: ClassVar[tuple[str, ...]] = ("taichi", "numpy")
+    columns: ClassVar[np.dtype[np.void]] = RESULT_DTYPE
+    ends: ClassVar[tuple[str, ...]] = END_REASONS
+    scores: ClassVar[tuple[str, ...]] = tuple(name for name, _ in SCORE_FIELDS)
+    objective: ClassVar[str] = "walked_fraction"
+    measures: ClassVar[Mapping[str, tuple[float, float]]] = MEASURES
+
+    @classmethod
+    def read(cls, settings: Table, searched: Sequence[str], arch: str | None) -> Self:
+        """From the table [simulation], less its other keys; `arch` overrides the file's."""
+        return cls(read_settings(settings, arch), searched_parameters(searched))
+
+    @classmethod
+    def parameters_of(cls, names: Sequence[str]) -> tuple[Parameter, ...]:
+        """The 16 gains, and the low-level gains of these names."""
+        return (*GAINS, *(each for each in LOW_LEVEL_GAINS if each.name in names))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The 16 gains, and the low-level gains that are searched."""
+        return (*GAINS, *self.searched)
+
+    def document(self) -> dict[str, Any]:
+        """Low-level gains that are not searched, and the settings less those of the machine."""
+        fixed = {g.name: float(g.default) for g in LOW_LEVEL_GAINS if g not in self.searched}
+        return {"low_level_gains": fixed, "simulation": self.settings.document()}
+
+    def versions(self) -> dict[str, str]:
+        """The version of another engine than our own."""
+        if self.settings.engine == OWN_ENGINE:
+            return {}
+        require_mujoco()
+        return {"engine_version": version(self.settings.engine)}
+
+    def read_worlds(self, table: Table) -> WalkerWorlds:
+        """The tables [body], [terrain] and [world]. Reads every key of them."""
+        disturbance = read_disturbance(table.table("body"))
+        ground, ranges = read_ground(table.table("terrain")), read_world(table.table("world"))
+        if self.settings.engine != OWN_ENGINE:
+            for name in set(ranges.document()) & set(OWN_CONTACT):
+                raise InputError(table.path(f"world.{name}"), getattr(ranges, name), NOT_OURS)
+        return WalkerWorlds(disturbance, ground, ranges)
+
+    def run(
+        self,
+        points: NDArray[np.float64],
+        worlds: DrawnWorlds,
+        horizon_s: float,
+        report: Callable[[float], None],
+    ) -> tuple[NDArray[np.void], dict[str, Any]]:
+        """Walk all points in all worlds as one batch, [n, w]."""
+        count = len(worlds.terrains)
+        world = np.tile(np.arange(count), len(points))
+        gains, low_level = split_points(np.repeat(points, count, axis=0), self.searched)
+        result = taichi_nmm.simulate(  # as an attribute: importing it would load Taichi
+            gains,
+            duration_s=horizon_s,
+            bodies=worlds.bodies.take(world),
+            terrains=worlds.terrains,
+            terrain_index=world,
+            worlds=worlds.surroundings.take(world),
+            low_level_gains=low_level if self.searched else None,
+            settings=self.settings,
+            progress=lambda now_s, _: report(now_s / horizon_s),
+        )
+        return result.rows.reshape(len(points), count), result.metadata
+
+    def judge(
+        self, rows: NDArray[np.void], horizon_s: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Share of the horizon that is walked, and `MEASURES`, on average over the worlds.
+
+        The share is the survived fraction of a gait that walks, and the distance of one that hardly
+        does. Distance alone found gaits that climb stairs on fewer bodies. A measure is weighted by
+        how long a world was walked.
+        """
+        distance_m = np.where(rows["end_reason"] == DIVERGED, 0.0, rows["distance_m"])
+        walked_s = np.minimum(rows["duration_s"], np.maximum(distance_m, 0.0) / SLOWEST_MPS)
+        lasted_s = np.maximum(rows["duration_s"], 1e-3)  # a walker may diverge at once
+        weight = lasted_s / lasted_s.sum(axis=1, keepdims=True)
+        finite = (np.nan_to_num(rows[name], posinf=0.0, neginf=0.0) for name in MEASURES)
+        measures = np.column_stack([(values * weight).sum(axis=1) for values in finite])
+        return walked_s.mean(axis=1) / horizon_s, measures
+
+    def canary(self) -> NDArray[np.void]:
+        """Sixteen disturbed walkers on rough ground for a second, whatever is searched."""
+        from scipy.stats import qmc  # it takes long to import
+
+        stream = np.random.SeedSequence(CANARY_SEED, spawn_key=(100, 0))  # as a store's points have
+        sequence = qmc.Sobol(d=len(GAINS), scramble=True, rng=np.random.default_rng(stream))
+        low, high = lower_bounds(), upper_bounds()
+        gains = low + sequence.random(CANARY_WALKERS)[: CANARY_WALKERS - 1] * (high - low)
+        return taichi_nmm.simulate(
+            np.vstack([K_T, gains]),
+            duration_s=CANARY_S,
+            bodies=Bodies.disturbed(list(range(CANARY_WALKERS))),
+            terrains=rough(seed=CANARY_SEED),
+            settings=self.settings,
+        ).rows
+
+    def on_one_thread(self) -> "Walker":
+        """The same for one of several processes of a machine; no result depends on it."""
+        return replace(self, settings=replace(self.settings, threads=1))
+
+    def require_machine(self) -> None:
+        """As `require_engine`."""
+        require_engine(self.settings)
+
+    def processes(self, cores: int) -> int:
+        """One a core; one where a GPU computes."""
+        return 1 if uses_gpu(self.settings) else cores
+
+
+def require_engine(settings: Settings) -> None:
+    """Refuse a machine on which the walker cannot be simulated, before any file is touched.
+
+    Raises:
+        InputError: there is no place for compiled kernels, no such GPU, or no MuJoCo.
+    """
+    require_kernel_cache()
+    if settings.engine == "mujoco":
+        require_mujoco()
+    if settings.arch in GPUS:
+        started_arch(settings)
+
+
+def uses_gpu(settings: Settings) -> bool:
+    """Whether a GPU would compute.
+
+    Raises:
+        InputError: no such GPU.
+    """
+    if settings.arch == "cpu" or settings.engine == "mujoco":
+        return False
+    if settings.arch == "auto" and not find_library("cuda"):
+        return False
+    return started_arch(settings) != "cpu"
+
+
+def started_arch(settings: Settings) -> str:
+    """The backend that computes; it is started, which takes a second."""
+    from taichi_nmm.kernel import backend
+
+    backend.start(settings)
+    return str(backend.metadata()["arch"])
+
+
+def array_digest(*arrays: NDArray[np.float64]) -> str:
+    """SHA-256 of the arrays' numbers, one after the other, rounded; -0.0 counts as 0.0."""
+    digest = sha256()
+    for values in arrays:
+        digest.update((np.round(values, DIGEST_DECIMALS) + 0.0).tobytes())
+    return digest.hexdigest()
+
+
+def terrain_document(terrains: Sequence[Terrain]) -> dict[str, str]:
+    """The grounds of one kind: the first one's name, and the digest of all heights."""
+    heights = array_digest(*(terrain.height_m for terrain in terrains))
+    return {"name": terrains[0].name, "sha256": heights}
+
+
+def _body_document(disturbance: float, bodies: Bodies) -> dict[str, Any]:
+    numbers = array_digest(bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m)
+    return {"disturbance": disturbance, "sha256": numbers}
+
+
+def _surroundings_document(ranges: WorldRanges, worlds: Worlds) -> dict[str, Any]:
+    """{} of nominal ones: the key "world" is newer than many stores."""
+    if not (drawn_from := ranges.document()):
+        return {}
+    return {"world": drawn_from | {"sha256": array_digest(*vars(worlds).values())}}

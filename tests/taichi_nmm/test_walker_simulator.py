@@ -1,0 +1,75 @@
+"""The walker behind the seam of `storage.simulator`; tests of stores run points with it."""
+
+import numpy as np
+import pytest
+
+from taichi_nmm import walker_simulator
+from taichi_nmm.config import Table
+from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, searched_parameters, split_points
+from taichi_nmm.result import COMPLETED, DIVERGED, FELL, RESULT_DTYPE
+from taichi_nmm.settings import Settings
+from taichi_nmm.walker_simulator import MEASURES, Walker, array_digest
+
+
+@pytest.mark.parametrize("settings", [Settings(arch="cpu"), Settings(engine="mujoco")])
+def test_a_process_a_core_where_no_gpu_computes(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MuJoCo computes on the processor, whatever else the machine has."""
+    monkeypatch.setattr(walker_simulator, "find_library", lambda name: "libcuda.so")
+    monkeypatch.setattr(walker_simulator, "started_arch", lambda settings: "cuda")
+    assert Walker(settings).processes(7) == 7
+
+
+def test_one_process_where_a_gpu_computes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(walker_simulator, "find_library", lambda name: "libcuda.so")
+    monkeypatch.setattr(walker_simulator, "started_arch", lambda settings: "cuda")
+    assert Walker(Settings()).processes(7) == 1
+
+
+def test_points_are_split_into_gains_and_low_level_gains() -> None:
+    searched = searched_parameters(["theta_ref", "k_flex"])
+    points = np.arange(36.0).reshape(2, 18)
+    gains, low_level = split_points(points, searched)
+    assert np.array_equal(gains, points[:, :16])
+    assert low_level[:, 1].tolist() == [16.0, 34.0] and low_level[:, 7].tolist() == [17.0, 35.0]
+    defaults = [parameter.default for parameter in LOW_LEVEL_GAINS]
+    assert low_level[1, [0, 2, 3, 4, 5, 6]].tolist() == [defaults[i] for i in (0, 2, 3, 4, 5, 6)]
+    gains, low_level = split_points(points[:, :16], ())
+    assert np.array_equal(low_level, [defaults, defaults])
+
+
+def test_parameters_are_the_gains_and_those_asked_for() -> None:
+    assert Walker(Settings()).parameters == Walker.parameters_of(["K_GAS"]) == GAINS
+    theta_ref = LOW_LEVEL_GAINS[-1]
+    assert Walker.parameters_of(["theta_ref", "nothing"]) == (*GAINS, theta_ref)
+
+
+def test_contact_of_our_own_engine_is_refused_with_mujoco() -> None:
+    walker = Walker(Settings(engine="mujoco"))
+    tables = {"world": {"contact_stiffness": [0.5, 2.0]}}
+    with pytest.raises(InputError) as caught:
+        walker.read_worlds(Table(tables, "families.up"))
+    assert caught.value.field == "families.up.world.contact_stiffness"
+    assert Walker(Settings()).read_worlds(Table(tables)).ranges.contact_stiffness == (0.5, 2.0)
+
+
+def test_a_search_breeds_for_what_is_walked_and_not_for_standing() -> None:
+    rows = np.zeros((3, 2), RESULT_DTYPE)
+    rows["duration_s"] = [[8.0, 4.0], [8.0, 8.0], [8.0, 2.0]]
+    rows["distance_m"] = [[8.0, 4.0], [0.4, 0.4], [8.0, 1e9]]  # walks, stands, diverges
+    rows["end_reason"] = [[COMPLETED, FELL], [COMPLETED, COMPLETED], [COMPLETED, DIVERGED]]
+    rows["mean_speed_mps"] = [[1.0, 2.0], [0.05, 0.05], [1.0, np.inf]]
+    objective, measures = Walker(Settings()).judge(rows, 8.0)
+    np.testing.assert_allclose(objective, [0.75, 1.0 / 8.0, 0.5])
+    assert measures.shape == (3, len(MEASURES))
+    np.testing.assert_allclose(measures[:, 0], [(8.0 + 2 * 4.0) / 12.0, 0.05, 8.0 / 10.0])
+
+
+def test_digest_ignores_the_last_bits_and_the_sign_of_zero() -> None:
+    values = np.array([[0.0, 1.0], [2.0, 3.0]])
+    assert array_digest(values) == array_digest(*values)
+    assert array_digest(-values[:1] * 0.0) == array_digest(np.zeros((1, 2)))
+    assert array_digest(values) == array_digest(values + 1e-10)
+    assert array_digest(values) != array_digest(values + 1e-8)
