@@ -18,6 +18,7 @@ from typing import Any, BinaryIO
 from taichi_nmm.errors import InputError
 
 TEMPORARY_SUFFIX = ".tmp"  # hidden files of this ending are never read
+UNHELD = "a folder that no other process is filling at this moment"
 
 
 def commit(
@@ -108,22 +109,62 @@ def together(folder: Path) -> Iterator[Path]:
     If it ends otherwise, nothing is there that was not there before.
 
     Raises:
-        InputError: the folder cannot be written or the disk is full.
+        InputError: the folder cannot be written, the disk is full, or another process is filling
+            the same folder.
     """
     require_named(folder)
     new = folder.resolve().with_name(f".{folder.resolve().name}.new")
     with writable(folder):
         new.parent.mkdir(parents=True, exist_ok=True)
-        shutil.rmtree(new, ignore_errors=True)  # of a process that was killed
-        new.mkdir()
+    with _locked_folder(new, folder):
+        try:
+            with writable(folder):
+                for left in new.iterdir():  # by a process that was killed
+                    shutil.rmtree(left) if left.is_dir() else left.unlink()
+            yield new
+            with writable(folder):
+                folder.mkdir(exist_ok=True)
+                for file in sorted(new.iterdir()):
+                    file.replace(folder / file.name)
+        finally:
+            shutil.rmtree(new, ignore_errors=True)
+
+
+@contextmanager
+def _locked_folder(new: Path, folder: Path) -> Iterator[None]:
+    """Hold `new`, made where it is missing, for the process that fills `folder` by it."""
+    with writable(folder):
+        new.mkdir(exist_ok=True)
     try:
-        yield new
-        with writable(folder):
-            folder.mkdir(exist_ok=True)
-            for file in sorted(new.iterdir()):
-                file.replace(folder / file.name)
+        held = os.open(new, os.O_RDONLY)
+    except FileNotFoundError:  # its holder has just finished
+        raise InputError("out", str(folder), UNHELD) from None
+    try:
+        lock_now(held, folder)
+        if not new.exists() or not os.path.samestat(os.fstat(held), new.stat()):
+            raise InputError("out", str(folder), UNHELD)
+        yield
     finally:
-        shutil.rmtree(new, ignore_errors=True)
+        os.close(held)
+
+
+def lock_now(held: int, path: Path, field: str = "out") -> None:
+    """Lock an open file or folder for this process, as long as it is open.
+
+    Args:
+        held: its descriptor.
+        path: what the lock stands for, for the message, as `field`.
+
+    Raises:
+        InputError: another process holds it, or the file system has no locks.
+    """
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise InputError(field, str(path), UNHELD) from None
+    except OSError as error:  # 37, 38, 95: some network and FUSE file systems
+        allowed = f"a file system with locks, such as a local disk ({error.strerror})"
+        raise InputError(field, str(path), allowed) from None
 
 
 def require_writable(path: Path, field: str = "out") -> None:

@@ -201,14 +201,27 @@ def anything(field: str, value: Any) -> Any:
 
 
 def numbers(field: str, values: Any) -> NDArray[np.float64]:
-    """An array of numbers as float64, of any shape; NaN and infinity are numbers."""
+    """An array of numbers as float64, of any shape; NaN and infinity are numbers.
+
+    A masked value is NaN, as it is in pandas.
+    """
     try:
-        array = np.asarray(values)
+        array = np.asarray(unmasked(values))
         if array.dtype.kind not in "biufO":
             raise TypeError
         return array.astype(np.float64, copy=False)
     except (TypeError, ValueError, OverflowError):
         raise InputError(field, values, "an array of numbers") from None
+
+
+def unmasked(values: Any) -> Any:
+    """A masked array of numbers with NaN under its mask; anything else as it is.
+
+    `np.asarray` would show the values that the mask hides.
+    """
+    if not np.ma.is_masked(values):
+        return values
+    return values.astype(np.float64).filled(np.nan)
 
 
 def finite(field: str, values: Any) -> NDArray[np.float64]:
@@ -223,7 +236,7 @@ def finite(field: str, values: Any) -> NDArray[np.float64]:
 def row_numbers(field: str, values: Any, count: int) -> NDArray[Any]:
     """Numbers of rows, each from 0 to `count` - 1, in any order; [k]."""
     try:
-        rows = np.asarray(values)
+        rows = np.asarray(unmasked(values))
     except ValueError:  # lists of different lengths
         raise InputError(field, values, "whole numbers, [k]") from None
     if rows.shape == (0,):

@@ -59,6 +59,7 @@ else:
 _running: Settings | None = None
 _arch = "cpu"
 _compiled: set[str] = set()
+_process = 0  # number of the process that initialised Taichi
 _session = 0  # how often Taichi was initialised; what was bound in an earlier one is gone
 
 
@@ -68,9 +69,15 @@ def start(settings: Settings) -> None:
     Kernels hold no fields, so starting again with another precision loses nothing.
 
     Raises:
-        InputError: the architecture asked for is not on this machine.
+        InputError: the architecture asked for is not on this machine; or this process was forked
+            from one that had started Taichi.
     """
-    global _running, _arch, _session
+    global _running, _arch, _session, _process
+    if _process not in (0, os.getpid()):  # a fork has none of Taichi's threads: it would hang
+        allowed = (
+            "one started by multiprocessing.get_context('spawn'), not forked after a simulation"
+        )
+        raise InputError("process", os.getpid(), allowed)
     if _running is not None and _same_engine(_running, settings):
         return
     _require_main_thread()
@@ -80,6 +87,7 @@ def start(settings: Settings) -> None:
         if _initialise(arch, settings):
             _running = settings
             _arch = arch
+            _process = os.getpid()
             return
     raise InputError("simulation.arch", settings.arch, "an architecture of this machine (cpu is)")
 

@@ -1,6 +1,7 @@
 import errno
 import fcntl
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,8 @@ from taichi_nmm.errors import InputError
 ROOT = Path(__file__).resolve().parents[2]
 COMMIT = "import sys; from pathlib import Path; from storage.commit import commit_json; "
 COMMIT += "commit_json(Path(sys.argv[1]), {})"
+TOGETHER = "import sys; from pathlib import Path; from storage.commit import together\n"
+TOGETHER += "with together(Path(sys.argv[1])): pass"
 TABLE = pa.table({"row": [0, 1], "score": [0.5, 0.25]})
 FOOTER = {"format": 1, "rows": 2, "shard": 0, "specification": {}, "specification_hash": ""}
 
@@ -122,6 +125,33 @@ def test_what_is_being_written_is_not_taken_for_a_leftover(tmp_path: Path) -> No
         )
         assert done.stderr == "" and temporary.exists()
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path: Path) -> None:
+    folder = tmp_path / "report"
+    with together(folder) as new:
+        (new / "file").write_text("first")
+        done = subprocess.run(
+            [sys.executable, "-c", TOGETHER, str(folder)],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+        )
+        assert "allowed: a folder that no other process is filling at this moment" in done.stderr
+    assert [file.name for file in tmp_path.rglob("*")] == ["report", "file"]
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def fails(file: Any, operation: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", fails)
+    allowed = re.escape(f"a file system with locks, such as a local disk ({os.strerror(number)})")
+    with pytest.raises(InputError, match=allowed), together(tmp_path / "report"):
+        pass
 
 
 def test_no_folder_to_write_in(tmp_path: Path) -> None:

@@ -230,6 +230,40 @@ def test_first_simulation_off_the_main_thread_is_refused_and_later_ones_run() ->
     assert lines[1:] == ["done"], done.stderr
 
 
+FORK = """
+import multiprocessing, taichi_nmm
+def attempt():
+    try:
+        taichi_nmm.simulate(taichi_nmm.K_T, duration_s=0.01)
+    except taichi_nmm.InputError as error:
+        print(error, flush=True)
+taichi_nmm.simulate(taichi_nmm.K_T, duration_s=0.01)
+child = multiprocessing.get_context("fork").Process(target=attempt)
+child.start()
+child.join(30)
+child.kill()
+"""
+
+
+def test_simulation_in_a_fork_of_a_process_that_simulated_is_refused() -> None:
+    """Taichi's threads do not survive a fork: the child would wait for them without end."""
+    done = subprocess.run([sys.executable, "-c", FORK], capture_output=True, text=True)
+    assert done.stdout.startswith("process: "), done.stderr
+    assert "multiprocessing.get_context('spawn')" in done.stdout
+
+
+def test_masked_gains_are_no_numbers() -> None:
+    gains = np.ma.masked_array(K_T, mask=np.arange(len(K_T)) == 3)
+    with pytest.raises(InputError, match=r"gains.*nan"):
+        taichi_nmm.simulate(gains, duration_s=0.01, settings=CPU)
+
+
+def test_masked_rows_are_no_rows() -> None:
+    index = np.ma.masked_array([0, 0], mask=[False, True])
+    with pytest.raises(InputError, match=r"terrain_index.*whole numbers"):
+        taichi_nmm.simulate([K_T, K_T], terrains=[terrain.flat()], terrain_index=index)
+
+
 def test_import_is_cheap() -> None:
     imports = "import sys, taichi_nmm, taichi_nmm.conditions, taichi_nmm.kernel.layout"
     code = f"{imports}; assert 'taichi' not in sys.modules; print('cheap')"
