@@ -1,0 +1,135 @@
+"""Who can reach a cluster: the sockets of what docs/cluster.md's own lines start, and of local:N."""
+
+import json
+import re
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+psutil = pytest.importorskip("psutil", reason="psutil is not installed: the extra cluster")
+pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="only Linux has all of 127.0.0.0/8 without asking"
+)
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = (ROOT / "docs" / "cluster.md").read_text(encoding="utf-8")
+HERE = {"10.0.0.1": "127.0.0.21", "10.0.0.2": "127.0.0.22"}  # the page's machines, on this one
+WAIT_S = 120.0
+LINES = re.findall(r"^dask (?:scheduler|worker) .*$", PAGE.replace("\\\n", " "), re.MULTILINE)
+
+
+@pytest.fixture
+def processes() -> Iterator[list[subprocess.Popen[bytes]]]:
+    started: list[subprocess.Popen[bytes]] = []
+    yield started
+    for process in started:
+        for child in [*psutil.Process(process.pid).children(recursive=True), process]:
+            child.kill()
+        process.wait()
+
+
+def test_the_page_starts_a_scheduler_and_a_worker_without_and_with_certificates() -> None:
+    assert [line.split()[1] for line in LINES] == ["scheduler", "worker"] * 2
+    assert ["tls" in line for line in LINES] == [False, False, True, True]
+
+
+@pytest.mark.parametrize("first", [0, 2], ids=["tcp", "tls"])
+def test_what_the_page_starts_is_reached_by_the_given_address_alone(
+    first: int, processes: list[subprocess.Popen[bytes]], tmp_path: Path
+) -> None:
+    """Nothing listens on all interfaces, which would let anybody run code in a worker."""
+    certificates(tmp_path)
+    scheduler, worker = (here(line) for line in LINES[first : first + 2])
+    file = tmp_path / "scheduler.json"
+    start(processes, tmp_path, [*scheduler, "--port", "0", "--scheduler-file", str(file)])
+    until(lambda: file.exists() and file.read_text().endswith("}"))
+    document = json.loads(file.read_text())
+    worker = [document["address"] if "8786" in word else word for word in worker]
+    start(processes, tmp_path, ["1" if word == "16" else word for word in worker])
+    found = [set[str](), set[str]()]
+    until(lambda: len(sockets(found[1], processes[1].pid)) >= 2)
+    sockets(found[0], processes[0].pid)
+    assert found[0] == {"127.0.0.1", HERE["10.0.0.1"]}
+    assert found[1] == {"127.0.0.1", HERE["10.0.0.2"]}
+    done = subprocess.run(
+        [sys.executable, "-c", ASK, document["address"]],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+    )
+    assert done.stdout == ("42\n" if first == 0 else "refused\n42\n"), done.stderr
+
+
+ASK = """
+import sys
+from distributed import Client
+from distributed.security import Security
+
+def ask(**how):
+    with Client(sys.argv[1], timeout=60, set_as_default=False, **how) as client:
+        print(client.submit(int.__mul__, 6, 7).result(60))
+
+if sys.argv[1].startswith("tls"):
+    try:
+        ask()
+    except (OSError, TypeError):
+        print("refused")
+    ask(security=Security(tls_ca_file="ca.pem", tls_client_cert="cert.pem",
+                          tls_client_key="key.pem", require_encryption=True))
+else:
+    ask()
+"""
+
+
+def certificates(folder: Path) -> None:
+    """The files that the page names: one key signs itself, and is its own authority."""
+    program = shutil.which("openssl")
+    if program is None:
+        pytest.skip("no openssl here")
+    subprocess.run(
+        [program, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1",
+         "-subj", "/CN=test", "-keyout", "key.pem", "-out", "cert.pem"],
+        cwd=folder, check=True, capture_output=True,
+    )  # fmt: skip
+    shutil.copy(folder / "cert.pem", folder / "ca.pem")
+
+
+def here(line: str) -> list[str]:
+    """The words of a line of the page, with addresses of this machine."""
+    for theirs, ours in HERE.items():
+        line = line.replace(theirs, ours)
+    return shlex.split(line, comments=True)
+
+
+def start(processes: list[subprocess.Popen[bytes]], folder: Path, words: list[str]) -> None:
+    log = (folder / f"{len(processes)}.log").open("wb")
+    program = [sys.executable, "-m", *words]
+    processes.append(subprocess.Popen(program, cwd=folder, stdout=log, stderr=log))
+
+
+def sockets(found: set[str], process: int) -> set[tuple[str, int]]:
+    """Where a process and its children listen; the addresses are added to `found`."""
+    listening = set()
+    for each in [psutil.Process(process), *psutil.Process(process).children(recursive=True)]:
+        for one in each.net_connections("inet"):
+            if one.status == psutil.CONN_LISTEN and one.type == socket.SOCK_STREAM:
+                listening.add((one.laddr.ip, one.laddr.port))
+    found.update(address for address, _ in listening)
+    return listening
+
+
+def until(true: object) -> None:
+    assert callable(true)
+    deadline_s = time.monotonic() + WAIT_S
+    while not true():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
