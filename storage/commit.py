@@ -162,9 +162,14 @@ def lock_now(held: int, path: Path, field: str = "out") -> None:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise InputError(field, str(path), UNHELD) from None
-    except OSError as error:  # 37, 38, 95: some network and FUSE file systems
-        allowed = f"a file system with locks, such as a local disk ({error.strerror})"
-        raise InputError(field, str(path), allowed) from None
+    except OSError as error:
+        raise without_locks(field, path, error) from None
+
+
+def without_locks(field: str, path: Path, error: OSError) -> InputError:
+    """The refusal of a place that cannot be locked: some network and FUSE file systems (37, 95)."""
+    allowed = f"a place on a file system with locks, such as a local disk ({error.strerror})"
+    return InputError(field, str(path), allowed)
 
 
 def require_writable(path: Path, field: str = "out") -> None:

@@ -3,7 +3,6 @@
 The first file is the document: what the folder is to hold. Work with another document is refused.
 """
 
-import fcntl
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from typing import Any, ClassVar, Self
 
 import pyarrow as pa
 
-from storage.commit import TEMPORARY_SUFFIX, require_folder, writable
+from storage.commit import TEMPORARY_SUFFIX, lock_now, require_folder, writable
 from storage.document import agree, agreed
 from storage.tables import read_stamped, write_stamped
 from taichi_nmm.errors import InputError
@@ -119,11 +118,7 @@ def claimed(path: Path, first: str, kind: str) -> Iterator[None]:
         path.mkdir(parents=True, exist_ok=True)
         lock = (path / LOCK_NAME).open("a")  # never removed: another process may hold it
     with lock:
-        try:
-            fcntl.flock(lock.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            allowed = "a folder that no other process is filling at this moment"
-            raise InputError("out", str(path), allowed) from None
+        lock_now(lock.fileno(), path)
         remove(path, f".*{TEMPORARY_SUFFIX}")
         yield
 

@@ -24,7 +24,14 @@ from optuna.storages import RDBStorage
 from sqlalchemy import event
 from sqlalchemy.exc import SQLAlchemyError
 
-from storage.commit import remove_orphans, require_writable, sync, temporary_sibling, writable
+from storage.commit import (
+    remove_orphans,
+    require_writable,
+    sync,
+    temporary_sibling,
+    without_locks,
+    writable,
+)
 from storage.databases import postgresql
 from storage.databases.look import looked_at, sqlite_options
 from storage.databases.postgresql import unusable
@@ -164,8 +171,10 @@ def only_run(url: str, study_name: str) -> Iterator[None]:
     with file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             raise _taken(study_name) from None
+        except OSError as error:
+            raise without_locks("storage", lock, error) from None
         yield
 
 
@@ -187,7 +196,16 @@ def require_lockable(url: str, study_name: str) -> None:
 
 
 def _lock_file(url: str, study_name: str) -> Path:
+    """Beside the database's own name: the same file for all links that lead to it."""
     path = studies_path(url)
+    with writable(path, "storage"):
+        path = path.resolve()
+        if path.exists():
+            remove_orphans(path)  # a second name may be that of a process killed while it made it
+            names = path.stat().st_nlink
+            if names > 1:  # SQLite itself takes two names for two databases
+                allowed = f"a file with one name; this has {names} hard links"
+                raise InputError("storage", str(path), allowed)
     return path.with_name(f"{path.name}.{study_name.replace('/', '-')}.lock")
 
 

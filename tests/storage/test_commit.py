@@ -149,7 +149,9 @@ def test_a_file_system_without_locks_is_named(
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(fcntl, "flock", fails)
-    allowed = re.escape(f"a file system with locks, such as a local disk ({os.strerror(number)})")
+    allowed = re.escape(
+        f"a place on a file system with locks, such as a local disk ({os.strerror(number)})"
+    )
     with pytest.raises(InputError, match=allowed), together(tmp_path / "report"):
         pass
 

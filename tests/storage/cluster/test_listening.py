@@ -1,4 +1,4 @@
-"""Who can reach a cluster: the sockets of what docs/cluster.md's own lines start, and of local:N."""
+"""Who can reach a cluster: the sockets of what the lines of docs/cluster.md start."""
 
 import json
 import re

@@ -1,5 +1,7 @@
 """Study databases: how they are opened, and what is refused."""
 
+import errno
+import fcntl
 import os
 import sqlite3
 import sys
@@ -287,6 +289,40 @@ def test_a_study_has_one_run_at_a_time(tmp_path: Path) -> None:
         with only_run(url, "rough8/random"):
             pass
     with only_run(url, "rough8/dog"):
+        pass
+
+
+def test_a_study_has_one_run_at_a_time_under_any_name_of_its_file(tmp_path: Path) -> None:
+    """Two runs would take each other's running trials for dead."""
+    file, link = tmp_path / "studies.db", tmp_path / "elsewhere" / "link.db"
+    link.parent.mkdir()
+    link.symlink_to(file)
+    with (
+        only_run(f"sqlite:///{file}", "rough8/dog"),
+        pytest.raises(InputError, match=r"study: 'rough8/dog' .* another process"),
+        only_run(f"sqlite:///{link}", "rough8/dog"),
+    ):
+        pass
+    file.touch()
+    (link.parent / "hard.db").hardlink_to(file)
+    with (
+        pytest.raises(InputError, match=r"storage: .* a file with one name; this has 2 hard links"),
+        only_run(f"sqlite:///{link.parent}/hard.db", "rough8/dog"),
+    ):
+        pass
+
+
+def test_a_database_on_a_file_system_without_locks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", fails)
+    with (
+        pytest.raises(InputError, match=r"storage: .* file system with locks"),
+        only_run(f"sqlite:///{tmp_path}/studies.db", "rough8/dog"),
+    ):
         pass
 
 
