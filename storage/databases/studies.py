@@ -11,7 +11,7 @@ import sqlite3
 import stat
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from json import JSONDecodeError
 from pathlib import Path
@@ -19,7 +19,11 @@ from typing import Any
 
 import optuna
 import sqlalchemy as sql
-from optuna.exceptions import ExperimentalWarning, StorageInternalError
+from optuna.exceptions import (
+    ExperimentalWarning,
+    StorageInternalError,
+    UpdateFinishedTrialError,
+)
 from optuna.storages import RDBStorage
 from sqlalchemy import event
 from sqlalchemy.exc import SQLAlchemyError
@@ -41,6 +45,8 @@ from taichi_nmm.errors import InputError
 
 URL_PREFIX = SQLITE
 MEMORY_NAME = ":memory:"  # which SQLite takes for no file
+NO_RECORD = "Record does not exist."  # Optuna's KeyError for a study or trial that was deleted
+ALONE = "a study that no other program changes while it runs"
 BUSY_TIMEOUT_S = 5.0  # a writer of ours holds the database for milliseconds
 
 
@@ -66,6 +72,7 @@ def open_studies(url: str) -> RDBStorage:
     except (OSError, sqlite3.Error, SQLAlchemyError, RuntimeError) as error:
         raise unusable(shown_url(url), error) from None
     event.listen(storage.engine, "connect", _relax_synchronous)
+    event.listen(storage.engine, "begin", _stays(path))
     storage.engine.dispose()  # connections made before the listener
     return storage
 
@@ -123,9 +130,15 @@ def studies_path(url: str) -> Path:
 
 @contextmanager
 def storage_errors(url: str) -> Iterator[None]:
-    """Turn what a database can do to a running study into one line for its user."""
+    """Turn what a database, or its other users, can do to a running study into one line."""
     try:
         yield
+    except UpdateFinishedTrialError:
+        raise InputError("storage", shown_url(url), f"{ALONE}; it told a running trial") from None
+    except KeyError as error:
+        if error.args != (NO_RECORD,):
+            raise
+        raise InputError("storage", shown_url(url), f"{ALONE}; it deleted this one") from None
     except (SQLAlchemyError, StorageInternalError, JSONDecodeError) as error:
         raise unusable(shown_url(url), error) from None
 
@@ -207,6 +220,26 @@ def _lock_file(url: str, study_name: str) -> Path:
                 allowed = f"a file with one name; this has {names} hard links"
                 raise InputError("storage", str(path), allowed)
     return path.with_name(f"{path.name}.{study_name.replace('/', '-')}.lock")
+
+
+def _stays(path: Path) -> Callable[[sql.Connection], None]:
+    """A check, before each transaction, that the file still has its name.
+
+    Without it SQLite goes on to write to the removed file, and all is lost with the process.
+    """
+    opened = path.stat()
+
+    def check(_: sql.Connection) -> None:
+        with suppress(OSError):
+            if os.path.samestat(opened, path.stat()):
+                return
+        allowed = (
+            "a file that stays where it is while a study runs; it was removed or replaced, "
+            "and no trial since then is kept"
+        )
+        raise InputError("storage", str(path), allowed)
+
+    return check
 
 
 def name_metric(study: optuna.Study, metric: str) -> None:

@@ -312,6 +312,40 @@ def test_a_study_has_one_run_at_a_time_under_any_name_of_its_file(tmp_path: Path
         pass
 
 
+def test_a_study_that_another_program_deletes_is_one_line(tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path}/studies.db"
+    study = optuna.create_study(storage=open_studies(url), study_name="taken")
+    trial = study.ask()
+    optuna.delete_study(study_name="taken", storage=RDBStorage(url))
+    with pytest.raises(InputError, match=r"storage: .* deleted this one"), storage_errors(url):
+        study.tell(trial, 1.0)
+    with pytest.raises(KeyError, match="ours"), storage_errors(url):
+        raise KeyError("ours")
+
+
+def test_a_trial_that_another_program_tells_is_one_line(tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path}/studies.db"
+    study = optuna.create_study(storage=open_studies(url), study_name="told")
+    trial = study.ask()
+    optuna.load_study(storage=RDBStorage(url), study_name="told").tell(trial.number, 1.0)
+    with pytest.raises(InputError, match=r"storage: .* told a running"), storage_errors(url):
+        trial.set_user_attr("walked", True)
+
+
+@pytest.mark.parametrize("replaced", [False, True])
+def test_a_database_that_is_removed_is_not_written_any_more(tmp_path: Path, replaced: bool) -> None:
+    """SQLite would go on without an error, and nothing would be kept."""
+    file = tmp_path / "studies.db"
+    study = optuna.create_study(storage=open_studies(f"sqlite:///{file}"))
+    study.tell(study.ask(), 1.0)
+    file.unlink()
+    if replaced:
+        open_studies(f"sqlite:///{tmp_path}/other.db").engine.dispose()
+        (tmp_path / "other.db").rename(file)
+    with pytest.raises(InputError, match=r"storage: .* no trial since then is kept"):
+        study.ask()
+
+
 def test_a_database_on_a_file_system_without_locks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
