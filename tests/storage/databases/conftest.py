@@ -67,6 +67,17 @@ class Server:
             connection.execute(sql.text(f"CREATE DATABASE {name}"))
         return self.url(name)
 
+    def require_password(self, role: str, password: str) -> None:
+        """Make a role that may do anything, by this password alone."""
+        with self._engine().connect() as connection:
+            connection.execution_options(isolation_level="AUTOCOMMIT")
+            connection.execute(
+                sql.text(f"CREATE ROLE {role} SUPERUSER LOGIN PASSWORD '{password}'")
+            )
+            rules = self.folder / "data" / "pg_hba.conf"
+            rules.write_text(f"local all {role} scram-sha-256\n{rules.read_text()}")
+            connection.execute(sql.text("SELECT pg_reload_conf()"))
+
     def _engine(self) -> sql.Engine:
         return sql.create_engine(self.url("postgres"), poolclass=sql.NullPool)
 

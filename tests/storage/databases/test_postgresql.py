@@ -116,6 +116,19 @@ def refusal(url: str) -> str:
     return text
 
 
+def test_a_password_comes_from_the_environment(
+    server: Server, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A URL on a command line is shown by `ps`."""
+    server.require_password("guest", "secret")
+    guest = url.replace(f"{server.owner}:secret@", "guest@")
+    with pytest.raises(InputError, match="password"):
+        open_studies(guest)
+    monkeypatch.setenv("PGPASSWORD", "secret")
+    optuna.create_study(storage=open_studies(guest), study_name="shared")
+    assert "shared" in optuna.get_all_study_names(url)
+
+
 def test_a_server_that_is_not_there(server: Server) -> None:
     assert "refused" in refusal("postgresql+psycopg://me:secret@127.0.0.1:1/db")
 
