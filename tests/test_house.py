@@ -38,6 +38,7 @@ ALLOWED = {
         "study.comparison",
         "study.experiment",
         "study.sampler.history",
+        "study.draws",
         "study.pictures",
         "storage",
         "taichi_nmm",

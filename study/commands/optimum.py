@@ -19,13 +19,11 @@ import optuna
 
 from storage.pool import cores
 from study.comparison.compare import Progress
+from study.comparison.optimum import OPTIMUM_NAME, CmaesProgress, estimate
 from study.experiment.experiment import (
     Experiment,
     read_experiment,
 )
-from study.optimum.estimate import Reports, estimate
-from study.optimum.generations import CmaesProgress
-from study.optimum.optimum_folder import OPTIMUM_NAME
 from study.options import asked_cluster
 from taichi_nmm.walker_simulator import Walker, require_engine
 
@@ -47,8 +45,9 @@ def main(args: Namespace) -> None:
     settings = experiment.conditions.settings
     require_engine(settings)
     workers = Walker(settings).processes(cores()) if args.workers is None else args.workers
-    reports = Reports(show_dog, show_cmaes)
-    document = estimate(experiment, out, args.runs, workers, reports, asked_cluster(args))
+    document = estimate(
+        experiment, out, args.runs, workers, show_dog, show_cmaes, asked_cluster(args)
+    )
     print(json.dumps(document) if args.json else text(document, out))
 
 

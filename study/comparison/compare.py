@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypeVar
 
 import pyarrow as pa
 
@@ -32,6 +33,9 @@ from study.experiment.identity import deciding_packages, document, machine
 from study.experiment.stores import store_path
 from taichi_nmm.errors import InputError
 from taichi_nmm.walker_simulator import Walker
+
+Unit = TypeVar("Unit")
+Found = TypeVar("Found")
 
 CHECKPOINT_S = 20.0
 EXPORT_S = 60.0  # between two renewals of the study database
@@ -208,7 +212,7 @@ def compare(
     check_database(experiment, url)
     check_noted(experiment, arms, range(runs), url)
     with (
-        nullcontext(pool) if pool else _opened(experiment, arms, request) as chosen,
+        nullcontext(pool) if pool else opened_pool(experiment, arms, request) as chosen,
         ExperimentFolder.claim(request.out, identity) as folder,
     ):
         chosen.agree(folder.path)
@@ -216,16 +220,17 @@ def compare(
         finished = FinishedTrials(folder, studies, experiment.until_walker)
         session = _Session(experiment, folder, finished, chosen)
         exported_s = time.monotonic()
-        report(finished.progress(trials))
-        try:
-            for _ in _checkpoints(experiment, finished, trials, chosen, report):
-                session.note()
-                if time.monotonic() - exported_s >= EXPORT_S:
-                    export(experiment, finished.results(), url, summarise, final=False)
-                    exported_s = time.monotonic()
-        finally:
+
+        def commit(goes_on: bool) -> None:
+            nonlocal exported_s
             finished.commit()
             session.note()
+            if goes_on and time.monotonic() - exported_s >= EXPORT_S:
+                export(experiment, finished.results(), url, summarise, final=False)
+                exported_s = time.monotonic()
+
+        report(finished.progress(trials))
+        _go_on(experiment, finished, trials, chosen, report, commit)
         results = folder.write_results()
         export(experiment, results, url, summarise, final=True)
         note_worths(experiment, arms, range(runs), url, renew=session.computed > 0)
@@ -239,7 +244,7 @@ def compare(
         return Outcome(results, url, session.computed, session.wall_s)
 
 
-def _opened(
+def opened_pool(
     experiment: Experiment, arms: Sequence[Arm], request: Request
 ) -> AbstractContextManager[Pool]:
     """What tries the trials, with the stores that the arms read."""
@@ -260,14 +265,15 @@ def _require_ffmpeg() -> None:
     find_ffmpeg()
 
 
-def _checkpoints(
+def _go_on(
     experiment: Experiment,
     finished: FinishedTrials,
     trials: int,
     pool: Pool,
     report: Callable[[Progress], None],
-) -> Iterator[None]:
-    """Go on until every study has its trials; yields after each checkpoint."""
+    commit: Callable[[bool], None],
+) -> None:
+    """Work until every study has its trials."""
     experiment = experiment.on_one_thread() if pool.shares_machine else experiment
     stores = {key: pool.there(path) for key, path in experiment.stores.items()}
     experiment = replace(experiment, stores=stores)
@@ -278,7 +284,8 @@ def _checkpoints(
             experiment, studies, finished.known(studies), min(least + STRETCH_TRIALS, trials)
         )
 
-    def next_stretch(block: Block, advanced: Advanced) -> Iterator[Block]:
+    def take(block: Block, advanced: Advanced) -> Iterator[Block]:
+        finished.add(advanced.table)
         going_on = [
             (key, study)
             for key, study in zip(block.studies, advanced.studies, strict=True)
@@ -289,18 +296,39 @@ def _checkpoints(
             target = min(block.trials + STRETCH_TRIALS, trials)
             nothing = block.known.slice(0, 0)
             yield Block(experiment, keys, nothing, target, handed_on, advanced.walks)
+        report(finished.progress(trials))
 
     unfinished = [key for key in finished.studies if finished.lacks(key, trials)]
-    units = deque(map(first_stretch, cut(unfinished, pool.slots)))
+    work_through(pool, advance, map(first_stretch, cut(unfinished, pool.slots)), take, commit)
+
+
+def work_through(
+    pool: Pool,
+    work: Callable[[Unit], Found],
+    units: Iterable[Unit],
+    take: Callable[[Unit, Found], Iterable[Unit]],
+    commit: Callable[[bool], None],
+) -> None:
+    """Do units of work, and those that follow from them.
+
+    Args:
+        pool: that works.
+        work: does a unit.
+        units: to begin with.
+        take: keeps what came of a unit, and gives the units that follow from it.
+        commit: writes what was taken, every `CHECKPOINT_S` and at the end, however this ends; it is
+            told whether the work goes on.
+    """
+    queue = deque(units)
     written_s = time.monotonic()
-    for block, advanced in pool.results(advance, units):
-        finished.add(advanced.table)
-        units.extend(next_stretch(block, advanced))
-        report(finished.progress(trials))
-        if time.monotonic() - written_s >= CHECKPOINT_S:
-            finished.commit()
-            written_s = time.monotonic()
-            yield
+    try:
+        for unit, found in pool.results(work, queue):
+            queue.extend(take(unit, found))
+            if time.monotonic() - written_s >= CHECKPOINT_S:
+                commit(True)
+                written_s = time.monotonic()
+    finally:
+        commit(False)
 
 
 def cut(studies: Sequence[Key], slots: int) -> list[tuple[Key, ...]]:

@@ -5,6 +5,7 @@ CMA-ES starts in three ways: from nowhere, from a good row, from many good rows.
 
 import warnings
 from abc import ABC
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
@@ -130,8 +131,10 @@ def score_first(task: Task) -> BaseSampler:
     return RankedSampler(task.table, score_order(task.table))
 
 
-def new_strategy(start: Floats, sigma: float, draws: np.random.Generator, **options: Any) -> Any:
-    """A `cma.CMAEvolutionStrategy`; the same start, draws and costs give the same points.
+class CmaEs:
+    """pycma in the unit cube, a generation at a time: `ask`, `tell`, `ask`, ...
+
+    The same start, draws and costs give the same points.
 
     Args:
         start: mean of the first generation, in the unit cube, [d].
@@ -139,16 +142,38 @@ def new_strategy(start: Floats, sigma: float, draws: np.random.Generator, **opti
         draws: all random numbers.
         **options: of pycma, such as popsize and tolfun.
     """
-    import cma
 
-    ours = {
-        "bounds": [0.0, 1.0],
-        "verbose": -9,
-        "seed": np.nan,  # pycma's own seed is NumPy's global one, which all strategies would share
-        "randn": lambda *shape: draws.standard_normal(shape),
-        "signals_filename": "",  # it would read options from a file of the current folder
-    }
-    return cma.CMAEvolutionStrategy(start, sigma, ours | options)
+    def __init__(
+        self, start: Floats, sigma: float, draws: np.random.Generator, **options: Any
+    ) -> None:
+        import cma
+
+        ours = {
+            "bounds": [0.0, 1.0],
+            "verbose": -9,
+            "seed": np.nan,  # pycma's own seed is NumPy's global one, which all runs would share
+            "randn": lambda *shape: draws.standard_normal(shape),
+            "signals_filename": "",  # it would read options from a file of the current folder
+        }
+        self._strategy = cma.CMAEvolutionStrategy(start, sigma, ours | options)
+        self._asked: list[Floats] | None = None
+        self.population = int(self._strategy.popsize)
+        self.generation = 0  # that `ask` gives, from 0
+        self.stopped = ""  # pycma's criteria that are met
+
+    def ask(self) -> Floats:
+        """The points of the generation, [population, d]; the same until told."""
+        if self._asked is None:
+            self._asked = self._strategy.ask()
+        return np.array(self._asked)
+
+    def tell(self, costs: Sequence[float]) -> None:
+        """The costs of the generation, finite, [population]."""
+        assert self._asked is not None
+        self._strategy.tell(self._asked, list(costs))
+        self.stopped = ", ".join(sorted(self._strategy.stop()))
+        self._asked = None
+        self.generation += 1
 
 
 def cmaes_cold(task: Task) -> BaseSampler:
@@ -234,9 +259,7 @@ class WarmCmaEsSampler(RowSampler):
         self._row = row
         self._sigma = sigma
         self._seed = seed
-        self._strategy: Any = None
-        self._asked: list[Floats] = []  # the generation that is being handed out
-        self._generation = 0
+        self._search: CmaEs | None = None
 
     def sample_relative(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
@@ -249,23 +272,18 @@ class WarmCmaEsSampler(RowSampler):
 
     def _next(self, finished: list[FrozenTrial]) -> Floats:
         """The point after these trials (the start point is not among them), in the unit cube."""
-        if self._strategy is None:
-            self._strategy = self._new_strategy()
-            self._asked = self._strategy.ask()
-        size = self._strategy.popsize
-        while len(finished) >= size * (self._generation + 1):
-            told = finished[size * self._generation : size * (self._generation + 1)]
-            for point, trial in zip(self._asked, told, strict=True):
+        if self._search is None:
+            rows = self._table.rows
+            start = rows.space.fractions(rows.parameters[self._row : self._row + 1])[0]
+            self._search = CmaEs(start, self._sigma, generator(self._seed, Purpose.CMAES))
+        search = self._search
+        while len(finished) >= search.population * (search.generation + 1):
+            first = search.population * search.generation
+            told = finished[first : first + search.population]
+            for point, trial in zip(search.ask(), told, strict=True):
                 self._require_asked(point, trial)
-            self._strategy.tell(self._asked, [trial.values[0] for trial in told])
-            self._asked = self._strategy.ask()
-            self._generation += 1
-        return np.asarray(self._asked[len(finished) - size * self._generation])
-
-    def _new_strategy(self) -> Any:
-        rows = self._table.rows
-        start = rows.space.fractions(rows.parameters[self._row : self._row + 1])[0]
-        return new_strategy(start, self._sigma, generator(self._seed, Purpose.CMAES))
+            search.tell([trial.values[0] for trial in told])
+        return np.asarray(search.ask()[len(finished) - search.population * search.generation])
 
     def _values(self, point: Floats) -> dict[str, Any]:
         space = self._table.rows.space

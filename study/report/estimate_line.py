@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from study.optimum.optimum_folder import OPTIMUM_NAME
+from study.comparison.optimum import OPTIMUM_NAME
 from study.report.documents import is_number, read_document
 from study.report.runs import Results
 from taichi_nmm.errors import InputError

@@ -40,10 +40,9 @@ import taichi_nmm
 from storage.databases.urls import file_url
 from study.cli import main as command_line
 from study.cli import run_command
-from study.comparison import compare
+from study.comparison import compare, optimum
 from study.comparison.folder import PROPOSAL_TIME, RUN_NAME, TIMES_NAME
-from study.optimum import generations
-from study.optimum.optimum_folder import OPTIMUM_NAME
+from study.comparison.optimum import OPTIMUM_NAME
 from study.options import COMMANDS, LARGEST_SEED, Options
 from tests.study import fake_walker
 
@@ -355,10 +354,8 @@ def main() -> None:
     parser.add_argument("--commands", metavar="A,B,C", default=",".join(SCENES), help="%(default)s")
     args = parser.parse_args()
     vars(taichi_nmm)["simulate"] = fake_walker.simulate
-    compare.CHECKPOINT_S = compare.EXPORT_S = generations.CHECKPOINT_S = (
-        0.0  # often, not every 20 s
-    )
-    compare.STRETCH_TRIALS, generations.STRETCH_GENERATIONS = 2, 1
+    compare.CHECKPOINT_S = compare.EXPORT_S = 0.0  # often, not every 20 s
+    compare.STRETCH_TRIALS, optimum.STRETCH_GENERATIONS = 2, 1
     for name in COMMANDS:  # so that no process has to
         import_module(f"study.commands.{name.replace('-', '_')}")
     for late in ("ribs.archives", "optuna_dashboard"):

@@ -15,10 +15,9 @@ import pytest
 import taichi_nmm
 from storage.folder import claimed
 from storage.tables import write_stamped
-from study.comparison import compare
+from study.comparison import compare, optimum
+from study.comparison.optimum import CUT, asked_gains, ended, new_run
 from study.experiment.experiment import CmaesOptions, read_experiment
-from study.optimum import generations
-from study.optimum.cmaes_run import CUT, CmaesRun
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 from tests.study import fake_walker
@@ -94,23 +93,23 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
 
 
 def test_a_run_converges_to_the_optimum_by_its_own_criteria() -> None:
-    search = CmaesRun(OPTIONS, 1, 0)
+    search = new_run(OPTIONS, 1, 0)
     best = np.inf
-    while not search.stopped(OPTIONS.max_generations):
-        costs = bowl(search.ask())
+    while not ended(search, OPTIONS.max_generations):
+        costs = bowl(asked_gains(search))
         best = min(best, float(costs.min()))
         search.tell(costs)
     assert best < 1e-3
-    assert search.stopped(OPTIONS.max_generations) == "tolfun"
+    assert ended(search, OPTIONS.max_generations) == "tolfun"
     assert 30 < search.generation < 300
 
 
 def test_runs_differ_by_number_and_seed_and_by_nothing_else() -> None:
     def first(seed: int, run: int) -> np.ndarray:
         np.random.seed(seed + run)  # the global state must not matter
-        search = CmaesRun(OPTIONS, seed, run)
-        search.tell(bowl(search.ask()))
-        return search.ask()
+        search = new_run(OPTIONS, seed, run)
+        search.tell(bowl(asked_gains(search)))
+        return asked_gains(search)
 
     np.testing.assert_array_equal(first(1, 0), first(1, 0))
     assert not np.array_equal(first(1, 0), first(1, 1))
@@ -118,21 +117,21 @@ def test_runs_differ_by_number_and_seed_and_by_nothing_else() -> None:
 
 
 def test_points_are_within_the_bounds_and_population_is_the_librarys() -> None:
-    search = CmaesRun(CmaesOptions(1.0, 0, 1e-3, 10), 3, 0)
+    search = new_run(CmaesOptions(1.0, 0, 1e-3, 10), 3, 0)
     for _ in range(5):
-        points = search.ask()
+        points = asked_gains(search)
         assert points.shape == (12, 16)
         assert np.all((lower_bounds() <= points) & (points <= upper_bounds()))
         search.tell(bowl(points))
-    assert CmaesRun(CmaesOptions(0.3, 30, 1e-3, 10), 3, 0).ask().shape == (30, 16)
+    assert new_run(CmaesOptions(0.3, 30, 1e-3, 10), 3, 0).ask().shape == (30, 16)
 
 
 def test_a_run_that_does_not_converge_is_cut() -> None:
-    search = CmaesRun(OPTIONS, 1, 0)
-    assert search.stopped(1) == ""
-    search.tell(bowl(search.ask()))
-    assert search.stopped(1) == CUT
-    assert search.stopped(2) == ""
+    search = new_run(OPTIONS, 1, 0)
+    assert ended(search, 1) == ""
+    search.tell(bowl(asked_gains(search)))
+    assert ended(search, 1) == CUT
+    assert ended(search, 2) == ""
 
 
 def test_the_result_is_the_best_of_both_methods(
@@ -210,7 +209,7 @@ def test_results_do_not_depend_on_how_work_is_cut(
     config, whole, cut = command.config(generations=9), command.folder / "a", command.folder / "b"
     assert command.run("--config", config, "--out", whole) == 0
     for module, name, size in (
-        (generations, "BLOCK_RUNS", 2), (generations, "STRETCH_GENERATIONS", 2),
+        (optimum, "BLOCK_RUNS", 2), (optimum, "STRETCH_GENERATIONS", 2),
         (compare, "BLOCK_STUDIES", 2), (compare, "STRETCH_TRIALS", 3),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, size)
@@ -298,8 +297,8 @@ def test_what_a_kill_leaves_behind_goes_on_to_the_same_end(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process killed in the third generation leaves the checkpoint of the second."""
-    monkeypatch.setattr(generations, "CHECKPOINT_S", 0.0)
-    monkeypatch.setattr(generations, "STRETCH_GENERATIONS", 1)
+    monkeypatch.setattr(compare, "CHECKPOINT_S", 0.0)
+    monkeypatch.setattr(optimum, "STRETCH_GENERATIONS", 1)
     seen: list[int] = []
     killed = command.folder / "killed"
     config, out = command.config(generations=3), command.folder / "out"

@@ -8,12 +8,18 @@ import pytest
 
 import taichi_nmm
 from storage.pool import IN_PROCESS, InProcess, Pool
+from study.comparison import optimum
+from study.comparison.optimum import (
+    EVALUATIONS,
+    CmaesProgress,
+    Stretch,
+    _document,
+    estimate,
+    evolve,
+    read_evaluations,
+    run_cmaes,
+)
 from study.experiment.experiment import CmaesOptions, Experiment
-from study.experiment.identity import document
-from study.optimum import generations
-from study.optimum.estimate import Reports, estimate
-from study.optimum.generations import CmaesProgress, Stretch, evolve, run_cmaes
-from study.optimum.optimum_folder import EVALUATIONS, OptimumFolder
 from taichi_nmm.errors import InputError
 from taichi_nmm.terrain import Ground
 from tests.study import fake_walker
@@ -33,9 +39,9 @@ def level(fake_simulator: None) -> Experiment:
 
 def run(of: Experiment, out: Path, pool: Pool = IN_PROCESS) -> Found:
     """Evaluations without their order of columns in memory, and why each run ended."""
-    with OptimumFolder.claim(out, document(of, ())) as folder:
-        table, stops = run_cmaes(of, RUNS, folder, pool, lambda progress: None)
-        assert folder.read_evaluations().equals(table)
+    out.mkdir(exist_ok=True)
+    table, stops = run_cmaes(of, RUNS, out, pool, lambda progress: None)
+    assert read_evaluations(out, _document(of)).equals(table)
     return table.to_pylist(), stops
 
 
@@ -50,8 +56,8 @@ def test_runs_do_not_depend_on_the_cut(
 ) -> None:
     whole = run(level, tmp_path / "whole")
     assert len(whole[0]) == RUNS * 7 * 4 and whole[1] == ["max_generations"] * RUNS
-    monkeypatch.setattr(generations, "BLOCK_RUNS", block)
-    monkeypatch.setattr(generations, "STRETCH_GENERATIONS", stretch)
+    monkeypatch.setattr(optimum, "BLOCK_RUNS", block)
+    monkeypatch.setattr(optimum, "STRETCH_GENERATIONS", stretch)
     assert run(level, tmp_path / "cut", Pool(InProcess(), slots)) == whole
 
 
@@ -59,8 +65,8 @@ def test_interrupted_runs_go_on(
     level: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = run(level, tmp_path / "whole")
-    monkeypatch.setattr(generations, "BLOCK_RUNS", 2)
-    monkeypatch.setattr(generations, "STRETCH_GENERATIONS", 2)
+    monkeypatch.setattr(optimum, "BLOCK_RUNS", 2)
+    monkeypatch.setattr(optimum, "STRETCH_GENERATIONS", 2)
     for call in (3, 6):
         monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(call))
         with pytest.raises(KeyboardInterrupt):
@@ -81,10 +87,10 @@ def test_more_generations_go_on_from_those_that_are_there(
 
 def test_a_block_is_told_what_is_known_and_gives_what_is_new(level: Experiment) -> None:
     first = evolve(Stretch(level, (0, 2), NOTHING, 2, "out"))
-    assert first.generations == [0] * 8 + [1] * 8 and first.stops == {}
+    assert first.tried["generation"].to_pylist() == [0] * 8 + [1] * 8 and first.stops == {}
     assert fake_walker.calls[-1]["gains"].shape == (8, 16)  # a generation of both, one batch
     rest = evolve(Stretch(level, (0, 2), first.tried, 100, "out"))
-    assert set(rest.generations) == {2, 3, 4, 5, 6}
+    assert set(rest.tried["generation"].to_pylist()) == {2, 3, 4, 5, 6}
     assert rest.stops == {0: "max_generations", 2: "max_generations"}
     alone = evolve(Stretch(level, (2,), NOTHING, 100, "out")).tried
     both = pa.concat_tables([first.tried, rest.tried]).to_pylist()
@@ -101,8 +107,7 @@ def test_evaluations_of_other_settings_are_refused(level: Experiment) -> None:
 
 def test_progress_counts_up(level: Experiment, tmp_path: Path) -> None:
     told: list[CmaesProgress] = []
-    with OptimumFolder.claim(tmp_path / "out", document(level, ())) as folder:
-        table, _ = run_cmaes(level, RUNS, folder, IN_PROCESS, told.append)
+    table, _ = run_cmaes(level, RUNS, tmp_path, IN_PROCESS, told.append)
     assert [each.generation for each in told] == [5, 7]
     assert [each.running for each in told] == [RUNS, 0]
     assert told[-1].evaluations == len(table) and told[-1].runs == RUNS
@@ -121,7 +126,10 @@ def test_only_the_easiest_setting_has_an_optimum(
     change: dict[str, object], message: str, tmp_path: Path
 ) -> None:
     easiest: dict[str, object] = {"ground": Ground("flat"), "disturbance": 0.0}
-    reports = Reports(lambda progress: None, lambda progress: None)
+
+    def quiet(progress: object) -> None:
+        pass
+
     with pytest.raises(InputError, match=message) as caught:
-        estimate(experiment(**(easiest | change)), tmp_path / "out", 2, 1, reports)
+        estimate(experiment(**(easiest | change)), tmp_path / "out", 2, 1, quiet, quiet)
     assert "\n" not in str(caught.value) and not (tmp_path / "out").exists()
