@@ -19,12 +19,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from storage.processes import Processes
-from storage.simulator import Simulator
-from taichi_nmm import __version__
+from storage.simulator import WALKER, Simulator
 from taichi_nmm.errors import InputError
 
 Kind = dict[str, str]
-"""Of each part what it is: "canary", "processor", "taichi-nmm", and packages by their names."""
+"""Of each part what it is: "canary", "processor", the simulator's code, packages by their names."""
 
 KIND_NAME = "kind.json"  # in a folder: the kind of the workers that fill it
 
@@ -160,7 +159,7 @@ def own_kind(simulator: Simulator, packages: Sequence[str] = ()) -> Kind:
     return {
         "canary": digest.hexdigest(),
         "processor": processor(),
-        "taichi-nmm": __version__,
+        "taichi-nmm" if simulator.name == WALKER else simulator.name: simulator.code_version,
         **{name: version(name) for name in names},
     }
 

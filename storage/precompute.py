@@ -16,7 +16,7 @@ from storage.points import sobol_points
 from storage.pool import IN_PROCESS, Pool, own_kind
 from storage.schema import EVOLVED_ROW, SOBOL_ROW, evaluated_name, family_names, shard_table
 from storage.search import evolved_points
-from storage.simulator import END, LASTED, SURVIVED, Report
+from storage.simulator import Report, run_points
 from storage.specification import Family, Specification
 from storage.store import open_store
 from storage.store_folder import StoreFolder
@@ -206,13 +206,13 @@ def score_shard(
         points = sobol_points(specification.seed, first, count, simulator.parameters)
     parts = progress_parts(specification, report)
     horizon_s = specification.horizon_s
-    rows, computed_by = simulator.run(points, specification.worlds, horizon_s, parts[0])
+    rows, computed_by = run_points(simulator, points, specification.worlds, 1, horizon_s, parts[0])
     base = rows[:, 0]
     columns: dict[str, NDArray[Any]] = {}
     for family, part in zip(families, parts[1:], strict=True):
-        chosen = base[LASTED] >= family.min_survival_s
+        chosen = base[simulator.survived] >= family.min_survival_s / horizon_s
         if family.after:
-            survived = columns[family_names(family.after, SURVIVED)[0]]
+            survived = columns[family_names(family.after, simulator.survived)[0]]
             chosen &= survived >= family.min_survived_fraction
         columns |= score_family(specification, family, points, chosen, part)
         part(1.0)
@@ -247,7 +247,9 @@ def score_family(
     place = np.flatnonzero(chosen)
     if not len(place):
         return columns
-    rows, _ = simulator.run(points[place], family.worlds, family.horizon_s, report)
+    rows, _ = run_points(
+        simulator, points[place], family.worlds, family.settings, family.horizon_s, report
+    )
     for score, (mean, spread) in zip(simulator.scores, names, strict=True):
         values = rows[score].astype(np.float64)
         columns[mean][place] = values.mean(axis=1)
@@ -274,7 +276,8 @@ def _summary(
     specification: Specification, path: Path, computed: int, walks: int, wall_s: float
 ) -> Summary:
     store, rows = open_store(path), specification.layout.rows
-    alive = np.count_nonzero(store.numpy([END])[END] == specification.simulator.ends[0])
+    survived = specification.simulator.survived
+    alive = np.count_nonzero(store.numpy([survived])[survived] >= 1.0)
     names = {family.name: evaluated_name(family.name) for family in specification.families}
     run = store.numpy(names.values())
     return Summary(

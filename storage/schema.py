@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from storage.simulator import END, Simulator
+from storage.simulator import Simulator
 
 SCORE_UNITS = ("mps",)  # units that end the name of a score
 
@@ -43,7 +43,9 @@ def arrow_schema(
     fields = [("row", pa.int64())]
     fields += [(parameter.name, pa.float64()) for parameter in simulator.parameters]
     for name in simulator.columns.names or ():
-        kind = pa.string() if name == END else pa.from_numpy_dtype(simulator.columns[name])
+        kind = (
+            pa.string() if name in simulator.words else pa.from_numpy_dtype(simulator.columns[name])
+        )
         fields.append((name, kind))
     for family in families:
         fields.append((evaluated_name(family), pa.bool_()))
@@ -84,7 +86,7 @@ def shard_table(
         ORIGIN: np.full(len(points), origin),
         **{each.name: values for each, values in zip(simulator.parameters, points.T, strict=True)},
         **{name: rows[name] for name in simulator.columns.names or ()},
-        END: np.array(simulator.ends)[rows[END]],
+        **{name: np.array(words)[rows[name]] for name, words in simulator.words.items()},
         **families,
     }
     arrays = [pa.array(np.ascontiguousarray(columns[each.name]), each.type) for each in schema]

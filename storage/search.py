@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from storage.points import in_unit_cube, within_bounds
 from storage.pool import Pool
 from storage.schema import evaluated_name, family_names
-from storage.simulator import SURVIVED, Simulator
+from storage.simulator import Simulator, judge_rows, run_points
 from storage.specification import BATCH, EMITTERS, STARTS, Family, Repertoire, Specification
 from storage.store_folder import StoreFolder, Tried
 from taichi_nmm.errors import InputError
@@ -133,8 +133,9 @@ def grid_starts(
         InputError: no point was run on a family.
     """
     names = [parameter.name for parameter in specification.simulator.parameters]
+    share = specification.simulator.survived
     families = [family.name for family in repertoire.families]
-    survived = [family_names(name, SURVIVED)[0] for name in families]
+    survived = [family_names(name, share)[0] for name in families]
     table = folder.read_grid([*names, *survived, *map(evaluated_name, families)])
     points = np.column_stack([table[name].to_numpy() for name in names])
     starts, falls = {}, {}
@@ -170,8 +171,8 @@ class Unit:
 def try_points(unit: Unit) -> Generation:
     """The points with what came of them."""
     simulator, family = unit.specification.simulator, unit.family
-    rows, _ = simulator.run(unit.points, family.worlds, family.horizon_s, lambda part: None)
-    return Generation(unit.points, *simulator.judge(rows, family.horizon_s))
+    rows, _ = run_points(simulator, unit.points, family.worlds, family.settings, family.horizon_s)
+    return Generation(unit.points, *judge_rows(simulator, rows, family.horizon_s))
 
 
 class Line:

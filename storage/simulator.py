@@ -2,27 +2,42 @@
 
 A store is of *a simulator*: points of its parameters, worlds drawn by a rule and a seed, and a row
 of columns for every point in every world. Nothing else in this package depends on what is
-simulated. CONTRIBUTING.md says how to add a simulator.
+simulated. To add a simulator, write a class in a file `my_robot.py`,
+
+    class MyRobot(Simulator):
+        code_version = "1"
+        parameters = (Uniform("stiffness_npm", 10.0, 500.0), Uniform("damping", 0.0, 2.0))
+        columns = np.dtype([("survived_fraction", "f8"), ("speed_mps", "f8")])
+
+with the methods `read_worlds` and `run`, and name it in a configuration:
+
+    [simulator]
+    name = "my_robot:MyRobot"
+
+All other members have defaults that a child inherits. A class that has every member, such as the
+walker, need not be a child.
 """
 
+import sys
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from importlib import import_module
-from typing import Any, Protocol, Self
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, one_line, shortened
 
 WALKER = "walker"
 SIMULATORS = {WALKER: "taichi_nmm.walker_simulator:Walker"}  # imported when a store needs one
 SIMULATOR_KEY = "simulator"  # of a specification; those of the walker are older and lack it
+NAME_KEY = f"{SIMULATOR_KEY}.name"  # of a configuration
 
-# Columns that every simulator has.
-LASTED = "duration_s"  # of a run, until it failed or the horizon was over
-END = "end_reason"  # index into the simulator's words for it; 0: the horizon was over
-SURVIVED = "survived_fraction"  # share of the horizon that a run lasted; one of the scores
+SURVIVED = "survived_fraction"
 
 Report = Callable[[float], None]
 """Called with the fraction of the work that is done."""
@@ -32,11 +47,11 @@ Worlds = Any
 
 
 class Parameter(Protocol):
-    """A coordinate of a point."""
+    """A coordinate of a point; a store draws it uniformly between its bounds."""
 
     @property
     def name(self) -> str:
-        """Of its column."""
+        """Of its column, with its unit."""
 
     @property
     def low(self) -> float:
@@ -44,7 +59,21 @@ class Parameter(Protocol):
 
     @property
     def high(self) -> float:
-        """Upper bound."""
+        """Upper bound, above the lower one."""
+
+
+class Uniform(NamedTuple):
+    """A `Parameter`.
+
+    Attributes:
+        name: of its column, with its unit.
+        low: lower bound.
+        high: upper bound, above the lower one.
+    """
+
+    name: str
+    low: float
+    high: float
 
 
 class WorldRule(Protocol):
@@ -60,72 +89,22 @@ class WorldRule(Protocol):
 class Simulator(Protocol):
     """A simulator with its settings. It pickles: any process runs points with it."""
 
-    @classmethod
-    def read(cls, settings: Table, searched: Sequence[str], arch: str | None) -> Self:
-        """The simulator that a configuration describes.
-
-        Args:
-            settings: the table [simulation]; keys that are not read are refused.
-            searched: names of parameters that points have beside the usual ones.
-            arch: what computes, where the command line overrides the configuration.
-
-        Raises:
-            InputError: a value out of range.
-        """
-
-    @classmethod
-    def parameters_of(cls, names: Sequence[str]) -> tuple[Parameter, ...]:
-        """The usual parameters, and those of these names that can be searched beside them."""
-
     @property
-    def name(self) -> str:
-        """Of the simulator, in a specification."""
-
-    @property
+    @abstractmethod
     def code_version(self) -> str:
-        """Of the code that computes: shards of two versions do not mix."""
+        """Of the code that computes; a store is of one version."""
 
     @property
-    def packages(self) -> tuple[str, ...]:
-        """Installed packages whose versions decide results."""
-
-    @property
+    @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
         """What a point consists of, [p]."""
 
     @property
+    @abstractmethod
     def columns(self) -> np.dtype[np.void]:
-        """Of a run's row; `LASTED`, `END` and `SURVIVED` are among them."""
+        """Numbers that a run gives, by name and type, units in the names."""
 
-    @property
-    def ends(self) -> tuple[str, ...]:
-        """How a run may end, in words, such as "completed" and "fell"; stores keep the words."""
-
-    @property
-    def scores(self) -> tuple[str, ...]:
-        """Columns of which a store keeps mean and spread over the worlds of a family."""
-
-    @property
-    def objective(self) -> str:
-        """What a search for candidates maximises, by name."""
-
-    @property
-    def measures(self) -> Mapping[str, tuple[float, float]]:
-        """Columns that tell candidates apart, with the ranges that a search covers.
-
-        {}: no search can be asked for.
-        """
-
-    def document(self) -> dict[str, Any]:
-        """All settings that decide results, as JSON values; those of the table "simulation" too."""
-
-    def versions(self) -> dict[str, str]:
-        """Versions that a specification has to name beside `code_version`, by key.
-
-        Raises:
-            InputError: something is not installed.
-        """
-
+    @abstractmethod
     def read_worlds(self, table: Table) -> WorldRule:
         """The rule in the tables of a family, or of the whole configuration for its base setting.
 
@@ -133,32 +112,119 @@ class Simulator(Protocol):
             InputError: a value out of range.
         """
 
+    @abstractmethod
     def run(
         self, points: NDArray[np.float64], worlds: Worlds, horizon_s: float, report: Report
     ) -> tuple[NDArray[np.void], dict[str, Any]]:
         """Run every point in every world.
 
         Args:
-            points: [n, p].
+            points: [n, p], in units of the parameters.
             worlds: w of them, as a rule of `read_worlds` has drawn them.
             horizon_s: after which a run is over.
-            report: called with the fraction that is done.
+            report: to be called with the fraction that is done, now and then or never.
 
         Returns:
             Rows of `columns`, [n, w], each of which depends on its point, its world and the horizon
-            alone; and what computed them, as JSON values for the footer of a file.
+            alone; and what computed them, such as versions of libraries, as JSON values.
         """
+
+    @property
+    def name(self) -> str:
+        """In specifications. Default: module and class, as a configuration names them."""
+        return f"{type(self).__module__}:{type(self).__qualname__}"
+
+    @property
+    def survived(self) -> str:
+        """The column that tells how far a run came: its share of the horizon, from 0 to 1."""
+        return SURVIVED
+
+    @property
+    def words(self) -> Mapping[str, Sequence[str]]:
+        """Columns that a store keeps as words, with the words that their numbers count from 0."""
+        return {}
+
+    @property
+    def scores(self) -> tuple[str, ...]:
+        """Columns of which a store keeps mean and spread over the worlds of a family.
+
+        They are finite, and `survived` is among them. Default: all columns but those of words.
+        """
+        return tuple(name for name in self.columns.names or () if name not in self.words)
+
+    @property
+    def packages(self) -> tuple[str, ...]:
+        """Installed packages whose versions decide results."""
+        return ("numpy",)
+
+    @classmethod
+    def read(cls, table: Table, arch: str | None) -> Self:
+        """The simulator that a configuration describes. Default: one without settings.
+
+        Args:
+            table: the whole configuration; a key that is not read is refused. The table
+                [simulator] is for the simulator's own settings; of [simulation], `duration_s` is
+                the store's.
+            arch: what computes, where the command line names it.
+
+        Raises:
+            InputError: a value out of range.
+        """
+        if arch is not None:
+            raise InputError("arch", arch, f"no architecture: {cls.__name__} reads none")
+        return cls()
+
+    @classmethod
+    def parameters_of(cls, names: Sequence[str]) -> tuple[Parameter, ...]:
+        """The parameters of a store whose points have those of these names."""
+        return tuple(cls.parameters)  # type: ignore[arg-type]  # where the class has them
+
+    def document(self) -> dict[str, Any]:
+        """All settings that decide results, as JSON values. Default: the fields of a dataclass.
+
+        Keys of a table "simulation" join the store's own.
+        """
+        names: list[str] = [each.name for each in fields(self)] if is_dataclass(self) else []
+        return {"settings": {name: getattr(self, name) for name in names}} if names else {}
+
+    def versions(self) -> dict[str, str]:
+        """Versions that a specification names beside `code_version`, by key.
+
+        Raises:
+            InputError: something is not installed.
+        """
+        return {}
+
+    @property
+    def measures(self) -> Mapping[str, tuple[float, float]]:
+        """Columns that tell candidates apart, with the ranges that a search covers.
+
+        Default: none, and no search can be asked for.
+        """
+        return {}
+
+    @property
+    def objective(self) -> str:
+        """What a search for candidates maximises, by name."""
+        return "objective"
 
     def judge(
         self, rows: NDArray[np.void], horizon_s: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Objective [n] and measures [n, m] of points with these rows, [n, w], for a search."""
+        """Objective [n] and measures [n, m] of points with these rows, [n, w], for a search.
+
+        Default: means over the worlds, of `survived` and of the columns of `measures`.
+        """
+        means = [rows[name].astype(np.float64).mean(axis=1) for name in self.measures]
+        return rows[self.survived].astype(np.float64).mean(axis=1), np.column_stack(means)
 
     def canary(self) -> NDArray[np.void]:
-        """Rows of a small fixed batch, by whose bits machines are told apart."""
+        """Rows of a small fixed batch, by whose bits machines are told apart. Default: none."""
+        return np.zeros(0, self.columns)
 
     def on_one_thread(self) -> Self:
         """The same for one of several processes of a machine; no result depends on it."""
+        return self
 
     def require_machine(self) -> None:
         """Refuse a machine on which it cannot run; nothing is written.
@@ -166,25 +232,37 @@ class Simulator(Protocol):
         Raises:
             InputError: naming what is missing.
         """
+        return None
 
     def processes(self, cores: int) -> int:
         """How many processes of a machine with so many cores should work side by side."""
+        return cores
 
 
 def find_simulator(name: str) -> type[Simulator]:
-    """The simulator of this name, or a class of an importable module: "package.module:Class".
+    """The simulator of this name, or the class "module:Class".
+
+    The module is an installed one or, where there is none, a file of the working directory.
 
     Raises:
-        InputError: there is none.
+        InputError: there is none, or a class that is no simulator.
     """
     module, _, attribute = SIMULATORS.get(name, name).partition(":")
-    allowed = f"{' or '.join(SIMULATORS)}, or a class that can be imported: package.module:Class"
+    allowed = f"{' or '.join(SIMULATORS)}, or a class that can be imported: module:Class"
     if not attribute:
-        raise InputError(SIMULATOR_KEY, name, allowed)
+        raise InputError(NAME_KEY, name, allowed)
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.append(here)  # last, so that it hides nothing; processes that start take it over
     try:
         found: type[Simulator] = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise InputError(SIMULATOR_KEY, name, f"{allowed} ({error})") from None
+    except (ImportError, AttributeError, ValueError, SyntaxError) as error:
+        reason = one_line(shortened(f"{error}"))
+        raise InputError(NAME_KEY, name, f"{allowed} ({reason})") from None
+    missing = {each for each in vars(Simulator) if not each.startswith("_")} - set(dir(found))
+    missing |= getattr(found, "__abstractmethods__", frozenset())
+    if missing:
+        allowed = f"a class that has {', '.join(sorted(missing))}, too"
+        raise InputError(NAME_KEY, name, allowed)
     return found
 
 
@@ -198,3 +276,89 @@ def known_simulator(specification: Mapping[str, Any]) -> type[Simulator]:
     if name not in SIMULATORS:
         raise InputError(f"store.{SIMULATOR_KEY}", name, " or ".join(SIMULATORS))
     return find_simulator(name)
+
+
+def check_simulator(simulator: Simulator) -> None:
+    """Refuse parameters and columns that make no store.
+
+    Raises:
+        InputError: naming the simulator and what is wrong.
+    """
+
+    def refuse(allowed: str) -> None:
+        raise InputError(SIMULATOR_KEY, simulator.name, allowed)
+
+    names = simulator.columns.names or ()
+    if simulator.survived not in names:
+        refuse(f"columns with {simulator.survived}, how far a run came")
+    if simulator.survived not in simulator.scores:
+        refuse(f"{simulator.survived} among the scores")
+    for kind in ("scores", "words", "measures"):
+        for name in getattr(simulator, kind):
+            if name not in names:
+                refuse(f"{kind} that are columns; {name!r} is none")
+    for name in simulator.scores:
+        if name in simulator.words or simulator.columns[name].kind not in "fiu":
+            refuse(f"scores that are numbers; {name!r} is none")
+    if not simulator.parameters:
+        refuse("one parameter at least")
+    for each in simulator.parameters:
+        if not (np.isfinite([each.low, each.high]).all() and each.low < each.high):
+            refuse(f"parameters with low < high; {each.name} has {each.low}, {each.high}")
+    every = ["row", *(each.name for each in simulator.parameters), *names]
+    for name in every:
+        if every.count(name) > 1:
+            refuse(f"other names than 'row' for parameters and columns, each once, not {name!r}")
+
+
+def run_points(
+    simulator: Simulator,
+    points: NDArray[np.float64],
+    worlds: Worlds,
+    count: int,
+    horizon_s: float,
+    report: Report = lambda part: None,
+) -> tuple[NDArray[np.void], dict[str, Any]]:
+    """What `Simulator.run` gives for points [n, p] and `count` worlds, found to be of its form.
+
+    Raises:
+        InputError: a simulator that does not keep what `Simulator` promises, naming the column.
+    """
+    rows, computed_by = simulator.run(points, worlds, horizon_s, report)
+
+    def refuse(what: str, allowed: str) -> None:
+        raise InputError(SIMULATOR_KEY, simulator.name, f"a run with {allowed}, not {what}")
+
+    if not isinstance(rows, np.ndarray) or rows.dtype != simulator.columns:
+        wrong = rows.dtype.names or rows.dtype if isinstance(rows, np.ndarray) else type(rows)
+        refuse(f"{wrong}", f"columns {', '.join(simulator.columns.names or ())} of their types")
+    if rows.shape != (len(points), count):
+        refuse(f"{list(rows.shape)}", f"rows [{len(points)} points, {count} worlds]")
+    for name in simulator.scores:
+        if not np.isfinite(rows[name]).all():
+            refuse("NaN or infinity", f"finite {name}")
+    lasted = rows[simulator.survived]
+    if not ((lasted >= 0.0) & (lasted <= 1.0)).all():
+        wrong = lasted[(lasted < 0.0) | (lasted > 1.0)][0]
+        refuse(f"{wrong:g}", f"{simulator.survived} from 0 to 1")
+    for name, words in simulator.words.items():
+        if not ((rows[name] >= 0) & (rows[name] < len(words))).all():
+            refuse(f"{rows[name].max()}", f"{name} from 0 to {len(words) - 1}")
+    return rows, computed_by
+
+
+def judge_rows(
+    simulator: Simulator, rows: NDArray[np.void], horizon_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What `Simulator.judge` makes of rows [n, w], found to be of its form.
+
+    Raises:
+        InputError: an objective or measures that are not finite or of another shape.
+    """
+    objective, measures = simulator.judge(rows, horizon_s)
+    shapes = (len(rows),), (len(rows), len(simulator.measures))
+    finite = np.isfinite(objective).all() and np.isfinite(measures).all()
+    if not finite or (np.shape(objective), np.shape(measures)) != shapes:
+        allowed = f"an objective {list(shapes[0])} and measures {list(shapes[1])}, all finite"
+        raise InputError(SIMULATOR_KEY, simulator.name, allowed)
+    return objective, measures

@@ -5,8 +5,9 @@ in the worlds of *families*; a *repertoire* adds candidates that a search bred f
 Architecture and threads are no part of it, so another machine can finish a store.
 """
 
+import json
 import re
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -27,14 +28,12 @@ from storage.points import (
 )
 from storage.schema import ORIGIN, arrow_schema, columns_of
 from storage.simulator import (
-    END,
-    LASTED,
     SIMULATOR_KEY,
-    SURVIVED,
     WALKER,
     Simulator,
     WorldRule,
     Worlds,
+    check_simulator,
     find_simulator,
 )
 from taichi_nmm.config import Table
@@ -56,6 +55,12 @@ GENERATION = EMITTERS * BATCH  # points that a search tries at a time
 STARTS = 2 * GENERATION  # points of the grid that a search may begin with
 SEARCH_WORLDS = 8  # of a family, for a candidate: fewer find gaits for these worlds alone
 LARGEST_NUMBER = 2**30  # of runs, or of candidates
+
+# Keys of a specification that no simulator's document may have.
+RESERVED = frozenset({
+    "format", "code_version", SIMULATOR_KEY, "samples", "shard_rows", "seed", "gains", "simulation",
+    "robust", "families", "repertoire", "columns",
+})  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,14 +100,14 @@ class Family:
     def document(self) -> dict[str, Any]:
         """All of it but the name as JSON values."""
         stage = {"after": self.after, "min_survived_fraction": self.min_survived_fraction}
-        return {
+        own = {
             "settings": self.settings,
             "min_survival_s": self.min_survival_s,
             **(stage if self.after else {}),  # the keys are newer than many stores
             "horizon_s": self.horizon_s,
             "seed": self.seed,
-            **self.rule.document(self.worlds),
         }
+        return own | _other_keys(self.rule.document(self.worlds), own.keys())
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,9 +279,11 @@ class Specification:
         where they are needed, so that these stores can be finished.
         """
         simulator, own = self.simulator, self.simulator.document()
+        simulation = {"duration_s": self.horizon_s, **own.pop("simulation", {})}
+        drawn = self.rule.document(self.worlds)
         families = {family.name: family.document for family in self.families}
         robust = families.pop(ROBUST, None)
-        return {
+        document = {
             "format": FORMAT,
             "code_version": simulator.code_version,
             **({} if simulator.name == WALKER else {SIMULATOR_KEY: simulator.name}),
@@ -287,15 +294,20 @@ class Specification:
                 parameter.name: {"low": float(parameter.low), "high": float(parameter.high)}
                 for parameter in simulator.parameters
             },
-            **own,
-            "simulation": {"duration_s": self.horizon_s, **own.get("simulation", {})},
-            **self.rule.document(self.worlds),
+            **_other_keys(own, RESERVED),
+            "simulation": simulation,
+            **_other_keys(drawn, RESERVED | own.keys()),
             "robust": robust,
             **({"families": families} if families else {}),
             **simulator.versions(),
             **({"repertoire": self.repertoire.document} if self.repertoire else {}),
             "columns": columns_of(self.schema),
         }
+        try:
+            json.dumps(document, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise InputError(SIMULATOR_KEY, simulator.name, f"JSON values ({error})") from None
+        return document
 
     @cached_property
     def hash(self) -> str:
@@ -316,10 +328,11 @@ def read_specification(
     shard_rows = table.integer("shard_rows", SHARD_ROWS, 1, LARGEST_SEQUENCE)
     simulation = table.table("simulation")
     horizon_s = simulation.number("duration_s", HORIZON_S, SHORTEST_HORIZON_S, LONGEST_HORIZON_S)
-    kind = find_simulator(table.text(SIMULATOR_KEY, WALKER))
-    simulator = kind.read(simulation, table.texts("searched"), arch)
+    kind = find_simulator(table.table(SIMULATOR_KEY).text("name", WALKER))
+    simulator = kind.read(table, arch)
     simulation.done()
-    _check_columns(simulator)
+    table.table(SIMULATOR_KEY).done()
+    check_simulator(simulator)
     rule = simulator.read_worlds(table)
     families = _read_families(table, simulator, horizon_s)
     repertoire = _read_repertoire(table, simulator, families)
@@ -336,18 +349,21 @@ def read_specification(
     )
 
 
+def _other_keys(document: dict[str, Any], taken: Set[str]) -> dict[str, Any]:
+    """The document of a simulator or of a rule, which has no key that is taken."""
+    for key in document:
+        if key in taken:
+            allowed = (
+                f"a document of the simulator or its worlds without {', '.join(sorted(taken))}"
+            )
+            raise InputError(SIMULATOR_KEY, key, allowed)
+    return document
+
+
 def _checked_samples(samples: int) -> int:
     if not 1 <= samples <= LARGEST_SEQUENCE:
         raise InputError("samples", samples, f"a whole number from 1 to {LARGEST_SEQUENCE}")
     return samples
-
-
-def _check_columns(simulator: Simulator) -> None:
-    """Refuse a simulator without the columns that every store reads."""
-    names = simulator.columns.names or ()
-    if not {LASTED, END, SURVIVED} <= set(names) or SURVIVED not in simulator.scores:
-        allowed = f"rows with {LASTED}, {END} and {SURVIVED}, the last one a score"
-        raise InputError(SIMULATOR_KEY, simulator.name, allowed)
 
 
 def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tuple[Family, ...]:

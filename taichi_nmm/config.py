@@ -19,6 +19,7 @@ class Table:
         self._data = dict(data)
         self._name = name
         self._known: list[str] = []
+        self._tables: dict[str, Table] = {}
 
     def path(self, key: str) -> str:
         """The key with the tables it lies in, as errors name it."""
@@ -82,11 +83,13 @@ class Table:
         return tuple(values)
 
     def table(self, key: str) -> "Table":
-        """A sub-table; empty where it is missing."""
-        value = self._take(key, {})
-        if not isinstance(value, dict):
-            raise InputError(self.path(key), value, "a table")
-        return Table(value, self.path(key))
+        """A sub-table, the same one however often it is asked for; empty where it is missing."""
+        if key not in self._tables:
+            value = self._take(key, {})
+            if not isinstance(value, dict):
+                raise InputError(self.path(key), value, "a table")
+            self._tables[key] = Table(value, self.path(key))
+        return self._tables[key]
 
     def tables(self, key: str) -> list["Table"]:
         """An array of tables; empty where it is missing."""

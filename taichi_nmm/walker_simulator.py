@@ -119,15 +119,17 @@ class Walker:
     code_version: ClassVar[str] = __version__
     packages: ClassVar[tuple[str, ...]] = ("taichi", "numpy")
     columns: ClassVar[np.dtype[np.void]] = RESULT_DTYPE
-    ends: ClassVar[tuple[str, ...]] = END_REASONS
+    survived: ClassVar[str] = "survived_fraction"
+    words: ClassVar[Mapping[str, Sequence[str]]] = {"end_reason": END_REASONS}
     scores: ClassVar[tuple[str, ...]] = tuple(name for name, _ in SCORE_FIELDS)
     objective: ClassVar[str] = "walked_fraction"
     measures: ClassVar[Mapping[str, tuple[float, float]]] = MEASURES
 
     @classmethod
-    def read(cls, settings: Table, searched: Sequence[str], arch: str | None) -> Self:
-        """From the table [simulation], less its other keys; `arch` overrides the file's."""
-        return cls(read_settings(settings, arch), searched_parameters(searched))
+    def read(cls, table: Table, arch: str | None) -> Self:
+        """From the table [simulation] and the names in `searched`; `arch` overrides the file's."""
+        settings = read_settings(table.table("simulation"), arch)
+        return cls(settings, searched_parameters(table.texts("searched")))
 
     @classmethod
     def parameters_of(cls, names: Sequence[str]) -> tuple[Parameter, ...]:

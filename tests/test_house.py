@@ -23,7 +23,14 @@ COMMANDS = ("tools", "study.commands")
 # A part of the house, and all that it may import of this project.
 ALLOWED = {
     "taichi_nmm": ("taichi_nmm",),
-    "storage": ("storage", "taichi_nmm"),
+    # A store is of any simulator: of the walker's package, no bodies, grounds or gains.
+    "storage": (
+        "storage",
+        "taichi_nmm.checks",
+        "taichi_nmm.config",
+        "taichi_nmm.errors",
+        "taichi_nmm.reading",
+    ),
     "study": PACKAGES,
     "study.experiment": (
         "study.experiment",

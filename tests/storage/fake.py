@@ -36,7 +36,7 @@ def simulate(gains: Any, **options: Any) -> Result:
     for number, name in enumerate(RESULT_DTYPE.names or ()):
         rows[name] = 10.0 * np.sin(number + 7.0 * fitness) ** 2
     horizon = options["duration_s"]
-    rows["duration_s"] = np.minimum(horizon, 10.0 * fitness)
+    rows["duration_s"] = np.clip(10.0 * fitness, 0.0, horizon)
     rows["survived_fraction"] = rows["duration_s"] / horizon
     rows["end_reason"] = np.where(rows["duration_s"] < horizon, FELL, COMPLETED)
     options["progress"](horizon, len(gains))

@@ -1,6 +1,11 @@
 """The seam: any simulator has a store, here a cart of three parameters in one file."""
 
+import re
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +17,14 @@ from storage import merge, open_store
 from storage.points import sobol_points
 from storage.pool import local_pool, own_kind
 from storage.precompute import precompute
-from storage.simulator import SIMULATORS, Simulator, find_simulator, known_simulator
+from storage.simulator import (
+    SIMULATORS,
+    Simulator,
+    Uniform,
+    find_simulator,
+    judge_rows,
+    known_simulator,
+)  # fmt: skip
 from storage.specification import GENERATION, STARTS, Specification, read_specification
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
@@ -20,12 +32,11 @@ from tests.storage import toy
 
 CART = "tests.storage.toy:Cart"
 CONFIGURATION: dict[str, Any] = {
-    "simulator": CART,
+    "simulator": {"name": CART, "mass_kg": 2.0},
     "samples": 60,
     "shard_rows": 16,
     "seed": 4,
     "wind": [0.5, 1.5],
-    "simulation": {"mass_kg": 2.0},
     "families": {
         "gale": {"settings": 3, "min_survival_s": 4.0, "seed": 1, "wind": [1.0, 3.0]},
         "storm": {
@@ -77,13 +88,13 @@ def test_a_store_of_another_simulator_is_filled_and_read(tmp_path: Path) -> None
     assert set(rows["end_reason"]) == {"arrived", "blown off"}
     assert summary.alive_at_horizon == np.count_nonzero(rows["end_reason"] == "arrived")
     gale, storm = rows["gale_evaluated"], rows["storm_evaluated"]
-    assert np.array_equal(gale, rows["duration_s"] >= 4.0)
-    assert np.array_equal(storm, gale & (rows["gale_survived_fraction_mean"] >= 0.5))
+    assert np.array_equal(gale, rows["way"] >= 0.8)
+    assert np.array_equal(storm, gale & (rows["gale_way_mean"] >= 0.5))
     assert 0 < storm.sum() < gale.sum() < 60
     winds = specification().families[0].worlds
     survived = np.exp(np.minimum(0.5 - winds * np.abs(points[gale, 2:]), 0.0))
-    np.testing.assert_allclose(rows["gale_survived_fraction_mean"][gale], survived.mean(axis=1))
-    np.testing.assert_allclose(rows["gale_survived_fraction_sd"][gale], survived.std(axis=1))
+    np.testing.assert_allclose(rows["gale_way_mean"][gale], survived.mean(axis=1))
+    np.testing.assert_allclose(rows["gale_way_sd"][gale], survived.std(axis=1))
     assert {footer["engine"] for footer in store.footers} == {"cart"}
     assert (
         merge(tmp_path / "store", tmp_path / "merged.parquet")
@@ -94,11 +105,12 @@ def test_a_store_of_another_simulator_is_filled_and_read(tmp_path: Path) -> None
 
 def test_the_document_names_the_simulator_and_its_worlds() -> None:
     document = specification().document
-    assert (document["simulator"], document["code_version"]) == ("cart", "1")
-    assert document["simulation"] == {"duration_s": 5.0, "mass_kg": 2.0}
+    assert (document["simulator"], document["code_version"]) == (CART, "1")
+    assert document["simulation"] == {"duration_s": 5.0}
+    assert document["settings"] == {"mass_kg": 2.0}
     assert document["wind"] == [0.5, 1.5] and document["families"]["storm"]["wind"] == [3.0, 4.0]
     assert list(document["gains"]) == ["thrust", "drag", "steer"]
-    assert specification(simulation={"mass_kg": 3.0}).hash != specification().hash
+    assert specification(simulator={"name": CART, "mass_kg": 3.0}).hash != specification().hash
 
 
 @pytest.mark.parametrize("number", [0, 5, 9])
@@ -123,16 +135,16 @@ def test_a_repertoire_of_another_simulator(
     store = open_store(tmp_path / "whole")
     assert store.numpy(["origin"])["origin"].tolist() == ["sobol"] * 300 + ["evolved"] * 20
     tried = pq.read_table(tmp_path / "whole" / "repertoire.parquet").to_pydict()
-    way, generation = np.array(tried["way"]), np.array(tried["generation"])
-    assert way[generation == 2].max() > way[generation == 0].max() > 0.0
-    assert "tried_speed" in tried
+    generation, speed = np.array(tried["generation"]), np.array(tried["tried_speed"])
+    assert speed[generation == 2].max() > speed[generation == 0].max() > 0.0
+    objective = np.array(tried["objective"])
+    assert objective[np.array(tried["row"]) >= 0].min() > np.median(objective)
     stopped_in_run(4, asked, tmp_path / "store")
     assert len(list((tmp_path / "store").glob("search-gale-*"))) == 2
     precompute(asked, tmp_path / "store")
     assert content(tmp_path / "store") == content(tmp_path / "whole")
 
 
-@pytest.mark.slow
 def test_processes_compute_the_same_bytes(tmp_path: Path) -> None:
     precompute(specification(), tmp_path / "one")
     with local_pool(2) as pool:
@@ -143,7 +155,9 @@ def test_processes_compute_the_same_bytes(tmp_path: Path) -> None:
 def test_a_simulators_own_tables_are_checked() -> None:
     gale = CONFIGURATION["families"]["gale"]
     for changes, field in (
-        ({"simulation": {"mass_kg": 0.0}}, "simulation.mass_kg"),
+        ({"simulator": {"name": CART, "mass_kg": 0.0}}, "simulator.mass_kg"),
+        ({"simulator": {"name": CART, "mass": 1.0}}, "simulator.mass"),
+        ({"simulator": CART}, "simulator"),
         ({"simulation": {"arch": "cpu"}}, "simulation.arch"),
         ({"wind": [2, 1]}, "wind"),
         ({"families": {"gale": gale | {"wind": 3}}}, "families.gale.wind"),
@@ -161,19 +175,120 @@ def test_a_simulators_own_tables_are_checked() -> None:
     ["", "cart", "tests.storage.toy", "tests.storage.toy:Bicycle", "no.module:Cart", ":Cart"],
 )
 def test_a_simulator_that_is_not_there_is_refused(name: str) -> None:
-    with pytest.raises(InputError, match=r"package\.module:Class") as caught:
-        specification(simulator=name)
-    assert caught.value.field == "simulator"
+    with pytest.raises(InputError, match=r"module:Class") as caught:
+        specification(simulator={"name": name})
+    assert caught.value.field == "simulator.name"
 
 
-@pytest.mark.parametrize("name", ["duration_s", "end_reason", "survived_fraction"])
-def test_a_simulator_without_a_needed_column_is_refused(
-    name: str, monkeypatch: pytest.MonkeyPatch
+FAULTS: dict[str, tuple[dict[str, Any], str]] = {
+    "no column of how far": ({"survived": "far"}, "columns with far, how far a run came"),
+    "how far is no score": ({"scores": ("speed",)}, "way among the scores"),
+    "a score that is no column": ({"scores": ("way", "far")}, "scores that are columns; 'far'"),
+    "a score of words": ({"scores": ("way", "end_reason")}, "numbers; 'end_reason' is none"),
+    "words of no column": ({"words": {"far": ("a",)}}, "words that are columns; 'far' is none"),
+    "a measure of no column": ({"measures": {"far": (0.0, 1.0)}}, "measures that are columns"),
+    "no parameter": ({"parameters": ()}, "one parameter at least"),
+    "bounds that are none": ({"parameters": (Uniform("a", 1.0, 1.0),)}, "a has 1.0, 1.0"),
+    "no bounds": ({"parameters": (Uniform("a", 0.0, np.inf),)}, "low < high; a has 0.0, inf"),
+    "a name twice": ({"parameters": (Uniform("way", 0.0, 1.0),)}, "each once, not 'way'"),
+    "the store's name": ({"parameters": (Uniform("row", 0.0, 1.0),)}, "each once, not 'row'"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_simulator_that_makes_no_store_is_refused(
+    fault: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fewer = [each for each in toy.Cart.columns.names or () if each != name]
-    monkeypatch.setattr(toy.Cart, "columns", toy.Cart.columns[fewer])
-    with pytest.raises(InputError, match=name):
+    changes, allowed = FAULTS[fault]
+    for name, value in changes.items():
+        monkeypatch.setattr(toy.Cart, name, value)
+    with pytest.raises(InputError, match=re.escape(allowed)) as caught:
         specification()
+    assert (caught.value.field, caught.value.value) == ("simulator", CART)
+
+
+def returned(rows: Any) -> Callable[..., tuple[Any, dict[str, Any]]]:
+    return lambda *_: (rows, {})
+
+
+def changed(name: str, value: float) -> Callable[..., tuple[Any, dict[str, Any]]]:
+    run = toy.Cart.run
+
+    def faulty(self: toy.Cart, *args: Any) -> tuple[Any, dict[str, Any]]:
+        rows, computed_by = run(self, *args)
+        rows[name][-1] = value
+        return rows, computed_by
+
+    return faulty
+
+
+FAULTY_RUNS: dict[str, tuple[Callable[..., Any], str]] = {
+    "no array": (returned([1.0]), "not <class 'list'>"),
+    "other columns": (
+        returned(np.zeros((16, 1), [("way", "f8")])), "columns way, end_reason, speed of their"
+    ),
+    "other types": (returned(np.zeros((16, 1))), "of their types, not float64"),
+    "too few rows": (
+        returned(np.zeros((15, 1), toy.Cart.columns)), "[16 points, 1 worlds], not [15, 1]"
+    ),
+    "no worlds": (returned(np.zeros(16, toy.Cart.columns)), "1 worlds], not [16]"),
+    "a score of NaN": (changed("speed", np.nan), "finite speed, not NaN or infinity"),
+    "further than the end": (changed("way", 1.25), "way from 0 to 1, not 1.25"),
+    "backwards": (changed("way", -1.0), "way from 0 to 1, not -1"),
+    "an unknown word": (changed("end_reason", 2), "end_reason from 0 to 1, not 2"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTY_RUNS)
+def test_a_faulty_run_is_refused_in_a_line(
+    fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, allowed = FAULTY_RUNS[fault]
+    monkeypatch.setattr(toy.Cart, "run", run)
+    with pytest.raises(InputError, match=re.escape(allowed)) as caught:
+        precompute(specification(), tmp_path / "store")
+    assert (caught.value.field, caught.value.value) == ("simulator", CART)
+    assert "\n" not in str(caught.value)
+    assert not list((tmp_path / "store").glob("part-*"))
+
+
+@pytest.mark.parametrize(
+    ("objective", "measures"),
+    [
+        (np.zeros(4), np.zeros((4, 2))),
+        (np.zeros(3), np.zeros((4, 1))),
+        (np.full(4, np.nan), np.zeros((4, 1))),
+        (np.zeros(4), np.full((4, 1), np.inf)),
+    ],
+)
+def test_a_faulty_judgement_is_refused_in_a_line(
+    objective: Any, measures: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(toy.Cart, "judge", lambda *_: (objective, measures))
+    with pytest.raises(InputError, match=r"objective \[4\] and measures \[4, 1\], all finite"):
+        judge_rows(toy.Cart(), np.zeros((4, 2), toy.Cart.columns), 5.0)
+
+
+@pytest.mark.parametrize(
+    ("holder", "document", "match"),
+    [
+        (toy.Cart, {"seed": 1}, "simulator: 'seed' .* without .*shard_rows"),
+        (toy.Winds, {"columns": 1}, "simulator: 'columns' .* without .*families"),
+        (toy.Winds, {"settings": 1}, "simulator: 'settings' .* without "),
+        (toy.Winds, {"horizon_s": 1}, "simulator: 'horizon_s' .* without .*min_survival_s"),
+        (toy.Cart, {"mass": np.float32(1.0)}, "JSON values .*float32"),
+        (toy.Cart, {"mass": np.nan}, "JSON values"),
+    ],
+)
+def test_documents_keep_to_their_own_keys_and_to_json(
+    holder: Any, document: dict[str, Any], match: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if holder is toy.Winds:
+        monkeypatch.setattr(holder, "document", lambda *_: dict(document))
+    else:
+        monkeypatch.setattr(holder, "document", lambda self: {"settings": 0} | document)
+    with pytest.raises(InputError, match=match):
+        specification().document  # noqa: B018
 
 
 def test_a_simulator_without_measures_has_no_repertoire(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,7 +300,7 @@ def test_a_simulator_without_measures_has_no_repertoire(monkeypatch: pytest.Monk
 def test_no_code_is_imported_that_a_file_names(tmp_path: Path) -> None:
     """A store may come from anybody: of simulators, only those of this project are looked up."""
     precompute(specification(), tmp_path / "store")
-    with pytest.raises(InputError, match=r"store\.simulator: 'cart' .* walker"):
+    with pytest.raises(InputError, match=r"store\.simulator: 'tests.storage.toy:Cart' .* walker"):
         open_store(tmp_path / "store").require_bounds()
     with pytest.raises(InputError):
         known_simulator({"simulator": CART})
@@ -198,7 +313,39 @@ def test_simulators_of_this_project_are_found_by_name(name: str) -> None:
     assert known_simulator({}) is find_simulator("walker")
 
 
-def test_machines_are_told_apart_by_the_simulators_own_batch() -> None:
+def test_machines_are_told_apart_by_the_simulators_own_batch(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     kind = own_kind(toy.Cart())
-    assert list(kind) == ["canary", "processor", "taichi-nmm", "numpy"]
-    assert own_kind(toy.Cart()) == kind != own_kind(toy.Cart(mass_kg=2.0))
+    assert list(kind) == ["canary", "processor", CART, "numpy"]
+    assert own_kind(toy.Cart(mass_kg=2.0)) == kind
+    monkeypatch.setattr(toy.Cart, "canary", lambda self: np.ones(2, self.columns))
+    assert own_kind(toy.Cart()) != kind
+
+
+CONFIGURATION_FILE = """
+samples = 40
+shard_rows = 8
+seed = 4
+wind = [0.5, 1.5]
+
+[simulator]
+name = "my_robot:Cart"
+mass_kg = 2.0
+"""
+
+
+def test_a_file_of_the_working_directory_is_a_simulator_of_the_command(tmp_path: Path) -> None:
+    """Worker processes find it, too."""
+    shutil.copy(toy.__file__, tmp_path / "my_robot.py")
+    (tmp_path / "cart.toml").write_text(CONFIGURATION_FILE)
+    words = [sys.executable, "-m", "taichi_nmm", "precompute", "--config", "cart.toml"]
+    run = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True)
+    done = run([*words, "--workers", "2"], check=False)
+    assert done.returncode == 0, done.stderr
+    store = open_store(tmp_path / "out" / "cart", verify=True)
+    assert store.specification["simulator"] == "my_robot:Cart" and len(store) == 40
+    assert np.array_equal(store.gains(), sobol_points(4, 0, 40, toy.Cart.parameters))
+    refused = run([*words, "--arch", "cpu"], check=False)
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+    assert refused.stderr.startswith("error: arch: 'cpu'")

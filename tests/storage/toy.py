@@ -4,23 +4,18 @@ A cart is pushed with force `thrust` against wind and a drag of `drag` times its
 of gain `steer` keeps it on its way. It fails when the wind has blown it off.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from storage.simulator import Report, Simulator, Uniform
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 
 runs: list[int] = []  # sizes of batches
-
-
-class Parameter(NamedTuple):
-    name: str
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -38,40 +33,25 @@ class Winds:
 
 
 @dataclass(frozen=True)
-class Cart:
+class Cart(Simulator):
     mass_kg: float = 1.0
 
-    name: ClassVar[str] = "cart"
-    code_version: ClassVar[str] = "1"
-    packages: ClassVar[tuple[str, ...]] = ("numpy",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("thrust", 0.0, 10.0),
-        Parameter("drag", 0.1, 1.0),
-        Parameter("steer", -1.0, 1.0),
+    code_version = "1"
+    parameters = (
+        Uniform("thrust", 0.0, 10.0),
+        Uniform("drag", 0.1, 1.0),
+        Uniform("steer", -1.0, 1.0),
     )
-    columns: ClassVar[np.dtype[np.void]] = np.dtype(
-        [("duration_s", "f8"), ("end_reason", "u1"), ("survived_fraction", "f8"), ("speed", "f4")]
-    )
-    ends: ClassVar[tuple[str, ...]] = ("arrived", "blown off")
-    scores: ClassVar[tuple[str, ...]] = ("survived_fraction", "speed")
-    objective: ClassVar[str] = "way"
-    measures: ClassVar[dict[str, tuple[float, float]]] = {"speed": (0.0, 50.0)}
+    columns = np.dtype([("way", "f8"), ("end_reason", "u1"), ("speed", "f4")])
+    survived = "way"
+    words: ClassVar = {"end_reason": ("arrived", "blown off")}
+    measures: ClassVar = {"speed": (0.0, 50.0)}
 
     @classmethod
-    def read(cls, settings: Table, searched: Sequence[str], arch: str | None) -> "Cart":
-        if searched:
-            raise InputError("searched", searched[0], "nothing: all parameters are searched")
-        return cls(settings.number("mass_kg", 1.0, 0.1, 10.0))
-
-    @classmethod
-    def parameters_of(cls, names: Sequence[str]) -> tuple[Parameter, ...]:
-        return cls.parameters
-
-    def document(self) -> dict[str, Any]:
-        return {"simulation": {"mass_kg": self.mass_kg}}
-
-    def versions(self) -> dict[str, str]:
-        return {}
+    def read(cls, table: Table, arch: str | None) -> "Cart":
+        if arch is not None:
+            raise InputError("arch", arch, "nothing: the cart has none")
+        return cls(table.table("simulator").number("mass_kg", 1.0, 0.1, 10.0))
 
     def read_worlds(self, table: Table) -> Winds:
         return Winds(*table.range("wind", (0.0, 0.0), 0.0, 100.0))
@@ -81,33 +61,14 @@ class Cart:
         points: NDArray[np.float64],
         worlds: NDArray[np.float64],
         horizon_s: float,
-        report: Callable[[float], None],
+        report: Report,
     ) -> tuple[NDArray[np.void], dict[str, Any]]:
         runs.append(len(points))
         thrust, drag, steer = points.T[:, :, None]
         rows = np.zeros((len(points), len(worlds)), self.columns)
         rows["speed"] = thrust / drag / self.mass_kg
-        lasted = horizon_s * np.exp(0.5 - worlds * np.abs(steer))
-        rows["duration_s"] = np.minimum(lasted, horizon_s)
-        rows["end_reason"] = lasted < horizon_s
-        rows["survived_fraction"] = rows["duration_s"] / horizon_s
+        lasted_s = horizon_s * np.exp(0.5 - worlds * np.abs(steer))
+        rows["end_reason"] = lasted_s < horizon_s
+        rows["way"] = np.minimum(lasted_s / horizon_s, 1.0)
         report(1.0)
         return rows, {"engine": "cart"}
-
-    def judge(
-        self, rows: NDArray[np.void], horizon_s: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        way = (rows["speed"] * rows["duration_s"]).mean(axis=1)
-        return way, rows["speed"].mean(axis=1, keepdims=True).astype(np.float64)
-
-    def canary(self) -> NDArray[np.void]:
-        return self.run(np.full((2, 3), 0.3), np.ones(2), 1.0, lambda part: None)[0]
-
-    def on_one_thread(self) -> "Cart":
-        return self
-
-    def require_machine(self) -> None:
-        pass
-
-    def processes(self, cores: int) -> int:
-        return cores
