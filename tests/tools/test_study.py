@@ -321,7 +321,7 @@ def test_a_store_of_other_bounds_is_refused(
     command: Command, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     narrower = replace(GAINS[0], high=7.0)
-    monkeypatch.setattr("storage.store.GAINS", (narrower, *GAINS[1:]))
+    monkeypatch.setattr("taichi_nmm.walker_simulator.GAINS", (narrower, *GAINS[1:]))
     assert command.run() == 2
     assert re.search(r"gains\.K_GAS: .*8\.0.* allowed: .*7\.0", capsys.readouterr().err)
 
