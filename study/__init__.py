@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 from taichi_nmm.neighbours import require_neighbours
 
 if TYPE_CHECKING:
-    from study.features.feature_table import FeatureTable
-    from study.features.survival import SurvivalSampler, covered_table, survival_table
-    from study.sampler.dog_sampler import DoGSampler
-    from study.sampler.feature_sampler import FeatureKernelSampler
+    from study.features import SurvivalSampler, covered_table, survival_table
+    from study.sampler.sampler import DoGSampler, FeatureKernelSampler
+    from study.sampler.table import FeatureTable
 
 __all__ = [
     "DoGSampler",
@@ -24,12 +23,12 @@ __all__ = [
 ]
 
 _MODULES = {
-    "DoGSampler": "study.sampler.dog_sampler",
-    "FeatureKernelSampler": "study.sampler.feature_sampler",
-    "FeatureTable": "study.features.feature_table",
-    "SurvivalSampler": "study.features.survival",
-    "covered_table": "study.features.survival",
-    "survival_table": "study.features.survival",
+    "DoGSampler": "study.sampler.sampler",
+    "FeatureKernelSampler": "study.sampler.sampler",
+    "FeatureTable": "study.sampler.table",
+    "SurvivalSampler": "study.features",
+    "covered_table": "study.features",
+    "survival_table": "study.features",
 }
 
 require_neighbours("storage")

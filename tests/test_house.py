@@ -55,6 +55,7 @@ ALLOWED = {
     "study.sampler": (
         "study.sampler",
         "study.draws",
+        "storage.store",
         "taichi_nmm.checks",
         "taichi_nmm.errors",
         "taichi_nmm.reading",
@@ -124,9 +125,9 @@ def within(name: str, part: str) -> bool:
 
 
 def test_the_source_is_found() -> None:
-    assert "study.sampler.rows" in imported_by("study.sampler.checked_rows")
-    assert "study.sampler.parquet" in imported_by("study.features.feature_table")  # in a function
-    assert "study.features.survival" not in imported_by("study")  # for types only
+    assert "study.sampler.space" in imported_by("study.sampler.columns")
+    assert "storage.store" in imported_by("study.sampler.columns")  # in a function
+    assert "study.features" not in imported_by("study")  # for types only
 
 
 def first_circle() -> list[str]:

@@ -37,11 +37,11 @@ with guarded_imports():
 
     from storage.commit import require_folder
     from study.experiment.experiment import MOST_TRIALS
-    from study.features.feature_table import FeatureTable
-    from study.features.survival import MEAN, SurvivalSampler
+    from study.features import MEAN, SurvivalSampler
     from study.options import Options
-    from study.sampler.feature_sampler import FeatureKernelSampler
     from study.sampler.history import ROW_ATTRIBUTE
+    from study.sampler.sampler import FeatureKernelSampler
+    from study.sampler.table import FeatureTable
     from taichi_nmm.errors import InputError
     from tools.benchmarks import runs
     from tools.benchmarks.runs import ROOT, Floats

@@ -16,12 +16,20 @@ from study.experiment import samplers
 from study.experiment.experiment import Experiment
 from study.experiment.samplers import Task
 from study.experiment.stores import candidates, check_store
-from study.features.store_features import Feature, Survival, definition_of, name_of, survivals
-from study.features.survival import COVERED_OPTIONS, FAMILIES, covered_features, survival_features
-from study.features.survival import OPTIONS as BEST
-from study.sampler.dog_sampler import PAPER
-from study.sampler.feature_sampler import FeatureKernelSampler
+from study.features import (
+    COVERED_OPTIONS,
+    FAMILIES,
+    Feature,
+    Survival,
+    covered_features,
+    definition_of,
+    name_of,
+    survival_features,
+    survivals,
+)
+from study.features import OPTIONS as BEST
 from study.sampler.random_sampler import ReproducibleRandomSampler
+from study.sampler.sampler import PAPER, FeatureKernelSampler
 from taichi_nmm.errors import InputError
 
 PAPER_ARM = "dog"  # the paper's method, to which all others are compared

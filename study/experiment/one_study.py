@@ -23,8 +23,8 @@ from study.experiment.trials import (
     fell,
 )
 from study.sampler.diagnostics import TITLE, Worth
-from study.sampler.feature_sampler import FeatureKernelSampler
-from study.sampler.source import one_thread
+from study.sampler.policy import one_thread
+from study.sampler.sampler import FeatureKernelSampler
 from taichi_nmm.errors import InputError
 
 FELL_ATTRIBUTE = "fell"  # of a trial: whether it did not last

@@ -22,12 +22,12 @@ from optuna.trial import FrozenTrial, TrialState
 from study.draws import Purpose, generator, seed_32bit, turn
 from study.experiment.experiment import Experiment
 from study.experiment.stores import candidates
-from study.features.feature_table import FeatureTable
-from study.features.store_features import Feature
+from study.features import Feature
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
+from study.sampler.policy import set_attributes
 from study.sampler.random_sampler import ReproducibleRandomSampler
-from study.sampler.source import set_attributes
 from study.sampler.space import Space
+from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]

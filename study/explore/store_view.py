@@ -35,7 +35,7 @@ from study.explore.store_plots import (
     parallel,
     table,
 )
-from study.features.store_features import COLUMN_END
+from study.features import COLUMN_END
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -1,14 +1,13 @@
 """How good each candidate is: expected improvement, kept limits, and the model behind both."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from study.sampler.evidence import Evidence
 from study.sampler.gp import (
     Covariance,
     Kernel,
@@ -18,8 +17,7 @@ from study.sampler.gp import (
     learn,
     new_covariance,
 )
-from study.sampler.points import Points
-from study.sampler.transforms import Guess, log_excess, squarable
+from study.sampler.transforms import Guess, Points, log_excess, squarable
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -43,20 +41,17 @@ REFITS = ((32, 1), (128, 4))  # up to so many trials, constants are learned anew
 LAST_EVERY = 16
 
 
-@dataclass
-class Constants:
-    """Learned constants by the trials they were learned from: recomputed where they are missing."""
+Learned = dict[tuple[Covariance, bytes], Floats]  # constants by the trials they were learned from
 
-    known: dict[tuple[Covariance, bytes], Floats] = field(default_factory=dict)
 
-    def learned(self, covariance: Covariance, x: Floats, y: Floats) -> Floats:
-        """What `learn` gives, computed once for the same covariance and trials."""
-        key = (covariance, x.tobytes() + y.tobytes())
-        if key not in self.known:
-            if len(self.known) >= CACHED_CONSTANTS:
-                self.known.pop(next(iter(self.known)))
-            self.known[key] = learn(covariance, x, y)
-        return self.known[key]
+def learned(known: Learned, covariance: Covariance, x: Floats, y: Floats) -> Floats:
+    """What `learn` gives, computed once for the same covariance and trials, and kept in `known`."""
+    key = (covariance, x.tobytes() + y.tobytes())
+    if key not in known:
+        if len(known) >= CACHED_CONSTANTS:
+            known.pop(next(iter(known)))
+        known[key] = learn(covariance, x, y)
+    return known[key]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,15 +62,26 @@ class Model:
         kernel: of this trial.
         guess: what the user says of a feature; None: nothing, or it is not believed.
         parameters: d.
-        evidence: at least one finished trial.
-        constants: known so far.
+        trials: the finished ones, n, at least one.
+        costs: what they showed, lower is better, finite, [n].
+        limits: c constraints of each, feasible where <= 0, NaN where unknown, [n, c].
+        running: trials of other workers whose parameters are known.
+        known: constants that were learned so far.
     """
 
     kernel: Kernel
     guess: Guess | None
     parameters: int
-    evidence: Evidence
-    constants: Constants
+    trials: Points
+    costs: Floats
+    limits: Floats
+    running: Points
+    known: Learned
+
+    @cached_property
+    def feasible(self) -> Mask:
+        """Finished trials that kept all their limits, [n]."""
+        return np.asarray(~(self.limits > 0).any(axis=1))
 
     def utility(self, points: Points, offered: Mask, rng: np.random.Generator) -> Floats:
         """How good each of m candidates is, [m]; minus infinity where not offered or not looked at.
@@ -96,35 +102,35 @@ class Model:
     @cached_property
     def posterior(self) -> Posterior:
         """Of the cost less what was guessed, running trials taken to show what is expected."""
-        posterior = self._after(self.evidence.points, self._unguessed)
-        running = self._visible(self.evidence.running)
+        posterior = self._after(self.trials, self._unguessed)
+        running = self._visible(self.running)
         return posterior.believing(running) if len(running) else posterior
 
     @cached_property
-    def limits(self) -> list[Posterior]:
+    def limit_posteriors(self) -> list[Posterior]:
         """One posterior a constraint that has been reported."""
         posteriors = []
-        for limit in self.evidence.limits.T:
+        for limit in self.limits.T:
             known = np.isfinite(limit)
             if known.any():
-                points = self.evidence.points.take(known)
+                points = self.trials.take(known)
                 posteriors.append(self._after(points, limit[known].__getitem__))
         return posteriors
 
     @cached_property
     def one_dimensional(self) -> bool:
         """Whether candidates differ by one number only."""
-        return not self.kernel.of_parameters and self.evidence.points.features.shape[1] == 1
+        return not self.kernel.of_parameters and self.trials.features.shape[1] == 1
 
     def cost(self, some: slice = slice(None)) -> Floats:
         """The costs of some trials as the process sees them, [n]."""
-        cost = self.evidence.cost[some]
+        cost = self.costs[some]
         return log_excess(cost) if self.kernel.by_order else squarable(cost)
 
     def _unguessed(self, some: slice) -> Floats:
         """The same less what was guessed."""
         cost = self.cost(some)
-        return cost - self.guessed(self.evidence.points, cost)[some]
+        return cost - self.guessed(self.trials, cost)[some]
 
     def guessed(self, points: Points, cost: Floats) -> Floats:
         """What the user says of the costs of points, [m], in the unit of these costs."""
@@ -139,7 +145,7 @@ class Model:
         layout = Layout(seen.features.shape[1], seen.coordinates.shape[1], self.parameters)
         covariance = new_covariance(self.kernel, layout)
         first = last_refit(len(x))
-        theta = self.constants.learned(covariance, x[:first], y(slice(first)))
+        theta = learned(self.known, covariance, x[:first], y(slice(first)))
         # Over features alone, noise is the spread of alike candidates: the next one shows it too.
         noisy = not self.kernel.of_parameters
         return condition(covariance, theta, x, y(slice(None)), noisy=noisy)
@@ -158,8 +164,8 @@ class Model:
         """
         if self.one_dimensional:
             return np.arange(len(points))
-        trials = len(self.evidence.cost) + len(self.evidence.running)
-        most = max(int(WORK / trials**2), LEAST_CANDIDATES)
+        count = len(self.costs) + len(self.running)
+        most = max(int(WORK / count**2), LEAST_CANDIDATES)
         if self.kernel.by_order:
             most = min(most, MOST_CANDIDATES)
         free = np.flatnonzero(offered)
@@ -176,7 +182,7 @@ class Model:
 
     def _merit(self, points: Points) -> Floats:
         """Minus the costs by a ridge regression on the features, unit slopes against unit noise."""
-        seen, residual = self.evidence.points.features, self.posterior.y
+        seen, residual = self.trials.features, self.posterior.y
         residual = residual[: len(seen)]  # less what running trials are believed to show
         slopes = np.linalg.solve(seen.T @ seen + np.eye(seen.shape[1]), seen.T @ residual)
         learned = self.posterior.cost_sd * (points.features @ slopes)
@@ -185,14 +191,18 @@ class Model:
     def _values(self, points: Points) -> Floats:
         """The utility of candidates, [m]."""
         if not self.one_dimensional:
-            return self._improvement(points) + log_all_kept(self.limits, self._visible(points))
+            return self._improvement(points) + log_all_kept(
+                self.limit_posteriors, self._visible(points)
+            )
         shared = Shared.of(self.posterior, points)
-        values = self._improvement(shared.points) + log_all_kept(self.limits, shared.points)
+        values = self._improvement(shared.points) + log_all_kept(
+            self.limit_posteriors, shared.points
+        )
         return shared.spread(values)
 
     def _improvement(self, points: Points) -> Floats:
         """log expected improvement, [m]; all alike where there is nothing to improve on."""
-        feasible = self.evidence.feasible
+        feasible = self.feasible
         if not feasible.any():  # first find a candidate that holds
             return np.zeros(len(points))
         mean, variance = self.posterior.predict(self._visible(points))

@@ -1,7 +1,13 @@
-"""Columns of a table, checked: parameters become numbers with a distribution, features a matrix."""
+"""Columns of arrays, files and stores, checked: the content of a table.
 
-from collections.abc import Hashable, Sequence
-from typing import Any
+Parameters become numbers with a distribution, features a matrix; then each row has to lie within
+the bounds and distributions.
+"""
+
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,9 +18,61 @@ from optuna.distributions import (
     IntDistribution,
 )
 
+from study.sampler.space import STEP_TOLERANCE, Space
+from study.sampler.transforms import columns_of, let_go, new_matrix
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import is_folder, reading
+
+if TYPE_CHECKING:
+    import pyarrow as pa  # slow to load: where a file is read
 
 Floats = NDArray[np.float64]
+Bounds = Mapping[str, tuple[float, float]]
+Content = tuple[Space, Floats, tuple[str, ...], Floats]
+"""Distributions of d parameters; parameters [n, d]; k names; features [n, k]."""
+
+MOST_WAITING_BYTES = 2**28  # written to a matrix that may be a file's, before memory is let go
+
+
+def checked_columns(
+    parameters: Mapping[str, ArrayLike],
+    features: ArrayLike,
+    feature_names: Sequence[str] | None,
+    bounds: Bounds | None,
+    space: Mapping[str, BaseDistribution] | None,
+) -> Content:
+    """The content of a table of n rows, d parameters and k features.
+
+    Args:
+        parameters: d columns by name, [n] each.
+        features: [n, k], or [n] for one.
+        feature_names: k names; None: feature_0, feature_1, ...
+        bounds: (low, high) of some numeric parameters, by name.
+        space: distributions of some parameters, by name.
+
+    Raises:
+        InputError: naming the column and row that cannot be used.
+    """
+    if not parameters:
+        raise InputError("table.parameters", "none", "at least one column")
+    _require_known("table.bounds", bounds, parameters)
+    _require_known("table.space", space, parameters)
+    matrix = feature_matrix(features, feature_names)
+    names = tuple(feature_names or (f"feature_{i}" for i in range(matrix.shape[1])))
+    raw = new_matrix(len(matrix), len(parameters))
+    distributions: dict[str, BaseDistribution] = {}
+    for (name, values), column in zip(parameters.items(), columns_of(raw), strict=True):
+        given = None if space is None else space.get(name)
+        numbers, distribution = parameter_column(name, values, len(matrix), given)
+        if bounds is not None and name in bounds and given is None:
+            distribution = _widened(name, distribution, bounds[name])
+        column[:] = numbers
+        let_go(np.asarray(values))
+        distributions[name] = distribution
+    space_of_rows = Space.of(distributions)
+    _require_inside(space_of_rows, raw)
+    return space_of_rows, raw, names, matrix
 
 
 def parameter_column(
@@ -29,7 +87,7 @@ def parameter_column(
         given: its distribution; None: floats, integers or choices, as the values are.
     """
     try:
-        column = np.asarray(values)
+        column = np.asarray(checks.unmasked(values))
     except ValueError:  # lists of different lengths
         raise InputError(f"table.{name}.shape", "ragged", "[n], n at least 1") from None
     if column.dtype.kind in "US":  # made words of numbers and gaps among words, if there were any
@@ -49,7 +107,7 @@ def parameter_column(
 def feature_matrix(features: ArrayLike, names: Sequence[str] | None) -> Floats:
     """Features as [n, k]; NaN is a gap, infinity a value."""
     try:
-        matrix = np.array(features, dtype=np.float64)
+        matrix = np.array(checks.unmasked(features), dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         raise InputError("table.features", type(features).__name__, "numbers, [n, k]") from None
     matrix = matrix[:, None] if matrix.ndim == 1 else matrix
@@ -122,3 +180,143 @@ def _require_no_gap(name: str, values: list[Any]) -> None:
                 f"a value; or None as a choice: space={{{name!r}: CategoricalDistribution([...])}}"
             )
             raise InputError(f"table.{name}[{row}]", value, allowed)
+
+
+def _require_known(
+    field: str, given: Mapping[str, Any] | None, parameters: Mapping[str, Any]
+) -> None:
+    """Refuse bounds or distributions of a name that no column has."""
+    for name in given or ():
+        if name not in parameters:
+            raise InputError(field, name, f"one of {', '.join(sorted(parameters))}")
+
+
+def _widened(
+    name: str, distribution: BaseDistribution, bounds: tuple[float, float]
+) -> BaseDistribution:
+    """The distribution of a column with the bounds asked for."""
+    if isinstance(distribution, CategoricalDistribution):
+        raise InputError(f"table.bounds.{name}", bounds, "none: the parameter is categorical")
+    low, high = bounds
+    if not low <= high:
+        raise InputError(f"table.bounds.{name}", bounds, "(low, high), low <= high")
+    return type(distribution)(low, high)  # type: ignore[call-arg]
+
+
+def _require_inside(space: Space, parameters: Floats) -> None:
+    """Refuse rows that their own distribution does not hold."""
+    named = space.as_dict().items()
+    for (name, distribution), values in zip(named, columns_of(parameters), strict=True):
+        if isinstance(distribution, CategoricalDistribution):
+            continue
+        low, high = distribution.low, distribution.high  # type: ignore[attr-defined]
+        outside = np.flatnonzero(~((low <= values) & (values <= high)))
+        if len(outside):
+            row = int(outside[0])
+            raise InputError(f"table.{name}[{row}]", float(values[row]), f"{low:g} to {high:g}")
+        if isinstance(distribution, FloatDistribution) and distribution.step is None:
+            continue
+        row_off_grid = _first_off_grid(values, distribution)
+        if row_off_grid is not None:
+            value = float(values[row_off_grid])
+            raise InputError(f"table.{name}[{row_off_grid}]", value, f"a value of {distribution}")
+
+
+def _first_off_grid(values: Floats, distribution: BaseDistribution) -> int | None:
+    """The first of the values [n] that lies between the steps of its parameter."""
+    low, step = distribution.low, distribution.step  # type: ignore[attr-defined]
+    steps = (values - low) / step
+    off = np.flatnonzero(np.abs(steps - np.round(steps)) > STEP_TOLERANCE)
+    return int(off[0]) if len(off) else None
+
+
+@dataclass(frozen=True)
+class FileColumns:
+    """Where a table was read from.
+
+    Attributes:
+        path: a Parquet file, a folder of them, or a store.
+        features: k columns.
+        parameters: d columns; None: those of the store.
+        space: distributions of some parameters.
+        bounds: (low, high) of some parameters; None: of a store, those that it was made with.
+    """
+
+    path: Path
+    features: tuple[str, ...]
+    parameters: tuple[str, ...] | None
+    space: Mapping[str, BaseDistribution] | None
+    bounds: Bounds | None
+
+    def read(self) -> Content:
+        """Read the columns, and check them."""
+        if not self.features:
+            raise InputError("features", "none", "at least one column")
+        if self.parameters is None:
+            return self._of_store()
+        table = _read(self.path, (*self.parameters, *self.features))
+        columns = {name: table[name].to_numpy() for name in self.parameters}
+        features = np.empty((len(table), len(self.features)))
+        _fill([features], [table.select(self.features)])
+        return checked_columns(columns, features, self.features, self.bounds, self.space)
+
+    def _of_store(self) -> Content:
+        """A store knows its parameters and their bounds."""
+        from storage.store import open_store  # PyArrow is slow to load
+
+        store = open_store(self.path)
+        store.require_bounds()
+        ranges = store.specification["gains"]
+        bounds = {name: (ends["low"], ends["high"]) for name, ends in ranges.items()}
+        others = [name for name in store.columns if name not in bounds]
+        for name in self.features:
+            if name not in others:
+                raise InputError("score", name, f"one of {', '.join(others)}")
+        names, matrix = (*bounds, *self.features), new_matrix(len(store), len(bounds))
+        features = np.empty((len(store), len(self.features)))
+        _fill([matrix, features], store.tables(names))
+        columns = dict(zip(bounds, matrix.T, strict=True))
+        return checked_columns(columns, features, self.features, self.bounds or bounds, self.space)
+
+
+def _read(path: Path, names: Sequence[str]) -> "pa.Table":
+    """Named columns of a file, or of all Parquet files of a folder in the order of their names."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    allowed = "a Parquet file, or a folder of them, that exists"
+    files = sorted(path.glob("*.parquet")) if is_folder(path) else [path]
+    if not files:
+        raise InputError("store", str(path), allowed)
+    tables = []
+    for each in files:
+        with reading("store", each, allowed) as file:
+            known = pq.read_schema(file).names
+            for name in names:
+                if name not in known:
+                    raise InputError("column", name, f"one of {', '.join(known)}")
+            tables.append(pq.read_table(file, columns=list(names), partitioning=None))
+    with reading("store", files[0], "files of the same columns, if there are several"):
+        return pa.concat_tables(tables)
+
+
+def _fill(matrices: Sequence[Floats], tables: "Iterable[pa.Table]") -> None:
+    """Write the columns of tables, which follow one another, into matrices side by side.
+
+    Raises:
+        InputError: a column is none of numbers.
+    """
+    first, waiting = 0, 0
+    for table in tables:
+        rows = slice(first, first + len(table))
+        targets = (column for matrix in matrices for column in matrix[rows].T)
+        for name, target in zip(table.column_names, targets, strict=True):
+            try:
+                target[:] = table[name].to_numpy()
+            except (TypeError, ValueError):
+                raise InputError("score", name, "a column of numbers") from None
+        first, waiting = rows.stop, waiting + table.nbytes
+        if waiting > MOST_WAITING_BYTES:
+            waiting = 0
+            for matrix in matrices:
+                let_go(matrix)

@@ -9,11 +9,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from study.sampler.acquisition import Constants, Model
-from study.sampler.evidence import Evidence
+from study.sampler.acquisition import Learned, Model
 from study.sampler.gp import JITTER, Kernel, Posterior, shape_of
-from study.sampler.points import Points
-from study.sampler.transforms import Guess, is_doubtful
+from study.sampler.transforms import Guess, Points, is_doubtful
 
 Floats = NDArray[np.float64]
 
@@ -246,7 +244,7 @@ class Present:
         kernel: of the sampler.
         guess: of the user.
         learns_trust: whether the sampler may leave trials to the parameters.
-        constants: known so far.
+        known: constants that were learned so far.
     """
 
     names: tuple[str, ...]
@@ -259,7 +257,7 @@ class Present:
     kernel: Kernel
     guess: Guess | None
     learns_trust: bool
-    constants: Constants
+    known: Learned
 
     @cached_property
     def model(self) -> Model:
@@ -287,8 +285,10 @@ class Present:
     def _model(self, seen: Points, guess: Guess | None) -> Model:
         """After the finished trials, whatever others show and whichever limits there are."""
         unknown = np.empty((len(self.cost), 0))
-        evidence = Evidence(seen, self.cost, unknown, seen.take(np.arange(0)))
-        return Model(self.kernel, guess, self.parameters, evidence, self.constants)
+        nobody = seen.take(np.arange(0))
+        return Model(
+            self.kernel, guess, self.parameters, seen, self.cost, unknown, nobody, self.known
+        )
 
 
 def worth_of(present: Present | None, *, maximised: bool) -> Worth:

@@ -63,7 +63,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from study.sampler.points import Points
+from study.sampler.transforms import Points
 
 Floats = NDArray[np.float64]
 AnyFloats = NDArray[Any]
@@ -103,12 +103,12 @@ class Kernel:
     parameter_scales: str | None
     by_order: bool
 
-    @property
+    @cached_property
     def of_features(self) -> bool:
         """Whether features count."""
         return self.slopes or self.feature_scales is not None
 
-    @property
+    @cached_property
     def of_parameters(self) -> bool:
         """Whether coordinates count; if not, candidates of equal features are the same."""
         return self.parameter_scales is not None
@@ -140,11 +140,6 @@ class Constant:
     mode: float
     sd: float
     bounds: tuple[float, float]
-
-    @property
-    def start(self) -> float:
-        """Logarithm of the likeliest value before any trial, within the bounds."""
-        return float(np.log(min(max(exp(self.mode), self.bounds[0]), self.bounds[1])))
 
 
 SIGNAL = Constant(0.0, 1.5, SIGNAL_BOUNDS)
@@ -186,8 +181,9 @@ class Covariance:
 
     @cached_property
     def start(self) -> Floats:
-        """Theta before any trial, [t]."""
-        return np.array([constant.start for constant in self.constants])
+        """Theta before any trial, [t]: the likeliest values within the bounds."""
+        ends = ((exp(constant.mode), *constant.bounds) for constant in self.constants)
+        return np.log([min(max(likeliest, low), high) for likeliest, low, high in ends])
 
     @cached_property
     def bounds(self) -> Floats:

@@ -1,18 +1,32 @@
-"""What a study's trials say to a sampler: where they were, and the costs they showed."""
+"""What a study's trials say to a sampler: where they were, which rows they took, what they cost.
 
-from collections.abc import Callable, Mapping
+A trial is a row of a table if its parameters are that row's. Its number, and its features, are left
+in the trial as user attributes, to be read and sorted by. The study may suggest a parameter in
+another way than the table has it: by another kind, scale or range. Its values count.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import Any
 
 import numpy as np
 import optuna
 from numpy.typing import NDArray
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
-from study.sampler.rows import Rows
 from study.sampler.space import Space
-from study.sampler.transforms import clip_infinities
+from study.sampler.table import Rows
+from study.sampler.transforms import clip_infinities, squarable
+from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
 
@@ -195,3 +209,178 @@ def noted_features(trial: FrozenTrial) -> list[float] | None:
     if not isinstance(noted, list):
         return None
     return [np.nan if value is None else value for value in noted]
+
+
+def read_limits(trials: Sequence[FrozenTrial]) -> Floats:
+    """The constraints of trials, [n, c]: what `trial.set_constraint` said."""
+    told = [trial.constraints for trial in trials]
+    keys = sorted({key for constraints in told for key in constraints})
+    limits = [[constraints.get(key, np.nan) for key in keys] for constraints in told]
+    columns = np.array(limits, dtype=np.float64).reshape(len(trials), len(keys)).T
+    clipped = [squarable(clip_infinities(column)) for column in columns]
+    return np.array(clipped).reshape(len(keys), len(trials)).T
+
+
+def notes_of(row: int, features: NDArray[np.float64]) -> dict[str, Any]:
+    """The row, or OFF_TABLE, and its features [k], those unknown as None."""
+    values = [value if isfinite(value) else None for value in features.tolist()]
+    notes: dict[str, Any] = {ROW_ATTRIBUTE: row}
+    if len(values) == 1:
+        notes[SCORE_ATTRIBUTE] = values[0]
+    if len(values) > 1 or row == OFF_TABLE:
+        notes[FEATURES_ATTRIBUTE] = values
+    return notes
+
+
+def taken_back(width: int, listed: bool) -> dict[str, Any]:
+    """What is left in a trial that ran something else than was noted; notes cannot be removed.
+
+    Args:
+        width: k, the number of features.
+        listed: of one feature, whether it may stand in the trial as a list, too: that of a point
+            off the table.
+    """
+    notes: dict[str, Any] = {ROW_ATTRIBUTE: OFF_TABLE}
+    if width == 1:
+        notes[SCORE_ATTRIBUTE] = None
+    if width > 1 or listed:
+        notes[FEATURES_ATTRIBUTE] = None
+    return notes
+
+
+def suggested_so_far(names: Iterable[str], study: optuna.Study) -> dict[str, BaseDistribution]:
+    """Distributions by name, of the latest trial that has each; names that none has are left out.
+
+    Within a study Optuna holds a parameter to one kind of distribution, one scale, and, of a
+    categorical, one list of choices.
+    """
+    wanted, found = set(names), dict[str, BaseDistribution]()
+    for trial in reversed(study.get_trials(deepcopy=False)):
+        if not wanted:
+            break
+        for name in wanted & trial.distributions.keys():
+            found[name] = trial.distributions[name]
+            wanted.discard(name)
+    return found
+
+
+def as_suggested_rows(rows: Rows, suggested: Mapping[str, BaseDistribution]) -> Rows:
+    """The rows with a logarithmic scale for what a study suggests on one.
+
+    It is the scale of the kernels that look at parameters, and of points near the rows. A scale or
+    step that the table was given stays. Rows that the study does not hold stay as they are, too.
+
+    Args:
+        rows: of the table.
+        suggested: distributions by name, of all parameters or some.
+    """
+    distributions = list(rows.space.distributions)
+    for column, own in enumerate(distributions):
+        theirs = suggested.get(rows.names[column])
+        if theirs is not None and _on_logarithms(theirs) and rows.outside(column, theirs) is None:
+            distributions[column] = _logarithmic(own, theirs)
+    if all(new is old for new, old in zip(distributions, rows.space.distributions, strict=True)):
+        return rows
+    return rows.with_space(Space(rows.names, tuple(distributions)))
+
+
+def _on_logarithms(distribution: BaseDistribution) -> bool:
+    """Whether its scale is logarithmic."""
+    return bool(getattr(distribution, "log", False))
+
+
+def _logarithmic(own: BaseDistribution, theirs: BaseDistribution) -> BaseDistribution:
+    """A numeric distribution without steps on a logarithmic scale, where both ranges overlap."""
+    assert isinstance(theirs, FloatDistribution | IntDistribution)
+    if isinstance(own, FloatDistribution) and own.step is None and not own.log:
+        return FloatDistribution(max(own.low, theirs.low), min(own.high, theirs.high), log=True)
+    if isinstance(own, IntDistribution) and own.step == 1 and not own.log:
+        low, high = math.ceil(theirs.low), math.floor(theirs.high)
+        return IntDistribution(max(own.low, low), min(own.high, high), log=True)
+    return own
+
+
+def shown_misfit(
+    rows: Rows, suggested: Mapping[str, BaseDistribution], study: optuna.Study
+) -> InputError | None:
+    """What trials have shown against a table that need not fit; None if nothing.
+
+    Args:
+        rows: of the table.
+        suggested: how the study is known to suggest its parameters, or some of them.
+        study: whose latest finished trial may have suggested some of them only.
+    """
+    for column, name in enumerate(rows.names):
+        error = distribution_misfit(rows, column, suggested[name]) if name in suggested else None
+        if error is not None:
+            return error
+    trial = _latest(study)
+    some = trial is not None and any(name in trial.params for name in rows.names)
+    return not_suggested(rows, trial) if trial is not None and some else None
+
+
+def proves_fit(rows: Rows, study: optuna.Study) -> bool:
+    """Whether the latest finished trial suggested all parameters of the table, and holds them."""
+    trial = _latest(study)
+    return trial is not None and all(
+        name in trial.distributions
+        and distribution_misfit(rows, column, trial.distributions[name]) is None
+        for column, name in enumerate(rows.names)
+    )
+
+
+def not_suggested(rows: Rows, trial: FrozenTrial) -> InputError | None:
+    """What a trial without some parameter of the table says against it; None if it has all."""
+    for name in rows.names:
+        if name not in trial.params:
+            allowed = f"an objective that suggests all of {', '.join(rows.names)}"
+            return InputError(name, f"not suggested in trial {trial.number}", allowed)
+    return None
+
+
+def distribution_misfit(rows: Rows, column: int, suggested: BaseDistribution) -> InputError | None:
+    """An error if what is suggested for one parameter leaves rows out; None if it holds all.
+
+    Kind, scale and order of choices may be others than the table's: its values count.
+    """
+    outside = rows.outside(column, suggested)
+    if outside is None:
+        return None
+    name, own = rows.names[column], rows.space.distributions[column]
+    value = rows.as_parameters(outside)[name]
+    what = (
+        "choices that hold"
+        if isinstance(suggested, CategoricalDistribution)
+        else "a range that holds"
+    )
+    allowed = f"{what} all rows: row {outside} has {value!r} (the table: {own}, or as space= says)"
+    return InputError(name, str(suggested), allowed)
+
+
+def _latest(study: optuna.Study) -> FrozenTrial | None:
+    """The finished trial of the highest number."""
+    trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    return trials[-1] if trials else None
+
+
+def no_row_has(rows: Rows, fixed: Mapping[str, Any]) -> InputError:
+    """What is wrong with values, at least one, that no row has which could be proposed."""
+    name, values = ", ".join(fixed), tuple(fixed.values())
+    what = "values that a row of the table has together"
+    if rows.having(fixed).any():
+        what = "values of a row that has not been tried"
+    elif len(fixed) == 1:
+        near = _nearest_value(rows, name, values[0])
+        such = "" if near is None else f", such as {near!r}"
+        what = f"a value that a row of the table has{such}"
+    allowed = f"{what}; or all parameters, in enqueue_trial"
+    return InputError(name, values[0] if len(values) == 1 else values, allowed)
+
+
+def _nearest_value(rows: Rows, name: str, value: Any) -> Any:
+    """The value of a row that is nearest to a number; None for what is no number, nor a choice."""
+    column = rows.names.index(name)
+    number = rows.space.number(column, value)
+    if number is None:
+        return None
+    return rows.as_parameters(int(abs(rows.parameters[:, column] - number).argmin()))[name]

@@ -7,7 +7,7 @@
 | unit cube | [n, e], e >= d | one column a choice, 1/sqrt(2) where taken | its logarithm |
 
 Distances in the unit cube are what a Euclidean kernel sees: a parameter's whole range is 1, and two
-different choices are 1 apart.
+different choices are 1 apart. New points are drawn anywhere, or near good ones.
 """
 
 from collections.abc import Iterable, Mapping
@@ -29,6 +29,7 @@ Number = FloatDistribution | IntDistribution
 
 STEP_TOLERANCE = 1e-8  # of a step: how far a value on the grid may be off, as for Optuna
 CHOICE_LENGTH = np.sqrt(0.5)  # of a one-hot code: two of them are 1 apart
+STEP_DECADES = (-2.5, -0.3)  # log10 of a step's standard deviation, in ranges: 0.3 % to 50 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +133,37 @@ class Space:
                 inside = _to_unit(distribution, _moved_inside(distribution, values))
                 fractions[:, column] = np.clip(inside[:, 0], 0.0, 1.0)
         return fractions
+
+
+def anywhere(space: Space, count: int, rng: np.random.Generator) -> Floats:
+    """Points uniform over the space, logarithmic parameters over their logarithms, [count, d]."""
+    return space.from_fractions(rng.random((count, len(space))))
+
+
+def nearby(space: Space, centres: Floats, count: int, rng: np.random.Generator) -> Floats:
+    """Points near some of the centres [c, d], each at its own distance, [count, d].
+
+    Each moves a random part of its coordinates (at least one) by normal steps of one size, drawn
+    evenly over decades; at an edge it is reflected. A categorical that moves takes any choice.
+    """
+    start = space.fractions(centres[rng.integers(len(centres), size=count)])
+    size = 10.0 ** rng.uniform(*STEP_DECADES, (count, 1))
+    moved = rng.random(start.shape) < rng.random((count, 1))
+    moved[np.arange(count), rng.integers(len(space), size=count)] = True
+    steps = size * rng.standard_normal(start.shape)
+    target = np.abs(start + steps)
+    target = np.clip(np.where(target > 1.0, 2.0 - target, target), 0.0, 1.0)
+    chosen = rng.random(start.shape)
+    free = [isinstance(each, CategoricalDistribution) for each in space.distributions]
+    target = np.where(free, chosen, target)
+    return space.from_fractions(np.where(moved, target, start))
+
+
+def not_among(points: Floats, taken: Floats) -> NDArray[np.bool_]:
+    """Which points [m, d] are none of the taken ones [t, d]; all, if that leaves none, [m]."""
+    known = {row.tobytes() for row in np.ascontiguousarray(taken)}
+    new = np.array([row.tobytes() not in known for row in np.ascontiguousarray(points)], dtype=bool)
+    return new if new.any() else np.ones(len(points), dtype=bool)
 
 
 def as_suggested(distribution: BaseDistribution, value: Any) -> Any:

@@ -27,7 +27,7 @@ from storage.databases.studies import only_run
 from storage.store import open_store
 from study.experiment.arms import ARMS
 from study.experiment.experiment import read_experiment
-from study.features.survival import FAMILIES
+from study.features import FAMILIES
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS
 from taichi_nmm.result import Result

@@ -28,8 +28,8 @@ from optuna.distributions import (
 from optuna.samplers import BaseSampler
 from scipy.stats import rankdata
 
-from study.features.feature_table import FeatureTable
-from study.sampler.feature_sampler import FeatureKernelSampler
+from study.sampler.sampler import FeatureKernelSampler
+from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import parse_json, reading
 from tools.benchmarks.runs import (

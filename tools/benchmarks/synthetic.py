@@ -31,8 +31,8 @@ from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.samplers import BaseSampler
 from scipy.stats import ortho_group, qmc
 
-from study.sampler.candidate_table import CandidateTable
-from study.sampler.feature_sampler import FeatureKernelSampler
+from study.sampler.sampler import FeatureKernelSampler
+from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
 from tools.benchmarks.runs import (
     CONTROL,
@@ -222,11 +222,11 @@ def costs(problem_name: str, arm: str, seed: int, trials: int) -> Floats:
     return costs_of(lambda: sampler(found, seed), found.objective, trials)
 
 
-def _table(found: Problem) -> CandidateTable:
+def _table(found: Problem) -> FeatureTable:
     """The problem's rows with their feature."""
     rows = found.rows()
     columns = dict(zip(NAMES, rows.T, strict=True))
-    return CandidateTable.from_arrays(columns, found.features(rows), space=found.distributions())
+    return FeatureTable.from_arrays(columns, found.features(rows), space=found.distributions())
 
 
 def _over_rows(kernel: str | None = None) -> Callable[[Problem, int], BaseSampler]:

@@ -10,7 +10,7 @@ from study.experiment import samplers
 from study.experiment.arms import ARMS, NOTHING, REMOVED, find_arm, saw
 from study.experiment.experiment import Experiment
 from study.experiment.samplers import Task, score_order
-from study.features.survival import GROUNDS, LONGER, PLAINEST
+from study.features import GROUNDS, LONGER, PLAINEST
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from tests.study import fake_walker

@@ -9,7 +9,7 @@ from storage.store import Store, open_store
 from study.experiment import stores
 from study.experiment.arms import ARMS
 from study.experiment.experiment import Experiment
-from study.features.feature_table import FeatureTable
+from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 

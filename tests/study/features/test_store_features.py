@@ -9,17 +9,20 @@ import pytest
 from storage.store import Store, open_store
 from study.experiment.arms import ARMS
 from study.experiment.stores import candidates
-from study.features.coverage import earliness
-from study.features.store_features import (
+from study.features import (
+    FAMILIES,
+    GROUNDS,
+    LONGER,
+    PLAINEST,
     Coverage,
     Feature,
     Survival,
     check_feature,
+    earliness,
     feature_values,
     survivals,
 )
-from study.features.survival import FAMILIES, GROUNDS, LONGER, PLAINEST
-from study.features.survival import OPTIONS as BEST
+from study.features import OPTIONS as BEST
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons

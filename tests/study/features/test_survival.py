@@ -12,8 +12,7 @@ import study
 from storage.store import open_store
 from study.experiment.arms import ARMS
 from study.experiment.samplers import Task
-from study.features.feature_table import FeatureTable
-from study.features.survival import (
+from study.features import (
     COVERED_OPTIONS,
     FAMILIES,
     OPTIONS,
@@ -21,6 +20,7 @@ from study.features.survival import (
     covered_table,
     survival_table,
 )
+from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 

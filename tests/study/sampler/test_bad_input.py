@@ -12,7 +12,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution
 from optuna.trial import TrialState
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.table_source import TableExhaustedError
+from study.sampler.table_policy import TableExhaustedError
 from taichi_nmm.errors import InputError
 
 Objective = Callable[[optuna.Trial], float]

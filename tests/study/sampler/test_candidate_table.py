@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
-from study.sampler.candidate_table import CandidateTable
+from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
 
 TWO = {"a": [0.0, 1.0], "b": [5.0, 6.0]}
@@ -18,7 +18,7 @@ MIXED = {"rate": [0.1, 0.01, 1.0], "units": [3, 1, 2], "kind": ["relu", "tanh", 
 
 
 def test_arrays_make_rows_of_native_values() -> None:
-    rows = CandidateTable.from_arrays(MIXED, np.arange(6.0).reshape(3, 2), ["p", "q"]).rows
+    rows = FeatureTable.from_arrays(MIXED, np.arange(6.0).reshape(3, 2), ["p", "q"]).rows
     assert rows.as_parameters(1) == {"rate": 0.01, "units": 1, "kind": "tanh"}
     assert [type(v) for v in rows.as_parameters(1).values()] == [float, int, str]
     assert rows.space.distributions == (
@@ -34,20 +34,20 @@ def test_arrays_make_rows_of_native_values() -> None:
 
 
 def test_one_feature_may_be_a_column() -> None:
-    rows = CandidateTable.from_arrays(TWO, [1, 3]).rows
+    rows = FeatureTable.from_arrays(TWO, [1, 3]).rows
     assert rows.feature_names == ("feature_0",)
     assert rows.standard.standard(rows.features).tolist() == [[-1.0], [1.0]]
 
 
 def test_a_space_says_what_columns_cannot() -> None:
     given = {"rate": FloatDistribution(1e-3, 1.0, log=True), "units": FloatDistribution(0.0, 4.0)}
-    rows = CandidateTable.from_arrays(MIXED, [1, 2, 3], space=given).rows
+    rows = FeatureTable.from_arrays(MIXED, [1, 2, 3], space=given).rows
     assert rows.space.distributions[:2] == tuple(given.values())
     assert type(rows.as_parameters(0)["units"]) is float
 
 
 def test_rows_are_found_by_exact_values() -> None:
-    rows = CandidateTable.from_arrays(MIXED, [1, 3, 4]).rows
+    rows = FeatureTable.from_arrays(MIXED, [1, 3, 4]).rows
     assert rows.find({"rate": 1.0, "units": 2, "kind": "relu", "other": 2}) == 2
     assert rows.find({"rate": np.nextafter(1.0, 2.0), "units": 2, "kind": "relu"}) is None
     assert rows.find({"rate": 1.0, "units": 2, "kind": "gelu"}) is None
@@ -56,20 +56,20 @@ def test_rows_are_found_by_exact_values() -> None:
 
 def test_a_data_frame_gives_named_columns() -> None:
     frame = pd.DataFrame(MIXED | {"p": [1, 2, 4], "q": [0.5, np.nan, 1.5]})
-    table = CandidateTable.from_dataframe(frame, parameters=list(MIXED), features=["p", "q"])
+    table = FeatureTable.from_dataframe(frame, parameters=list(MIXED), features=["p", "q"])
     assert table.rows.feature_names == ("p", "q")
     assert_allclose(table.rows.features, [[1.0, 0.5], [2.0, np.nan], [4.0, 1.5]])
     with pytest.raises(InputError, match="column: 'z'"):
-        CandidateTable.from_dataframe(frame, parameters=["rate"], features=["z"])
+        FeatureTable.from_dataframe(frame, parameters=["rate"], features=["z"])
 
 
 def test_any_parquet_file_or_folder_will_do(tmp_path: Path) -> None:
     frame = pd.DataFrame(MIXED | {"p": [1.0, 2.0, 4.0]})
     for part in range(2):
         frame.assign(units=frame.units + 3 * part).to_parquet(tmp_path / f"part-{part}.parquet")
-    whole = CandidateTable.from_parquet(tmp_path, features=["p"], parameters=list(MIXED))
+    whole = FeatureTable.from_parquet(tmp_path, features=["p"], parameters=list(MIXED))
     assert whole.rows.parameters[:, 1].tolist() == [3, 1, 2, 6, 4, 5]
-    one = CandidateTable.from_parquet(
+    one = FeatureTable.from_parquet(
         tmp_path / "part-0.parquet", features=["p"], parameters=["rate"], bounds={"rate": (0, 2)}
     )
     assert one.rows.space.as_dict() == {"rate": FloatDistribution(0, 2)}
@@ -91,12 +91,12 @@ def test_bad_parquet_is_refused(
     (tmp_path / "text.parquet").write_text("no")
     pd.DataFrame(MIXED | {"p": [1.0, 2.0, 4.0]}).to_parquet(tmp_path / "good.parquet")
     with pytest.raises(InputError, match=message):
-        CandidateTable.from_parquet(tmp_path / file, features=["p"], parameters=parameters)
+        FeatureTable.from_parquet(tmp_path / file, features=["p"], parameters=parameters)
 
 
 def test_a_table_of_arrays_pickles_with_its_arrays_alone() -> None:
     column = np.arange(500.0)
-    table = CandidateTable.from_arrays({"a": column, "b": column}, column)
+    table = FeatureTable.from_arrays({"a": column, "b": column}, column)
     before = len(pickle.dumps(table))
     assert table.rows.offered.all() and table.rows.find({"a": 3.0, "b": 3.0}) == 3
     assert table.rows.unit.shape == (500, 2)
@@ -107,7 +107,7 @@ def test_a_table_of_arrays_pickles_with_its_arrays_alone() -> None:
 def test_a_feature_without_information_weighs_nothing() -> None:
     features = np.column_stack([[1.0, 2.0, 3.0], [7.0] * 3, [np.nan] * 3])
     with pytest.warns(UserWarning, match="without information are ignored: feature_1, feature_2"):
-        rows = CandidateTable.from_arrays(MIXED, features).rows
+        rows = FeatureTable.from_arrays(MIXED, features).rows
     for by_order in (False, True):
         assert_allclose(rows.scale(by_order=by_order).standard(rows.features)[:, 1:], 0.0)
     assert rows.offered.all()
@@ -117,7 +117,7 @@ def test_a_row_is_offered_with_half_of_its_informative_features() -> None:
     nan, inf = np.nan, np.inf
     features = [[nan, 1.0, 7.0], [2.0, nan, 7.0], [nan, nan, 7.0], [inf, -inf, nan]]
     with pytest.warns(UserWarning, match="1 rows that lack more than half .* ignored: feature_2"):
-        table = CandidateTable.from_arrays({"a": np.arange(4.0)}, features)
+        table = FeatureTable.from_arrays({"a": np.arange(4.0)}, features)
     assert table.rows.offered.tolist() == [True, True, False, True]
     assert table.rows.incomplete == 1
 
@@ -125,14 +125,14 @@ def test_a_row_is_offered_with_half_of_its_informative_features() -> None:
 def test_infinity_is_a_value_and_no_gap() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        rows = CandidateTable.from_arrays({"a": np.arange(3.0)}, [np.inf, 0.0, -np.inf]).rows
+        rows = FeatureTable.from_arrays({"a": np.arange(3.0)}, [np.inf, 0.0, -np.inf]).rows
     assert rows.offered.all() and rows.empty_features == ()
     assert np.argsort(rows.scores.standard(rows.features)[:, 0]).tolist() == [2, 1, 0]
 
 
 def test_repeated_rows_count_once() -> None:
     with pytest.warns(UserWarning, match="2 rows repeat the parameters of another"):
-        table = CandidateTable.from_arrays({"a": [0.0, 1.0, 0.0, -0.0]}, [1, 2, 3, 4])
+        table = FeatureTable.from_arrays({"a": [0.0, 1.0, 0.0, -0.0]}, [1, 2, 3, 4])
     assert table.rows.offered.tolist() == [True, True, False, False]
     assert table.rows.find({"a": 0.0}) == 0
 
@@ -140,13 +140,13 @@ def test_repeated_rows_count_once() -> None:
 def test_a_sound_table_makes_no_noise() -> None:
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        CandidateTable.from_arrays(MIXED, [1, 2, 3])
+        FeatureTable.from_arrays(MIXED, [1, 2, 3])
     assert not said
 
 
 def test_features_of_any_scale() -> None:
-    tiny = CandidateTable.from_arrays(TWO, [1e-30, 3e-30]).rows
-    huge = CandidateTable.from_arrays(TWO, [1e30, 3e30]).rows
+    tiny = FeatureTable.from_arrays(TWO, [1e-30, 3e-30]).rows
+    huge = FeatureTable.from_arrays(TWO, [1e30, 3e30]).rows
     for by_order in (False, True):
         scales = [rows.scale(by_order=by_order) for rows in (tiny, huge)]
         assert_allclose(scales[0].standard(tiny.features), scales[1].standard(huge.features))
@@ -170,7 +170,7 @@ def test_bad_arrays_are_refused(
     parameters: dict[str, object], features: list[float], message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
-        CandidateTable.from_arrays(parameters, features)
+        FeatureTable.from_arrays(parameters, features)
 
 
 @pytest.mark.parametrize(
@@ -188,23 +188,21 @@ def test_bad_arrays_are_refused(
 )
 def test_rows_that_do_not_fit_are_refused(options: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        CandidateTable.from_arrays(TWO, [1, 3], **options)
+        FeatureTable.from_arrays(TWO, [1, 3], **options)
 
 
 def test_rows_between_steps_are_refused() -> None:
     space = {"a": FloatDistribution(0, 1, step=0.25)}
-    assert len(CandidateTable.from_arrays({"a": [0.25, 0.75]}, [1, 2], space=space)) == 2
+    assert len(FeatureTable.from_arrays({"a": [0.25, 0.75]}, [1, 2], space=space)) == 2
     with pytest.raises(InputError, match=r"table.a\[1\]: 0.8"):
-        CandidateTable.from_arrays({"a": [0.25, 0.8]}, [1, 2], space=space)
+        FeatureTable.from_arrays({"a": [0.25, 0.8]}, [1, 2], space=space)
 
 
 def test_a_file_that_changed_since_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "table.parquet"
     frame = pd.DataFrame(MIXED | {"p": [1.0, 2.0, 4.0]})
     frame.to_parquet(path)
-    pickled = pickle.dumps(
-        CandidateTable.from_parquet(path, features=["p"], parameters=list(MIXED))
-    )
+    pickled = pickle.dumps(FeatureTable.from_parquet(path, features=["p"], parameters=list(MIXED)))
     frame.assign(p=[1.0, 2.0, 5.0]).to_parquet(path)
     with pytest.raises(InputError, match="the store this table was made from"):
         len(pickle.loads(pickled))

@@ -10,8 +10,7 @@ from optuna.distributions import (
     IntDistribution,
 )
 
-from study.sampler.candidates import anywhere, nearby, not_among
-from study.sampler.space import Space, as_suggested, first_not_taken
+from study.sampler.space import Space, anywhere, as_suggested, first_not_taken, nearby, not_among
 
 DISTRIBUTIONS: dict[str, BaseDistribution] = {
     "plain": FloatDistribution(-2.0, 3.0),

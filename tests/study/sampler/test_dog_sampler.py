@@ -15,7 +15,7 @@ from optuna.distributions import FloatDistribution
 from optuna.trial import TrialState
 
 from study import DoGSampler, FeatureTable
-from study.sampler.table_source import TableExhaustedError
+from study.sampler.table_policy import TableExhaustedError
 from taichi_nmm.errors import InputError
 
 ROOT = Path(__file__).parents[3]

@@ -8,8 +8,8 @@ from scipy.stats import norm
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import log_kept
-from study.sampler.evidence import read_limits
 from study.sampler.gp import KERNELS
+from study.sampler.history import read_limits
 
 
 def test_the_probability_is_the_normal_one() -> None:

@@ -22,7 +22,7 @@ from storage.databases.studies import open_studies
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import Model
 from study.sampler.gp import KERNELS
-from study.sampler.points import Points
+from study.sampler.transforms import Points
 
 ROOT = Path(__file__).parents[3]
 SPACE = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
@@ -181,7 +181,7 @@ def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such(
     looked_at = Model._looked_at
 
     def spied(model: Model, *rest: Any) -> Any:
-        learned.append(model.evidence.points.features)
+        learned.append(model.trials.features)
         return looked_at(model, *rest)
 
     table = FeatureTable.from_arrays({"a": [0.1, 0.9, 0.2], "b": [0.0, 0.5, 1.0]}, np.eye(3)[:, :2])
@@ -295,7 +295,7 @@ def test_a_million_rows_work() -> None:
 MEMORY = """
 import numpy as np, optuna
 from study import FeatureKernelSampler, FeatureTable
-import study.sampler.table_source, study.sampler.space_source
+import study.sampler.table_policy, study.sampler.space_policy
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 def resident(): return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6
 def peak():

@@ -88,7 +88,7 @@ def test_trials_that_can_be_learned_from_count_among_them() -> None:
         for row in middle:
             study.enqueue_trial(table.rows.as_parameters(int(row)))
         study.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=3)
-        constants = study.sampler._source.constants.known  # type: ignore[attr-defined]
+        constants = study.sampler._policy.known  # type: ignore[attr-defined]
         assert bool(constants) is (expected is None)
         assert expected is None or study.trials[2].user_attrs["row"] == expected
 

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from study.sampler.acquisition import MOST_CANDIDATES, Constants, Model, log_expected_improvement
-from study.sampler.evidence import Evidence
+from study.sampler.acquisition import MOST_CANDIDATES, Model, log_expected_improvement
 from study.sampler.gp import KERNELS
-from study.sampler.points import Points
-from study.sampler.transforms import SLOPE, Guess, log_excess
+from study.sampler.transforms import SLOPE, Guess, Points, log_excess
 from taichi_nmm.errors import InputError
 
 NAMES = ("score", "error", "-odd")
@@ -84,8 +82,7 @@ def test_where_nothing_is_left_to_explain_the_cost_falls_by_the_slope(
         fall = cost
     seen = points(scores, 0)
     none = points(np.empty(0), 0)
-    evidence = Evidence(seen, cost, no_limits(6), none)
-    model = Model(KERNELS[kernel], Guess(1, sign), 2, evidence, Constants())
+    model = Model(KERNELS[kernel], Guess(1, sign), 2, seen, cost, no_limits(6), none, {})
     some = points(np.array([-3.0, -0.2, 0.0, 0.7, 5.0]), 1)
     mean = predicted(model, some)
     expected = -SLOPE * fall.std() * sign * (some.features[:, 1] - some.features[0, 1])
@@ -95,10 +92,16 @@ def test_where_nothing_is_left_to_explain_the_cost_falls_by_the_slope(
 @pytest.mark.parametrize("cost", [0.0, 1e9])
 def test_after_one_trial_the_ranking_is_the_order_of_the_utility(cost: float) -> None:
     """One cost has no spread: it is taken to be one, and like candidates differ by the guess."""
-    evidence = Evidence(
-        points(np.zeros(1), 0), np.array([cost]), no_limits(1), points(np.empty(0), 0)
+    model = Model(
+        KERNELS["additive"],
+        Guess(1, 1.0),
+        2,
+        points(np.zeros(1), 0),
+        np.array([cost]),
+        no_limits(1),
+        points(np.empty(0), 0),
+        {},
     )
-    model = Model(KERNELS["additive"], Guess(1, 1.0), 2, evidence, Constants())
     features = np.column_stack([np.zeros(5), [0.0, 0.1, 0.2, 0.3, 0.4]])
     alike = Points(features, np.full((5, 2), 0.5))
     assert np.diff(predicted(model, alike)) == pytest.approx(-SLOPE * 0.1)
@@ -109,8 +112,16 @@ def test_after_one_trial_the_ranking_is_the_order_of_the_utility(cost: float) ->
 def test_a_guess_that_trials_contradict_is_turned() -> None:
     scores = np.linspace(-2, 2, 15)
     seen = points(scores, 0)
-    evidence = Evidence(seen, np.exp(scores), no_limits(15), points(np.empty(0), 0))
-    model = Model(KERNELS["additive"], Guess(1, 1.0), 2, evidence, Constants())
+    model = Model(
+        KERNELS["additive"],
+        Guess(1, 1.0),
+        2,
+        seen,
+        np.exp(scores),
+        no_limits(15),
+        points(np.empty(0), 0),
+        {},
+    )
     some = points(np.array([-1.8, 1.8]), 1)
     mean = predicted(model, some)
     assert mean[0] < mean[1]
@@ -122,8 +133,9 @@ def test_of_many_candidates_those_that_the_guess_thinks_best_are_looked_at() -> 
     seen = points(scores / scores.std(), 0)
     other, scores = seen.features.T
     cost, _ = costs_that_fall_by(-scores + 0.01 * other)
-    evidence = Evidence(seen, cost, no_limits(12), points(np.empty(0), 0))
-    model = Model(KERNELS["additive"], Guess(1, 1.0), 2, evidence, Constants())
+    model = Model(
+        KERNELS["additive"], Guess(1, 1.0), 2, seen, cost, no_limits(12), points(np.empty(0), 0), {}
+    )
     many = points(np.random.default_rng(1).standard_normal(2 * MOST_CANDIDATES), 2)
     offered = np.ones(len(many), dtype=bool)
     looked_at = model._looked_at(many, offered, np.random.default_rng(0))

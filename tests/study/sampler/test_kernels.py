@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import approx_fprime
 
 from study.sampler.gp import Covariance, Layout, condition, learn, misfit, new_covariance
-from study.sampler.points import Points
+from study.sampler.transforms import Points
 from tests.study.sampler import reference
 
 LAYOUT = Layout(features=2, coordinates=3, parameters=3)

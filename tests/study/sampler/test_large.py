@@ -12,8 +12,8 @@ import pytest
 
 from storage.precompute import precompute
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler import points as large
-from study.sampler.points import by_blocks, columns_of, new_matrix, rows_of, side_by_side
+from study.sampler import transforms as large
+from study.sampler.transforms import by_blocks, columns_of, new_matrix, rows_of, side_by_side
 from taichi_nmm.errors import InputError
 from tests.storage import fake
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from study.sampler.acquisition import Constants, Model
-from study.sampler.evidence import Evidence
+from study.sampler.acquisition import Model
 from study.sampler.gp import KERNELS
-from study.sampler.points import Points
+from study.sampler.transforms import Points
 
 TRIALS = 40
 
@@ -24,8 +23,7 @@ def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_c
     seen = Points(np.zeros((TRIALS, 1)), np.full((TRIALS, 2), 0.5))
     none = Points(np.empty((0, 1)), np.empty((0, 2)))
     cost = rng.uniform(1.0, 2.0, TRIALS)
-    evidence = Evidence(seen, cost, np.empty((TRIALS, 0)), none)
-    model = Model(KERNELS[kernel], None, 2, evidence, Constants())
+    model = Model(KERNELS[kernel], None, 2, seen, cost, np.empty((TRIALS, 0)), none, {})
     visible = model.kernel
     there = seen.take(np.arange(1)).only(
         features=visible.of_features, coordinates=visible.of_parameters

@@ -15,7 +15,7 @@ from study.sampler.gp import (
     learn,
     new_covariance,
 )
-from study.sampler.points import Points
+from study.sampler.transforms import Points
 from tests.study.sampler import reference
 
 LAYOUT = Layout(features=3, coordinates=4, parameters=4)

@@ -12,7 +12,6 @@ from optuna.distributions import FloatDistribution
 from optuna.samplers import RandomSampler
 
 from study import DoGSampler, FeatureKernelSampler, FeatureTable, SurvivalSampler
-from study.sampler.candidate_table import CandidateTable
 
 
 def table(features: int = 6, parameters: int = 16) -> FeatureTable:
@@ -33,12 +32,12 @@ def simulate(params: NDArray[np.float64]) -> NDArray[np.float64]:
         (lambda: table(), "FeatureTable(600 rows, 16 parameters, 6 features: a, b, c, ...)"),
         (lambda: table(3, 2), "FeatureTable(600 rows, 2 parameters, 3 features: a, b, c)"),
         (
-            lambda: CandidateTable.from_arrays({"x": [0.0]}, [[1.0, 2.0]]),
-            "CandidateTable(1 row, 1 parameter, 2 features: feature_0, feature_1)",
+            lambda: FeatureTable.from_arrays({"x": [0.0]}, [[1.0, 2.0]]),
+            "FeatureTable(1 row, 1 parameter, 2 features: feature_0, feature_1)",
         ),
     ],
 )
-@pytest.mark.filterwarnings("ignore:CandidateTable")
+@pytest.mark.filterwarnings("ignore:FeatureTable")
 def test_a_table_shows_its_size_and_features(made, shown: str) -> None:  # type: ignore[no-untyped-def]
     assert repr(made()) == shown
 

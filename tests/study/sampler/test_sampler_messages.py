@@ -114,8 +114,8 @@ CASES: dict[str, Callable[[], object]] = {
     "nearest: … allowed: none with a feature_function, …": lambda: sampler(
         nearest=0.1, feature_function=len
     ),
-    "constraints_func: … allowed: a function of a finished trial": lambda: sampler(
-        constraints_func=3
+    "constraints_func: … allowed: None: say trial.set_constraint(key, value) in the objective": (
+        lambda: sampler(constraints_func=3)
     ),
     "off_grid: … allowed: 0 without a feature_function": lambda: sampler(off_grid=9),
     "space: … allowed: none: a table knows its own": lambda: sampler(space=SPACE),
@@ -139,9 +139,6 @@ CASES: dict[str, Callable[[], object]] = {
         sampler(), lambda trial: trial.suggest_float("a", 0, 1)
     ),
     "…: 'fixed' cannot be used; …": lambda: run(PartialFixedSampler({"a": 0.5}, sampler())),
-    "constraints_func(trial): … allowed: a list of numbers, …": lambda: run(
-        sampler(constraints_func=lambda trial: trial.values)
-    ),
     "all … rows of the table have been tried": lambda: run(sampler()),
     "…: … allowed: the range declared in …": lambda: run(
         FeatureKernelSampler(space=SPACE, seed=1), a_within(0, 0.001)

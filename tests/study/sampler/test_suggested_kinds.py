@@ -183,7 +183,7 @@ def test_where_it_need_not_fit_it_is_one_warning(how: str) -> None:
 
 def coordinates(study: optuna.Study) -> NDArray[np.float64]:
     """What a kernel over the parameters saw of the rows in the latest trial."""
-    source = study.sampler._source  # type: ignore[attr-defined]
+    source = study.sampler._policy  # type: ignore[attr-defined]
     return np.asarray(source.rows.unit)
 
 

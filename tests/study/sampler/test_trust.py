@@ -54,9 +54,9 @@ def kernels_asked(study: optuna.Study, objective: Any, trials: int) -> dict[int,
     asked: dict[int, tuple[Any, Any]] = {}
     made = Model.__init__
 
-    def spied(model: Model, kernel: Any, guess: Any, parameters: int, evidence: Any, *rest: Any):
-        asked[len(evidence.cost)] = (kernel, guess)
-        made(model, kernel, guess, parameters, evidence, *rest)
+    def spied(model: Model, *given: Any, **named: Any) -> None:
+        made(model, *given, **named)
+        asked[len(model.costs)] = (model.kernel, model.guess)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Model, "__init__", spied)

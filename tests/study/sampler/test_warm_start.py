@@ -11,7 +11,6 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution
 from optuna.trial import FrozenTrial
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.nearest_row import NearestRow
 from taichi_nmm.errors import InputError
 
 SPACE = {"a": FloatDistribution(0, 1), "b": FloatDistribution(0.01, 100, log=True)}
@@ -96,12 +95,11 @@ def test_distances_are_root_mean_squares_of_shares_of_the_ranges() -> None:
     columns = {"a": [0.0, 1.0], "b": [0.01, 100.0], "kind": ["x", "y"]}
     space = SPACE | {"kind": CategoricalDistribution(["x", "y", "z"])}
     rows = FeatureTable.from_arrays(columns, [1, 2], space=space).rows
-    nearest = NearestRow(rows)
 
     def of(a: float, b: float, kind: str) -> tuple[int, float]:
         values = rows.space.row({"a": a, "b": b, "kind": kind})
         assert values is not None
-        return nearest.of(values)
+        return rows.nearest(values)
 
     assert of(0.0, 0.01, "x") == (0, 0.0)
     assert of(1.0, 100.0, "z") == (1, pytest.approx((1 / 3) ** 0.5))
@@ -114,9 +112,8 @@ def test_distances_are_root_mean_squares_of_shares_of_the_ranges() -> None:
 
 def test_a_constant_parameter_is_near_only_where_it_is_equal() -> None:
     rows = FeatureTable.from_arrays({"a": A, "c": np.full(40, 2.0)}, A).rows
-    nearest = NearestRow(rows)
-    assert nearest.of(np.array([0.0, 2.0])) == (0, 0.0)
-    assert nearest.of(np.array([0.0, 2.5]))[1] == np.inf
+    assert rows.nearest(np.array([0.0, 2.0])) == (0, 0.0)
+    assert rows.nearest(np.array([0.0, 2.5]))[1] == np.inf
 
 
 @pytest.mark.filterwarnings("ignore:FeatureTable")
@@ -124,12 +121,12 @@ def test_a_row_without_features_lends_none() -> None:
     features = A.copy()
     features[20] = np.nan
     rows = FeatureTable.from_arrays({"a": A}, features).rows
-    assert NearestRow(rows).of(rows.parameters[20])[0] in (19, 21)
+    assert rows.nearest(rows.parameters[20])[0] in (19, 21)
 
 
 @pytest.mark.parametrize("nearest", [-0.1, float("nan")])
 def test_how_near_must_be_a_number(nearest: float) -> None:
-    with pytest.raises(InputError, match=r"nearest: .* 0 or more"):
+    with pytest.raises(InputError, match=r"nearest: .* a finite number from 0"):
         new_study(nearest=nearest)
 
 

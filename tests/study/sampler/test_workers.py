@@ -14,7 +14,6 @@ from optuna.trial import TrialState
 
 from storage.databases.studies import open_studies
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
-from study.sampler.claims import withdraw_or_keep
 from study.sampler.gp import Posterior
 
 pytestmark = pytest.mark.slow
@@ -76,11 +75,10 @@ def test_of_two_that_want_one_row_the_later_gives_way() -> None:
     study = optuna.create_study(sampler=DoGSampler(table, seed=0))
     first, second = study.ask(), study.ask()
     first.set_user_attr("row", 7)
-    withdrawn: set[int] = set()
-    assert withdraw_or_keep(study, study.trials[first.number], table.rows, 7, withdrawn)
+    is_own = study.sampler._policy._is_own  # type: ignore[attr-defined]
+    assert is_own(study, study.trials[first.number], 7)
     second.set_user_attr("row", 7)
-    assert not withdraw_or_keep(study, study.trials[second.number], table.rows, 7, withdrawn)
-    assert withdrawn == {7}
+    assert not is_own(study, study.trials[second.number], 7)
 
 
 def test_threads_share_a_sampler() -> None:

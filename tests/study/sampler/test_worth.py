@@ -1,7 +1,6 @@
 """What `sampler.worth(study)` says: its closed forms, features of known worth, and its texts."""
 
 import importlib
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -25,8 +24,7 @@ from study.sampler.diagnostics import (
     residuals_of_constant,
 )
 from study.sampler.gp import condition
-from study.sampler.points import Points
-from study.sampler.transforms import NormalScores, Standard
+from study.sampler.transforms import NormalScores, Points, Standard
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -79,7 +77,7 @@ def drawn_rows(
 
 
 def present(sampler: FeatureKernelSampler, study: optuna.Study) -> Present:
-    known = sampler._source.present(study)
+    known = sampler._policy.present(study)
     assert known is not None
     return known
 
@@ -454,8 +452,20 @@ def test_turns_that_are_left_to_the_parameters_are_said() -> None:
     )
 
 
-def test_worth_is_still_found_at_its_old_place() -> None:
-    sys.modules.pop("study.sampler.worth", None)
-    with pytest.warns(DeprecationWarning, match="study.sampler.diagnostics"):
-        old = importlib.import_module("study.sampler.worth")
-    assert old.Worth is Worth
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("worth.Worth", "diagnostics.Worth"),
+        ("candidate_table.CandidateTable", "table.FeatureTable"),
+        ("table_source.TableExhaustedError", "table_policy.TableExhaustedError"),
+    ],
+)
+def test_documented_names_of_0_2_0_are_still_found_and_say_their_new_place(
+    old: str, new: str
+) -> None:
+    def found(place: str) -> object:
+        module, name = place.split(".")
+        return getattr(importlib.import_module(f"study.sampler.{module}"), name)
+
+    with pytest.warns(DeprecationWarning, match=f"study.sampler.{old} is study.sampler.{new} now"):
+        assert found(old) is found(new)

@@ -1,12 +1,12 @@
-"""A sampler for those who know which of their candidates are alike.
+"""Samplers for those who know which of their candidates are alike: the contract with Optuna.
 
 A Gaussian process of cost over features (of a table's rows, or of any point by a function) and over
 the parameters themselves says what each candidate may cost; the one from which most improvement is
-expected comes next. This file is the sampler's contract with Optuna and nothing else: `source`
-makes the choice, `history` reads the study.
+expected comes next. `table_policy` and `space_policy` make the choice, `history` reads the study.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+import inspect
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import optuna
@@ -15,24 +15,28 @@ from optuna.samplers import BaseSampler
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
-from study.sampler.candidate_table import CandidateTable
-from study.sampler.constraints import (
-    ConstraintsFunction,
-    checked,
-    store_constraints,
-)
-from study.sampler.description import call_text
 from study.sampler.diagnostics import Worth, worth_of
-from study.sampler.feature_function import Features
-from study.sampler.options import Options
+from study.sampler.gp import KERNELS
+from study.sampler.policy import Features, Options, Policy, one_thread
 from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
-from study.sampler.source import one_thread
-from study.sampler.sources import new_source
+from study.sampler.space_policy import SpacePolicy
+from study.sampler.table import FeatureTable
+from study.sampler.table_policy import TablePolicy
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
 DEFAULT_KERNELS = "additive", "euclidean"  # with features, without
 MOST_OFF_GRID = 1_000_000
+# Antonova, Rai, Atkeson 2016; options that are not named keep their defaults.
+PAPER: dict[str, Any] = {"kernel": "rbf"}
+
+
+def _no_constraints(field: str, value: object) -> None:
+    """Say what has taken the option's place (0.3.0)."""
+    if value is not None:
+        raise InputError(
+            field, value, "None: say trial.set_constraint(key, value) in the objective"
+        )
 
 
 class FeatureKernelSampler(BaseSampler):
@@ -40,9 +44,8 @@ class FeatureKernelSampler(BaseSampler):
 
     Three forms, by `features`:
 
-    - a `CandidateTable` (`study.FeatureTable` is one): a trial is a row of the table that no trial
-      has taken, named by the user attribute `row`; with `feature_function` and `off_grid`, also a
-      point near the best rows;
+    - a `FeatureTable`: a trial is a row of the table that no trial has taken, named by the user
+      attribute `row`; with `feature_function` and `off_grid`, also a point near the best rows;
     - a function, params [n, d] -> features [n, k]: a trial is any point of the space;
     - None: a Gaussian process over the parameters themselves, the usual baseline.
 
@@ -58,6 +61,10 @@ class FeatureKernelSampler(BaseSampler):
     than all before for some time, every other one is left to g alone
     (`study.sampler.transforms`), so that features that mislead cost half the trials from then on.
     Trials running elsewhere are conditioned on as if they had shown what is expected of them.
+
+    Constraints are those that the objective names by `trial.set_constraint(key, value)`, feasible
+    where the value is <= 0. Improvement is multiplied by the probability that all are kept
+    (Gelbart, Snoek, Adams 2014).
 
     What it promises: everything is recomputed from the study's trials, and each draw is seeded by
     the seed and the trial, so a resumed study or another process proposes the same. FAIL and PRUNED
@@ -92,16 +99,13 @@ class FeatureKernelSampler(BaseSampler):
             mean square of the parameters' differences, each as a share of its range (of its
             logarithm, where it is logarithmic; two choices are 1 apart): 0.05 is a twentieth of
             the ranges. None: such trials are ignored, unless there is a `feature_function`.
-        constraints_func: of a finished trial, its constraints, feasible where <= 0, as Optuna's own
-            samplers take it. `trial.set_constraint` in the objective does the same. Improvement is
-            multiplied by the probability that all are kept (Gelbart, Snoek, Adams 2014).
+        constraints_func: gone; say `trial.set_constraint(key, value)` in the objective.
 
     Raises:
         InputError: an option that cannot be used; in a trial (strict), before its objective has
             all parameters: names or ranges of the study that do not fit the table or the space,
             values enqueued that no row has, or a function that raises or returns other than finite
-            [n, k]. At a trial's end: it has not suggested all of the table (strict), or what
-            `constraints_func` returned.
+            [n, k]. At a trial's end: it has not suggested all of the table (strict).
         TableExhaustedError: in a trial, when no row is left (strict).
         ValueError: in a trial of a study with several objectives.
     """
@@ -116,10 +120,12 @@ class FeatureKernelSampler(BaseSampler):
         strict=checks.flag,
         extra_parameters=checks.each(checks.text),
         independent_sampler=checks.optional(checks.instance(BaseSampler)),
+        nearest=checks.optional(checks.number(0)),
+        constraints_func=_no_constraints,
     )
     def __init__(
         self,
-        features: CandidateTable | Features | None = None,
+        features: FeatureTable | Features | None = None,
         *,
         seed: int | None = None,
         prior: str | None = None,
@@ -131,26 +137,33 @@ class FeatureKernelSampler(BaseSampler):
         extra_parameters: Collection[str] = (),
         independent_sampler: BaseSampler | None = None,
         nearest: float | None = None,
-        constraints_func: ConstraintsFunction | None = None,
+        constraints_func: None = None,
     ) -> None:
         """Check the options; nothing is computed yet."""
         given = dict(locals())
+        self._kernel = kernel if kernel is not None else DEFAULT_KERNELS[features is None]
+        if self._kernel not in KERNELS:
+            raise InputError("kernel", self._kernel, f"one of {', '.join(KERNELS)}")
         options = Options(
-            kernel=kernel if kernel is not None else DEFAULT_KERNELS[features is None],
-            prior=prior,
-            off_grid=off_grid,
-            nearest=nearest,
-            space=space,
-            extra_parameters=frozenset(extra_parameters),
-            strict=strict,
+            KERNELS[self._kernel],
+            prior,
+            off_grid,
+            nearest,
+            space,
+            frozenset(extra_parameters),
+            strict,
         )
+        _require_sense(features, feature_function, options, self._kernel)
         self._seed = new_seed() if seed is None else seed
         self._independent = independent_sampler or ReproducibleRandomSampler(seed=self._seed)
-        self._source = new_source(
-            features, feature_function, options, self._seed, self._independent
-        )
-        self._constraints_func = checked(constraints_func)
-        self._call = call_text(FeatureKernelSampler.__init__, given | {"seed": self._seed})
+        self._policy: Policy
+        if isinstance(features, FeatureTable):
+            self._policy = TablePolicy(
+                features, feature_function, options, self._seed, self._independent
+            )
+        else:
+            self._policy = SpacePolicy(features, options, self._seed, self._independent)
+        self._call = _call_text(FeatureKernelSampler.__init__, given | {"seed": self._seed})
 
     def __repr__(self) -> str:
         """A call that makes one like it: what it was given, and its seed."""
@@ -159,7 +172,7 @@ class FeatureKernelSampler(BaseSampler):
     @property
     def has_features(self) -> bool:
         """Whether it takes candidates for alike by features, whose worth can be told."""
-        return self._source.options.model.of_features
+        return self._policy.options.kernel.of_features
 
     @checks.checked(study=checks.instance(optuna.Study))
     def worth(self, study: optuna.Study) -> Worth:
@@ -177,10 +190,9 @@ class FeatureKernelSampler(BaseSampler):
         """
         self._raise_error_if_multi_objective(study)
         if not self.has_features:
-            kernel = self._source.options.kernel
-            raise InputError("kernel", kernel, "one of features: there are none")
+            raise InputError("kernel", self._kernel, "one of features: there are none")
         with one_thread():
-            present = self._source.present(study)
+            present = self._policy.present(study)
             maximised = study.direction is StudyDirection.MAXIMIZE
             return worth_of(present, maximised=maximised)
 
@@ -188,14 +200,14 @@ class FeatureKernelSampler(BaseSampler):
         self, study: optuna.Study, trial: FrozenTrial
     ) -> dict[str, BaseDistribution]:
         """What is proposed at once: the table's parameters, or the space."""
-        return self._source.search_space(study, trial)
+        return self._policy.search_space(study, trial)
 
     def sample_relative(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
         """The parameters of one candidate."""
         self._raise_error_if_multi_objective(study)
-        return self._source.propose(study, trial, search_space)
+        return self._policy.propose(study, trial, search_space)
 
     def sample_independent(
         self,
@@ -206,11 +218,11 @@ class FeatureKernelSampler(BaseSampler):
     ) -> Any:
         """Parameters that the features do not cover go to the independent sampler."""
         self._raise_error_if_multi_objective(study)
-        return self._source.propose_one(study, trial, param_name, param_distribution)
+        return self._policy.propose_one(study, trial, param_name, param_distribution)
 
     def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued; passed on to the independent sampler."""
-        self._source.before(study, trial)
+        self._policy.before(study, trial)
         self._independent.before_trial(study, trial)
 
     def after_trial(
@@ -220,19 +232,101 @@ class FeatureKernelSampler(BaseSampler):
         state: TrialState,
         values: Sequence[float] | None,
     ) -> None:
-        """Keep what is noted true, and constraints; passed on to the independent sampler first.
+        """Keep what is noted true; passed on to the independent sampler first.
 
         Raises:
             InputError: the objective has not suggested all of a table (strict): with this trial,
-                whose value is stored nevertheless, it is known. Or what `constraints_func` says.
+                whose value is stored nevertheless, it is known.
         """
         self._independent.after_trial(study, trial, state, values)
-        try:
-            if self._constraints_func is not None:
-                store_constraints(self._constraints_func, study, trial, state)
-        finally:
-            self._source.after(study, trial, state)
+        self._policy.after(study, trial, state)
 
     def reseed_rng(self) -> None:
         """Passed on to the independent sampler; proposals differ by the trials that take them."""
         self._independent.reseed_rng()
+
+
+class DoGSampler(FeatureKernelSampler):
+    """The paper's sampler: a squared exponential on the table's score, expected improvement.
+
+    Antonova, Rai, Atkeson 2016: two parameter sets are alike when their scores are,
+
+        k(x, x') = exp(-(phi(x) - phi(x'))^2 / 2),
+
+    the score phi of each having been computed beforehand, on a grid from which candidates come.
+    Scale, length scale and noise are learned; everything else is as in the paper. Expected
+    improvement is compared by its logarithm, which has the same maximum and does not underflow.
+
+    Args:
+        table: parameter sets and their score (or scores, with one length scale for all).
+        seed: of all draws; None takes one from the machine's entropy.
+        **options: of `FeatureKernelSampler`, for what differs from `PAPER`.
+    """
+
+    def __init__(self, table: FeatureTable, *, seed: int | None = None, **options: Any) -> None:
+        """As `FeatureKernelSampler`, with other defaults."""
+        super().__init__(table, seed=seed, **PAPER | options)
+
+
+def _require_sense(
+    features: FeatureTable | Features | None,
+    function: Features | None,
+    options: Options,
+    kernel: str,
+) -> None:
+    """Refuse options that do not go together."""
+    if isinstance(features, FeatureTable):
+        if options.off_grid and function is None:
+            raise InputError("off_grid", options.off_grid, "0 without a feature_function")
+        if options.space is not None:
+            raise InputError("space", "given", "none: a table knows its own")
+        if options.nearest is not None and function is not None:
+            allowed = "none with a feature_function, which knows the features of any point"
+            raise InputError("nearest", options.nearest, allowed)
+        return
+    if function is not None:
+        allowed = "none: only a table needs it beside `features`"
+        raise InputError("feature_function", "given", allowed)
+    if options.nearest is not None:
+        raise InputError("nearest", options.nearest, "none without a table: it has no rows")
+    if features is not None and not callable(features):
+        raise InputError("features", type(features).__name__, "a FeatureTable, a function, or None")
+    if features is not None:
+        return
+    if options.kernel.of_features:
+        raise InputError("kernel", kernel, "euclidean: there are no features")
+    if options.prior is not None:
+        raise InputError("prior", options.prior, "none without features")
+    if options.off_grid:
+        allowed = "0: points are off any grid without features"
+        raise InputError("off_grid", options.off_grid, allowed)
+
+
+def _call_text(function: Callable[..., Any], arguments: Mapping[str, Any]) -> str:
+    """The arguments of a call that are not those it has by default.
+
+    Args:
+        function: that was called; its first argument, if it has no default of its own, is `self`.
+        arguments: by name, of all parameters of the function and perhaps of others.
+    """
+    parts = []
+    for place, (name, parameter) in enumerate(inspect.signature(function).parameters.items()):
+        if name == "self" or _equal(arguments[name], parameter.default):
+            continue
+        shown = _shown(arguments[name])
+        parts.append(shown if place == 1 else f"{name}={shown}")
+    return ", ".join(parts)
+
+
+def _equal(value: Any, default: Any) -> bool:
+    """Whether a value is the default; what compares in another way is not."""
+    return value is default or (type(value) is type(default) and bool(value == default))
+
+
+def _shown(value: Any) -> str:
+    """A value; functions and samplers by their names, which say more than their addresses."""
+    if isinstance(value, BaseSampler):
+        return str(value)
+    if inspect.isroutine(value):
+        return str(value.__qualname__)
+    return repr(value)

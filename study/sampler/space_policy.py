@@ -11,11 +11,8 @@ from optuna.search_space import intersection_search_space
 from optuna.trial import FrozenTrial
 
 from study.draws import Purpose, turn
-from study.sampler import first_trials
 from study.sampler.acquisition import argmax_random_tie
-from study.sampler.candidates import anywhere, nearby, not_among
 from study.sampler.diagnostics import Present
-from study.sampler.feature_function import Features, call_features
 from study.sampler.history import (
     FEATURES_ATTRIBUTE,
     OFF_TABLE,
@@ -24,18 +21,19 @@ from study.sampler.history import (
     read_history,
     values_of,
 )
-from study.sampler.options import Options
-from study.sampler.points import Points
-from study.sampler.proposals import Proposal
-from study.sampler.source import (
+from study.sampler.policy import (
     Candidate,
-    Source,
+    Features,
+    Options,
+    Policy,
+    Proposal,
+    call_features,
     missing_in,
     one_thread,
     set_attributes,
 )
-from study.sampler.space import Space
-from study.sampler.transforms import Guess, NormalScores, Scale, Standard
+from study.sampler.space import Space, anywhere, nearby, not_among
+from study.sampler.transforms import Guess, NormalScores, Points, Scale, Standard
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -46,15 +44,13 @@ LOCAL_SHARE = 4  # one point near them for so many anywhere
 REFINEMENTS = 3  # rounds of points near the best candidates, where features cost nothing
 
 
-class SpaceSource(Source):
+class SpacePolicy(Policy):
     """Points of a space, with features by a function or without."""
 
     def __init__(
         self, function: Features | None, options: Options, seed: int, independent: BaseSampler
     ) -> None:
         super().__init__(options, seed, independent)
-        if function is None:
-            _refuse_features(options)
         self.function = function
 
     def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
@@ -87,7 +83,7 @@ class SpaceSource(Source):
         if len(candidate.features):
             notes = {FEATURES_ATTRIBUTE: candidate.features.tolist()}
             set_attributes(study, trial, notes)
-            self.proposals.keep(trial, Proposal(values, notes))
+            self.remember(trial, Proposal(values, notes))
         return values
 
     def propose_one(
@@ -124,10 +120,10 @@ class SpaceSource(Source):
             candidates,
             scale.owners,
             len(space),
-            self.options.model,
+            self.options.kernel,
             self._guess(features),
-            self.options.learns_trust,
-            self.constants,
+            self.learns_trust,
+            self.known,
         )
 
     def _misfit(
@@ -149,7 +145,7 @@ class SpaceSource(Source):
         """A random point at first, then the best by the model."""
         own_turn = turn(study, trial)
         history = read_history(study, trial, space)
-        if len(history.cost) < first_trials.count(self.options):
+        if len(history.cost) < self.first_trials:
             return self._startup(space, own_turn)
         if self.function is None:
             return self._best_point(space, history, own_turn)
@@ -163,7 +159,7 @@ class SpaceSource(Source):
         points = anywhere(space, CANDIDATES, rng)
         features = call_features(self.function, points)
         standard = self._scale(features).standard(features)
-        merit = first_trials.merit(self.options, self._guess(features), standard, own_turn)
+        merit = self.merit(self._guess(features), standard, own_turn)
         merit[np.isnan(features).any(axis=1)] = -np.inf
         best = argmax_random_tie(merit, rng)
         return Candidate(OFF_TABLE, points[best], features[best])
@@ -230,7 +226,7 @@ class SpaceSource(Source):
 
     def _scale(self, features: Floats) -> Scale:
         """Of features [m, k] of points anywhere, as the kernel wants them."""
-        by_order = self.options.model.by_order
+        by_order = self.options.kernel.by_order
         return NormalScores.of(features) if by_order else Standard.of(features)
 
     def _guess(self, features: Floats) -> Guess | None:
@@ -248,15 +244,3 @@ def _names(features: Floats) -> tuple[str, ...]:
 def _bare(space: Space, points: Floats) -> Points:
     """Points [n, d] without features, by their coordinates alone."""
     return Points(np.empty((len(points), 0)), space.unit(points))
-
-
-def _refuse_features(options: Options) -> None:
-    """Options that mean nothing where there are no features."""
-    if options.model.of_features:
-        raise InputError("kernel", options.kernel, "euclidean: there are no features")
-    if options.prior is not None:
-        raise InputError("prior", options.prior, "none without features")
-    if options.off_grid:
-        raise InputError(
-            "off_grid", options.off_grid, "0: points are off any grid without features"
-        )

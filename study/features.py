@@ -1,0 +1,326 @@
+"""What rows of a store survive, as features: columns, their means, and an order that covers.
+
+Gaits are alike that survive the same grounds. What a gait survives was computed beforehand, on
+several families of disturbed bodies and uneven grounds (`store-diverse`); docs/comparison.md says
+how all of this was chosen.
+"""
+
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.schema import ORIGIN, SOBOL_ROW, evaluated_name
+from storage.store import Store, open_store
+from study.sampler.sampler import FeatureKernelSampler
+from study.sampler.table import FeatureTable
+from taichi_nmm import checks
+from taichi_nmm.errors import InputError
+
+Floats = NDArray[np.float64]
+
+COLUMN_END = "_survived_fraction_mean"
+RELIABILITY = 0.7  # chance that the best of a ground walks on its like elsewhere
+SHARPNESS = 3.0  # who survives half as long as the best has an eighth of its chance
+COVERING = 128  # candidates that are placed by the rule; the others follow by their mean chance
+
+
+@dataclass(frozen=True)
+class Survival:
+    """The share of the time that a row survives in the settings of a store's families, on average.
+
+    Attributes:
+        families: names of families of settings; () are all that the store has.
+        name: of the feature.
+        survivors: rows that no family ran (they fell on level ground) are left out.
+        grid_only: rows that a search bred are left out.
+    """
+
+    families: tuple[str, ...] = ()
+    name: str = "survival"
+    survivors: bool = False
+    grid_only: bool = False
+
+    def families_of(self, store: Store) -> tuple[str, ...]:
+        """Families that are averaged.
+
+        Raises:
+            InputError: the store has no such family, or none at all.
+        """
+        ends = (name for name in store.columns if name.endswith(COLUMN_END))
+        known = tuple(name.removesuffix(COLUMN_END) for name in ends)
+        for family in self.families or known or ("robust",):
+            if family not in known:
+                allowed = f"a store with the column {family}{COLUMN_END}"
+                raise InputError("store", str(store.path), allowed)
+        return self.families or known
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How early a row comes in the order that covers several grounds (`covering_order`).
+
+    Attributes:
+        plainest: survival of the ground that the first row is for; rows that it leaves out are.
+        grounds: survival of each ground that is to be covered.
+        name: of the feature.
+    """
+
+    plainest: Survival
+    grounds: tuple[Survival, ...]
+    name: str = "coverage"
+
+    @property
+    def parts(self) -> tuple[Survival, ...]:
+        """What it is made of."""
+        return (self.plainest, *self.grounds)
+
+
+Feature = str | Survival | Coverage
+"""A column's name, or what is computed of several."""
+
+
+def survivals(features: Iterable[Feature]) -> list[Survival]:
+    """Every survival that some features are made of."""
+    found = []
+    for feature in features:
+        if isinstance(feature, Survival):
+            found.append(feature)
+        elif isinstance(feature, Coverage):
+            found.extend(feature.parts)
+    return found
+
+
+def name_of(feature: Feature) -> str:
+    """What a feature is called in tables and in `prior`."""
+    return feature if isinstance(feature, str) else feature.name
+
+
+def definition_of(feature: Feature) -> Any:
+    """What a feature is, as JSON values."""
+    if isinstance(feature, str):
+        return feature
+    if isinstance(feature, Coverage):
+        return [feature.name, *map(definition_of, feature.parts)]
+    families = feature.families or ("all families",)
+    left_out = {"survivors only": feature.survivors, "grid only": feature.grid_only}
+    return [feature.name, *families, *(words for words, is_so in left_out.items() if is_so)]
+
+
+def check_feature(feature: Feature, store: Store) -> None:
+    """Refuse a store that does not have what a feature is made of.
+
+    Raises:
+        InputError: naming the store and the column.
+    """
+    if isinstance(feature, Survival):
+        feature.families_of(store)
+    elif isinstance(feature, Coverage):
+        for part in feature.parts:
+            check_feature(part, store)
+    elif feature not in store.columns:
+        raise InputError("store", str(store.path), f"a store with the column {feature}")
+
+
+def feature_values(feature: Feature, store: Store) -> Floats:
+    """The feature of every row, NaN where the row is left out, [n]."""
+    if isinstance(feature, str):
+        return np.asarray(_columns(store, [feature])[0])
+    if isinstance(feature, Coverage):
+        plainest, *grounds = (feature_values(part, store) for part in feature.parts)
+        return earliness(plainest, np.column_stack(grounds))
+    families = feature.families_of(store)
+    values = _columns(store, [f"{family}{COLUMN_END}" for family in families]).mean(axis=0)
+    if feature.survivors:
+        ran = _columns(store, [evaluated_name(family) for family in families]).any(axis=0)
+        values[~ran] = np.nan
+    if feature.grid_only and ORIGIN in store.columns:
+        values[store.table([ORIGIN])[ORIGIN].to_numpy() != SOBOL_ROW] = np.nan
+    return np.asarray(values)
+
+
+def feature_table(
+    store: Store, features: Sequence[Feature], parameters: Sequence[str], **ranges: Any
+) -> FeatureTable:
+    """The rows of a store as candidates; those that a feature leaves out are not proposed.
+
+    Args:
+        store: whose rows.
+        features: to compare them by.
+        parameters: columns that studies suggest.
+        **ranges: `bounds` or `space` of `FeatureTable.from_arrays`.
+    """
+    columns = store.table(parameters)
+    with warnings.catch_warnings():
+        # Rows are left out on purpose; stores themselves have no gaps.
+        warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)
+        return FeatureTable.from_arrays(
+            {name: columns[name].to_numpy() for name in parameters},
+            np.column_stack([feature_values(feature, store) for feature in features]),
+            [name_of(feature) for feature in features],
+            **ranges,
+        )
+
+
+def _columns(store: Store, names: list[str]) -> Floats:
+    """Columns as rows of numbers, [k, n]."""
+    table = store.table(names)
+    return np.array([table[name].to_numpy() for name in names], dtype=np.float64)
+
+
+def chances(survival: Floats) -> Floats:
+    """To walk on the like of each ground, of each candidate, [n, f], by its survival, [n, f]."""
+    best = survival.max(axis=0, initial=np.finfo(np.float64).tiny)
+    return np.asarray(RELIABILITY * (survival / best) ** SHARPNESS)
+
+
+def covering_order(plainest: Floats, survival: Floats) -> NDArray[np.int64]:
+    """Candidates in the order in which to try them, [n]: the first few cover what a ground may be.
+
+    The first is the one that best survives the plainest ground. From then on the ground of a trial
+    is like one of several, and nobody knows which: each next candidate is the one that most raises
+    the chance that at least one of those so far walks, the mean over the grounds of
+    1 - prod(1 - chance). That is the greedy rule, whose k candidates have at least 63 % of what the
+    best k would add (Nemhauser, Wolsey, Fisher 1978), and what Bayes's rule says after each fall:
+    grounds on which the fallen ones hardly ever fall lose weight.
+
+    How steep a family's ramps are is its maker's choice, so that a candidate's chance on a ground
+    is relative to the best one's there.
+
+    Args:
+        plainest: survival of the plainest ground, from 0 to 1, NaN: not to be tried, [n].
+        survival: of each ground, from 0 to 1, [n, f].
+    """
+    free = ~np.isnan(plainest)
+    chance = chances(survival)
+    merit = np.where(free, chance.mean(axis=1), -1.0)
+    order = np.argsort(-merit, kind="stable")
+    best = int(np.argmax(np.where(free, plainest, -1.0)))
+    unwalked = np.ones(survival.shape[1])
+    first = []
+    for _ in range(min(COVERING, int(free.sum()))):
+        first.append(best)
+        free[best] = False
+        unwalked = unwalked * (1.0 - chance[best])
+        best = int(np.argmax(np.where(free, chance @ unwalked, -1.0)))
+    placed = np.array(first, dtype=np.int64)
+    return np.concatenate([placed, order[~np.isin(order, placed)]])
+
+
+def earliness(plainest: Floats, survival: Floats) -> Floats:
+    """n less the place in that order, NaN where a candidate is not to be tried, [n]."""
+    order = covering_order(plainest, survival)
+    values = np.empty(len(order))
+    values[order] = np.arange(len(order), 0, -1)
+    return np.where(np.isnan(plainest), np.nan, values)
+
+
+# Of the families that a store may have: what nearly stands survives stairs, which says little.
+FAMILIES = ("rough", "blocks", "up", "down")
+SPEED = "mean_speed_mps"  # on the base setting
+MEAN = Survival().name  # the feature that is also the prior
+OPTIONS: dict[str, Any] = {"prior": MEAN}
+COVERED_OPTIONS: dict[str, Any] = {"prior": Coverage.name}
+# Of a store of worlds: the ground that the first row is for, on contacts soft and stiff, and those
+# that the next rows cover. Each has a family of longer walks.
+PLAINEST = ("rough", "rough_stiff")
+GROUNDS = ("blocks", "up", "down")
+LONGER = "_long"
+
+
+def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ...]:
+    """Mean survival of these families, survival of each, and the speed on the base setting.
+
+    Rows that fell on the base setting have no survival, and are not proposed.
+    """
+    each = (Survival((family,), family, survivors=True) for family in families)
+    return (Survival(families, survivors=True), *each, SPEED)
+
+
+def covered_features(
+    plainest: tuple[str, ...] = PLAINEST,
+    grounds: tuple[str, ...] = GROUNDS,
+    grid_only: bool = False,
+) -> tuple[Feature, ...]:
+    """Place in the order that covers these grounds, survival of each of them all, and the speed.
+
+    The survival of a ground is that of its two families on average: few walks, and many long ones.
+    To cover it counts the long ones alone. With `grid_only` rows that a search bred are left out.
+    """
+
+    def survival(grounds: tuple[str, ...], name: str) -> Survival:
+        families = tuple(family for ground in grounds for family in (ground, f"{ground}{LONGER}"))
+        return Survival(families, name, survivors=True, grid_only=grid_only)
+
+    longer = tuple(Survival((f"{ground}{LONGER}",)) for ground in grounds)
+    each = (survival((ground,), ground) for ground in dict.fromkeys((*plainest, *grounds)))
+    return (Coverage(survival(plainest, "plainest"), longer), *each, SPEED)
+
+
+@checks.checked(
+    path=checks.path,
+    plainest=checks.each(checks.text, least=1),
+    grounds=checks.each(checks.text, least=1),
+)
+def covered_table(
+    path: str | Path,
+    plainest: tuple[str, ...] = PLAINEST,
+    grounds: tuple[str, ...] = GROUNDS,
+) -> FeatureTable:
+    """The rows of a store of worlds with what tells them apart on these grounds.
+
+    Args:
+        path: of a store with a family of each ground, and one of longer walks after it; rows that
+            fell on its base setting are not proposed.
+        plainest: families that the first row is to survive, on average.
+        grounds: families that the rows after it cover.
+
+    Raises:
+        InputError: no store, or one without these families or with other bounds.
+    """
+    return _table(path, covered_features(plainest, grounds))
+
+
+@checks.checked(path=checks.path, families=checks.each(checks.text))
+def survival_table(path: str | Path, families: tuple[str, ...] = FAMILIES) -> FeatureTable:
+    """The rows of a store with what `SurvivalSampler` compares them by.
+
+    Args:
+        path: of a store with these families; rows that fell on its base setting are not proposed.
+        families: names of families of settings.
+
+    Raises:
+        InputError: no store, or one without these families or with other bounds.
+    """
+    return _table(path, survival_features(families))
+
+
+def _table(path: str | Path, features: tuple[Feature, ...]) -> FeatureTable:
+    store = open_store(path)
+    store.require_bounds()
+    for feature in features:
+        check_feature(feature, store)
+    ranges = store.specification["gains"]
+    bounds = {name: (ends["low"], ends["high"]) for name, ends in ranges.items()}
+    return feature_table(store, features, store.gain_names, bounds=bounds)
+
+
+class SurvivalSampler(FeatureKernelSampler):
+    """Survival of each family as features; their mean, or what covers them, ranks the first trials.
+
+    Args:
+        table: of `covered_table` or `survival_table`, or any with a feature "coverage" or
+            "survival" whose high values are good.
+        seed: of all draws; None takes one from the machine's entropy.
+        **options: of `FeatureKernelSampler`, for what is to differ.
+    """
+
+    @checks.checked(table=checks.instance(FeatureTable))
+    def __init__(self, table: FeatureTable, *, seed: int | None = None, **options: Any) -> None:
+        """As `FeatureKernelSampler`, with other defaults."""
+        covered = COVERED_OPTIONS["prior"] in table.rows.feature_names
+        super().__init__(table, seed=seed, **(COVERED_OPTIONS if covered else OPTIONS) | options)

@@ -1,0 +1,491 @@
+"""Tables of candidates: rows of parameters, and the features that say which rows are alike.
+
+A table is all that a sampler knows of a problem before its first trial: n parameter sets, and for
+each k numbers computed beforehand (by a simulator, a model, an expert). Nothing here knows what the
+parameters or the features mean. `FeatureTable` is what users make; `Rows` is its content, and what
+is derived from it; `columns` reads and checks.
+"""
+
+import hashlib
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from optuna.distributions import BaseDistribution
+
+from study.sampler.columns import Bounds, FileColumns, checked_columns, feature_matrix
+from study.sampler.space import Space, first_not_taken
+from study.sampler.transforms import (
+    BLOCK,
+    NormalScores,
+    Points,
+    Scale,
+    Standard,
+    by_blocks,
+    columns_of,
+    let_go,
+)
+from taichi_nmm import checks
+from taichi_nmm.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas
+
+Floats = NDArray[np.float64]
+REMEMBERED = 4096  # rows
+NAMES_SHOWN = 3  # features, at a prompt
+# What does not follow from the distributions: rows with others share it.
+SHARED = (
+    "standard",
+    "scores",
+    "offered",
+    "numbers",
+    "extent",
+    "_known",
+    "_index",
+    "_first",
+)
+HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Knuth's multiplicative hashing
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """n candidates.
+
+    Attributes:
+        space: the d parameters.
+        parameters: [n, d]; of a categorical, the index of its choice.
+        feature_names: k names.
+        features: [n, k], of any scale; NaN where unknown.
+    """
+
+    space: Space
+    parameters: Floats
+    feature_names: tuple[str, ...]
+    features: Floats
+
+    def __len__(self) -> int:
+        """Number of rows, n."""
+        return len(self.parameters)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what is derived from the columns."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the d parameters."""
+        return self.space.names
+
+    @cached_property
+    def standard(self) -> Standard:
+        """The affine scale of the features, of rows that may be proposed."""
+        return Standard.of(self._chosen(self.features))
+
+    @cached_property
+    def scores(self) -> NormalScores:
+        """The scale of their order, among rows that may be proposed."""
+        return NormalScores.of(self._chosen(self.features))
+
+    def scale(self, *, by_order: bool) -> Scale:
+        """One of the two."""
+        return self.scores if by_order else self.standard
+
+    @cached_property
+    def offered(self) -> NDArray[np.bool_]:
+        """Rows that may be proposed: half of the features known, parameters of no earlier row."""
+        return self._known & self._first
+
+    @cached_property
+    def unit(self) -> Floats:
+        """Parameters in the unit cube, [n, e]."""
+        return by_blocks(self.space.unit, self.parameters)
+
+    @cached_property
+    def chosen_unit(self) -> Floats:
+        """The same of rows that may be proposed, [m, e]."""
+        return self._chosen(self.unit)
+
+    @cached_property
+    def numbers(self) -> NDArray[np.int64]:
+        """Of the rows that may be proposed, ascending, [m]."""
+        return np.flatnonzero(self.offered)
+
+    def points(self, *, by_order: bool, coordinates: bool) -> Points:
+        """Rows that may be proposed as points, on one of the scales; made once."""
+        key = (by_order, coordinates)
+        if key not in self._points:
+            if coordinates:
+                features = self.points(by_order=by_order, coordinates=False).features
+                self._points[key] = Points(features, self.chosen_unit)
+            else:
+                features = self.scale(by_order=by_order).standard(self._chosen(self.features))
+                self._points[key] = Points(features, np.empty((len(features), 0)))
+        return self._points[key]
+
+    @cached_property
+    def extent(self) -> tuple[Floats, Floats]:
+        """Least and greatest value of each parameter, [d] each."""
+        ends = [(column.min(), column.max()) for column in columns_of(self.parameters)]
+        least, greatest = np.array(ends).T
+        return least, greatest
+
+    @property
+    def incomplete(self) -> int:
+        """Number of rows that lack more than half of the features."""
+        return int((~self._known).sum())
+
+    @property
+    def duplicates(self) -> int:
+        """Number of rows that repeat the parameters of an earlier one."""
+        return int((~self._first).sum())
+
+    @property
+    def empty_features(self) -> tuple[str, ...]:
+        """Features that are constant or unknown everywhere."""
+        flags = zip(self.feature_names, self._informative, strict=True)
+        return tuple(name for name, informative in flags if not informative)
+
+    def as_parameters(self, row: int) -> dict[str, Any]:
+        """One row as Optuna wants it: native values by name."""
+        return dict(self._native(row))
+
+    def find(self, values: Mapping[str, Any]) -> int | None:
+        """The first row with exactly these values; None where there is none."""
+        wanted = self.space.row(values)
+        if wanted is None:
+            return None
+        key, (sorted_hash, order) = _hash(wanted[None])[0], self._index
+        place = int(np.searchsorted(sorted_hash, key))
+        if place == len(order) or sorted_hash[place] != key:
+            return None
+        row = int(order[place])
+        return row if bool((self.parameters[row] == wanted).all()) else None
+
+    def having(self, values: Mapping[str, Any]) -> NDArray[np.bool_]:
+        """Which rows have exactly these values of some parameters, [n]."""
+        have = np.ones(len(self), dtype=bool)
+        for column, name in enumerate(self.names):
+            if name in values:
+                number = self.space.number(column, values[name])
+                have &= self.parameters[:, column] == (np.nan if number is None else number)
+        return have
+
+    def outside(self, column: int, suggested: BaseDistribution) -> int | None:
+        """The first row whose value of one parameter a distribution has not; None: it has all."""
+        return self._outside(column, suggested)
+
+    def with_space(self, space: Space) -> "Rows":
+        """The same rows with other distributions of the same values."""
+        rows = Rows(space, self.parameters, self.feature_names, self.features)
+        known = self.__dict__
+        rows.__dict__.update({name: known[name] for name in SHARED if name in known})
+        return rows
+
+    def digest(self) -> str:
+        """SHA-256 of names, distributions, parameters and features."""
+        head = [*self.names, *map(str, self.space.distributions), *self.feature_names]
+        digest = hashlib.sha256("\n".join(head).encode())
+        for values in (self.parameters, self.features):
+            for first in range(0, len(self), BLOCK):
+                digest.update(np.ascontiguousarray(values[first : first + BLOCK]).data)
+                let_go(values)
+        return digest.hexdigest()
+
+    def _chosen(self, values: Floats) -> Floats:
+        """Those of rows [n, ...] that may be proposed; a copy only where that leaves some out."""
+        return values if len(self.numbers) == len(self) else values[self.numbers]
+
+    def nearest(self, parameters: Floats) -> tuple[int, float]:
+        """The row that is nearest to a point [d], of equal ones the first, and its distance.
+
+        It is the root mean square, over the d parameters, of how far the two are apart in the unit
+        cube: a parameter's whole range is 1 (of a logarithmic one, the range of its logarithm;
+        outside the range it goes on), and two different choices are 1 apart. At a distance of 0.05,
+        parameters differ by a twentieth of their ranges. Only rows that may be proposed count;
+        where there are none, the distance is infinite.
+        """
+        key = parameters.tobytes()
+        if key not in self._nearest:
+            self._nearest[key] = self._measured(parameters)
+        return self._nearest[key]
+
+    def _measured(self, parameters: Floats) -> tuple[int, float]:
+        """The same, computed."""
+        if not len(self.numbers):
+            return 0, np.inf
+        point = self.space.unbounded(parameters[None])[0]
+        squares = np.zeros(len(self.numbers))
+        for column, value in enumerate(point):  # column by column: no second table is made
+            squares += (self.chosen_unit[:, column] - value) ** 2
+        best = int(np.argmin(squares))
+        return int(self.numbers[best]), float(np.sqrt(squares[best] / len(parameters)))
+
+    @cached_property
+    def _native(self) -> Callable[[int], dict[str, Any]]:
+        """Native values of a row, remembered: those of a study's trials are asked for each time."""
+
+        def values(row: int) -> dict[str, Any]:
+            found = self.space.values(self.parameters[row])
+            let_go(self.parameters)
+            return found
+
+        return lru_cache(REMEMBERED)(values)
+
+    @cached_property
+    def _outside(self) -> Callable[[int, BaseDistribution], int | None]:
+        """Remembered: each trial of a study is asked about, and all suggest the same."""
+
+        def first(column: int, suggested: BaseDistribution) -> int | None:
+            own = self.space.distributions[column]
+            found = first_not_taken(own, self.parameters[:, column], suggested)
+            let_go(self.parameters)
+            return found
+
+        return lru_cache(REMEMBERED)(first)
+
+    @cached_property
+    def _known(self) -> NDArray[np.bool_]:
+        """Rows with at least half of the informative features, [n]."""
+        informed = self.features[:, self._informative]
+        return np.asarray(2 * np.isnan(informed).sum(axis=1) <= informed.shape[1])
+
+    @cached_property
+    def _informative(self) -> NDArray[np.bool_]:
+        """Features that have more than one value, [k]."""
+        least = np.where(np.isnan(self.features), np.inf, self.features).min(axis=0)
+        most = np.where(np.isnan(self.features), -np.inf, self.features).max(axis=0)
+        return np.asarray(least < most)
+
+    @cached_property
+    def _points(self) -> dict[tuple[bool, bool], Points]:
+        """What `points` has made."""
+        return {}
+
+    @cached_property
+    def _nearest(self) -> dict[bytes, tuple[int, float]]:
+        """What `nearest` has found."""
+        return {}
+
+    @cached_property
+    def _index(self) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+        """Hashes in ascending order, and the row of each; equal ones by row."""
+        hashes = _hash(self.parameters)
+        order = np.argsort(hashes, kind="stable")
+        return hashes[order], order
+
+    @cached_property
+    def _first(self) -> NDArray[np.bool_]:
+        """Rows that repeat no earlier row's parameters, [n]."""
+        hashes, order = self._index
+        first = np.ones(len(self), dtype=bool)
+        first[order[1:]] = hashes[1:] != hashes[:-1]
+        return first
+
+
+def _hash(parameters: Floats) -> NDArray[np.uint64]:
+    """64 bits a row: equal rows have equal ones, and others, in practice, different ones."""
+    hashes = np.zeros(len(parameters), dtype=np.uint64)
+    for column in columns_of(parameters):
+        bits = np.ascontiguousarray(column + 0.0).view(np.uint64)
+        hashes = (hashes ^ bits) * HASH_FACTOR
+        hashes ^= hashes >> np.uint64(29)
+    return hashes
+
+
+def _frame(field: str, value: Any) -> Any:
+    """Anything that has columns by name, as data frames do; no package of them is loaded."""
+    if isinstance(value, type) or not hasattr(value, "columns"):
+        raise InputError(field, value, "a pandas data frame")
+    return value
+
+
+COLUMN_CHECKS = {
+    "path": checks.path,
+    "features": checks.each(checks.text),
+    "space": checks.optional(checks.by_name(checks.instance(BaseDistribution))),
+    "bounds": checks.optional(checks.by_name(checks.interval())),
+}
+
+
+class FeatureTable:
+    """n candidate rows: d parameters and k features each. Make one by a `from_` method.
+
+    What becomes of imperfect columns (each with one warning when the table is made):
+
+    - infinity is a value, the largest or the least; NaN is a gap;
+    - a row that lacks more than half of its features is kept out of the proposals;
+    - a feature without a finite value, or with one value only, says nothing and weighs nothing;
+    - of rows with equal parameters, the first counts.
+
+    A table read from a file keeps the path and a SHA-256: pickled, it carries these alone, and
+    reads the file again where it is used. A table made of arrays carries its arrays.
+
+    Attributes:
+        digest: SHA-256 of names, parameters and features.
+        source: the file or folder that it was read from; None for arrays.
+    """
+
+    @checks.checked(rows=checks.instance(Rows), file=checks.optional(checks.instance(FileColumns)))
+    def __init__(self, rows: Rows, file: FileColumns | None = None):
+        """Use `from_parquet`, `from_arrays` or `from_dataframe`."""
+        self._rows: Rows | None = rows
+        self._file = file
+        self.source = None if file is None else file.path
+        self.digest = rows.digest()
+        self._size = _size_text(rows)
+        _warn_of(rows)
+
+    @classmethod
+    @checks.checked(parameters=checks.optional(checks.each(checks.text)), **COLUMN_CHECKS)
+    def from_parquet(
+        cls,
+        path: str | Path,
+        *,
+        features: Sequence[str],
+        parameters: Sequence[str] | None = None,
+        space: Mapping[str, BaseDistribution] | None = None,
+        bounds: Bounds | None = None,
+    ) -> Self:
+        """Columns of a Parquet file, of a folder of them, or of a store.
+
+        Args:
+            path: a file; a folder of files, read in the order of their names; or a store of this
+                project (folder, shard or merged file), whose parameters and bounds are known and
+                need not be given.
+            features: columns to compare rows by, k of them.
+            parameters: columns that the study will suggest, d of them; None: `path` is a store.
+            space: distributions of some or all parameters; by default those of `from_arrays`.
+            bounds: as in `from_arrays`; None: of a store, those that it was made with.
+
+        Raises:
+            InputError: no such file, store or column, or what `from_arrays` refuses.
+        """
+        columns = FileColumns(
+            Path(path).absolute(),
+            tuple(features),
+            None if parameters is None else tuple(parameters),
+            None if space is None else dict(space),
+            None if bounds is None else dict(bounds),
+        )
+        return cls(Rows(*columns.read()), columns)
+
+    @classmethod
+    @checks.checked(
+        "table.",
+        parameters=checks.by_name(checks.anything),
+        feature_names=checks.optional(checks.each(checks.text)),
+        space=COLUMN_CHECKS["space"],
+        bounds=COLUMN_CHECKS["bounds"],
+    )
+    def from_arrays(
+        cls,
+        parameters: Mapping[str, ArrayLike],
+        features: ArrayLike,
+        feature_names: Sequence[str] | None = None,
+        *,
+        bounds: Bounds | None = None,
+        space: Mapping[str, BaseDistribution] | None = None,
+    ) -> Self:
+        """Columns of parameters by name, each [n], and features [n, k] or, for one, [n].
+
+        Args:
+            parameters: columns without gaps (None among words or flags is a choice). A study may
+                suggest each in its own way, on a logarithmic scale or as choices, if that holds all
+                rows; where none has said otherwise, floats are taken for such, integers for
+                integers, and anything else for choices.
+            features: higher or lower, better or worse, of any scale: their order counts.
+            feature_names: k names; by default feature_0, feature_1, ...
+            bounds: (low, high) of numeric parameters; by default those of the columns.
+            space: distributions of parameters, where columns do not say enough: a logarithmic
+                scale, a step, choices.
+
+        Raises:
+            InputError: naming the column and row that cannot be used: lengths that differ, values
+                missing, a row outside the bounds or the distribution, a name that is not there.
+        """
+        content = checked_columns(parameters, features, feature_names, bounds, space)
+        return cls(Rows(*content))
+
+    @classmethod
+    @checks.checked(frame=_frame, parameters=checks.each(checks.text), **COLUMN_CHECKS)
+    def from_dataframe(
+        cls,
+        frame: "pandas.DataFrame",
+        *,
+        parameters: Sequence[str],
+        features: Sequence[str],
+        bounds: Bounds | None = None,
+        space: Mapping[str, BaseDistribution] | None = None,
+    ) -> Self:
+        """Named columns of a pandas data frame; otherwise as `from_arrays`."""
+        for name in [*parameters, *features]:
+            if name not in frame.columns:
+                known = ", ".join(str(column) for column in frame.columns)
+                raise InputError("column", name, f"one of {known}")
+        columns = {name: frame[name].to_numpy() for name in parameters}
+        stacked = [feature_matrix(frame[name].to_numpy(), (name,)) for name in features]
+        matrix = np.hstack(stacked) if stacked else np.empty((len(frame), 0))
+        return cls.from_arrays(columns, matrix, features, bounds=bounds, space=space)
+
+    @property
+    def rows(self) -> Rows:
+        """The content, read again from the file where this process has not got it."""
+        if self._rows is None:
+            assert self._file is not None  # only tables of a file are pickled without content
+            rows = Rows(*self._file.read())
+            if rows.digest() != self.digest:
+                raise InputError("store", str(self.source), "the store this table was made from")
+            self._rows = rows
+        return self._rows
+
+    def __len__(self) -> int:
+        """Number of rows, n."""
+        return len(self.rows)
+
+    def __repr__(self) -> str:
+        """Its size and features; nothing is read for it."""
+        return f"{type(self).__name__}({self._size})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the content, where it can be read again."""
+        state = self.__dict__.copy()
+        if self._file is not None:
+            state["_rows"] = None
+        return state
+
+
+def _warn_of(rows: Rows) -> None:
+    """Say once what the table leaves out."""
+    said = []
+    if rows.incomplete:
+        said.append(
+            f"{rows.incomplete} rows that lack more than half of their features are not proposed"
+        )
+    if rows.duplicates:
+        said.append(f"{rows.duplicates} rows repeat the parameters of another and are not proposed")
+    if rows.empty_features:
+        names = ", ".join(rows.empty_features)
+        said.append(f"features without information are ignored: {names}")
+    if said:
+        warnings.warn(
+            f"FeatureTable: {'; '.join(said)}.", UserWarning, stacklevel=6
+        )  # beyond two doors
+
+
+def _size_text(rows: Rows) -> str:
+    """Size and features of a table, as the arguments of a call."""
+    names = rows.feature_names
+    shown = ", ".join(names[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")
+    counts = (_count(len(rows), "row"), _count(len(rows.names), "parameter"))
+    return f"{', '.join(counts)}, {_count(len(names), 'feature')}: {shown}"
+
+
+def _count(number: int, thing: str) -> str:
+    """So many things."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

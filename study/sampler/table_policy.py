@@ -1,0 +1,529 @@
+"""Proposals from a table: which row to try next, or which point near the best rows.
+
+Workers that share a study come to propose different rows with no lock between them. A worker writes
+the number of its row into its trial, and only then reads the trials again. Of two that choose one
+row, the one that writes later is sure to see the other's number and takes another row; if both
+write before either reads, both do. Nobody waits.
+"""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import optuna
+from numpy.typing import NDArray
+from optuna.distributions import BaseDistribution
+from optuna.samplers import BaseSampler
+from optuna.trial import FrozenTrial, TrialState
+
+from study.draws import Purpose, turn
+from study.sampler.acquisition import Model, argmax_random_tie
+from study.sampler.diagnostics import Present
+from study.sampler.history import (
+    FEATURES_ATTRIBUTE,
+    OFF_TABLE,
+    ROW_ATTRIBUTE,
+    History,
+    as_suggested_rows,
+    distribution_misfit,
+    next_trial,
+    no_row_has,
+    not_suggested,
+    noted_features,
+    notes_of,
+    proves_fit,
+    read_history,
+    row_of,
+    shown_misfit,
+    suggested_so_far,
+    taken_back,
+    values_of,
+)
+from study.sampler.policy import (
+    NOTHING,
+    Candidate,
+    Features,
+    Options,
+    Policy,
+    Proposal,
+    call_features,
+    one_thread,
+    set_attributes,
+)
+from study.sampler.space import as_suggested, nearby, not_among
+from study.sampler.table import FeatureTable, Rows
+from study.sampler.transforms import Guess, Points, Scale
+from taichi_nmm.errors import InputError
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+CENTRES = 8  # best rows that points off the table are near to
+INCUMBENTS = 3  # and best trials
+IGNORED = "trials whose parameters are no row of the table are ignored"
+
+
+class TableExhaustedError(RuntimeError):
+    """Every row of the table has been tried."""
+
+
+class Inferred(dict[str, BaseDistribution]):
+    """The search space of a table, as it is given to Optuna: distributions by name.
+
+    Optuna holds what is proposed at once to these distributions, and a study that suggests another
+    scale, kind, or order of choices fails with them. Values are therefore handed out one by one
+    where the space is this one; who asks for another space gets values of that.
+    """
+
+
+class TablePolicy(Policy):
+    """Proposals of rows of a table that no trial has taken and, if asked for, of points near.
+
+    A trial's row is chosen when the first of the table's parameters is suggested that nobody has
+    fixed. Its values are handed out one by one, each as the study suggests it (see `Inferred`).
+
+    Attributes:
+        table: whose rows are chosen from.
+        function: features of points off the table; None: there are none.
+        guess: what the user says of a feature.
+    """
+
+    def __init__(
+        self,
+        table: FeatureTable,
+        function: Features | None,
+        options: Options,
+        seed: int,
+        independent: BaseSampler,
+    ) -> None:
+        super().__init__(options, seed, independent)
+        self.table = table
+        self.function = function
+        self._own_rows: Rows | None = None
+        self._suggested: Rows | None = None
+        names = self.own_rows.feature_names
+        self.guess = None if options.prior is None else Guess.of(options.prior, names)
+
+    @property
+    def own_rows(self) -> Rows:
+        """The content of the table, on its own scales; read once a process."""
+        if self._own_rows is None:
+            self._own_rows = self.table.rows
+        return self._own_rows
+
+    @property
+    def rows(self) -> Rows:
+        """The same, on the scales on which the study suggests it."""
+        return self.own_rows if self._suggested is None else self._suggested
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what follows from the table and the study."""
+        return super().__getstate__() | {"_own_rows": None, "_suggested": None}
+
+    def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
+        """The table's parameters."""
+        return Inferred(self.own_rows.space.as_dict())
+
+    def propose(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """What is wrong is said here; of the table, `propose_one` gives the values."""
+        asked = {} if isinstance(search_space, Inferred) else search_space
+        fixed = values_of(trial)
+        if all(name in fixed for name in self.own_rows.names):
+            return {}  # nothing of the table is left to choose
+        suggested = suggested_so_far(self.own_rows.names, study)
+        self._adopt(suggested)
+        if not self.options.strict:
+            self._warn_of_foreign(study)
+        misfit = self._misfit(study, search_space, suggested)
+        if misfit is not None:
+            self._refuse(study, trial, misfit)
+        proposal = self._proposal(study, trial) if asked else NOTHING
+        if not proposal.values:
+            return self.draw(study, trial, asked)
+        values = {}
+        for name, distribution in asked.items():
+            try:
+                values[name] = as_suggested(distribution, proposal.values[name])
+            except (KeyError, ValueError):
+                continue  # of another table, or not held: for `propose_one`
+        return values
+
+    def propose_one(
+        self, study: optuna.Study, trial: FrozenTrial, name: str, distribution: BaseDistribution
+    ) -> Any:
+        """Of the table: its row's value, where all rows fit. Of others: independent."""
+        if name not in self.rows.names:
+            self._require_table_first(study, trial, name)
+            return self.independent.sample_independent(study, trial, name, distribution)
+        proposal = self._proposal(study, trial)
+        if proposal.values:
+            error = distribution_misfit(self.own_rows, self.rows.names.index(name), distribution)
+            try:
+                if error is None:
+                    return as_suggested(distribution, proposal.values[name])
+            except ValueError:
+                value = proposal.values[name]
+                allowed = f"what has {value!r}, a point off the table (give it this by space=)"
+                error = InputError(name, str(distribution), allowed)
+            self._refuse(study, trial, error)
+        return self.independent.sample_independent(study, trial, name, distribution)
+
+    def _adopt(self, suggested: dict[str, BaseDistribution]) -> None:
+        """Put the rows on the scales that the study is known to suggest."""
+        rows = as_suggested_rows(self.own_rows, suggested)
+        if rows.space.distributions != self.rows.space.distributions:
+            self._suggested = rows
+
+    def _misfit(
+        self,
+        study: optuna.Study,
+        search_space: dict[str, BaseDistribution],
+        suggested: dict[str, BaseDistribution],
+    ) -> InputError | None:
+        """What is wrong before anything is chosen.
+
+        Something is fixed elsewhere; or, where the table need not fit, trials have shown that it
+        does not. Where it must, what this trial suggests is an error by itself, and what others
+        did (of an earlier study, of an objective that was mended since) is none.
+        """
+        for name in self.rows.names:
+            if name not in search_space:
+                return InputError(name, "fixed", "a parameter left free: rows are proposed whole")
+        return None if self.options.strict else shown_misfit(self.own_rows, suggested, study)
+
+    def _refuse(self, study: optuna.Study, trial: FrozenTrial, error: InputError) -> None:
+        """Propose nothing of the table for this trial; an error, or a warning (not strict)."""
+        proposal = self.remembered(trial)
+        if proposal is not None and proposal.notes:
+            self._take_back(study, trial)
+        self.remember(trial, NOTHING)
+        self.misfit(error)
+
+    def _require_table_first(self, study: optuna.Study, trial: FrozenTrial, name: str) -> None:
+        """Refuse a name that may be a misspelt one of the table, before the trial is run."""
+        if not self.options.strict or name in self.options.extra_parameters:
+            return
+        open_names = [known for known in self.rows.names if known not in trial.params]
+        if open_names and not proves_fit(self.own_rows, study):
+            allowed = (
+                f"the table's parameters first ({', '.join(open_names[:3])}, ...), "
+                f"or extra_parameters=[{name!r}]"
+            )
+            raise InputError(name, "suggested, and not in the table", allowed)
+
+    def _proposal(self, study: optuna.Study, trial: FrozenTrial) -> Proposal:
+        """The trial's, chosen if need be; without values where the independent sampler has it."""
+        proposal = self.remembered(trial)
+        if proposal is None:
+            proposal = self._propose_row(study, trial)
+            self.remember(trial, proposal)
+        return proposal
+
+    def _propose_row(self, study: optuna.Study, trial: FrozenTrial) -> Proposal:
+        """A candidate that no other trial has, noted in the trial."""
+        rows = self.rows
+        row = row_of(rows, trial)  # a trial that repeats a killed one has its row already
+        if row is not None:
+            return Proposal(rows.as_parameters(row), notes_of(row, rows.features[row]))
+        withdrawn: set[int] = set()
+        while True:
+            try:
+                with one_thread():
+                    candidate = self._choose(study, trial, withdrawn)
+            except (InputError, TableExhaustedError):
+                if withdrawn:
+                    self._take_back(study, trial)
+                raise
+            if candidate is None:
+                if withdrawn:
+                    self._take_back(study, trial)
+                return NOTHING
+            notes = notes_of(candidate.row, candidate.features)
+            set_attributes(study, trial, notes)
+            if candidate.row == OFF_TABLE or self._is_own(study, trial, candidate.row):
+                return Proposal(rows.space.values(candidate.parameters), notes)
+            withdrawn.add(candidate.row)
+
+    def _is_own(self, study: optuna.Study, trial: FrozenTrial, row: int) -> bool:
+        """Whether no other trial has the row that was just written into this one.
+
+        A trial that was enqueued with the row, and still waits, has it too; one that has the number
+        and did something else has not.
+        """
+        for other in study.get_trials(deepcopy=False):
+            if other.number == trial.number:
+                continue
+            claims = other.user_attrs.get(ROW_ATTRIBUTE) == row
+            if (claims or other.state is TrialState.WAITING) and row_of(self.rows, other) == row:
+                return False
+        return True
+
+    def _take_back(self, study: optuna.Study, trial: FrozenTrial) -> None:
+        """Say in a trial that it is no row."""
+        listed = self.options.off_grid > 0 or FEATURES_ATTRIBUTE in trial.user_attrs
+        width = self.own_rows.features.shape[1]
+        set_attributes(study, trial, taken_back(width, listed))
+
+    def _choose(
+        self, study: optuna.Study, trial: FrozenTrial, withdrawn: set[int]
+    ) -> Candidate | None:
+        """A row that no trial has taken, or a point off the table."""
+        rows, own_turn = self.rows, turn(study, trial)
+        history = self._history(study, trial)
+        self._warn_of(history)
+        offered = rows.offered & ~history.tried
+        offered[list(withdrawn)] = False
+        if history.fixed:
+            offered &= rows.having(history.fixed)
+        if not offered.any() and not (self.options.off_grid and len(history.cost)):
+            self._say_none_is_left(history)
+            return None
+        if len(history.cost) < self.first_trials and offered.any():
+            return self._first_row(offered, own_turn)
+        try:
+            return self._best_candidate(history, offered, own_turn)
+        except InputError as error:  # of the feature function
+            self.misfit(error)
+            return None
+
+    def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
+        """What a trial is proposed from."""
+        rows = self.rows
+        features_of = partial(self._features_of, rows)
+        return read_history(study, trial, rows.space, rows, features_of)
+
+    def _features_of(self, rows: Rows, trial: FrozenTrial, parameters: Floats) -> int | None:
+        """The row that lends its features to a trial of parameters [d] that is no row.
+
+        OFF_TABLE: it has its own, or none are needed. None: it cannot be learned from.
+        """
+        if self._places_all or noted_features(trial) is not None:
+            return OFF_TABLE
+        if self.options.nearest is None:
+            return None
+        row, distance = rows.nearest(parameters)
+        return row if distance <= self.options.nearest else None
+
+    @property
+    def _places_all(self) -> bool:
+        """Whether any point has features, or none are looked at."""
+        looked_at = self.options.kernel.of_features or self.options.prior is not None
+        return self.function is not None or not looked_at
+
+    def _first_row(self, offered: Mask, own_turn: int) -> Candidate:
+        """A row before there is a model, of equal ones any."""
+        rows, some = self.rows, offered[self.rows.numbers]
+        merit = self.merit(self.guess, self._points().features, own_turn)
+        best = argmax_random_tie(
+            np.where(some, merit, -np.inf), self.rng(Purpose.STARTUP_ROW, own_turn)
+        )
+        return self._row(int(rows.numbers[best]))
+
+    def _best_candidate(self, history: History, offered: Mask, own_turn: int) -> Candidate:
+        """The candidate of the largest utility, of equal ones any.
+
+        Args:
+            history: at least one finished trial.
+            offered: rows that may be proposed, [n].
+            own_turn: the trial's.
+
+        Raises:
+            InputError: of the feature function.
+        """
+        rows = self.rows
+        seen = self._seen(history.parameters, history.rows, history.trials)
+        running = self._seen(history.running, history.running_rows, ())
+        model = self.model(self.guess, len(rows.space), history, seen, running, own_turn)
+        free = offered[rows.numbers]
+        utility = np.full(len(free), -np.inf)
+        if free.any():
+            utility = model.utility(self._points(), free, self.rng(Purpose.CANDIDATES, own_turn))
+        if self.options.off_grid:
+            near = self._near(history, utility, own_turn)
+            new = not_among(near, np.vstack([history.parameters, history.running]))
+            value, off = self._best_of(near, new, model, own_turn)
+            if not free.any() or value > utility.max():
+                return off
+        best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
+        return self._row(int(rows.numbers[best]))
+
+    def _near(self, history: History, utility: Floats, own_turn: int) -> Floats:
+        """Points near the best rows and the best trials, [off_grid, d]."""
+        best = np.argsort(-utility, kind="stable")[:CENTRES]
+        best = best[np.isfinite(utility[best])]
+        incumbents = history.parameters[np.argsort(history.cost, kind="stable")[:INCUMBENTS]]
+        centres = np.vstack([self.rows.parameters[self.rows.numbers[best]], incumbents])
+        rng = self.rng(Purpose.OFF_GRID, own_turn)
+        return nearby(self.rows.space.pinned(history.fixed), centres, self.options.off_grid, rng)
+
+    def _best_of(
+        self, near: Floats, new: Mask, model: Model, own_turn: int
+    ) -> tuple[float, Candidate]:
+        """The best of some points off the table, of those that are new, and its utility."""
+        assert self.function is not None  # checked with off_grid
+        features = call_features(self.function, near, len(self.own_rows.feature_names))
+        points = Points(self._scale.standard(features), self._unit(near))
+        known = np.asarray(~np.isnan(features).any(axis=1))
+        offered = known & new if (known & new).any() else known
+        rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
+        utility = model.utility(points, offered, rng)
+        best = argmax_random_tie(utility, rng)
+        return float(utility[best]), Candidate(OFF_TABLE, near[best], features[best])
+
+    def _row(self, row: int) -> Candidate:
+        """A row as a candidate."""
+        return Candidate(row, self.rows.parameters[row], self.rows.features[row])
+
+    @property
+    def _scale(self) -> Scale:
+        """Of the features, as the kernel wants them."""
+        return self.rows.scale(by_order=self.options.kernel.by_order)
+
+    def _points(self) -> Points:
+        """Rows that may be proposed, with coordinates only where the kernel looks at them."""
+        model = self.options.kernel
+        return self.rows.points(by_order=model.by_order, coordinates=model.of_parameters)
+
+    def _unit(self, parameters: Floats) -> Floats:
+        """Parameters [m, d] as coordinates [m, e]; e = 0 where the kernel does not look at them."""
+        if not self.options.kernel.of_parameters:
+            return np.empty((len(parameters), 0))
+        return self.rows.space.unit(parameters)
+
+    def _seen(
+        self,
+        parameters: Floats,
+        numbers: NDArray[np.int64],
+        trials: tuple[FrozenTrial, ...],
+    ) -> Points:
+        """Trials as points, with the features of `_shown`."""
+        features = self._shown(parameters, numbers, trials)
+        return Points(self._scale.standard(features), self._unit(parameters))
+
+    def _shown(
+        self,
+        parameters: Floats,
+        numbers: NDArray[np.int64],
+        trials: tuple[FrozenTrial, ...],
+    ) -> Floats:
+        """Features of trials, [n, k]: of the table, or as noted, or by the function."""
+        rows = self.rows
+        features = rows.features[numbers]
+        off = np.flatnonzero(numbers == OFF_TABLE)
+        features[off] = np.nan
+        for place in off if trials else ():
+            noted = noted_features(trials[place])
+            if noted is not None and len(noted) == features.shape[1]:
+                features[place] = noted
+        missing = np.isnan(features)  # of points off the table also infinities: none are noted
+        unknown = missing.all(axis=1) | (missing.any(axis=1) & (numbers == OFF_TABLE))
+        if unknown.any() and self.function is not None:
+            features[unknown] = call_features(
+                self.function, parameters[unknown], features.shape[1], to_choose=False
+            )
+        return features
+
+    def _say_none_is_left(self, history: History) -> None:
+        """An error or a warning: no row may be proposed, or none that has the fixed values."""
+        if history.fixed:
+            error = no_row_has(self.rows, history.fixed)
+            if not (self._places_all or self.options.nearest is not None):
+                self.misfit(error)
+            else:
+                self.warn(f"{error}; the independent sampler takes over")
+            return
+        message = f"all {len(self.rows)} rows of the table have been tried"
+        if self.options.strict:
+            raise TableExhaustedError(message)
+        self.warn(f"{message}; the independent sampler takes over")
+
+    def _warn_of_foreign(self, study: optuna.Study) -> None:
+        """Where the table need not fit: say so once a trial has suggested none of its names."""
+        finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+        if finished and not any(name in finished[-1].params for name in self.rows.names):
+            self.warn(
+                f"the study suggests none of the table's parameters: "
+                f"{', '.join(self.rows.names[:3])}, ...; the independent sampler takes over"
+            )
+
+    def _warn_of(self, history: History) -> None:
+        """Say once that trials off the table teach nothing, and what can be done about it."""
+        if not history.unplaced or IGNORED in self._said:
+            return
+        trial, far = history.unplaced[0], ""
+        parameters = self.rows.space.row(trial.params)
+        if parameters is not None:
+            far = f", {self.rows.nearest(parameters)[1]:.2g} from its nearest row"
+        self.warn(
+            f"{IGNORED}: such as trial {trial.number}{far}; enqueue rows of the table instead, or "
+            "give the sampler a feature_function, or nearest=, the distance at which a row lends "
+            "its features"
+        )
+
+    def present(self, study: optuna.Study) -> Present:
+        """With all rows that may be proposed, tried or not."""
+        self._adopt(suggested_so_far(self.own_rows.names, study))
+        return self._present(self._history(study, next_trial(study)).finished)
+
+    def _present(self, history: History) -> Present:
+        """What is known of the features after the finished trials of a history."""
+        features = self._shown(history.parameters, history.rows, history.trials)
+        return Present(
+            self.own_rows.feature_names,
+            features,
+            Points(self._scale.standard(features), self._unit(history.parameters)),
+            history.cost,
+            self._points(),
+            self._scale.owners,
+            len(self.rows.space),
+            self.options.kernel,
+            self.guess,
+            self.learns_trust,
+            self.known,
+        )
+
+    def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
+        """Note the row of a trial that was enqueued with all parameters of one.
+
+        At its start, so that other workers see it; none of its parameters is asked for here.
+        """
+        if len(study.directions) > 1 or not values_of(trial):
+            return
+        rows, row = self.own_rows, self.own_rows.find(values_of(trial))
+        if row is not None and row_of(rows, trial) != trial.user_attrs.get(ROW_ATTRIBUTE):
+            set_attributes(study, trial, notes_of(row, rows.features[row]))
+
+    def after(self, study: optuna.Study, trial: FrozenTrial, state: TrialState) -> None:
+        """See to it that what is noted in the trial is what was run.
+
+        Raises:
+            InputError: the objective has returned without suggesting all of the table, or has left
+                no choice of some parameter (strict).
+        """
+        proposal = self.forget(trial) or NOTHING
+        if len(study.directions) > 1:
+            return
+        rows, noted = self.own_rows, trial.user_attrs.get(ROW_ATTRIBUTE)
+        ended = state is TrialState.COMPLETE
+        missing = not_suggested(rows, trial) if ended else None
+        other = proposal.other_in(trial.params)
+        row, known = rows.find(trial.params), row_of(rows, trial)
+        if row is not None and known != noted:
+            set_attributes(study, trial, notes_of(row, rows.features[row]))
+        wrong = missing is not None or other is not None or noted not in (OFF_TABLE, known)
+        if row is None and noted is not None and wrong:
+            self._take_back(study, trial)
+        asked = noted is not None or (self.options.strict and bool(trial.params))
+        if missing is not None and asked:
+            self.misfit(missing)
+        elif ended and other is not None:
+            self.misfit(self._not_as_proposed(trial, other, proposal))
+
+    def _not_as_proposed(self, trial: FrozenTrial, name: str, proposal: Proposal) -> InputError:
+        """Of a parameter that had another value: no sampler is asked of a range of one value."""
+        column, suggested = self.own_rows.names.index(name), trial.distributions[name]
+        allowed = f"{proposal.values[name]!r}, as was proposed"
+        own = InputError(name, trial.params[name], allowed)
+        return distribution_misfit(self.own_rows, column, suggested) or own
