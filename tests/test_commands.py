@@ -21,7 +21,7 @@ from study import pictures, trajectory_files
 from study.commands import quickstart
 from study.comparison import artifacts
 from study.options import config_path, shipped_configs
-from study.report import strips
+from study.report import before_after
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker
 from tests.tools.running import ROOT, run_tool
@@ -131,7 +131,7 @@ def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PAINTERS:
         for module in (pictures, artifacts):  # which would keep what it finds when it is imported
             monkeypatch.setattr(module, name, lambda path, *_: path, raising=module is pictures)
-    monkeypatch.setattr(strips, "write_strips", lambda folder, *_: [folder])
+    monkeypatch.setattr(before_after, "write_strips", lambda folder, *_: [folder])
     monkeypatch.setattr(trajectory_files, "write_trajectory", lambda *_: None)
 
 

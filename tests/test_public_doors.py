@@ -179,7 +179,7 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
             {"features": None, "space": {"x": FloatDistribution(0, 1)}, "seed": 1},
         ),
         "FeatureKernelSampler.worth": (sampler.worth, {"study": tried(lambda: sampler)()}),
-        "FeatureTable": (study.FeatureTable, {"rows": table.rows, "reload": None, "source": None}),
+        "FeatureTable": (study.FeatureTable, {"rows": table.rows, "file": None}),
         "FeatureTable.from_arrays": (
             study.FeatureTable.from_arrays,
             {"parameters": {"x": [0.0, 1.0]}, "features": [1, 2], "feature_names": ["f"]} | ranged,

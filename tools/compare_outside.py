@@ -28,7 +28,7 @@ with guarded_imports():
     from scipy.stats import rankdata, spearmanr
 
     from study import palette
-    from study.report.statistics import wilcoxon
+    from study.report.numbers import wilcoxon
     from tools.benchmarks import outside, runs
     from tools.benchmarks.outside import ARMS, OutsideProblem, outside_problem
     from tools.benchmarks.runs import OURS, PEER, Bar, Costs, Floats, Run

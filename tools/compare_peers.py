@@ -25,7 +25,7 @@ with guarded_imports():
     import numpy as np
 
     from study import palette
-    from study.report.statistics import ENDS, Interval, resamples
+    from study.report.numbers import ENDS, Interval, resamples
     from tools.benchmarks import runs, synthetic
     from tools.benchmarks.runs import OURS, PEER, Bar, Costs, Floats, Run
     from tools.benchmarks.synthetic import ARMS

@@ -23,11 +23,10 @@ from study.comparison.compare import Outcome, Progress, Request, compare
 from study.experiment.arms import with_store
 from study.experiment.experiment import Experiment, read_experiment
 from study.options import asked_cluster
-from study.report.documents import read_facts
-from study.report.lines import arms_documents, arms_text
+from study.report.markdown import arms_documents, arms_text
 from study.report.notes import dashboard_summary
 from study.report.numbers import numbers
-from study.report.runs import read_results
+from study.report.runs import read_facts, read_results
 from taichi_nmm.walker_simulator import Walker, require_engine
 
 

@@ -15,10 +15,8 @@ from storage.commit import require_named
 from study.experiment.experiment import Experiment
 from study.experiment.identity import documented_experiment
 from study.report.before_after import Pair, before_and_after
-from study.report.estimate_line import find_optimum
-from study.report.facts import known_stores
-from study.report.runs import Results, read_results
-from study.report.writing import REPORT_NAME, write_overview, write_report
+from study.report.runs import Results, known_stores, read_results
+from study.report.writing import REPORT_NAME, find_optimum, write_overview, write_report
 from taichi_nmm.errors import InputError
 
 NO_GROUND = "the folder is of version 0.1.0 and does not name its ground"

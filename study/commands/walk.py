@@ -29,8 +29,7 @@ from study.experiment.trials import MEASURES, row_text
 from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial, recorded_walk
 from study.options import BOTH_ENGINES
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
-from study.report.before_after import Pair, Shown
-from study.report.strips import write_strips
+from study.report.before_after import Pair, Shown, write_strips
 from study.trajectory_files import (
     RECORD_RATE_HZ,
     require_trajectory_file,

@@ -26,8 +26,8 @@ from study.explore.setting import Setting
 from study.explore.stage import SCRIPTS
 from study.gains import NamedGains, gains_of_trial
 from study.pictures import style
-from study.report.appearance import by_rank, looks
-from study.report.dots import Scale, piles
+from study.report.axes import by_rank, looks
+from study.report.figures import TrialScale, piles
 from study.report.runs import ArmRuns, Results
 from taichi_nmm.body import Bodies
 from taichi_nmm.terrain import GRID_X_M
@@ -116,7 +116,7 @@ class ComparisonView:
         self._robot.text = robot_table(setting)
 
     def _drawn_dots(self) -> tuple[Any, list[Any]]:
-        arms, scale = self._results.arms, Scale(self._results.trials)
+        arms, scale = self._results.arms, TrialScale(self._results.trials)
         count = len(self._arms)
         plot = figure(
             name="dots", width=WIDTH_PX, height=ROW_PX * count + 80,
@@ -186,7 +186,7 @@ def _span(values: np.ndarray[Any, Any]) -> str:
     return f"{values.min():.2f} to {values.max():.2f}"
 
 
-def _dots_of(arm: ArmRuns, scale: Scale, place: int) -> dict[str, Any]:
+def _dots_of(arm: ArmRuns, scale: TrialScale, place: int) -> dict[str, Any]:
     """Where the dots of an arm are, and the trial of each: its first walker, or else its best."""
     first = arm.first_walker
     walks = np.isfinite(first)

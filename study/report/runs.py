@@ -1,6 +1,12 @@
-"""The runs of a comparison's arms as arrays: of its folder, finished or not, or of a table."""
+"""A comparison's folder, finished or not, as a report reads it: runs of arms as arrays, and facts.
 
-from collections.abc import Mapping
+Tables and documents are found to be of the form that a report reads, whoever wrote them.
+"""
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -8,16 +14,22 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from study.comparison.folder import (
+    ARMS_NAME,
+    EXPERIMENT_NAME,
     RESULTS_NAME,
+    RUN_NAME,
     TIMES_NAME,
     as_if_gone_on,
 )
-from study.report.documents import read_facts
-from study.report.files import read_trials, table_files
+from study.experiment.experiment import COST_FUNCTIONS, NAME_PATTERN
+from study.experiment.stores import store_digest
 from taichi_nmm.errors import InputError
+from taichi_nmm.reading import is_folder, json_document, reading
 
 COLUMNS = ("experiment", "arm", "run", "trial", "cost", "best_cost", "walked")
 LARGEST_SMOOTH_COST = 20.0  # the smooth cost is below 1.4 unless a walker races; a fall is 300
@@ -209,3 +221,165 @@ def _cost(facts: Mapping[str, Any], arms: Mapping[str, ArmRuns]) -> str:
     largest = max(float(arm.best[:, 0].max()) for arm in arms.values())
     as_its_size_tells = "smooth" if largest < LARGEST_SMOOTH_COST else "walking"
     return str(facts.get("objective", {}).get("cost", as_its_size_tells))
+
+
+LARGEST_NUMBER = 1e15  # of seconds or trials
+
+Check = tuple[Callable[[Any], bool], str]
+"""Whether a value can be used, and what can."""
+
+
+def is_number(value: Any) -> bool:
+    """Whether a JSON value is a finite number of a size that floats hold well."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= LARGEST_NUMBER and math.isfinite(value)
+
+
+def _of_texts(value: Any) -> bool:
+    return isinstance(value, dict) and all(isinstance(text, str) for text in value.values())
+
+
+OBJECT: Check = lambda value: isinstance(value, dict), "an object"
+OBJECTS: Check = (
+    lambda value: isinstance(value, list) and all(isinstance(each, dict) for each in value),
+    "a list of objects",
+)
+TEXTS: Check = (
+    lambda value: isinstance(value, list) and all(isinstance(each, str) for each in value),
+    "a list of texts",
+)
+TEXT_BY_NAME: Check = _of_texts, "an object of texts"
+NUMBER: Check = is_number, f"a number up to {LARGEST_NUMBER:g}"
+FLAG: Check = lambda value: isinstance(value, bool), "true or false"
+COST: Check = lambda value: value in tuple(COST_FUNCTIONS), " or ".join(COST_FUNCTIONS)
+
+FORM: dict[str, dict[str, Check]] = {
+    EXPERIMENT_NAME: {
+        "until_walker": FLAG, "objective": OBJECT, "simulation": OBJECT, "versions": OBJECT,
+        "body": OBJECT, "terrain": OBJECT, "ground": OBJECT, "searched": TEXTS,
+        "stores": TEXT_BY_NAME, "objective.cost": COST, "simulation.duration_s": NUMBER,
+    },
+    RUN_NAME: {"sessions": OBJECTS},
+}  # fmt: skip
+SESSION: dict[str, Check] = {
+    "machine": OBJECT, "stores": TEXT_BY_NAME, "wall_s": NUMBER, "trials": NUMBER,
+}  # fmt: skip
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """A JSON object; empty where there is no such file.
+
+    Raises:
+        InputError: it cannot be read, or is something else than an object.
+    """
+    if not path.exists():
+        return {}
+    return json_document(path.name, path, "a readable JSON object")
+
+
+def read_facts(folder: Path) -> dict[str, Any]:
+    """Both documents of the folder as one; empty where there are none.
+
+    Raises:
+        InputError: one cannot be read, or a part of it is of another form; naming it.
+    """
+    facts: dict[str, Any] = {}
+    if not is_folder(folder):
+        return facts
+    for name, form in FORM.items():
+        document = read_document(folder / name)
+        _require_form(document, form, name)
+        facts |= without_nulls(document)
+    for number, session in enumerate(facts.get("sessions", [])):
+        _require_form(session, SESSION, f"{RUN_NAME}: sessions[{number}]")
+    return facts
+
+
+def without_nulls(value: Any) -> Any:
+    """A JSON value without what is null in its objects: it says as much as if it were not there."""
+    if isinstance(value, dict):
+        return {key: without_nulls(part) for key, part in value.items() if part is not None}
+    return [without_nulls(part) for part in value] if isinstance(value, list) else value
+
+
+def _require_form(document: dict[str, Any], form: dict[str, Check], name: str) -> None:
+    """Refuse parts that are there and are of another form; a dot stands for a part of a part."""
+    for key, (is_right, allowed) in form.items():
+        part: Any = document
+        for step in key.split("."):
+            part = part.get(step) if part is not None else None
+        if part is not None and not is_right(part):
+            raise InputError(f"{name}: {key}", part, allowed)
+
+
+Kind = tuple[Callable[[pa.DataType], bool], str]
+
+NAMES: Kind = pa.types.is_string, "letters, digits, '.', '_' and '-'"
+COUNTS: Kind = pa.types.is_integer, "whole numbers from 0"
+FLAGS: Kind = pa.types.is_boolean, "true or false"
+NUMBERS: Kind = pa.types.is_floating, f"numbers up to {LARGEST_NUMBER:g}"
+KINDS = {
+    "experiment": NAMES, "arm": NAMES, "run": COUNTS, "trial": COUNTS, "walked": FLAGS,
+}  # fmt: skip
+
+
+def read_trials(path: Path, columns: Sequence[str]) -> pa.Table:
+    """Columns of a table of trials, each value of its kind, finite, and there.
+
+    Raises:
+        InputError: not readable, or a column is missing or has something else in it.
+    """
+    with reading(path.name, path, "a readable table of trials"):
+        known = pq.read_schema(path).names
+        for name in columns:
+            if known.count(name) != 1:
+                raise InputError(f"{path.name}: column", name, f"one of {', '.join(known)}, once")
+        table = pq.read_table(path, columns=list(columns), partitioning=None)
+    for name in columns:
+        _require_column(table[name], name, path)
+    return table
+
+
+def _require_column(column: pa.ChunkedArray, name: str, path: Path) -> None:
+    """Refuse a column of something else than what stands under its name."""
+    field, (is_kind, allowed) = f"{path.name}: {name}", KINDS.get(name, NUMBERS)
+    if not is_kind(column.type) or column.null_count:
+        found = f"{column.type}, {column.null_count} of {len(column)} missing"
+        raise InputError(field, found, f"{allowed}, none missing")
+    if is_kind is NUMBERS[0] and not (np.abs(column.to_numpy()) <= LARGEST_NUMBER).all():
+        raise InputError(field, "NaN, infinite or larger", allowed)
+    if is_kind is COUNTS[0] and len(column) and pc.min(column).as_py() < 0:
+        raise InputError(field, pc.min(column).as_py(), allowed)
+    if is_kind is NAMES[0]:
+        for word in pc.unique(column).to_pylist():
+            if not re.fullmatch(NAME_PATTERN, word):
+                raise InputError(field, word, allowed)
+
+
+def table_files(folder: Path) -> list[Path]:
+    """The final table of a folder, then the checkpoints of its arms: those that there are.
+
+    Raises:
+        InputError: no such folder.
+    """
+    if not is_folder(folder):
+        raise InputError("folder", str(folder), "the output folder of taichi-nmm compare")
+    final = folder / RESULTS_NAME
+    checkpoints = sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))
+    return ([final] if final.exists() else []) + checkpoints
+
+
+def known_stores(results: Results) -> dict[str, Path]:
+    """The stores that still are what the results were made with, by key.
+
+    The latest session that says where they are counts; folders from before such sessions have none.
+    """
+    digests: dict[str, str] = results.facts.get("stores", {})
+    sessions = [each["stores"] for each in results.facts.get("sessions", []) if "stores" in each]
+    known = {}
+    for key, path in (sessions[-1] if sessions else {}).items():
+        with suppress(InputError, OSError):  # not there, or damaged
+            if store_digest(Path(path)) == digests.get(key):
+                known[key] = Path(path)
+    return known

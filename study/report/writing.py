@@ -4,16 +4,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from storage.commit import commit_json, commit_text, together
-from study.report.before_after import Pair
-from study.report.condensed import condensed_table
-from study.report.curves import write_best_cost, write_walkers
-from study.report.dots import write_first_walker
-from study.report.grid import write_grid
-from study.report.markdown import NO_STORES, report_text
+from study.comparison.optimum import OPTIMUM_NAME
+from study.report.before_after import Pair, write_strips
+from study.report.figures import write_best_cost, write_first_walker, write_grid, write_walkers
+from study.report.markdown import NO_STORES, condensed_table, overview_text, report_text
 from study.report.numbers import Numbers, numbers
-from study.report.overview import overview_text
-from study.report.runs import Results
-from study.report.strips import write_strips
+from study.report.runs import Results, is_number, read_document
+from taichi_nmm.errors import InputError
+from taichi_nmm.reading import is_file
 
 REPORT_NAME = "report"
 
@@ -77,3 +75,24 @@ def write_overview(folder: Path, experiments: Sequence[Numbers]) -> None:
 
 def _strips(pair: Pair | None) -> str:
     return "" if pair is None else f"{pair.first.title}. {pair.second.title}. Run {pair.run}."
+
+
+def find_optimum(results: Results, given: Sequence[Path]) -> float | None:
+    """The best cost of the first document of the experiment's cost: given, or in its folder.
+
+    Raises:
+        InputError: a document that was given is missing, or none of taichi-nmm optimum.
+    """
+    for path in given:
+        if not is_file(path):
+            raise InputError("optimum", str(path), f"an {OPTIMUM_NAME} that exists")
+    for path in (*given, results.folder / OPTIMUM_NAME):
+        document = read_document(path)
+        if not document:
+            continue
+        cost, best = document.get("cost"), document.get("best_cost")
+        if not isinstance(cost, str) or best is None or not is_number(best):
+            raise InputError("optimum", str(path), "a document of taichi-nmm optimum")
+        if cost == results.cost:
+            return float(best)
+    return None

@@ -3,7 +3,7 @@
 import numpy as np
 
 from study.experiment.arms import ARMS
-from study.report.appearance import best_peer, by_rank, kind_of, label_of, looks
+from study.report.axes import best_peer, by_rank, kind_of, label_of, looks
 from study.report.runs import Results
 from tests.study.report.synthetic import arm
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from study.report.condensed import condensed_table
+from study.report.markdown import condensed_table
 from study.report.numbers import numbers
 from study.report.runs import read_results
 from tests.study.report import synthetic

@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from study.experiment.stores import store_digest
-from study.report.facts import facts, known_stores
-from study.report.runs import read_results
+from study.report.markdown import facts
+from study.report.runs import known_stores, read_results
 from tests.study.report import synthetic
 
 

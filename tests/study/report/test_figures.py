@@ -7,9 +7,8 @@ import pytest
 from matplotlib.text import Annotation
 
 from study.pictures import style
-from study.report import curves, dots
-from study.report.appearance import Look
-from study.report.axes import LABEL_SPACING_PT, End, label_ends, spread_out, trial_axis
+from study.report import figures
+from study.report.axes import LABEL_SPACING_PT, End, Look, label_ends, spread_out, trial_axis
 from study.report.runs import Results, read_results
 from tests.study.report import synthetic
 
@@ -45,11 +44,11 @@ def test_labels_of_lines_with_one_end_do_not_overlap() -> None:
 
 def test_every_run_has_a_dot_of_its_own() -> None:
     places = np.sort(np.random.default_rng(1).choice([0.0, 0.15, 0.151, 0.8], 50))
-    x, y = dots.piles(places)
+    x, y = figures.piles(places)
     assert len({(round(a, 4), round(b, 4)) for a, b in zip(x, y, strict=True)}) == 50
     assert np.abs(y).max() < 0.5
     assert np.abs(x - places).max() < 0.1
-    none = dots.piles(np.empty(0))
+    none = figures.piles(np.empty(0))
     assert len(none[0]) == len(none[1]) == 0
 
 
@@ -62,9 +61,9 @@ def test_all_figures_are_written_twice_alike(
     names = []
     for folder in (tmp_path / "a", tmp_path / "b"):
         folder.mkdir()
-        files = curves.write_best_cost(folder, results, 5.0)
-        files += curves.write_walkers(folder, results)
-        files += dots.write_first_walker(folder, results)
+        files = figures.write_best_cost(folder, results, 5.0)
+        files += figures.write_walkers(folder, results)
+        files += figures.write_first_walker(folder, results)
         names = [file.name for file in files]
         assert sorted(names) == sorted(file.name for file in folder.iterdir())
     assert len(names) == 6
@@ -81,11 +80,11 @@ def test_labels_stay_within_the_figure(results: Results, tmp_path: Path) -> None
         return []
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(curves, "save", keep)
-        patch.setattr(dots, "save", keep)
-        curves.write_walkers(tmp_path, results)
-        curves.write_best_cost(tmp_path, results, 0.01)
-        dots.write_first_walker(tmp_path, results)
+        patch.setattr(figures, "save", keep)
+        patch.setattr(figures, "save", keep)
+        figures.write_walkers(tmp_path, results)
+        figures.write_best_cost(tmp_path, results, 0.01)
+        figures.write_first_walker(tmp_path, results)
     for figure in seen:
         width = figure.bbox.width  # type: ignore[attr-defined]
         for axes in figure.axes:  # type: ignore[attr-defined]

@@ -5,7 +5,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from study.report.lines import arms_documents, arms_text
+from study.report.markdown import arms_documents, arms_text
 from study.report.numbers import Numbers, numbers
 from study.report.runs import read_results
 from tests.study.report import synthetic

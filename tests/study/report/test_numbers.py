@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from study.experiment.arms import ARMS
-from study.report.markdown import report_text
+from study.report.markdown import overview_text, report_text
 from study.report.numbers import numbers
-from study.report.overview import overview_text
 from study.report.runs import ArmRuns, Results, read_results
 from study.report.writing import write_report
 from tests.study.report import synthetic

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from study.report.statistics import (
+from study.report.numbers import (
     curve,
     holm,
     mcnemar,

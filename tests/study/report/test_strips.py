@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from study.report.before_after import Pair, Shown
-from study.report.strips import write_strips
+from study.report.before_after import Pair, Shown, write_strips
 from taichi_nmm.terrain import ramp, rough
 from tests.study import synthetic_gait
 

@@ -11,11 +11,9 @@ import pytest
 
 from storage.commit import together
 from study.report import writing
-from study.report.documents import read_facts
-from study.report.facts import facts, known_stores
-from study.report.markdown import report_text
+from study.report.markdown import facts, report_text
 from study.report.numbers import numbers
-from study.report.runs import Results, read_results
+from study.report.runs import Results, known_stores, read_facts, read_results
 from study.report.writing import write_report
 from taichi_nmm.errors import InputError
 from tests.study.report import synthetic

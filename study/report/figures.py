@@ -1,0 +1,376 @@
+"""Figures: best cost and walkers against trials, a dot a run at its first walker, an overview.
+
+Of several experiments the overview has one in each row and an arm in each column; the darker, the
+more runs with a walker.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator, PercentFormatter
+from numpy.typing import NDArray
+
+from study.experiment.arms import BEST_ARM, PAPER_ARM
+from study.palette import FRONT
+from study.pictures import style
+from study.report.axes import (
+    LABEL_SPACING_PT,
+    POINTS_AN_INCH,
+    End,
+    Look,
+    by_rank,
+    headline,
+    label_ends,
+    label_of,
+    looks,
+    marked,
+    save,
+    trial_axis,
+    trial_ticks,
+)
+from study.report.markdown import arms_of, count_text
+from study.report.numbers import (
+    ArmNumbers,
+    Curve,
+    Interval,
+    Numbers,
+    Statistic,
+    curve,
+    median,
+    wilson,
+)
+from study.report.runs import ArmRuns, Results
+
+Floats = NDArray[np.float64]
+
+PANEL_IN = 3.9
+WIDE_PANEL_IN = 5.6
+LABELS_IN = 2.3
+LEFT_IN = 0.75
+HEIGHT_IN = 4.6  # of up to 20 arms: more labels need more
+MARGINS_IN = 1.3
+STATISTICS: tuple[tuple[str, Statistic], ...] = (
+    ("median over runs", np.median),
+    ("mean over runs", np.mean),
+)
+WALKS_BELOW = 100.0  # the walking cost of a walker that goes on to the end
+IN_FRONT = "bold: the paper's method, our best, the best peer; their bands are 95 %"
+
+
+def write_best_cost(folder: Path, results: Results, optimum: float | None) -> list[Path]:
+    """Best cost so far against trials, median beside mean, bands of the arms in front.
+
+    Args:
+        folder: for best-cost.png and .svg.
+        results: of one experiment.
+        optimum: the estimated optimum of this cost, drawn as a line.
+    """
+    figure = style.new_figure(2.0 * (PANEL_IN + LABELS_IN) + LEFT_IN, _height_in(results))
+    for panel, (title, statistic) in enumerate(STATISTICS):
+        axes = _panel(figure, panel)
+        _cost_axis(axes, results, optimum)
+        if panel:
+            axes.set_ylabel("")
+        ends = _draw_arms(axes, results, _best_cost(statistic), "{:.3g}", up=1)
+        axes.set_title(title, fontsize=style.TEXT_PT, loc="left", color=style.INK)
+        label_ends(axes, ends, results.trials)
+    title = f"{results.name}: best {results.cost} cost so far"
+    headline(figure, LEFT_IN, title, f"{IN_FRONT} bootstrap bands over runs")
+    return save(figure, folder, "best-cost")
+
+
+def write_walkers(folder: Path, results: Results) -> list[Path]:
+    """Share of runs with a walker against trials, with Wilson's intervals, as walkers.png, .svg."""
+    figure = style.new_figure(WIDE_PANEL_IN + LABELS_IN + LEFT_IN, _height_in(results))
+    axes = _panel(figure, 0, WIDE_PANEL_IN)
+    trial_axis(axes, results.trials)
+    axes.set_ylim(-0.02, 1.02)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
+    axes.set_ylabel("runs with a walker", fontsize=style.TEXT_PT, color=style.INK)
+    ends = _draw_arms(axes, results, _walker_share, "{:.0%}", up=-1)
+    label_ends(axes, ends, results.trials)
+    title = f"{results.name}: runs that have found a walker"
+    headline(figure, LEFT_IN, title, f"{IN_FRONT} Wilson intervals")
+    return save(figure, folder, "walkers")
+
+
+def _best_cost(statistic: Statistic) -> Callable[[ArmRuns], Curve]:
+    return lambda arm: curve(arm.best, statistic)
+
+
+def _walker_share(arm: ArmRuns) -> Curve:
+    counts = arm.has_walker.sum(axis=0)
+    intervals = [wilson(int(count), len(arm.runs)) for count in counts]
+    rows = np.array([[each.value, each.low, each.high] for each in intervals])
+    return rows[:, 0], rows[:, 1], rows[:, 2]
+
+
+def _draw_arms(
+    axes: Axes, results: Results, curve_of: Callable[[ArmRuns], Curve], number: str, up: int
+) -> list[End]:
+    """The line of each arm, worst first, with bands for those in front; their ends.
+
+    Of lines with one end, the best label is lowest (`up` 1) or highest (-1).
+    """
+    styles, ends = looks(results.arms), []
+    order = by_rank(results.arms)
+    for arm in sorted(order[::-1], key=lambda name: styles[name].front):
+        values, low, high = curve_of(results.arms[arm])
+        _draw_line(axes, styles[arm], values, order.index(arm))
+        if styles[arm].front:
+            trials = np.arange(1, len(values) + 1)
+            axes.fill_between(trials, low, high, color=styles[arm].colour, alpha=0.15, linewidth=0)
+        text = f"{styles[arm].label} {number.format(values[-1])}".replace("%", " %")
+        ends.append(End(float(values[-1]), styles[arm], text, up * order.index(arm)))
+    return ends
+
+
+def _draw_line(axes: Axes, look: Look, values: Floats, place: int) -> None:
+    trials = np.arange(1, len(values) + 1)
+    axes.plot(trials, values, markevery=marked(len(values), place), **look.line())
+
+
+def _cost_axis(axes: Axes, results: Results, optimum: float | None) -> None:
+    trial_axis(axes, results.trials)
+    axes.set_ylabel(f"best {results.cost} cost so far", fontsize=style.TEXT_PT, color=style.INK)
+    if results.cost == "smooth":
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_locator(NullLocator())
+    else:
+        axes.set_ylim(0.0, 315.0)
+        _level(axes, WALKS_BELOW, "below: walks to the end", "--")
+    if optimum is not None:
+        _level(axes, optimum, f"estimated optimum {optimum:.3g}", (0, (8, 2, 1, 2)))
+
+
+def _level(axes: Axes, y: float, text: str, dash: Any) -> None:
+    axes.axhline(y, color=style.INK, linewidth=0.8, linestyle=dash, zorder=2.0)
+    axes.annotate(
+        text, xy=(0.0, y), xycoords=("axes fraction", "data"), xytext=(4, -2), va="top",
+        textcoords="offset points", fontsize=style.SMALL_PT, color=style.INK, zorder=2.0,
+    )  # fmt: skip
+
+
+def _height_in(results: Results) -> float:
+    """High enough for a label an arm."""
+    return max(HEIGHT_IN, MARGINS_IN + len(results.arms) * LABEL_SPACING_PT / POINTS_AN_INCH)
+
+
+def _panel(figure: Figure, number: int, width_in: float = PANEL_IN) -> Axes:
+    """Axes with room for labels on their right, at a fixed size whatever the labels."""
+    wide, high = figure.get_figwidth(), figure.get_figheight()
+    left = LEFT_IN + number * (PANEL_IN + LABELS_IN)
+    axes = figure.add_axes((left / wide, 0.5 / high, width_in / wide, (high - MARGINS_IN) / high))
+    style.tidy(axes)
+    return axes
+
+
+ROW_IN = 0.38
+WIDTH_IN = 9.0
+DOTS_LEFT_IN, DOTS_RIGHT_IN, DOTS_TOP_IN, DOTS_BOTTOM_IN = 1.7, 1.25, 0.85, 0.55
+
+# Along the axis trials go from 0 (the first) to 1 (the last).
+FROM, NONE_FROM, TO = -0.08, 1.035, 1.2
+MEDIAN_AT, RUNS_AT = TO + 0.065, TO + 0.175
+DOT_PT = 3.4
+STEP = 0.0115  # between columns of dots
+BINS = 62  # dots of one bin would overlap
+
+# Across it a row is 1 high, downward.
+PILE = 5  # dots on each other
+PITCH = 0.14
+DOTS_AT, MEDIAN_BELOW = -0.08, 0.35
+
+
+def write_first_walker(folder: Path, results: Results) -> list[Path]:
+    """A row an arm, best first: dots, median with its interval, runs with a walker.
+
+    Args:
+        folder: for first-walker.png and .svg.
+        results: of one experiment.
+    """
+    order, styles = by_rank(results.arms), looks(results.arms)
+    height = ROW_IN * len(order) + DOTS_TOP_IN + DOTS_BOTTOM_IN
+    figure = style.new_figure(WIDTH_IN, height)
+    box = (
+        DOTS_LEFT_IN / WIDTH_IN,
+        DOTS_BOTTOM_IN / height,
+        1.0 - (DOTS_LEFT_IN + DOTS_RIGHT_IN) / WIDTH_IN,
+        1.0 - (DOTS_TOP_IN + DOTS_BOTTOM_IN) / height,
+    )
+    axes = figure.add_axes(box)
+    scale = TrialScale(results.trials)
+    _frame_dots(axes, scale, len(order))
+    for row, arm in enumerate(order):
+        _draw_row(axes, scale, row, results.arms[arm], styles[arm])
+    title = f"{results.name}: trials to the first walker, a dot a run"
+    remark = "diamond: median with its 95 % bootstrap interval; open dots: runs without a walker"
+    headline(figure, 0.15, title, remark)
+    return save(figure, folder, "first-walker")
+
+
+class TrialScale:
+    """Places on the axis: trials on a logarithmic scale, from 0 to 1."""
+
+    def __init__(self, trials: int) -> None:
+        self.trials = trials
+
+    def place(self, trial: float) -> float:
+        """Where a trial lies, counted from 1."""
+        return float(np.log(trial) / np.log(max(self.trials, 2)))
+
+
+def piles(places: Floats) -> tuple[Floats, Floats]:
+    """Where dots lie that would lie on each other: in columns of `PILE` about their place.
+
+    Args:
+        places: on the axis, [n], ascending.
+
+    Returns:
+        x on the axis and y in rows, each [n].
+    """
+    x, y = places.copy(), np.empty(len(places))
+    bins = np.round(places * BINS).astype(int)
+    for number in np.unique(bins):
+        inside = np.flatnonzero(bins == number)
+        columns = -(-len(inside) // PILE)
+        tall = -(-len(inside) // columns)
+        index = np.arange(len(inside))
+        y[inside] = DOTS_AT + PITCH * (index % tall - 0.5 * (tall - 1))
+        if columns > 1:
+            x[inside] = places[inside].mean() + STEP * (index // tall - 0.5 * (columns - 1))
+    return x, y
+
+
+def _draw_row(axes: Axes, scale: TrialScale, row: int, arm: ArmRuns, look: Look) -> None:
+    found = np.sort(arm.first_walker[np.isfinite(arm.first_walker)])
+    x, y = piles(np.array([scale.place(trial) for trial in found]))
+    axes.plot(x, row + y, "o", ms=DOT_PT, color=look.colour, markeredgewidth=0.0, zorder=3)
+    _draw_none(axes, row, len(arm.runs) - len(found), look)
+    interval = median(arm.first_walker)
+    _draw_median(axes, scale, row, interval)
+    middle = f"{interval.value:g}" if np.isfinite(interval.value) else f"> {arm.trials}"
+    weight = "bold" if look.front else "normal"
+    for place, words, side in (
+        (FROM - 0.02, look.label, "right"),
+        (MEDIAN_AT, middle, "center"),
+        (RUNS_AT, f"{len(found)}/{len(arm.runs)}", "center"),
+    ):
+        axes.text(place, row, words, ha=side, va="center", fontsize=style.TEXT_PT,
+                  color=look.text, fontweight=weight)  # fmt: skip
+
+
+def _draw_none(axes: Axes, row: int, count: int, look: Look) -> None:
+    """Runs without a walker, as open dots in columns."""
+    index = np.arange(count)
+    columns = int(np.ceil(count / PILE))
+    step = min(STEP, (TO - NONE_FROM - 2.0 * STEP) / max(columns, 1))
+    x = NONE_FROM + STEP + step * (index // PILE)
+    axes.plot(x, row + DOTS_AT + PITCH * (index % PILE - 0.5 * (PILE - 1)), "o", ms=DOT_PT - 0.6,
+              markerfacecolor="none", markeredgecolor=look.colour, markeredgewidth=0.7,
+              zorder=3)  # fmt: skip
+
+
+def _draw_median(axes: Axes, scale: TrialScale, row: int, interval: Interval) -> None:
+    """Below the dots; an arrow where the interval has no upper end, nothing where it has none."""
+    if not np.isfinite(interval.low):
+        return
+    y, closed = row + MEDIAN_BELOW, bool(np.isfinite(interval.high))
+    low = scale.place(interval.low)
+    high = scale.place(interval.high) if closed else NONE_FROM - 0.01
+    axes.plot([low, high], [y, y], color=style.INK, linewidth=1.1, zorder=4, solid_capstyle="butt")
+    axes.plot([low], [y], "|", color=style.INK, ms=4, zorder=4)
+    axes.plot([high], [y], "|" if closed else ">", color=style.INK, ms=4 if closed else 3, zorder=4)
+    if np.isfinite(interval.value):
+        axes.plot([scale.place(interval.value)], [y], "D", color=style.INK, ms=4, zorder=5)
+
+
+def _frame_dots(axes: Axes, scale: TrialScale, rows: int) -> None:
+    style.tidy(axes)
+    axes.grid(axis="y", visible=False)
+    axes.set(xlim=(FROM, TO), ylim=(rows - 0.5, -0.5))
+    ticks = trial_ticks(scale.trials)
+    none = 0.5 * (NONE_FROM + TO)
+    axes.xaxis.set_major_locator(FixedLocator([*(scale.place(tick) for tick in ticks), none]))
+    axes.set_xticklabels([*(f"{tick:g}" for tick in ticks), "none"])
+    axes.yaxis.set_major_locator(NullLocator())
+    axes.spines["left"].set_visible(False)
+    axes.axvspan(NONE_FROM, TO, color=style.GRID, alpha=0.55, linewidth=0, zorder=1)
+    for row in range(1, rows):
+        axes.axhline(row - 0.5, color=style.GRID, linewidth=0.6, zorder=1)
+    axes.set_xlabel("trials to the first walker", fontsize=style.TEXT_PT, color=style.INK)
+    for place, words in ((MEDIAN_AT, "median"), (RUNS_AT, "runs")):
+        axes.text(place, -0.6, words, ha="center", va="bottom", fontsize=style.SMALL_PT,
+                  color=style.INK)  # fmt: skip
+
+
+CELL_IN = (0.72, 0.46)
+GRID_LEFT_IN, GRID_RIGHT_IN, GRID_TOP_IN, GRID_BOTTOM_IN = 1.75, 0.95, 1.95, 0.2
+SHADES = "Blues"
+DARKEST = 0.62  # of the map, so that words on it can be read, in a grey print too
+FRONT_OF = {PAPER_ARM: FRONT["paper"], BEST_ARM: FRONT["best"]}
+
+
+def write_grid(folder: Path, experiments: Sequence[Numbers]) -> list[Path]:
+    """Draw overview.png and .svg.
+
+    Args:
+        folder: where to.
+        experiments: their figures, one row each.
+    """
+    arms = arms_of(experiments)
+    wide = CELL_IN[0] * len(arms) + GRID_LEFT_IN + GRID_RIGHT_IN
+    high = CELL_IN[1] * len(experiments) + GRID_TOP_IN + GRID_BOTTOM_IN
+    figure = style.new_figure(max(wide, 6.0), high)
+    wide = figure.get_figwidth()
+    axes = figure.add_axes(
+        (
+            GRID_LEFT_IN / wide,
+            GRID_BOTTOM_IN / high,
+            CELL_IN[0] * len(arms) / wide,
+            CELL_IN[1] * len(experiments) / high,
+        )
+    )
+    shares = np.full((len(experiments), len(arms)), np.nan)
+    for row, experiment in enumerate(experiments):
+        for arm in experiment.arms:
+            column = arms.index(arm.arm)
+            shares[row, column] = arm.share.value
+            _write_cell(axes, row, column, arm, best=arm is experiment.arms[0])
+    axes.imshow(shares, cmap=SHADES, vmin=0.0, vmax=1.0 / DARKEST, aspect="auto")
+    _frame_grid(axes, [experiment.experiment for experiment in experiments], arms)
+    remark = "above: runs with a walker; below: median trial of the first; bold: first of its row"
+    headline(figure, 0.15, "Walkers found", remark)
+    return save(figure, folder, "overview")
+
+
+def _write_cell(axes: Axes, row: int, column: int, arm: ArmNumbers, best: bool) -> None:
+    words = f"{arm.share.value:.0%}".replace("%", " %")
+    axes.text(
+        column, row, f"{words}\n{count_text(arm.first_walker.value, arm.trials)}",
+        ha="center", va="center", fontsize=style.SMALL_PT, linespacing=1.15,
+        color=style.INK, fontweight="bold" if best else "normal",
+    )  # fmt: skip
+
+
+def _frame_grid(axes: Axes, experiments: list[str], arms: list[str]) -> None:
+    axes.set_xticks(range(len(arms)), [label_of(arm) for arm in arms])
+    axes.set_yticks(range(len(experiments)), experiments)
+    axes.xaxis.tick_top()
+    axes.tick_params(length=0, labelsize=style.TEXT_PT, colors=style.INK, pad=4)
+    for label, arm in zip(axes.get_xticklabels(), arms, strict=True):
+        label.set(rotation=40, ha="left", va="bottom", rotation_mode="anchor")
+        if arm in FRONT_OF:
+            label.set(color=FRONT_OF[arm], fontweight="bold")
+    for side in axes.spines.values():
+        side.set_visible(False)
+    axes.set_xticks(np.arange(len(arms) + 1) - 0.5, minor=True)
+    axes.set_yticks(np.arange(len(experiments) + 1) - 0.5, minor=True)
+    axes.grid(which="minor", color="white", linewidth=2.0)
+    axes.tick_params(which="minor", length=0)
