@@ -16,8 +16,8 @@ from contextlib import suppress
 from functools import partial
 
 from storage.processes import Processes
-from study.explore.address import serve
 from study.explore.page import page_of
+from study.explore.server import serve
 from study.explore.walk import warm_up
 from taichi_nmm.kernel_cache import require_kernel_cache
 

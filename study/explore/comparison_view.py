@@ -21,9 +21,9 @@ from bokeh.models.tools import PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 
 from study.experiment.experiment import Experiment, study_name
-from study.explore.message import Message
-from study.explore.setting import Setting
+from study.explore.server import Message
 from study.explore.stage import SCRIPTS
+from study.explore.walk import Setting
 from study.gains import NamedGains, gains_of_trial
 from study.pictures import style
 from study.report.axes import by_rank, looks

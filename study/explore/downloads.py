@@ -11,7 +11,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from storage.store import open_store
-from study.explore.selection import Ranges, selected
+from study.explore.store_view import Ranges, selected
 from study.explore.walk import Walk
 from study.explore.walk import walk as walk_again
 from study.pictures import write_gait_cycle, write_movie, write_strip

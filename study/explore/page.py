@@ -20,7 +20,7 @@ from study.experiment.experiment import Experiment
 from study.experiment.identity import documented_experiment
 from study.explore.comparison_view import ComparisonView
 from study.explore.downloads import file_of_selection
-from study.explore.message import Message
+from study.explore.server import Message
 from study.explore.store_view import StoreView
 from study.explore.walk_view import WalkView
 from study.gains import NamedGains, gains_of_source, named_gains

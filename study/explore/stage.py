@@ -1,4 +1,4 @@
-"""Where walks are seen: one or two walkers over the same ground, and the player of both."""
+"""A walk on the page: the stick figure that plays, its gait cycle, and its scores."""
 
 import html
 from pathlib import Path
@@ -6,24 +6,22 @@ from typing import Any
 
 import numpy as np
 from bokeh.layouts import column, row
-from bokeh.models import (
-    Column,
-    ColumnDataSource,
-    CustomJS,
-    Div,
-    Range1d,
-    Select,
-    Slider,
-    Toggle,
-)
+from bokeh.models import Column, ColumnDataSource, CustomJS, Div, Range1d, Select, Slider, Toggle
 from bokeh.plotting import figure
 
-from study.explore.frames import COLOURS, Frames
-from study.explore.walk import Walk
+from study.explore.walk import COLOURS, Frames, Walk
 from study.pictures import style
+from study.pictures.gait_cycle import (
+    PANELS,
+    PERCENT,
+    SOURCE,
+    human_distances,
+    left_strides,
+    subtitle,
+)
 from study.pictures.scene import BELOW_GROUND_M, VIEW_WIDTH_M
-from study.pictures.skeleton import HEAD_RADIUS_M, PATH_POINTS
-from taichi_nmm.result import MUSCLES
+from study.pictures.stick_figure import HEAD_RADIUS_M, PATH_POINTS, finite
+from taichi_nmm.result import MUSCLES, OUTCOME_FIELDS, SCORE_FIELDS
 
 SCRIPTS = Path(__file__).parent / "scripts"
 FRAME_PX = (720, 370)
@@ -126,3 +124,77 @@ class Player:
         if place:
             self.layout.children = [*(stage.layout for stage in self.stages), self._controls]
         self.stages[place].show(walk)
+
+
+SIZE_PX = (232, 170)
+COLUMNS = 3
+FULL = "deg"  # of a name: an angle
+
+
+class Cycle:
+    """A small figure for each joint and each ground force."""
+
+    def __init__(self) -> None:
+        """The ranges of people alone."""
+        self._words = Div(text="", name="cycle", width=SIZE_PX[0] * COLUMNS)
+        self._curves: dict[str, ColumnDataSource] = {}
+        self._figures = {}
+        for name, panel in PANELS.items():
+            plot = figure(
+                name=f"cycle-{panel.title}", width=SIZE_PX[0], height=SIZE_PX[1], tools="",
+                toolbar_location=None, title=panel.title, y_axis_label=panel.unit,
+                x_range=(0, 100), y_range=(panel.low, panel.high),
+            )  # fmt: skip
+            mean, sd = panel.human.at(PERCENT)
+            plot.varea(PERCENT, mean - sd, mean + sd, fill_color=style.HUMAN, fill_alpha=0.35)
+            plot.line(PERCENT, mean, line_color=style.FAINT, line_dash="dashed")
+            empty = np.full(len(PERCENT), np.nan)
+            source = ColumnDataSource({"x": PERCENT, "y": empty}, name=f"cycle-{name}")
+            plot.line("x", "y", source=source, line_color=style.MODEL, line_width=2)
+            plot.title.text_font_size = "10px"
+            self._curves[name], self._figures[name] = source, plot
+        plots = list(self._figures.values())
+        self.layout: Column = column(self._words, row(*plots[:COLUMNS]), row(*plots[COLUMNS:]))
+
+    def show(self, walk: Walk) -> None:
+        """The mean stride of a walk, if it has enough of them."""
+        strides = left_strides(finite(walk.trajectory), walk.weight_n)
+        distances = human_distances(strides)
+        self._words.text = f"{subtitle(strides)} Grey: {SOURCE}. Numbers: RMSE."
+        for name, panel in PANELS.items():
+            curves = getattr(strides, name)
+            mean = curves.mean(axis=0) if strides.enough else np.full(len(PERCENT), np.nan)
+            self._curves[name].data = {"x": PERCENT, "y": mean}
+            title = panel.title.removeprefix("ground ")
+            if name in distances:
+                unit = "deg" if name.endswith(FULL) else "bw"
+                far = distances[name]
+                title += f": {far.rmse:.3g} {unit}, {far.deviations:.2g} sd"
+            self._figures[name].title.text = title
+
+
+LEFT_OUT = ("end_reason", "hip_x_m", "hip_z_m")
+FIELDS = tuple(name for name, _ in (*OUTCOME_FIELDS, *SCORE_FIELDS) if name not in LEFT_OUT)
+HEAD = "<tr><th align=left></th><th>start</th><th>now</th><th>change</th></tr>"
+
+
+class Score:
+    """A table of numbers of two walks on the same ground."""
+
+    def __init__(self) -> None:
+        """Empty."""
+        self._start: np.void | None = None
+        self.layout = Div(text="", name="score", width=420)
+
+    def show(self, row: np.void, start: bool) -> None:
+        """The result row of a walk; `start`: the next ones are compared with it."""
+        if start or self._start is None:
+            self._start = row
+        lines = [_line(name, float(self._start[name]), float(row[name])) for name in FIELDS]
+        self.layout.text = f"<table cellspacing=4>{HEAD}{''.join(lines)}</table>"
+
+
+def _line(name: str, start: float, now: float) -> str:
+    cells = "".join(f"<td align=right>{text}</td>" for text in (f"{start:.4g}", f"{now:.4g}"))
+    change = "" if start == now else f"{now - start:+.3g}"
+    return f"<tr><td>{html.escape(name)}</td>{cells}<td align=right><b>{change}</b></td></tr>"

@@ -1,10 +1,13 @@
-"""A store on the page: a cloud of points, histograms, parallel axes and a table, brushed together.
+"""A store on the page: a cloud of its rows, histograms, parallel lines, and a selection as text.
 
-Five columns of the store are looked at at a time; the first three are the cloud's x, y and colour.
+The selection is a text, "column low..high, column low..high". The page's script reads the same text
+(scripts/brush.mjs), so that a brush needs no server.
 """
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -14,29 +17,155 @@ from bokeh.models import (
     Button,
     ColumnDataSource,
     CustomJS,
+    DataTable,
     Div,
+    NumberFormatter,
+    Range1d,
     Select,
     Spinner,
+    TableColumn,
     TextInput,
 )
+from bokeh.models.tools import BoxSelectTool, PanTool, ResetTool, WheelZoomTool
+from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from storage.schema import EVOLVED_ROW, ORIGIN
 from storage.store import Store
-from study.explore.message import Message
-from study.explore.selection import Ranges, read_selection, selection_text
+from study.explore.server import Message
 from study.explore.stage import SCRIPTS
-from study.explore.store_plots import (
-    BINS,
-    ROLES,
-    WIDTH_PX,
-    cloud,
-    histograms,
-    parallel,
-    table,
-)
 from study.features import COLUMN_END
+from study.pictures import style
 from taichi_nmm.errors import InputError
+
+RANGE = re.compile(r"\s*(\w+)\s+(\S+?)\.\.(\S+)\s*")
+
+Ranges = dict[str, tuple[float, float]]
+
+
+def read_selection(text: str, columns: Sequence[str]) -> Ranges:
+    """The ranges of a text, by column; of two of a column the last counts.
+
+    Raises:
+        InputError: another form, or another column than these.
+    """
+    found = {}
+    for part in filter(str.strip, text.split(",")):
+        match = RANGE.fullmatch(part)
+        if match is None:
+            raise InputError("selection", part.strip(), "column low..high, column low..high, ...")
+        name, *ends = match.groups()
+        if name not in columns:
+            raise InputError("selection", name, f"one of {', '.join(columns)}")
+        found[name] = (_number(ends[0]), _number(ends[1]))
+    return found
+
+
+def selected(
+    ranges: Ranges, column: Callable[[str], NDArray[np.float64]], rows: int
+) -> NDArray[np.bool_]:
+    """Which rows lie within all ranges, ends included, [n]; one without a number does not."""
+    inside = np.ones(rows, dtype=bool)
+    for name, (low, high) in ranges.items():
+        values = column(name)
+        inside &= (values >= low) & (values <= high)
+    return inside
+
+
+def selection_text(ranges: Ranges) -> str:
+    """The text that reads as these ranges."""
+    return ", ".join(f"{name} {low:g}..{high:g}" for name, (low, high) in ranges.items())
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError("selection", text, "a number") from None
+
+
+ROLES = ("across", "up", "colour", "besides", "besides")  # of the five columns
+WIDTH_PX = 700
+CLOUD_PX = (600, 330)  # within its axes
+HISTOGRAM_PX = (WIDTH_PX // len(ROLES), 105)
+BINS = 40
+BESIDES = "#D8DCE0"  # of bars
+
+
+def cloud() -> tuple[Any, ColumnDataSource]:
+    """A figure that is brushed by a box, and the one image in it, whose pixels are painted."""
+    plot = figure(
+        name="cloud", width=WIDTH_PX, frame_width=CLOUD_PX[0], frame_height=CLOUD_PX[1],
+        tools=[PanTool(), WheelZoomTool(), ResetTool()],
+        x_range=Range1d(0.0, 1.0), y_range=Range1d(0.0, 1.0), title=" ",
+    )  # fmt: skip
+    box = BoxSelectTool(renderers=[])
+    plot.add_tools(box)
+    plot.toolbar.active_drag = box
+    plot.toolbar.logo = None
+    image = ColumnDataSource({
+        "image": [np.zeros(CLOUD_PX[::-1], np.uint32)],
+        **{name: np.array([0.0]) for name in ("x", "y")},
+        **{name: np.array([1.0]) for name in ("dw", "dh")},
+    })  # fmt: skip
+    plot.image_rgba("image", "x", "y", "dw", "dh", source=image)
+    return plot, image
+
+
+def histograms() -> tuple[list[Any], list[ColumnDataSource]]:
+    """A small figure for each column, and its bars: of all rows, and of those selected."""
+    plots, sources = [], []
+    for slot in range(len(ROLES)):
+        bars = ColumnDataSource(
+            {name: np.zeros(BINS) for name in ("left", "right", "all", "chosen")}
+        )
+        plot = figure(
+            name=f"histogram-{slot}", width=HISTOGRAM_PX[0], height=HISTOGRAM_PX[1], tools="",
+            toolbar_location=None, title=" ", x_range=Range1d(0.0, 1.0),
+        )  # fmt: skip
+        plot.title.text_font_size = "9px"
+        plot.yaxis.visible = False
+        plot.xaxis.ticker.desired_num_ticks = 3
+        plot.grid.visible = False
+        plot.add_tools(BoxSelectTool(renderers=[], dimensions="width"))
+        for name, colour in (("all", BESIDES), ("chosen", style.MODEL)):
+            plot.quad(left="left", right="right", bottom=0, top=name, source=bars,
+                      fill_color=colour, line_color=None)  # fmt: skip
+        plots.append(plot)
+        sources.append(bars)
+    return plots, sources
+
+
+def parallel() -> tuple[Any, ColumnDataSource]:
+    """A figure of an axis for each column, and the lines across them."""
+    source = ColumnDataSource({"xs": [], "ys": []}, name="parallel")
+    axes = list(range(len(ROLES)))
+    plot = figure(
+        name="parallel", width=WIDTH_PX, height=150, tools="", toolbar_location=None,
+        x_range=Range1d(-0.35, len(ROLES) - 0.65), y_range=Range1d(-0.04, 1.04),
+    )  # fmt: skip
+    plot.add_tools(BoxSelectTool(renderers=[]))
+    plot.xaxis.ticker = axes
+    plot.xaxis.major_label_text_font_size = "9px"
+    plot.yaxis.visible = False
+    plot.grid.visible = False
+    plot.multi_line("xs", "ys", source=source, line_color=style.MODEL, line_alpha=0.25)
+    plot.segment(axes, 0, axes, 1, line_color=style.INK)
+    return plot, source
+
+
+def table(source: ColumnDataSource, names: list[str]) -> DataTable:
+    """The rows that the script lists. For other columns it is made anew: it keeps old titles."""
+    numbers = NumberFormatter(format="0.[0000]")
+    columns = [TableColumn(field="row", title="row", width=60),
+               TableColumn(field="bred", title="", width=40)]  # fmt: skip
+    columns += [
+        TableColumn(field=f"c{slot}", title=name, formatter=numbers)
+        for slot, name in enumerate(names)
+    ]
+    return DataTable(source=source, columns=columns, width=WIDTH_PX, height=180,
+                     index_position=None)  # fmt: skip
+
 
 Floats = NDArray[np.float64]
 

@@ -1,19 +1,180 @@
-"""One recorded walk, simulated in a process beside the page's."""
+"""One walk for the page, in a process beside it: its body, ground and world, and its frames."""
 
+import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
+import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
+from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.trials import row_text
-from study.explore.frames import Frames, frames_of
-from study.explore.setting import Setting, chosen_setting
 from study.gains import NamedGains, gains_of_source, recorded_walk
-from study.pictures.window import finite
+from study.pictures import style
+from study.pictures.scene import FORCE_M_PER_N, motion_of, pressure_point
+from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_outlines, trunk
 from taichi_nmm.body import GRAVITY_MPS2
+from taichi_nmm.config import Table
 from taichi_nmm.result import COMPLETED, DIVERGED, END_REASONS, Trajectory
-from taichi_nmm.terrain import Terrain
+from taichi_nmm.terrain import GRID_SPACING_M, Terrain
+
+GROUNDS: dict[str, dict[str, Any]] = {
+    "flat": {"kind": "flat"},
+    "rough, 4 cm a metre": {"kind": "rough", "amplitude_m": 0.04},
+    "rough, 8 cm a metre": {"kind": "rough", "amplitude_m": 0.08},
+    "blocks of 8 cm, risers of 25 cm": {"kind": "blocks", "amplitude_m": 0.08, "riser_m": 0.25},
+    "blocks of 8 cm, risers of 10 cm": {"kind": "blocks", "amplitude_m": 0.08, "riser_m": 0.10},
+    "ramp up to 10 %": {"kind": "ramp", "direction": "up", "largest_slope": 0.10},
+    "ramp up to 20 %": {"kind": "ramp", "direction": "up", "largest_slope": 0.20},
+    "ramp down to 20 %": {"kind": "ramp", "direction": "down", "largest_slope": 0.20},
+    "stairs up, 8 cm a step": {"kind": "stairs", "rise_m": 0.08, "run_m": 1.0},
+    "stairs up, 10 cm a step": {"kind": "stairs", "rise_m": 0.10, "run_m": 1.0},
+    "stairs down, 10 cm a step": {
+        "kind": "stairs", "rise_m": 0.10, "run_m": 1.0, "direction": "down",
+    },
+}  # fmt: skip
+WORLDS: dict[str, dict[str, list[float]]] = {
+    "nominal": {},
+    "slippery: friction 0.5": {"friction": [0.5, 0.5]},
+    "weak: muscles at 80 %": {"strength": [0.8, 0.8]},
+    "slow and noisy nerves": {"nerve_lag_s": [0.005, 0.005], "sensing_noise": [0.01, 0.01]},
+    "drawn by the seed": {
+        "friction": [0.6, 1.0], "strength": [0.9, 1.1], "nerve_lag_s": [0.0, 0.005],
+        "sensing_noise": [0.0, 0.01],
+    },
+}  # fmt: skip
+DISTURBANCES = {"nominal": 0.0, "within 15 %": 0.15, "within 25 %": 0.25}
+DURATIONS_S = (5.0, 10.0, 20.0, 100.0)
+NAME = "walk"  # of the configuration
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One run of an experiment: a robot on its ground.
+
+    Attributes:
+        experiment: whose.
+        run: its number.
+    """
+
+    experiment: Experiment
+    run: int = 0
+
+    def toml(self) -> str:
+        """The configuration that every command takes for it."""
+        runs = max(self.experiment.runs, self.run + 1)
+        return to_toml({"runs": runs, **as_written(self.experiment)})
+
+
+def chosen_setting(
+    ground: str, disturbance: str, seed: int, world: str, engine: str, duration_s: float
+) -> Setting:
+    """What was chosen on the page, by the names above.
+
+    Raises:
+        InputError: a seed out of its bounds.
+    """
+    tables = {
+        "seed": seed,
+        "simulation": {"duration_s": duration_s, "engine": engine},
+        "body": {"disturbance": DISTURBANCES[disturbance]},
+        "terrain": GROUNDS[ground],
+        "world": WORLDS[world],
+    }
+    return Setting(experiment_of(Table(tables), NAME))
+
+
+def to_toml(tables: dict[str, Any], name: str = "") -> str:
+    """Plain values as TOML, in which they look as in JSON; tables come last."""
+    lines = [f"[{name}]"] if name else []
+    lines += [f"{key} = {json.dumps(value)}" for key, value in tables.items() if not _is(value)]
+    text = "\n".join(lines) + "\n"
+    inner = {f"{name}.{key}".lstrip("."): value for key, value in tables.items() if _is(value)}
+    return text + "".join("\n" + to_toml(value, key) for key, value in inner.items())
+
+
+def _is(value: object) -> bool:
+    return isinstance(value, dict)
+
+
+Array = NDArray[np.float32]
+
+RATE_HZ = 30
+BEFORE_M, BEYOND_M = 4.0, 6.0  # ground that is drawn besides where the hip was
+COLOURS = [
+    matplotlib.colors.to_hex(matplotlib.colormaps[style.ACTIVATION_MAP](level))
+    for level in range(256)
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """f frames; points are x and z in metres.
+
+    Attributes:
+        time_s: [f].
+        camera_m: where the hip is, and the ground there, smoothed, [f, 2].
+        near, far: hip, knee, ankle, heel and ball of the left and the right leg, [f, 5, 2].
+        trunk: hip and shoulder, [f, 2, 2].
+        head: its centre, [f, 1, 2].
+        muscles: closed outlines, left leg then right, [f, 14, p, 2].
+        activation: of these, in 255ths, [f, 14].
+        forces: foot and tip of the arrow of the ground's force, left and right, [f, 2, 2, 2].
+        ground: profile, [k, 2].
+    """
+
+    time_s: Array
+    camera_m: Array
+    near: Array
+    far: Array
+    trunk: Array
+    head: Array
+    muscles: Array
+    activation: NDArray[np.uint8]
+    forces: Array
+    ground: Array
+
+    def columns(self) -> dict[str, list[NDArray[np.generic]]]:
+        """By name, each as the one entry of a column, as Bokeh sends arrays of any shape."""
+        return {each.name: [getattr(self, each.name)] for each in fields(self)}
+
+
+def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
+    """All of a walk, as far as its poses are finite.
+
+    Raises:
+        InputError: not one is.
+    """
+    shown = finite(trajectory)
+    motion = motion_of(shown, terrain, float(shown.time_s[-1]), RATE_HZ)
+    q = motion.q
+    shoulder, head = trunk(q)
+    feet = [pressure_point(q, side) for side in (LEFT, RIGHT)]
+    pushes = [FORCE_M_PER_N * motion.force_n[:, 2 * side : 2 * side + 2] for side in (LEFT, RIGHT)]
+    arrows = [
+        np.stack([foot, foot + push], axis=1) for foot, push in zip(feet, pushes, strict=True)
+    ]
+    outlines = [*muscle_outlines(q, LEFT), *muscle_outlines(q, RIGHT)]
+    x = np.arange(q[:, 0].min() - BEFORE_M, q[:, 0].max() + BEYOND_M, GRID_SPACING_M)
+    return Frames(
+        time_s=_float(motion.time_s),
+        camera_m=_float(np.stack([q[:, 0], motion.level_m], axis=1)),
+        near=_float(leg(q, LEFT).chain()),
+        far=_float(leg(q, RIGHT).chain()),
+        trunk=_float(np.stack([q[:, :2], shoulder], axis=1)),
+        head=_float(head[:, None]),
+        muscles=_float(np.stack(outlines, axis=1)),
+        activation=np.clip(255.0 * motion.activation, 0, 255).astype(np.uint8),
+        forces=_float(np.stack(arrows, axis=1)),
+        ground=_float(np.stack([x, terrain.height(x)], axis=1)),
+    )
+
+
+def _float(values: NDArray[np.float64]) -> Array:
+    return np.ascontiguousarray(values, dtype=np.float32)
+
 
 SEEN_RATE_HZ = 100.0  # a sample costs as much as ten steps; enough for a gait cycle
 

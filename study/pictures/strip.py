@@ -9,15 +9,17 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from study.pictures import style
-from study.pictures.skeleton import leg
 from study.pictures.stick_figure import (
     LEFT,
     StickFigure,
     activation_bar,
+    at_times,
     draw_ground,
     draw_profile,
+    finite,
+    last_metres,
+    leg,
 )
-from study.pictures.window import at_times, finite, last_metres
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
 

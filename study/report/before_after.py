@@ -20,9 +20,15 @@ from study.experiment.experiment import Experiment
 from study.experiment.trials import simulate_trials
 from study.palette import BLUE, VERMILION
 from study.pictures import style
-from study.pictures.stick_figure import StickFigure, activation_bar, draw_ground, draw_profile
+from study.pictures.stick_figure import (
+    StickFigure,
+    activation_bar,
+    at_times,
+    draw_ground,
+    draw_profile,
+    finite,
+)
 from study.pictures.strip import draw_ghosts, draw_poses, pose_times
-from study.pictures.window import at_times, finite
 from study.report.axes import by_rank, label_of, save
 from study.report.runs import Results, read_trials, table_files
 from taichi_nmm.result import Trajectory

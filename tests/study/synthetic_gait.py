@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from study.pictures import human_ranges
-from study.pictures.skeleton import leg
+from study.pictures import gait_cycle as human_ranges
+from study.pictures.stick_figure import leg
 from taichi_nmm.result import EVENT_DTYPE, Trajectory
 
 STRIDE_S = 1.1

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import taichi_nmm
-from study.pictures.skeleton import leg
+from study.pictures.stick_figure import leg
 from taichi_nmm import K_T, Settings, Worlds, terrain
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError

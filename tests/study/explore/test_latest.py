@@ -4,7 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import Any
 
-from study.explore.latest import Latest
+from study.explore.server import Latest
 
 
 class ByHand(Executor):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from study.explore.message import OURS, Message
+from study.explore.server import OURS, Message
 
 LACKED = "libX11.so.6: cannot open shared object file: No such file or directory"
 

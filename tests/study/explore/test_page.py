@@ -14,7 +14,7 @@ import pytest
 import taichi_nmm
 from storage.store import open_store
 from study.comparison.compare import Request, compare
-from study.explore.frames import RATE_HZ
+from study.explore.walk import RATE_HZ
 from tests.browser import opened_page, save
 from tests.study import fake_walker
 from tests.study.explore.serving import explorer

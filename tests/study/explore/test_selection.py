@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from study.explore.selection import read_selection, selected, selection_text
+from study.explore.store_view import read_selection, selected, selection_text
 from taichi_nmm.errors import InputError
 
 COLUMNS = ("speed", "phi_printed")

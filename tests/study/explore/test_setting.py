@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from study.experiment.experiment import as_written, read_experiment
-from study.explore.setting import DISTURBANCES, GROUNDS, WORLDS, Setting, chosen_setting, to_toml
+from study.explore.walk import DISTURBANCES, GROUNDS, WORLDS, Setting, chosen_setting, to_toml
 from study.options import config_path
 from taichi_nmm.config import read_toml
 from taichi_nmm.errors import InputError

@@ -12,9 +12,7 @@ import pytest
 
 from storage.store import open_store
 from study.explore.downloads import NAMES, command_line, file_of_selection, file_of_walk
-from study.explore.frames import RATE_HZ, frames_of
-from study.explore.setting import chosen_setting
-from study.explore.walk import Walk, walk
+from study.explore.walk import RATE_HZ, Walk, chosen_setting, frames_of, walk
 from study.gains import gains_of_source
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker, synthetic_gait

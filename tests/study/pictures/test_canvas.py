@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from study.pictures.canvas import Canvas, capsule
+from study.pictures.scene import Canvas, capsule
 
 
 def test_shapes_are_drawn_to_scale() -> None:

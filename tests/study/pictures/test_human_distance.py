@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.pictures.gait_cycle import PANELS
-from study.pictures.human_distance import human_distances
-from study.pictures.strides import PERCENT, Strides
+from study.pictures.gait_cycle import PANELS, PERCENT, Strides, human_distances
 
 NAMES = tuple(PANELS)
 COUNT = 4

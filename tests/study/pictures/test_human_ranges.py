@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from study.pictures.human_ranges import (
+from study.pictures.gait_cycle import (
     DORSIFLEXION_DEG,
     EMG_ON_PERCENT,
     FORWARD_FORCE_BW,
     HIP_FLEXION_DEG,
     KNEE_FLEXION_DEG,
+    PERCENT,
     VERTICAL_FORCE_BW,
     HumanRange,
 )
-from study.pictures.strides import PERCENT
 from taichi_nmm.result import MUSCLES
 
 

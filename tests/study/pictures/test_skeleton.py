@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from study.pictures.skeleton import leg, muscle_outlines, trunk
+from study.pictures.stick_figure import leg, muscle_outlines, trunk
 from taichi_nmm.result import MUSCLES
 
 

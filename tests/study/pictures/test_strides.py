@@ -2,14 +2,15 @@
 
 import numpy as np
 
-from study.pictures.gait_cycle import subtitle
-from study.pictures.human_ranges import (
+from study.pictures.gait_cycle import (
     DORSIFLEXION_DEG,
     HIP_FLEXION_DEG,
     KNEE_FLEXION_DEG,
+    PERCENT,
     VERTICAL_FORCE_BW,
+    left_strides,
+    subtitle,
 )
-from study.pictures.strides import PERCENT, left_strides
 from tests.study import synthetic_gait
 from tests.study.synthetic_gait import BODY_WEIGHT_N, STRIDE_S
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.pictures.window import finite, last_metres, last_seconds
+from study.pictures.stick_figure import finite, last_metres, last_seconds
 from taichi_nmm.errors import InputError
 from tests.study import synthetic_gait
 from tests.study.synthetic_gait import SPEED_MPS

@@ -1,0 +1,158 @@
+"""What a page is served by: loopback alone, one call at a time, and a line for what goes wrong.
+
+A page of any site may send a browser to the loopback address by a name of its own that it lets
+point there; so requests of other names find nothing, and sockets of other pages are refused.
+"""
+
+import errno
+import html
+import re
+import sys
+import traceback
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from functools import partial
+from typing import Any
+
+from bokeh.document import Document
+from bokeh.models import Div
+from bokeh.server.server import BaseServer
+from bokeh.server.tornado import BokehTornado
+from bokeh.server.util import bind_sockets
+from tornado.httpserver import HTTPServer
+from tornado.ioloop import IOLoop
+from tornado.routing import HostMatches, Rule, RuleRouter
+
+from study.cli import what_is_missing
+from taichi_nmm.errors import InputError
+
+HOST = "127.0.0.1"  # the page asks nobody who they are
+NAMES = (HOST, "localhost")
+
+
+def serve(page: Callable[[Document], None], port: int) -> tuple[IOLoop, str]:
+    """A loop that serves once it is started, and the page's address.
+
+    Args:
+        page: fills the document of each tab.
+        port: 0 takes a free one.
+
+    Raises:
+        InputError: the port is in use, or not ours to take.
+    """
+    try:
+        sockets, port = bind_sockets(HOST, port)
+    except OSError as error:
+        if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+            raise
+        raise InputError("port", port, f"a free port, or 0 ({error.strerror})") from None
+    origins = [f"{name}:{port}" for name in NAMES]
+    application = BokehTornado(page, extra_websocket_origins=origins)
+    names = "|".join(map(re.escape, NAMES))
+    http = HTTPServer(RuleRouter([Rule(HostMatches(f"(?:{names})"), application)]))
+    http.add_sockets(sockets)
+    server = BaseServer(IOLoop.current(), application, http)
+    server.start()
+    return server.io_loop, f"http://{HOST}:{port}/"
+
+
+Call = tuple[Callable[..., Any], tuple[Any, ...]]
+
+
+class Latest:
+    """Calls of another process, of which a newer one takes the place of the one that waits.
+
+    Args:
+        document: of the tab; when it is closed, what still comes is dropped.
+        executor: of all tabs.
+        done: called with each result, in the page's own loop.
+        failed: called with what was raised.
+    """
+
+    def __init__(
+        self,
+        document: Document,
+        executor: Executor,
+        done: Callable[[Any], None],
+        failed: Callable[[BaseException], None],
+    ) -> None:
+        self._document, self._executor, self._done, self._failed = document, executor, done, failed
+        self._waits: Call | None = None
+        self._busy = False
+        self._closed = False
+        document.on_session_destroyed(self._close)
+
+    def ask(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Call a function of an importable module; its result comes to `done`."""
+        self._waits = function, arguments
+        if not self._busy:
+            self._start()
+
+    def _start(self) -> None:
+        if self._waits is None or self._closed:
+            return
+        function, arguments = self._waits
+        self._waits, self._busy = None, True
+        future = self._executor.submit(function, *arguments)
+        future.add_done_callback(self._hand_over)
+
+    def _hand_over(self, future: Future[Any]) -> None:
+        """In a thread of the executor: the page's loop does the rest."""
+        if not self._closed and not future.cancelled():
+            self._document.add_next_tick_callback(partial(self._finish, future))
+
+    def _finish(self, future: Future[Any]) -> None:
+        self._busy = False
+        error = future.exception()
+        try:
+            if error is None:
+                self._done(future.result())
+            else:
+                self._failed(error)
+        finally:
+            self._start()
+
+    def _close(self, _: object) -> None:
+        self._closed, self._waits = True, None
+
+
+WARNING = "#B3261E"
+OURS = "this did not work; what went wrong stands where the command was started"
+
+
+class Message:
+    """One line, and whatever calls of the page's models have to say."""
+
+    def __init__(self) -> None:
+        """Nothing yet."""
+        self.layout = Div(text="", name="message", height=20, styles={"color": WARNING})
+
+    def tell(self, text: str) -> None:
+        """Say this in place of what was said before."""
+        self.layout.text = html.escape(text)
+
+    def failed(self, error: BaseException) -> None:
+        """Say what a call raised: the line of bad input, or that the mistake is ours."""
+        if isinstance(error, InputError):
+            self.tell(str(error))
+        elif isinstance(error, ImportError) and (missing := what_is_missing(error)) is not None:
+            self.tell(missing)
+        else:
+            traceback.print_exception(error, file=sys.stderr)
+            self.tell(OURS)
+
+    def safely(self, call: Callable[[], None]) -> Callable[[], None]:
+        """The same call, whose errors are said."""
+
+        def answer() -> None:
+            try:
+                call()
+            except Exception as error:
+                self.failed(error)
+
+        return answer
+
+    def watch(self, model: Any, attribute: str, call: Callable[[], None]) -> None:
+        """Call when an attribute of a model has changed."""
+        answer = self.safely(call)
+        model.on_change(attribute, lambda attr, old, new: answer())
