@@ -9,21 +9,28 @@ processor. Machines of one kind may fill a folder together; two kinds would mix 
 import hashlib
 import os
 import platform
+import re
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
 from storage.processes import Processes
 from storage.simulator import WALKER, Simulator
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, shortened
 
 Kind = dict[str, str]
 """Of each part what it is: "canary", "processor", the simulator's code, packages by their names."""
+
+MOST_LOCAL = 256  # processes of this machine
+FORMS = f"local:N with N from 1 to {MOST_LOCAL}, or a scheduler's HOST:PORT, tcp:// or tls://"
+_LOCAL = re.compile(r"local:([1-9]\d{0,2})")
+_SCHEDULER = re.compile(r"(?!local:)((tcp|tls)://)?(\[[0-9a-fA-F:.%]+\]|[\w.-]+):\d{1,5}", re.ASCII)
 
 KIND_NAME = "kind.json"  # in a folder: the kind of the workers that fill it
 
@@ -136,6 +143,70 @@ def local_pool(workers: int) -> Iterator[Pool]:
         return
     with Processes(workers) as executor:
         yield Pool(executor, workers)
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """What a user asks for.
+
+    Attributes:
+        address: of a scheduler; or "local:N", N processes of this machine.
+        mixed: whether workers may differ from one another in what they compute.
+    """
+
+    address: str
+    mixed: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what is no address.
+
+        Raises:
+            InputError: neither form, or the package distributed is not there.
+        """
+        local = _LOCAL.fullmatch(self.address)
+        if local is not None and int(local[1]) > MOST_LOCAL:
+            raise InputError("cluster", self.address, FORMS)
+        if local is None and not _SCHEDULER.fullmatch(self.address):
+            # An "@" is where somebody's password would end.
+            said = shortened(self.address) if "@" not in self.address else "..."
+            raise InputError("cluster", said, FORMS)
+        if find_spec("distributed") is None:
+            allowed = "an environment with distributed: pip install 'taichi-nmm[cluster]'"
+            raise InputError("cluster", self.address, allowed)
+
+    @property
+    def local_processes(self) -> int:
+        """Processes of this machine to start; 0: the cluster is there already."""
+        local = _LOCAL.fullmatch(self.address)
+        return int(local[1]) if local else 0
+
+
+def open_pool(
+    workers: int,
+    cluster: Cluster | None,
+    folder: Path | None,
+    simulator: Simulator,
+    packages: Sequence[str] = (),
+    stores: Sequence[Path] = (),
+) -> AbstractContextManager[Pool]:
+    """The pool that a command works with: processes of this machine, unless a cluster is asked for.
+
+    Args:
+        workers: processes.
+        cluster: in their place.
+        folder: that is to be filled; None: one that is begun anew.
+        simulator: that units use, on one thread.
+        packages: beside the simulator's, that decide results.
+        stores: that units read.
+
+    Raises:
+        InputError: as `local_pool` and `cluster_pool`.
+    """
+    if cluster is None:
+        return local_pool(workers)
+    from storage.cluster.session import cluster_pool  # Dask: a second, and an extra
+
+    return cluster_pool(cluster, folder, simulator, tuple(packages), stores)
 
 
 def cores() -> int:

@@ -121,6 +121,9 @@ def _serve(pipe: socket.socket) -> None:
     with suppress(OSError):
         while call := calls.get():
             _send(pipe, *_answer(call[0]))
+    # A parent that ends first, as a worker of a cluster does, terminates its processes; but what
+    # Taichi has compiled is written at the very end of this one.
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
 def _answer(words: memoryview) -> list[bytes | memoryview]:

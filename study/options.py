@@ -21,7 +21,7 @@ from taichi_nmm.errors import InputError, one_line, shortened
 from taichi_nmm.settings import ARCHITECTURES, ENGINES
 
 if TYPE_CHECKING:
-    from storage.cluster.asked import Cluster
+    from storage.pool import Cluster
 
 PROGRAM = "taichi-nmm"
 HERE = Path(__file__).resolve().parent
@@ -364,7 +364,7 @@ def asked_cluster(options: argparse.Namespace) -> "Cluster | None":
     Raises:
         InputError: no address, no Dask, or --mixed without a cluster.
     """
-    from storage.cluster.asked import Cluster
+    from storage.pool import Cluster
 
     if options.cluster is not None:
         return Cluster(options.cluster, options.mixed)

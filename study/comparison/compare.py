@@ -11,10 +11,8 @@ from typing import TypeVar
 
 import pyarrow as pa
 
-from storage.cluster.asked import Cluster
-from storage.cluster.opening import open_pool
 from storage.databases.urls import file_url
-from storage.pool import Pool, local_pool
+from storage.pool import Cluster, Pool, local_pool, open_pool
 from study.comparison.block import Advanced, Block, advance
 from study.comparison.database import Summarise, check_database, check_noted, export, note_worths
 from study.comparison.folder import (

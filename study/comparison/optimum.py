@@ -23,11 +23,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from storage.cluster.asked import Cluster
 from storage.commit import commit_json
 from storage.document import agree
 from storage.folder import claimed
-from storage.pool import Pool
+from storage.pool import Cluster, Pool
 from storage.tables import read_stamped, write_stamped, write_table
 from study.comparison.compare import Progress, Request, compare, opened_pool, work_through
 from study.comparison.folder import in_order

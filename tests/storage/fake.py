@@ -1,5 +1,6 @@
 """A simulator that takes no time: every number is a fixed function of the walker's own input."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -76,3 +77,21 @@ def family(settings: int = 6, seed: int = 8, **terrain: Any) -> dict[str, Any]:
 def specification(**changes: Any) -> Specification:
     """The specification of `configuration`."""
     return read_specification(Table(configuration(**changes)))
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """Files of a folder by name."""
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+def stopping(after: int) -> Callable[..., Result]:
+    """`simulate`, which is interrupted in the call after so many."""
+    calls: list[int] = []
+
+    def stopped(*args: Any, **options: Any) -> Result:
+        calls.append(1)
+        if len(calls) > after:
+            raise KeyboardInterrupt
+        return simulate(*args, **options)
+
+    return stopped

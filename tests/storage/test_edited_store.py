@@ -13,30 +13,14 @@ import pytest
 
 from storage import merge, open_store
 from storage.document import document_hash
-from storage.precompute import precompute
 from storage.tables import FOOTER_KEY
 from study import FeatureTable, covered_table, survival_table
 from taichi_nmm.errors import InputError
-from tests.storage import fake
 
 Document = dict[str, Any]
 WRONG: tuple[Any, ...] = (
     None, True, "a", "", "../outside.parquet", -1, 99, 1.5, 10**400, [], [None], {}, {"a": {}},
 )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("original") / "store"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(vars(__import__("taichi_nmm")), "simulate", fake.simulate)
-        precompute(fake.specification(samples=12, robust=True), path)
-    return path
-
-
-@pytest.fixture
-def folder(original: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(original, tmp_path / "store"))
 
 
 def edits(document: Any) -> Iterator[Any]:

@@ -12,12 +12,12 @@ from storage import open_store
 from storage.document import difference, document_hash
 from storage.points import sobol_points
 from storage.precompute import precompute, progress_parts, score_shard
-from storage.schema import family_names
+from storage.schema import columns_of, family_names
 from storage.specification import Specification, read_specification
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAINS
-from taichi_nmm.result import RESULT_DTYPE, SCORE_FIELDS
+from taichi_nmm.parameters import GAIN_NAMES, GAINS
+from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
 from tests.storage import fake
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -36,6 +36,25 @@ def families(**changes: object) -> Specification:
     return fake.specification(families=RAMPS, **changes)
 
 
+def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
+    specification = fake.specification()
+    table, computed_by = score_shard(specification, 2, ignore)
+    assert columns_of(table.schema) == specification.document["columns"]
+    assert table.column_names == ["row", *GAIN_NAMES, *(RESULT_DTYPE.names or ())]
+    assert table["row"].to_pylist() == list(range(16, 24))
+    points = sobol_points(specification.seed, 16, 8, GAINS)
+    assert np.array_equal(table["l_clr"].to_numpy(), points[:, 15])
+    assert set(table["end_reason"].to_pylist()) <= set(END_REASONS)
+    assert computed_by == fake.ENGINE
+
+
+def test_a_shard_without_survivors_needs_no_run_of_a_family() -> None:
+    specification = fake.specification(robust=True, samples=8, simulation={"duration_s": 60.0})
+    object.__setattr__(specification.families[0], "min_survival_s", 60.0)
+    table, _ = score_shard(specification, 0, ignore)
+    assert not table["robust_evaluated"].to_numpy().any()
+
+
 def test_every_family_has_columns_of_its_own() -> None:
     document = families(robust=True).document
     names = [column.partition(":")[0] for column in document["columns"]]
@@ -44,6 +63,10 @@ def test_every_family_has_columns_of_its_own() -> None:
     assert starts == [names.index("robust_evaluated") + 31 * number for number in range(3)]
     assert names[-2:] == list(family_names("up", "phi_corrected"))
     assert "up_m5_sum_mean_mps" in names and "down_survived_fraction_sd" in names
+    assert family_names("robust", "m5_sum_mps") == (
+        "robust_m5_sum_mean_mps",
+        "robust_m5_sum_sd_mps",
+    )
 
 
 def test_the_document_lists_other_families_beside_the_robust_one() -> None:
@@ -74,7 +97,8 @@ def test_documents_of_stores_without_other_families_are_what_they_were() -> None
 
 
 def test_family_columns_are_mean_and_spread_over_its_settings() -> None:
-    specification = families()
+    """And zero for points that were not run in it."""
+    specification = families(robust=True)
     table, _ = score_shard(specification, 0, ignore)
     points = sobol_points(specification.seed, 0, 8, GAINS)
     alive = table["duration_s"].to_numpy() >= 3.0
@@ -90,7 +114,7 @@ def test_family_columns_are_mean_and_spread_over_its_settings() -> None:
                 duration_s=family.horizon_s,
                 progress=lambda now_s, active: None,
             ).rows
-            for setting in range(2)
+            for setting in range(family.settings)
         ]
         for component, _ in SCORE_FIELDS:
             values = np.array([run[component] for run in runs], dtype=float)
@@ -229,27 +253,6 @@ def test_an_opened_store_knows_its_families(tmp_path: Path) -> None:
         assert count == store.numpy([name])[name].sum() > 0
     assert precompute(fake.specification(), tmp_path / "plain").evaluated == {}
     assert open_store(tmp_path / "plain").families == ()
-
-
-def test_an_interrupt_within_a_family_loses_its_shard(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls = []
-
-    def interrupted(*args: object, **options: object) -> taichi_nmm.Result:
-        calls.append(1)
-        if len(calls) == 6:  # the last family of the second shard
-            raise KeyboardInterrupt
-        return fake.simulate(*args, **options)
-
-    with monkeypatch.context() as context:
-        context.setitem(vars(taichi_nmm), "simulate", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            precompute(families(), tmp_path / "store")
-    assert precompute(families(), tmp_path / "store").points_computed == 50 - 8
-    precompute(families(), tmp_path / "other")
-    for file in (tmp_path / "other").iterdir():
-        assert file.read_bytes() == (tmp_path / "store" / file.name).read_bytes()
 
 
 def test_another_family_in_the_folder_is_refused_by_name(tmp_path: Path) -> None:

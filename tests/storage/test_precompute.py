@@ -20,6 +20,7 @@ from storage.tables import FOOTER_KEY, read_columns
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import Result
 from tests.storage import fake
+from tests.storage.fake import content
 
 SHARD = "part-00003.parquet"
 
@@ -33,10 +34,6 @@ def store(tmp_path: Path) -> Path:
 
 def fill(path: Path, fresh: bool = False, **changes: object) -> Summary:
     return precompute(fake.specification(**changes), path, fresh)
-
-
-def content(path: Path) -> dict[str, bytes]:
-    return {file.name: file.read_bytes() for file in path.iterdir()}
 
 
 def test_a_store_is_its_shards_a_specification_and_a_manifest(store: Path) -> None:
@@ -188,21 +185,21 @@ DAMAGE = [
 ]  # fmt: skip
 
 
+@pytest.mark.parametrize("manifest", [True, False])
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_damaged_shard_is_found_and_redone(store: Path, damage: Callable[[Path], None]) -> None:
+def test_a_damaged_shard_is_found_and_redone(
+    store: Path, damage: Callable[[Path], None], manifest: bool
+) -> None:
+    """The right rows in other bytes are noticed by the manifest alone."""
     before = content(store)
+    if not manifest:
+        (store / "manifest.json").unlink()
     damage(store / SHARD)
-    assert fill(store).points_computed == 8
-    assert content(store) == before
-
-
-@pytest.mark.parametrize("damage", [d for d in DAMAGE if d is not wrong_hash])
-def test_damage_is_found_without_a_manifest(store: Path, damage: Callable[[Path], None]) -> None:
-    before = content(store)
-    (store / "manifest.json").unlink()
-    damage(store / SHARD)
-    assert fill(store).points_computed == 8
-    assert content(store) == before
+    if manifest or damage is not wrong_hash:
+        assert fill(store).points_computed == 8
+        assert content(store) == before
+    else:
+        assert fill(store).points_computed == 0
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"shards": 3}'])
@@ -223,22 +220,20 @@ def test_a_folder_in_a_files_place_is_refused_before_the_work(store: Path, name:
     assert sorted(store.iterdir()) == before
 
 
-def test_an_interrupt_loses_one_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = []
-
-    def interrupted(*args: object, **options: object) -> Result:
-        calls.append(1)
-        if len(calls) == 4:
-            raise KeyboardInterrupt
-        return fake.simulate(*args, **options)
-
+@pytest.mark.parametrize(
+    ("calls", "changes", "done"),
+    [(0, {}, 0), (3, {}, 3), (5, {"robust": True}, 2)],  # the last one within the family
+)
+def test_an_interrupt_loses_one_shard(
+    tmp_path: Path, calls: int, changes: dict[str, Any], done: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with monkeypatch.context() as context:
-        context.setitem(vars(taichi_nmm), "simulate", interrupted)
+        context.setitem(vars(taichi_nmm), "simulate", fake.stopping(calls))
         with pytest.raises(KeyboardInterrupt):
-            fill(tmp_path / "store")
+            fill(tmp_path / "store", **changes)
     assert not (tmp_path / "store" / "manifest.json").exists()
-    assert fill(tmp_path / "store").points_computed == 50 - 3 * 8
-    fill(tmp_path / "other")
+    assert fill(tmp_path / "store", **changes).points_computed == 50 - done * 8
+    fill(tmp_path / "other", **changes)
     assert content(tmp_path / "store") == content(tmp_path / "other")
 
 

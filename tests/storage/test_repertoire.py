@@ -1,5 +1,6 @@
 """Stores with candidates beyond the grid: the search, its files, its rows, and what it refuses."""
 
+import shutil
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -20,8 +21,8 @@ from storage.store_folder import NOT_CHOSEN
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS, lower_bounds, upper_bounds
-from taichi_nmm.result import Result
 from tests.storage import fake
+from tests.storage.fake import content
 
 pytest.importorskip("ribs")
 
@@ -45,10 +46,6 @@ def evolving(**changes: Any) -> Specification:
     return fake.specification(families=FAMILIES, repertoire=repertoire, **changes)
 
 
-def content(path: Path) -> dict[str, bytes]:
-    return {file.name: file.read_bytes() for file in path.iterdir()}
-
-
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
     path = tmp_path_factory.mktemp("evolved") / "store"
@@ -59,16 +56,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
 
 def interrupted(path: Path, after: int) -> None:
     """A run that is stopped in a call of the simulator."""
-    calls = []
-
-    def simulate(*args: Any, **options: Any) -> Result:
-        calls.append(1)
-        if len(calls) > after:
-            raise KeyboardInterrupt
-        return fake.simulate(*args, **options)
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(vars(taichi_nmm), "simulate", simulate)
+        patch.setitem(vars(taichi_nmm), "simulate", fake.stopping(after))
         with pytest.raises(KeyboardInterrupt):
             precompute(evolving(), path)
 
@@ -157,10 +146,7 @@ def test_a_finished_store_is_left_alone(finished: tuple[Path, Summary]) -> None:
 def test_damage_is_found_and_mended(
     finished: tuple[Path, Summary], tmp_path: Path, damaged: str
 ) -> None:
-    path = tmp_path / "store"
-    path.mkdir()
-    for name, data in content(finished[0]).items():
-        (path / name).write_bytes(data)
+    path = Path(shutil.copytree(finished[0], tmp_path / "store"))
     fake.flip_a_bit(path / damaged)
     summary = precompute(evolving(), path)
     assert content(path) == content(finished[0])

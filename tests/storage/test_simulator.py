@@ -29,6 +29,7 @@ from storage.specification import GENERATION, STARTS, Specification, read_specif
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from tests.storage import toy
+from tests.storage.fake import content
 
 CART = "tests.storage.toy:Cart"
 CONFIGURATION: dict[str, Any] = {
@@ -50,10 +51,6 @@ REPERTOIRE = {"evaluations": STARTS + 2 * GENERATION, "settings": 1, "candidates
 
 def specification(**changes: Any) -> Specification:
     return read_specification(Table(CONFIGURATION | changes))
-
-
-def content(path: Path) -> dict[str, bytes]:
-    return {file.name: file.read_bytes() for file in path.iterdir()}
 
 
 @pytest.fixture

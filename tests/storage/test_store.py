@@ -19,20 +19,6 @@ from taichi_nmm.parameters import GAIN_NAMES, GAINS
 from tests.storage import fake
 
 
-@pytest.fixture(scope="module")
-def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("original") / "store"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(vars(__import__("taichi_nmm")), "simulate", fake.simulate)
-        precompute(fake.specification(robust=True), path)
-    return path
-
-
-@pytest.fixture
-def folder(original: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(original, tmp_path / "store"))
-
-
 def test_arrow_numpy_and_pandas_agree(folder: Path) -> None:
     store = open_store(folder, verify=True)
     table, rows, frame = store.table(), store.numpy(), store.pandas()

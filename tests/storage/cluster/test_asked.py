@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 
 import taichi_nmm
-from storage.cluster.asked import Cluster
-from storage.cluster.freight import packed
-from storage.pool import differences, own_kind, processor
+from storage.cluster.worker import packed
+from storage.pool import Cluster, differences, own_kind, processor
 from storage.precompute import precompute
 from storage.store import open_store
 from taichi_nmm.errors import InputError
@@ -55,7 +54,7 @@ def test_no_password_is_shown() -> None:
 def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
     find = importlib.util.find_spec
     monkeypatch.setattr(
-        "storage.cluster.asked.find_spec",
+        "storage.pool.find_spec",
         lambda name: None if name == "distributed" else find(name),
     )
     with pytest.raises(InputError, match=r"pip install 'taichi-nmm\[cluster\]'"):

@@ -15,9 +15,8 @@ from typing import Any
 
 import pytest
 
-from storage.cluster.asked import Cluster as Asked
-from storage.cluster.opening import open_pool
-from storage.pool import Pool
+from storage.pool import Cluster as Asked
+from storage.pool import Pool, open_pool
 from storage.precompute import precompute
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import Settings
@@ -35,7 +34,7 @@ Open = Callable[..., AbstractContextManager[Pool]]
 @pytest.fixture
 def opened(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Open:
     """A pool of the cluster's two workers, which say at once what kind they are of."""
-    monkeypatch.setattr("storage.cluster.connection.own_kind", units.own_kind)
+    monkeypatch.setattr("storage.cluster.session.own_kind", units.own_kind)
 
     @contextmanager
     def open_it(mixed: bool = False, stores: tuple[Path, ...] = ()) -> Iterator[Pool]:
@@ -92,7 +91,7 @@ def test_a_worker_that_joins_late_gets_work(cluster: Cluster, opened: Open) -> N
 def test_a_scheduler_that_dies_is_one_line(
     cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("storage.cluster.connection.CONNECT_S", 6.0)
+    monkeypatch.setattr("storage.cluster.session.CONNECT_S", 6.0)
     line = r"cluster: 'tcp.* a scheduler that stays; the same command"
     with pytest.raises(InputError, match=line), opened() as pool:
         for _ in pool.results(units.slow_square, deque(range(100))):
@@ -116,8 +115,8 @@ def test_a_connection_that_breaks_under_an_answer_is_the_schedulers(opened: Open
 def test_a_cluster_without_workers_is_given_up(
     cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("storage.cluster.executor.WORKERLESS_S", 1.0)
-    monkeypatch.setattr("storage.cluster.executor.WATCH_S", 0.2)
+    monkeypatch.setattr("storage.cluster.session.WORKERLESS_S", 1.0)
+    monkeypatch.setattr("storage.cluster.session.WATCH_S", 0.2)
     line = r"cluster: 'tcp.* not without a worker for 1 s; the same command goes on"
     with pytest.raises(InputError, match=line), opened() as pool:
         for _ in pool.results(units.slow_square, deque(range(100))):
@@ -146,8 +145,8 @@ def test_a_scheduler_that_stalls_is_one_line(
     stall: Callable[[int], None],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("storage.cluster.executor.ANSWER_S", 2.0)
-    monkeypatch.setattr("storage.cluster.connection.CLOSE_S", 1.0)
+    monkeypatch.setattr("storage.cluster.session.ANSWER_S", 2.0)
+    monkeypatch.setattr("storage.cluster.session.CLOSE_S", 1.0)
     line = r"cluster: 'tcp.* a scheduler that answers within 2 s; the same command goes on"
     began_s = time.monotonic()
     with pytest.raises(InputError, match=line), opened() as pool:
@@ -175,8 +174,8 @@ def test_what_stalls_and_goes_on_loses_nothing(
 def test_calls_may_take_longer_than_a_cluster_may_be_without_workers(
     opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("storage.cluster.executor.WORKERLESS_S", 1.0)
-    monkeypatch.setattr("storage.cluster.executor.WATCH_S", 0.2)
+    monkeypatch.setattr("storage.cluster.session.WORKERLESS_S", 1.0)
+    monkeypatch.setattr("storage.cluster.session.WATCH_S", 0.2)
     with opened() as pool:
         assert results(pool, units.asleep, [4.0]) == {4.0: "awake"}
 
@@ -185,8 +184,8 @@ CLIENT = """
 import sys
 from collections import deque
 from pathlib import Path
-import storage.cluster.connection as connection
-from storage.cluster.asked import Cluster
+import storage.cluster.session as connection
+from storage.pool import Cluster
 from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import Walker
 from tests.storage import fake
@@ -253,7 +252,7 @@ def small_store(tmp_path: Path) -> Path:
 
 
 def test_nobody_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("storage.cluster.connection.CONNECT_S", 1.0)
+    monkeypatch.setattr("storage.cluster.session.CONNECT_S", 1.0)
     asked = Asked("127.0.0.1:9")
     opening = open_pool(1, asked, tmp_path / "out", WALKER)
     with pytest.raises(InputError, match=r"'127.0.0.1:9' .* a scheduler that answers"), opening:
@@ -265,7 +264,7 @@ def test_a_cluster_of_this_machine_is_heard_by_nobody_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     psutil = pytest.importorskip("psutil")
-    monkeypatch.setattr("storage.cluster.connection.own_kind", units.own_kind)
+    monkeypatch.setattr("storage.cluster.session.own_kind", units.own_kind)
     me = psutil.Process()
     before = {child.pid for child in me.children(recursive=True)}
     with open_pool(1, Asked("local:2"), tmp_path / "out", WALKER) as pool:
@@ -295,7 +294,7 @@ def test_certificates_of_ones_own(
     """By Dask's settings, as docs/cluster.md says."""
     import dask
 
-    monkeypatch.setattr("storage.cluster.connection.own_kind", units.own_kind)
+    monkeypatch.setattr("storage.cluster.session.own_kind", units.own_kind)
     assert certificates.address.startswith("tls://")
     opening = (1, Asked(certificates.address), tmp_path / "out", WALKER)
     with pytest.raises(InputError, match=r"a scheduler that answers"), open_pool(*opening):

@@ -1,31 +1,95 @@
-"""What a session puts on every worker of a cluster: processes that walk, and the stores they read.
+"""What a session puts on every worker of a cluster: processes that run calls, and stores they read.
 
 Taichi compiles on a main thread only, and a worker's is Dask's own; so calls go to processes of the
 worker's, which end with it. A worker that is started again, or joins late, is set up likewise.
+Workers share no disk with whoever reads the configuration, so stores are sent to them.
 """
 
+import hashlib
+import io
 import multiprocessing
 import os
 import pickle
 import shutil
+import signal
+import tarfile
 import threading
 import traceback
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Future
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from distributed import Worker, WorkerPlugin, get_worker
 
-from storage.cluster.freight import Freight
 from storage.pool import Kind
 from storage.processes import Processes
+from storage.store import MANIFEST_NAME, Manifest
 from taichi_nmm.errors import one_line, shortened
+from taichi_nmm.reading import reading
 
 LIVES = 3  # processes of a worker that a call may lose
 
 
-class Walkers(WorkerPlugin):  # type: ignore[misc]
+@dataclass(frozen=True)
+class Freight:
+    """A store, packed.
+
+    Attributes:
+        digest: SHA-256 of the package, by which workers keep it.
+        package: a tar of the store's files.
+    """
+
+    digest: str
+    package: bytes
+
+    @property
+    def place(self) -> Path:
+        """Where calls find the store, seen from the folder that they run in."""
+        return Path("stores", self.digest, "store")
+
+    def unpack(self, folder: Path) -> None:
+        """Lay the store down at its place in a folder; nothing where it is there."""
+        target = folder / self.place.parent
+        if target.exists():
+            return
+        with tarfile.open(fileobj=io.BytesIO(self.package)) as tar:
+            tar.extractall(target, filter="data")
+
+
+def packed(path: Path) -> Freight:
+    """A store's folder, or the one file that it is.
+
+    Raises:
+        InputError: a file of it cannot be read.
+    """
+    whole = io.BytesIO()
+    with tarfile.open(fileobj=whole, mode="w") as tar:
+        if path.is_dir():
+            for name in (MANIFEST_NAME, *Manifest.read(path).hashes):
+                _add(tar, path / name, f"store/{name}")
+        else:
+            _add(tar, path, "store")
+    package = whole.getvalue()
+    return Freight(hashlib.sha256(package).hexdigest(), package)
+
+
+def _add(tar: tarfile.TarFile, path: Path, name: str) -> None:
+    """The content alone: neither dates nor owners, which would make two packages of one store."""
+    with reading("store", path, "a file that can be read") as file:
+        content = file.read_bytes()
+    about = tarfile.TarInfo(name)
+    about.size = len(content)
+    tar.addfile(about, io.BytesIO(content))
+
+
+def dask_setup(worker: Any) -> None:
+    """Of a worker of this machine, which preloads this file: Ctrl-C is for the command alone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+class Workplace(WorkerPlugin):  # type: ignore[misc]
     """The processes of one session on one worker, as many as it has threads.
 
     Args:
@@ -83,7 +147,7 @@ class Walkers(WorkerPlugin):  # type: ignore[misc]
 
 def answer(session: str, words: bytes) -> memoryview:
     """On a worker: what comes of a call, pickled."""
-    plugin: Walkers = get_worker().plugins[session]
+    plugin: Workplace = get_worker().plugins[session]
     return plugin.answer(words)
 
 

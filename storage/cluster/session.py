@@ -1,0 +1,365 @@
+"""A session of work on a cluster: connected, its workers let in, calls passed on, left as found.
+
+Workers that compute the bits of the folder get work, however late they join; a call whose worker is
+killed is made again elsewhere, by Dask.
+"""
+
+import asyncio
+import logging
+import pickle
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, Executor, Future
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import dask
+from distributed import Client, KilledWorker, LocalCluster
+from distributed import Future as Remote
+from distributed.comm import CommClosedError
+from distributed.security import Security
+
+from storage.cluster.worker import Freight, Workplace, answer, let_in, packed
+from storage.document import agree
+from storage.pool import KIND_NAME, Cluster, Kind, Pool, differences, own_kind
+from storage.processes import Processes
+from storage.simulator import Simulator
+from taichi_nmm.errors import InputError, one_line, shortened
+from taichi_nmm.reading import json_document
+
+SESSION = "taichi-nmm-"  # and the client's name
+AHEAD = 2  # calls a place, one of which waits on the worker
+CONNECT_S = 30.0
+CLOSE_S = 5.0
+START_S = 300.0  # for the first worker: its processes may have to compile the walker
+POLL_S = 0.2
+WORKERLESS_S = 300.0  # after which a cluster without a worker is given up
+WATCH_S = 2.0
+ANSWER_S = 30.0  # that a scheduler may take: of one that stalls, connections stay open
+MOST_DEATHS = 20  # of workers of this machine that one call may take with it
+LARGEST_TASK = "1 TiB"  # without a warning: sixty studies with all their trials are some MiB
+LOOPBACK = "127.0.0.1"
+REMEDY = "--mixed; or another --out"
+GOES_ON = "the same command goes on where it stopped"
+
+
+class Session(Executor):
+    """Makes calls on workers, each of which it lets in first. What fails is an `InputError`.
+
+    Args:
+        client: of the scheduler.
+        asked: the cluster, as the user has named it.
+        kind: of the folder; None: that of the first worker.
+
+    Attributes:
+        name: of the plugin on workers, of their events, and of the resource that they offer.
+        kind: that workers must be of, unless they may be mixed.
+        kinds: of all workers that were ever let in, in this order.
+    """
+
+    def __init__(self, client: Client, asked: Cluster, kind: Kind | None) -> None:
+        self.name = SESSION + client.id
+        self.kind = kind
+        self.kinds: list[Kind] = []
+        self._client = client
+        self._asked = asked
+        self._inside: set[str] = set()
+        self._there: dict[str, int] = {}  # threads of each worker that the scheduler knows
+        self._refused: dict[str, str] = {}  # the reason by a worker's address
+        self._met = threading.Event()
+        self._pending: dict[Future[Any], Remote] = {}
+        client.loop.add_callback(self._watch)
+
+    def places(self) -> int:
+        """Calls that can be under way at once: threads of the workers that are in and alive.
+
+        As of the last look: asking each time would cost a call as much as all else of Dask.
+        """
+        return sum(self._there.get(address, 0) for address in self._inside)
+
+    async def meet(self, event: tuple[float, dict[str, Any]]) -> None:
+        """Let a worker in that has told what it computes with, or tell the user why not."""
+        _, told = event
+        address, kind, reason = str(told["worker"]), told.get("kind"), str(told.get("error", ""))
+        if kind is not None:
+            self.kind = self.kind or kind
+            reason = "" if self._asked.mixed else differences(kind, self.kind)
+        if reason or kind is None:
+            if reason not in self._refused.values():  # a line for a hundred workers alike
+                line = f"worker {address} gets no work: {reason}"
+                print(line, file=sys.stderr, flush=True)
+            self._refused[address] = reason
+        else:
+            if kind not in self.kinds:
+                self.kinds.append(kind)
+            await self._client.run(let_in, self.name, workers=[address])
+            self._inside.add(address)
+            await self._look()
+        self._met.set()
+
+    def wait_for_one(self) -> None:
+        """Return when a worker is in.
+
+        Raises:
+            InputError: all workers were refused, or there is none in time.
+        """
+        began_s, address = time.monotonic(), self._asked.address
+        while not self.places():
+            self._client.sync(self._look)
+            if self._there and self._there.keys() <= self._refused.keys():
+                reason = next(iter(self._refused.values()))
+                allowed = f"workers like the folder's ({reason}); or --mixed; or another --out"
+                raise InputError("cluster", address, allowed)
+            if time.monotonic() - began_s > START_S:
+                allowed = f"a scheduler that has a worker within {START_S:.0f} s"
+                raise InputError("cluster", address, allowed)
+            self._met.wait(POLL_S)
+            self._met.clear()
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Call a function of an importable module on some worker; arguments by place alone."""
+        if kwargs:
+            raise TypeError("arguments by name")
+        remote = self._client.submit(
+            answer,
+            self.name,
+            pickle.dumps((fn, args)),
+            key=f"{fn.__name__}-{uuid.uuid4().hex}",
+            resources={self.name: 1},
+        )
+        future: Future[Any] = Future()
+        self._pending[future] = remote
+        self._client.loop.add_callback(self._follow, remote, future)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Drop what is not over."""
+        pending, self._pending = list(self._pending.values()), {}
+        if pending and self._client.status == "running":
+            self._client.cancel(pending, force=True)
+
+    async def _look(self) -> None:
+        """Ask the scheduler which workers there are."""
+        self._there = dict(await self._client.scheduler.ncores())
+
+    async def _follow(self, remote: Remote, future: Future[Any]) -> None:
+        try:
+            outcome, error = pickle.loads(await remote), None
+        except InputError as refused:
+            outcome, error = None, refused
+        except (asyncio.CancelledError, CancelledError, CommClosedError):
+            outcome, error = None, self._given_up("a scheduler that stays")
+        except KilledWorker as killed:
+            allowed = f"workers that live: a call took {killed.allowed_failures + 1} with it"
+            outcome, error = None, self._given_up(allowed)
+        except Exception as failed:
+            reason = one_line(shortened(f"{type(failed).__name__}: {failed}"))
+            outcome, error = None, self._given_up(f"calls that do not fail there ({reason})")
+        self._settle(future, outcome, error)
+
+    async def _watch(self) -> None:
+        """Give up when there has been no worker for long, or no answer."""
+        seen_s = time.monotonic()
+        while self._client.status not in ("closed", "closing"):
+            await asyncio.sleep(WATCH_S)
+            try:
+                await asyncio.wait_for(self._look(), ANSWER_S)
+            except TimeoutError:
+                self._give_up(f"a scheduler that answers within {ANSWER_S:.0f} s")
+            except OSError:
+                pass  # Dask connects again, or cancels what is under way
+            if self.places() or not self._pending:
+                seen_s = time.monotonic()
+            elif time.monotonic() - seen_s > WORKERLESS_S:
+                self._give_up(f"a cluster that is not without a worker for {WORKERLESS_S:.0f} s")
+
+    def _give_up(self, allowed: str) -> None:
+        for future in list(self._pending):
+            self._settle(future, None, self._given_up(allowed))
+
+    def _given_up(self, allowed: str) -> InputError:
+        return InputError("cluster", self._asked.address, f"{allowed}; {GOES_ON}")
+
+    def _settle(self, future: Future[Any], outcome: Any, error: InputError | None) -> None:
+        """Once; the remote result is let go."""
+        if self._pending.pop(future, None) is None:
+            return
+        if error is None:
+            future.set_result(outcome)
+        else:
+            future.set_exception(error)
+
+
+@dataclass(frozen=True)
+class ClusterPool(Pool):
+    """A pool whose places come and go.
+
+    Attributes:
+        session: that makes the calls; the executor.
+        freights: the stores that workers have, by where they are here.
+        may_mix: whether workers may differ.
+    """
+
+    session: Session
+    freights: dict[Path, Freight]
+    may_mix: bool
+
+    def room(self) -> int:
+        """One unit a place, and one that waits there."""
+        return max(1, AHEAD * self.session.places())
+
+    def there(self, store: Path) -> Path:
+        """Its place in the folder that units run in."""
+        return self.freights[store].place if store in self.freights else store
+
+    def agree(self, folder: Path) -> None:
+        """Write the kind into a folder that has none yet."""
+        if not self.may_mix and self.session.kind is not None:
+            agree(folder / KIND_NAME, self.session.kind, remedy=REMEDY)
+
+    @property
+    def kinds(self) -> list[Kind]:
+        """Of all workers that were let in."""
+        return list(self.session.kinds)
+
+    @property
+    def mixed(self) -> bool:
+        """Whether they may differ."""
+        return self.may_mix
+
+
+@contextmanager
+def cluster_pool(
+    asked: Cluster,
+    folder: Path | None,
+    simulator: Simulator,
+    packages: tuple[str, ...] = (),
+    stores: Sequence[Path] = (),
+) -> Iterator[Pool]:
+    """A pool of a cluster's workers; they have nothing of it when the context ends.
+
+    Args:
+        asked: which cluster.
+        folder: that is to be filled, and decides what kind workers must be of; None: a new one.
+        simulator: that units use, on one thread.
+        packages: beside the simulator's, that decide results.
+        stores: that units read, by `Pool.there`.
+
+    Raises:
+        InputError: no scheduler there, none of its workers is of the folder's kind, or a store
+            that cannot be read.
+    """
+    describe = partial(own_kind, simulator, packages)
+    freights = {store: packed(store) for store in stores}
+    kind = None if asked.mixed or folder is None else folder_kind(folder, describe)
+    with _scheduler(asked) as where, _client(asked, *where) as client:
+        session = Session(client, asked, kind)
+        different = {freight.digest: freight for freight in freights.values()}
+        plugin = Workplace(session.name, describe, tuple(different.values()))
+        try:
+            with _failures(asked):
+                for left in client.run_on_scheduler(left_behind):
+                    client.unregister_worker_plugin(left)
+                client.subscribe_topic(session.name, session.meet)
+                client.register_plugin(plugin)
+                session.wait_for_one()
+            slots = AHEAD * session.places()
+            yield ClusterPool(session, slots, session, freights, asked.mixed)
+        finally:
+            session.shutdown()
+            with suppress(Exception):  # a scheduler that is gone, or stalls
+                leave = client.scheduler.unregister_worker_plugin
+                client.sync(leave, name=session.name, callback_timeout=CLOSE_S)
+
+
+def folder_kind(folder: Path, describe: Callable[[], Kind]) -> Kind | None:
+    """The kind of what is in a folder; None of a new one.
+
+    What no cluster has begun is taken to be of this machine.
+
+    Raises:
+        InputError: its note of the kind cannot be read.
+    """
+    path = folder / KIND_NAME
+    if path.exists():
+        kind = json_document("out", path, f"a readable {KIND_NAME}; or {REMEDY}")
+        return {str(name): str(value) for name, value in kind.items()}
+    if not any(folder.rglob("*.parquet")):
+        return None
+    with Processes(1) as here:
+        return dict(here.submit(describe).result())
+
+
+def left_behind(dask_scheduler: Any = None) -> list[str]:
+    """On a scheduler: sessions whose client was killed."""
+    return [
+        name
+        for name in dask_scheduler.worker_plugins
+        if name.startswith(SESSION) and name.removeprefix(SESSION) not in dask_scheduler.clients
+    ]
+
+
+@contextmanager
+def _scheduler(asked: Cluster) -> Iterator[tuple[str, Security]]:
+    """The address of the cluster and how to talk to it; one of this machine is started and ended.
+
+    Whoever reaches a scheduler can have it run anything. So of ours nobody else hears: it is on the
+    loopback address, and asks for certificates that only this process and its workers have.
+    """
+    if not asked.local_processes:
+        yield asked.address, Security()  # as Dask's own settings say
+        return
+    with _failures(asked):
+        security = Security.temporary()
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": MOST_DEATHS}),
+        LocalCluster(
+            n_workers=asked.local_processes,
+            threads_per_worker=1,
+            host=LOOPBACK,
+            dashboard_address=f"{LOOPBACK}:0",
+            scheduler_kwargs={"dashboard": False},
+            security=security,
+            silence_logs=logging.CRITICAL,
+            preload="storage.cluster.worker",
+        ) as cluster,
+    ):
+        yield cluster.scheduler_address, security
+
+
+@contextmanager
+def _client(asked: Cluster, address: str, security: Security) -> Iterator[Client]:
+    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # it speaks of every retry
+    dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGEST_TASK})
+    with _failures(asked):
+        client = Client(
+            address,
+            security=security,
+            timeout=CONNECT_S,
+            set_as_default=False,
+            direct_to_workers=bool(asked.local_processes),  # of others they may be out of reach
+        )
+    try:
+        yield client
+    finally:
+        with suppress(Exception):
+            client.close(timeout=CLOSE_S)
+
+
+@contextmanager
+def _failures(asked: Cluster) -> Iterator[None]:
+    """What a scheduler can do to its client, in one line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # of sockets, TLS, or what a worker made of the plugin
+        said = one_line(shortened(f"{type(error).__name__}: {error}"))
+        allowed = f"a scheduler that answers, and workers with this project ({said})"
+        raise InputError("cluster", asked.address, allowed) from None
