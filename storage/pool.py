@@ -13,7 +13,7 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -179,34 +179,6 @@ class Cluster:
         """Processes of this machine to start; 0: the cluster is there already."""
         local = _LOCAL.fullmatch(self.address)
         return int(local[1]) if local else 0
-
-
-def open_pool(
-    workers: int,
-    cluster: Cluster | None,
-    folder: Path | None,
-    simulator: Simulator,
-    packages: Sequence[str] = (),
-    stores: Sequence[Path] = (),
-) -> AbstractContextManager[Pool]:
-    """The pool that a command works with: processes of this machine, unless a cluster is asked for.
-
-    Args:
-        workers: processes.
-        cluster: in their place.
-        folder: that is to be filled; None: one that is begun anew.
-        simulator: that units use, on one thread.
-        packages: beside the simulator's, that decide results.
-        stores: that units read.
-
-    Raises:
-        InputError: as `local_pool` and `cluster_pool`.
-    """
-    if cluster is None:
-        return local_pool(workers)
-    from storage.cluster.session import cluster_pool  # Dask: a second, and an extra
-
-    return cluster_pool(cluster, folder, simulator, tuple(packages), stores)
 
 
 def cores() -> int:

@@ -1,5 +1,40 @@
 """Work spread over a Dask cluster: a scheduler that runs already, or processes of this machine.
 
 `session` connects to it, and `worker` is what a session puts on its workers. Both need the package
-distributed, an extra; `storage.pool.open_pool` imports them when a cluster is asked for.
+distributed, an extra, and are imported when a cluster is asked for.
 """
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from storage.pool import Cluster, Pool, local_pool
+from storage.simulator import Simulator
+
+
+def open_pool(
+    workers: int,
+    cluster: Cluster | None,
+    folder: Path | None,
+    simulator: Simulator,
+    packages: Sequence[str] = (),
+    stores: Sequence[Path] = (),
+) -> AbstractContextManager[Pool]:
+    """The pool that a command works with: processes of this machine, unless a cluster is asked for.
+
+    Args:
+        workers: processes.
+        cluster: in their place.
+        folder: that is to be filled; None: one that is begun anew.
+        simulator: that units use, on one thread.
+        packages: beside the simulator's, that decide results.
+        stores: that units read.
+
+    Raises:
+        InputError: as `local_pool` and `cluster_pool`.
+    """
+    if cluster is None:
+        return local_pool(workers)
+    from storage.cluster.session import cluster_pool  # Dask: a second, and an extra
+
+    return cluster_pool(cluster, folder, simulator, tuple(packages), stores)

@@ -15,7 +15,8 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
-from storage.pool import cores, open_pool
+from storage.cluster import open_pool
+from storage.pool import cores
 from storage.precompute import Summary, precompute
 from storage.specification import read_specification
 from study.cli import ProgressBar

@@ -11,8 +11,9 @@ from typing import TypeVar
 
 import pyarrow as pa
 
+from storage.cluster import open_pool
 from storage.databases.urls import file_url
-from storage.pool import Cluster, Pool, local_pool, open_pool
+from storage.pool import Cluster, Pool, local_pool
 from study.comparison.block import Advanced, Block, advance
 from study.comparison.database import Summarise, check_database, check_noted, export, note_worths
 from study.comparison.folder import (

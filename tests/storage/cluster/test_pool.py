@@ -15,8 +15,9 @@ from typing import Any
 
 import pytest
 
+from storage.cluster import open_pool
 from storage.pool import Cluster as Asked
-from storage.pool import Pool, open_pool
+from storage.pool import Pool
 from storage.precompute import precompute
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import Settings
