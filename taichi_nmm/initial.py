@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
-from taichi_nmm.kernel.delays import TA_LENGTH_OFFSET
 from taichi_nmm.kernel.layout import (
     LEGS,
     LONG_DELAY_TICKS,
@@ -26,6 +25,7 @@ from taichi_nmm.kernel.layout import (
 )
 from taichi_nmm.kernel.muscle import ACTIVATION_FLOOR
 from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, unit_lengths
+from taichi_nmm.kernel.nerves import TA_LENGTH_OFFSET
 from taichi_nmm.kernel.swing import HOLD
 from taichi_nmm.terrain import Terrain
 

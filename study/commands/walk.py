@@ -114,8 +114,8 @@ def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.
 
 def write_model(path: Path, experiment: Experiment, run: int) -> None:
     """MuJoCo's model of a run's body and ground, standing where the walk starts."""
-    from taichi_nmm.mujoco_engine.boxes import boxes
     from taichi_nmm.mujoco_engine.engine import start_state
+    from taichi_nmm.mujoco_engine.ground import boxes
     from taichi_nmm.mujoco_engine.mjcf import write_mjcf
 
     terrain, settings = experiment.terrain(run), experiment.conditions.settings

@@ -4,7 +4,7 @@ A pack's rows live in NumPy arrays [pack, row, lane] between launches and in loc
 one, since only local arrays let the compiler vectorise (`backend`).
 """
 
-from taichi_nmm.kernel import delays, dynamics, kinematics, walker
+from taichi_nmm.kernel import dynamics, kinematics, nerves, walker
 from taichi_nmm.kernel.backend import Array, Rows, ti
 from taichi_nmm.kernel.layout import (
     COORDINATES,
@@ -48,7 +48,7 @@ def load_slots(packs: Rows, p, tick, lanes: Rows, delay: Rows):
     """Copy what a tick exchanges of a pack's delay rings into a local array: a slot of each."""
     for lane in range(lanes):
         for ring in ti.static(range(Signal.count)):
-            row = delays.slot_row(ring, tick)
+            row = nerves.slot_row(ring, tick)
             delay[row, lane] = packs[p, FIRST_DELAY + row, lane]
 
 
@@ -57,7 +57,7 @@ def save_slots(packs: Rows, p, tick, lanes: Rows, delay: Rows):
     """Copy it back."""
     for lane in range(lanes):
         for ring in ti.static(range(Signal.count)):
-            row = delays.slot_row(ring, tick)
+            row = nerves.slot_row(ring, tick)
             packs[p, FIRST_DELAY + row, lane] = delay[row, lane]
 
 

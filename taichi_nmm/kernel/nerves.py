@@ -1,11 +1,105 @@
-"""Nerves besides their delays: a lag and noise on what is felt, in worlds that have them.
+"""Nerves: what the controller feels is 20, 10 or 5 ms old; it may lag and have noise.
 
-Both are ours. Noise is a hash of tick, walker and signal, so that it is the same whoever else is in
-the batch, and costs no memory.
+Delays are ring buffers at the control tick. A slot is read before it is overwritten, so a ring of n
+slots delays by n ticks. Lag and noise are ours. Noise is a hash of tick, walker and signal, so that
+it is the same whoever else is in the batch, and costs no memory.
 """
 
 from taichi_nmm.kernel.backend import Rows, ti
-from taichi_nmm.kernel.layout import LEGS, Const, Signal, State, Work
+from taichi_nmm.kernel.contact import on_ground
+from taichi_nmm.kernel.elementary import larger
+from taichi_nmm.kernel.layout import (
+    GAS,
+    GLU,
+    HAM,
+    LEGS,
+    LONG_DELAY_TICKS,
+    LONG_SIGNALS,
+    MID_DELAY_TICKS,
+    MID_SIGNALS,
+    MUSCLES_PER_LEG,
+    SHORT_DELAY_TICKS,
+    SHORT_SIGNALS,
+    SOL,
+    TA,
+    VAS,
+    Const,
+    Delay,
+    Muscle,
+    Signal,
+    State,
+    Work,
+)
+from taichi_nmm.kernel.muscle import WIDTH
+
+TA_LENGTH_OFFSET = 1.0 - 0.5 * WIDTH
+
+
+@ti.func
+def sense(lane, state: Rows, muscle: Rows, work: Rows):
+    """Present values of the signals that will be felt late, at `Work.sensed`."""
+    s = ti.static(Work.sensed)
+    for leg in ti.static(range(LEGS)):
+        m = ti.static(MUSCLES_PER_LEG * leg)
+        length_ta = muscle[Muscle.length + m + TA, lane] - TA_LENGTH_OFFSET
+        work[s + Signal.force_sol + leg, lane] = muscle[Muscle.force + m + SOL, lane]
+        work[s + Signal.force_gas + leg, lane] = muscle[Muscle.force + m + GAS, lane]
+        work[s + Signal.length_ta + leg, lane] = larger(length_ta, 0.0)
+        work[s + Signal.force_vas + leg, lane] = muscle[Muscle.force + m + VAS, lane]
+        work[s + Signal.knee + leg, lane] = work[Work.joint + 3 * leg + 1, lane]
+        work[s + Signal.knee_rate + leg, lane] = work[Work.joint_rate + 3 * leg + 1, lane]
+        work[s + Signal.stance + leg, lane] = on_ground(lane, leg, state)
+        work[s + Signal.force_ham + leg, lane] = muscle[Muscle.force + m + HAM, lane]
+        work[s + Signal.force_glu + leg, lane] = muscle[Muscle.force + m + GLU, lane]
+        work[s + Signal.load + leg, lane] = state[State.load_filter + leg, lane]
+    work[s + Signal.trunk, lane] = state[State.q + 2, lane]
+    work[s + Signal.trunk_rate, lane] = state[State.qdot + 2, lane]
+
+
+@ti.func
+def slot_row(signal: Rows, tick):
+    """The row of a signal's ring that a tick exchanges."""
+    row = 0
+    if ti.static(signal < LONG_SIGNALS):
+        row = Delay.long + signal * LONG_DELAY_TICKS + ti.raw_mod(tick, LONG_DELAY_TICKS)
+    elif ti.static(signal < LONG_SIGNALS + MID_SIGNALS):
+        ring = ti.static(signal - LONG_SIGNALS)
+        row = Delay.mid + ring * MID_DELAY_TICKS + ti.raw_mod(tick, MID_DELAY_TICKS)
+    else:
+        ring = ti.static(signal - LONG_SIGNALS - MID_SIGNALS)
+        row = Delay.short + ring * SHORT_DELAY_TICKS + ti.raw_mod(tick, SHORT_DELAY_TICKS)
+    return row
+
+
+@ti.func
+def exchange_long(lane, slot, delay: Rows, work: Rows):
+    """Put the present signals of 20 ms into their rings and take the delayed ones out, in place."""
+    for i in ti.static(range(LONG_SIGNALS)):
+        exchange(lane, i, Delay.long + i * LONG_DELAY_TICKS + slot, delay, work)
+
+
+@ti.func
+def exchange_mid(lane, slot, delay: Rows, work: Rows):
+    """Those of 10 ms."""
+    for i in ti.static(range(MID_SIGNALS)):
+        exchange(lane, LONG_SIGNALS + i, Delay.mid + i * MID_DELAY_TICKS + slot, delay, work)
+
+
+@ti.func
+def exchange_short(lane, slot, delay: Rows, work: Rows):
+    """Those of 5 ms."""
+    first = ti.static(LONG_SIGNALS + MID_SIGNALS)
+    for i in ti.static(range(SHORT_SIGNALS)):
+        exchange(lane, first + i, Delay.short + i * SHORT_DELAY_TICKS + slot, delay, work)
+
+
+@ti.func
+def exchange(lane, signal: Rows, row, delay: Rows, work: Rows):
+    """One signal and one slot of its ring."""
+    old = delay[row, lane]
+    delay[row, lane] = work[Work.sensed + signal, lane]
+    work[Work.sensed + signal, lane] = old
+
 
 RATE_SCALE_RADPS = 10.0  # noise of angular rates over that of angles
 FLAGS = range(Signal.stance, Signal.stance + LEGS)

@@ -10,7 +10,6 @@ import math
 from taichi_nmm.kernel import (
     attachments,
     contact,
-    delays,
     dynamics,
     gait,
     joint_stops,
@@ -112,18 +111,18 @@ def command(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, const: Ro
     """Delayed senses, reflexes, swing-leg placement: stimulations and ideal torques of a tick."""
     time = ti.cast(tick, float)
     for lane in range(lanes):
-        delays.sense(lane, state, fibres, work)
+        nerves.sense(lane, state, fibres, work)
     # A ring length a loop, and a remainder that LLVM knows the range of: else it cannot tell that
     # the rows of different rings lie apart, and takes one lane after the other.
     slot_long = ti.raw_mod(tick, LONG_DELAY_TICKS)
     slot_mid = ti.raw_mod(tick, MID_DELAY_TICKS)
     slot_short = ti.raw_mod(tick, SHORT_DELAY_TICKS)
     for lane in range(lanes):
-        delays.exchange_long(lane, slot_long, delay, work)
+        nerves.exchange_long(lane, slot_long, delay, work)
     for lane in range(lanes):
-        delays.exchange_mid(lane, slot_mid, delay, work)
+        nerves.exchange_mid(lane, slot_mid, delay, work)
     for lane in range(lanes):
-        delays.exchange_short(lane, slot_short, delay, work)
+        nerves.exchange_short(lane, slot_short, delay, work)
     if nerves_vary(lanes, const):
         for lane in range(lanes):
             nerves.feel(lane, tick, state, const, work)

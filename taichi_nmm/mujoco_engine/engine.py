@@ -25,8 +25,7 @@ from taichi_nmm.kernel.carried import drive, follow
 from taichi_nmm.kernel.layout import COORDINATES, LEGS, Drive, Motion, State
 from taichi_nmm.kernel.muscle_table import muscle_table
 from taichi_nmm.mujoco_engine.ground import ContactPlanes
-from taichi_nmm.mujoco_engine.linkage import RELATIVE
-from taichi_nmm.mujoco_engine.mjcf import FOOT_SENSOR, walk_model
+from taichi_nmm.mujoco_engine.mjcf import FOOT_SENSOR, RELATIVE, walk_model
 from taichi_nmm.packs import Packs
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain

@@ -3,20 +3,181 @@
 Feet are two spheres each, their soles on the line from heel to ball. Contacts are elliptic cones
 with the walker's friction; a motor turns each joint; a sensor of each foot says whether it touches,
 and the force. The ground of a walk is planes that are laid anew at every step; of a file, boxes.
+
+**Links.** The same seven, with the map between the two sets of coordinates.
+MuJoCo's hinges are relative (child minus parent) about +y, which turns z towards x: clockwise with
+x to the right and z up, as ours. The slides and the HAT's hinge are ours as they stand, so
+    qpos = RELATIVE q,  qvel = RELATIVE qdot,  q'' = RELATIVE^-1 qacc,
+and a joint torque, which does work on child minus parent, is the hinge's generalised force.
+
+**Joint stops** as limits of MuJoCo's.
+A stop is tau = -k D (1 + w/w_max)+, D the angle beyond the limit (`kernel.joint_stops`): a damper
+that grows with the excess, and a weak spring. A limit of MuJoCo's with impedance d, whose joint
+has the inverse inertia A, gives at a slow creep under a torque T (MuJoCo's documentation,
+Computation, "Constraint model")
+
+    (1 - d) T = d (b w + K d D) / A .
+
+Equal damping asks for d/(1 - d) = D/rho with rho = w_max b/(k A). MuJoCo's impedance with its
+midpoint at the limit is d_max (1 - (1 - D/width)^p): d_max is right at the width, and p comes
+nearest below it. The time constant t is the shortest that MuJoCo lets a step have: b = 2/(d_max t)
+is then the largest, and stable.
 """
 
+import math
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
-from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, Bodies
+from taichi_nmm.body import (
+    BALL_OFFSET_M,
+    GRAVITY_MPS2,
+    HEEL_OFFSET_M,
+    SEGMENT_NAMES,
+    SHANK_LENGTH_M,
+    THIGH_LENGTH_M,
+    Bodies,
+)
+from taichi_nmm.kernel import joint_stops as stops
 from taichi_nmm.kernel.contact_planes import PLANES, PLANES_PER_SOLE, SOLE_RADIUS_M
-from taichi_nmm.mujoco_engine.boxes import Boxes
-from taichi_nmm.mujoco_engine.limits import STOPS, limit
-from taichi_nmm.mujoco_engine.linkage import compile_model, linkage
+from taichi_nmm.mujoco_engine.ground import Boxes
 from taichi_nmm.settings import LIMITS_AS_STOPS, Settings
+
+Array = NDArray[np.float64]
+
+# Of each segment at q = 0: where its proximal joint lies in the parent, and the link's direction.
+ORIGINS = ((0, 0), (0, 0), (0, -THIGH_LENGTH_M), (0, -SHANK_LENGTH_M))  # x, z
+DIRECTIONS = ((0, 1), (0, -1), (0, -1), (1, 0))  # HAT up, thigh and shank down, foot forward
+
+
+def relative_coordinates() -> Array:
+    """RELATIVE [9, 9]: child minus parent at the six joints, the rest unchanged."""
+    relative = np.eye(9)
+    relative[range(3, 9), JOINT_PARENT] = -1.0
+    return relative
+
+
+JOINT_PARENT = (2, 3, 4, 2, 6, 7)  # coordinate of the segment above hip, knee and ankle
+RELATIVE = relative_coordinates()
+
+
+def linkage(bodies: Bodies, row: int = 0) -> ElementTree.Element:
+    """MJCF of one body in free flight: no contact, no damping, no armature."""
+    root = ElementTree.Element("mujoco")
+    ElementTree.SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
+    ElementTree.SubElement(root, "option", gravity=f"0 0 {-GRAVITY_MPS2!r}")
+    world = ElementTree.SubElement(root, "worldbody")
+    links = _links(bodies, row)
+    hat = _link(world, *next(links))
+    for axis, direction in (("x", "1 0 0"), ("z", "0 0 1")):
+        ElementTree.SubElement(hat, "joint", name=axis, type="slide", axis=direction)
+    _hinge(hat)
+    for _ in ("left", "right"):
+        parent = hat
+        for _ in ("thigh", "shank", "foot"):
+            parent = _link(parent, *next(links))
+            _hinge(parent)
+    return root
+
+
+def compile_model(root: ElementTree.Element) -> mujoco.MjModel:
+    """The model of an MJCF tree."""
+    return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
+
+
+def _links(bodies: Bodies, row: int) -> Iterator[tuple[str, str, str, dict[str, str]]]:
+    """Name, origin in the parent, centre of mass and inertial attributes of each segment."""
+    for index, name in enumerate(SEGMENT_NAMES):
+        kind = 0 if index == 0 else (index - 1) % 3 + 1
+        inertia = float(bodies.inertia_kgm2[row, index])
+        com_m = float(bodies.com_m[row, index])
+        dynamic = {
+            "mass": repr(float(bodies.mass_kg[row, index])),
+            "diaginertia": f"{inertia!r} {inertia!r} {inertia!r}",  # only the y axis ever turns
+        }
+        yield name, _point(*ORIGINS[kind]), _point(*(com_m * x for x in DIRECTIONS[kind])), dynamic
+
+
+def _link(
+    parent: ElementTree.Element, name: str, origin: str, com: str, dynamic: dict[str, str]
+) -> ElementTree.Element:
+    body = ElementTree.SubElement(parent, "body", name=name, pos=origin)
+    ElementTree.SubElement(body, "inertial", {"pos": com, **dynamic})
+    return body
+
+
+def _hinge(body: ElementTree.Element) -> None:
+    ElementTree.SubElement(body, "joint", name=body.attrib["name"], type="hinge", axis="0 1 0")
+
+
+def _point(x: float, z: float) -> str:
+    return f"{x!r} 0 {z!r}"
+
+
+LEAST_RANGE_RAD = math.radians(10.0)  # the law is followed so far at least; walking stays within
+POWERS = np.linspace(2.0, 20.0, 73)
+EXCESSES = np.linspace(0.05, 0.95, 19)  # over the width, where the power is chosen
+STEPS_PER_TIME_CONSTANT = 2.0  # MuJoCo's least (`refsafe`)
+SMALLEST_IMPEDANCE = 1e-4  # MuJoCo's own bound
+NO_LIMIT_RAD = math.pi
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A joint's range, rad, and the law of what lies beyond: stiffness k, relaxation rate w_max."""
+
+    low_rad: float
+    high_rad: float
+    relaxation_radps: float
+
+
+STOPS: dict[str, Stop] = {
+    "thigh": Stop(-NO_LIMIT_RAD, stops.HIP_EXTENSION_LIMIT_RAD, stops.HIP_RELAXATION_RADPS),
+    "shank": Stop(stops.KNEE_STRAIGHTEST_RAD, NO_LIMIT_RAD, stops.STOP_RELAXATION_RADPS),
+    "foot": Stop(
+        stops.ANKLE_DORSIFLEXION_LIMIT_RAD,
+        stops.ANKLE_PLANTARFLEXION_LIMIT_RAD,
+        stops.STOP_RELAXATION_RADPS,
+    ),
+}  # by the segment whose hinge it is
+
+
+def limit(
+    stop: Stop, inverse_inertia: float, step_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`solref` [2] and `solimp` [5] of a limit with a stop's law.
+
+    Args:
+        stop: whose law.
+        inverse_inertia: of the joint, as MuJoCo has it in `dof_invweight0`, 1/(kg m2).
+        step_s: physics step.
+    """
+    time_constant_s = STEPS_PER_TIME_CONSTANT * step_s
+    stiffness = stops.STOP_STIFFNESS_NMPRAD
+    slow = 2.0 * stop.relaxation_radps / (time_constant_s * stiffness * inverse_inertia)
+    width = max(4.0 * slow, LEAST_RANGE_RAD)
+    largest = 1.0 - slow / width  # = width/(width + rho), with rho = slow/largest
+    power = _nearest_power(largest, largest * width / slow)
+    damping = 2.0 / (largest * time_constant_s)  # b
+    # K: d^2 K/(1 - d) = k A at the width, and less below; the damper is what stops.
+    spring = stiffness * inverse_inertia * (1.0 - largest) / largest**2
+    return (
+        np.array([time_constant_s, damping / (2.0 * math.sqrt(spring))]),
+        np.array([SMALLEST_IMPEDANCE, largest, width, 0.0, power]),
+    )
+
+
+def _nearest_power(largest: float, widths_of_rho: float) -> float:
+    """The power whose d/(1 - d) is nearest to D/rho, by the mean square of the logarithm."""
+    impedance = largest * (1.0 - (1.0 - EXCESSES) ** POWERS[:, None])
+    error = np.log(impedance / (1.0 - impedance)) - np.log(EXCESSES * widths_of_rho)
+    return float(POWERS[np.argmin(np.mean(error**2, axis=1))])
+
 
 IMPRATIO = 10.0  # of friction to normal impedance: feet creep less
 SIDES = ("l", "r")

@@ -16,7 +16,7 @@ from taichi_nmm import kernel
 
 INTERPRETED = (
     "elementary", "kinematics", "muscle_table", "attachments", "muscle", "dynamics", "contact",
-    "joint_stops", "delays", "nerves", "reflexes", "swing", "gait", "walker", "entry_points",
+    "joint_stops", "nerves", "reflexes", "swing", "gait", "walker", "entry_points",
     "carried", "actuation",
 )  # fmt: skip
 

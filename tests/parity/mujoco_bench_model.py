@@ -26,7 +26,7 @@ from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import joint_stops
 from taichi_nmm.kernel.layout import COORDINATES, State
 from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, MuscleData
-from taichi_nmm.mujoco_engine.linkage import RELATIVE, compile_model, linkage
+from taichi_nmm.mujoco_engine.mjcf import RELATIVE, compile_model, linkage
 from taichi_nmm.terrain import flat
 
 STEP_S = 1e-3

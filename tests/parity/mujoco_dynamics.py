@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_nmm.body import Bodies
-from taichi_nmm.mujoco_engine.linkage import RELATIVE, compile_model, linkage
+from taichi_nmm.mujoco_engine.mjcf import RELATIVE, compile_model, linkage
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ import pytest
 from taichi_nmm import terrain
 from taichi_nmm.body import Bodies
 from taichi_nmm.errors import InputError
-from taichi_nmm.mujoco_engine.boxes import boxes
 from taichi_nmm.mujoco_engine.engine import start_state
+from taichi_nmm.mujoco_engine.ground import boxes
 from taichi_nmm.mujoco_engine.mjcf import write_mjcf
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import GRID_NODES, GRID_X_M, KINDS, Terrain

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from taichi_nmm.body import Bodies
 from taichi_nmm.kernel.joint_stops import STOP_STIFFNESS_NMPRAD
-from taichi_nmm.mujoco_engine.limits import LEAST_RANGE_RAD, STOPS, limit
-from taichi_nmm.mujoco_engine.mjcf import JOINTS, walk_model
+from taichi_nmm.mujoco_engine.mjcf import JOINTS, LEAST_RANGE_RAD, STOPS, limit, walk_model
 from taichi_nmm.settings import MujocoSettings, Settings
 
 SECONDS = 0.3

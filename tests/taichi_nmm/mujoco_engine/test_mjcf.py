@@ -8,10 +8,9 @@ from taichi_nmm import terrain
 from taichi_nmm.body import GRAVITY_MPS2, SEGMENT_NAMES, Bodies
 from taichi_nmm.initial import SPEED_MPS
 from taichi_nmm.kernel.contact_planes import PLANES, PLANES_PER_SOLE, SOLE_RADIUS_M
-from taichi_nmm.mujoco_engine.boxes import boxes
 from taichi_nmm.mujoco_engine.engine import start_state
-from taichi_nmm.mujoco_engine.limits import STOPS
-from taichi_nmm.mujoco_engine.mjcf import JOINTS, walk_model, write_mjcf
+from taichi_nmm.mujoco_engine.ground import boxes
+from taichi_nmm.mujoco_engine.mjcf import JOINTS, STOPS, walk_model, write_mjcf
 from taichi_nmm.settings import MujocoSettings, Settings
 from taichi_nmm.world import WorldRanges
 
