@@ -4,6 +4,7 @@ The selection is a text, "column low..high, column low..high". The page's script
 (scripts/brush.mjs), so that a brush needs no server.
 """
 
+import html
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -160,7 +161,7 @@ def table(source: ColumnDataSource, names: list[str]) -> DataTable:
     columns = [TableColumn(field="row", title="row", width=60),
                TableColumn(field="bred", title="", width=40)]  # fmt: skip
     columns += [
-        TableColumn(field=f"c{slot}", title=name, formatter=numbers)
+        TableColumn(field=f"c{slot}", title=html.escape(name), formatter=numbers)  # as HTML
         for slot, name in enumerate(names)
     ]
     return DataTable(source=source, columns=columns, width=WIDTH_PX, height=180,

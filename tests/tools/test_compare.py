@@ -253,7 +253,7 @@ def test_ctrl_c_ends_all_processes(command: Command) -> None:
 
 @pytest.mark.campaign
 def test_killed_ten_times_and_resumed_is_the_same_table(command: Command) -> None:
-    arms = {"arms": "random,dog,score-first,cmaes-cold,cmaes-warm", "trials": 45}
+    arms = {"arms": "random,dog,score-first-diverse,cmaes-cold,cmaes-warm", "trials": 45}
     rng = np.random.default_rng(0)
     for number in range(10):
         process = command.start(**arms, workers=2 if number % 5 == 0 else 1)

@@ -17,8 +17,10 @@ def explorer_process(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]
     ]  # fmt: skip
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
         assert process.stdout is not None
-        yield process, process.stdout.readline().split()[1]
-        process.terminate()
+        try:
+            yield process, process.stdout.readline().split()[1]
+        finally:
+            process.terminate()
 
 
 @contextmanager
