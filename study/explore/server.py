@@ -2,13 +2,16 @@
 
 A page of any site may send a browser to the loopback address by a name of its own that it lets
 point there; so requests of other names find nothing, and sockets of other pages are refused.
+Nor does the page lend itself to other sites: what Bokeh serves for them is not found here.
 """
 
 import errno
 import html
 import re
 import sys
+import time
 import traceback
+import zlib
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from functools import partial
@@ -19,15 +22,38 @@ from bokeh.models import Div
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
 from bokeh.server.util import bind_sockets
+from bokeh.util.token import get_session_id, get_token_payload
 from tornado.httpserver import HTTPServer
+from tornado.httputil import HTTPServerRequest
 from tornado.ioloop import IOLoop
-from tornado.routing import HostMatches, Rule, RuleRouter
+from tornado.routing import HostMatches, Matcher, PathMatches, Rule, RuleRouter
 
 from study.cli import what_is_missing
 from taichi_nmm.errors import InputError
 
 HOST = "127.0.0.1"  # the page asks nobody who they are
 NAMES = (HOST, "localhost")
+PAGE = r"/(?:favicon\.ico|static/.*)?"  # not /metadata, nor /autoload.js, which any site may embed
+SOCKET = "/ws"
+
+
+class TokenMatches(Matcher):
+    """Whether a socket is asked for with a token of a page, as Bokeh's own script does.
+
+    Bokeh prints a traceback for any other: such a request finds nothing instead.
+    """
+
+    def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
+        """An empty dict where the token can be read and has not expired."""
+        words = request.headers.get("Sec-WebSocket-Protocol", "").split(",")
+        if len(words) != 2 or request.path != SOCKET or words[0].strip() != "bokeh":
+            return None
+        try:
+            get_session_id(words[1].strip())
+            expiry_s = get_token_payload(words[1].strip())["session_expiry"]
+            return {} if time.time() < expiry_s else None
+        except (ValueError, LookupError, TypeError, AttributeError, zlib.error, RecursionError):
+            return None  # whatever base64, JSON and zlib make of words that are no token
 
 
 def serve(page: Callable[[Document], None], port: int) -> tuple[IOLoop, str]:
@@ -49,7 +75,8 @@ def serve(page: Callable[[Document], None], port: int) -> tuple[IOLoop, str]:
     origins = [f"{name}:{port}" for name in NAMES]
     application = BokehTornado(page, extra_websocket_origins=origins)
     names = "|".join(map(re.escape, NAMES))
-    http = HTTPServer(RuleRouter([Rule(HostMatches(f"(?:{names})"), application)]))
+    asked = [Rule(PathMatches(PAGE), application), Rule(TokenMatches(), application)]
+    http = HTTPServer(RuleRouter([Rule(HostMatches(f"(?:{names})"), RuleRouter(asked))]))
     http.add_sockets(sockets)
     server = BaseServer(IOLoop.current(), application, http)
     server.start()

@@ -5,17 +5,22 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from tests.tools.running import ROOT
 
 
 @contextmanager
-def explorer_process(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """The process, and the address of its page."""
+def explorer_process(
+    folder: Path, errors: IO[str] | None = None
+) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The process, and the address of its page; errors takes what it prints of errors."""
     command = [
         sys.executable, "-m", "taichi_nmm", "explore", folder, "--port", "0", "--no-browser",
     ]  # fmt: skip
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=errors, text=True, cwd=ROOT
+    ) as process:
         assert process.stdout is not None
         try:
             yield process, process.stdout.readline().split()[1]
@@ -24,7 +29,7 @@ def explorer_process(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]
 
 
 @contextmanager
-def explorer(folder: Path) -> Iterator[str]:
+def explorer(folder: Path, errors: IO[str] | None = None) -> Iterator[str]:
     """The address alone."""
-    with explorer_process(folder) as (_, address):
+    with explorer_process(folder, errors) as (_, address):
         yield address
