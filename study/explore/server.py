@@ -37,7 +37,7 @@ PAGE = r"/(?:favicon\.ico|static/.*)?"  # not /metadata, nor /autoload.js, which
 SOCKET = "/ws"
 
 
-class TokenMatches(Matcher):
+class TokenMatches(Matcher):  # type: ignore[misc]  # Tornado may lack types
     """Whether a socket is asked for with a token of a page, as Bokeh's own script does.
 
     Bokeh prints a traceback for any other: such a request finds nothing instead.
