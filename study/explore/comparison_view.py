@@ -30,6 +30,7 @@ from study.report.axes import by_rank, looks
 from study.report.figures import TrialScale, piles
 from study.report.runs import ArmRuns, Results
 from taichi_nmm.body import Bodies
+from taichi_nmm.errors import InputError
 from taichi_nmm.terrain import GRID_X_M
 
 WIDTH_PX = 700
@@ -58,14 +59,14 @@ class ComparisonView:
     ) -> None:
         self._results, self._experiment, self._watch = results, experiment, watch
         self._arms = by_rank(results.arms)
-        most = max(int(arm.runs.max()) for arm in results.arms.values())
         self._arm = Select(
             title="arm", options=self._arms, value=self._arms[0], width=190, name="arm"
         )
-        self._run = Spinner(title="run", low=0, high=most, step=1, value=0, mode="int", width=80,
-                            name="run")  # fmt: skip
-        self._trial = Spinner(title="trial, from 0", low=0, high=results.trials - 1, step=1,
-                              value=0, mode="int", width=100, name="trial")  # fmt: skip
+        # without `low` and `high`: the browser would make another trial of a wrong one in silence
+        self._run = Spinner(title="run", step=1, value=0, mode="int", width=80, name="run")
+        self._trial = Spinner(
+            title="trial, from 0", step=1, value=0, mode="int", width=100, name="trial"
+        )
         shown = MultiChoice(options=self._arms, value=self._arms, width=WIDTH_PX, name="arms")
         self._dots, dots = self._drawn_dots()
         curves, lines = self._drawn_curves()
@@ -95,7 +96,12 @@ class ComparisonView:
         Raises:
             InputError: there is no such trial.
         """
-        arm, run, trial = self._arm.value, int(self._run.value), int(self._trial.value)
+        arm, run, trial = self._arm.value, self._run.value, self._trial.value
+        runs = self._results.arms[arm].runs
+        if run not in runs:
+            raise InputError("run", run, f"{runs.min()} to {runs.max()}, runs of {arm}")
+        if trial not in range(self._results.trials):
+            raise InputError("trial", trial, f"0 to {self._results.trials - 1}")
         name = f"{study_name(self._results.name, arm, run)}/{trial}"
         gains = gains_of_trial(name, str(self._results.folder))
         setting = Setting(self._experiment, run)

@@ -222,8 +222,8 @@ class StoreView:
             title="selection: column low..high, ...; drag a box over any of the views",
             width=WIDTH_PX - 90, name="selection",
         )  # fmt: skip
-        self.row = Spinner(title="row that walks", low=0, high=int(self._rows.max()), step=1,
-                           mode="int", width=120, name="row")  # fmt: skip
+        # without `low` and `high`: the browser would make another row of a wrong one in silence
+        self.row = Spinner(title="row that walks", step=1, mode="int", width=120, name="row")
         self._cloud, self._image = cloud()
         self._histograms, self._bars = histograms()
         self._lines, self._parallel = parallel()

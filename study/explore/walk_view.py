@@ -42,7 +42,6 @@ from taichi_nmm.parameters import GAINS
 from taichi_nmm.settings import ENGINES
 
 AS_TRIED = "as it was tried"
-LARGEST_SEED = 2**31 - 1
 
 
 class WalkView:
@@ -186,8 +185,8 @@ def _choices(tried: bool) -> dict[str, Any]:
                          name="ground"),
         "disturbance": Select(title="masses of the body", options=list(DISTURBANCES),
                               value="nominal", width=140, name="disturbance"),
-        "seed": Spinner(title="seed of body, ground, world", low=0, high=LARGEST_SEED, step=1,
-                        value=1, mode="int", width=180, name="seed"),
+        "seed": Spinner(title="seed of body, ground, world", step=1, value=1, mode="int",
+                        width=180, name="seed"),
         "world": Select(title="world", options=list(WORLDS), value="nominal", width=200,
                         name="world"),
         "engine": Select(title="engine", options=list(ENGINES), value=ENGINES[0], width=110,

@@ -116,6 +116,14 @@ def change(page: Any, name: str, attribute: str, value: Any) -> None:
     page.evaluate(f"{MODEL}('{name}').{attribute} = {json.dumps(value)}")
 
 
+def type_in(page: Any, name: str, text: str) -> None:
+    """What a person at the keyboard does: fields round and clip what a hand on a model does not."""
+    view = f"Bokeh.index.query((view) => view.model.name === '{name}')"
+    field = page.evaluate_handle(f"[...{view}][0].input_el").as_element()
+    field.fill(text)
+    field.press("Enter")
+
+
 def walks(page: Any, act: Any) -> None:
     """Do something, and wait until another walk is seen."""
     seen = page.evaluate(WALKS)
@@ -278,6 +286,28 @@ def test_a_number_out_of_its_bounds_is_said(page: Any, store: Path) -> None:
     assert model(page, "message", "text") == ""
 
 
+@pytest.mark.parametrize(
+    ("field", "text", "said"),
+    [
+        ("row", "99999", "row: 99999 cannot be used; allowed: 0 to "),
+        ("row", "-1", "row: -1 cannot be used; allowed: 0 to "),
+        ("number-K_SOL", "99", "K_SOL: 99 cannot be used; allowed: "),
+        ("seed", "-3", "seed: -3 cannot be used; allowed: "),
+    ],
+)
+def test_what_is_typed_out_of_bounds_is_said(
+    page: Any, store: Path, field: str, text: str, said: str
+) -> None:
+    change(page, "part", "active", 0)
+    page.wait_for_function(f"{MODEL}('number-K_SOL') !== null")
+    held = model(page, field, "value") or 0
+    type_in(page, field, text)
+    page.wait_for_function(f"{MODEL}('message').text.includes({json.dumps(said)})")
+    page.wait_for_timeout(500)
+    assert said in model(page, "message", "text")  # still
+    change(page, field, "value", held)
+
+
 def test_a_fall_is_said_on_the_ground_that_was_chosen(page: Any, store: Path) -> None:
     walks(page, lambda: change(page, "start", "value", "K_T"))
     walks(page, lambda: change(page, "ground", "value", "stairs up, 10 cm a step"))
@@ -391,6 +421,9 @@ def test_a_comparison(folders: Path, page: Any) -> None:
         change(page, "engine", "value", "mujoco")
         page.wait_for_function(f"{MODEL}('message').text.includes('once a ground is chosen')")
         walks(page, lambda: change(page, "ground", "value", "flat"))
-        change(page, "trial", "value", 999)
-        page.get_by_text("watch it").click()
-        page.wait_for_function(f"{MODEL}('message').text.includes('trial')")
+        for field, wrong in (("trial", "999"), ("run", "99")):
+            kept = model(page, field, "value")
+            type_in(page, field, wrong)
+            page.get_by_text("watch it").click()
+            page.wait_for_function(f"{MODEL}('message').text.includes('{wrong} cannot be used; allowed: 0 to')")
+            change(page, field, "value", kept)
