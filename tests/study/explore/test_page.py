@@ -425,5 +425,7 @@ def test_a_comparison(folders: Path, page: Any) -> None:
             kept = model(page, field, "value")
             type_in(page, field, wrong)
             page.get_by_text("watch it").click()
-            page.wait_for_function(f"{MODEL}('message').text.includes('{wrong} cannot be used; allowed: 0 to')")
+            page.wait_for_function(
+                f"{MODEL}('message').text.includes('{wrong} cannot be used; allowed: 0 to')"
+            )
             change(page, field, "value", kept)
