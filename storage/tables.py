@@ -7,6 +7,7 @@ refused. They find mistakes, not malice: anybody who edits a table can make its 
 
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from taichi_nmm.reading import parse_json, reading
 FOOTER_KEY = b"taichi_nmm"
 DIGEST_KEY = "content_sha256"  # in a stamped table's footer; files older than the key have none
 HASH_BLOCK_BYTES = 1 << 20
+MOST_ROWS = 10**8  # 0.8 GB a column; a hundred times the largest store of docs/
 
 
 def write_table(path: Path, table: pa.Table, footer: dict[str, Any]) -> None:
@@ -58,6 +60,19 @@ def footer_of(file: pq.ParquetFile) -> dict[str, Any] | None:
         return None
 
 
+def read_any(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """Columns of anybody's Parquet file; pages that have a checksum are checked against it.
+
+    Raises:
+        ValueError: more than `MOST_ROWS`: a value repeated for ever takes a few bytes of a file.
+    """
+    rows = pq.read_metadata(file).num_rows
+    if rows > MOST_ROWS:
+        raise ValueError(f"it has {rows:,} rows, and {MOST_ROWS:,} are allowed")
+    names = None if columns is None else list(columns)
+    return pq.read_table(file, columns=names, page_checksum_verification=True, partitioning=None)
+
+
 def read_columns(path: Path, columns: list[str] | None = None) -> pa.Table:
     """Columns of a file, every page checked against its checksum.
 
@@ -65,9 +80,7 @@ def read_columns(path: Path, columns: list[str] | None = None) -> pa.Table:
         InputError: the file cannot be read, is damaged, or has gaps, which no store has.
     """
     with reading("store", path, "an undamaged Parquet file") as file:
-        table = pq.read_table(
-            file, columns=columns, page_checksum_verification=True, partitioning=None
-        )
+        table = read_any(file, columns)
         for name in table.column_names:  # which may be no text
             if table[name].null_count:
                 raise InputError("store", str(path), f"a file whose {name} has no gaps")

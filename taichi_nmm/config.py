@@ -15,7 +15,8 @@ READABLE = "a readable TOML file"
 class Table:
     """One table of a configuration; every read names the key, and `done` refuses what is left."""
 
-    def __init__(self, data: dict[str, Any], name: str = "") -> None:
+    def __init__(self, data: dict[str, Any], name: str = "", folder: Path = Path()) -> None:
+        self.folder = folder  # that names of files start from
         self._data = dict(data)
         self._name = name
         self._known: list[str] = []
@@ -88,7 +89,7 @@ class Table:
             value = self._take(key, {})
             if not isinstance(value, dict):
                 raise InputError(self.path(key), value, "a table")
-            self._tables[key] = Table(value, self.path(key))
+            self._tables[key] = Table(value, self.path(key), self.folder)
         return self._tables[key]
 
     def tables(self, key: str) -> list["Table"]:
@@ -96,7 +97,8 @@ class Table:
         value = self._take(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise InputError(self.path(key), value, "an array of tables")
-        return [Table(item, f"{self.path(key)}[{index}]") for index, item in enumerate(value)]
+        names = (f"{self.path(key)}[{index}]" for index in range(len(value)))
+        return [Table(*pair, self.folder) for pair in zip(value, names, strict=True)]
 
     @property
     def unread(self) -> dict[str, Any]:
@@ -142,7 +144,7 @@ def read_toml(path: str | Path) -> Table:
         data.pop("about", None)
         if isinstance(data.get("name"), str):
             data["name"] += f"-{name}"
-    return Table(data)
+    return Table(data, folder=file.parent)
 
 
 def read_variants(file: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:

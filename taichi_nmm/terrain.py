@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_nmm import checks
 from taichi_nmm.config import REQUIRED, Table
 from taichi_nmm.errors import InputError
-from taichi_nmm.reading import read_text, reading
+from taichi_nmm.reading import read_text
 
 GRID_START_M = -5.0
 GRID_SPACING_M = 0.05  # shorter than a foot; one cell is the shortest riser
@@ -31,6 +31,7 @@ GRID_X_M: NDArray[np.float64] = GRID_START_M + GRID_SPACING_M * np.arange(
     GRID_NODES, dtype=np.float64
 )
 
+TABLE = "a readable table of x_m,height_m"
 HEADERS = (("x_m", "height_m"), ("x", "height"))  # of a file's columns: metres, in this order
 
 # Above any ground that a configuration can make (stairs: 2.9 km). Up to here float32 tells heights
@@ -197,28 +198,31 @@ def from_file(path: str | Path) -> Terrain:
     Raises:
         InputError: no such file, or no such table; a height beyond +-`HIGHEST_M`.
     """
-    file, allowed = Path(path), "a readable table of x_m,height_m"
-    text = read_text("terrain.file", file, allowed)
+    return _of_text(read_text("terrain.file", Path(path), TABLE), Path(path))
+
+
+def _of_text(text: str, file: Path) -> Terrain:
+    """A height table from the text of a file of this name."""
     lines = [line.partition("#")[0].strip() for line in text.splitlines()]
     lines = [line for line in lines if line]
     between = "," if any("," in line for line in lines) else None
     if lines and tuple(name.strip() for name in lines[0].split(between)) in HEADERS:
         del lines[0]
-    with (
-        reading("terrain.file", file, allowed),
-        warnings.catch_warnings(action="ignore"),  # an empty table is refused below
-    ):
-        table = np.loadtxt(lines, delimiter=between, ndmin=2)
+    try:
+        with warnings.catch_warnings(action="ignore"):  # an empty table is refused below
+            table = np.loadtxt(lines, delimiter=between, ndmin=2)
+    except ValueError as error:
+        raise InputError("terrain.file", str(file), f"{TABLE} ({error})") from None
     if table.shape[0] < 2 or table.shape[1] != 2:
-        raise InputError("terrain.file", str(path), "at least two rows of two columns x_m,height_m")
+        raise InputError("terrain.file", str(file), "at least two rows of two columns x_m,height_m")
     if not np.all(np.isfinite(table)) or not np.all(np.diff(table[:, 0]) > 0):
-        raise InputError("terrain.file", str(path), "finite numbers, x strictly increasing")
+        raise InputError("terrain.file", str(file), "finite numbers, x strictly increasing")
     return Terrain(f"file {file.name}", np.interp(GRID_X_M, table[:, 0], table[:, 1]))
 
 
-def _from_option(file: str) -> Terrain:
-    """`from_file` as a configuration asks for it: the option is called `file`."""
-    return from_file(file)
+def _from_option(file: str, heights: str = "") -> Terrain:
+    """`from_file` as a configuration asks for it; `heights` is the text of a file that was read."""
+    return _of_text(heights, Path(file)) if heights else from_file(file)
 
 
 KINDS: dict[str, Callable[..., Terrain]] = {
@@ -271,6 +275,9 @@ class Ground:
 def read_ground(table: Table) -> Ground:
     """The table [terrain] of a configuration: its kind, and options of that kind. Reads every key.
 
+    The text of a file, whose name starts from the configuration's folder, becomes an option:
+    whoever keeps the options keeps the ground.
+
     An option that is a number may be a pair, lowest and highest: each ground draws its own. Grounds
     of both ends are drawn here, so that options which do not fit each other, or a file that cannot
     be read, are refused before anything is computed.
@@ -286,6 +293,9 @@ def read_ground(table: Table) -> Ground:
         if name != "seed":
             _check_option(table, hints[name], parameter)
     table.done()
+    if kind == "file" and not written.get("heights"):
+        file = table.folder / written["file"]
+        written["heights"] = read_text("terrain.file", file, TABLE)
     for end in range(2):
         options = {name: v[end] if isinstance(v, list) else v for name, v in written.items()}
         Ground(kind, options).draw(seed=0)

@@ -18,6 +18,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from storage.tables import read_any
 from study.comparison.folder import (
     ARMS_NAME,
     EXPERIMENT_NAME,
@@ -335,7 +336,7 @@ def read_trials(path: Path, columns: Sequence[str]) -> pa.Table:
         for name in columns:
             if known.count(name) != 1:
                 raise InputError(f"{path.name}: column", name, f"one of {', '.join(known)}, once")
-        table = pq.read_table(path, columns=list(columns), partitioning=None)
+        table = read_any(path, columns)
     for name in columns:
         _require_column(table[name], name, path)
     return table

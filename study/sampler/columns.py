@@ -58,6 +58,9 @@ def checked_columns(
         raise InputError("table.parameters", "none", "at least one column")
     _require_known("table.bounds", bounds, parameters)
     _require_known("table.space", space, parameters)
+    for name, ends in (bounds or {}).items():
+        if name in (space or {}):
+            raise InputError(f"table.bounds.{name}", ends, "none beside space=, which has the name")
     matrix = feature_matrix(features, feature_names)
     names = tuple(feature_names or (f"feature_{i}" for i in range(matrix.shape[1])))
     raw = new_matrix(len(matrix), len(parameters))
@@ -65,7 +68,7 @@ def checked_columns(
     for (name, values), column in zip(parameters.items(), columns_of(raw), strict=True):
         given = None if space is None else space.get(name)
         numbers, distribution = parameter_column(name, values, len(matrix), given)
-        if bounds is not None and name in bounds and given is None:
+        if bounds is not None and name in bounds:
             distribution = _widened(name, distribution, bounds[name])
         column[:] = numbers
         let_go(np.asarray(values))
@@ -284,6 +287,8 @@ def _read(path: Path, names: Sequence[str]) -> "pa.Table":
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    from storage.tables import read_any
+
     allowed = "a Parquet file, or a folder of them, that exists"
     files = sorted(path.glob("*.parquet")) if is_folder(path) else [path]
     if not files:
@@ -295,7 +300,7 @@ def _read(path: Path, names: Sequence[str]) -> "pa.Table":
             for name in names:
                 if name not in known:
                     raise InputError("column", name, f"one of {', '.join(known)}")
-            tables.append(pq.read_table(file, columns=list(names), partitioning=None))
+            tables.append(read_any(file, names))
     with reading("store", files[0], "files of the same columns, if there are several"):
         return pa.concat_tables(tables)
 

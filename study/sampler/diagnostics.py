@@ -129,6 +129,7 @@ class Worth:
         errors: None: too few trials, or all cost the same.
         is_doubted: every other trial is left to the parameters at present.
         maximised: the study's value is; costs are minus the values.
+        prior: what is to be said of it, in sentences.
     """
 
     trials: int
@@ -138,6 +139,7 @@ class Worth:
     errors: Errors | None
     is_doubted: bool
     maximised: bool
+    prior: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -209,6 +211,7 @@ class Worth:
 
     def _remarks(self) -> Iterator[str]:
         """Notes on how to read the figures."""
+        yield from self.prior
         if not self.names:
             return
         yield f"{self.trials} trials. {CHOSEN}"
@@ -245,6 +248,7 @@ class Present:
         guess: of the user.
         learns_trust: whether the sampler may leave trials to the parameters.
         known: constants that were learned so far.
+        first: rows that the prior ranks first, with their features, {row: [k]}.
     """
 
     names: tuple[str, ...]
@@ -258,6 +262,7 @@ class Present:
     guess: Guess | None
     learns_trust: bool
     known: Learned
+    first: dict[int, Floats]
 
     @cached_property
     def model(self) -> Model:
@@ -306,7 +311,8 @@ def worth_of(present: Present | None, *, maximised: bool) -> Worth:
     """
     if present is None or not len(present.cost):
         names = () if present is None else present.names
-        return Worth(0, names, (None,) * len(names), None, None, False, maximised)
+        prior = () if present is None else tuple(_of_prior(present))
+        return Worth(0, names, (None,) * len(names), None, None, False, maximised, prior)
     enough = len(present.cost) >= LEAST_TRIALS
     count = len(present.names)
     return Worth(
@@ -317,7 +323,24 @@ def worth_of(present: Present | None, *, maximised: bool) -> Worth:
         _errors(present) if enough else None,
         present.is_doubted,
         maximised,
+        tuple(_of_prior(present)),
     )
+
+
+def _of_prior(present: Present) -> Iterator[str]:
+    """Which rows it ranks first, and whether the trials contradict its sign."""
+    guess = present.guess
+    if guess is None:
+        return
+    name = present.names[guess.column]
+    if present.first:
+        rows = ", ".join(map(str, present.first))
+        values = ", ".join(f"{features[guess.column]:.4g}" for features in present.first.values())
+        yield f"By the prior, rows {rows} come first ({name}: {values})."
+    r = RankCorrelation.of(guess.sign * present.features[:, guess.column], present.cost)
+    if r is not None and r.errors > NORMAL_95:
+        good = "high" if guess.sign > 0 else "low"
+        yield f"The trials contradict the prior: {good} values of {name} go with high costs."
 
 
 def _errors(present: Present) -> Errors | None:

@@ -124,6 +124,7 @@ class SpacePolicy(Policy):
             self._guess(features),
             self.learns_trust,
             self.known,
+            {},
         )
 
     def _misfit(

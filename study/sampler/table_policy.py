@@ -41,6 +41,7 @@ from study.sampler.history import (
 )
 from study.sampler.policy import (
     NOTHING,
+    RANKED,
     Candidate,
     Features,
     Options,
@@ -333,6 +334,7 @@ class TablePolicy(Policy):
             InputError: of the feature function.
         """
         rows = self.rows
+        self._warn_of_prior(history)
         seen = self._seen(history.parameters, history.rows, history.trials)
         running = self._seen(history.running, history.running_rows, ())
         model = self.model(self.guess, len(rows.space), history, seen, running, own_turn)
@@ -462,6 +464,15 @@ class TablePolicy(Policy):
             "its features"
         )
 
+    def _warn_of_prior(self, history: History) -> None:
+        """Say once that what the user expects of a feature has begun badly."""
+        first, enough = history.cost[:RANKED], len(history.cost) > 2 * RANKED
+        if self.guess is not None and enough and first.min() > np.median(history.cost):
+            self.warn(
+                f"prior: the {RANKED} rows that it ranks first cost more than the median of the "
+                f"trials; is the sign of {self.options.prior!r} right? See sampler.worth(study)"
+            )
+
     def present(self, study: optuna.Study) -> Present:
         """With all rows that may be proposed, tried or not."""
         self._adopt(suggested_so_far(self.own_rows.names, study))
@@ -482,7 +493,16 @@ class TablePolicy(Policy):
             self.guess,
             self.learns_trust,
             self.known,
+            self._ranked(),
         )
+
+    def _ranked(self) -> dict[int, Floats]:
+        """The rows that the prior ranks first, and their features, [k] each."""
+        if self.guess is None:
+            return {}
+        order = np.argsort(-self.guess.merit(self._points().features), kind="stable")
+        numbers = self.rows.numbers[order[:RANKED]].tolist()
+        return {row: self.own_rows.features[row] for row in numbers}
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.
@@ -515,8 +535,7 @@ class TablePolicy(Policy):
         wrong = missing is not None or other is not None or noted not in (OFF_TABLE, known)
         if row is None and noted is not None and wrong:
             self._take_back(study, trial)
-        asked = noted is not None or (self.options.strict and bool(trial.params))
-        if missing is not None and asked:
+        if missing is not None and (noted is not None or self.options.strict):
             self.misfit(missing)
         elif ended and other is not None:
             self.misfit(self._not_as_proposed(trial, other, proposal))

@@ -3,18 +3,23 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from storage.store import FOOTER_NEEDS, read_footer
 from storage.tables import (
     DIGEST_KEY,
+    MOST_ROWS,
     read_columns,
     read_stamped,
     table_digest,
     write_stamped,
     write_table,
 )
+from study import FeatureTable
+from study.report.runs import read_trials
 from taichi_nmm.errors import InputError
 
 TABLE = pa.table({"arm": ["a", "b"], "cost": [1.0, 2.0], "walked": [True, False]})
@@ -73,3 +78,23 @@ def test_a_column_whose_name_is_no_text(tmp_path: Path, read: Callable[[Path], o
     path.write_bytes(path.read_bytes().replace(b"mean_speed", b"mean\x80speed"))
     with pytest.raises(InputError, match=r"a\.parquet.* can't decode byte 0x80"):
         read(path)
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "store": read_columns,
+    "table": lambda path: FeatureTable.from_parquet(path, parameters=["a"], features=["b"]).rows,
+    "trials": lambda path: read_trials(path, ["a", "b"]),
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_small_file_of_too_many_rows_is_not_unpacked(tmp_path: Path, reader: str) -> None:
+    """A value that is repeated for ever takes no room in a file, and all of it in memory."""
+    path = tmp_path / "endless.parquet"
+    some = pa.table(dict.fromkeys("ab", np.zeros(MOST_ROWS // 10, np.int8)))
+    with pq.ParquetWriter(path, some.schema) as writer:
+        for _ in range(11):
+            writer.write_table(some)
+    assert path.stat().st_size < 1e6
+    with pytest.raises(InputError, match="110,000,000 rows, and 100,000,000 are allowed"):
+        READERS[reader](path)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from taichi_nmm import terrain
-from taichi_nmm.config import Table
+from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
 from taichi_nmm.terrain import (
     FLAT_START_M,
@@ -312,6 +312,18 @@ def test_a_terrain_is_read_from_a_file(tmp_path: Path) -> None:
     path.write_text("0,0\n1,0.5\n")
     found = read_ground(Table({"kind": "file", "file": str(path)}, "terrain")).draw(SEED)
     assert found.height(2.0) == 0.5
+
+
+def test_a_file_lies_beside_the_configuration_and_is_kept_in_the_ground(tmp_path: Path) -> None:
+    """So that a result tells its ground wherever it is moved, and whatever becomes of the file."""
+    (tmp_path / "hill.csv").write_text("x_m,height_m\n0,0\n1,0.5\n")
+    (tmp_path / "walk.toml").write_text('[terrain]\nkind = "file"\nfile = "hill.csv"\n')
+    ground = read_ground(read_toml(tmp_path / "walk.toml").table("terrain"))
+    (tmp_path / "hill.csv").unlink()
+    again = read_ground(Table({"kind": ground.kind, **ground.options}, "terrain"))
+    assert again == ground
+    assert again.draw(SEED).height(2.0) == 0.5
+    assert again.draw(SEED).name == "file hill.csv"
 
 
 @pytest.mark.parametrize(

@@ -19,9 +19,10 @@ from study.experiment.identity import (
 )
 from study.options import config_path, shipped_configs
 from taichi_nmm.conditions import Conditions
+from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import MujocoSettings, Settings
-from taichi_nmm.terrain import KINDS, Ground
+from taichi_nmm.terrain import KINDS, Ground, read_ground
 from taichi_nmm.world import WorldRanges
 from tests.study import fake_walker
 from tests.study.comparison.fake_results import experiment
@@ -170,7 +171,8 @@ def test_every_arms_definition_survives_a_file(name: str) -> None:
 @pytest.mark.parametrize("seed", [7, 8])
 def test_the_experiment_of_a_document_draws_alike(kind: str, seed: int, tmp_path: Path) -> None:
     (tmp_path / "ground.csv").write_text("0,0\n3,0.1\n60,0\n")
-    ground = Ground(kind, {"file": str(tmp_path / "ground.csv")} if kind == "file" else {})
+    file = {"file": str(tmp_path / "ground.csv")} if kind == "file" else {}
+    ground = read_ground(Table({"kind": kind, **file}, "terrain"))
     changes = {"ground": ground, "searched": ("theta_ref",), "cost": "walking", "duration_s": 1.5}
     ours = experiment(seed=seed, **changes)
     read = documented_experiment(json.loads(json.dumps(document(ours, ()))))

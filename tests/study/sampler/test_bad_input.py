@@ -291,3 +291,21 @@ def test_options_that_need_features(
 ) -> None:
     with pytest.raises(InputError, match=message):
         FeatureKernelSampler(features, **options)  # type: ignore[arg-type]
+
+
+def test_bounds_beside_a_distribution_are_refused() -> None:
+    with pytest.raises(InputError, match=r"table\.bounds\.a: .* none beside space="):
+        FeatureTable.from_arrays(
+            {"a": [0.0, 1.0]}, [1.0, 2.0], bounds={"a": (0, 2)}, space={"a": SPACE["a"]}
+        )
+
+
+def test_a_trial_that_could_not_be_asked_for_is_ended_as_documented(table: FeatureTable) -> None:
+    """Optuna keeps the trial of an `ask` that raises RUNNING, whichever sampler raised."""
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=0))
+    study.enqueue_trial({"a": 0.123})
+    with pytest.raises(InputError, match=r"a: 0\.123"):
+        study.ask(SPACE)
+    study.tell(study.trials[-1].number, state=TrialState.FAIL)
+    study.optimize(bowl, n_trials=1)
+    assert [trial.state for trial in study.trials] == [TrialState.FAIL, TrialState.COMPLETE]

@@ -53,7 +53,8 @@ def test_an_objective_that_suggests_none_of_the_table_is_one_too() -> None:
     study = optuna.create_study(sampler=sampler)
     with pytest.raises(InputError, match="a: 'not suggested in trial 0'"):
         study.optimize(lambda trial: trial.suggest_int("n", 1, 9), n_trials=1)
-    study.tell(study.ask(), 1.0)  # nothing at all was suggested: nothing is known
+    with pytest.raises(InputError, match="a: 'not suggested in trial 1'"):
+        study.tell(study.ask(), 1.0)  # nor where nothing at all was suggested
 
 
 def test_an_enqueued_row_tells_it_too() -> None:

@@ -61,6 +61,13 @@ def run_enqueued(**fixed: float) -> None:
     study.optimize(both, n_trials=2)
 
 
+def run_against_the_prior() -> None:
+    values = np.linspace(0, 1, 20)
+    many = FeatureTable.from_arrays({"a": values}, values)
+    study = optuna.create_study(sampler=sampler(many, prior="feature_0"))
+    study.optimize(lambda trial: trial.suggest_float("a", 0, 1), n_trials=8)
+
+
 def run_points_as_choices() -> None:
     units = FeatureTable.from_arrays({"a": [1, 30]}, [1.0, 30.0])
     options = {"feature_function": lambda params: params, "off_grid": 50}
@@ -85,6 +92,9 @@ CASES: dict[str, Callable[[], object]] = {
     "table.features: … allowed: numbers, [n, k]": lambda: table(["x", "y", "z"]),
     "table.feature_names: … allowed: … names": lambda: table(feature_names=["f", "g"]),
     "table.…: … allowed: … to …": lambda: table(bounds={"a": (0, 0.5)}),
+    "table.bounds.…: … allowed: none beside space=, …": lambda: table(
+        bounds={"a": (0, 1)}, space=SPACE
+    ),
     "table.…: … allowed: a value of …": lambda: table(
         space={"a": FloatDistribution(0, 1, step=0.25)}
     ),
@@ -152,6 +162,7 @@ CASES: dict[str, Callable[[], object]] = {
     "features(params): 'no row without NaN' …": lambda: run(
         sampler(lambda params: params * np.nan, space=SPACE)
     ),
+    "prior: … cost more than the median of the trials; …": run_against_the_prior,
     "… the independent sampler takes over": lambda: run(sampler(strict=False)),
     "trials whose parameters are no row of the table are ignored: …": (
         run_after_a_point_off_the_table

@@ -1,6 +1,7 @@
 """What `sampler.worth(study)` says: its closed forms, features of known worth, and its texts."""
 
 import importlib
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -469,3 +470,23 @@ def test_documented_names_of_0_2_0_are_still_found_and_say_their_new_place(
 
     with pytest.warns(DeprecationWarning, match=f"study.sampler.{old} is study.sampler.{new} now"):
         assert found(old) is found(new)
+
+
+@pytest.mark.parametrize(("prior", "is_wrong"), [("-error", False), ("error", True)])
+def test_the_sign_of_a_prior_is_held_against_the_trials(prior: str, is_wrong: bool) -> None:
+    """Its first rows can be read before a trial; the trials then agree or contradict."""
+    made = table()
+    error = good_features()[:, 0]
+    ranked = np.argsort(error)[:: -1 if is_wrong else 1][:3]
+    sampler = FeatureKernelSampler(made, prior=prior, seed=1)
+    study = optuna.create_study(sampler=sampler)
+    first = ", ".join(f"{error[row]:.4g}" for row in ranked)
+    rows = ", ".join(map(str, ranked))
+    assert f"By the prior, rows {rows} come first (error: {first})." in str(sampler.worth(study))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        study.optimize(objective, n_trials=20)
+    warned = [str(w.message) for w in said if str(w.message).startswith("prior: ")]
+    assert len(warned) == is_wrong
+    contradicted = "The trials contradict the prior" in sampler.worth(study).markdown()
+    assert contradicted == is_wrong
