@@ -57,6 +57,7 @@ ALLOWED = {
         "study.sampler",
         "study.draws",
         "storage.store",
+        "storage.tables",
         "taichi_nmm.checks",
         "taichi_nmm.errors",
         "taichi_nmm.reading",
