@@ -58,7 +58,7 @@ class NamedGains:
 
 
 def gains_of_source(source: str) -> NamedGains:
-    """Gains by name (K_T, reference), or of a JSON file.
+    """Gains by name (published, reference), or of a JSON file.
 
     Raises:
         InputError: as `taichi_nmm.load_all_gains`.

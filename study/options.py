@@ -278,7 +278,9 @@ def validate(options: Options) -> None:
 
 def walk(options: Options) -> None:
     """Options of `walk`."""
-    options.add_argument("--gains", metavar="NAME|FILE", help="reference (default), K_T, FILE.json")
+    options.add_argument(
+        "--gains", metavar="NAME|FILE", help="reference (default), published, FILE.json"
+    )
     options.add_argument("--row", type=int, metavar="N", help="a row of --store")
     options.add_argument("--store", type=Path, metavar="DIR", help="a store, for --row")
     options.add_argument("--trial", metavar="STUDY/NUMBER", help="a finished trial of --storage")

@@ -4,6 +4,7 @@ Importing the package is cheap: names are loaded when they are first used, and T
 simulation is first asked for.
 """
 
+import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -13,16 +14,16 @@ if TYPE_CHECKING:
     from taichi_nmm.cost import smooth_cost, walking_cost
     from taichi_nmm.errors import InputError
     from taichi_nmm.forward import forward_dynamics
+    from taichi_nmm.observation import Observation
     from taichi_nmm.parameters import (
         GAIN_NAMES,
         GAINS,
-        K_T,
         LOW_LEVEL_GAINS,
+        PUBLISHED_GAINS,
         load_all_gains,
         load_gains,
     )
     from taichi_nmm.result import END_REASONS, Result, Trajectory
-    from taichi_nmm.sensed import Sensed
     from taichi_nmm.settings import Settings
     from taichi_nmm.simulator import simulate
     from taichi_nmm.terrain import Terrain
@@ -34,14 +35,14 @@ __all__ = [
     "END_REASONS",
     "GAINS",
     "GAIN_NAMES",
-    "K_T",
     "LOW_LEVEL_GAINS",
+    "PUBLISHED_GAINS",
     "Bodies",
     "Controller",
     "InputError",
     "Muscles",
+    "Observation",
     "Result",
-    "Sensed",
     "Settings",
     "Terrain",
     "Trajectory",
@@ -62,16 +63,17 @@ _PLACES = {
     "errors": ("InputError",),
     "forward": ("forward_dynamics",),
     "parameters": (
-        "GAINS", "GAIN_NAMES", "K_T", "LOW_LEVEL_GAINS", "load_all_gains", "load_gains",
+        "GAINS", "GAIN_NAMES", "PUBLISHED_GAINS", "LOW_LEVEL_GAINS", "load_all_gains", "load_gains",
     ),
     "result": ("END_REASONS", "Result", "Trajectory"),
-    "sensed": ("Sensed",),
+    "observation": ("Observation",),
     "settings": ("Settings",),
     "simulator": ("simulate",),
     "terrain": ("Terrain",),
     "world": ("WorldRanges", "Worlds"),
 }  # fmt: skip
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
+_RENAMED = {"K_T": "PUBLISHED_GAINS", "Sensed": "Observation"}  # since 0.3.0; gone in 0.4.0
 
 
 def __getattr__(name: str) -> Any:
@@ -80,6 +82,10 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(f"taichi_nmm.{_MODULES[name]}"), name)
     if name in _PLACES:
         return import_module(f"taichi_nmm.{name}")
+    if name in _RENAMED:
+        new = _RENAMED[name]
+        warnings.warn(f"taichi_nmm.{name} is now taichi_nmm.{new}", FutureWarning, stacklevel=2)
+        return __getattr__(new)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

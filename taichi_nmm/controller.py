@@ -1,7 +1,8 @@
 """`Controller`: muscles, delays, reflexes and swing-leg placement for a body of anybody's.
 
-The body may live in any simulator, or in a room. Every physics step it says what it senses
-(`Sensed`) and gets the torques of its six joints. docs/controller.md has an example on one page.
+The body may live in any simulator, or in a room. Every physics step it hands in what it
+senses (`Observation`) and gets the torques of its six joints. docs/controller.md has an example on
+one page.
 """
 
 from dataclasses import dataclass
@@ -31,8 +32,8 @@ from taichi_nmm.kernel.layout import (
 )
 from taichi_nmm.kernel.muscle_table import FMAX_N, muscle_table
 from taichi_nmm.kernel.swing import HOLD
+from taichi_nmm.observation import JOINTS, Observation, sense_rows
 from taichi_nmm.packs import Packs
-from taichi_nmm.sensed import JOINTS, Sensed, sense_rows
 from taichi_nmm.settings import Settings
 from taichi_nmm.walkers import check_batch
 
@@ -89,7 +90,7 @@ class Controller:
     def __len__(self) -> int:
         return len(self._constants)
 
-    def step(self, sensed: Sensed) -> NDArray[np.float64]:
+    def step(self, observation: Observation) -> NDArray[np.float64]:
         """Joint torques for the coming physics step, N m, [n, 6], in the order of `joint_rad`.
 
         They are those of muscles and swing control; stops of the joints are the body's own.
@@ -98,7 +99,7 @@ class Controller:
             InputError: an array of another shape, or one with NaN or infinity. Nothing has then
                 happened: the step may be repeated.
         """
-        arrays = checks.instance(Sensed)("sensed", sensed).checked(len(self))
+        arrays = checks.instance(Observation)("observation", observation).checked(len(self))
         backend.start(self._settings)
         if self._running is None:
             self._running = self._run(_first_rows(arrays))
@@ -170,22 +171,22 @@ class _Running:
         return self._packs.unfold(self._packs.rows)
 
 
-def _first_rows(sensed: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
+def _first_rows(observation: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
     """The controllers at the start: relaxed muscles, nerves that feel the first moment."""
-    rows = np.zeros((len(sensed["trunk_rad"]), WALKER_ROWS))
-    rows[:, State.leg_angle_filter : State.leg_angle_filter + LEGS] = sensed["leg_angle_rad"]
-    rows[:, State.stance_before : State.stance_before + LEGS] = sensed["contact"]
+    rows = np.zeros((len(observation["trunk_rad"]), WALKER_ROWS))
+    rows[:, State.leg_angle_filter : State.leg_angle_filter + LEGS] = observation["leg_angle_rad"]
+    rows[:, State.stance_before : State.stance_before + LEGS] = observation["contact"]
     rows[:, State.swing_phase : State.swing_phase + LEGS] = HOLD
     rows[:, State.active] = 1.0
     joints, rates = (
-        sensed[name].reshape(-1, LEGS, 3) for name in ("joint_rad", "joint_rate_radps")
+        observation[name].reshape(-1, LEGS, 3) for name in ("joint_rad", "joint_rate_radps")
     )
     for n, row in enumerate(rows):
         fibres = relaxed_fibres(joints[n])
-        signals = first_signals(fibres, joints[n, :, 1], sensed["contact"][n])
+        signals = first_signals(fibres, joints[n, :, 1], observation["contact"][n])
         signals[Signal.knee_rate : Signal.knee_rate + LEGS] = rates[n, :, 1]
-        signals[Signal.trunk] = sensed["trunk_rad"][n]
-        signals[Signal.trunk_rate] = sensed["trunk_rate_radps"][n]
+        signals[Signal.trunk] = observation["trunk_rad"][n]
+        signals[Signal.trunk_rate] = observation["trunk_rate_radps"][n]
         row[State.felt : State.felt + Signal.count] = signals
         row[FIRST_FIBRE:FIRST_DELAY] = fibres
         row[FIRST_DELAY:FIRST_EVENT] = filled_delays(signals)

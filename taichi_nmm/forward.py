@@ -10,7 +10,7 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.entry_points import accelerate
 from taichi_nmm.kernel.layout import COORDINATES
-from taichi_nmm.parameters import K_T
+from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.settings import Settings
 from taichi_nmm.walkers import check_batch
 
@@ -43,7 +43,7 @@ def forward_dynamics(
         raise InputError("bodies", len(bodies), f"one body, or {count}")
     settings = Settings(precision="float64", arch="cpu")
     backend.start(settings)
-    constants = constant_rows(check_batch(np.tile(K_T, (count, 1)), bodies), settings)
+    constants = constant_rows(check_batch(np.tile(PUBLISHED_GAINS, (count, 1)), bodies), settings)
     lanes = backend.lanes()
     padded = -(-count // lanes) * lanes
     accelerations = np.zeros((padded // lanes, COORDINATES, lanes))

@@ -3,7 +3,8 @@
 The sampler, the store, the configurations, the plots and the documents read this table.
 
 Sources: P = Antonova, Rai, Atkeson 2016; T = the transfemoral-prosthesis walker of the same group
-(``IntactModel``), whose published rough-ground optimum gives ``K_T`` and the fixed gains.
+(``IntactModel``), whose published rough-ground optimum gives `PUBLISHED_GAINS` and the
+fixed gains.
 """
 
 import math
@@ -34,7 +35,7 @@ class Parameter:
 
 
 # Force gains multiply F/Fmax. Bounds: wide enough that about 6 % of uniform draws walk 100 s on
-# flat ground. Defaults: K_T, T's published rough-ground optimum.
+# flat ground. Defaults: PUBLISHED_GAINS, T's published rough-ground optimum.
 GAINS: tuple[Parameter, ...] = (
     Parameter("K_GAS", "1", 0.0, 8.0, 3.874, "positive force feedback of gastrocnemius", "P 1"),
     Parameter("K_GLU", "1", 0.0, 3.0, 0.5755, "positive force feedback of gluteus", "P 2"),
@@ -79,7 +80,7 @@ GAIN_NAMES: tuple[str, ...] = tuple(parameter.name for parameter in GAINS)
 
 LOW_LEVEL_NAMES: tuple[str, ...] = tuple(parameter.name for parameter in LOW_LEVEL_GAINS)
 
-K_T: NDArray[np.float64] = np.array([parameter.default for parameter in GAINS])
+PUBLISHED_GAINS: NDArray[np.float64] = np.array([parameter.default for parameter in GAINS])
 """T's published rough-ground optimum, [16]."""
 
 NAMED_GAINS_DIRECTORY = Path(__file__).parent / "gains"
@@ -176,7 +177,7 @@ def _within_bounds(value: Any, parameter: Parameter, field: str) -> float:
 
 @checks.checked(source=checks.path)
 def load_gains(source: str) -> NDArray[np.float64]:
-    """Gains by name (``K_T``, or a file shipped in ``taichi_nmm/gains``) or from a JSON file, [16].
+    """Gains by name (``published``, or a file in ``taichi_nmm/gains``) or from a JSON file, [16].
 
     The file is one object with exactly the names of `GAINS` as keys, angles in rad, or an object
     that holds such a one under "gains", as commands print it.
@@ -210,10 +211,10 @@ def load_all_gains(source: str) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 def _gains_by_name(source: str) -> dict[str, Any]:
     """What a source says, unchecked: values by key."""
-    if source == "K_T":
-        return dict(zip(GAIN_NAMES, K_T.tolist(), strict=True))
+    if source in ("published", "K_T"):  # K_T: its name before 0.3.0, accepted until 0.4.0
+        return dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
     shipped = {file.stem: file for file in sorted(NAMED_GAINS_DIRECTORY.glob("*.json"))}
-    names = ", ".join(["K_T", *shipped])
+    names = ", ".join(["published", *shipped])
     allowed = f"one of {names}; or a JSON file: a readable JSON object of the {len(GAINS)} gains"
     data = json_document("gains", shipped.get(source, source), allowed)
     values = data.get("gains", data)

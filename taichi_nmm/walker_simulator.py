@@ -24,8 +24,8 @@ from taichi_nmm.kernel_cache import require_kernel_cache
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.parameters import (
     GAINS,
-    K_T,
     LOW_LEVEL_GAINS,
+    PUBLISHED_GAINS,
     Parameter,
     lower_bounds,
     searched_parameters,
@@ -212,7 +212,7 @@ class Walker:
         low, high = lower_bounds(), upper_bounds()
         gains = low + sequence.random(CANARY_WALKERS)[: CANARY_WALKERS - 1] * (high - low)
         return taichi_nmm.simulate(
-            np.vstack([K_T, gains]),
+            np.vstack([PUBLISHED_GAINS, gains]),
             duration_s=CANARY_S,
             bodies=Bodies.disturbed(list(range(CANARY_WALKERS))),
             terrains=rough(seed=CANARY_SEED),

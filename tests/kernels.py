@@ -14,7 +14,10 @@ from storage.pool import cores
 from taichi_nmm.kernel_cache import CACHE_VARIABLE
 
 ROOT = Path(__file__).resolve().parent.parent
-SIMULATE = "from taichi_nmm import K_T, Settings, simulate; simulate(K_T, duration_s=0.1, settings="
+SIMULATE = (
+    "from taichi_nmm import PUBLISHED_GAINS, Settings, simulate; "
+    "simulate(PUBLISHED_GAINS, duration_s=0.1, settings="
+)
 CODE = [
     f"{SIMULATE}Settings({settings}))"
     for settings in (

@@ -41,7 +41,9 @@ SHORT: dict[str, tuple[object, ...]] = {
 
 # What the explorer's page gives to take away.
 TAKEN_AWAY = {
-    "gains.json": json.dumps(dict(zip(GAIN_NAMES, taichi_nmm.K_T.tolist(), strict=True))),
+    "gains.json": json.dumps(
+        dict(zip(GAIN_NAMES, taichi_nmm.PUBLISHED_GAINS.tolist(), strict=True))
+    ),
     "walk.toml": 'seed = 1\n[terrain]\nkind = "rough"\n',
 }
 # What a document has copied and changed.

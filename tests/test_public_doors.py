@@ -21,7 +21,7 @@ import taichi_nmm
 from storage.precompute import precompute
 from taichi_nmm import terrain
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import K_T
+from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.result import RESULT_DTYPE
 from tests.storage import fake
 
@@ -73,7 +73,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def calls(store: Path, folder: Path) -> dict[str, Call]:
     """A call that succeeds of every public callable, by its name."""
     cpu = taichi_nmm.Settings(arch="cpu")
-    sensed = {
+    observation = {
         "joint_rad": np.zeros((1, 6)), "joint_rate_radps": np.zeros((1, 6)), "trunk_rad": [0.0],
         "trunk_rate_radps": [0.0], "contact": [[True, False]], "load_n": [[800.0, 0.0]],
         "leg_length_m": [[1.0, 1.0]], "leg_angle_rad": [[1.5, 1.5]], "com_ahead_m": [[0.0, 0.0]],
@@ -97,8 +97,8 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
     frame.to_parquet(folder / "frame.parquet")
 
     def stepped(**arrays: Any) -> Any:
-        controller = taichi_nmm.Controller(K_T, settings=cpu)
-        return controller.step(taichi_nmm.Sensed(**arrays)), controller.muscles
+        controller = taichi_nmm.Controller(PUBLISHED_GAINS, settings=cpu)
+        return controller.step(taichi_nmm.Observation(**arrays)), controller.muscles
 
     return {
         "Bodies": (taichi_nmm.Bodies, dict(vars(bodies))),
@@ -107,19 +107,21 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         "Bodies.take": (bodies.take, {"index": [1, 0]}),
         "Controller": (
             taichi_nmm.Controller,
-            {"gains": K_T, "bodies": None, "low_level_gains": None, "settings": cpu},
+            {"gains": PUBLISHED_GAINS, "bodies": None, "low_level_gains": None, "settings": cpu},
         ),
         "Controller.keep": (
-            lambda rows: taichi_nmm.Controller(K_T, settings=cpu).keep(rows),
+            lambda rows: taichi_nmm.Controller(PUBLISHED_GAINS, settings=cpu).keep(rows),
             {"rows": [0]},
         ),
         "Controller.step": (
-            lambda sensed: taichi_nmm.Controller(K_T, settings=cpu).step(sensed),
-            {"sensed": taichi_nmm.Sensed(**sensed)},
+            lambda observation: taichi_nmm.Controller(PUBLISHED_GAINS, settings=cpu).step(
+                observation
+            ),
+            {"observation": taichi_nmm.Observation(**observation)},
         ),
         "Result.__getitem__": (result.__getitem__, {"name": "duration_s"}),
-        "Sensed": (stepped, sensed),
-        "Sensed.checked": (taichi_nmm.Sensed(**sensed).checked, {"count": 1}),
+        "Observation": (stepped, observation),
+        "Observation.checked": (taichi_nmm.Observation(**observation).checked, {"count": 1}),
         "Settings": (taichi_nmm.Settings, dict(vars(cpu))),
         "Settings.document": (cpu.document, {}),
         "Settings.on_processor": (cpu.on_processor, {}),
@@ -144,12 +146,12 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
                 "bodies": None,
             },
         ),
-        "load_all_gains": (taichi_nmm.load_all_gains, {"source": "K_T"}),
-        "load_gains": (taichi_nmm.load_gains, {"source": "K_T"}),
+        "load_all_gains": (taichi_nmm.load_all_gains, {"source": "published"}),
+        "load_gains": (taichi_nmm.load_gains, {"source": "published"}),
         "simulate": (
             taichi_nmm.simulate,
             {
-                "gains": K_T,
+                "gains": PUBLISHED_GAINS,
                 "duration_s": 0.002,
                 "bodies": None,
                 "terrains": terrain.flat(),

@@ -37,7 +37,10 @@ LARGEST_LANES = 64
 MOST_SAMPLES = 10_000_000
 LANE_SAMPLES = 8192  # points for a row of the table of lane widths, at most
 MUJOCO_ROLLOUTS = 256  # of a second each
-LOADS = ("steady", "Sobol")  # 512 walkers near K_T, 3 s; 2,048 Sobol points, 5 s, packs compacted
+LOADS = (
+    "steady",
+    "Sobol",
+)  # 512 walkers near the published gains, 3 s; 2,048 Sobol points, 5 s, packs compacted
 TURNS = 7
 
 # Seconds for 100,000 points x 5 s, as measured on another 2-core machine (AVX-512).
@@ -258,7 +261,9 @@ def threads_text(rows: list[Measured]) -> str:
     body = [
         f"{row['threads']:7d}  {row['run_s']:8.2f}  {one_s / row['run_s']:6.2f} x" for row in rows
     ]
-    return "\n".join(["400 walkers near K_T x 10 s, CPU", "threads     run s  faster", *body])
+    return "\n".join(
+        ["400 walkers near the published gains x 10 s, CPU", "threads     run s  faster", *body]
+    )
 
 
 def mujoco_text(row: Measured) -> str:

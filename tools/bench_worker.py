@@ -54,12 +54,12 @@ def parse() -> argparse.Namespace:
 
 def start_up(options: argparse.Namespace) -> None:
     """Import, start the engine, compile: one tick of one walker."""
-    from taichi_nmm import K_T, Settings, simulate
+    from taichi_nmm import PUBLISHED_GAINS, Settings, simulate
     from taichi_nmm.kernel import backend
 
     if options.lanes is not None:
         backend.LANES_CPU = options.lanes
-    simulate(K_T, duration_s=TICK_S, settings=Settings(arch=options.arch))
+    simulate(PUBLISHED_GAINS, duration_s=TICK_S, settings=Settings(arch=options.arch))
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
@@ -87,14 +87,14 @@ def run(options: argparse.Namespace) -> dict[str, object]:
 
 def take_turns() -> None:
     """For each line of the input, `STEADY` or `SOBOL`, print CPU ns a walker-step, one thread."""
-    from taichi_nmm import K_T, Settings, simulate
+    from taichi_nmm import PUBLISHED_GAINS, Settings, simulate
 
     batches = {
         STEADY: (near_reference(STEADY_WALKERS), STEADY_S),
         SOBOL: (sobol_gains(SOBOL_POINTS), SOBOL_S),
     }
     settings = Settings(arch="cpu", threads=1)
-    simulate(K_T, duration_s=TICK_S, settings=settings)
+    simulate(PUBLISHED_GAINS, duration_s=TICK_S, settings=settings)
     print(flush=True)
     for line in sys.stdin:
         gains, duration_s = batches[line.strip()]
@@ -118,21 +118,21 @@ def sobol_gains(walkers: int) -> "NDArray[np.float64]":
 
 
 def near_reference(walkers: int) -> "NDArray[np.float64]":
-    """Gains near K_T, all of which walk, [walkers, 16]."""
+    """Gains near the published gains, all of which walk, [walkers, 16]."""
     import numpy as np
 
-    from taichi_nmm import K_T
+    from taichi_nmm import PUBLISHED_GAINS
 
     spread = np.random.default_rng(SEED).uniform(-STEADY_SPREAD, STEADY_SPREAD, (walkers, 1))
-    return K_T * (1.0 + spread)
+    return PUBLISHED_GAINS * (1.0 + spread)
 
 
 def few_walkers_s(threads: int) -> float:
     """Seconds of `FEW_WALKERS` walkers on the CPU, median of some runs."""
-    from taichi_nmm import K_T, Settings, simulate
+    from taichi_nmm import PUBLISHED_GAINS, Settings, simulate
 
     settings = Settings(arch="cpu", threads=threads)
-    simulate(K_T, duration_s=TICK_S, settings=settings)
+    simulate(PUBLISHED_GAINS, duration_s=TICK_S, settings=settings)
     gains, spent_s = near_reference(FEW_WALKERS), []
     for _ in range(FEW_REPEATS):
         began_s = time.perf_counter()

@@ -26,7 +26,7 @@ FILM = Film((640, 320), 12, effort="", quality=0, threads=1)  # only size and ra
 GROUND = terrain.rough(seed=1)
 WALKERS = (
     ("gait 'reference': falls", taichi_nmm.load_gains("reference")),
-    ("gait 'K_T': walks", taichi_nmm.K_T),
+    ("gait 'published gains': walks", taichi_nmm.PUBLISHED_GAINS),
 )
 DURATION_S = 20.0
 SHOWN_S = 4.5  # of each walk's end

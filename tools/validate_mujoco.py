@@ -31,10 +31,10 @@ with guarded_imports():
     from study.options import LARGEST_SEED, Options
     from taichi_nmm import (
         GAINS,
-        K_T,
+        PUBLISHED_GAINS,
         Bodies,
         Controller,
-        Sensed,
+        Observation,
         Settings,
         load_gains,
         terrain,
@@ -85,10 +85,10 @@ def measure(samples: int, seed: int) -> Iterator[Figure]:
 
 
 def known_gaits() -> Iterator[Figure]:
-    gaits = np.array([K_T, load_gains("reference")])
+    gaits = np.array([PUBLISHED_GAINS, load_gains("reference")])
     rows = taichi_nmm.simulate(gaits, duration_s=LONG_S, settings=MUJOCO).rows
     for row, name, (low, high) in zip(
-        rows, ("K_T", "reference"), ((1.37, 1.43), (1.23, 1.31)), strict=True
+        rows, ("published", "reference"), ((1.37, 1.43), (1.23, 1.31)), strict=True
     ):
         yield Figure(f"{name}, level ground: walked", row["duration_s"], LONG_S, LONG_S, "s")
         yield Figure(f"{name}: mean speed", row["mean_speed_mps"], low, high, "m/s")
@@ -141,7 +141,7 @@ def walker_steps_per_s(index: int) -> float:
             raise RuntimeError("a walker fell while it was timed")
 
     taichi_nmm.simulate(
-        np.tile(K_T, (WALKERS, 1)),
+        np.tile(PUBLISHED_GAINS, (WALKERS, 1)),
         duration_s=TIMED_S, bodies=bodies, terrains=grounds, settings=settings, progress=note,
     )  # fmt: skip
     first, last = min(times), max(times)
@@ -152,11 +152,11 @@ def tick_us() -> float:
     """Median time of `Controller.step` for `WALKERS` standing walkers."""
     pairs, joints = np.ones((WALKERS, 2)), np.zeros((WALKERS, 6))
     zeros = np.zeros(WALKERS)
-    sensed = Sensed(
+    sensed = Observation(
         joints, joints, zeros, zeros, pairs, 400.0 * pairs,
         pairs, 0.5 * np.pi * pairs, 0.0 * pairs, zeros,
     )  # fmt: skip
-    controller = Controller(np.tile(K_T, (WALKERS, 1)), settings=Settings(threads=1))
+    controller = Controller(np.tile(PUBLISHED_GAINS, (WALKERS, 1)), settings=Settings(threads=1))
     controller.step(sensed)
     took = []
     for _ in range(TIMED_TICKS):

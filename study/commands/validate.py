@@ -104,12 +104,16 @@ def measure(samples: int, draws: int, seed: int) -> Iterator[Figure]:
 
 
 def published_gait() -> Iterator[Figure]:
-    """K_T on flat ground."""
-    row = taichi_nmm.simulate(taichi_nmm.K_T, duration_s=LONG_S).rows[0]
-    yield Figure("K_T, flat: walked", row["duration_s"], LONG_S, LONG_S, "s")
-    yield Figure("K_T, flat: mean speed", row["mean_speed_mps"], 1.365, 1.425, "m/s")
+    """The published gains on flat ground."""
+    row = taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=LONG_S).rows[0]
+    yield Figure("published gains, flat: walked", row["duration_s"], LONG_S, LONG_S, "s")
+    yield Figure("published gains, flat: mean speed", row["mean_speed_mps"], 1.365, 1.425, "m/s")
     yield Figure(
-        "K_T: mean vertical ground reaction", row["grf_vertical_mean_bw"], 0.99, 1.01, "BW"
+        "published gains: mean vertical ground reaction",
+        row["grf_vertical_mean_bw"],
+        0.99,
+        1.01,
+        "BW",
     )
 
 

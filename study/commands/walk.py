@@ -6,7 +6,7 @@
         --config rough8-smooth --run 7
 
 writes strip.png, gait_cycle.png and movie.mp4 to the folder --out. Gains are a name (reference,
-K_T), a JSON file of gains, a row of a store, or a finished trial of a study database or of a
+published), a JSON file of gains, a row of a store, or a finished trial of a study database or of a
 comparison. With --engine mujoco, MuJoCo moves the body; with --engine both, strips.png shows both
 walks, one above the other. --mjcf writes MuJoCo's model and its ground for MuJoCo's own viewer;
 --trajectory writes all samples. Exit codes: 0, 2 bad input, 130 interrupted.

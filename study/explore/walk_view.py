@@ -196,7 +196,7 @@ def _choices(tried: bool) -> dict[str, Any]:
     }  # fmt: skip
 
 
-STARTS = ("K_T", "reference")
+STARTS = ("published", "reference")
 STEPS = 400  # of a slider
 SLIDER_PX, NUMBER_PX = 225, 95
 

@@ -59,7 +59,8 @@ OPTIONS: tuple[str, ...] = (
     "mysql://a", "postgresql+psycopg://", "postgresql://x:secret@y/z",
     "postgresql+psycopg://u:secret@127.0.0.1:1/x", "postgresql+psycopg://[::1",
     "toy/dog/run-000/0", "toy/dog/run-000/1", "toy/dog/run-000/9", "toy/dog/run-000/x", "toy/dog/0",
-    "////", "toy/dog/run-000/\u0663", "toy/dog/run-000/-1", "K_T", "reference", "rough8", "store-v",
+    "////", "toy/dog/run-000/\u0663", "toy/dog/run-000/-1", "published", "reference",
+    "rough8", "store-v",
 )  # fmt: skip
 
 

@@ -137,7 +137,7 @@ def make_world(folder: Path) -> None:
         name = f"hill.csv{ending}"
         (folder / name).write_bytes(pack(HILL.encode()))
         (folder / f"{name}.toml").write_text(ON_A_TABLE.format(name))
-    gains = dict(zip(taichi_nmm.GAIN_NAMES, taichi_nmm.K_T.tolist(), strict=True))
+    gains = dict(zip(taichi_nmm.GAIN_NAMES, taichi_nmm.PUBLISHED_GAINS.tolist(), strict=True))
     (folder / "gains.json").write_text(json.dumps(gains | {"theta_ref": 0.1}, indent=1))
     simulator = mock.patch.dict(vars(taichi_nmm), simulate=fake_walker.simulate)
     with within(folder), simulator, quiet():

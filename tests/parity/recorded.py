@@ -21,7 +21,7 @@ from taichi_nmm.kernel.layout import (
     Work,
 )
 from taichi_nmm.kernel.muscle_table import TORQUES_NM
-from taichi_nmm.sensed import Sensed
+from taichi_nmm.observation import Observation
 from taichi_nmm.settings import Settings
 from tests.parity.interpreter import interpreted
 
@@ -111,7 +111,7 @@ def joint_angles(q: Array) -> Array:
     return q[..., 3:] - q[..., [2, 3, 4, 2, 6, 7]]
 
 
-def sensed(walks: Walks, bodies: Bodies) -> list[Sensed]:
+def sensed(walks: Walks, bodies: Bodies) -> list[Observation]:
     """What the bodies sense at each tick, by plain geometry in float64."""
     ticks, count = walks.up.shape
     q, qdot = (rows.astype(np.float64).reshape(ticks * count, -1) for rows in (walks.q, walks.qdot))
@@ -143,7 +143,7 @@ def _centres(bodies: Bodies, way: Array) -> Array:
     return centres
 
 
-def sensed_in_float32(walks: Walks) -> list[Sensed]:
+def sensed_in_float32(walks: Walks) -> list[Observation]:
     """The same by the simulator's own kinematics, on NumPy in float32: rounding is its own."""
     (kinematics,) = interpreted("kinematics", double=False)
     ticks, count = walks.up.shape
@@ -163,11 +163,13 @@ def sensed_in_float32(walks: Walks) -> list[Sensed]:
     return _sensed(walks, length, angle, ahead, work[Work.com_speed])
 
 
-def _sensed(walks: Walks, length: Array, angle: Array, ahead: Array, speed: Array) -> list[Sensed]:
-    """A `Sensed` of each tick from lengths, angles and speeds of all ticks, [t n, ...]."""
+def _sensed(
+    walks: Walks, length: Array, angle: Array, ahead: Array, speed: Array
+) -> list[Observation]:
+    """An `Observation` of each tick from lengths, angles and speeds of all ticks, [t n, ...]."""
     shape, q, qdot = walks.up.shape, walks.q.astype(np.float64), walks.qdot.astype(np.float64)
     columns = (
         joint_angles(q), joint_angles(qdot), q[..., 2], qdot[..., 2], walks.contact, walks.load_n,
         *(part.reshape(*shape, LEGS) for part in (length, angle, ahead)), speed.reshape(shape),
     )  # fmt: skip
-    return [Sensed(*rows) for rows in zip(*columns, strict=True)]
+    return [Observation(*rows) for rows in zip(*columns, strict=True)]

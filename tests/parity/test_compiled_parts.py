@@ -28,7 +28,7 @@ from taichi_nmm.kernel.layout import (
     Work,
 )
 from taichi_nmm.kernel.muscle_table import muscle_table
-from taichi_nmm.parameters import K_T, lower_bounds, upper_bounds
+from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings
 from taichi_nmm.world import WorldRanges
 from tests.parity.interpreter import AllLanes, interpreted
@@ -51,7 +51,7 @@ class Both:
 
         rng = np.random.default_rng(4)
         gains = rng.uniform(lower_bounds(), upper_bounds(), (WALKERS, 16))
-        gains[0] = K_T
+        gains[0] = PUBLISHED_GAINS
         grounds = (terrain.flat(), terrain.rough(3, flat_start_m=0.0), terrain.stairs())
         index = np.arange(WALKERS) % len(grounds)
         batch = check_batch(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 import taichi_nmm
 from taichi_nmm import terrain
 from taichi_nmm.body import Bodies
-from taichi_nmm.parameters import K_T, lower_bounds, upper_bounds
+from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings
 from taichi_nmm.world import WorldRanges
 from tests.parity.interpreter import AllLanes, interpreted_walker
@@ -25,7 +25,7 @@ TOLERANCE = 1e-6
 def request_() -> Any:
     rng = np.random.default_rng(11)
     gains = rng.uniform(lower_bounds(), upper_bounds(), (WALKERS, 16))
-    gains[0] = K_T
+    gains[0] = PUBLISHED_GAINS
     bodies = Bodies.disturbed(np.random.SeedSequence(5).spawn(WALKERS))
     grounds = [
         terrain.flat(),

@@ -17,7 +17,7 @@ from study.experiment.experiment import Experiment
 from study.experiment.live_study import run_study
 from study.gains import gains_of_row, gains_of_source, gains_of_trial
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, K_T, LOW_LEVEL_GAINS, load_all_gains
+from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, PUBLISHED_GAINS, load_all_gains
 from tests.study import fake_walker
 
 DEFAULTS = [parameter.default for parameter in LOW_LEVEL_GAINS]
@@ -51,16 +51,18 @@ def one_line(message: str) -> pytest.RaisesExc[InputError]:
 
 
 def test_gains_by_name_and_of_a_file(tmp_path: Path) -> None:
-    named = gains_of_source("K_T")
-    assert named.name == "K_T"
-    np.testing.assert_array_equal(named.gains, K_T)
+    named = gains_of_source("published")
+    assert named.name == "published"
+    np.testing.assert_array_equal(named.gains, PUBLISHED_GAINS)
     np.testing.assert_array_equal(named.low_level, DEFAULTS)
     file = tmp_path / "mine.json"
     file.write_text(json.dumps(named.as_document() | {"theta_ref": 0.2}))
     mine = gains_of_source(str(file))
     assert mine.name == "mine"
     assert mine.low_level.tolist() == [*DEFAULTS[:7], 0.2]
-    assert mine.as_document() == dict(zip(GAIN_NAMES, K_T, strict=True)) | {"theta_ref": 0.2}
+    assert mine.as_document() == dict(zip(GAIN_NAMES, PUBLISHED_GAINS, strict=True)) | {
+        "theta_ref": 0.2
+    }
     with one_line(r"gains: 'nobody'"):
         gains_of_source("nobody")
 

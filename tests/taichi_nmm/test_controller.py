@@ -8,29 +8,31 @@ import numpy as np
 import pytest
 
 import taichi_nmm
-from taichi_nmm import Controller, Sensed
+from taichi_nmm import Controller, Observation
 from taichi_nmm.body import Bodies
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import K_T, lower_bounds, upper_bounds
+from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings
 
 COUNT = 11  # two packs of eight lanes, one of them not full
 STEPS = 60
-NAMES = tuple(field.name for field in fields(Sensed))
+NAMES = tuple(field.name for field in fields(Observation))
 MUSCLES = ("activation", "stimulation", "length", "force_n")
 FLOAT32 = Settings(precision="float32", arch="cpu")
 
 
 def gains() -> np.ndarray:
     rng = np.random.default_rng(2)
-    return np.vstack([K_T, rng.uniform(lower_bounds(), upper_bounds(), (COUNT - 1, 16))])
+    return np.vstack(
+        [PUBLISHED_GAINS, rng.uniform(lower_bounds(), upper_bounds(), (COUNT - 1, 16))]
+    )
 
 
-def states(count: int = COUNT, steps: int = STEPS) -> list[Sensed]:
+def states(count: int = COUNT, steps: int = STEPS) -> list[Observation]:
     """Something that bodies may sense, other in each step; of fewer steps, its beginning."""
     rng = np.random.default_rng(1)
     return [
-        Sensed(
+        Observation(
             joint_rad=rng.uniform(-0.1, 0.4, (COUNT, 6))[:count],
             joint_rate_radps=rng.uniform(-1, 1, (COUNT, 6))[:count],
             trunk_rad=rng.uniform(-0.1, 0.1, COUNT)[:count],
@@ -46,12 +48,12 @@ def states(count: int = COUNT, steps: int = STEPS) -> list[Sensed]:
     ]
 
 
-def part(sensed: Sensed, rows: Any) -> Sensed:
-    return Sensed(*(np.asarray(getattr(sensed, name))[rows] for name in NAMES))
+def part(observation: Observation, rows: Any) -> Observation:
+    return Observation(*(np.asarray(getattr(observation, name))[rows] for name in NAMES))
 
 
-def torques(controller: Controller, sensed: list[Sensed]) -> np.ndarray:
-    return np.array([controller.step(state) for state in sensed])
+def torques(controller: Controller, observation: list[Observation]) -> np.ndarray:
+    return np.array([controller.step(state) for state in observation])
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +70,8 @@ def undisturbed() -> np.ndarray:
     [
         ({"gains": np.zeros((2, 15))}, "gains"),
         ({"gains": np.full((2, 16), np.nan)}, r"gains\[0\]\.K_GAS"),
-        ({"gains": np.tile(K_T, (2, 1)), "bodies": Bodies.nominal(3)}, "bodies"),
-        ({"gains": K_T, "low_level_gains": [1.0]}, "low_level_gains"),
+        ({"gains": np.tile(PUBLISHED_GAINS, (2, 1)), "bodies": Bodies.nominal(3)}, "bodies"),
+        ({"gains": PUBLISHED_GAINS, "low_level_gains": [1.0]}, "low_level_gains"),
     ],
 )
 def test_arguments_that_cannot_be_used(arguments: dict[str, Any], field: str) -> None:
@@ -80,7 +82,7 @@ def test_arguments_that_cannot_be_used(arguments: dict[str, Any], field: str) ->
 
 def test_muscles_before_the_first_step() -> None:
     with pytest.raises(InputError, match=r"controller\.muscles: .* a first step"):
-        _ = Controller(K_T).muscles
+        _ = Controller(PUBLISHED_GAINS).muscles
 
 
 @pytest.mark.slow
@@ -163,7 +165,7 @@ def test_another_simulation_in_between_changes_nothing(undisturbed: np.ndarray) 
         found.append(controller.step(state))
         if number == STEPS // 2:
             other = Settings(precision="float64", arch="cpu", physics_step_s=0.5e-3)
-            taichi_nmm.simulate([K_T], duration_s=0.01, settings=other)
+            taichi_nmm.simulate([PUBLISHED_GAINS], duration_s=0.01, settings=other)
     np.testing.assert_array_equal(found, undisturbed)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import taichi_nmm
 from taichi_nmm import terrain
 from taichi_nmm.body import Bodies
-from taichi_nmm.parameters import K_T, lower_bounds, upper_bounds
+from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
 
@@ -25,7 +25,7 @@ CPU = Settings(arch="cpu")
 def batch() -> tuple[NDArray[np.float64], Bodies, list[Terrain], NDArray[np.int64]]:
     rng = np.random.default_rng(7)
     gains = rng.uniform(lower_bounds(), upper_bounds(), (WALKERS, 16))
-    gains[::10] = K_T * rng.uniform(0.95, 1.05, (WALKERS // 10, 16))
+    gains[::10] = PUBLISHED_GAINS * rng.uniform(0.95, 1.05, (WALKERS // 10, 16))
     bodies = Bodies.disturbed(np.random.SeedSequence(3).spawn(WALKERS))
     grounds = [terrain.flat(), terrain.rough(1, flat_start_m=1.0)]
     return gains, bodies, grounds, np.arange(WALKERS) % 2

@@ -11,7 +11,7 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.kernel_cache import CACHE_VARIABLE, require_kernel_cache
 
 ROOT = Path(__file__).parents[2]
-SIMULATE = "import taichi_nmm; taichi_nmm.simulate(taichi_nmm.K_T, duration_s=0.1)"
+SIMULATE = "import taichi_nmm; taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.1)"
 
 
 def test_a_folder_that_can_be_written_is_taken(

@@ -6,14 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import taichi_nmm
 from taichi_nmm import parameters
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
     GAIN_NAMES,
     GAINS,
-    K_T,
     LOW_LEVEL_GAINS,
     LOW_LEVEL_NAMES,
+    PUBLISHED_GAINS,
     Parameter,
     check_gains,
     gain_rows,
@@ -60,12 +61,12 @@ def test_bounds_are_those_of_the_specification() -> None:
 
 
 def test_one_vector_becomes_a_row() -> None:
-    np.testing.assert_array_equal(gain_rows(K_T), K_T[None])
-    assert gain_rows(np.tile(K_T, (5, 1)).astype(np.float32)).dtype == np.float64
+    np.testing.assert_array_equal(gain_rows(PUBLISHED_GAINS), PUBLISHED_GAINS[None])
+    assert gain_rows(np.tile(PUBLISHED_GAINS, (5, 1)).astype(np.float32)).dtype == np.float64
 
 
 def test_gains_outside_the_bounds_are_allowed() -> None:
-    assert gain_rows(10.0 * K_T)[0, 0] == pytest.approx(10.0 * K_T[0])
+    assert gain_rows(10.0 * PUBLISHED_GAINS)[0, 0] == pytest.approx(10.0 * PUBLISHED_GAINS[0])
 
 
 @pytest.mark.parametrize("shape", [(15,), (3, 17), (2, 2, 16), ()])
@@ -76,13 +77,13 @@ def test_a_wrong_shape_is_named(shape: tuple[int, ...]) -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_gain_that_is_not_finite_is_named_with_its_row(value: float) -> None:
-    rows = np.tile(K_T, (3, 1))
+    rows = np.tile(PUBLISHED_GAINS, (3, 1))
     rows[2, 12] = value
     with pytest.raises(InputError, match=r"gains\[2\]\.alpha_0: .*a finite number"):
         gain_rows(rows)
 
 
-@pytest.mark.parametrize("values", ["K_T", [["x"] * 16], [[1.0] * 16, [1.0]], None])
+@pytest.mark.parametrize("values", ["published", [["x"] * 16], [[1.0] * 16, [1.0]], None])
 def test_what_is_no_array_of_numbers_is_refused(values: object) -> None:
     with pytest.raises(InputError, match="gains"):
         gain_rows(values)  # type: ignore[arg-type]
@@ -94,10 +95,10 @@ def test_the_low_level_group_is_checked_under_its_own_name() -> None:
 
 
 def test_k_t_is_loaded_by_name_as_a_copy() -> None:
-    loaded = load_gains("K_T")
-    np.testing.assert_array_equal(loaded, K_T)
+    loaded = load_gains("published")
+    np.testing.assert_array_equal(loaded, PUBLISHED_GAINS)
     loaded[:] = 0.0
-    assert np.all(load_gains("K_T") == K_T)
+    assert np.all(load_gains("published") == PUBLISHED_GAINS)
 
 
 def test_shipped_gains_lie_inside_the_bounds() -> None:
@@ -108,13 +109,15 @@ def test_shipped_gains_lie_inside_the_bounds() -> None:
 
 def test_gains_come_back_from_a_file_whatever_its_order(tmp_path: Path) -> None:
     path = tmp_path / "mine.json"
-    path.write_text(json.dumps(dict(reversed(list(zip(GAIN_NAMES, K_T.tolist(), strict=True))))))
-    np.testing.assert_array_equal(load_gains(str(path)), K_T)
+    path.write_text(
+        json.dumps(dict(reversed(list(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True)))))
+    )
+    np.testing.assert_array_equal(load_gains(str(path)), PUBLISHED_GAINS)
 
 
 def gains_text(**changes: object) -> str:
-    """A file of K_T with some values changed; None leaves the name out."""
-    data = {**dict(zip(GAIN_NAMES, K_T.tolist(), strict=True)), **changes}
+    """A file of the published gains with some values changed; None leaves the name out."""
+    data = {**dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True)), **changes}
     return json.dumps({name: value for name, value in data.items() if value is not None})
 
 
@@ -154,7 +157,7 @@ def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
 
 
 def test_an_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(InputError, match=r"gains: 'nobody'.*one of K_T.*or a JSON file"):
+    with pytest.raises(InputError, match=r"gains: 'nobody'.*one of published.*or a JSON file"):
         load_gains("nobody")
 
 
@@ -163,7 +166,7 @@ def test_gains_may_lie_in_what_a_command_printed(tmp_path: Path) -> None:
     path.write_text(json.dumps({"end_reason": "fell", "gains": json.loads(gains_text(C_d=0.25))}))
     loaded = load_gains(str(path))
     assert loaded[GAIN_NAMES.index("C_d")] == 0.25
-    assert np.count_nonzero(loaded != K_T) == 1
+    assert np.count_nonzero(loaded != PUBLISHED_GAINS) == 1
 
 
 def test_gains_on_their_bounds_are_loaded(tmp_path: Path) -> None:
@@ -176,7 +179,7 @@ def test_gains_on_their_bounds_are_loaded(tmp_path: Path) -> None:
 DEFAULTS = np.array([parameter.default for parameter in LOW_LEVEL_GAINS])
 
 
-@pytest.mark.parametrize("name", ["K_T", "reference"])
+@pytest.mark.parametrize("name", ["published", "reference"])
 def test_low_level_gains_have_defaults(name: str) -> None:
     gains, low_level = load_all_gains(name)
     np.testing.assert_array_equal(gains, load_gains(name))
@@ -187,7 +190,7 @@ def test_a_file_may_name_low_level_gains(tmp_path: Path) -> None:
     path = tmp_path / "more.json"
     path.write_text(gains_text(theta_ref=0.2, k_ext=0))
     gains, low_level = load_all_gains(str(path))
-    np.testing.assert_array_equal(gains, K_T)
+    np.testing.assert_array_equal(gains, PUBLISHED_GAINS)
     changed = {LOW_LEVEL_NAMES[i]: low_level[i] for i in np.flatnonzero(low_level != DEFAULTS)}
     assert changed == {"theta_ref": 0.2, "k_ext": 0.0}
 
@@ -213,3 +216,13 @@ def test_gains_are_checked_under_the_callers_field() -> None:
     np.testing.assert_array_equal(check_gains(values, LOW_LEVEL_GAINS), DEFAULTS)
     with pytest.raises(InputError, match=r"^best\.k_ext: -1"):
         check_gains(values | {"k_ext": -1}, LOW_LEVEL_GAINS, "best")
+
+
+@pytest.mark.parametrize(("old", "new"), [("K_T", "PUBLISHED_GAINS"), ("Sensed", "Observation")])
+def test_a_name_of_version_0_2_is_what_it_was_and_warns(old: str, new: str) -> None:
+    with pytest.warns(FutureWarning, match=rf"^taichi_nmm\.{old} is now taichi_nmm\.{new}$"):
+        assert getattr(taichi_nmm, old) is getattr(taichi_nmm, new)
+
+
+def test_the_gait_of_version_0_2_is_found_by_its_old_name() -> None:
+    np.testing.assert_array_equal(load_gains("K_T"), PUBLISHED_GAINS)

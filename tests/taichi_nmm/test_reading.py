@@ -18,7 +18,7 @@ from study.gains import gains_of_row
 from taichi_nmm import load_all_gains, load_gains, reading, terrain
 from taichi_nmm.config import read_toml
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, K_T
+from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 
 Door = Callable[[Path], Any]
 SLOW_S = 60  # a pipe without a writer would hold a test for ever
@@ -101,7 +101,7 @@ def test_content_that_no_parser_bears(tmp_path: Path, door: str, content: bytes)
 
 @pytest.mark.parametrize("digits", [310, 400, 4000, 5000])
 def test_whole_numbers_beyond_any_float(tmp_path: Path, digits: int) -> None:
-    gains = json.dumps(dict(zip(GAIN_NAMES, K_T.tolist(), strict=True)))
+    gains = json.dumps(dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True)))
     path = tmp_path / "gains.json"
     path.write_text(gains.replace("3.874", "9" * digits))
     refused(DOORS["gains"], path)
@@ -118,7 +118,7 @@ def test_whole_numbers_beyond_any_float(tmp_path: Path, digits: int) -> None:
 
 def test_keys_that_come_twice(tmp_path: Path) -> None:
     path = tmp_path / "gains.json"
-    gains = json.dumps(dict(zip(GAIN_NAMES, K_T.tolist(), strict=True)))
+    gains = json.dumps(dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True)))
     path.write_text(gains.replace("{", '{"K_GAS": 1.0, '))
     assert "K_GAS" in refused(DOORS["gains"], path)
     path.write_text("a = 1\na = 2")

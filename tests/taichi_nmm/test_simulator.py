@@ -10,21 +10,21 @@ import taichi_nmm
 from taichi_nmm import terrain
 from taichi_nmm.body import Bodies
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, K_T, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES
+from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, PUBLISHED_GAINS
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, Result
 from taichi_nmm.settings import Settings
 
 pytestmark = pytest.mark.slow
 
 CPU = Settings(arch="cpu")
-# K_T without push-off and balance: falls within the first steps.
-FALLING = K_T * np.where(np.isin(GAIN_NAMES, ["K_SOL", "Kp_stance"]), 0.0, 1.0)
+# The published gains without push-off and balance: falls within the first steps.
+FALLING = PUBLISHED_GAINS * np.where(np.isin(GAIN_NAMES, ["K_SOL", "Kp_stance"]), 0.0, 1.0)
 
 
 @pytest.fixture(scope="module")
 def walk() -> Result:
     return taichi_nmm.simulate(
-        [K_T, FALLING], duration_s=20.0, settings=CPU, record=[1, 0], record_rate_hz=200
+        [PUBLISHED_GAINS, FALLING], duration_s=20.0, settings=CPU, record=[1, 0], record_rate_hz=200
     )
 
 
@@ -91,7 +91,7 @@ def test_events_alternate_and_make_the_step_count(walk: Result) -> None:
 
 
 def test_recording_changes_no_bit(walk: Result) -> None:
-    plain = taichi_nmm.simulate([K_T, FALLING], duration_s=20.0, settings=CPU)
+    plain = taichi_nmm.simulate([PUBLISHED_GAINS, FALLING], duration_s=20.0, settings=CPU)
     assert plain.rows.tobytes() == walk.rows.tobytes()
     assert plain.trajectories == ()
 
@@ -105,33 +105,36 @@ def test_progress_and_interrupt() -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        taichi_nmm.simulate([K_T] * 3, duration_s=5.0, settings=CPU, progress=watch)
+        taichi_nmm.simulate([PUBLISHED_GAINS] * 3, duration_s=5.0, settings=CPU, progress=watch)
     assert seen == [(0.25, 3), (0.5, 3), (0.75, 3), (1.0, 3)]
 
 
 def test_divergence_is_a_code_and_touches_no_neighbour() -> None:
-    gains = np.tile(K_T, (9, 1))
+    gains = np.tile(PUBLISHED_GAINS, (9, 1))
     gains[4, GAIN_NAMES.index("Kp_swing")] = 1e30
     result = taichi_nmm.simulate(gains, duration_s=2.0, settings=CPU)
     assert result["end_reason"][4] == DIVERGED
     assert all(np.isfinite(result[name]).all() for name in result.rows.dtype.names or ())
     others = np.delete(result.rows, 4)
     assert len({row.tobytes() for row in others}) == 1
-    alone = taichi_nmm.simulate(K_T, duration_s=2.0, settings=CPU)
+    alone = taichi_nmm.simulate(PUBLISHED_GAINS, duration_s=2.0, settings=CPU)
     assert others[0].tobytes() == alone.rows[0].tobytes()
 
 
 @pytest.mark.parametrize("gain", [1e300, 1e38, -1e30])
 def test_divergence_in_the_first_tick_is_a_code_while_recorded(gain: float) -> None:
     result = taichi_nmm.simulate(
-        [K_T, np.full(len(K_T), gain)], duration_s=0.5, settings=CPU, record=[1, 0]
+        [PUBLISHED_GAINS, np.full(len(PUBLISHED_GAINS), gain)],
+        duration_s=0.5,
+        settings=CPU,
+        record=[1, 0],
     )
     first, second = result.trajectories
     assert result.end_reason.tolist() == ["completed", "diverged"]
     assert (first.walker, len(first.time_s), first.ground_force_n.shape) == (1, 0, (0, 4))
     assert first.q.shape == (0, 9) and first.stance.shape == (0, 2) and not len(first.events)
     assert len(second.time_s) == 50
-    alone = taichi_nmm.simulate(K_T, duration_s=0.5, settings=CPU)
+    alone = taichi_nmm.simulate(PUBLISHED_GAINS, duration_s=0.5, settings=CPU)
     np.testing.assert_array_equal(result.rows[:1], alone.rows)
 
 
@@ -146,7 +149,11 @@ def test_grounds_at_the_bounds_end_walks_with_a_code(engine: str) -> None:
     ]
     settings = Settings(engine=engine, arch="cpu")
     result = taichi_nmm.simulate(
-        [K_T] * len(cliffs), duration_s=0.5, settings=settings, terrains=cliffs, record=[0, 1]
+        [PUBLISHED_GAINS] * len(cliffs),
+        duration_s=0.5,
+        settings=settings,
+        terrains=cliffs,
+        record=[0, 1],
     )
     assert set(result.end_reason) <= {"completed", "fell", "diverged"}
     ended = result["end_reason"] != DIVERGED
@@ -155,7 +162,7 @@ def test_grounds_at_the_bounds_end_walks_with_a_code(engine: str) -> None:
 
 
 def test_every_kind_of_input_reaches_the_walker() -> None:
-    gains = np.tile(K_T, (4, 1))
+    gains = np.tile(PUBLISHED_GAINS, (4, 1))
     bodies = Bodies.nominal(4)
     bodies.mass_kg[1, 0] *= 1.1
     low_level = np.tile([parameter.default for parameter in LOW_LEVEL_GAINS], (4, 1))
@@ -169,12 +176,12 @@ def test_every_kind_of_input_reaches_the_walker() -> None:
 
 
 def test_settings_change_the_walk() -> None:
-    base = taichi_nmm.simulate(K_T, duration_s=2.0, settings=CPU)["hip_x_m"][0]
+    base = taichi_nmm.simulate(PUBLISHED_GAINS, duration_s=2.0, settings=CPU)["hip_x_m"][0]
     for other in (
         Settings(arch="cpu", contact_relaxation_speed_mps=0.03),
         Settings(arch="cpu", physics_step_s=0.5e-3),
     ):
-        x = taichi_nmm.simulate(K_T, duration_s=2.0, settings=other)["hip_x_m"][0]
+        x = taichi_nmm.simulate(PUBLISHED_GAINS, duration_s=2.0, settings=other)["hip_x_m"][0]
         assert x != base
         assert x == pytest.approx(base, abs=0.15)
 
@@ -200,7 +207,11 @@ def test_settings_change_the_walk() -> None:
 def test_bad_input_names_field_value_and_what_is_allowed(
     arguments: dict[str, object], message: str
 ) -> None:
-    full: dict[str, object] = {"gains": [K_T, K_T], "settings": CPU, **arguments}
+    full: dict[str, object] = {
+        "gains": [PUBLISHED_GAINS, PUBLISHED_GAINS],
+        "settings": CPU,
+        **arguments,
+    }
     gains = full.pop("gains")
     with pytest.raises(InputError, match=message) as caught:
         taichi_nmm.simulate(gains, **full)  # type: ignore[arg-type]
@@ -211,14 +222,14 @@ THREAD = """
 import threading, taichi_nmm
 def attempt():
     try:
-        taichi_nmm.simulate(taichi_nmm.K_T, duration_s=0.01)
+        taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.01)
     except taichi_nmm.InputError as error:
         print(error)
 for _ in range(2):
     thread = threading.Thread(target=attempt, name="worker")
     thread.start()
     thread.join()
-    taichi_nmm.simulate(taichi_nmm.K_T, duration_s=0.01)
+    taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.01)
 print("done")
 """
 
@@ -234,10 +245,10 @@ FORK = """
 import multiprocessing, taichi_nmm
 def attempt():
     try:
-        taichi_nmm.simulate(taichi_nmm.K_T, duration_s=0.01)
+        taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.01)
     except taichi_nmm.InputError as error:
         print(error, flush=True)
-taichi_nmm.simulate(taichi_nmm.K_T, duration_s=0.01)
+taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.01)
 child = multiprocessing.get_context("fork").Process(target=attempt)
 child.start()
 child.join(30)
@@ -253,7 +264,7 @@ def test_simulation_in_a_fork_of_a_process_that_simulated_is_refused() -> None:
 
 
 def test_masked_gains_are_no_numbers() -> None:
-    gains = np.ma.masked_array(K_T, mask=np.arange(len(K_T)) == 3)
+    gains = np.ma.masked_array(PUBLISHED_GAINS, mask=np.arange(len(PUBLISHED_GAINS)) == 3)
     with pytest.raises(InputError, match=r"gains.*nan"):
         taichi_nmm.simulate(gains, duration_s=0.01, settings=CPU)
 
@@ -261,7 +272,9 @@ def test_masked_gains_are_no_numbers() -> None:
 def test_masked_rows_are_no_rows() -> None:
     index = np.ma.masked_array([0, 0], mask=[False, True])
     with pytest.raises(InputError, match=r"terrain_index.*whole numbers"):
-        taichi_nmm.simulate([K_T, K_T], terrains=[terrain.flat()], terrain_index=index)
+        taichi_nmm.simulate(
+            [PUBLISHED_GAINS, PUBLISHED_GAINS], terrains=[terrain.flat()], terrain_index=index
+        )
 
 
 def test_import_is_cheap() -> None:

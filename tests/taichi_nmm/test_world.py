@@ -9,7 +9,7 @@ import pytest
 
 import taichi_nmm
 from study.pictures.stick_figure import leg
-from taichi_nmm import K_T, Settings, Worlds, terrain
+from taichi_nmm import PUBLISHED_GAINS, Settings, Worlds, terrain
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.world import NOMINAL, WorldRanges, read_world
@@ -136,11 +136,11 @@ def test_bad_worlds_are_named(change: dict[str, Any], field: str) -> None:
 
 def test_another_number_of_worlds_than_walkers_is_refused() -> None:
     with pytest.raises(InputError, match=r"^worlds: 2 cannot be used; allowed: one world, or 3"):
-        taichi_nmm.simulate([K_T] * 3, worlds=Worlds.nominal(2), settings=CPU)
+        taichi_nmm.simulate([PUBLISHED_GAINS] * 3, worlds=Worlds.nominal(2), settings=CPU)
 
 
 def walk(worlds: Worlds | None, count: int) -> Any:
-    gains = [K_T] * count
+    gains = [PUBLISHED_GAINS] * count
     return taichi_nmm.simulate(
         gains, duration_s=3.0, terrains=terrain.rough(4), worlds=worlds, settings=CPU
     ).rows
@@ -170,9 +170,14 @@ def one_of(**changes: Any) -> Worlds:
 
 
 def recorded(worlds: Worlds) -> Any:
-    """Trajectory of K_T on level ground, every tick."""
+    """Trajectory of the published gains on level ground, every tick."""
     return taichi_nmm.simulate(
-        K_T, duration_s=3.0, worlds=worlds, settings=CPU, record=[0], record_rate_hz=1000
+        PUBLISHED_GAINS,
+        duration_s=3.0,
+        worlds=worlds,
+        settings=CPU,
+        record=[0],
+        record_rate_hz=1000,
     ).trajectories[0]
 
 
@@ -208,8 +213,8 @@ def test_half_the_muscle_pulls_and_burns_half() -> None:
     """In the first tick, before the body could move by it."""
     full, half = (
         taichi_nmm.simulate(
-            K_T, duration_s=1e-3, worlds=one_of(strength=np.full(14, strength)), settings=CPU,
-            record=[0], record_rate_hz=1000,
+            PUBLISHED_GAINS, duration_s=1e-3, worlds=one_of(strength=np.full(14, strength)),
+            settings=CPU, record=[0], record_rate_hz=1000,
         )
         for strength in (1.0, 0.5)
     )  # fmt: skip

@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 
 import taichi_nmm
-from taichi_nmm.parameters import GAIN_NAMES, K_T
+from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 from tests.study import fake_walker
 from tests.tools.running import run_tool
 
-GAINS = dict(zip(GAIN_NAMES, K_T.tolist(), strict=True))
+GAINS = dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
 HUGE = 10**9
 FAR = 2**40
 ONE_OF = "cannot be used; allowed: "
@@ -51,7 +51,7 @@ BASE = {
     "study": "--config rough8-smooth --arm random --storage sqlite:///new.db --out new",
     "precompute": "--config five.toml --out new --workers 1",
     "walk": "--config flat --out new",
-    "walk of K_T": "--gains K_T --config flat --out new",
+    "walk of published": "--gains published --config flat --out new",
     "compare_peers": "--out new --cache new",
     "compare_outside": "--out new --cache new",
 }
@@ -104,7 +104,7 @@ REFUSED: list[tuple[str, str, str]] = [
         ("--mixed", f"mixed: True {ONE_OF}only beside --cluster"),
     ]),
     ("walk", "--seed -1", "seed: -1"),
-    ("walk", "--gains nobody.json", f"gains: 'nobody.json' {ONE_OF}one of K_T, reference"),
+    ("walk", "--gains nobody.json", f"gains: 'nobody.json' {ONE_OF}one of published, reference"),
     *(("walk", f"--gains {name}.json", line) for name, line in [
         ("nan", f"gains.K_SOL: nan {ONE_OF}a finite number"),
         ("word", f"gains.K_SOL: 'much' {ONE_OF}a number"),
@@ -114,17 +114,20 @@ REFUSED: list[tuple[str, str, str]] = [
         ("unknown", f"gains: 'K_XYZ' {ONE_OF}only the names"), ("missing", "gains.l_clr: None"),
     ]),
     *(("walk", f"--gains {name}.json", "... JSON object") for name in ("brace", "list", "number")),
-    *(("walk of K_T", f"--duration={value}", "duration: ") for value in ("0", "-1", "nan", "1e9")),
-    ("walk of K_T", "--movie-seconds=-1", "movie-seconds: -1.0"),
-    *(("walk of K_T", f"--config {name}.toml", line) for name, line in [
+    *(("walk of published", f"--duration={value}", "duration: ")
+      for value in ("0", "-1", "nan", "1e9")),
+    ("walk of published", "--movie-seconds=-1", "movie-seconds: -1.0"),
+    *(("walk of published", f"--config {name}.toml", line) for name, line in [
         ("empty", "seed: 'missing'"), ("sede", "sede: 1"),
         ("long", "simulation.duration_s: 'long'"), ("step", "simulation.physics_step_s: 0.002"),
         ("sea", "terrain.kind: 'sea'"), ("body", "body.disturbance: 2.0"),
         ("bracket", "... a readable TOML file"),
     ]),
-    ("walk of K_T", "--config rough8 --run 50", f"run: 50 {ONE_OF}0 to 49, the runs of rough8"),
-    ("walk of K_T", "--config rough8 --run=-1", "run: -1"),
-    *(("walk of K_T", words, f"{field} {ONE_OF}none beside --gains") for field, words in PLACES),
+    ("walk of published", "--config rough8 --run 50",
+     f"run: 50 {ONE_OF}0 to 49, the runs of rough8"),
+    ("walk of published", "--config rough8 --run=-1", "run: -1"),
+    *(("walk of published", words, f"{field} {ONE_OF}none beside --gains")
+      for field, words in PLACES),
     ("walk", " ".join(words for _, words in PLACES), "... none beside --row"),
     *(("walk", words, f"{field}: None {ONE_OF}a value: ") for words, field in [
         ("--row 1", "store"), ("--store out/store", "row"),
@@ -133,10 +136,10 @@ REFUSED: list[tuple[str, str, str]] = [
     *(("walk", f"--row={row} --store store", f"row: {row} {ONE_OF}0 to 19, the rows of")
       for row in (20, -1, 10**30)),
     ("walk", "--row 1 --store nowhere", "... nowhere"),
-    ("walk of K_T", "--out file/below", "out: "),
-    *(("walk of K_T", f"--mjcf {path}", f"mjcf: '{path}'")
+    ("walk of published", "--out file/below", "out: "),
+    *(("walk of published", f"--mjcf {path}", f"mjcf: '{path}'")
       for path in ("file/walker.xml", "nowhere/walker.xml", ".")),
-    ("walk of K_T", "--engine mujoco --arch cuda", "simulation.arch: 'cuda'"),
+    ("walk of published", "--engine mujoco --arch cuda", "simulation.arch: 'cuda'"),
 ]  # fmt: skip
 
 
@@ -194,8 +197,10 @@ def test_a_machine_without_ffmpeg_or_mujoco(
 ) -> None:
     with monkeypatch.context() as patch:
         patch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
-        assert "allowed: a working ffmpeg" in refused(patch, folder, capsys, "walk of K_T", "")
+        assert "allowed: a working ffmpeg" in refused(
+            patch, folder, capsys, "walk of published", ""
+        )
     monkeypatch.setattr("taichi_nmm.mujoco_engine.find_spec", lambda name: None)
     for words in ("--engine mujoco", "--mjcf walker.xml"):
-        said = refused(monkeypatch, folder, capsys, "walk of K_T", words)
+        said = refused(monkeypatch, folder, capsys, "walk of published", words)
         assert "pip install 'taichi-nmm[mujoco]'" in said

@@ -12,14 +12,14 @@ import taichi_nmm
 from storage.store import open_store
 from study import pictures
 from study.experiment.experiment import read_experiment
-from taichi_nmm.parameters import GAIN_NAMES, K_T
+from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 from tests.study import fake_walker
 from tests.tools.running import ROOT, run_tool
 
 FLAT = ROOT / "configs" / "flat.toml"
 ROUGH8 = ROOT / "configs" / "rough8.toml"
 
-WALKS = dict(zip(GAIN_NAMES, K_T.tolist(), strict=True))
+WALKS = dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
 FALLS = WALKS | {"K_SOL": 0.5, "K_VAS": 0.2}
 
 
@@ -66,7 +66,7 @@ def test_mujoco_moves_the_body_and_opens_its_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     model = tmp_path / "walker.xml"
-    given = ("--gains", "K_T", "--config", ROUGH8, "--run", 3, "--duration", 3)
+    given = ("--gains", "published", "--config", ROUGH8, "--run", 3, "--duration", 3)
     where = ("--out", tmp_path / "out", "--movie-seconds", 0, "--json")
     engine = ("--engine", "mujoco", "--mjcf", model)
     assert run_tool(monkeypatch, "walk", *given, *where, *engine) == 0

@@ -5,7 +5,7 @@ import pytest
 
 import taichi_nmm
 from study.experiment.trials import attributes, costs, fell, finite, outcome_text, walked
-from taichi_nmm.parameters import K_T
+from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, RESULT_DTYPE
 from tests.study import fake_walker
 
@@ -37,14 +37,14 @@ def test_who_did_not_last_to_the_end_fell() -> None:
 
 
 def test_the_cost_is_the_configured_one() -> None:
-    rows = fake_walker.simulate(K_T).rows
+    rows = fake_walker.simulate(PUBLISHED_GAINS).rows
     np.testing.assert_array_equal(costs(rows, "smooth"), taichi_nmm.smooth_cost(rows))
     np.testing.assert_array_equal(costs(rows, "walking"), taichi_nmm.walking_cost(rows))
     assert costs(rows, "smooth") != costs(rows, "walking")
 
 
 def test_attributes_are_plain_values_and_make_a_sentence() -> None:
-    rows = fake_walker.simulate(K_T, duration_s=8.0).rows
+    rows = fake_walker.simulate(PUBLISHED_GAINS, duration_s=8.0).rows
     found = attributes(rows)
     assert {name: type(value) for name, value in found.items()} == {
         "duration_s": float, "distance_m": float, "mean_speed_mps": float, "end_reason": str,

@@ -309,7 +309,7 @@ def test_what_is_typed_out_of_bounds_is_said(
 
 
 def test_a_fall_is_said_on_the_ground_that_was_chosen(page: Any, store: Path) -> None:
-    walks(page, lambda: change(page, "start", "value", "K_T"))
+    walks(page, lambda: change(page, "start", "value", "published"))
     walks(page, lambda: change(page, "ground", "value", "stairs up, 10 cm a step"))
     walks(page, lambda: change(page, "duration", "value", "20 s"))
     page.get_by_text("fell after").first.wait_for()
@@ -319,8 +319,8 @@ def test_a_fall_is_said_on_the_ground_that_was_chosen(page: Any, store: Path) ->
 
 
 def test_two_gaits_on_one_ground(page: Any, store: Path) -> None:
-    if model(page, "start", "value") != "K_T":  # as the tests before left it
-        walks(page, lambda: change(page, "start", "value", "K_T"))
+    if model(page, "start", "value") != "published":  # as the tests before left it
+        walks(page, lambda: change(page, "start", "value", "published"))
     walks(page, lambda: page.get_by_text("keep it beside").click())
     walks(page, lambda: change(page, "start", "value", "reference"))
     walks(page, lambda: change(page, "ground", "value", "flat"))
@@ -328,7 +328,7 @@ def test_two_gaits_on_one_ground(page: Any, store: Path) -> None:
         f"{MODEL}('beside-frames').data.ground[0].every((z, i) => i % 2 == 0 || z === 0)"
     )
     words = page.locator(".bk-Div b").all_inner_texts()
-    assert "reference" in words and "K_T" in words
+    assert "reference" in words and "published" in words
     save(page, "beside")
 
 

@@ -23,9 +23,9 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def fallen() -> Walk:
-    """K_T on stairs, on which it falls."""
+    """The published gains on stairs, on which it falls."""
     setting = chosen_setting("stairs up, 10 cm a step", "within 15 %", 3, "nominal", "taichi", 20.0)
-    return walk(gains_of_source("K_T"), setting)
+    return walk(gains_of_source("published"), setting)
 
 
 def test_frames_are_the_poses_of_the_walk(fallen: Walk) -> None:
@@ -78,12 +78,12 @@ def test_what_is_taken_walks_the_same_to_the_bit(
         assert found[field] == fallen.row[field], field
     assert found["gains"] == dict(zip(GAIN_NAMES, fallen.gains.gains.tolist(), strict=True))
     title, _, rest = file_of_walk(fallen, "walk.sto")[1].partition(b"\n")
-    assert title == b"K_T" and Path("walk.sto").read_bytes() == b"gains\n" + rest
+    assert title == b"published" and Path("walk.sto").read_bytes() == b"gains\n" + rest
 
 
 def test_every_file_can_be_made(fallen: Walk) -> None:
     begins = {"png": b"\x89PNG", "mp4": b"", "json": b"{", "toml": b"runs", "csv": b"time_s,",
-              "mot": b"K_T\n", "sto": b"K_T\n"}  # fmt: skip
+              "mot": b"published\n", "sto": b"published\n"}  # fmt: skip
     for wanted in NAMES:
         name, content = file_of_walk(fallen, wanted)
         assert name == wanted and len(content) > 100

@@ -12,7 +12,7 @@ from mujoco.batch import SimulationError
 import taichi_nmm
 from taichi_nmm import terrain
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
-from taichi_nmm.parameters import K_T, load_gains, lower_bounds, upper_bounds
+from taichi_nmm.parameters import PUBLISHED_GAINS, load_gains, lower_bounds, upper_bounds
 from taichi_nmm.result import Result, Trajectory
 from taichi_nmm.settings import MujocoSettings, Settings
 
@@ -26,9 +26,9 @@ LONG_S = 30.0
 
 @pytest.fixture(scope="module")
 def long_walk() -> Result:
-    """K_T and the reference on level ground."""
+    """The published gains and the reference on level ground."""
     return taichi_nmm.simulate(
-        [K_T, load_gains("reference")],
+        [PUBLISHED_GAINS, load_gains("reference")],
         duration_s=LONG_S,
         settings=MUJOCO,
         record=[0, 1],
@@ -78,7 +78,7 @@ def some(rows: Any = slice(None), **options: Any) -> Result:
     """Short walks of some of ten walkers, each on its body and its ground; most of them fall."""
     rng = np.random.default_rng(6)
     gains = rng.uniform(lower_bounds(), upper_bounds(), (WALKERS, 16))
-    gains[:4] = K_T
+    gains[:4] = PUBLISHED_GAINS
     kinds = (
         terrain.rough(3, flat_start_m=0.0),
         terrain.blocks(4, spacing_m=0.3, flat_start_m=0.0),
@@ -113,7 +113,7 @@ def test_recording_changes_nothing(together: Result) -> None:
 
 def test_another_simulation_changes_nothing(together: Result) -> None:
     other = Settings(precision="float64", arch="cpu")
-    taichi_nmm.simulate(K_T, duration_s=0.01, settings=other)
+    taichi_nmm.simulate(PUBLISHED_GAINS, duration_s=0.01, settings=other)
     assert some().rows.tobytes() == together.rows.tobytes()
 
 

@@ -13,7 +13,7 @@ from taichi_nmm.conditions import Conditions, read_conditions
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
-from taichi_nmm.parameters import K_T
+from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.settings import MujocoSettings, Settings
 
 NAN, INF = float("nan"), float("inf")
@@ -112,7 +112,7 @@ def test_mujoco_is_not_installed_or_too_old(monkeypatch: pytest.MonkeyPatch, mis
         require_mujoco()
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match=says):
-        taichi_nmm.simulate(K_T, settings=Settings(engine="mujoco"))
+        taichi_nmm.simulate(PUBLISHED_GAINS, settings=Settings(engine="mujoco"))
 
 
 # Documents.

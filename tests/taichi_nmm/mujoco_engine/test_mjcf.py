@@ -108,12 +108,12 @@ def test_a_walker_is_advanced_as_its_file_is(model: mujoco.MjModel) -> None:
     """The first steps without torque, from the key frame and by the engine's own model."""
     from taichi_nmm.kernel import backend
     from taichi_nmm.mujoco_engine.engine import Herd
-    from taichi_nmm.parameters import K_T
+    from taichi_nmm.parameters import PUBLISHED_GAINS
     from taichi_nmm.walkers import check_batch
 
     backend.start(SETTINGS.on_processor())
     worlds = WorldRanges(friction=(FRICTION, FRICTION)).draw([0])
-    herd = Herd(check_batch(K_T, BODY, GROUND, worlds=worlds), SETTINGS)
+    herd = Herd(check_batch(PUBLISHED_GAINS, BODY, GROUND, worlds=worlds), SETTINGS)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     for _ in range(200):

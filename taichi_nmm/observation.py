@@ -13,7 +13,7 @@ JOINTS = 3 * LEGS
 
 
 @dataclass(frozen=True, eq=False)
-class Sensed:
+class Observation:
     """What n bodies sense at the beginning of a physics step, left leg first.
 
     Forward is +x, up +z; a segment's angle is zero upright and positive clockwise, seen with +x to
@@ -58,13 +58,15 @@ class Sensed:
             shape = (count, width) if width else (count,)
             array = arrays[name] = _array(name, getattr(self, name), shape)
             if array.shape != shape:
-                raise InputError(f"sensed.{name}.shape", array.shape, f"{list(shape)}")
+                raise InputError(f"observation.{name}.shape", array.shape, f"{list(shape)}")
             if array.dtype.kind not in "biuf" or not np.isfinite(array).all():
-                raise InputError(f"sensed.{name}", "nan, inf or no number", "finite numbers")
+                raise InputError(f"observation.{name}", "nan, inf or no number", "finite numbers")
         contact = arrays["contact"]
         if not np.all((contact == 0) | (contact == 1)):
             other = contact[(contact != 0) & (contact != 1)][0].item()
-            raise InputError("sensed.contact", other, "0 or 1: whether, not how many or how much")
+            raise InputError(
+                "observation.contact", other, "0 or 1: whether, not how many or how much"
+            )
         return arrays
 
 
@@ -72,14 +74,14 @@ def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.f
     try:
         return np.asarray(values)
     except ValueError:  # rows of different lengths
-        raise InputError(f"sensed.{name}.shape", "ragged", f"{list(shape)}") from None
+        raise InputError(f"observation.{name}.shape", "ragged", f"{list(shape)}") from None
 
 
 WIDTHS = {
     "joint_rad": JOINTS, "joint_rate_radps": JOINTS, "trunk_rad": 0, "trunk_rate_radps": 0,
     "contact": LEGS, "load_n": LEGS, "leg_length_m": LEGS, "leg_angle_rad": LEGS,
     "com_ahead_m": LEGS, "com_speed_mps": 0,
-}  # of `Sensed`'s arrays; 0: [n]  # fmt: skip
+}  # of `Observation`'s arrays; 0: [n]  # fmt: skip
 AS_SENSED = {
     "contact": Sense.contact, "load_n": Sense.load, "leg_length_m": Sense.leg_length,
     "leg_angle_rad": Sense.leg_angle, "com_ahead_m": Sense.com_ahead,
