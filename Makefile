@@ -1,13 +1,13 @@
-# make quickstart   a walker found on rough ground, from a fresh clone, in minutes
-# make compare      the paper's first experiment: stores, all samplers, figures; resumes where it was stopped
-# make results      every experiment of the documents, on both engines; hours; resumes where it was stopped
-# make test         all tests, and which took longest
-# make test-fast    those that take no long: for daily work
-# make test-campaign   2,000 damaged inputs, dozens of kills: what takes long and has kin in `make test`
-# make fuzz CASES=20000 SEED=7   damaged input of every format to every command; failures go to out/fuzz
-# make docs         the site, out/site/index.html: runs the notebooks, needs no network
-# make lint         style and types, as CI checks them
-# make hooks        run the lint before every commit
+# make quickstart   finds a walker on rough ground, from a fresh clone, in minutes
+# make compare      runs the paper's first experiment: stores, all samplers, figures; resumes where it was stopped
+# make results      runs every experiment of the documents, on both engines; takes hours; resumes where it was stopped
+# make test         runs all tests, and prints the slowest
+# make test-fast    leaves out the tests marked `slow`: for daily work
+# make test-campaign   runs the longest tests: 2,000 damaged inputs, dozens of kills
+# make fuzz CASES=20000 SEED=7   gives every command damaged input of every format; keeps failures in out/fuzz
+# make docs         builds the site, out/site/index.html: runs the notebooks, needs no network
+# make lint         checks style and types, as CI does
+# make hooks        lets git run the lint before every commit
 # Needs Python 3.11 to 3.13 and make; everything else goes into .venv.
 
 PYTHON ?= python3
@@ -27,7 +27,7 @@ TORSO := $(foreach way,up down,ramp-$(way)-torso stairs-$(way)-torso)
 OUTSIDE := outside-bodies outside-weak outside-slippery
 MUJOCO := $(foreach ground,level rough8 risers ramp-up ramp-down,$(foreach contact,soft middle hard,mujoco-$(ground)-$(contact)))
 
-# One target a store and a comparison: `make compare-risers` makes what it needs; all go on where they were stopped.
+# Each store and each comparison has a target. `make compare-risers` first makes the stores that it needs. All targets resume.
 $(STORES) store-torso store-stairs: .venv/installed
 	$(BIN)/python tools/precompute.py --config $@
 
@@ -58,7 +58,7 @@ SEED ?= 1
 fuzz: .venv/test-installed
 	$(BIN)/python -m tests.fuzz.campaign --cases $(CASES) --seed $(SEED)
 
-# Without the theme's notice of its successor: the versions are pinned.
+# The variable hides a notice of the theme about its successor: the versions are pinned.
 docs: .venv/docs-installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
@@ -70,8 +70,8 @@ lint: .venv/lint-installed
 hooks: .venv/lint-installed
 	$(BIN)/pre-commit install
 
-# A stamp for each set of packages: `make quickstart` installs the package and the explorer, which it ends by naming; no test,
-# document or lint packages.
+# Each set of packages has a stamp file. `make quickstart` installs the package and the explorer; it needs no packages of tests,
+# documents or lint.
 .venv/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14) and "error: Python 3.11 to 3.13 is needed: make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
