@@ -18,12 +18,8 @@ from typing import Any
 import optuna
 
 from storage.pool import cores
-from study.comparison.compare import Progress
-from study.comparison.optimum import OPTIMUM_NAME, CmaesProgress, estimate
-from study.experiment.experiment import (
-    Experiment,
-    read_experiment,
-)
+from study.comparison.optimum import OPTIMUM_NAME, estimate
+from study.experiment.experiment import Experiment, read_experiment
 from study.options import asked_cluster
 from taichi_nmm.walker_simulator import Walker, require_engine
 
@@ -45,23 +41,8 @@ def main(args: Namespace) -> None:
     settings = experiment.conditions.settings
     require_engine(settings)
     workers = Walker(settings).processes(cores()) if args.workers is None else args.workers
-    document = estimate(
-        experiment, out, args.runs, workers, show_dog, show_cmaes, asked_cluster(args)
-    )
+    document = estimate(experiment, out, args.runs, workers, tell, asked_cluster(args))
     print(json.dumps(document) if args.json else text(document, out))
-
-
-def show_dog(progress: Progress) -> None:
-    """A line on how far the sampler is."""
-    tell(f"dog: {progress.trials} of {progress.total} trials")
-
-
-def show_cmaes(progress: CmaesProgress) -> None:
-    """A line on how far CMA-ES is."""
-    tell(
-        f"cmaes: generation {progress.generation}, {progress.running} of {progress.runs} runs go "
-        f"on, {progress.evaluations} evaluations, best cost {progress.best_cost:.5g}"
-    )
 
 
 def tell(line: str) -> None:

@@ -1,6 +1,6 @@
 """A block of an experiment's studies: all propose, one batch is simulated, all are told, and again.
 
-A block is the unit of work of a comparison. It depends on nothing but what it is given, so blocks
+A block is the unit of work of a comparison. It depends on nothing but its own fields, so blocks
 go on side by side in any process, and no result depends on how studies are cut into blocks.
 """
 
@@ -38,7 +38,7 @@ Rows = NDArray[np.void]
 
 
 class Walks:
-    """Results of walks by run and gains: what several arms try on one robot is simulated once.
+    """Results of walks by run and gains: a walk that several arms try in a run is simulated once.
 
     Arms that read one store often propose the same row. All arms have the same robot in a run, and
     a walk has the same bits in any batch, so one walk stands for all.
@@ -48,15 +48,15 @@ class Walks:
         """None yet."""
         self._found: dict[tuple[int, bytes], tuple[np.void, float]] = {}
 
-    def add(self, run: int, gains: Floats, rows: Rows, cost: Floats) -> None:
-        """Keep walks of a run that are known: gains [n, 16 + k], rows [n], cost [n]."""
-        for tried, row, value in zip(gains, rows, cost.tolist(), strict=True):
+    def add(self, runs: Sequence[int], gains: Floats, rows: Rows, cost: Floats) -> None:
+        """Keep n walks: runs [n], gains [n, 16 + k], rows [n], cost [n]."""
+        for run, tried, row, value in zip(runs, gains, rows, cost.tolist(), strict=True):
             self._found.setdefault((run, tried.tobytes()), (row.copy(), value))
 
     def walk(
         self, experiment: Experiment, runs: Sequence[int], gains: Floats
     ) -> tuple[Rows, Floats]:
-        """Rows of the simulator, finite, and costs of n trials, [n]; what is new is simulated.
+        """Rows of the simulator, finite, and costs of n trials, [n]; new ones are simulated.
 
         Args:
             experiment: of the trials.
@@ -72,22 +72,21 @@ class Walks:
         if new:
             tried = [runs[place] for place in new]
             rows = finite(simulate_trials(experiment, tried, gains[new]).rows)
-            for place, row, value in zip(new, rows, costs(rows, experiment.cost), strict=True):
-                self._found[keys[place]] = (row.copy(), float(value))
+            self.add(tried, gains[new], rows, costs(rows, experiment.cost))
         found = [self._found[key] for key in keys]
         return np.array([row for row, _ in found]), np.array([value for _, value in found])
 
 
 @dataclass(frozen=True)
 class Block:
-    """Some studies, as far as they are, and how far they shall go.
+    """Some studies as they stand, and how many trials each is to have.
 
     Attributes:
         experiment: of the studies.
         studies: arm and run of each.
         known: their finished trials, `STATE_SCHEMA`; of studies that are handed on, none.
         trials: that each is to have.
-        handed_on: the studies themselves, of an earlier `Advanced`; None: made of what is known.
+        handed_on: the studies themselves, of an earlier `Advanced`; empty: made of what is known.
         walks: of that `Advanced`.
     """
 
@@ -95,19 +94,19 @@ class Block:
     studies: tuple[Key, ...]
     known: pa.Table
     trials: int
-    handed_on: tuple[optuna.Study, ...] | None = None
+    handed_on: tuple[optuna.Study, ...] = ()
     walks: Walks = field(default_factory=Walks)
 
 
 @dataclass(frozen=True)
 class Advanced:
-    """What has come of a block.
+    """The outcome of a block.
 
     Attributes:
         table: the trials that its studies lacked, `STATE_SCHEMA`.
-        studies: with all their trials, in the block's order; they spare the next stretch to ask
-            again for what libraries keep a state of.
-        walks: all of the block so far; they spare the next stretch to simulate them again.
+        studies: with all their trials, in the block's order. With them the next stretch need not
+            repeat the trials of libraries that keep a state.
+        walks: all of the block so far. With them the next stretch need not simulate them again.
     """
 
     table: pa.Table
@@ -147,7 +146,7 @@ def advance(block: Block) -> Advanced:
 def _restore(experiment: Experiment, study: OneStudy, table: pa.Table, walks: Walks) -> None:
     """Give a study its trials of earlier sessions."""
     gains, rows, cost = gains_of(experiment, table), outcomes_of(table), table["cost"].to_numpy()
-    walks.add(study.run, gains, rows, cost)
+    walks.add([study.run] * len(table), gains, rows, cost)
     for place, notes in enumerate(table[NOTES].to_pylist()):
         noted = json.loads(notes) | shown(study.arm, rows[place : place + 1])
         study.restore(gains[place].tolist(), float(cost[place]), noted)
@@ -175,9 +174,8 @@ def _round(experiment: Experiment, studies: list[OneStudy], walks: Walks) -> pa.
         "best_cost": [study.study.best_value for study in studies],
         "proposal_s": seconds,
         NOTES: notes,
-        "rows": rows,
     }
-    return state_table(experiment, columns, gains)
+    return state_table(experiment, columns, gains, rows)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""A comparison from its configuration to its table, as the command `taichi-nmm compare` runs it."""
+"""A comparison from its configuration to its tables, as `taichi-nmm compare` runs it."""
 
 import time
 from collections import deque
@@ -15,7 +15,7 @@ from storage.cluster import open_pool
 from storage.databases.urls import file_url
 from storage.pool import Cluster, Pool, local_pool
 from study.comparison.block import Advanced, Block, advance
-from study.comparison.database import Summarise, check_database, check_noted, export, note_worths
+from study.comparison.database import Summarise, check_database, export, note_worths
 from study.comparison.folder import (
     DATABASE_NAME,
     RESULT_SCHEMA,
@@ -30,7 +30,7 @@ from study.experiment.arms import Arm, check_arms
 from study.experiment.experiment import Experiment
 from study.experiment.identity import deciding_packages, document, machine
 from study.experiment.stores import store_path
-from taichi_nmm.errors import InputError
+from taichi_nmm import checks
 from taichi_nmm.walker_simulator import Walker
 
 Unit = TypeVar("Unit")
@@ -63,7 +63,7 @@ class Progress:
 
 
 class FinishedTrials:
-    """Finished trials by study; the folder gets those of an arm whole, at each `commit`.
+    """Finished trials by study; each `commit` writes all trials of the arms that have new ones.
 
     Args:
         folder: whose arms are read and written.
@@ -100,8 +100,7 @@ class FinishedTrials:
 
     def lacks(self, key: Key, trials: int) -> bool:
         """Whether a study has not yet come to its end, if each is to have so many trials."""
-        ended = self._until_walker and key in self._walkers
-        return self.done(key) < trials and not ended
+        return self.done(key) < trials and not (self._until_walker and key in self._walkers)
 
     @property
     def count(self) -> int:
@@ -133,7 +132,7 @@ class FinishedTrials:
 
 @dataclass(frozen=True)
 class Request:
-    """What a user asks for; None is what the configuration says.
+    """A user's request; None: the configuration's value.
 
     Attributes:
         out: folder of the experiment.
@@ -160,7 +159,7 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a comparison has to say at its end.
+    """The results of a comparison.
 
     Attributes:
         trials: the table of results: all arms of the folder.
@@ -190,32 +189,37 @@ def compare(
         request: how much of it, and where to.
         report: called whenever a stretch of trials is finished.
         drawn: called with the number of walks that have their pictures, and of all.
-        summarise: makes what the summary study in the database shows; None: there is none.
+        summarise: makes the content of the summary study in the database; None: there is none.
         pool: that does the work, in place of the request's workers.
 
     Raises:
-        InputError: before anything is written: see `check_arms`, `ExperimentFolder.check`,
-            `check_database` and `check_noted`, or there is no ffmpeg for the artifacts; later: see
-            `advance`.
+        InputError: before anything is written: see `check_arms`, `ExperimentFolder.check` and
+            `check_database`, or there is no ffmpeg for the artifacts; later: see `advance`.
         KeyboardInterrupt: finished trials are kept.
     """
-    runs = _positive("runs", request.runs, experiment.runs)
-    trials = _positive("trials", request.trials, experiment.trials)
-    _positive("workers", request.workers, 1)
+    asked = {
+        "runs": experiment.runs if request.runs is None else request.runs,
+        "trials": experiment.trials if request.trials is None else request.trials,
+        "workers": request.workers,
+    }
+    for name, value in asked.items():
+        checks.whole(1)(name, value)
+    runs, trials = range(asked["runs"]), asked["trials"]
     arms = check_arms(experiment, request.arms or experiment.arms, trials)
     if request.artifacts:
-        _require_ffmpeg()
+        from study.pictures import find_ffmpeg  # Matplotlib: a second, which workers need not spend
+
+        find_ffmpeg()
     identity = document(experiment, arms)
     url = request.storage or file_url(request.out / DATABASE_NAME)
     ExperimentFolder.check(request.out, identity)
-    check_database(experiment, url)
-    check_noted(experiment, arms, range(runs), url)
+    check_database(experiment, url, arms, runs)
     with (
         nullcontext(pool) if pool else opened_pool(experiment, arms, request) as chosen,
         ExperimentFolder.claim(request.out, identity) as folder,
     ):
         chosen.agree(folder.path)
-        studies = [(arm.name, run) for run in range(runs) for arm in arms]
+        studies = [(arm.name, run) for run in runs for arm in arms]
         finished = FinishedTrials(folder, studies, experiment.until_walker)
         session = _Session(experiment, folder, finished, chosen)
         exported_s = time.monotonic()
@@ -232,12 +236,12 @@ def compare(
         _go_on(experiment, finished, trials, chosen, report, commit)
         results = folder.write_results()
         export(experiment, results, url, summarise, final=True)
-        note_worths(experiment, arms, range(runs), url, renew=session.computed > 0)
+        note_worths(experiment, arms, runs, url, renew=session.computed > 0)
         session.note()
         if request.artifacts:
             from study.comparison.artifacts import FILM_RUNS, make_artifacts  # Matplotlib
 
-            filmed = runs if request.films == "all" else FILM_RUNS
+            filmed = len(runs) if request.films == "all" else FILM_RUNS
             with local_pool(request.workers) if request.cluster else nullcontext(chosen) as here:
                 make_artifacts(experiment, results, url, folder.path, here, drawn, filmed)
         return Outcome(results, url, session.computed, session.wall_s)
@@ -246,7 +250,7 @@ def compare(
 def opened_pool(
     experiment: Experiment, arms: Sequence[Arm], request: Request
 ) -> AbstractContextManager[Pool]:
-    """What tries the trials, with the stores that the arms read."""
+    """The pool that tries the trials, with the stores that the arms read."""
     return open_pool(
         request.workers,
         request.cluster,
@@ -255,13 +259,6 @@ def opened_pool(
         deciding_packages(experiment),
         [store_path(experiment, key) for key in sorted({arm.store for arm in arms if arm.store})],
     )
-
-
-def _require_ffmpeg() -> None:
-    """Refuse films that nothing can encode, before the work."""
-    from study.pictures import find_ffmpeg  # Matplotlib: a second, which workers need not spend
-
-    find_ffmpeg()
 
 
 def _go_on(
@@ -278,10 +275,8 @@ def _go_on(
     experiment = replace(experiment, stores=stores)
 
     def first_stretch(studies: tuple[Key, ...]) -> Block:
-        least = min(map(finished.done, studies))
-        return Block(
-            experiment, studies, finished.known(studies), min(least + STRETCH_TRIALS, trials)
-        )
+        target = min(map(finished.done, studies)) + STRETCH_TRIALS
+        return Block(experiment, studies, finished.known(studies), min(target, trials))
 
     def take(block: Block, advanced: Advanced) -> Iterator[Block]:
         finished.add(advanced.table)
@@ -293,8 +288,7 @@ def _go_on(
         if going_on:
             keys, handed_on = zip(*going_on, strict=True)
             target = min(block.trials + STRETCH_TRIALS, trials)
-            nothing = block.known.slice(0, 0)
-            yield Block(experiment, keys, nothing, target, handed_on, advanced.walks)
+            yield Block(experiment, keys, finished.known(()), target, handed_on, advanced.walks)
         report(finished.progress(trials))
 
     unfinished = [key for key in finished.studies if finished.lacks(key, trials)]
@@ -314,9 +308,9 @@ def work_through(
         pool: that works.
         work: does a unit.
         units: to begin with.
-        take: keeps what came of a unit, and gives the units that follow from it.
-        commit: writes what was taken, every `CHECKPOINT_S` and at the end, however this ends; it is
-            told whether the work goes on.
+        take: keeps the outcome of a unit, and gives the units that follow from it.
+        commit: writes all that was taken, every `CHECKPOINT_S` and at the end, however this ends;
+            its argument is whether the work goes on.
     """
     queue = deque(units)
     written_s = time.monotonic()
@@ -341,16 +335,10 @@ class _Session:
     """A line of run.json: when, on what machine, how long, how much, and with which stores."""
 
     def __init__(
-        self,
-        experiment: Experiment,
-        folder: ExperimentFolder,
-        finished: FinishedTrials,
-        pool: Pool,
+        self, experiment: Experiment, folder: ExperimentFolder, finished: FinishedTrials, pool: Pool
     ) -> None:
-        self._pool = pool
+        self._folder, self._finished, self._pool = folder, finished, pool
         self._stores = {key: str(path) for key, path in experiment.stores.items()}
-        self._folder = folder
-        self._finished = finished
         self._started = datetime.now(UTC).isoformat(timespec="milliseconds")
         self._began_s = time.monotonic()
         self._before = finished.count
@@ -378,10 +366,3 @@ class _Session:
                     **({"cluster": self._pool.kinds} if self._pool.kinds else {}),
                 }
             )
-
-
-def _positive(name: str, value: int | None, default: int) -> int:
-    chosen = default if value is None else value
-    if chosen < 1:
-        raise InputError(name, chosen, "1 or more")
-    return chosen

@@ -91,11 +91,15 @@ def export(
         storage.engine.dispose()
 
 
-def check_database(experiment: Experiment, url: str) -> None:
-    """Refuse a database that `export` would refuse, before the work; none is made.
+def check_database(
+    experiment: Experiment, url: str, arms: Sequence[Arm] = (), runs: Sequence[int] = ()
+) -> None:
+    """Refuse a database that `export` or `note_worths` would refuse, before the work.
+
+    Nothing is written, and no database is made.
 
     Raises:
-        InputError: as `export`.
+        InputError: as `export` and `note_worths`.
     """
     with read_studies(url) as storage:
         if storage is None:
@@ -104,6 +108,8 @@ def check_database(experiment: Experiment, url: str) -> None:
         if (name := summary_name(experiment.name)) in study_ids(storage):
             load_whole(storage, name)
             require_notes(name, storage)
+        for _, _, name in _noted(storage, experiment, arms, runs):
+            _checked(storage, name, experiment, url)
     open_studies(url).engine.dispose()  # it is there and ours, but may be locked
 
 
@@ -197,20 +203,6 @@ def note_worths(
                 note_worth(experiment, arm, run, _checked(storage, name, experiment, url))
     finally:
         storage.engine.dispose()
-
-
-def check_noted(experiment: Experiment, arms: Sequence[Arm], runs: Sequence[int], url: str) -> None:
-    """Refuse studies that `note_worths` would refuse, before the work; nothing is written.
-
-    Raises:
-        InputError: as `note_worths`.
-    """
-    if not any(arm.features for arm in arms):
-        return
-    with read_studies(url) as storage:
-        if storage is not None:
-            for _, _, name in _noted(storage, experiment, arms, runs):
-                _checked(storage, name, experiment, url)
 
 
 def _noted(

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pytest
 
 import taichi_nmm
@@ -11,12 +12,10 @@ from storage.pool import IN_PROCESS, InProcess, Pool
 from study.comparison import optimum
 from study.comparison.optimum import (
     EVALUATIONS,
-    CmaesProgress,
+    OptimumFolder,
     Stretch,
-    _document,
     estimate,
     evolve,
-    read_evaluations,
     run_cmaes,
 )
 from study.experiment.experiment import CmaesOptions, Experiment
@@ -26,6 +25,7 @@ from tests.study import fake_walker
 from tests.study.comparison.fake_results import experiment
 
 RUNS = 3
+DOCUMENT = {"arms": {}, "stores": {}, "ground": {}}
 NOTHING = EVALUATIONS.empty_table()
 Found = tuple[list[dict[str, object]], list[str]]
 
@@ -39,9 +39,9 @@ def level(fake_simulator: None) -> Experiment:
 
 def run(of: Experiment, out: Path, pool: Pool = IN_PROCESS) -> Found:
     """Evaluations without their order of columns in memory, and why each run ended."""
-    out.mkdir(exist_ok=True)
-    table, stops = run_cmaes(of, RUNS, out, pool, lambda progress: None)
-    assert read_evaluations(out, _document(of)).equals(table)
+    with OptimumFolder.claim(out, DOCUMENT) as folder:
+        table, stops = run_cmaes(of, RUNS, folder, pool, lambda line: None)
+        assert folder.evaluations().equals(table)
     return table.to_pylist(), stops
 
 
@@ -86,32 +86,32 @@ def test_more_generations_go_on_from_those_that_are_there(
 
 
 def test_a_block_is_told_what_is_known_and_gives_what_is_new(level: Experiment) -> None:
-    first = evolve(Stretch(level, (0, 2), NOTHING, 2, "out"))
-    assert first.tried["generation"].to_pylist() == [0] * 8 + [1] * 8 and first.stops == {}
+    first, stops = evolve(Stretch(level, (0, 2), NOTHING, "out"))
+    assert first["generation"].to_pylist() == [n for n in range(5) for _ in range(8)] and not stops
     assert fake_walker.calls[-1]["gains"].shape == (8, 16)  # a generation of both, one batch
-    rest = evolve(Stretch(level, (0, 2), first.tried, 100, "out"))
-    assert set(rest.tried["generation"].to_pylist()) == {2, 3, 4, 5, 6}
-    assert rest.stops == {0: "max_generations", 2: "max_generations"}
-    alone = evolve(Stretch(level, (2,), NOTHING, 100, "out")).tried
-    both = pa.concat_tables([first.tried, rest.tried]).to_pylist()
-    assert alone.to_pylist() == [row for row in both if row["run"] == 2]
+    rest, stops = evolve(Stretch(level, (0, 2), first, "out"))
+    assert set(rest["generation"].to_pylist()) == {5, 6}
+    assert stops == {0: "max_generations", 2: "max_generations"}
+    both = pa.concat_tables([first, rest])
+    alone, _ = evolve(Stretch(level, (2,), first.filter(pc.equal(first["run"], 2)), "out"))
+    assert alone.to_pylist() == rest.filter(pc.equal(rest["run"], 2)).to_pylist()
+    assert len(evolve(Stretch(level, (0, 2), both, "out"))[0]) == 0
 
 
 def test_evaluations_of_other_settings_are_refused(level: Experiment) -> None:
-    tried = evolve(Stretch(level, (0,), NOTHING, 2, "out")).tried
-    other = replace(level, seed=8)
+    tried, _ = evolve(Stretch(level, (0,), NOTHING, "out"))
     with pytest.raises(InputError, match=r"out: 'run 0 in here' .* these settings") as caught:
-        evolve(Stretch(other, (0,), tried, 3, "here"))
+        evolve(Stretch(replace(level, seed=8), (0,), tried, "here"))
     assert "\n" not in str(caught.value)
 
 
 def test_progress_counts_up(level: Experiment, tmp_path: Path) -> None:
-    told: list[CmaesProgress] = []
-    table, _ = run_cmaes(level, RUNS, tmp_path, IN_PROCESS, told.append)
-    assert [each.generation for each in told] == [5, 7]
-    assert [each.running for each in told] == [RUNS, 0]
-    assert told[-1].evaluations == len(table) and told[-1].runs == RUNS
-    assert told[-1].best_cost == min(table["cost"].to_pylist())
+    told: list[str] = []
+    with OptimumFolder.claim(tmp_path / "out", DOCUMENT) as folder:
+        table, _ = run_cmaes(level, RUNS, folder, IN_PROCESS, told.append)
+    best = f"best cost {min(table['cost'].to_pylist()):.5g}"
+    assert told[0].startswith("cmaes: generation 5, 3 of 3 runs go on, 60 evaluations, best cost ")
+    assert told[1:] == [f"cmaes: generation 7, 0 of 3 runs go on, 84 evaluations, {best}"]
 
 
 @pytest.mark.parametrize(
@@ -127,9 +127,6 @@ def test_only_the_easiest_setting_has_an_optimum(
 ) -> None:
     easiest: dict[str, object] = {"ground": Ground("flat"), "disturbance": 0.0}
 
-    def quiet(progress: object) -> None:
-        pass
-
     with pytest.raises(InputError, match=message) as caught:
-        estimate(experiment(**(easiest | change)), tmp_path / "out", 2, 1, quiet, quiet)
+        estimate(experiment(**(easiest | change)), tmp_path / "out", 2, 1, print)
     assert "\n" not in str(caught.value) and not (tmp_path / "out").exists()
