@@ -8,16 +8,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from study.sampler.gp import (
-    Covariance,
-    Kernel,
-    Layout,
-    Posterior,
-    condition,
-    learn,
-    new_covariance,
-)
-from study.sampler.transforms import Guess, Points, log_excess, squarable
+from study.sampler.gp import Covariance, Kernel, Posterior, condition, learn, new_covariance
+from study.sampler.transforms import Points, PriorMean, log_excess, squarable
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -41,17 +33,8 @@ REFITS = ((32, 1), (128, 4))  # up to so many trials, constants are learned anew
 LAST_EVERY = 16
 
 
-Learned = dict[tuple[Covariance, bytes], Floats]  # constants by the trials they were learned from
-
-
-def learned(known: Learned, covariance: Covariance, x: Floats, y: Floats) -> Floats:
-    """What `learn` gives, computed once for the same covariance and trials, and kept in `known`."""
-    key = (covariance, x.tobytes() + y.tobytes())
-    if key not in known:
-        if len(known) >= CACHED_CONSTANTS:
-            known.pop(next(iter(known)))
-        known[key] = learn(covariance, x, y)
-    return known[key]
+Learned = dict[tuple[Covariance, bytes], Floats]
+"""Constants by the covariance and the trials that they were learned from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,17 +43,17 @@ class Model:
 
     Attributes:
         kernel: of this trial.
-        guess: what the user says of a feature; None: nothing, or it is not believed.
+        prior_mean: None: zero, or it is not believed.
         parameters: d.
         trials: the finished ones, n, at least one.
         costs: what they showed, lower is better, finite, [n].
         limits: c constraints of each, feasible where <= 0, NaN where unknown, [n, c].
         running: trials of other workers whose parameters are known.
-        known: constants that were learned so far.
+        known: constants that were learned so far; new ones are added.
     """
 
     kernel: Kernel
-    guess: Guess | None
+    prior_mean: PriorMean | None
     parameters: int
     trials: Points
     costs: Floats
@@ -101,8 +84,13 @@ class Model:
 
     @cached_property
     def posterior(self) -> Posterior:
-        """Of the cost less what was guessed, running trials taken to show what is expected."""
-        posterior = self._after(self.trials, self._unguessed)
+        """Of the cost less the prior mean, running trials taken to show what is expected."""
+
+        def y(some: slice) -> Floats:
+            cost = self.cost(some)
+            return cost - self.expected(self.trials, cost)[some]
+
+        posterior = self._after(self.trials, y)
         running = self._visible(self.running)
         return posterior.believing(running) if len(running) else posterior
 
@@ -127,28 +115,31 @@ class Model:
         cost = self.costs[some]
         return log_excess(cost) if self.kernel.by_order else squarable(cost)
 
-    def _unguessed(self, some: slice) -> Floats:
-        """The same less what was guessed."""
-        cost = self.cost(some)
-        return cost - self.guessed(self.trials, cost)[some]
-
-    def guessed(self, points: Points, cost: Floats) -> Floats:
-        """What the user says of the costs of points, [m], in the unit of these costs."""
-        if self.guess is None:
+    def expected(self, points: Points, cost: Floats) -> Floats:
+        """The prior mean at points, [m], in the unit of these costs."""
+        if self.prior_mean is None:
             return np.zeros(len(points))
-        return (float(cost.std()) or 1.0) * self.guess.cost(points)
+        return (float(cost.std()) or 1.0) * self.prior_mean.cost(points.features)
 
     def _after(self, points: Points, y: Callable[[slice], Floats]) -> Posterior:
         """The posterior of something that trials showed, y giving what some of them did."""
         seen = self._visible(points)
-        x = seen.matrix()
-        layout = Layout(seen.features.shape[1], seen.coordinates.shape[1], self.parameters)
-        covariance = new_covariance(self.kernel, layout)
+        x, sizes = seen.matrix(), (seen.features.shape[1], seen.coordinates.shape[1])
+        covariance = new_covariance(self.kernel, *sizes, self.parameters)
         first = last_refit(len(x))
-        theta = learned(self.known, covariance, x[:first], y(slice(first)))
+        theta = self._learned(covariance, x[:first], y(slice(first)))
         # Over features alone, noise is the spread of alike candidates: the next one shows it too.
         noisy = not self.kernel.of_parameters
         return condition(covariance, theta, x, y(slice(None)), noisy=noisy)
+
+    def _learned(self, covariance: Covariance, x: Floats, y: Floats) -> Floats:
+        """The constants, computed once for the same covariance and trials."""
+        key = (covariance, x.tobytes() + y.tobytes())
+        if key not in self.known:
+            if len(self.known) >= CACHED_CONSTANTS:
+                self.known.pop(next(iter(self.known)))
+            self.known[key] = learn(covariance, x, y)
+        return self.known[key]
 
     def _visible(self, points: Points) -> Points:
         """The columns that the kernel looks at."""
@@ -186,30 +177,28 @@ class Model:
         residual = residual[: len(seen)]  # less what running trials are believed to show
         slopes = np.linalg.solve(seen.T @ seen + np.eye(seen.shape[1]), seen.T @ residual)
         learned = self.posterior.cost_sd * (points.features @ slopes)
-        return np.asarray(-(learned + self.guessed(points, self.cost())))
+        return np.asarray(-(learned + self.expected(points, self.cost())))
 
     def _values(self, points: Points) -> Floats:
         """The utility of candidates, [m]."""
-        if not self.one_dimensional:
-            return self._improvement(points) + log_all_kept(
-                self.limit_posteriors, self._visible(points)
-            )
-        shared = Shared.of(self.posterior, points)
-        values = self._improvement(shared.points) + log_all_kept(
-            self.limit_posteriors, shared.points
-        )
-        return shared.spread(values)
+        if self.one_dimensional:
+            return along_feature(self.posterior, points, self._utility)
+        return self._utility(points)
 
-    def _improvement(self, points: Points) -> Floats:
-        """log expected improvement, [m]; all alike where there is nothing to improve on."""
+    def _utility(self, points: Points) -> Floats:
+        """log expected improvement plus the log of the chance that all limits are kept, [m]."""
+        visible = self._visible(points)
+        kept = np.zeros(len(points))
+        for posterior in self.limit_posteriors:
+            kept += log_kept(*posterior.predict(visible))
         feasible = self.feasible
-        if not feasible.any():  # first find a candidate that holds
-            return np.zeros(len(points))
-        mean, variance = self.posterior.predict(self._visible(points))
+        if not feasible.any():  # nothing to improve on: first find a candidate that holds
+            return kept
+        mean, variance = self.posterior.predict(visible)
         cost = self.cost()
         best = float(cost[feasible].min())
-        mean += self.guessed(points, cost)
-        return log_expected_improvement(mean, np.sqrt(variance), best)
+        mean += self.expected(points, cost)
+        return log_expected_improvement(mean, np.sqrt(variance), best) + kept
 
 
 def last_refit(trials: int) -> int:
@@ -220,43 +209,23 @@ def last_refit(trials: int) -> int:
     return trials - trials % LAST_EVERY
 
 
-@dataclass(frozen=True, eq=False)
-class Shared:
-    """Few points that stand for the many candidates of one feature: its distinct values, or nodes.
+def along_feature(
+    posterior: Posterior, points: Points, computed: Callable[[Points], Floats]
+) -> Floats:
+    """A function of m candidates that differ by one feature alone, [m].
 
-    Between nodes the posterior is all but straight.
-
-    Attributes:
-        points: distinct features, or nodes.
-        values: the distinct features of the candidates, ascending.
-        place: which of them each candidate has, [m].
+    It is computed once for each value or, where the posterior may be approximate and nodes are
+    fewer, at evenly spaced nodes, between which it is all but straight.
     """
-
-    points: Points
-    values: Floats
-    place: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, posterior: Posterior, points: Points) -> "Shared":
-        """For m candidates; nodes only where the posterior may be approximate."""
-        values, place = points.distinct
-        nodes = _nodes_between(posterior, values) if posterior.fast else values
-        return cls(Points(nodes[:, None], np.empty((len(nodes), 0))), values, place)
-
-    def spread(self, computed: Floats) -> Floats:
-        """What was computed at the points, at all candidates, [m]."""
-        nodes = self.points.features[:, 0]
-        if len(nodes) != len(self.values):
-            computed = np.interp(self.values, nodes, computed)
-        return computed[self.place]
-
-
-def _nodes_between(posterior: Posterior, values: Floats) -> Floats:
-    """Evenly spaced values, or the values themselves if they are fewer."""
-    length = posterior.shortest_scale
-    span = float(values[-1] - values[0])
-    count = int(min(np.ceil(span / length * NODES_A_LENGTH), len(values))) + 1
-    return values if count >= len(values) else np.linspace(values[0], values[-1], count)
+    values, place = points.distinct
+    nodes, span = values, float(values[-1] - values[0])
+    count = int(min(np.ceil(span / posterior.shortest_scale * NODES_A_LENGTH), len(values))) + 1
+    if posterior.fast and count < len(values):
+        nodes = np.linspace(values[0], values[-1], count)
+    found = computed(Points(nodes[:, None], np.empty((len(nodes), 0))))
+    if nodes is not values:
+        found = np.interp(values, nodes, found)
+    return found[place]
 
 
 def log_expected_improvement(mean: Floats, sd: Floats, best: float) -> Floats:
@@ -342,11 +311,3 @@ def log_kept(mean: Floats, variance: Floats) -> Floats:
     """
     sd = np.sqrt(np.maximum(variance, 1e-24))
     return np.asarray(scipy.special.log_ndtr(-mean / sd))
-
-
-def log_all_kept(limits: list[Posterior], points: Points) -> Floats:
-    """The sum over independent limits, [m]."""
-    total = np.zeros(len(points))
-    for posterior in limits:
-        total += log_kept(*posterior.predict(points))
-    return total

@@ -18,7 +18,7 @@ from optuna.distributions import (
     IntDistribution,
 )
 
-from study.sampler.space import STEP_TOLERANCE, Space
+from study.sampler.space import Space, first_not_taken
 from study.sampler.transforms import columns_of, let_go, new_matrix
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
@@ -56,21 +56,25 @@ def checked_columns(
     """
     if not parameters:
         raise InputError("table.parameters", "none", "at least one column")
-    _require_known("table.bounds", bounds, parameters)
-    _require_known("table.space", space, parameters)
-    for name, ends in (bounds or {}).items():
-        if name in (space or {}):
-            raise InputError(f"table.bounds.{name}", ends, "none beside space=, which has the name")
+    bounds, space = bounds or {}, space or {}
+    for field, given in (("table.bounds", bounds), ("table.space", space)):
+        for name in given:
+            if name not in parameters:
+                raise InputError(field, name, f"one of {', '.join(sorted(parameters))}")
+    for name in bounds.keys() & space.keys():
+        allowed = "none beside space=, which has the name"
+        raise InputError(f"table.bounds.{name}", bounds[name], allowed)
     matrix = feature_matrix(features, feature_names)
     names = tuple(feature_names or (f"feature_{i}" for i in range(matrix.shape[1])))
     raw = new_matrix(len(matrix), len(parameters))
     distributions: dict[str, BaseDistribution] = {}
     for (name, values), column in zip(parameters.items(), columns_of(raw), strict=True):
-        given = None if space is None else space.get(name)
-        numbers, distribution = parameter_column(name, values, len(matrix), given)
-        if bounds is not None and name in bounds:
-            distribution = _widened(name, distribution, bounds[name])
-        column[:] = numbers
+        column[:], distribution = parameter_column(name, values, len(matrix), space.get(name))
+        if name in bounds:
+            if isinstance(distribution, CategoricalDistribution):
+                allowed = "none: the parameter is categorical"
+                raise InputError(f"table.bounds.{name}", bounds[name], allowed)
+            distribution = type(distribution)(*bounds[name])  # type: ignore[call-arg]
         let_go(np.asarray(values))
         distributions[name] = distribution
     space_of_rows = Space.of(distributions)
@@ -99,12 +103,17 @@ def parameter_column(
         raise InputError(f"table.{name}.shape", column.shape, "[n], n at least 1")
     if len(column) != length:
         raise InputError(f"table.{name}.shape", column.shape, f"({length},), as the features")
-    if isinstance(given, CategoricalDistribution):
+    if isinstance(given, CategoricalDistribution) or (
+        given is None and column.dtype.kind not in "iuf"
+    ):
         return _choices(name, column, given)
-    if given is None and column.dtype.kind not in "iuf":
-        return _choices(name, column, None)
     numbers = _finite(name, column)
-    return numbers, given or _numeric(column.dtype.kind, numbers)
+    if given is not None:
+        return numbers, given
+    low, high = float(numbers.min()), float(numbers.max())
+    if column.dtype.kind in "iu":
+        return numbers, IntDistribution(int(low), int(high))
+    return numbers, FloatDistribution(low, high)
 
 
 def feature_matrix(features: ArrayLike, names: Sequence[str] | None) -> Floats:
@@ -119,14 +128,6 @@ def feature_matrix(features: ArrayLike, names: Sequence[str] | None) -> Floats:
     if names is not None and len(names) != matrix.shape[1]:
         raise InputError("table.feature_names", list(names), f"{matrix.shape[1]} names")
     return matrix
-
-
-def _numeric(kind: str, numbers: Floats) -> BaseDistribution:
-    """The distribution of a column [n] without one: its kind, from its least to its greatest."""
-    low, high = float(numbers.min()), float(numbers.max())
-    if kind in "iu":
-        return IntDistribution(int(low), int(high))
-    return FloatDistribution(low, high)
 
 
 def _finite(name: str, column: NDArray[Any]) -> Floats:
@@ -145,7 +146,9 @@ def _choices(
     name: str, column: NDArray[Any], given: CategoricalDistribution | None
 ) -> tuple[Floats, CategoricalDistribution]:
     """Indices of choices: those given, or the values in the order in which they appear."""
-    listed = [_choice(value, given) for value in column.tolist()]
+    listed = column.tolist()
+    if given is not None and None in given.choices:  # pandas has NaN for it
+        listed = [None if _is_gap(value) else value for value in listed]
     for row, value in enumerate(listed):
         if not isinstance(value, Hashable):
             raise InputError(f"table.{name}[{row}]", value, "a number, a word or a flag")
@@ -157,12 +160,6 @@ def _choices(
         if value not in index:
             raise InputError(f"table.{name}[{row}]", value, f"one of {choices}")
     return np.array([index[value] for value in listed]), given or CategoricalDistribution(choices)
-
-
-def _choice(value: Any, given: CategoricalDistribution | None) -> Any:
-    """A value of a column; a gap is None where None is among the choices: pandas has NaN for it."""
-    missing = given is not None and _is_gap(value) and None in given.choices
-    return None if missing else value
 
 
 def _is_gap(value: Any) -> bool:
@@ -185,52 +182,20 @@ def _require_no_gap(name: str, values: list[Any]) -> None:
             raise InputError(f"table.{name}[{row}]", value, allowed)
 
 
-def _require_known(
-    field: str, given: Mapping[str, Any] | None, parameters: Mapping[str, Any]
-) -> None:
-    """Refuse bounds or distributions of a name that no column has."""
-    for name in given or ():
-        if name not in parameters:
-            raise InputError(field, name, f"one of {', '.join(sorted(parameters))}")
-
-
-def _widened(
-    name: str, distribution: BaseDistribution, bounds: tuple[float, float]
-) -> BaseDistribution:
-    """The distribution of a column with the bounds asked for."""
-    if isinstance(distribution, CategoricalDistribution):
-        raise InputError(f"table.bounds.{name}", bounds, "none: the parameter is categorical")
-    low, high = bounds
-    if not low <= high:
-        raise InputError(f"table.bounds.{name}", bounds, "(low, high), low <= high")
-    return type(distribution)(low, high)  # type: ignore[call-arg]
-
-
 def _require_inside(space: Space, parameters: Floats) -> None:
     """Refuse rows that their own distribution does not hold."""
     named = space.as_dict().items()
     for (name, distribution), values in zip(named, columns_of(parameters), strict=True):
         if isinstance(distribution, CategoricalDistribution):
             continue
-        low, high = distribution.low, distribution.high  # type: ignore[attr-defined]
-        outside = np.flatnonzero(~((low <= values) & (values <= high)))
-        if len(outside):
-            row = int(outside[0])
-            raise InputError(f"table.{name}[{row}]", float(values[row]), f"{low:g} to {high:g}")
-        if isinstance(distribution, FloatDistribution) and distribution.step is None:
+        row = first_not_taken(distribution, values, distribution)
+        if row is None:
             continue
-        row_off_grid = _first_off_grid(values, distribution)
-        if row_off_grid is not None:
-            value = float(values[row_off_grid])
-            raise InputError(f"table.{name}[{row_off_grid}]", value, f"a value of {distribution}")
-
-
-def _first_off_grid(values: Floats, distribution: BaseDistribution) -> int | None:
-    """The first of the values [n] that lies between the steps of its parameter."""
-    low, step = distribution.low, distribution.step  # type: ignore[attr-defined]
-    steps = (values - low) / step
-    off = np.flatnonzero(np.abs(steps - np.round(steps)) > STEP_TOLERANCE)
-    return int(off[0]) if len(off) else None
+        low, high = distribution.low, distribution.high  # type: ignore[attr-defined]
+        value, allowed = float(values[row]), f"a value of {distribution}"
+        if not low <= value <= high:
+            allowed = f"{low:g} to {high:g}"
+        raise InputError(f"table.{name}[{row}]", value, allowed)
 
 
 @dataclass(frozen=True)

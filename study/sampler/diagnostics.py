@@ -1,17 +1,16 @@
 """Whether the features of a study are worth anything: figures, a verdict and a small table."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from math import atanh, sqrt, tanh
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from study.sampler.acquisition import Learned, Model
-from study.sampler.gp import JITTER, Kernel, Posterior, shape_of
-from study.sampler.transforms import Guess, Points, is_doubtful
+from study.sampler.acquisition import Model
+from study.sampler.gp import JITTER, Posterior, shape_of
+from study.sampler.transforms import Points
 
 Floats = NDArray[np.float64]
 
@@ -239,61 +238,20 @@ class Present:
     Attributes:
         names: of the k features.
         features: of the n trials, in units of their own, NaN where unknown, [n, k].
-        seen: the trials as the kernel sees them.
-        cost: of each, lower is better, [n].
+        model: the sampler's, for trials that follow the features.
         candidates: rows that may be proposed, or points anywhere, as the kernel sees them.
         owners: of each column of their features, the number of the feature.
-        parameters: d.
-        kernel: of the sampler.
-        guess: of the user.
-        learns_trust: whether the sampler may leave trials to the parameters.
-        known: constants that were learned so far.
+        is_doubted: whether every other trial is left to the parameters at present.
         first: rows that the prior ranks first, with their features, {row: [k]}.
     """
 
     names: tuple[str, ...]
     features: Floats
-    seen: Points
-    cost: Floats
+    model: Model
     candidates: Points
     owners: tuple[int, ...]
-    parameters: int
-    kernel: Kernel
-    guess: Guess | None
-    learns_trust: bool
-    known: Learned
-    first: dict[int, Floats]
-
-    @cached_property
-    def model(self) -> Model:
-        """The sampler's model, for trials that follow the features."""
-        return self._model(self.seen, self.guess)
-
-    @cached_property
-    def blind(self) -> Model | None:
-        """The same learned where all have the same features; None: nothing else is looked at.
-
-        Not the one over the parameters alone that the sampler falls back on: that learns no mean,
-        and falls behind also where features say nothing at all.
-        """
-        if not self.kernel.of_parameters:
-            return None
-        alike = Points(np.zeros_like(self.seen.features), self.seen.coordinates)
-        return self._model(alike, None)
-
-    @property
-    def is_doubted(self) -> bool:
-        """Whether every other trial is left to the parameters at present."""
-        told = self.guess is not None
-        return self.learns_trust and any(is_doubtful(self.cost, turn, told) for turn in (0, 1))
-
-    def _model(self, seen: Points, guess: Guess | None) -> Model:
-        """After the finished trials, whatever others show and whichever limits there are."""
-        unknown = np.empty((len(self.cost), 0))
-        nobody = seen.take(np.arange(0))
-        return Model(
-            self.kernel, guess, self.parameters, seen, self.cost, unknown, nobody, self.known
-        )
+    is_doubted: bool
+    first: Mapping[int, Floats]
 
 
 def worth_of(present: Present | None, *, maximised: bool) -> Worth:
@@ -309,18 +267,16 @@ def worth_of(present: Present | None, *, maximised: bool) -> Worth:
         present: of the sampler; None: nothing is known.
         maximised: the study's values are.
     """
-    if present is None or not len(present.cost):
-        names = () if present is None else present.names
-        prior = () if present is None else tuple(_of_prior(present))
-        return Worth(0, names, (None,) * len(names), None, None, False, maximised, prior)
-    enough = len(present.cost) >= LEAST_TRIALS
-    count = len(present.names)
+    if present is None:
+        return Worth(0, (), (), None, None, False, maximised)
+    cost, count = present.model.costs, len(present.names)
+    enough = len(cost) >= LEAST_TRIALS
     return Worth(
-        len(present.cost),
+        len(cost),
         present.names,
-        tuple(RankCorrelation.of(feature, present.cost) for feature in present.features.T),
+        tuple(RankCorrelation.of(feature, cost) for feature in present.features.T),
         weights_of(present.model, present.candidates, present.owners, count) if enough else None,
-        _errors(present) if enough else None,
+        _errors(present.model) if enough else None,
         present.is_doubted,
         maximised,
         tuple(_of_prior(present)),
@@ -329,30 +285,36 @@ def worth_of(present: Present | None, *, maximised: bool) -> Worth:
 
 def _of_prior(present: Present) -> Iterator[str]:
     """Which rows it ranks first, and whether the trials contradict its sign."""
-    guess = present.guess
-    if guess is None:
+    prior = present.model.prior_mean
+    if prior is None:
         return
-    name = present.names[guess.column]
+    name = present.names[prior.column]
     if present.first:
         rows = ", ".join(map(str, present.first))
-        values = ", ".join(f"{features[guess.column]:.4g}" for features in present.first.values())
+        values = ", ".join(f"{features[prior.column]:.4g}" for features in present.first.values())
         yield f"By the prior, rows {rows} come first ({name}: {values})."
-    r = RankCorrelation.of(guess.sign * present.features[:, guess.column], present.cost)
+    r = RankCorrelation.of(prior.merit(present.features), present.model.costs)
     if r is not None and r.errors > NORMAL_95:
-        good = "high" if guess.sign > 0 else "low"
+        good = "high" if prior.sign > 0 else "low"
         yield f"The trials contradict the prior: {good} values of {name} go with high costs."
 
 
-def _errors(present: Present) -> Errors | None:
-    """Of the model, as a share of the constant's; None where all trials cost the same."""
-    cost = present.model.cost()
+def _errors(model: Model) -> Errors | None:
+    """Of the model, as a share of the constant's; None where all trials cost the same.
+
+    The model without features is the same learned where all trials have the same features. The
+    sampler's own model over the parameters alone learns no mean, and would fall behind also where
+    features say nothing at all.
+    """
+    cost = model.cost()
     constant = residuals_of_constant(cost)
     unit = rms(constant)
     if unit <= 1e-12 * float(np.abs(cost).max()):
         return None
-    with_features, other, without = residuals(present.model.posterior), constant, None
-    if present.blind is not None:
-        blind = residuals(present.blind.posterior)
+    with_features, other, without = residuals(model.posterior), constant, None
+    if model.kernel.of_parameters:
+        alike = Points(np.zeros_like(model.trials.features), model.trials.coordinates)
+        blind = residuals(replace(model, trials=alike, prior_mean=None).posterior)
         without = rms(blind) / unit
         other = blind if without < 1.0 else constant
     return Errors(rms(with_features) / unit, without, _gain(with_features, other))
@@ -379,7 +341,7 @@ def weights_of(model: Model, candidates: Points, owners: tuple[int, ...], count:
 
     The slopes have one variance v in common, which tells nothing about one feature: so they count
     as the trials leave them, w = m + v Phi^T K^-1 y with covariance v I - v^2 Phi^T K^-1 Phi, m
-    being the user's guess (Rasmussen, Williams 2006, section 2.7). Where m = 0 and v is likeliest,
+    being the prior mean (Rasmussen, Williams 2006, section 2.7). Where m = 0 and v is likeliest,
     v is the mean of these E[w_j^2] (a fixed point of expectation maximisation: Dempster, Laird,
     Rubin 1977). Likeness is divided among the columns by var(phi_j) / l_j^2, their share of a
     squared distance.
@@ -390,7 +352,9 @@ def weights_of(model: Model, candidates: Points, owners: tuple[int, ...], count:
         owners: of each column of their features, the number of the feature.
         count: of features, k.
     """
-    points = candidates.take(_evenly(len(candidates)))
+    m = len(candidates)
+    evenly = np.unique(np.linspace(0, m - 1, min(m, CANDIDATES)).astype(np.int64))
+    points = candidates.take(evenly)
     x = points.only(features=True, coordinates=model.kernel.of_parameters).matrix()
     posterior, columns = model.posterior, len(owners)
     each, parameters = np.zeros(columns), 0.0
@@ -423,11 +387,6 @@ def percents(shares: tuple[float, ...]) -> tuple[int, ...]:
     return tuple(rounded.astype(int).tolist())
 
 
-def _evenly(count: int) -> NDArray[np.int64]:
-    """Numbers of the candidates that are looked at."""
-    return np.unique(np.linspace(0, count - 1, min(count, CANDIDATES)).astype(np.int64))
-
-
 def _slopes_squared(model: Model, v: float, columns: int) -> Floats:
     """E[w_j^2] of the first columns after the trials, in standard units of the cost, [columns]."""
     posterior = model.posterior
@@ -436,8 +395,8 @@ def _slopes_squared(model: Model, v: float, columns: int) -> Floats:
     noisy = k + (posterior.noise + JITTER) * np.eye(len(k))
     solved = np.linalg.solve(noisy, np.column_stack([posterior.y, phi]))
     ends = Points(np.eye(columns), np.empty((columns, 0)))
-    told = model.guessed(ends, model.cost()) / posterior.cost_sd
-    mean = told + v * (phi.T @ solved[:, 0])
+    expected = model.expected(ends, model.cost()) / posterior.cost_sd
+    mean = expected + v * (phi.T @ solved[:, 0])
     variance = v - v**2 * np.einsum("nj,nj->j", phi, solved[:, 1:])
     return np.asarray(mean**2 + np.maximum(variance, 0.0))
 

@@ -125,15 +125,6 @@ KERNELS = {
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Which columns of a row are what: k features, then e coordinates of d parameters."""
-
-    features: int
-    coordinates: int
-    parameters: int
-
-
-@dataclass(frozen=True)
 class Constant:
     """A positive constant to be learned: bounds, and a normal prior of its logarithm."""
 
@@ -235,26 +226,22 @@ class Covariance:
 
         Distances are taken in 64 bits always; what is of size [n, m] after that may be in 32.
         """
-        sides = [
-            (term, variance, scales, _left(_scaled(a[:, term.first : term.end], scales)).T)
-            if len(scales)
-            else (term, variance, scales, a[:, term.first : term.end])
-            for term, variance, scales in self.valued(theta)
-        ]
+        sides = []
+        for term, variance, scales in self.valued(theta):
+            own = a[:, term.first : term.end]
+            left = _left(_scaled(own, scales)).T if len(scales) else own
+            sides.append((term, variance, scales, left))
 
         def cross(x: Floats) -> AnyFloats:
             total: Any = None
             for term, variance, scales, left in sides:
                 seen = x[:, term.first : term.end]
-                other = _right(_scaled(seen, scales)) if len(scales) else seen.T
-                k = (left @ other).astype(precision, copy=False)
+                right = _right(_scaled(seen, scales)) if len(scales) else seen.T
+                k = (left @ right).astype(precision, copy=False)
                 if len(scales):
                     np.exp(k, out=k)
                 k *= variance
-                if total is None:
-                    total = k
-                else:
-                    total += k
+                total = k if total is None else np.add(total, k, out=total)
             return np.asarray(total)
 
         return cross
@@ -268,9 +255,8 @@ class Covariance:
         return total
 
 
-def new_covariance(kernel: Kernel, layout: Layout) -> Covariance:
-    """The covariance of rows of this layout."""
-    k, e = layout.features, layout.coordinates
+def new_covariance(kernel: Kernel, k: int, e: int, d: int) -> Covariance:
+    """The covariance of rows that have k features, then e coordinates of d parameters."""
     terms = []
     if kernel.slopes:
         terms.append(Term(0, k, SLOPE, ()))
@@ -278,7 +264,7 @@ def new_covariance(kernel: Kernel, layout: Layout) -> Covariance:
         scale = Constant(log(sqrt(k)), 1.0, FEATURE_SCALE_BOUNDS)
         terms.append(Term(0, k, SIGNAL, (scale,) * (k if kernel.feature_scales == "each" else 1)))
     if kernel.parameter_scales is not None:
-        mode = sqrt(2.0) + log(layout.parameters) / 2.0 - 3.0
+        mode = sqrt(2.0) + log(d) / 2.0 - 3.0
         scale = Constant(mode, sqrt(3.0), PARAMETER_SCALE_BOUNDS)
         count = e if kernel.parameter_scales == "each" else 1
         terms.append(Term(k, k + e, SIGNAL, (scale,) * count))
@@ -467,14 +453,10 @@ class Posterior:
         """K without noise."""
         return self.covariance.gram(self.theta, self.x)[0]
 
-    def prior_variance(self, x: Floats) -> Any:
-        """k(x, x) of rows [m, p], [m] or a number."""
-        return self.covariance.variance(self.theta, x)
-
     @cached_property
     def fast_is_right(self) -> bool:
         """Whether 32 bits are allowed, and enough: rounding grows with the root of this ratio."""
-        prior = np.max(self.prior_variance(self.x))
+        prior = np.max(self.covariance.variance(self.theta, self.x))
         return self.fast and bool(prior <= LARGEST_RATIO * self.noise)
 
     def predict(self, points: Points) -> tuple[Floats, Floats]:
@@ -485,7 +467,7 @@ class Posterior:
         for block, x in blocks(points):
             whitened = self._whitened(x)
             mean[block] = weights @ whitened
-            variance[block] = self.prior_variance(x)
+            variance[block] = self.covariance.variance(self.theta, x)
             variance[block] -= ones @ np.square(whitened, out=whitened)
         np.maximum(variance, 0.0, out=variance)
         variance += self.noise if self.noisy else 0.0

@@ -8,7 +8,6 @@ another way than the table has it: by another kind, scale or range. Its values c
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -38,12 +37,7 @@ OFF_TABLE = -1
 
 # Of a trial that is no row, with its parameters [d]: the row whose features it is taken to have,
 # OFF_TABLE if it has its own (or none are needed), None if it cannot be learned from.
-FeaturesOf = Callable[[FrozenTrial, Floats], int | None]
-
-
-def _own(trial: FrozenTrial, parameters: Floats) -> int | None:
-    """Every trial has features of its own."""
-    return OFF_TABLE
+Lend = Callable[[FrozenTrial, Floats], int | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +53,7 @@ class History:
         running_rows: of each, [r].
         tried: rows that any trial has taken, whatever became of it, bool [rows of the table].
         unplaced: finished trials left out, being no row of the table.
-        fixed: values of `before` that are settled: the user's, or suggested already.
+        fixed: values of the trial itself that are settled: the user's, or suggested already.
     """
 
     trials: tuple[FrozenTrial, ...]
@@ -85,21 +79,12 @@ def next_trial(study: optuna.Study) -> FrozenTrial:
     return trial
 
 
-@dataclass(frozen=True, eq=False)
-class _Placed:
-    """A trial with its parameters [d], and the row whose features it has."""
-
-    trial: FrozenTrial
-    parameters: Floats
-    row: int
-
-
 def read_history(
     study: optuna.Study,
     before: FrozenTrial,
     space: Space,
     table: Rows | None = None,
-    features_of: FeaturesOf = _own,
+    lend: Lend = lambda trial, parameters: OFF_TABLE,
 ) -> History:
     """The history that the trial `before` is proposed from.
 
@@ -108,68 +93,46 @@ def read_history(
         before: left out itself.
         space: parameters that a trial must have to be learned from.
         table: where rows are looked up.
-        features_of: trials that are no row of the table.
+        lend: features to trials that are no row of the table.
     """
     tried = np.zeros(0 if table is None else len(table), dtype=bool)
-    finished: list[_Placed] = []
-    running: list[_Placed] = []
+    placed: dict[TrialState, list[tuple[FrozenTrial, Floats, int]]]
+    placed = {TrialState.COMPLETE: [], TrialState.RUNNING: []}
     unplaced = []
     for trial in study.get_trials(deepcopy=False):
         if trial.number == before.number:
             continue
-        row = None if table is None else row_of(table, trial)
-        if row is not None:
+        row, parameters = None, None
+        if table is not None and (row := row_of(table, trial)) is not None:
             tried[row] = True
-        if trial.state not in (TrialState.COMPLETE, TrialState.RUNNING):
+            parameters = table.parameters[row]
+        if trial.state not in placed:
             continue
-        placed = _place(trial, row, space, table, features_of)
-        if trial.state is TrialState.RUNNING:
-            running += [] if placed is None else [placed]
-        elif placed is not None:
-            finished.append(placed)
-        elif table is not None:
+        if row is None and (parameters := space.row(trial.params)) is not None:
+            row = lend(trial, parameters)
+        if row is not None and parameters is not None:
+            placed[trial.state].append((trial, parameters, row))
+        elif table is not None and trial.state is TrialState.COMPLETE:
             unplaced.append(trial)
-    values = np.array([placed.trial.values[0] for placed in finished], dtype=np.float64)
+
+    def points(state: TrialState) -> tuple[Floats, NDArray[np.int64]]:
+        found = np.array([parameters for _, parameters, _ in placed[state]], dtype=np.float64)
+        rows = np.array([row for _, _, row in placed[state]], dtype=np.int64)
+        return found.reshape(len(rows), len(space)), rows
+
+    trials = tuple(trial for trial, _, _ in placed[TrialState.COMPLETE])
+    values = np.array([trial.values[0] for trial in trials], dtype=np.float64)
     sign = -1.0 if study.direction is StudyDirection.MAXIMIZE else 1.0
     fixed = values_of(before)
     return History(
-        tuple(placed.trial for placed in finished),
-        _parameters(finished, space),
-        np.array([placed.row for placed in finished], dtype=np.int64),
+        trials,
+        *points(TrialState.COMPLETE),
         sign * clip_infinities(values),
-        _parameters(running, space),
-        np.array([placed.row for placed in running], dtype=np.int64),
+        *points(TrialState.RUNNING),
         tried,
         tuple(unplaced),
         {name: fixed[name] for name in space.names if name in fixed},
     )
-
-
-def _place(
-    trial: FrozenTrial,
-    row: int | None,
-    space: Space,
-    table: Rows | None,
-    features_of: FeaturesOf,
-) -> _Placed | None:
-    """A trial as a model sees it; None if it cannot be learned from.
-
-    Args:
-        trial: finished or running.
-        row: that it is, if any.
-        space: as of `read_history`, and so on.
-    """
-    if row is not None and table is not None:
-        return _Placed(trial, table.parameters[row], row)
-    parameters = space.row(trial.params)
-    lent = None if parameters is None else features_of(trial, parameters)
-    return None if parameters is None or lent is None else _Placed(trial, parameters, lent)
-
-
-def _parameters(placed: list[_Placed], space: Space) -> Floats:
-    """Of trials, [n, d]."""
-    rows = [one.parameters for one in placed]
-    return np.array(rows, dtype=np.float64).reshape(len(rows), len(space))
 
 
 def values_of(trial: FrozenTrial) -> dict[str, Any]:
@@ -188,11 +151,11 @@ def row_of(table: Rows, trial: FrozenTrial) -> int | None:
     """
     row, values = trial.user_attrs.get(ROW_ATTRIBUTE), values_of(trial)
     if isinstance(row, int) and 0 <= row < len(table):
-        wanted = table.as_parameters(row)
-        if values == wanted:  # nearly always; the rest is for those that have more, or fewer
+        expected = table.as_parameters(row)
+        if values == expected:  # nearly always; the rest is for those that have more, or fewer
             return row
         partial = trial.state is not TrialState.COMPLETE
-        if all(values[name] == v if name in values else partial for name, v in wanted.items()):
+        if all(values[name] == v if name in values else partial for name, v in expected.items()):
             return row
     return table.find(values)
 
@@ -204,26 +167,15 @@ def noted_features(trial: FrozenTrial) -> list[float] | None:
     these features.
     """
     noted = trial.user_attrs.get(FEATURES_ATTRIBUTE)
-    if trial.user_attrs.get(ROW_ATTRIBUTE, OFF_TABLE) != OFF_TABLE:
-        return None
-    if not isinstance(noted, list):
+    is_off = trial.user_attrs.get(ROW_ATTRIBUTE, OFF_TABLE) == OFF_TABLE
+    if not is_off or not isinstance(noted, list):
         return None
     return [np.nan if value is None else value for value in noted]
 
 
-def read_limits(trials: Sequence[FrozenTrial]) -> Floats:
-    """The constraints of trials, [n, c]: what `trial.set_constraint` said."""
-    told = [trial.constraints for trial in trials]
-    keys = sorted({key for constraints in told for key in constraints})
-    limits = [[constraints.get(key, np.nan) for key in keys] for constraints in told]
-    columns = np.array(limits, dtype=np.float64).reshape(len(trials), len(keys)).T
-    clipped = [squarable(clip_infinities(column)) for column in columns]
-    return np.array(clipped).reshape(len(keys), len(trials)).T
-
-
-def notes_of(row: int, features: NDArray[np.float64]) -> dict[str, Any]:
+def notes_of(row: int, features: Floats) -> dict[str, Any]:
     """The row, or OFF_TABLE, and its features [k], those unknown as None."""
-    values = [value if isfinite(value) else None for value in features.tolist()]
+    values = [value if math.isfinite(value) else None for value in features.tolist()]
     notes: dict[str, Any] = {ROW_ATTRIBUTE: row}
     if len(values) == 1:
         notes[SCORE_ATTRIBUTE] = values[0]
@@ -232,20 +184,16 @@ def notes_of(row: int, features: NDArray[np.float64]) -> dict[str, Any]:
     return notes
 
 
-def taken_back(width: int, listed: bool) -> dict[str, Any]:
-    """What is left in a trial that ran something else than was noted; notes cannot be removed.
+def read_limits(trials: Sequence[FrozenTrial]) -> Floats:
+    """The constraints of trials, [n, c]: what `trial.set_constraint` said."""
+    keys = sorted({key for trial in trials for key in trial.constraints})
+    limits = [[trial.constraints.get(key, np.nan) for key in keys] for trial in trials]
+    columns = np.array(limits, dtype=np.float64).reshape(len(trials), len(keys)).T
+    clipped = [squarable(clip_infinities(column)) for column in columns]
+    return np.array(clipped).reshape(len(keys), len(trials)).T
 
-    Args:
-        width: k, the number of features.
-        listed: of one feature, whether it may stand in the trial as a list, too: that of a point
-            off the table.
-    """
-    notes: dict[str, Any] = {ROW_ATTRIBUTE: OFF_TABLE}
-    if width == 1:
-        notes[SCORE_ATTRIBUTE] = None
-    if width > 1 or listed:
-        notes[FEATURES_ATTRIBUTE] = None
-    return notes
+
+# What a study suggests, and whether a table fits it.
 
 
 def suggested_so_far(names: Iterable[str], study: optuna.Study) -> dict[str, BaseDistribution]:
@@ -254,13 +202,13 @@ def suggested_so_far(names: Iterable[str], study: optuna.Study) -> dict[str, Bas
     Within a study Optuna holds a parameter to one kind of distribution, one scale, and, of a
     categorical, one list of choices.
     """
-    wanted, found = set(names), dict[str, BaseDistribution]()
+    missing, found = set(names), dict[str, BaseDistribution]()
     for trial in reversed(study.get_trials(deepcopy=False)):
-        if not wanted:
+        if not missing:
             break
-        for name in wanted & trial.distributions.keys():
+        for name in missing & trial.distributions.keys():
             found[name] = trial.distributions[name]
-            wanted.discard(name)
+            missing.discard(name)
     return found
 
 
@@ -269,35 +217,22 @@ def as_suggested_rows(rows: Rows, suggested: Mapping[str, BaseDistribution]) -> 
 
     It is the scale of the kernels that look at parameters, and of points near the rows. A scale or
     step that the table was given stays. Rows that the study does not hold stay as they are, too.
-
-    Args:
-        rows: of the table.
-        suggested: distributions by name, of all parameters or some.
     """
     distributions = list(rows.space.distributions)
-    for column, own in enumerate(distributions):
-        theirs = suggested.get(rows.names[column])
-        if theirs is not None and _on_logarithms(theirs) and rows.outside(column, theirs) is None:
-            distributions[column] = _logarithmic(own, theirs)
-    if all(new is old for new, old in zip(distributions, rows.space.distributions, strict=True)):
-        return rows
-    return rows.with_space(Space(rows.names, tuple(distributions)))
-
-
-def _on_logarithms(distribution: BaseDistribution) -> bool:
-    """Whether its scale is logarithmic."""
-    return bool(getattr(distribution, "log", False))
-
-
-def _logarithmic(own: BaseDistribution, theirs: BaseDistribution) -> BaseDistribution:
-    """A numeric distribution without steps on a logarithmic scale, where both ranges overlap."""
-    assert isinstance(theirs, FloatDistribution | IntDistribution)
-    if isinstance(own, FloatDistribution) and own.step is None and not own.log:
-        return FloatDistribution(max(own.low, theirs.low), min(own.high, theirs.high), log=True)
-    if isinstance(own, IntDistribution) and own.step == 1 and not own.log:
-        low, high = math.ceil(theirs.low), math.floor(theirs.high)
-        return IntDistribution(max(own.low, low), min(own.high, high), log=True)
-    return own
+    for column, name in enumerate(rows.names):
+        own, theirs = distributions[column], suggested.get(name)
+        if not isinstance(own, FloatDistribution | IntDistribution) or own.log:
+            continue
+        if not isinstance(theirs, FloatDistribution | IntDistribution) or not theirs.log:
+            continue
+        if own.step not in (None, 1) or rows.outside(column, theirs) is not None:
+            continue
+        low, high = max(own.low, theirs.low), min(own.high, theirs.high)
+        if isinstance(own, IntDistribution):
+            distributions[column] = IntDistribution(math.ceil(low), math.floor(high), log=True)
+        elif own.step is None:
+            distributions[column] = FloatDistribution(low, high, log=True)
+    return rows.with_distributions(tuple(distributions))
 
 
 def shown_misfit(
@@ -316,7 +251,7 @@ def shown_misfit(
             return error
     trial = _latest(study)
     some = trial is not None and any(name in trial.params for name in rows.names)
-    return not_suggested(rows, trial) if trial is not None and some else None
+    return not_suggested(rows.names, trial) if trial is not None and some else None
 
 
 def proves_fit(rows: Rows, study: optuna.Study) -> bool:
@@ -329,11 +264,17 @@ def proves_fit(rows: Rows, study: optuna.Study) -> bool:
     )
 
 
-def not_suggested(rows: Rows, trial: FrozenTrial) -> InputError | None:
-    """What a trial without some parameter of the table says against it; None if it has all."""
-    for name in rows.names:
+def _latest(study: optuna.Study) -> FrozenTrial | None:
+    """The finished trial of the highest number."""
+    trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    return trials[-1] if trials else None
+
+
+def not_suggested(names: Sequence[str], trial: FrozenTrial) -> InputError | None:
+    """The error of a trial without one of these parameters; None if it has all."""
+    for name in names:
         if name not in trial.params:
-            allowed = f"an objective that suggests all of {', '.join(rows.names)}"
+            allowed = f"an objective that suggests all of {', '.join(names)}"
             return InputError(name, f"not suggested in trial {trial.number}", allowed)
     return None
 
@@ -348,19 +289,10 @@ def distribution_misfit(rows: Rows, column: int, suggested: BaseDistribution) ->
         return None
     name, own = rows.names[column], rows.space.distributions[column]
     value = rows.as_parameters(outside)[name]
-    what = (
-        "choices that hold"
-        if isinstance(suggested, CategoricalDistribution)
-        else "a range that holds"
-    )
+    is_choice = isinstance(suggested, CategoricalDistribution)
+    what = "choices that hold" if is_choice else "a range that holds"
     allowed = f"{what} all rows: row {outside} has {value!r} (the table: {own}, or as space= says)"
     return InputError(name, str(suggested), allowed)
-
-
-def _latest(study: optuna.Study) -> FrozenTrial | None:
-    """The finished trial of the highest number."""
-    trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    return trials[-1] if trials else None
 
 
 def no_row_has(rows: Rows, fixed: Mapping[str, Any]) -> InputError:
@@ -370,17 +302,11 @@ def no_row_has(rows: Rows, fixed: Mapping[str, Any]) -> InputError:
     if rows.having(fixed).any():
         what = "values of a row that has not been tried"
     elif len(fixed) == 1:
-        near = _nearest_value(rows, name, values[0])
-        such = "" if near is None else f", such as {near!r}"
-        what = f"a value that a row of the table has{such}"
+        what = "a value that a row of the table has"
+        column = rows.names.index(name)
+        number = rows.space.number(column, values[0])
+        if number is not None:
+            row = int(abs(rows.parameters[:, column] - number).argmin())
+            what += f", such as {rows.as_parameters(row)[name]!r}"
     allowed = f"{what}; or all parameters, in enqueue_trial"
     return InputError(name, values[0] if len(values) == 1 else values, allowed)
-
-
-def _nearest_value(rows: Rows, name: str, value: Any) -> Any:
-    """The value of a row that is nearest to a number; None for what is no number, nor a choice."""
-    column = rows.names.index(name)
-    number = rows.space.number(column, value)
-    if number is None:
-        return None
-    return rows.as_parameters(int(abs(rows.parameters[:, column] - number).argmin()))[name]

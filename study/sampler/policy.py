@@ -1,16 +1,16 @@
 """What proposals from a table and from a space have in common.
 
-The first trials come before there is a model: they ask which end of the features is good, or follow
-what the user says it is.
+The first trials come before there is a model: they try both ends of the features, or follow the
+end that the user names.
 
 | | first trials |
 |---|---|
 | a feature's good end is known (`prior`) | the best `RANKED` of that ranking, in its order |
-| features, and nothing said | both ends of what they have in common |
+| features without a prior | both ends of what they have in common |
 | a kernel that takes features as they are, or none | `RANDOM`, at random |
 
 What features have in common is their first principal component: candidates at its ends are extreme
-by most of them at once. Of several guesses of a cost, the good end is one of the two.
+by most of them at once. Where several features predict the cost, the good end is one of the two.
 """
 
 import warnings
@@ -20,6 +20,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ import optuna
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
-from optuna.trial import FrozenTrial, TrialState
+from optuna.trial import FrozenTrial
 from threadpoolctl import ThreadpoolController
 
 from study.draws import Purpose, generator
@@ -35,7 +36,7 @@ from study.sampler.acquisition import Learned, Model
 from study.sampler.diagnostics import Present
 from study.sampler.gp import ADDITIVE, NEARNESS, Kernel
 from study.sampler.history import History, read_limits
-from study.sampler.transforms import Guess, Points, is_doubtful
+from study.sampler.transforms import Points, PriorMean, Scale, is_doubtful
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
@@ -62,15 +63,6 @@ class Options:
     strict: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """One proposal: a row of a table, or (row -1) a point off it, with its features."""
-
-    row: int
-    parameters: Floats
-    features: Floats
-
-
 @dataclass(frozen=True)
 class Proposal:
     """What was proposed for a trial that runs in this process, and what was noted in it.
@@ -82,10 +74,6 @@ class Proposal:
 
     values: Mapping[str, Any]
     notes: Mapping[str, Any]
-
-    def was_run(self, params: Mapping[str, Any]) -> bool:
-        """Whether a trial of these parameters had all of the values."""
-        return all(name in params and params[name] == v for name, v in self.values.items())
 
     def other_in(self, params: Mapping[str, Any]) -> str | None:
         """The first parameter that a trial of these had with another value; None without any."""
@@ -145,14 +133,13 @@ class Policy(ABC):
             InputError: of the feature function.
         """
 
-    def before(self, study: optuna.Study, trial: FrozenTrial) -> None:  # noqa: B027
-        """What is to be noted at a trial's start, before anything is asked for: nothing."""
+    @abstractmethod
+    def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
+        """Note what a trial is, at its start."""
 
-    def after(self, study: optuna.Study, trial: FrozenTrial, state: TrialState) -> None:
-        """Take back what was noted in the trial if something else was run."""
-        proposal = self.forget(trial)
-        if proposal is not None and not proposal.was_run(trial.params):
-            set_attributes(study, trial, dict.fromkeys(proposal.notes))
+    @abstractmethod
+    def after(self, study: optuna.Study, trial: FrozenTrial, *, is_complete: bool) -> None:
+        """Correct at a trial's end what was noted in it, if something else was run."""
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what another process computes again, and what runs here."""
@@ -172,23 +159,31 @@ class Policy(ABC):
         """The same, which is forgotten."""
         return self._proposals.pop((trial.number, trial.datetime_start), None)
 
-    def merit(self, guess: Guess | None, features: Floats, turn: int) -> Floats:
+    def merit(self, prior_mean: PriorMean | None, features: Floats, turn: int) -> Floats:
         """How good each candidate is as one of the first trials, [m]; equal where any will do.
 
         Args:
-            guess: of the user.
+            prior_mean: of the option `prior`.
             features: in standard units, [m, k].
             turn: of the trial; ends are taken by turns.
         """
-        if guess is not None:
-            return guess.merit(features)
+        if prior_mean is not None:
+            return prior_mean.merit(features)
         if not self.learns_trust:
             return np.zeros(len(features))
         return (1.0 if turn % ENDS == 0 else -1.0) * _common(features)
 
+    def plain_model(
+        self, prior_mean: PriorMean | None, parameters: int, seen: Points, cost: Floats
+    ) -> Model:
+        """The model after finished trials alone, whatever limits they have."""
+        limits, running = np.empty((len(cost), 0)), seen.take(np.arange(0))
+        kernel, known = self.options.kernel, self.known
+        return Model(kernel, prior_mean, parameters, seen, cost, limits, running, known)
+
     def model(
         self,
-        guess: Guess | None,
+        prior_mean: PriorMean | None,
         parameters: int,
         history: History,
         seen: Points,
@@ -196,35 +191,40 @@ class Policy(ABC):
         own_turn: int,
     ) -> Model:
         """The model of one trial, after the trials of a history, at the points where they were."""
-        limits = read_limits(history.trials)
-        kernel = self.options.kernel
-        after = Model(kernel, guess, parameters, seen, history.cost, limits, running, self.known)
-        kept = history.cost[after.feasible]
-        if self.learns_trust and is_doubtful(kept, own_turn, guess is not None):
-            return replace(after, kernel=NEARNESS, guess=None)
-        return after
+        plain = self.plain_model(prior_mean, parameters, seen, history.cost)
+        model = replace(plain, limits=read_limits(history.trials), running=running)
+        kept = history.cost[model.feasible]
+        if self.learns_trust and is_doubtful(kept, own_turn, prior_mean is not None):
+            return replace(model, kernel=NEARNESS, prior_mean=None)
+        return model
+
+    def present_of(
+        self,
+        names: Sequence[str],
+        features: Floats,
+        model: Model,
+        candidates: Points,
+        scale: Scale,
+        first: Mapping[int, Floats] = MappingProxyType({}),
+    ) -> Present:
+        """See `Present`."""
+        has_prior = model.prior_mean is not None
+        is_doubted = any(is_doubtful(model.costs, turn, has_prior) for turn in (0, 1))
+        is_doubted = is_doubted and self.learns_trust
+        return Present(tuple(names), features, model, candidates, scale.owners, is_doubted, first)
 
     def rng(self, purpose: Purpose, turn: int) -> np.random.Generator:
         """The generator of one draw of one trial."""
         return generator(self.seed, purpose, turn)
 
-    def draw(
-        self, study: optuna.Study, trial: FrozenTrial, space: dict[str, BaseDistribution]
-    ) -> dict[str, Any]:
-        """All parameters of a space from the independent sampler."""
-        return {
-            name: self.independent.sample_independent(study, trial, name, distribution)
-            for name, distribution in space.items()
-        }
-
     def misfit(self, error: InputError) -> None:
-        """Refuse what does not fit, or, where that was asked for, say so once and go on."""
+        """Refuse what does not fit; if not strict, warn once and go on."""
         if self.options.strict:
             raise error
         self.warn(f"{error}; the independent sampler takes over")
 
     def warn(self, message: str) -> None:
-        """Once a sampler and kind of message."""
+        """Warn, once for each kind of message."""
         kind = message.split(":")[0]
         if kind not in self._said:
             self._said.add(kind)
@@ -285,27 +285,7 @@ def _thread_pools() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def set_attributes(study: optuna.Study, trial: FrozenTrial, attributes: dict[str, Any]) -> None:
+def set_attributes(study: optuna.Study, trial: FrozenTrial, attributes: Mapping[str, Any]) -> None:
     """Leave notes in a running trial: samplers are given no public way, Optuna's own do this."""
     for key, value in attributes.items():
         study._storage.set_trial_user_attr(trial._trial_id, key, value)
-
-
-def missing_in(
-    names: Sequence[str], study: optuna.Study, before: FrozenTrial, ours: str | None
-) -> InputError | None:
-    """An error if the latest finished trial that was proposed here lacks a parameter.
-
-    `ours` is the user attribute that tells proposals of this sampler; None takes any trial.
-    """
-    for trial in reversed(study.get_trials(deepcopy=False)):
-        if trial.number == before.number or not trial.state.is_finished():
-            continue
-        if trial.values is None or (ours is not None and ours not in trial.user_attrs):
-            continue
-        for name in names:
-            if name not in trial.params:
-                allowed = f"an objective that suggests all of {', '.join(names)}"
-                return InputError(name, f"not suggested in trial {trial.number}", allowed)
-        return None
-    return None

@@ -1,12 +1,12 @@
-"""Samplers for those who know which of their candidates are alike: the contract with Optuna.
+"""Samplers for candidates of which some are known to be alike: the contract with Optuna.
 
 A Gaussian process of cost over features (of a table's rows, or of any point by a function) and over
-the parameters themselves says what each candidate may cost; the one from which most improvement is
-expected comes next. `table_policy` and `space_policy` make the choice, `history` reads the study.
+the parameters themselves predicts the cost of each candidate; the one of the largest expected
+improvement comes next. `table_policy` and `space_policy` choose it, `history` reads the study.
 """
 
 import inspect
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import optuna
@@ -32,10 +32,10 @@ PAPER: dict[str, Any] = {"kernel": "rbf"}
 
 
 def _no_constraints(field: str, value: object) -> None:
-    """Say what has taken the option's place (0.3.0)."""
+    """Name the successor of the option, which is gone since 0.3.0."""
     if value is not None:
         raise InputError(
-            field, value, "None: say trial.set_constraint(key, value) in the objective"
+            field, value, "None: call trial.set_constraint(key, value) in the objective"
         )
 
 
@@ -77,7 +77,7 @@ class FeatureKernelSampler(BaseSampler):
         prior: a feature whose high values are thought good; with a minus before its name, its low
             ones. The first three trials are the best rows of that ranking, in its order; then the
             cost is expected to follow it, as far as trials confirm that
-            (`study.sampler.transforms.Guess`).
+            (`study.sampler.transforms.PriorMean`).
         kernel: None: the model above with features, "euclidean" without. "additive": the model
             above. "rbf": f alone, of features as they are (standardised), one length scale for all
             and the cost as it is, the paper's; "rbf_ard": the same with a length scale a feature.
@@ -99,7 +99,7 @@ class FeatureKernelSampler(BaseSampler):
             mean square of the parameters' differences, each as a share of its range (of its
             logarithm, where it is logarithmic; two choices are 1 apart): 0.05 is a twentieth of
             the ranges. None: such trials are ignored, unless there is a `feature_function`.
-        constraints_func: gone; say `trial.set_constraint(key, value)` in the objective.
+        constraints_func: gone; call `trial.set_constraint(key, value)` in the objective.
 
     Raises:
         InputError: an option that cannot be used; in a trial (strict), before its objective has
@@ -144,41 +144,33 @@ class FeatureKernelSampler(BaseSampler):
         self._kernel = kernel if kernel is not None else DEFAULT_KERNELS[features is None]
         if self._kernel not in KERNELS:
             raise InputError("kernel", self._kernel, f"one of {', '.join(KERNELS)}")
-        options = Options(
-            KERNELS[self._kernel],
-            prior,
-            off_grid,
-            nearest,
-            space,
-            frozenset(extra_parameters),
-            strict,
-        )
+        extra = frozenset(extra_parameters)
+        options = Options(KERNELS[self._kernel], prior, off_grid, nearest, space, extra, strict)
         _require_sense(features, feature_function, options, self._kernel)
-        self._seed = new_seed() if seed is None else seed
-        self._independent = independent_sampler or ReproducibleRandomSampler(seed=self._seed)
+        seed = new_seed() if seed is None else seed
+        independent = independent_sampler or ReproducibleRandomSampler(seed=seed)
+        self._independent = independent
         self._policy: Policy
         if isinstance(features, FeatureTable):
-            self._policy = TablePolicy(
-                features, feature_function, options, self._seed, self._independent
-            )
+            self._policy = TablePolicy(features, feature_function, options, seed, independent)
         else:
-            self._policy = SpacePolicy(features, options, self._seed, self._independent)
-        self._call = _call_text(FeatureKernelSampler.__init__, given | {"seed": self._seed})
+            self._policy = SpacePolicy(features, options, seed, independent)
+        self._call = _call_text(given | {"seed": seed})
 
     def __repr__(self) -> str:
-        """A call that makes one like it: what it was given, and its seed."""
+        """A call that makes an equal sampler, with its seed."""
         return f"{type(self).__name__}({self._call})"
 
     @property
     def has_features(self) -> bool:
-        """Whether it takes candidates for alike by features, whose worth can be told."""
+        """Whether candidates are compared by features, so that `worth` has something to report."""
         return self._policy.options.kernel.of_features
 
     @checks.checked(study=checks.instance(optuna.Study))
     def worth(self, study: optuna.Study) -> Worth:
-        """What the features are worth, by the finished trials of a study, which stays as it is.
+        """The importance of the features in the finished trials of a study, which is not changed.
 
-        To be printed, or shown in the dashboard: `optuna_dashboard.save_note(study,
+        It can be printed, or shown in the dashboard: `optuna_dashboard.save_note(study,
         sampler.worth(study).markdown())`.
 
         Args:
@@ -190,7 +182,9 @@ class FeatureKernelSampler(BaseSampler):
         """
         self._raise_error_if_multi_objective(study)
         if not self.has_features:
-            raise InputError("kernel", self._kernel, "one of features: there are none")
+            raise InputError(
+                "kernel", self._kernel, "one that uses features, or there is nothing to report"
+            )
         with one_thread():
             present = self._policy.present(study)
             maximised = study.direction is StudyDirection.MAXIMIZE
@@ -199,7 +193,7 @@ class FeatureKernelSampler(BaseSampler):
     def infer_relative_search_space(
         self, study: optuna.Study, trial: FrozenTrial
     ) -> dict[str, BaseDistribution]:
-        """What is proposed at once: the table's parameters, or the space."""
+        """The table's parameters, or the space."""
         return self._policy.search_space(study, trial)
 
     def sample_relative(
@@ -232,14 +226,14 @@ class FeatureKernelSampler(BaseSampler):
         state: TrialState,
         values: Sequence[float] | None,
     ) -> None:
-        """Keep what is noted true; passed on to the independent sampler first.
+        """Correct the notes of the trial; passed on to the independent sampler first.
 
         Raises:
-            InputError: the objective has not suggested all of a table (strict): with this trial,
-                whose value is stored nevertheless, it is known.
+            InputError: the objective has not suggested all of a table (strict). The trial's value
+                is stored nevertheless.
         """
         self._independent.after_trial(study, trial, state, values)
-        self._policy.after(study, trial, state)
+        self._policy.after(study, trial, is_complete=state is TrialState.COMPLETE)
 
     def reseed_rng(self) -> None:
         """Passed on to the independent sampler; proposals differ by the trials that take them."""
@@ -275,58 +269,44 @@ def _require_sense(
     kernel: str,
 ) -> None:
     """Refuse options that do not go together."""
-    if isinstance(features, FeatureTable):
-        if options.off_grid and function is None:
-            raise InputError("off_grid", options.off_grid, "0 without a feature_function")
-        if options.space is not None:
-            raise InputError("space", "given", "none: a table knows its own")
-        if options.nearest is not None and function is not None:
-            allowed = "none with a feature_function, which knows the features of any point"
-            raise InputError("nearest", options.nearest, allowed)
+    is_table, has_function = isinstance(features, FeatureTable), function is not None
+    off_grid, nearest, prior = options.off_grid, options.nearest, options.prior
+
+    def refuse(is_wrong: object, field: str, value: object, allowed: str) -> None:
+        if is_wrong:
+            raise InputError(field, value, allowed)
+
+    if is_table:
+        refuse(off_grid and not has_function, "off_grid", off_grid, "0 without a feature_function")
+        refuse(options.space is not None, "space", "given", "none: a table knows its own")
+        allowed = "none with a feature_function, which knows the features of any point"
+        refuse(nearest is not None and has_function, "nearest", nearest, allowed)
         return
-    if function is not None:
-        allowed = "none: only a table needs it beside `features`"
-        raise InputError("feature_function", "given", allowed)
-    if options.nearest is not None:
-        raise InputError("nearest", options.nearest, "none without a table: it has no rows")
-    if features is not None and not callable(features):
-        raise InputError("features", type(features).__name__, "a FeatureTable, a function, or None")
+    allowed = "none: only a table needs it beside `features`"
+    refuse(has_function, "feature_function", "given", allowed)
+    refuse(nearest is not None, "nearest", nearest, "none without a table: it has no rows")
     if features is not None:
+        allowed = "a FeatureTable, a function, or None"
+        refuse(not callable(features), "features", type(features).__name__, allowed)
         return
-    if options.kernel.of_features:
-        raise InputError("kernel", kernel, "euclidean: there are no features")
-    if options.prior is not None:
-        raise InputError("prior", options.prior, "none without features")
-    if options.off_grid:
-        allowed = "0: points are off any grid without features"
-        raise InputError("off_grid", options.off_grid, allowed)
+    refuse(options.kernel.of_features, "kernel", kernel, "euclidean: there are no features")
+    refuse(prior is not None, "prior", prior, "none without features")
+    refuse(off_grid, "off_grid", off_grid, "0: points are off any grid without features")
 
 
-def _call_text(function: Callable[..., Any], arguments: Mapping[str, Any]) -> str:
-    """The arguments of a call that are not those it has by default.
-
-    Args:
-        function: that was called; its first argument, if it has no default of its own, is `self`.
-        arguments: by name, of all parameters of the function and perhaps of others.
-    """
+def _call_text(given: Mapping[str, Any]) -> str:
+    """The arguments of `FeatureKernelSampler` that are not its defaults, as in a call."""
     parts = []
-    for place, (name, parameter) in enumerate(inspect.signature(function).parameters.items()):
-        if name == "self" or _equal(arguments[name], parameter.default):
+    for name, parameter in inspect.signature(FeatureKernelSampler.__init__).parameters.items():
+        if name == "self":
             continue
-        shown = _shown(arguments[name])
-        parts.append(shown if place == 1 else f"{name}={shown}")
+        value, default = given[name], parameter.default
+        if value is default or (type(value) is type(default) and bool(value == default)):
+            continue
+        shown = repr(value)
+        if isinstance(value, BaseSampler):
+            shown = str(value)
+        elif inspect.isroutine(value):
+            shown = value.__qualname__  # an address would say less
+        parts.append(shown if name == "features" else f"{name}={shown}")
     return ", ".join(parts)
-
-
-def _equal(value: Any, default: Any) -> bool:
-    """Whether a value is the default; what compares in another way is not."""
-    return value is default or (type(value) is type(default) and bool(value == default))
-
-
-def _shown(value: Any) -> str:
-    """A value; functions and samplers by their names, which say more than their addresses."""
-    if isinstance(value, BaseSampler):
-        return str(value)
-    if inspect.isroutine(value):
-        return str(value.__qualname__)
-    return repr(value)

@@ -15,25 +15,23 @@ from study.sampler.acquisition import argmax_random_tie
 from study.sampler.diagnostics import Present
 from study.sampler.history import (
     FEATURES_ATTRIBUTE,
-    OFF_TABLE,
     History,
     next_trial,
+    not_suggested,
     read_history,
     values_of,
 )
 from study.sampler.policy import (
-    Candidate,
     Features,
     Options,
     Policy,
     Proposal,
     call_features,
-    missing_in,
     one_thread,
     set_attributes,
 )
 from study.sampler.space import Space, anywhere, nearby, not_among
-from study.sampler.transforms import Guess, NormalScores, Points, Scale, Standard
+from study.sampler.transforms import Points, PriorMean, Scale, scale_of
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -59,7 +57,7 @@ class SpacePolicy(Policy):
         if space is None:
             space = intersection_search_space(study.get_trials(deepcopy=False))
         if self.function is not None:
-            return dict(space)  # it wants all its columns
+            return dict(space)  # the function takes all of its columns
         return {name: d for name, d in space.items() if not d.single()}
 
     def propose(
@@ -68,20 +66,18 @@ class SpacePolicy(Policy):
         """The parameters of one point; where that cannot be, independent draws."""
         if not search_space:
             return {}
-        misfit = self._misfit(study, trial, search_space)
-        if misfit is not None:
-            self.misfit(misfit)
-            return self.draw(study, trial, search_space)
         space = Space.of(search_space).pinned(values_of(trial))
         try:
+            self._require_declared(study, trial, search_space)
             with one_thread():
-                candidate = self._choose(study, trial, space)
-        except InputError as error:  # of the feature function
+                point, features = self._choose(study, trial, space)
+        except InputError as error:
             self.misfit(error)
-            return self.draw(study, trial, search_space)
-        values = space.values(candidate.parameters)
-        if len(candidate.features):
-            notes = {FEATURES_ATTRIBUTE: candidate.features.tolist()}
+            draw = self.independent.sample_independent
+            return {name: draw(study, trial, name, d) for name, d in search_space.items()}
+        values = space.values(point)
+        if len(features):
+            notes = {FEATURES_ATTRIBUTE: features.tolist()}
             set_attributes(study, trial, notes)
             self.remember(trial, Proposal(values, notes))
         return values
@@ -109,96 +105,97 @@ class SpacePolicy(Policy):
         rng = self.rng(Purpose.CANDIDATES, turn(study, trial))
         points = self._candidates(space, history, rng)
         features, shown, _ = self._features(points, history)
-        scale = self._scale(features)
-        seen = Points(scale.standard(shown), space.unit(history.parameters))
-        candidates = Points(scale.standard(features), space.unit(points))
-        return Present(
-            _names(features),
-            shown,
-            seen,
-            history.cost,
-            candidates,
-            scale.owners,
-            len(space),
-            self.options.kernel,
-            self._guess(features),
-            self.learns_trust,
-            self.known,
-            {},
-        )
+        scale, prior_mean = self._scale(features), self._prior_mean(features)
+        seen = _placed(scale, shown, space, history.parameters)
+        model = self.plain_model(prior_mean, len(space), seen, history.cost)
+        candidates = _placed(scale, features, space, points)
+        return self.present_of(_names(features), shown, model, candidates, scale)
 
-    def _misfit(
+    def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
+        """Nothing is noted."""
+
+    def after(self, study: optuna.Study, trial: FrozenTrial, *, is_complete: bool) -> None:
+        """Take the features back if another point was run."""
+        proposal = self.forget(trial)
+        if proposal is not None and not proposal.values.items() <= trial.params.items():
+            set_attributes(study, trial, dict.fromkeys(proposal.notes))
+
+    def _require_declared(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
-    ) -> InputError | None:
-        """What is wrong with a declared space."""
+    ) -> None:
+        """Refuse parameters of the declared space that are fixed, or were not suggested before.
+
+        The latest finished trial that was proposed here tells.
+        """
         declared = self.options.space
         if declared is None:
-            return None
+            return
         for name, distribution in declared.items():
-            if name not in search_space and (self.function is not None):
-                allowed = "a parameter left free: the feature function wants all of them"
-                return InputError(name, f"fixed, of {distribution}", allowed)
+            if name not in search_space and self.function is not None:
+                allowed = "a parameter left free: the feature function needs all of them"
+                raise InputError(name, f"fixed, of {distribution}", allowed)
         names = [name for name in search_space if name in declared]
-        ours = None if self.function is None else FEATURES_ATTRIBUTE  # nothing is noted without
-        return missing_in(names, study, trial, ours)
+        for other in reversed(study.get_trials(deepcopy=False)):
+            is_ours = self.function is None or FEATURES_ATTRIBUTE in other.user_attrs
+            if other.number == trial.number or not other.state.is_finished():
+                continue
+            if other.values is not None and is_ours:
+                if (error := not_suggested(names, other)) is not None:
+                    raise error
+                return
 
-    def _choose(self, study: optuna.Study, trial: FrozenTrial, space: Space) -> Candidate:
-        """A random point at first, then the best by the model."""
+    def _choose(
+        self, study: optuna.Study, trial: FrozenTrial, space: Space
+    ) -> tuple[Floats, Floats]:
+        """A point [d] and its features [k]: at random at first, then the best by the model."""
         own_turn = turn(study, trial)
         history = read_history(study, trial, space)
         if len(history.cost) < self.first_trials:
-            return self._startup(space, own_turn)
-        if self.function is None:
-            return self._best_point(space, history, own_turn)
-        return self._best_featured(space, history, own_turn)
+            return self._first(space, own_turn)
+        return self._best(space, history, own_turn)
 
-    def _startup(self, space: Space, own_turn: int) -> Candidate:
+    def _first(self, space: Space, own_turn: int) -> tuple[Floats, Floats]:
         """A point before there is a model."""
         rng = self.rng(Purpose.STARTUP_POINT, own_turn)
         if self.function is None:
-            return Candidate(OFF_TABLE, anywhere(space, 1, rng)[0], np.empty(0))
+            return anywhere(space, 1, rng)[0], np.empty(0)
         points = anywhere(space, CANDIDATES, rng)
         features = call_features(self.function, points)
         standard = self._scale(features).standard(features)
-        merit = self.merit(self._guess(features), standard, own_turn)
+        merit = self.merit(self._prior_mean(features), standard, own_turn)
         merit[np.isnan(features).any(axis=1)] = -np.inf
         best = argmax_random_tie(merit, rng)
-        return Candidate(OFF_TABLE, points[best], features[best])
+        return points[best], features[best]
 
-    def _best_point(self, space: Space, history: History, own_turn: int) -> Candidate:
-        """The best of points anywhere and near the incumbents, then of points near those."""
+    def _best(self, space: Space, history: History, own_turn: int) -> tuple[Floats, Floats]:
+        """The best of points anywhere and near the incumbents; without features, also of points
+        near those, round by round."""
         rng = self.rng(Purpose.CANDIDATES, own_turn)
-        taken = np.vstack([history.parameters, history.running])
-        seen, running = _bare(space, history.parameters), _bare(space, history.running)
-        model = self.model(None, len(space), history, seen, running, own_turn)
         points = self._candidates(space, history, rng)
-        utility = model.utility(_bare(space, points), not_among(points, taken), rng)
-        for _ in range(REFINEMENTS):
+        features, shown, running = self._features(points, history)
+        scale = self._scale(features)
+        model = self.model(
+            self._prior_mean(features),
+            len(space),
+            history,
+            _placed(scale, shown, space, history.parameters),
+            _placed(scale, running, space, history.running),
+            own_turn,
+        )
+        taken = np.vstack([history.parameters, history.running])
+        known = np.asarray(~np.isnan(features).any(axis=1))
+        new = not_among(points, taken) & known
+        candidates = _placed(scale, features, space, points)
+        utility = model.utility(candidates, new if new.any() else known, rng)
+        for _ in range(REFINEMENTS if self.function is None else 0):
             best = np.argsort(-utility, kind="stable")[:INCUMBENTS]
             near = nearby(space, points[best], CANDIDATES // LOCAL_SHARE, rng)
             points = np.vstack([points[best], near])
-            utility = model.utility(_bare(space, points), not_among(points, taken), rng)
+            features = np.empty((len(points), 0))
+            candidates = _placed(scale, features, space, points)
+            utility = model.utility(candidates, not_among(points, taken), rng)
         best_one = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
-        return Candidate(OFF_TABLE, points[best_one], np.empty(0))
-
-    def _best_featured(self, space: Space, history: History, own_turn: int) -> Candidate:
-        """The best of points anywhere and near the incumbents, their features by one call."""
-        rng = self.rng(Purpose.CANDIDATES, own_turn)
-        points = self._candidates(space, history, rng)
-        features, known, running = self._features(points, history)
-        scale = self._scale(features)
-        seen = Points(scale.standard(known), space.unit(history.parameters))
-        elsewhere = Points(scale.standard(running), space.unit(history.running))
-        candidates = Points(scale.standard(features), space.unit(points))
-        guess = self._guess(features)
-        model = self.model(guess, len(space), history, seen, elsewhere, own_turn)
-        taken = np.vstack([history.parameters, history.running])
-        offered = not_among(points, taken) & ~np.isnan(features).any(axis=1)
-        if not offered.any():
-            offered = np.asarray(~np.isnan(features).any(axis=1))
-        utility = model.utility(candidates, offered, rng)
-        best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
-        return Candidate(OFF_TABLE, points[best], features[best])
+        return points[best_one], features[best_one]
 
     def _candidates(self, space: Space, history: History, rng: np.random.Generator) -> Floats:
         """Points anywhere, and near the best trials, [m, d]."""
@@ -208,17 +205,18 @@ class SpacePolicy(Policy):
 
     def _features(self, points: Floats, history: History) -> tuple[Floats, Floats, Floats]:
         """Of candidates, of finished trials (noted in them, or computed), of running ones."""
-        assert self.function is not None  # or there are none
+        m, n, r = len(points), len(history.trials), len(history.running)
+        if self.function is None:
+            return np.empty((m, 0)), np.empty((n, 0)), np.empty((r, 0))
         noted = [trial.user_attrs.get(FEATURES_ATTRIBUTE) for trial in history.trials]
         missing = np.array([not isinstance(values, list) for values in noted], dtype=bool)
         batch = np.vstack([points, history.running, history.parameters[missing]])
         features = call_features(self.function, batch)
-        width, m, r = features.shape[1], len(points), len(history.running)
-        known = np.empty((len(noted), width))
+        width = features.shape[1]
+        known = np.empty((n, width))
         known[missing] = features[m + r :]
-        for place, values in enumerate(noted):
-            if not isinstance(values, list):
-                continue
+        for place in np.flatnonzero(~missing):
+            values: list[float] = noted[place]  # type: ignore[assignment]
             if len(values) != width:
                 number = history.trials[place].number
                 raise InputError(f"features of trial {number}", len(values), f"{width} numbers")
@@ -226,22 +224,19 @@ class SpacePolicy(Policy):
         return features[:m], known, features[m : m + r]
 
     def _scale(self, features: Floats) -> Scale:
-        """Of features [m, k] of points anywhere, as the kernel wants them."""
-        by_order = self.options.kernel.by_order
-        return NormalScores.of(features) if by_order else Standard.of(features)
+        """Of features [m, k] of points anywhere, as the kernel takes them."""
+        return scale_of(features, by_order=self.options.kernel.by_order)
 
-    def _guess(self, features: Floats) -> Guess | None:
-        """What the user says of one of the k features."""
-        if self.options.prior is None:
-            return None
-        return Guess.of(self.options.prior, _names(features))
+    def _prior_mean(self, features: Floats) -> PriorMean | None:
+        """By one of the features [m, k]."""
+        return PriorMean.of(self.options.prior, _names(features))
 
 
-def _names(features: Floats) -> tuple[str, ...]:
+def _placed(scale: Scale, features: Floats, space: Space, parameters: Floats) -> Points:
+    """Features [n, k] and parameters [n, d] as the model sees them."""
+    return Points(scale.standard(features), space.unit(parameters))
+
+
+def _names(features: Floats) -> list[str]:
     """Of features [m, k], which a function does not name."""
-    return tuple(f"feature_{column}" for column in range(features.shape[1]))
-
-
-def _bare(space: Space, points: Floats) -> Points:
-    """Points [n, d] without features, by their coordinates alone."""
-    return Points(np.empty((len(points), 0)), space.unit(points))
+    return [f"feature_{column}" for column in range(features.shape[1])]

@@ -10,9 +10,9 @@ import hashlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,19 +37,10 @@ if TYPE_CHECKING:
     import pandas
 
 Floats = NDArray[np.float64]
-REMEMBERED = 4096  # rows
+T = TypeVar("T")
 NAMES_SHOWN = 3  # features, at a prompt
-# What does not follow from the distributions: rows with others share it.
-SHARED = (
-    "standard",
-    "scores",
-    "offered",
-    "numbers",
-    "extent",
-    "_known",
-    "_index",
-    "_first",
-)
+# Does not depend on the distributions: rows with others share it.
+SHARED = ("standard", "scores", "offered", "numbers", "_known", "_index", "_first")
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Knuth's multiplicative hashing
 
 
@@ -118,42 +109,25 @@ class Rows:
 
     def points(self, *, by_order: bool, coordinates: bool) -> Points:
         """Rows that may be proposed as points, on one of the scales; made once."""
-        key = (by_order, coordinates)
-        if key not in self._points:
+
+        def made() -> Points:
             if coordinates:
-                features = self.points(by_order=by_order, coordinates=False).features
-                self._points[key] = Points(features, self.chosen_unit)
-            else:
-                features = self.scale(by_order=by_order).standard(self._chosen(self.features))
-                self._points[key] = Points(features, np.empty((len(features), 0)))
-        return self._points[key]
+                bare = self.points(by_order=by_order, coordinates=False)
+                return Points(bare.features, self.chosen_unit)
+            features = self.scale(by_order=by_order).standard(self._chosen(self.features))
+            return Points(features, np.empty((len(features), 0)))
 
-    @cached_property
-    def extent(self) -> tuple[Floats, Floats]:
-        """Least and greatest value of each parameter, [d] each."""
-        ends = [(column.min(), column.max()) for column in columns_of(self.parameters)]
-        least, greatest = np.array(ends).T
-        return least, greatest
-
-    @property
-    def incomplete(self) -> int:
-        """Number of rows that lack more than half of the features."""
-        return int((~self._known).sum())
-
-    @property
-    def duplicates(self) -> int:
-        """Number of rows that repeat the parameters of an earlier one."""
-        return int((~self._first).sum())
-
-    @property
-    def empty_features(self) -> tuple[str, ...]:
-        """Features that are constant or unknown everywhere."""
-        flags = zip(self.feature_names, self._informative, strict=True)
-        return tuple(name for name, informative in flags if not informative)
+        return self._once((by_order, coordinates), made)
 
     def as_parameters(self, row: int) -> dict[str, Any]:
-        """One row as Optuna wants it: native values by name."""
-        return dict(self._native(row))
+        """One row as Optuna takes it: native values by name."""
+
+        def made() -> dict[str, Any]:
+            values = self.space.values(self.parameters[row])
+            let_go(self.parameters)
+            return values
+
+        return dict(self._once(row, made))
 
     def find(self, values: Mapping[str, Any]) -> int | None:
         """The first row with exactly these values; None where there is none."""
@@ -178,11 +152,22 @@ class Rows:
 
     def outside(self, column: int, suggested: BaseDistribution) -> int | None:
         """The first row whose value of one parameter a distribution has not; None: it has all."""
-        return self._outside(column, suggested)
 
-    def with_space(self, space: Space) -> "Rows":
+        def made() -> int | None:
+            own = self.space.distributions[column]
+            found = first_not_taken(own, self.parameters[:, column], suggested)
+            let_go(self.parameters)
+            return found
+
+        return self._once((column, suggested), made)
+
+    def with_distributions(self, distributions: tuple[BaseDistribution, ...]) -> "Rows":
         """The same rows with other distributions of the same values."""
-        rows = Rows(space, self.parameters, self.feature_names, self.features)
+        if distributions == self.space.distributions:
+            return self
+        rows = Rows(
+            Space(self.names, distributions), self.parameters, self.feature_names, self.features
+        )
         known = self.__dict__
         rows.__dict__.update({name: known[name] for name in SHARED if name in known})
         return rows
@@ -210,10 +195,7 @@ class Rows:
         parameters differ by a twentieth of their ranges. Only rows that may be proposed count;
         where there are none, the distance is infinite.
         """
-        key = parameters.tobytes()
-        if key not in self._nearest:
-            self._nearest[key] = self._measured(parameters)
-        return self._nearest[key]
+        return self._once(parameters.tobytes(), lambda: self._measured(parameters))
 
     def _measured(self, parameters: Floats) -> tuple[int, float]:
         """The same, computed."""
@@ -227,27 +209,16 @@ class Rows:
         return int(self.numbers[best]), float(np.sqrt(squares[best] / len(parameters)))
 
     @cached_property
-    def _native(self) -> Callable[[int], dict[str, Any]]:
-        """Native values of a row, remembered: those of a study's trials are asked for each time."""
+    def _kept(self) -> dict[Any, Any]:
+        """Results of `_once`."""
+        return {}
 
-        def values(row: int) -> dict[str, Any]:
-            found = self.space.values(self.parameters[row])
-            let_go(self.parameters)
-            return found
-
-        return lru_cache(REMEMBERED)(values)
-
-    @cached_property
-    def _outside(self) -> Callable[[int, BaseDistribution], int | None]:
-        """Remembered: each trial of a study is asked about, and all suggest the same."""
-
-        def first(column: int, suggested: BaseDistribution) -> int | None:
-            own = self.space.distributions[column]
-            found = first_not_taken(own, self.parameters[:, column], suggested)
-            let_go(self.parameters)
-            return found
-
-        return lru_cache(REMEMBERED)(first)
+    def _once(self, key: Any, made: Callable[[], T]) -> T:
+        """What is needed in each proposal, computed in the first one."""
+        if key not in self._kept:
+            self._kept[key] = made()
+        kept: T = self._kept[key]
+        return kept
 
     @cached_property
     def _known(self) -> NDArray[np.bool_]:
@@ -261,16 +232,6 @@ class Rows:
         least = np.where(np.isnan(self.features), np.inf, self.features).min(axis=0)
         most = np.where(np.isnan(self.features), -np.inf, self.features).max(axis=0)
         return np.asarray(least < most)
-
-    @cached_property
-    def _points(self) -> dict[tuple[bool, bool], Points]:
-        """What `points` has made."""
-        return {}
-
-    @cached_property
-    def _nearest(self) -> dict[bytes, tuple[int, float]]:
-        """What `nearest` has found."""
-        return {}
 
     @cached_property
     def _index(self) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
@@ -461,31 +422,26 @@ class FeatureTable:
 
 
 def _warn_of(rows: Rows) -> None:
-    """Say once what the table leaves out."""
+    """Warn of what the table leaves out."""
     said = []
-    if rows.incomplete:
+    if incomplete := int((~rows._known).sum()):
         said.append(
-            f"{rows.incomplete} rows that lack more than half of their features are not proposed"
+            f"{incomplete} rows that lack more than half of their features are not proposed"
         )
-    if rows.duplicates:
-        said.append(f"{rows.duplicates} rows repeat the parameters of another and are not proposed")
-    if rows.empty_features:
-        names = ", ".join(rows.empty_features)
-        said.append(f"features without information are ignored: {names}")
+    if duplicates := int((~rows._first).sum()):
+        said.append(f"{duplicates} rows repeat the parameters of another and are not proposed")
+    flags = zip(rows.feature_names, rows._informative, strict=True)
+    if empty := [name for name, informative in flags if not informative]:
+        said.append(f"features without information are ignored: {', '.join(empty)}")
     if said:
-        warnings.warn(
-            f"FeatureTable: {'; '.join(said)}.", UserWarning, stacklevel=6
-        )  # beyond two doors
+        # The caller's line lies beyond two doors of `checks`.
+        warnings.warn(f"FeatureTable: {'; '.join(said)}.", UserWarning, stacklevel=6)
 
 
 def _size_text(rows: Rows) -> str:
     """Size and features of a table, as the arguments of a call."""
     names = rows.feature_names
     shown = ", ".join(names[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")
-    counts = (_count(len(rows), "row"), _count(len(rows.names), "parameter"))
-    return f"{', '.join(counts)}, {_count(len(names), 'feature')}: {shown}"
-
-
-def _count(number: int, thing: str) -> str:
-    """So many things."""
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+    numbers = {"row": len(rows), "parameter": len(rows.names), "feature": len(names)}
+    counts = [f"{n} {thing}" if n == 1 else f"{n} {thing}s" for thing, n in numbers.items()]
+    return f"{', '.join(counts)}: {shown}"

@@ -6,7 +6,7 @@ row, the one that writes later is sure to see the other's number and takes anoth
 write before either reads, both do. Nobody waits.
 """
 
-from functools import partial
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from study.sampler.history import (
     FEATURES_ATTRIBUTE,
     OFF_TABLE,
     ROW_ATTRIBUTE,
+    SCORE_ATTRIBUTE,
     History,
     as_suggested_rows,
     distribution_misfit,
@@ -36,13 +37,11 @@ from study.sampler.history import (
     row_of,
     shown_misfit,
     suggested_so_far,
-    taken_back,
     values_of,
 )
 from study.sampler.policy import (
     NOTHING,
     RANKED,
-    Candidate,
     Features,
     Options,
     Policy,
@@ -53,7 +52,7 @@ from study.sampler.policy import (
 )
 from study.sampler.space import as_suggested, nearby, not_among
 from study.sampler.table import FeatureTable, Rows
-from study.sampler.transforms import Guess, Points, Scale
+from study.sampler.transforms import Points, PriorMean, Scale
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -71,9 +70,9 @@ class TableExhaustedError(RuntimeError):
 class Inferred(dict[str, BaseDistribution]):
     """The search space of a table, as it is given to Optuna: distributions by name.
 
-    Optuna holds what is proposed at once to these distributions, and a study that suggests another
-    scale, kind, or order of choices fails with them. Values are therefore handed out one by one
-    where the space is this one; who asks for another space gets values of that.
+    Optuna requires the study to suggest with the very distributions of a search space whose values
+    it was given at once, and a study that suggests another scale, kind, or order of choices fails
+    with them. Where the space is this one, values are therefore handed out one by one.
     """
 
 
@@ -84,9 +83,9 @@ class TablePolicy(Policy):
     fixed. Its values are handed out one by one, each as the study suggests it (see `Inferred`).
 
     Attributes:
-        table: whose rows are chosen from.
         function: features of points off the table; None: there are none.
-        guess: what the user says of a feature.
+        own_rows: the content of the table, on its own scales; read once a process.
+        prior_mean: of the option `prior`.
     """
 
     def __init__(
@@ -98,18 +97,17 @@ class TablePolicy(Policy):
         independent: BaseSampler,
     ) -> None:
         super().__init__(options, seed, independent)
-        self.table = table
+        self._table = table
         self.function = function
         self._own_rows: Rows | None = None
         self._suggested: Rows | None = None
-        names = self.own_rows.feature_names
-        self.guess = None if options.prior is None else Guess.of(options.prior, names)
+        self.prior_mean = PriorMean.of(options.prior, self.own_rows.feature_names)
 
     @property
     def own_rows(self) -> Rows:
-        """The content of the table, on its own scales; read once a process."""
+        """See the class."""
         if self._own_rows is None:
-            self._own_rows = self.table.rows
+            self._own_rows = self._table.rows
         return self._own_rows
 
     @property
@@ -128,28 +126,23 @@ class TablePolicy(Policy):
     def propose(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
-        """What is wrong is said here; of the table, `propose_one` gives the values."""
-        asked = {} if isinstance(search_space, Inferred) else search_space
-        fixed = values_of(trial)
-        if all(name in fixed for name in self.own_rows.names):
+        """Refuse what does not fit; values are given by `propose_one`."""
+        fixed, names = values_of(trial), self.own_rows.names
+        if all(name in fixed for name in names):
             return {}  # nothing of the table is left to choose
-        suggested = suggested_so_far(self.own_rows.names, study)
+        suggested = suggested_so_far(names, study)
         self._adopt(suggested)
         if not self.options.strict:
             self._warn_of_foreign(study)
         misfit = self._misfit(study, search_space, suggested)
         if misfit is not None:
             self._refuse(study, trial, misfit)
-        proposal = self._proposal(study, trial) if asked else NOTHING
-        if not proposal.values:
-            return self.draw(study, trial, asked)
-        values = {}
-        for name, distribution in asked.items():
-            try:
-                values[name] = as_suggested(distribution, proposal.values[name])
-            except (KeyError, ValueError):
-                continue  # of another table, or not held: for `propose_one`
-        return values
+        if isinstance(search_space, Inferred):
+            return {}
+        return {
+            name: self.propose_one(study, trial, name, distribution)
+            for name, distribution in search_space.items()
+        }
 
     def propose_one(
         self, study: optuna.Study, trial: FrozenTrial, name: str, distribution: BaseDistribution
@@ -172,7 +165,7 @@ class TablePolicy(Policy):
         return self.independent.sample_independent(study, trial, name, distribution)
 
     def _adopt(self, suggested: dict[str, BaseDistribution]) -> None:
-        """Put the rows on the scales that the study is known to suggest."""
+        """Put the rows on the logarithmic scales that the study suggests."""
         rows = as_suggested_rows(self.own_rows, suggested)
         if rows.space.distributions != self.rows.space.distributions:
             self._suggested = rows
@@ -197,8 +190,8 @@ class TablePolicy(Policy):
     def _refuse(self, study: optuna.Study, trial: FrozenTrial, error: InputError) -> None:
         """Propose nothing of the table for this trial; an error, or a warning (not strict)."""
         proposal = self.remembered(trial)
-        if proposal is not None and proposal.notes:
-            self._take_back(study, trial)
+        if proposal is not None:
+            self._take_back(study, trial, proposal.notes)
         self.remember(trial, NOTHING)
         self.misfit(error)
 
@@ -224,28 +217,27 @@ class TablePolicy(Policy):
 
     def _propose_row(self, study: optuna.Study, trial: FrozenTrial) -> Proposal:
         """A candidate that no other trial has, noted in the trial."""
-        rows = self.rows
-        row = row_of(rows, trial)  # a trial that repeats a killed one has its row already
+        row = row_of(self.rows, trial)  # a trial that repeats a killed one has its row already
         if row is not None:
-            return Proposal(rows.as_parameters(row), notes_of(row, rows.features[row]))
+            return self._of_row(row)
         withdrawn: set[int] = set()
+        noted: dict[str, Any] = {}
         while True:
             try:
                 with one_thread():
-                    candidate = self._choose(study, trial, withdrawn)
+                    proposal = self._choose(study, trial, withdrawn)
             except (InputError, TableExhaustedError):
-                if withdrawn:
-                    self._take_back(study, trial)
+                self._take_back(study, trial, noted)
                 raise
-            if candidate is None:
-                if withdrawn:
-                    self._take_back(study, trial)
+            if proposal is None:
+                self._take_back(study, trial, noted)
                 return NOTHING
-            notes = notes_of(candidate.row, candidate.features)
-            set_attributes(study, trial, notes)
-            if candidate.row == OFF_TABLE or self._is_own(study, trial, candidate.row):
-                return Proposal(rows.space.values(candidate.parameters), notes)
-            withdrawn.add(candidate.row)
+            noted |= proposal.notes
+            set_attributes(study, trial, proposal.notes)
+            row = proposal.notes[ROW_ATTRIBUTE]
+            if row == OFF_TABLE or self._is_own(study, trial, row):
+                return proposal
+            withdrawn.add(row)
 
     def _is_own(self, study: optuna.Study, trial: FrozenTrial, row: int) -> bool:
         """Whether no other trial has the row that was just written into this one.
@@ -261,15 +253,14 @@ class TablePolicy(Policy):
                 return False
         return True
 
-    def _take_back(self, study: optuna.Study, trial: FrozenTrial) -> None:
-        """Say in a trial that it is no row."""
-        listed = self.options.off_grid > 0 or FEATURES_ATTRIBUTE in trial.user_attrs
-        width = self.own_rows.features.shape[1]
-        set_attributes(study, trial, taken_back(width, listed))
+    def _take_back(self, study: optuna.Study, trial: FrozenTrial, notes: Mapping[str, Any]) -> None:
+        """Mark a trial with these notes as no row: notes cannot be removed."""
+        if notes:
+            set_attributes(study, trial, dict.fromkeys(notes) | {ROW_ATTRIBUTE: OFF_TABLE})
 
     def _choose(
         self, study: optuna.Study, trial: FrozenTrial, withdrawn: set[int]
-    ) -> Candidate | None:
+    ) -> Proposal | None:
         """A row that no trial has taken, or a point off the table."""
         rows, own_turn = self.rows, turn(study, trial)
         history = self._history(study, trial)
@@ -279,7 +270,7 @@ class TablePolicy(Policy):
         if history.fixed:
             offered &= rows.having(history.fixed)
         if not offered.any() and not (self.options.off_grid and len(history.cost)):
-            self._say_none_is_left(history)
+            self._refuse_exhausted(history)
             return None
         if len(history.cost) < self.first_trials and offered.any():
             return self._first_row(offered, own_turn)
@@ -291,21 +282,17 @@ class TablePolicy(Policy):
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
         """What a trial is proposed from."""
-        rows = self.rows
-        features_of = partial(self._features_of, rows)
-        return read_history(study, trial, rows.space, rows, features_of)
+        rows, nearest = self.rows, self.options.nearest
 
-    def _features_of(self, rows: Rows, trial: FrozenTrial, parameters: Floats) -> int | None:
-        """The row that lends its features to a trial of parameters [d] that is no row.
+        def lend(other: FrozenTrial, parameters: Floats) -> int | None:
+            if self._places_all or noted_features(other) is not None:
+                return OFF_TABLE
+            if nearest is None:
+                return None
+            row, distance = rows.nearest(parameters)
+            return row if distance <= nearest else None
 
-        OFF_TABLE: it has its own, or none are needed. None: it cannot be learned from.
-        """
-        if self._places_all or noted_features(trial) is not None:
-            return OFF_TABLE
-        if self.options.nearest is None:
-            return None
-        row, distance = rows.nearest(parameters)
-        return row if distance <= self.options.nearest else None
+        return read_history(study, trial, rows.space, rows, lend)
 
     @property
     def _places_all(self) -> bool:
@@ -313,16 +300,15 @@ class TablePolicy(Policy):
         looked_at = self.options.kernel.of_features or self.options.prior is not None
         return self.function is not None or not looked_at
 
-    def _first_row(self, offered: Mask, own_turn: int) -> Candidate:
+    def _first_row(self, offered: Mask, own_turn: int) -> Proposal:
         """A row before there is a model, of equal ones any."""
-        rows, some = self.rows, offered[self.rows.numbers]
-        merit = self.merit(self.guess, self._points().features, own_turn)
-        best = argmax_random_tie(
-            np.where(some, merit, -np.inf), self.rng(Purpose.STARTUP_ROW, own_turn)
-        )
-        return self._row(int(rows.numbers[best]))
+        rows = self.rows
+        merit = self.merit(self.prior_mean, self._points().features, own_turn)
+        merit = np.where(offered[rows.numbers], merit, -np.inf)
+        best = argmax_random_tie(merit, self.rng(Purpose.STARTUP_ROW, own_turn))
+        return self._of_row(int(rows.numbers[best]))
 
-    def _best_candidate(self, history: History, offered: Mask, own_turn: int) -> Candidate:
+    def _best_candidate(self, history: History, offered: Mask, own_turn: int) -> Proposal:
         """The candidate of the largest utility, of equal ones any.
 
         Args:
@@ -335,9 +321,11 @@ class TablePolicy(Policy):
         """
         rows = self.rows
         self._warn_of_prior(history)
-        seen = self._seen(history.parameters, history.rows, history.trials)
-        running = self._seen(history.running, history.running_rows, ())
-        model = self.model(self.guess, len(rows.space), history, seen, running, own_turn)
+        seen = self._placed(history.parameters, self._shown(history))
+        running = self._placed(
+            history.running, self._features(history.running, history.running_rows, ())
+        )
+        model = self.model(self.prior_mean, len(rows.space), history, seen, running, own_turn)
         free = offered[rows.numbers]
         utility = np.full(len(free), -np.inf)
         if free.any():
@@ -349,7 +337,7 @@ class TablePolicy(Policy):
             if not free.any() or value > utility.max():
                 return off
         best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
-        return self._row(int(rows.numbers[best]))
+        return self._of_row(int(rows.numbers[best]))
 
     def _near(self, history: History, utility: Floats, own_turn: int) -> Floats:
         """Points near the best rows and the best trials, [off_grid, d]."""
@@ -362,60 +350,53 @@ class TablePolicy(Policy):
 
     def _best_of(
         self, near: Floats, new: Mask, model: Model, own_turn: int
-    ) -> tuple[float, Candidate]:
+    ) -> tuple[float, Proposal]:
         """The best of some points off the table, of those that are new, and its utility."""
         assert self.function is not None  # checked with off_grid
         features = call_features(self.function, near, len(self.own_rows.feature_names))
-        points = Points(self._scale.standard(features), self._unit(near))
+        points = self._placed(near, features)
         known = np.asarray(~np.isnan(features).any(axis=1))
         offered = known & new if (known & new).any() else known
         rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
         utility = model.utility(points, offered, rng)
         best = argmax_random_tie(utility, rng)
-        return float(utility[best]), Candidate(OFF_TABLE, near[best], features[best])
+        values = self.rows.space.values(near[best])
+        return float(utility[best]), Proposal(values, notes_of(OFF_TABLE, features[best]))
 
-    def _row(self, row: int) -> Candidate:
-        """A row as a candidate."""
-        return Candidate(row, self.rows.parameters[row], self.rows.features[row])
+    def _of_row(self, row: int) -> Proposal:
+        """A row as a proposal."""
+        rows = self.rows
+        return Proposal(rows.as_parameters(row), notes_of(row, rows.features[row]))
 
     @property
     def _scale(self) -> Scale:
-        """Of the features, as the kernel wants them."""
+        """Of the features, as the kernel takes them."""
         return self.rows.scale(by_order=self.options.kernel.by_order)
 
     def _points(self) -> Points:
         """Rows that may be proposed, with coordinates only where the kernel looks at them."""
-        model = self.options.kernel
-        return self.rows.points(by_order=model.by_order, coordinates=model.of_parameters)
+        kernel = self.options.kernel
+        return self.rows.points(by_order=kernel.by_order, coordinates=kernel.of_parameters)
 
-    def _unit(self, parameters: Floats) -> Floats:
-        """Parameters [m, d] as coordinates [m, e]; e = 0 where the kernel does not look at them."""
-        if not self.options.kernel.of_parameters:
-            return np.empty((len(parameters), 0))
-        return self.rows.space.unit(parameters)
+    def _placed(self, parameters: Floats, features: Floats) -> Points:
+        """Parameters [m, d] and features [m, k] as the kernel sees them."""
+        unit = np.empty((len(parameters), 0))
+        if self.options.kernel.of_parameters:
+            unit = self.rows.space.unit(parameters)
+        return Points(self._scale.standard(features), unit)
 
-    def _seen(
-        self,
-        parameters: Floats,
-        numbers: NDArray[np.int64],
-        trials: tuple[FrozenTrial, ...],
-    ) -> Points:
-        """Trials as points, with the features of `_shown`."""
-        features = self._shown(parameters, numbers, trials)
-        return Points(self._scale.standard(features), self._unit(parameters))
+    def _shown(self, history: History) -> Floats:
+        """Features of the finished trials, [n, k]."""
+        return self._features(history.parameters, history.rows, history.trials)
 
-    def _shown(
-        self,
-        parameters: Floats,
-        numbers: NDArray[np.int64],
-        trials: tuple[FrozenTrial, ...],
+    def _features(
+        self, parameters: Floats, numbers: NDArray[np.int64], trials: Sequence[FrozenTrial]
     ) -> Floats:
         """Features of trials, [n, k]: of the table, or as noted, or by the function."""
-        rows = self.rows
-        features = rows.features[numbers]
+        features = self.rows.features[numbers]
         off = np.flatnonzero(numbers == OFF_TABLE)
         features[off] = np.nan
-        for place in off if trials else ():
+        for place in off.tolist() if trials else ():
             noted = noted_features(trials[place])
             if noted is not None and len(noted) == features.shape[1]:
                 features[place] = noted
@@ -427,8 +408,8 @@ class TablePolicy(Policy):
             )
         return features
 
-    def _say_none_is_left(self, history: History) -> None:
-        """An error or a warning: no row may be proposed, or none that has the fixed values."""
+    def _refuse_exhausted(self, history: History) -> None:
+        """An error or a warning: no row is left, or none that has the fixed values."""
         if history.fixed:
             error = no_row_has(self.rows, history.fixed)
             if not (self._places_all or self.options.nearest is not None):
@@ -442,7 +423,7 @@ class TablePolicy(Policy):
         self.warn(f"{message}; the independent sampler takes over")
 
     def _warn_of_foreign(self, study: optuna.Study) -> None:
-        """Where the table need not fit: say so once a trial has suggested none of its names."""
+        """Warn where the table need not fit and a trial has suggested none of its parameters."""
         finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
         if finished and not any(name in finished[-1].params for name in self.rows.names):
             self.warn(
@@ -451,7 +432,7 @@ class TablePolicy(Policy):
             )
 
     def _warn_of(self, history: History) -> None:
-        """Say once that trials off the table teach nothing, and what can be done about it."""
+        """Warn that trials off the table are ignored; the message says what can be done."""
         if not history.unplaced or IGNORED in self._said:
             return
         trial, far = history.unplaced[0], ""
@@ -465,9 +446,9 @@ class TablePolicy(Policy):
         )
 
     def _warn_of_prior(self, history: History) -> None:
-        """Say once that what the user expects of a feature has begun badly."""
+        """Warn that the rows which the prior ranks first were bad."""
         first, enough = history.cost[:RANKED], len(history.cost) > 2 * RANKED
-        if self.guess is not None and enough and first.min() > np.median(history.cost):
+        if self.prior_mean is not None and enough and first.min() > np.median(history.cost):
             self.warn(
                 f"prior: the {RANKED} rows that it ranks first cost more than the median of the "
                 f"trials; is the sign of {self.options.prior!r} right? See sampler.worth(study)"
@@ -476,38 +457,21 @@ class TablePolicy(Policy):
     def present(self, study: optuna.Study) -> Present:
         """With all rows that may be proposed, tried or not."""
         self._adopt(suggested_so_far(self.own_rows.names, study))
-        return self._present(self._history(study, next_trial(study)).finished)
-
-    def _present(self, history: History) -> Present:
-        """What is known of the features after the finished trials of a history."""
-        features = self._shown(history.parameters, history.rows, history.trials)
-        return Present(
-            self.own_rows.feature_names,
-            features,
-            Points(self._scale.standard(features), self._unit(history.parameters)),
-            history.cost,
-            self._points(),
-            self._scale.owners,
-            len(self.rows.space),
-            self.options.kernel,
-            self.guess,
-            self.learns_trust,
-            self.known,
-            self._ranked(),
-        )
-
-    def _ranked(self) -> dict[int, Floats]:
-        """The rows that the prior ranks first, and their features, [k] each."""
-        if self.guess is None:
-            return {}
-        order = np.argsort(-self.guess.merit(self._points().features), kind="stable")
-        numbers = self.rows.numbers[order[:RANKED]].tolist()
-        return {row: self.own_rows.features[row] for row in numbers}
+        history = self._history(study, next_trial(study)).finished
+        shown, first = self._shown(history), {}
+        seen = self._placed(history.parameters, shown)
+        model = self.plain_model(self.prior_mean, len(self.rows.space), seen, history.cost)
+        if self.prior_mean is not None:
+            merit = self.prior_mean.merit(self._points().features)
+            best = np.argsort(-merit, kind="stable")[:RANKED]
+            first = {row: self.rows.features[row] for row in self.rows.numbers[best].tolist()}
+        names = self.rows.feature_names
+        return self.present_of(names, shown, model, self._points(), self._scale, first)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.
 
-        At its start, so that other workers see it; none of its parameters is asked for here.
+        At its start, so that other workers see it; none of its parameters will be sampled here.
         """
         if len(study.directions) > 1 or not values_of(trial):
             return
@@ -515,8 +479,8 @@ class TablePolicy(Policy):
         if row is not None and row_of(rows, trial) != trial.user_attrs.get(ROW_ATTRIBUTE):
             set_attributes(study, trial, notes_of(row, rows.features[row]))
 
-    def after(self, study: optuna.Study, trial: FrozenTrial, state: TrialState) -> None:
-        """See to it that what is noted in the trial is what was run.
+    def after(self, study: optuna.Study, trial: FrozenTrial, *, is_complete: bool) -> None:
+        """Correct the notes of the trial if something else was run.
 
         Raises:
             InputError: the objective has returned without suggesting all of the table, or has left
@@ -526,18 +490,18 @@ class TablePolicy(Policy):
         if len(study.directions) > 1:
             return
         rows, noted = self.own_rows, trial.user_attrs.get(ROW_ATTRIBUTE)
-        ended = state is TrialState.COMPLETE
-        missing = not_suggested(rows, trial) if ended else None
+        missing = not_suggested(rows.names, trial) if is_complete else None
         other = proposal.other_in(trial.params)
         row, known = rows.find(trial.params), row_of(rows, trial)
         if row is not None and known != noted:
             set_attributes(study, trial, notes_of(row, rows.features[row]))
         wrong = missing is not None or other is not None or noted not in (OFF_TABLE, known)
         if row is None and noted is not None and wrong:
-            self._take_back(study, trial)
+            notes = (ROW_ATTRIBUTE, SCORE_ATTRIBUTE, FEATURES_ATTRIBUTE)
+            self._take_back(study, trial, {key: 0 for key in notes if key in trial.user_attrs})
         if missing is not None and (noted is not None or self.options.strict):
             self.misfit(missing)
-        elif ended and other is not None:
+        elif is_complete and other is not None:
             self.misfit(self._not_as_proposed(trial, other, proposal))
 
     def _not_as_proposed(self, trial: FrozenTrial, name: str, proposal: Proposal) -> InputError:

@@ -2,8 +2,8 @@
 
 `Points` are features in standard units beside coordinates in the unit cube. `NormalScores` uses
 nothing of a feature but the order of its values: heavy tails, infinities, and units do not matter.
-`Standard` is affine, as in the paper. A `Guess` is the prior mean, and `is_doubtful` decides
-whether a trial follows the features.
+`Standard` is affine, as in the paper. `PriorMean` holds the option `prior`, and `is_doubtful`
+decides whether a trial follows the features.
 
 Tables may have tens of millions of rows. A proposal needs all features, and of the parameters those
 of a few rows. So the parameters of a large table lie in a file without a name, a column after the
@@ -13,8 +13,7 @@ other, which ends with the process; memory holds what is used.
 import mmap
 import os
 import tempfile
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
@@ -33,9 +32,9 @@ BLOCK = 2**18  # rows at a time
 LARGEST = float(np.finfo(np.float64).max)
 MOST = 2.0**500
 LEAST_GAPS = 0.02  # share of missing values from which having none is a feature of its own
-SLOPE = 1.0  # of the cost, in its standard deviations, by one of the feature of a guess
+SLOPE = 1.0  # of the prior mean, in standard deviations of the cost by one of the feature
 PATIENCE = 3  # trials without a better cost
-PATIENCE_TOLD = 20  # where the user has said which end of a feature is good
+PATIENCE_WITH_PRIOR = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,21 +114,8 @@ def clip_infinities(values: Floats) -> Floats:
     return np.where(values == np.inf, high, np.where(values == -np.inf, low, values))
 
 
-class Scale(ABC):
-    """What makes features [m, k] columns in standard units, learned from n rows."""
-
-    @abstractmethod
-    def standard(self, features: Floats) -> Floats:
-        """Features [m, k] as columns of about unit variance, [m, k or more]; a gap becomes 0."""
-
-    @property
-    @abstractmethod
-    def owners(self) -> tuple[int, ...]:
-        """Of each of these columns, the number of the feature that it comes from."""
-
-
 @dataclass(frozen=True)
-class Standard(Scale):
+class Standard:
     """Subtract the mean, divide by the spread, [k] each; infinite values count as gaps.
 
     A feature without information has the spread infinity: it becomes zero everywhere.
@@ -149,19 +135,18 @@ class Standard(Scale):
         return cls(mean, np.where(sd > 1e-12 * np.abs(mean), sd, np.inf))
 
     def standard(self, features: Floats) -> Floats:
-        """Affine; [m, k]."""
+        """Features [m, k] as columns of about unit variance, [m, k]; a gap becomes 0."""
         finite = np.where(np.isfinite(features), squarable(features), self.mean)
-        scaled = (finite - self.mean) / self.sd
-        return np.asarray(scaled)
+        return np.asarray((finite - self.mean) / self.sd)
 
     @property
     def owners(self) -> tuple[int, ...]:
-        """A column a feature."""
+        """Of each of these columns, the number of its feature: its own."""
         return tuple(range(len(self.mean)))
 
 
 @dataclass(frozen=True, eq=False)
-class NormalScores(Scale):
+class NormalScores:
     """Phi^-1 of the share of rows below (Blom 1958), equal values sharing theirs, unit variance.
 
     A feature that some rows lack has a column more: whether a row has it. Those follow the k
@@ -193,7 +178,7 @@ class NormalScores(Scale):
         return cls(known, sd, tuple(gaps.values()))
 
     def standard(self, features: Floats) -> Floats:
-        """By the order alone, also of values that no row had; [m, k + gaps]."""
+        """By the order alone, also of values that no row had, [m, k + gaps]; a gap becomes 0."""
         columns = [
             np.where(np.isnan(column), 0.0, _scores(values, column) / sd)
             for column, values, sd in zip(features.T, self.known, self.sd, strict=True)
@@ -205,8 +190,16 @@ class NormalScores(Scale):
 
     @property
     def owners(self) -> tuple[int, ...]:
-        """A column a feature, then those of the gaps."""
+        """Of each of these columns, the number of its feature."""
         return (*range(len(self.known)), *(column for column, _ in self.gaps))
+
+
+Scale = Standard | NormalScores
+
+
+def scale_of(features: Floats, *, by_order: bool) -> Scale:
+    """The scale of features [n, k] as a kernel takes them: by their order, or as they are."""
+    return NormalScores.of(features) if by_order else Standard.of(features)
 
 
 def _scores(known: Floats, values: Floats) -> Floats:
@@ -230,13 +223,13 @@ def _spread(known: Floats) -> float:
 
 
 @dataclass(frozen=True)
-class Guess:
-    """What the user says of a feature: which end of it is good.
+class PriorMean:
+    """The mean of the process before any trial, from the option `prior`.
 
-    Until trials say otherwise, the cost is expected to fall by one standard deviation for each
-    standard deviation of the feature, with the uncertainty of `gp.SLOPE` about the slope:
-    m(x) = -SLOPE phi(x), in standard units, is the mean of the process (Rasmussen, Williams 2006,
-    section 2.7; Cully et al. 2015 use a simulated performance as the mean of theirs).
+    The option names the good end of a feature. Until trials say otherwise, the cost is expected to
+    fall by one standard deviation for each standard deviation of the feature, with the uncertainty
+    of `gp.SLOPE` about the slope: m(x) = -SLOPE phi(x), in standard units (Rasmussen, Williams
+    2006, section 2.7; Cully et al. 2015 use a simulated performance as the mean of theirs).
 
     Attributes:
         column: of the feature.
@@ -247,27 +240,29 @@ class Guess:
     sign: float
 
     @classmethod
-    def of(cls, prior: str, names: tuple[str, ...]) -> "Guess":
-        """What the option `prior` says of features with these names.
+    def of(cls, prior: str | None, names: Sequence[str]) -> "PriorMean | None":
+        """The prior mean of an option and the features' names; None without the option.
 
         Raises:
             InputError: there is no such feature.
         """
+        if prior is None:
+            return None
         sign, name = (-1.0, prior[1:]) if prior not in names and prior[:1] == "-" else (1.0, prior)
         if name not in names:
             raise InputError("prior", prior, f"one of {', '.join(names)}, or one with a minus")
         return cls(names.index(name), sign)
 
     def merit(self, features: Floats) -> Floats:
-        """How good candidates [m, k] are thought, in the units of the features, [m]."""
+        """How good candidates [m, k] are expected to be, in the units of the features, [m]."""
         return self.sign * features[:, self.column]
 
-    def cost(self, points: Points) -> Floats:
-        """m(x) of points in standard units, [m]."""
-        return -SLOPE * self.merit(points.features)
+    def cost(self, features: Floats) -> Floats:
+        """m(x) of features [m, k], in standard units, [m]."""
+        return -SLOPE * self.merit(features)
 
 
-def is_doubtful(cost: Floats, turn: int, told: bool) -> bool:
+def is_doubtful(cost: Floats, turn: int, has_prior: bool) -> bool:
     """Whether this trial is left to the parameters: features are followed while they succeed.
 
     The likelihood cannot tell a feature that follows the cost everywhere from one that follows it
@@ -280,12 +275,15 @@ def is_doubtful(cost: Floats, turn: int, told: bool) -> bool:
     Args:
         cost: of the finished trials that kept their limits, in their order, [n].
         turn: number of the trial.
-        told: the user has said which end of a feature is good.
+        has_prior: the user has said which end of a feature is good.
     """
     if not len(cost):
         return False
     age = len(cost) - 1 - int(np.argmin(cost))
-    return turn % 2 == 1 and age >= (PATIENCE_TOLD if told else PATIENCE)
+    return turn % 2 == 1 and age >= (PATIENCE_WITH_PRIOR if has_prior else PATIENCE)
+
+
+# Of tables that are larger than memory.
 
 
 def new_matrix(rows: int, columns: int) -> Floats:
@@ -317,8 +315,8 @@ def by_blocks(function: Callable[[Floats], Floats], matrix: Floats) -> Floats:
     for first in range(0, len(matrix), BLOCK):
         block = slice(first, first + BLOCK)
         made[block] = function(matrix[block])
-        for each in (matrix, made):
-            let_go(each)
+        let_go(matrix)
+        let_go(made)
     return made
 
 
@@ -336,8 +334,7 @@ def side_by_side(left: Floats, right: Floats) -> Floats:
 def rows_of(matrix: Floats, index: NDArray[Any]) -> Floats:
     """Some rows, by number or by mask."""
     if matrix.size <= MOST_IN_MEMORY:
-        some: Floats = matrix[index]
-        return some
+        return np.asarray(matrix[index])
     return np.column_stack([column[index] for column in columns_of(matrix)])
 
 
@@ -349,7 +346,7 @@ def columns_of(matrix: Floats) -> Iterator[Floats]:
 
 
 def let_go(matrix: Floats) -> None:
-    """Have what was read or written of a large matrix leave memory: the file keeps it."""
+    """Free the memory of a large matrix: its file keeps the content."""
     owner: object = matrix
     while isinstance(owner, np.ndarray):
         owner = owner.base

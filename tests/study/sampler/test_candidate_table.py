@@ -119,14 +119,13 @@ def test_a_row_is_offered_with_half_of_its_informative_features() -> None:
     with pytest.warns(UserWarning, match="1 rows that lack more than half .* ignored: feature_2"):
         table = FeatureTable.from_arrays({"a": np.arange(4.0)}, features)
     assert table.rows.offered.tolist() == [True, True, False, True]
-    assert table.rows.incomplete == 1
 
 
 def test_infinity_is_a_value_and_no_gap() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         rows = FeatureTable.from_arrays({"a": np.arange(3.0)}, [np.inf, 0.0, -np.inf]).rows
-    assert rows.offered.all() and rows.empty_features == ()
+    assert rows.offered.all()
     assert np.argsort(rows.scores.standard(rows.features)[:, 0]).tolist() == [2, 1, 0]
 
 

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from study.sampler.acquisition import MOST_CANDIDATES, Model, log_expected_improvement
 from study.sampler.gp import KERNELS
-from study.sampler.transforms import SLOPE, Guess, Points, log_excess
+from study.sampler.transforms import SLOPE, Points, PriorMean, log_excess
 from taichi_nmm.errors import InputError
 
 NAMES = ("score", "error", "-odd")
@@ -17,7 +17,7 @@ NAMES = ("score", "error", "-odd")
     [("score", (0, 1.0)), ("-error", (1, -1.0)), ("-odd", (2, 1.0)), ("--odd", (2, -1.0))],
 )
 def test_a_minus_stands_for_low_values(prior: str, guess: tuple[int, float]) -> None:
-    found = Guess.of(prior, NAMES)
+    found = PriorMean.of(prior, NAMES)
     assert (found.column, found.sign) == guess
     features = np.arange(12.0).reshape(4, 3)
     assert_allclose(found.merit(features), guess[1] * features[:, guess[0]])
@@ -26,7 +26,7 @@ def test_a_minus_stands_for_low_values(prior: str, guess: tuple[int, float]) -> 
 @pytest.mark.parametrize("prior", ["", "-", "speed", "-speed", "+score"])
 def test_what_is_no_feature_is_refused(prior: str) -> None:
     with pytest.raises(InputError, match=r"prior: .* one of score, error, -odd, or one with a mi"):
-        Guess.of(prior, NAMES)
+        PriorMean.of(prior, NAMES)
 
 
 def predicted(model: Model, points: Points) -> np.ndarray:
@@ -82,7 +82,7 @@ def test_where_nothing_is_left_to_explain_the_cost_falls_by_the_slope(
         fall = cost
     seen = points(scores, 0)
     none = points(np.empty(0), 0)
-    model = Model(KERNELS[kernel], Guess(1, sign), 2, seen, cost, no_limits(6), none, {})
+    model = Model(KERNELS[kernel], PriorMean(1, sign), 2, seen, cost, no_limits(6), none, {})
     some = points(np.array([-3.0, -0.2, 0.0, 0.7, 5.0]), 1)
     mean = predicted(model, some)
     expected = -SLOPE * fall.std() * sign * (some.features[:, 1] - some.features[0, 1])
@@ -94,7 +94,7 @@ def test_after_one_trial_the_ranking_is_the_order_of_the_utility(cost: float) ->
     """One cost has no spread: it is taken to be one, and like candidates differ by the guess."""
     model = Model(
         KERNELS["additive"],
-        Guess(1, 1.0),
+        PriorMean(1, 1.0),
         2,
         points(np.zeros(1), 0),
         np.array([cost]),
@@ -114,7 +114,7 @@ def test_a_guess_that_trials_contradict_is_turned() -> None:
     seen = points(scores, 0)
     model = Model(
         KERNELS["additive"],
-        Guess(1, 1.0),
+        PriorMean(1, 1.0),
         2,
         seen,
         np.exp(scores),
@@ -134,7 +134,14 @@ def test_of_many_candidates_those_that_the_guess_thinks_best_are_looked_at() -> 
     other, scores = seen.features.T
     cost, _ = costs_that_fall_by(-scores + 0.01 * other)
     model = Model(
-        KERNELS["additive"], Guess(1, 1.0), 2, seen, cost, no_limits(12), points(np.empty(0), 0), {}
+        KERNELS["additive"],
+        PriorMean(1, 1.0),
+        2,
+        seen,
+        cost,
+        no_limits(12),
+        points(np.empty(0), 0),
+        {},
     )
     many = points(np.random.default_rng(1).standard_normal(2 * MOST_CANDIDATES), 2)
     offered = np.ones(len(many), dtype=bool)

@@ -5,16 +5,16 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import approx_fprime
 
-from study.sampler.gp import Covariance, Layout, condition, learn, misfit, new_covariance
+from study.sampler.gp import Covariance, condition, learn, misfit, new_covariance
 from study.sampler.transforms import Points
 from tests.study.sampler import reference
 
-LAYOUT = Layout(features=2, coordinates=3, parameters=3)
+LAYOUT = (2, 3, 3)  # features, coordinates, parameters
 X = np.random.default_rng(0).standard_normal((12, 5))
 
 
-def covariance_of(form: str, layout: Layout = LAYOUT) -> Covariance:
-    return new_covariance(reference.FORMS[form], layout)
+def covariance_of(form: str, layout: tuple[int, int, int] = LAYOUT) -> Covariance:
+    return new_covariance(reference.FORMS[form], *layout)
 
 
 def between(covariance: Covariance, theta: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -92,7 +92,7 @@ def test_parameters_have_the_dimension_scaled_prior() -> None:
     for d in (1, 16, 100):
         mu, sigma = np.sqrt(2) + np.log(d) / 2, np.sqrt(3)  # Hvarfner et al. 2024
         for form, place in (("euclidean", 1), ("nearness", 1), ("additive", 4)):
-            prior = covariance_of(form, Layout(1, d, d)).constants[place]
+            prior = covariance_of(form, (1, d, d)).constants[place]
             assert_allclose(prior.mode, mu - sigma**2)
             assert_allclose(prior.sd, sigma)
 
@@ -124,7 +124,7 @@ def test_slopes_carry_beyond_the_trials() -> None:
     beyond = Points(np.array([[6.0]]), np.array([[0.5]]))
 
     def predicted(form: str) -> float:
-        covariance = covariance_of(form, Layout(1, 1, 1))
+        covariance = covariance_of(form, (1, 1, 1))
         y = 3.0 * x[:, 0]
         fitted = condition(covariance, learn(covariance, x, y), x, y, noisy=False, fast=False)
         return float(fitted.predict(beyond)[0][0])

@@ -76,7 +76,6 @@ def test_a_large_table_is_proposed_from_like_a_small_one(
     assert proposals(table, kernel) == expected
     assert table.rows.digest() == digest
     assert table.rows.find(expected[3]) == small.rows.find(expected[3]) is not None
-    assert np.array_equal(table.rows.extent, small.rows.extent)
 
 
 def test_a_store_is_read_file_by_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,6 @@ from study.sampler.gp import (
     LIKELIHOOD_TRIALS,
     SLOPE,
     Covariance,
-    Layout,
     Term,
     learn,
     misfit,
@@ -18,7 +17,7 @@ from study.sampler.gp import (
 )
 from tests.study.sampler import reference
 
-LAYOUT = Layout(features=3, coordinates=4, parameters=4)
+LAYOUT = (3, 4, 4)
 
 
 def trials(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -38,7 +37,7 @@ def anywhere(covariance: Covariance, seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("form", reference.FORMS)
 def test_the_misfit_and_its_gradient_are_scikit_learns(form: str) -> None:
-    covariance = new_covariance(reference.FORMS[form], LAYOUT)
+    covariance = new_covariance(reference.FORMS[form], *LAYOUT)
     for seed, count in enumerate((1, 2, 9, 40, 120)):
         x, y = trials(count, seed) if count > 1 else (trials(2, seed)[0][:1], np.zeros(1))
         for draw in range(3):
@@ -51,7 +50,7 @@ def test_the_misfit_and_its_gradient_are_scikit_learns(form: str) -> None:
 
 @pytest.mark.parametrize("form", reference.FORMS)
 def test_the_gradient_is_that_of_the_misfit(form: str) -> None:
-    covariance = new_covariance(reference.FORMS[form], LAYOUT)
+    covariance = new_covariance(reference.FORMS[form], *LAYOUT)
     x, y = trials(25, 0)
     theta = covariance.start
     slopes = approx_fprime(theta, lambda at: misfit(covariance, x, y, at)[0], 1e-6)
@@ -61,7 +60,7 @@ def test_the_gradient_is_that_of_the_misfit(form: str) -> None:
 @pytest.mark.parametrize("count", [2, 8, 30, 31, LIKELIHOOD_TRIALS])
 @pytest.mark.parametrize("form", reference.FORMS)
 def test_the_constants_are_those_that_scikit_learn_finds(form: str, count: int) -> None:
-    covariance = new_covariance(reference.FORMS[form], LAYOUT)
+    covariance = new_covariance(reference.FORMS[form], *LAYOUT)
     x, y = trials(count, seed=count)
     assert_allclose(learn(covariance, x, y), reference.learned(covariance, x, y), atol=1e-6)
 

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from study.sampler.acquisition import Shared
+from study.sampler.acquisition import along_feature
 from study.sampler.gp import (
     BLOCK,
     LIKELIHOOD_TRIALS,
     Covariance,
-    Layout,
     Posterior,
     condition,
     learn,
@@ -18,13 +17,13 @@ from study.sampler.gp import (
 from study.sampler.transforms import Points
 from tests.study.sampler import reference
 
-LAYOUT = Layout(features=3, coordinates=4, parameters=4)
+LAYOUT = (3, 4, 4)
 EXACT = 1e-8
 FAST = 1e-4  # of the prior's scale
 
 
-def covariance_of(form: str, layout: Layout = LAYOUT) -> Covariance:
-    return new_covariance(reference.FORMS[form], layout)
+def covariance_of(form: str, layout: tuple[int, int, int] = LAYOUT) -> Covariance:
+    return new_covariance(reference.FORMS[form], *layout)
 
 
 def some_points(count: int, seed: int) -> Points:
@@ -53,7 +52,11 @@ def oracle(posterior: Posterior, candidates: Points) -> tuple[np.ndarray, np.nda
 
 def prior_variance(posterior: Posterior, x: np.ndarray) -> np.ndarray:
     """Before any trial, noise included."""
-    return posterior.cost_sd**2 * (posterior.prior_variance(x) + posterior.noise) * np.ones(len(x))
+    return (
+        posterior.cost_sd**2
+        * (posterior.covariance.variance(posterior.theta, x) + posterior.noise)
+        * np.ones(len(x))
+    )
 
 
 @pytest.mark.parametrize("form", reference.FORMS)
@@ -91,7 +94,7 @@ def along_a_feature(count: int, *, fast: bool) -> Posterior:
     rng = np.random.default_rng(0)
     x = rng.uniform(-1, 4, (count, 1))
     y = 5.0 + 2.0 * np.sin(x[:, 0]) + 0.3 * rng.standard_normal(count)
-    covariance = covariance_of("rbf", Layout(1, 0, 2))
+    covariance = covariance_of("rbf", (1, 0, 2))
     return condition(covariance, learn(covariance, x, y), x, y, noisy=True, fast=fast)
 
 
@@ -102,8 +105,12 @@ def test_along_one_feature(fast: bool, tolerance: float, values: int) -> None:
     feature = np.random.default_rng(1).choice(np.linspace(-3, 8, values), 20_000)[:, None]
     candidates = Points(feature, np.empty((len(feature), 0)))
     expected_mean, expected_variance = oracle(posterior, candidates)
-    shared = Shared.of(posterior, candidates)
-    mean, variance = (shared.spread(computed) for computed in posterior.predict(shared.points))
+    mean, variance = (
+        along_feature(
+            posterior, candidates, lambda points, which=which: posterior.predict(points)[which]
+        )
+        for which in range(2)
+    )
     prior = prior_variance(posterior, feature)
     assert np.max(np.abs(mean - expected_mean) / np.sqrt(prior)) < tolerance
     assert np.max(np.abs(variance - expected_variance) / prior) < tolerance
@@ -124,7 +131,7 @@ def test_believing_adds_trials_and_keeps_constants() -> None:
 def test_the_spread_of_equal_features_is_learned_as_noise() -> None:
     x = np.repeat([[0.0], [1.0], [2.0]], 30, axis=0)
     y = 10.0 * x[:, 0] + 1.5 * np.random.default_rng(2).standard_normal(90)
-    covariance = covariance_of("rbf", Layout(1, 0, 1))
+    covariance = covariance_of("rbf", (1, 0, 1))
     posterior = condition(covariance, learn(covariance, x, y), x, y, noisy=True, fast=False)
     mean, variance = posterior.predict(Points(x[::30], np.empty((3, 0))))
     assert_allclose(mean, [0, 10, 20], atol=1.0)

@@ -117,14 +117,14 @@ CASES: dict[str, Callable[[], object]] = {
     "kernel: … allowed: euclidean: there are no features": lambda: FeatureKernelSampler(
         kernel="rbf"
     ),
-    "kernel: … allowed: one of features: there are none": lambda: FeatureKernelSampler().worth(
-        optuna.create_study()
+    "kernel: … allowed: one that uses features, or there is nothing to report": lambda: (
+        FeatureKernelSampler().worth(optuna.create_study())
     ),
     "prior: … allowed: one of …, or one with a minus": lambda: sampler(prior="phi"),
     "nearest: … allowed: none with a feature_function, …": lambda: sampler(
         nearest=0.1, feature_function=len
     ),
-    "constraints_func: … allowed: None: say trial.set_constraint(key, value) in the objective": (
+    "constraints_func: … allowed: None: call trial.set_constraint(key, value) in the objective": (
         lambda: sampler(constraints_func=3)
     ),
     "off_grid: … allowed: 0 without a feature_function": lambda: sampler(off_grid=9),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import Model
 from study.sampler.gp import ADDITIVE, NEARNESS
-from study.sampler.transforms import PATIENCE, PATIENCE_TOLD, is_doubtful
+from study.sampler.transforms import PATIENCE, PATIENCE_WITH_PRIOR, is_doubtful
 
 Floats = NDArray[np.float64]
 
@@ -21,9 +21,9 @@ def after(age: int) -> Floats:
     return np.concatenate([[5.0, 1.0], np.full(age, 1.0)])  # an equal one is no better one
 
 
-@pytest.mark.parametrize(("told", "patience"), [(False, PATIENCE), (True, PATIENCE_TOLD)])
+@pytest.mark.parametrize(("told", "patience"), [(False, PATIENCE), (True, PATIENCE_WITH_PRIOR)])
 def test_every_other_trial_is_doubtful_once_patience_is_over(told: bool, patience: int) -> None:
-    assert (PATIENCE, PATIENCE_TOLD) == (3, 20)
+    assert (PATIENCE, PATIENCE_WITH_PRIOR) == (3, 20)
     for turn in range(6):
         assert not is_doubtful(after(0), turn, told)
         assert not is_doubtful(after(patience - 1), turn, told)
@@ -56,7 +56,7 @@ def kernels_asked(study: optuna.Study, objective: Any, trials: int) -> dict[int,
 
     def spied(model: Model, *given: Any, **named: Any) -> None:
         made(model, *given, **named)
-        asked[len(model.costs)] = (model.kernel, model.guess)
+        asked[len(model.costs)] = (model.kernel, model.prior_mean)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Model, "__init__", spied)

@@ -406,7 +406,7 @@ def test_trials_off_the_table_are_not_counted() -> None:
     [FeatureKernelSampler, lambda: FeatureKernelSampler(table(), kernel="euclidean")],
 )
 def test_without_features_there_is_no_worth(sampler: Callable[[], FeatureKernelSampler]) -> None:
-    with pytest.raises(InputError, match=r"^kernel: 'euclidean'.*there are none$") as caught:
+    with pytest.raises(InputError, match=r"^kernel: 'euclidean'.*nothing to report$") as caught:
         sampler().worth(optuna.create_study())
     assert "\n" not in str(caught.value)
     assert not sampler().has_features and FORMS["table"]().has_features
