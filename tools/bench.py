@@ -37,10 +37,8 @@ LARGEST_LANES = 64
 MOST_SAMPLES = 10_000_000
 LANE_SAMPLES = 8192  # points for a row of the table of lane widths, at most
 MUJOCO_ROLLOUTS = 256  # of a second each
-LOADS = (
-    "steady",
-    "Sobol",
-)  # 512 walkers near the published gains, 3 s; 2,048 Sobol points, 5 s, packs compacted
+# 512 walkers near the published gains, 3 s; 2,048 Sobol points, 5 s, packs compacted.
+LOADS = ("steady", "Sobol")
 TURNS = 7
 
 # Seconds for 100,000 points x 5 s, as measured on another 2-core machine (AVX-512).
@@ -54,11 +52,11 @@ def main() -> None:
     options = parse()
     with tempfile.TemporaryDirectory() as cache:
         if options.against:
-            turns = by_turns(options.against, Path(cache))
-            print(json.dumps(turns) if options.json else turns_text(turns))
-            return
-        report = measure(options, Path(cache))
-    print(json.dumps(report) if options.json else text(report))
+            measured = by_turns(options.against, Path(cache))
+        else:
+            measured = measure(options, Path(cache))
+    said = turns_text if options.against else text
+    print(json.dumps(measured) if options.json else said(measured))
 
 
 def parse() -> argparse.Namespace:
@@ -100,18 +98,31 @@ def measure(options: argparse.Namespace, cache: Path) -> Measured:
         "cold_start_s": cold["start_s"],
         "warm_start_s": run.pop("start_s"),
         "run": run,
-        "times_reference_speed": speed_ratios(run),
+        "times_reference_speed": {
+            name: run["walkers_per_s"] * seconds / REFERENCE_POINTS
+            for name, seconds in REFERENCES_S.items()
+        },
     }
     if options.lanes:
-        samples = min(options.samples, LANE_SAMPLES)
-        report["lanes"] = [lane_row(cache, width, samples) for width in options.lanes]
+        samples = ("--samples", str(min(options.samples, LANE_SAMPLES)))
+        report["lanes"] = [  # each from a cache of its own
+            worker(f"{width} lanes", cache / f"lanes-{width}", *samples,
+                   "--arch", "cpu", "--lanes", str(width))
+            for width in options.lanes
+        ]  # fmt: skip
     if options.threads:
         counts = sorted({1, os.cpu_count() or 1})
         report["threads"] = [
             worker(f"{count} threads", cache / "main", "--threads", str(count)) for count in counts
         ]
     if options.mujoco:
-        report["mujoco"] = mujoco_steps(run, min(options.samples, MUJOCO_ROLLOUTS))
+        rollouts = str(min(options.samples, MUJOCO_ROLLOUTS))
+        row = run_json("MuJoCo", ["-m", MUJOCO_MODULE, "--rollouts", rollouts], {})
+        ratios = {
+            f"ratio_to_{name}": run["walker_steps_per_s"] / row[f"steps_per_s_{name}"]
+            for name in ("single", "all")
+        }
+        report["mujoco"] = row | ratios
     return report
 
 
@@ -136,32 +147,6 @@ def run_json(what: str, arguments: list[str], environment: dict[str, str]) -> Me
         raise InputError("bench", what, f"a measurement that runs ({reason})")
     measured: Measured = json.loads(done.stdout.splitlines()[-1])
     return measured
-
-
-def speed_ratios(run: Measured) -> dict[str, float]:
-    """Our walkers a second as multiples of the references'."""
-    return {
-        name: run["walkers_per_s"] * seconds / REFERENCE_POINTS
-        for name, seconds in REFERENCES_S.items()
-    }
-
-
-def lane_row(cache: Path, width: int, samples: int) -> Measured:
-    """Compile and run time with so many walkers side by side, from a cache of its own."""
-    arguments = ["--samples", str(samples), "--arch", "cpu", "--lanes", str(width)]
-    row = worker(f"{width} lanes", cache / f"lanes-{width}", *arguments)
-    names = ("lanes", "start_s", "samples", "run_s", "walkers_per_s", "alive")
-    return {name: row[name] for name in names}
-
-
-def mujoco_steps(run: Measured, rollouts: int) -> Measured:
-    """MuJoCo's steps a second, and ours as multiples of them."""
-    row = run_json("MuJoCo", ["-m", MUJOCO_MODULE, "--rollouts", str(rollouts)], {})
-    return {
-        **row,
-        "ratio_to_single": run["walker_steps_per_s"] / row["steps_per_s_single"],
-        "ratio_to_all": run["walker_steps_per_s"] / row["steps_per_s_all"],
-    }
 
 
 def by_turns(other: Path, cache: Path) -> Measured:
@@ -216,15 +201,7 @@ def turns_text(turns: Measured) -> str:
 
 
 def text(report: Measured) -> str:
-    return "\n\n".join(
-        [main_text(report)]
-        + ([lanes_text(report["lanes"])] if "lanes" in report else [])
-        + ([threads_text(report["threads"])] if "threads" in report else [])
-        + ([mujoco_text(report["mujoco"])] if "mujoco" in report else [])
-    )
-
-
-def main_text(report: Measured) -> str:
+    """The report as paragraphs for people."""
     run, machine = report["run"], report["machine"]
     memory = "unknown" if run["peak_rss_mib"] is None else f"{run['peak_rss_mib']:,.0f} MiB"
     lines = [
@@ -243,39 +220,33 @@ def main_text(report: Measured) -> str:
             f"{ratio:6.2f} x the speed of {name}"
             f" ({REFERENCES_S[name]:g} s for {REFERENCE_POINTS:,}, on another 2-core machine)"
         )
-    return "\n".join(lines)
-
-
-def lanes_text(rows: list[Measured]) -> str:
-    head = f"{'lanes':>5}  {'cold start s':>12}  {'run s':>8}  {'walkers/s':>9}  {'alive':>6}"
-    body = [
-        f"{row['lanes']:5d}  {row['start_s']:12.1f}  {row['run_s']:8.2f}"
-        f"  {row['walkers_per_s']:9,.0f}  {row['alive']:6d}"
-        for row in rows
-    ]
-    return "\n".join([f"{rows[0]['samples']:,} points, CPU", head, *body])
-
-
-def threads_text(rows: list[Measured]) -> str:
-    one_s = rows[0]["run_s"]
-    body = [
-        f"{row['threads']:7d}  {row['run_s']:8.2f}  {one_s / row['run_s']:6.2f} x" for row in rows
-    ]
-    return "\n".join(
-        ["400 walkers near the published gains x 10 s, CPU", "threads     run s  faster", *body]
-    )
-
-
-def mujoco_text(row: Measured) -> str:
-    return "\n".join(
-        [
+    if rows := report.get("lanes"):
+        head = "lanes  cold start s     run s  walkers/s   alive"
+        lines += ["", f"{rows[0]['samples']:,} points, CPU", head]
+        for row in rows:
+            lines.append(
+                f"{row['lanes']:5d}  {row['start_s']:12.1f}  {row['run_s']:8.2f}"
+                f"  {row['walkers_per_s']:9,.0f}  {row['alive']:6d}"
+            )
+    if rows := report.get("threads"):
+        lines += [
+            "",
+            "400 walkers near the published gains x 10 s, CPU",
+            "threads     run s  faster",
+        ]
+        for row in rows:
+            faster = rows[0]["run_s"] / row["run_s"]
+            lines.append(f"{row['threads']:7d}  {row['run_s']:8.2f}  {faster:6.2f} x")
+    if row := report.get("mujoco"):
+        lines += [
+            "",
             f"MuJoCo {row['version']}, mj_step of the same body, 14 muscles, contacts, 1 ms",
             f"1 thread       {row['steps_per_s_single']:,.0f} steps/s;"
             f" ours {row['ratio_to_single']:.1f} x",
             f"{row['threads']} threads      {row['steps_per_s_all']:,.0f} steps/s;"
             f" ours {row['ratio_to_all']:.1f} x",
         ]
-    )
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ STEADY, SOBOL = "steady", "Sobol"  # what `--turns` measures
 STEADY_WALKERS, STEADY_S, STEADY_SPREAD = 512, 3.0, 0.02
 FEW_WALKERS, FEW_S, FEW_REPEATS = 400, 10.0, 5  # a round of a comparison
 SOBOL_POINTS, SOBOL_S = 2048, 5.0
+RUN_S = 5.0  # of the run of many samples
 
 
 def main() -> None:
@@ -43,7 +44,6 @@ def main() -> None:
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="One measurement, for tools/bench.py")
     parser.add_argument("--samples", type=int, default=0, help="0 only starts up")
-    parser.add_argument("--duration", type=float, default=5.0, help="s on flat ground")
     parser.add_argument("--arch", default="auto")
     parser.add_argument("--root", default=str(Path(__file__).resolve().parents[1]))
     parser.add_argument("--turns", action="store_true", help="measure at every line of the input")
@@ -71,11 +71,11 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     settings = Settings(arch=options.arch)
     gains = sobol_gains(options.samples)
     began = time.perf_counter()
-    result = simulate(gains, duration_s=options.duration, settings=settings)
+    result = simulate(gains, duration_s=RUN_S, settings=settings)
     run_s = time.perf_counter() - began
     return {
         "samples": options.samples,
-        "duration_s": options.duration,
+        "duration_s": RUN_S,
         "run_s": run_s,
         "walkers_per_s": options.samples / run_s,
         "walker_steps_per_s": float(result["duration_s"].sum()) / settings.physics_step_s / run_s,

@@ -3,13 +3,11 @@
     python tools/compare_peers.py                  # everything; a quarter of an hour or more
     python tools/compare_peers.py --seeds 3 --arms random,tpe,ours
 
-Finished runs are kept in the cache's folder: the same command goes on where it was stopped, and a
-run is repeated only where the code that made it has changed. GPSampler needs PyTorch, which this
-project does not install: without it that arm is left out.
+The cache keeps finished runs: the same command resumes, and a run is repeated only where the code
+that made it has changed. GPSampler needs PyTorch, which this project does not install: without it
+that arm is left out.
 """
 
-import argparse
-import json
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -24,10 +22,18 @@ from study.cli import guarded_imports, run_command
 with guarded_imports():
     import numpy as np
 
-    from study import palette
     from study.report.numbers import ENDS, Interval, resamples
     from tools.benchmarks import runs, synthetic
-    from tools.benchmarks.runs import OURS, PEER, Bar, Costs, Floats, Run
+    from tools.benchmarks.arms import Floats
+    from tools.benchmarks.documents import (
+        Bar,
+        draw_panels,
+        machine,
+        made_by,
+        publish,
+        versions,
+    )
+    from tools.benchmarks.runs import Costs
     from tools.benchmarks.synthetic import ARMS
 
 NAME = "sampler-comparison"
@@ -37,37 +43,11 @@ RESAMPLES = 4000
 FORMER = {"misleading": 203.0, "useless": 205.0}
 FORMER_TRIALS = 60
 
-# Okabe & Ito: our arms in colour and unbroken, peers dashed, controls grey and dotted.
-OUR_COLOURS = (palette.BLUE, palette.VERMILION, palette.GREEN, palette.PURPLE, palette.ORANGE,
-               palette.BLACK)  # fmt: skip
-PEER_COLOURS = (palette.GREY, palette.SKY_BLUE, palette.BROWN, palette.VIOLET)
-LEGEND_IN = 2.0
-
 
 def main() -> None:
-    options = parse()
-    arms = runs.runnable(options.arms)
-    wanted = [
-        Run("synthetic", problem, arm, seed, options.trials)
-        for seed in range(options.seeds)
-        for problem in options.problems
-        for arm in arms
-    ]
-    report = Report.of(runs.execute(wanted, options.cache, options.processes))
-    if options.json:
-        print(json.dumps(report.as_dict()))
-        return
-    text = report.markdown()
-    runs.write(options.out, NAME, text, report.plot)
-    print(text)
-
-
-def parse() -> argparse.Namespace:
-    parser = runs.options(__file__, tuple(ARMS), trials=60, cache="peers")
-    parser.add_argument("--problems", default=",".join(synthetic.PROBLEMS), help="%(default)s")
-    options = runs.parsed(parser, tuple(ARMS))
-    options.problems = runs.chosen("problems", options.problems, synthetic.PROBLEMS)
-    return options
+    groups = {"all": synthetic.PROBLEMS}
+    options = runs.parse(__file__, "synthetic", trials=60, cache="peers", groups=groups)
+    publish(options, NAME, Report.of(runs.compared("synthetic", options)))
 
 
 def over_seeds(statistic: Callable[..., Floats], *values: Floats) -> Interval:
@@ -113,13 +93,9 @@ class Report:
         return cls(regret, (trials // 2, trials), tuple(bars(regret, trials)))
 
     @property
-    def problems(self) -> list[str]:
-        """The problems, in the order they were run."""
-        return list(dict.fromkeys(problem for problem, _ in self.regret))
-
-    def arms(self, problem: str) -> list[str]:
-        """The arms run on a problem, in the order they were run."""
-        return [arm for found, arm in self.regret if found == problem]
+    def seeds(self) -> int:
+        """Of each arm."""
+        return len(next(iter(self.regret.values())))
 
     def statistics(self, problem: str, arm: str, trial: int) -> tuple[Interval, Interval]:
         """Mean and median regret of an arm after so many trials."""
@@ -128,77 +104,62 @@ class Report:
 
     def as_dict(self) -> dict[str, Any]:
         """Machine, versions, regret and bars as plain values."""
-        cells = [
-            (problem, arm, trial, *self.statistics(problem, arm, trial))
-            for problem in self.problems
-            for arm in self.arms(problem)
-            for trial in self.checkpoints
-        ]
-        names = ("problem", "arm", "trial")
+        regret = []
+        for problem, arm in self.regret:
+            for trial in self.checkpoints:
+                mean, median = self.statistics(problem, arm, trial)
+                regret.append({"problem": problem, "arm": arm, "trial": trial,
+                               "mean": asdict(mean), "median": asdict(median)})  # fmt: skip
         return {
-            "machine": runs.machine(),
-            "versions": runs.versions(),
-            "seeds": len(next(iter(self.regret.values()))),
-            "regret": [
-                dict(zip(names, cell[:3], strict=True))
-                | {"mean": asdict(cell[3]), "median": asdict(cell[4])}
-                for cell in cells
-            ],
+            "machine": machine(),
+            "versions": versions(),
+            "seeds": self.seeds,
+            "regret": regret,
             "bars": [asdict(bar) for bar in self.bars],
         }
 
     def markdown(self) -> str:
         """The document: a table for each problem, then the bars."""
-        seeds = len(next(iter(self.regret.values())))
+        head = " | ".join(
+            f"{what} after {trial}" for trial in self.checkpoints for what in ("mean", "median")
+        )
         lines = [
             "# Samplers on synthetic problems in 16 dimensions",
             "",
-            runs.made_by(),
-            f"Simple regret, mean and median of {seeds} instances, with bootstrapped 95 %"
+            made_by(),
+            f"Simple regret, mean and median of {self.seeds} instances, with bootstrapped 95 %"
             " intervals. The problems are defined in `tools/benchmarks/synthetic.py`.",
             "",
             f"![Mean simple regret against trials]({NAME}.png)",
         ]
-        for problem in self.problems:
-            lines += ["", f"## {problem}", "", *self._table(problem)]
-        return "\n".join([*lines, *Bar.table(self.bars, "measured")]) + "\n"
-
-    def _table(self, problem: str) -> list[str]:
-        """The lines of a problem's table, an arm each."""
-        head = " | ".join(
-            f"{what} after {trial}" for trial in self.checkpoints for what in ("mean", "median")
-        )
-        lines = [f"| sampler | chooses from | {head} |", "|---|---|---|---|---|---|"]
-        for arm in self.arms(problem):
+        above = ""
+        for problem, arm in self.regret:
+            if problem != above:
+                lines += ["", f"## {problem}", "", f"| sampler | chooses from | {head} |",
+                          "|---|---|---|---|---|---|"]  # fmt: skip
+            above = problem
             found = [each for at in self.checkpoints for each in self.statistics(problem, arm, at)]
-            cells = " | ".join(
-                f"{each.value:.0f} ({each.low:.0f} to {each.high:.0f})" for each in found
-            )
+            cells = " | ".join(f"{i.value:.0f} ({i.low:.0f} to {i.high:.0f})" for i in found)
             lines.append(f"| {ARMS[arm].label} | {ARMS[arm].sees} | {cells} |")
-        return lines
+        return "\n".join([*lines, *Bar.table(self.bars, "measured")]) + "\n"
 
     def plot(self, path: Path) -> None:
         """Mean regret against trials, a panel a problem."""
-        from study.pictures import style
 
-        figure = style.new_figure(4.2 * len(self.problems) + LEGEND_IN, 3.8)
-        for place, problem in enumerate(self.problems):
-            axes = figure.add_subplot(1, len(self.problems), place + 1)
-            style.tidy(axes)
-            for arm in self.arms(problem):
-                values = self.regret[problem, arm].mean(axis=0)
-                axes.plot(np.arange(1, len(values) + 1), values, label=ARMS[arm].label, **line(arm))
-            axes.set_title(problem, fontsize=style.TITLE_PT, loc="left")
-            axes.set_xlabel("trials", fontsize=style.TEXT_PT)
-            axes.set_ylabel("mean simple regret", fontsize=style.TEXT_PT)
-        runs.save_panels(figure, path, LEGEND_IN)
+        def curve(problem: str, arm: str) -> Floats | None:
+            regret = self.regret.get((problem, arm))
+            return None if regret is None else regret.mean(axis=0)
+
+        problems = list(dict.fromkeys(problem for problem, _ in self.regret))
+        label = "mean simple regret"
+        draw_panels(path, ARMS, problems, curve, label, len(problems), (4.2, 3.8), legend_in=2.0)
 
 
 def bars(regret: Costs, trials: int) -> list[Bar]:
     """The figures that have a bar, where their problems and arms were run."""
     half, found = trials // 2, []
     for (problem, arm), theirs in regret.items():
-        if problem == "informative" and ARMS[arm].kind == PEER and (problem, "ours") in regret:
+        if problem == "informative" and ARMS[arm].kind == "peer" and (problem, "ours") in regret:
             compared = over_seeds(ratio, regret[problem, "ours"][:, half - 1], theirs[:, -1])
             what = f"{problem}: ours after {half} / {ARMS[arm].label} after {trials}"
             found.append(at_most(what, compared, 1.0))
@@ -212,17 +173,6 @@ def at_most(what: str, measured: Interval, bar: float) -> Bar:
     """A bar for the figure itself, not for the end of its interval."""
     text = f"{measured.value:.2f} ({measured.low:.2f} to {measured.high:.2f}), at most {bar:g}"
     return Bar(what, text, measured.value <= bar)
-
-
-def line(arm: str) -> dict[str, Any]:
-    """Colour, dashes and width of an arm's line."""
-    kind = ARMS[arm].kind
-    place = [name for name in ARMS if ARMS[name].kind == kind].index(arm)
-    if kind == OURS:
-        return {"color": OUR_COLOURS[place % len(OUR_COLOURS)], "linewidth": 1.8}
-    if kind == PEER:
-        return {"color": PEER_COLOURS[place], "linestyle": "--", "linewidth": 1.3}
-    return {"color": palette.GREY, "linestyle": (0, (1, 1 + 2 * place)), "linewidth": 1.3}
 
 
 if __name__ == "__main__":

@@ -34,8 +34,8 @@ PAUSE_MS = 1200  # on the last picture of each walk
 COLOURS = 48
 
 
-def pictures() -> tuple[list[Image.Image], list[int]]:
-    """All frames, and how long each is shown in ms."""
+def write_gif(path: Path) -> None:
+    """Simulate and draw the walks; one palette for all frames, or the background flickers."""
     gains = [vector for _, vector in WALKERS]
     result = taichi_nmm.simulate(gains, duration_s=DURATION_S, terrains=GROUND, record=[0, 1])
     shown, times_ms = [], []
@@ -43,11 +43,6 @@ def pictures() -> tuple[list[Image.Image], list[int]]:
         walk = list(frames(trajectory, GROUND, SHOWN_S, title, FILM))
         shown += [Image.frombytes("RGB", FILM.size_px, frame) for frame in walk]
         times_ms += [1000 // FILM.rate_hz] * (len(walk) - 1) + [PAUSE_MS]
-    return shown, times_ms
-
-
-def write_gif(path: Path, shown: list[Image.Image], times_ms: list[int]) -> None:
-    """One palette for all frames, so that the background does not flicker."""
     palette = shown[0].quantize(COLOURS)
     few = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in shown]
     few[0].save(
@@ -56,7 +51,7 @@ def write_gif(path: Path, shown: list[Image.Image], times_ms: list[int]) -> None
 
 
 def main() -> None:
-    """Simulate, draw and write."""
+    """Write the picture."""
     parser = Options(Path(__file__))
     parser.add_argument(
         "--out", type=Path, default=Path("docs/img/falls-then-walks.gif"), metavar="FILE",
@@ -64,9 +59,8 @@ def main() -> None:
     )  # fmt: skip
     path = parser.parse_args().out
     require_folder(path.parent)
-    drawn = pictures()
-    commit(path, lambda file: write_gif(file, *drawn), lambda file: Image.open(file).verify())
-    print(f"{path}: {path.stat().st_size / 1e6:.2f} MB, {len(drawn[0])} frames")
+    commit(path, write_gif, lambda file: Image.open(file).verify())
+    print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

@@ -8,17 +8,15 @@ where PyTorch, which it needs, is installed; greenlet, where it is installed too
 Run it on an idle machine.
 """
 
-import argparse
-import json
 import multiprocessing
 import os
 import statistics
 import sys
 import time
 import warnings
+from argparse import Namespace
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +42,8 @@ with guarded_imports():
     from study.sampler.table import FeatureTable
     from taichi_nmm.errors import InputError
     from tools.benchmarks import runs
-    from tools.benchmarks.runs import ROOT, Floats
+    from tools.benchmarks.arms import Floats
+    from tools.benchmarks.documents import ROOT, machine, made_by, publish, versions
 
 NAME = "sampler-timing"
 DIMENSION = 16
@@ -54,11 +53,15 @@ NOISE = 0.3  # of the cost, in standard deviations of what the features explain
 STANDING = 0.1  # of the rows of a table like that of `best`: the others fell, and have no features
 WARM_UP = 1  # proposals that are not counted: the first one loads libraries
 
-# Milliseconds of the processor, by sampler and number of features.
-BARS_MS = {("ours", 1): 10.0, ("ours", 5): 45.0, ("rbf", 1): 10.0}
+# Of a sampler and a number of features: the label, and the bar in milliseconds of the processor.
+PROPOSALS = {
+    ("ours", 1): ("ours", 10.0),
+    ("ours", 5): ("ours", 45.0),
+    ("rbf", 1): ("ours, the paper's kernel", 10.0),
+    ("best", 6): ("`SurvivalSampler`, a tenth of the rows are candidates", 10.0),
+}
 MOST_FEATURES = 5
 MOST_ROWS = 10_000_000
-BEST_FEATURES, BEST_BAR_MS = 6, 10.0
 LONG_BAR_MS = 1000.0  # at the largest number of observations
 GP_RATIO_BAR = 5.0  # GPSampler's time over ours with one feature
 MEMORY_BAR_MIB = 200e6 / 2**20  # 200 MB, for the largest number of features
@@ -87,16 +90,21 @@ class Case:
 
 @dataclass(frozen=True)
 class Measured:
-    """Seconds of each proposal; MiB by which the process grew from before the table was made.
+    """What one case took.
 
-    On a busy machine a proposal waits for the processor; `cpu_seconds` leaves the waiting out.
+    Attributes:
+        case: that was measured.
+        seconds: of each proposal.
+        cpu_seconds: of the processor: on a busy machine a proposal waits for it.
+        grown_mib: by which the process grew from before the table was made; NaN but on Linux.
+        peak_grown_mib: the same at the peak.
     """
 
     case: Case
     seconds: tuple[float, ...]
     cpu_seconds: tuple[float, ...]
-    grown_mib: float | None
-    peak_grown_mib: float | None
+    grown_mib: float
+    peak_grown_mib: float
 
     @property
     def median_ms(self) -> float:
@@ -113,43 +121,109 @@ class Measured:
         medians = {"median_ms": self.median_ms, "median_cpu_ms": self.median_cpu_ms}
         return {**asdict(self), **medians}
 
+    def row(self, label: str, bar: str) -> str:
+        """A row of the document's table."""
+        case = self.case
+        times_ms = (self.median_ms, 1e3 * min(self.seconds), 1e3 * max(self.seconds))
+        times = " | ".join(f"{time_ms:.0f} ms" for time_ms in (*times_ms, self.median_cpu_ms))
+        memory = f"{self.grown_mib:,.0f} MiB | {self.peak_grown_mib:,.0f} MiB"
+        counts = f"{case.rows:,} | {case.features} | {case.observations:,} | {case.repeats}"
+        return f"| {label} | {counts} | {times} | {memory} | {bar} |"
+
 
 @dataclass(frozen=True)
 class Timings:
-    """All that was measured."""
+    """All that was measured.
 
-    proposals: list[Measured]  # as `BARS_MS`
-    best: Measured
-    peer: Measured | None
-    sweep: list[Measured]  # by observations
+    Attributes:
+        proposals: as `PROPOSALS`.
+        sweep: by observations.
+        large: of the largest table.
+        peer: GPSampler, where PyTorch is installed.
+    """
+
+    proposals: list[Measured]
+    sweep: list[Measured]
     large: Measured
+    peer: Measured | None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for programs."""
         return {
-            "machine": runs.machine(),
-            "versions": runs.versions(),
+            "machine": machine(),
+            "versions": versions(),
             "proposals": [measured.as_dict() for measured in self.proposals],
-            "best": self.best.as_dict(),
-            "gp_sampler": None if self.peer is None else self.peer.as_dict(),
             "sweep": [measured.as_dict() for measured in self.sweep],
             "large": self.large.as_dict(),
+            "gp_sampler": self.peer and self.peer.as_dict(),
         }
+
+    def markdown(self) -> str:
+        """The document: a row for each case, with its bars."""
+        lines = [
+            "# One proposal of the feature-kernel sampler",
+            "",
+            made_by(),
+            "One thread; medians of proposals in studies of 16 parameters. Ours with its defaults"
+            " unless stated otherwise. Bars of proposals hold for the processor's time.",
+            "",
+            f"![Time of a proposal against finished trials]({NAME}.png)",
+            "",
+            "| sampler | rows | features | finished trials | proposals | median | fastest | slowest"
+            " | processor, median | memory kept | at the peak | bar |",
+            "|---|" + "--:|" * 10 + "---|",
+        ]
+        for measured in self.proposals:
+            label, bar_ms = PROPOSALS[measured.case.sampler, measured.case.features]
+            bar = verdict(measured.median_cpu_ms, bar_ms, "ms")
+            if measured.case.features == MOST_FEATURES:
+                bar += "; " + verdict(measured.peak_grown_mib, MEMORY_BAR_MIB, "MiB")
+            lines.append(measured.row(label, bar))
+        long = verdict(self.sweep[-1].median_ms, LONG_BAR_MS, "ms")
+        for measured in self.sweep:
+            lines.append(measured.row("ours", long if measured is self.sweep[-1] else ""))
+        lines.append(self.large.row("ours", ""))
+        if self.peer is None:
+            lines.append("| GPSampler" + " | " * 11 + "not measured: no PyTorch |")
+        else:
+            ratio = self.peer.median_ms / self.proposals[0].median_ms
+            holds = "holds" if ratio >= GP_RATIO_BAR else "**missed**"
+            bar = f"at least {GP_RATIO_BAR:g} x ours: {ratio:.1f} x, {holds}"
+            lines.append(self.peer.row("GPSampler", bar))
+        return "\n".join(lines) + "\n"
+
+    def plot(self, path: Path) -> None:
+        """Time of a proposal against finished trials."""
+        from study.pictures import style  # not in the processes that are measured
+
+        figure = style.new_figure(5.0, 3.4)
+        axes = figure.add_subplot()
+        style.tidy(axes)
+        observations = [measured.case.observations for measured in self.sweep]
+        times_ms = [measured.median_ms for measured in self.sweep]
+        axes.loglog(observations, times_ms, color=style.MODEL, marker="o", label="ours, 1 feature")
+        if (peer := self.peer) is not None:
+            at = peer.case.observations
+            axes.plot(at, peer.median_ms, "s", color=style.INK, label="GPSampler")
+        axes.set_xlabel("finished trials", fontsize=style.TEXT_PT)
+        axes.set_ylabel("median time of a proposal (ms)", fontsize=style.TEXT_PT)
+        axes.legend(fontsize=style.SMALL_PT, frameon=False)
+        figure.tight_layout()
+        style.save_png(figure, path)
+
+
+def verdict(value: float, bar: float, unit: str) -> str:
+    """A bar, and whether the value is within it."""
+    return f"at most {bar:.0f} {unit}: {'holds' if value <= bar else '**missed**'}"
 
 
 def main() -> None:
     options = parse()
     os.environ.update(runs.ONE_THREAD)
-    timings = measure(options)
-    if options.json:
-        print(json.dumps(timings.as_dict()))
-        return
-    text = markdown(timings, options)
-    runs.write(options.out, NAME, text, lambda path: plot(timings, path))
-    print(text)
+    publish(options, NAME, measure(options))
 
 
-def parse() -> argparse.Namespace:
+def parse() -> Namespace:
     parser = Options(__file__)
     parser.whole("--rows", 1, MOST_ROWS, default=100_000, help="of the table; %(default)s")
     parser.whole("--observations", 1, MOST_TRIALS, default=100, help="%(default)s")
@@ -178,22 +252,20 @@ def counts(field: str, listed: str) -> list[int]:
     return found
 
 
-def measure(options: argparse.Namespace) -> Timings:
+def measure(options: Namespace) -> Timings:
     """Every case in a process of its own, one after the other."""
     base = Case("ours", options.rows, 1, options.observations, options.repeats)
-    proposals = [replace(base, sampler=sampler, features=k) for sampler, k in BARS_MS]
+    proposals = [replace(base, sampler=sampler, features=k) for sampler, k in PROPOSALS]
     sweep = [replace(base, observations=n) for n in options.sweep]
     large = replace(base, rows=options.large_rows, features=MOST_FEATURES, repeats=1)
-    best = replace(base, sampler="best", features=BEST_FEATURES)
     peer = [replace(base, sampler="gp")] if runs.torch_is_installed() else []
-    cases = tqdm([*proposals, *sweep, best, large, *peer], unit="case")
-    done = iter([fresh(case) for case in cases])
+    cases = dict.fromkeys([*proposals, *sweep, large, *peer])  # each once
+    done = {case: fresh(case) for case in tqdm(cases, unit="case")}
     return Timings(
-        proposals=list(islice(done, len(proposals))),
-        sweep=list(islice(done, len(sweep))),
-        best=next(done),
-        large=next(done),
-        peer=next(done, None),
+        proposals=[done[case] for case in proposals],
+        sweep=[done[case] for case in sweep],
+        large=done[large],
+        peer=done[peer[0]] if peer else None,
     )
 
 
@@ -211,8 +283,7 @@ def measure_case(case: Case) -> Measured:
     study = _prepare(case)
     spent = [_propose(study, case) for _ in range(WARM_UP + case.repeats)][WARM_UP:]
     seconds, cpu_seconds = zip(*spent, strict=True)
-    after_mib, peak_mib = memory_mib("VmRSS"), memory_mib("VmHWM")
-    kept, most = _less(after_mib, before_mib), _less(peak_mib, before_mib)
+    kept, most = memory_mib("VmRSS") - before_mib, memory_mib("VmHWM") - before_mib
     return Measured(case, seconds, cpu_seconds, kept, most)
 
 
@@ -283,124 +354,13 @@ def _propose(study: optuna.Study, case: Case) -> tuple[float, float]:
     return spent
 
 
-def memory_mib(field: str) -> float | None:
-    """Resident memory of this process (VmRSS) or the most it ever was (VmHWM); None off Linux."""
+def memory_mib(field: str) -> float:
+    """Resident memory of this process (VmRSS) or the most it ever was (VmHWM); NaN but on Linux."""
     status = Path("/proc/self/status")
-    if not status.exists():
-        return None
-    for line in status.read_text(encoding="ascii").splitlines():
+    for line in status.read_text(encoding="ascii").splitlines() if status.exists() else ():
         if line.startswith(f"{field}:"):
             return int(line.split()[1]) / 1024
-    return None
-
-
-def _less(after: float | None, before: float | None) -> float | None:
-    """The difference; None where either is unknown."""
-    return None if after is None or before is None else after - before
-
-
-def markdown(timings: Timings, options: argparse.Namespace) -> str:
-    lines = [
-        "# One proposal of the feature-kernel sampler",
-        "",
-        runs.made_by(),
-        f"One thread; median of {options.repeats} proposals, each in a study of"
-        f" {options.observations} finished trials of 16 parameters, {options.rows:,} rows. Ours"
-        " with its defaults unless stated otherwise.",
-        "",
-        "| case | median | fastest to slowest | processor, median | bar of the processor's |",
-        "|---|---|---|---|---|",
-        *(proposal_row(measured) for measured in timings.proposals),
-        best_row(timings.best),
-        *peer_rows(timings),
-        "",
-        "![Time of a proposal against finished trials](sampler-timing.png)",
-        "",
-        "| finished trials | median | processor, median | bar |",
-        "|---|---|---|---|",
-        *(sweep_row(measured, timings.sweep[-1]) for measured in timings.sweep),
-        "",
-        "| rows | parameters + features | median | memory kept | at the peak | bar |",
-        "|---|---|---|---|---|---|",
-        memory_row(timings.proposals[1], MEMORY_BAR_MIB),
-        memory_row(timings.large, None),
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def proposal_row(measured: Measured) -> str:
-    case = measured.case
-    plural = "" if case.features == 1 else "s"
-    kernel = ", the paper's kernel" if case.sampler == "rbf" else ""
-    bar = verdict(measured.median_cpu_ms, BARS_MS[case.sampler, case.features], "ms")
-    return f"| {case.features} feature{plural}{kernel} | {spread(measured)} | {bar} |"
-
-
-def best_row(measured: Measured) -> str:
-    bar = verdict(measured.median_cpu_ms, BEST_BAR_MS, "ms")
-    return f"| `SurvivalSampler`, a tenth of the rows are candidates | {spread(measured)} | {bar} |"
-
-
-def peer_rows(timings: Timings) -> list[str]:
-    if timings.peer is None:
-        return ["| GPSampler | not measured: no PyTorch | | | |"]
-    ours = timings.proposals[0].median_ms
-    ratio = timings.peer.median_ms / ours
-    holds = "holds" if ratio >= GP_RATIO_BAR else "**missed**"
-    bar = f"at least {GP_RATIO_BAR:g} x ours: {ratio:.1f} x, {holds}"
-    return [f"| GPSampler | {spread(timings.peer)} | {bar} |"]
-
-
-def spread(measured: Measured) -> str:
-    low, high = 1e3 * min(measured.seconds), 1e3 * max(measured.seconds)
-    cpu = f"{measured.median_cpu_ms:.0f} ms"
-    return f"{measured.median_ms:.0f} ms | {low:.0f} to {high:.0f} ms | {cpu}"
-
-
-def sweep_row(measured: Measured, last: Measured) -> str:
-    bar = verdict(measured.median_ms, LONG_BAR_MS, "ms") if measured is last else ""
-    cpu = f"{measured.median_cpu_ms:.0f} ms"
-    return f"| {measured.case.observations:,} | {measured.median_ms:.0f} ms | {cpu} | {bar} |"
-
-
-def memory_row(measured: Measured, bar_mib: float | None) -> str:
-    case = measured.case
-    kept, most = mib(measured.grown_mib), mib(measured.peak_grown_mib)
-    bar = "" if bar_mib is None else verdict(measured.peak_grown_mib, bar_mib, "MiB")
-    return (
-        f"| {case.rows:,} | {DIMENSION} + {case.features}"
-        f" | {measured.median_ms:.0f} ms | {kept} | {most} | {bar} |"
-    )
-
-
-def mib(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:,.0f} MiB"
-
-
-def verdict(value: float | None, bar: float, unit: str) -> str:
-    if value is None:
-        return "not measured"
-    return f"at most {bar:.0f} {unit}: {'holds' if value <= bar else '**missed**'}"
-
-
-def plot(timings: Timings, path: Path) -> None:
-    """Time of a proposal against finished trials."""
-    from study.pictures import style  # not in the processes that are measured
-
-    figure = style.new_figure(5.0, 3.4)
-    axes = figure.add_subplot()
-    style.tidy(axes)
-    observations = [measured.case.observations for measured in timings.sweep]
-    times_ms = [measured.median_ms for measured in timings.sweep]
-    axes.loglog(observations, times_ms, color=style.MODEL, marker="o", label="ours, 1 feature")
-    if timings.peer is not None:
-        peer = timings.peer
-        axes.plot(peer.case.observations, peer.median_ms, "s", color=style.INK, label="GPSampler")
-    axes.set_xlabel("finished trials", fontsize=style.TEXT_PT)
-    axes.set_ylabel("median time of a proposal (ms)", fontsize=style.TEXT_PT)
-    axes.legend(fontsize=style.SMALL_PT, frameon=False)
-    figure.tight_layout()
-    style.save_png(figure, path)
+    return float("nan")
 
 
 if __name__ == "__main__":

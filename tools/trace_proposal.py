@@ -9,7 +9,6 @@ methods ran. A test holds the numbers of files and classes. Exit codes: 0, 2 bad
 
 import sys
 from collections import Counter
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -31,13 +30,13 @@ PACKAGES = tuple(str(ROOT / package) for package in ("study", "storage", "taichi
 ROWS, TRIALS_BEFORE = 200, 10
 
 
-@dataclass
 class Trace:
     """Calls by file and by function, and the names of the classes whose methods ran."""
 
-    files: Counter[str] = field(default_factory=Counter)
-    functions: Counter[str] = field(default_factory=Counter)
-    classes: set[str] = field(default_factory=set)
+    def __init__(self) -> None:
+        self.files: Counter[str] = Counter()
+        self.functions: Counter[tuple[str, str]] = Counter()
+        self.classes: set[str] = set()
 
     def __call__(self, frame: FrameType, event: str, argument: Any) -> None:
         """Count one call (the profile function of `sys.setprofile`)."""
@@ -46,14 +45,14 @@ class Trace:
             return
         file = str(Path(code.co_filename).relative_to(ROOT))
         self.files[file] += 1
-        self.functions[f"{file}: {code.co_qualname}"] += 1
+        self.functions[file, code.co_qualname] += 1
         owner, _, _ = code.co_qualname.partition(".<locals>")[0].rpartition(".")
         if owner:
             self.classes.add(owner)
 
 
 def traced_proposal() -> Trace:
-    """What one proposal over a table runs, from `ask` to the last suggested parameter."""
+    """One proposal over a table, from `ask` to the last suggested parameter."""
     rng = np.random.default_rng(1)
     names = ("a", "b", "c", "d")
     columns = dict(zip(names, rng.random((len(names), ROWS)), strict=True))
@@ -61,9 +60,9 @@ def traced_proposal() -> Trace:
     study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
 
     def objective(trial: optuna.Trial) -> float:
-        return sum((trial.suggest_float(name, *ends) - 0.5) ** 2 for name, ends in bounds.items())
+        found = [trial.suggest_float(name, x.min(), x.max()) for name, x in columns.items()]
+        return float(((np.array(found) - 0.5) ** 2).sum())
 
-    bounds = {name: (float(column.min()), float(column.max())) for name, column in columns.items()}
     study.optimize(objective, n_trials=TRIALS_BEFORE)
     trace = Trace()
     sys.setprofile(trace)
@@ -86,8 +85,7 @@ def main() -> None:
     print(f"classes: {', '.join(sorted(trace.classes))}")
     for file, calls in trace.files.most_common():
         print(f"\n{file}: {calls} calls")
-        for function, count in trace.functions.most_common():
-            owner, name = function.split(": ")
+        for (owner, name), count in trace.functions.most_common():
             if owner == file:
                 print(f"  {count:5} {name}")
 

@@ -114,9 +114,8 @@ def share(which: NDArray[np.bool_]) -> float:
 
 def speeds() -> Iterator[Figure]:
     """Walker-steps a second of processes side by side, and the time of a tick of the controller."""
-    context = get_context("spawn")
-    alone, together = [], []
-    with ProcessPoolExecutor(2, mp_context=context) as pool:
+    together = []
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         list(pool.map(walker_steps_per_s, range(2)))  # compiles
         alone = list(pool.map(walker_steps_per_s, range(1)))
         if cores() > 1:
@@ -129,7 +128,7 @@ def speeds() -> Iterator[Figure]:
 
 
 def walker_steps_per_s(index: int) -> float:
-    """Of `WALKERS` walkers that stay up, on one thread; setting up is not timed."""
+    """The speed of `WALKERS` walkers that stay up, on one thread; setting up is not timed."""
     settings = Settings(engine="mujoco", threads=1)
     grounds = [terrain.rough(seed, amplitude_m=GENTLE) for seed in range(WALKERS)]
     bodies = Bodies.disturbed(range(WALKERS), GENTLE)

@@ -12,21 +12,17 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 
 from taichi_nmm.errors import InputError
 from tests.tools.running import load_tool, run_tool
-from tools.benchmarks import outside
+from tools.benchmarks import outside, runs
 from tools.benchmarks.outside import (
     ARMS,
     PROBLEMS,
-    REPORTED,
     TUNING,
     Feature,
     OutsideProblem,
-    digest,
     file_of,
     outside_problem,
-    read,
     rows_by_ranking,
 )
-from tools.benchmarks.runs import Run
 
 # Of names, parameters, features and cost. Other numbers are another problem: figures made with the
 # old ones must be made again.
@@ -41,47 +37,22 @@ DIGESTS = {
 MOST_KB = 150
 
 
-def content_digest(name: str) -> str:
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_a_file_has_the_pool_that_figures_were_made_with(name: str) -> None:
     problem = outside_problem(name)
-    found = hashlib.sha256(repr((name, [*problem.columns], problem.feature_names)).encode())
+    assert problem.name == name
+    assert problem.purpose == ("tuning" if name in TUNING else "reported")
+    assert 1000 <= len(problem) <= 1500 and 4 <= len(problem.space) <= 8
+    assert problem.features.shape == (len(problem), len(problem.feature_meanings))
+    assert np.isfinite(problem.cost).all()
+    assert problem.made_by == f"python tools/make_outside.py --problem {name}"
+    assert file_of(name).stat().st_size < 1000 * MOST_KB
+    found = hashlib.sha256(repr((name, [*problem.columns], (*problem.feature_meanings,))).encode())
     for column in problem.columns.values():
         found.update(repr(column.tolist()).encode())
     found.update(np.ascontiguousarray(problem.features).tobytes())
     found.update(problem.cost.tobytes())
-    return found.hexdigest()[:16]
-
-
-@pytest.mark.parametrize("name", PROBLEMS)
-def test_a_file_has_a_pool_its_features_and_finite_costs(name: str) -> None:
-    problem = outside_problem(name)
-    assert problem.name == name
-    assert problem.purpose == ("tuning" if name in TUNING else "reported")
-    assert 1000 <= len(problem) <= 1500
-    assert 4 <= len(problem.space) <= 8
-    assert 2 <= len(problem.feature_names) <= 6
-    assert problem.features.shape == (len(problem), len(problem.feature_names))
-    assert np.isfinite(problem.cost).all()
-    assert problem.best == problem.cost.min()
-    assert problem.made_by == f"python tools/make_outside.py --problem {name}"
-    assert file_of(name).stat().st_size < 1000 * MOST_KB
-
-
-@pytest.mark.parametrize("name", PROBLEMS)
-def test_numbers_are_those_that_figures_were_made_with(name: str) -> None:
-    assert content_digest(name) == DIGESTS[name]
-    assert digest(name) == hashlib.sha256(file_of(name).read_bytes()).hexdigest()
-
-
-def test_there_are_three_to_tune_on_and_three_to_report() -> None:
-    assert len(TUNING) == len(REPORTED) == 3
-    fields = {outside_problem(name).field for name in PROBLEMS}
-    assert len(fields) == len(PROBLEMS)
-
-
-def test_an_unknown_problem_is_one_line() -> None:
-    for refused in (outside_problem, file_of):
-        with pytest.raises(InputError, match=r"^problem: 'easy'.*digits-network.*stiff-reactions$"):
-            refused("easy")
+    assert found.hexdigest()[:16] == DIGESTS[name]
 
 
 SPACE = {
@@ -94,7 +65,6 @@ COLUMNS = {
     "depth": np.array([1, 5, 9, 9]),
     "kind": np.array(["plain", "fancy", "plain", "fancy"]),
 }
-FEATURES = {"depth": Feature("low", "itself"), "minus": Feature("high", "its opposite")}
 
 
 def made(*names: str) -> OutsideProblem:
@@ -104,50 +74,39 @@ def made(*names: str) -> OutsideProblem:
         name="made", purpose="tuning", field="testing", cost_meaning="a sum", made_by="hand",
         space={name: SPACE[name] for name in names},
         columns={name: COLUMNS[name] for name in names},
-        feature_meanings=FEATURES, features=features, cost=np.array([1.0, 2.0, 4.0, 3.0]),
+        feature_meanings={"depth": Feature("low", "itself"), "minus": Feature("high", "opposite")},
+        features=features, cost=np.array([1.0, 2.0, 4.0, 3.0]),
     )  # fmt: skip
 
 
 WHOLE = made(*SPACE)
 
 
-def nearest(**settings: float | int | str) -> int:
-    return WHOLE.row_nearest_to(settings)
-
-
-def test_a_row_is_nearest_to_itself() -> None:
-    for row in range(4):
-        assert nearest(**{name: values[row].item() for name, values in COLUMNS.items()}) == row
-    problem = outside_problem("digits-network")
-    for row in range(0, len(problem), 50):
-        assert problem.row_nearest_to(problem.settings(row)) == row
-
-
-def test_distance_is_on_the_scale_of_the_parameter() -> None:
-    """3e-3 is nearer to 1e-2 than to 1e-4 by its logarithm alone; integers count by their steps."""
-    rates, depths = made("rate"), made("depth")
-    assert [rates.row_nearest_to({"rate": rate}) for rate in (5e-4, 3e-3, 0.05, 0.2)] == [
-        0,
-        1,
-        1,
-        2,
-    ]
-    assert [depths.row_nearest_to({"depth": depth}) for depth in (2, 3, 4, 8)] == [0, 0, 1, 2]
-
-
-def test_a_choice_is_kept_unless_all_else_would_change() -> None:
-    # Another choice is sqrt 2 away, the ends of both numbers together as much.
-    assert nearest(rate=1e-4, depth=5, kind="fancy") == 1
-    assert nearest(rate=1.0, depth=9, kind="fancy") == 3
-    assert nearest(rate=1.0, depth=9, kind="plain") == 2
-    assert nearest(rate=1e-4, depth=2, kind="fancy") == 1
+@pytest.mark.parametrize(
+    ("settings", "row"),
+    [
+        # 3e-3 is nearer to 1e-2 than to 1e-4 by its logarithm alone; integers count by their steps.
+        *(({"rate": rate}, row) for rate, row in ((5e-4, 0), (3e-3, 1), (0.05, 1), (0.2, 2))),
+        *(({"depth": depth}, row) for depth, row in ((2, 0), (3, 0), (4, 1), (8, 2))),
+        # Another choice is sqrt 2 away, the ends of both numbers together as much.
+        ({"rate": 1e-4, "depth": 5, "kind": "fancy"}, 1),
+        ({"rate": 1.0, "depth": 9, "kind": "fancy"}, 3),
+        ({"rate": 1.0, "depth": 9, "kind": "plain"}, 2),
+        ({"rate": 1e-4, "depth": 2, "kind": "fancy"}, 1),
+        *((WHOLE.settings(row), row) for row in range(4)),
+    ],
+)
+def test_the_nearest_row_is_on_the_scale_of_each_parameter(
+    settings: dict[str, Any], row: int
+) -> None:
+    assert made(*settings).row_nearest_to(settings) == row
 
 
 def test_the_objective_is_the_cost_of_the_nearest_row() -> None:
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=1))
     study.enqueue_trial(WHOLE.settings(3))
     study.optimize(WHOLE.objective, n_trials=5)
-    assert study.trials[0].value == WHOLE.cost[3]
+    assert len(study.trials) == 5 and study.trials[0].value == WHOLE.cost[3]
     for trial in study.trials:
         assert trial.value == WHOLE.cost[WHOLE.row_nearest_to(trial.params)]
         assert trial.distributions == WHOLE.space
@@ -159,11 +118,13 @@ def test_the_ranking_is_the_mean_rank_from_the_good_ends() -> None:
     np.testing.assert_array_equal(WHOLE.ranking, [2.5, 1.5, 3, 3])
 
 
-def test_a_file_that_is_none_is_one_line(tmp_path: Path) -> None:
+def test_bad_files_and_unknown_problems_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "broken.parquet").write_text("PAR1")
     for name in ("broken.parquet", "missing.parquet"):
         with pytest.raises(InputError, match=r"a file of tools/benchmarks/data"):
-            read(tmp_path / name)
+            outside.read(tmp_path / name)
+    with pytest.raises(InputError, match=r"^problem: 'easy'.*digits-network.*stiff-reactions$"):
+        outside.problem("easy", 1)
 
 
 PROBLEM = "transport-solver"
@@ -187,9 +148,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def kept(folder: Path, arm: str, seed: int) -> dict[str, Any]:
+def kept(folder: Path, arm: str, seed: int) -> list[float]:
     name = f"{TRIALS}-trials-seed-{seed:03d}.json"
-    found: dict[str, Any] = json.loads((folder / "cache" / PROBLEM / arm / name).read_text())
+    found: list[float] = json.loads((folder / "cache" / PROBLEM / arm / name).read_text())["costs"]
     return found
 
 
@@ -197,14 +158,14 @@ def kept(folder: Path, arm: str, seed: int) -> dict[str, Any]:
 def test_the_document_has_the_problem_its_arms_and_its_tests(folder: Path) -> None:
     text = (folder / "docs" / "sampler-outside.md").read_text()
     assert text.startswith("# Samplers on problems from outside")
-    assert f"## {PROBLEM} (tuning)" in text
-    for arm in RUN_ARMS:
-        assert f"| {ARMS[arm].label} | {ARMS[arm].sees} |" in text
-    for name in outside_problem(PROBLEM).feature_names:
-        assert f"| {name} |" in text
-    assert "never behind a sampler without features" in text
-    assert "| ours against | after 5: won | lost | p | after 7: won | lost | p |" in text
-    assert "![Rank" in text and "](sampler-outside.png)" in text
+    wanted = [
+        f"## {PROBLEM} (tuning)", "never behind a sampler without features", "![Rank",
+        "| ours against | after 5: won | lost | p | after 7: won | lost | p |",
+        "](sampler-outside.png)",
+        *(f"| {ARMS[arm].label} | {ARMS[arm].sees} |" for arm in RUN_ARMS),
+        *(f"| {name} |" for name in outside_problem(PROBLEM).feature_meanings),
+    ]  # fmt: skip
+    assert [line for line in wanted if line not in text] == []
     assert (folder / "docs" / "sampler-outside.png").stat().st_size > 10_000
 
 
@@ -212,13 +173,13 @@ def test_the_document_has_the_problem_its_arms_and_its_tests(folder: Path) -> No
 def test_every_arm_shows_costs_of_the_pool(folder: Path) -> None:
     for arm in RUN_ARMS:
         for seed in range(SEEDS):
-            costs = kept(folder, arm, seed)["costs"]
+            costs = kept(folder, arm, seed)
             assert len(costs) == TRIALS
-            assert set(costs) <= set(outside_problem(PROBLEM).drawn(seed).cost.tolist())
-    problem = outside_problem(PROBLEM).drawn(1)
+            assert set(costs) <= set(outside.problem(PROBLEM, seed).cost.tolist())
+    problem = outside.problem(PROBLEM, 1)
     first = problem.cost[rows_by_ranking(problem, 1)]
-    np.testing.assert_array_equal(kept(folder, "ranking", 1)["costs"], first[:TRIALS])
-    np.testing.assert_array_equal(kept(folder, "tpe-ranking", 1)["costs"][:3], first[:3])
+    np.testing.assert_array_equal(kept(folder, "ranking", 1), first[:TRIALS])
+    np.testing.assert_array_equal(kept(folder, "tpe-ranking", 1)[:3], first[:3])
 
 
 @pytest.mark.slow
@@ -233,26 +194,25 @@ def test_the_same_command_takes_all_from_the_cache(
     assert said["seeds"] == SEEDS
     of_ranking = [row for row in said["medians"] if row["arm"] == "ranking"]
     assert [row["trial"] for row in of_ranking] == [5, TRIALS]
-    costs = [kept(folder, "ranking", seed)["costs"] for seed in range(SEEDS)]
+    costs = [kept(folder, "ranking", seed) for seed in range(SEEDS)]
     assert of_ranking[-1]["median"] == np.median(np.min(costs, axis=1))
 
 
 @pytest.mark.slow
 def test_other_numbers_are_other_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = Run("outside", PROBLEM, "random", 0, TRIALS)
+    run = runs.Run("outside", PROBLEM, "random", 0, TRIALS)
     assert run.is_current(folder / "cache")
     monkeypatch.setattr(outside, "digest", lambda _: "other")
-    outside.code.cache_clear()
+    runs.code.cache_clear()
     assert not run.is_current(folder / "cache")
-    outside.code.cache_clear()
+    runs.code.cache_clear()
 
 
 def test_a_seed_draws_half_of_the_pool() -> None:
     whole = outside_problem(PROBLEM)
     one, again, other = whole.drawn(1), whole.drawn(1), whole.drawn(2)
-    assert (
-        len(one) == len(whole) // 2 == len(one.features) == len(one.columns[next(iter(one.space))])
-    )
+    sizes = {len(one), len(one.features), *(len(column) for column in one.columns.values())}
+    assert sizes == {len(whole) // 2}
     np.testing.assert_array_equal(one.cost, again.cost)
     assert set(one.cost) <= set(whole.cost)
     assert set(one.cost) != set(other.cost)
@@ -264,6 +224,7 @@ def test_ties_of_the_ranking_are_broken_by_the_seed_and_nothing_else() -> None:
     for rows in (first, second):
         assert sorted(rows) == list(range(len(problem)))
         assert (np.diff(problem.ranking[rows]) >= 0).all()
+    assert not np.array_equal(first, second)
     np.testing.assert_array_equal(first, rows_by_ranking(problem, 1))
 
 
@@ -272,12 +233,12 @@ def test_our_arms_get_the_pool_as_it_is() -> None:
     plain = outside.table(problem, ranking=False)
     told = outside.table(problem, ranking=True)
     assert len(plain) == len(told) == len(problem)
-    assert told.rows.feature_names[-1] == "ranking"
-    assert plain.rows.feature_names == problem.feature_names
+    assert told.rows.feature_names == (*problem.feature_meanings, "ranking")
+    assert plain.rows.feature_names == (*problem.feature_meanings,)
 
 
 def report(ours: list[float], tpe: list[float], ranking: list[float]) -> Any:
-    """Of ten seeds: least cost after 5 and after 10 trials, more for each seed by a little."""
+    """Of twelve seeds: least cost after 5 and after 10 trials, a little more for each seed."""
     seeds = 1.0 + 0.001 * np.arange(12)[:, None]
     after = {"ours": ours, "tpe": tpe, "ranking": ranking}
     return REPORT.of(
@@ -287,23 +248,20 @@ def report(ours: list[float], tpe: list[float], ranking: list[float]) -> Any:
 
 def test_bars_hold_where_ours_leads_and_name_where_it_does_not() -> None:
     good = report(ours=[2.0, 1.0], tpe=[3.0, 2.0], ranking=[1.5, 1.4])
-    assert [bar.holds for bar in good.bars] == [True] * len(good.bars)
+    assert [bar.holds for bar in good.bars] == [True] * 4
     bad = report(ours=[2.0, 1.9], tpe=[1.0, 1.0], ranking=[1.5, 1.4])
-    assert not any(bar.holds for bar in bad.bars)
+    assert [bar.holds for bar in bad.bars] == [False] * 4
     assert bad.bars[0].measured.startswith(f"{PROBLEM}, TPESampler, 5 (0 : 12)")
     test = bad.versus(PROBLEM, "ours", "tpe", 10)
     assert (test.wins, test.losses) == (0, 12) and test.is_behind and not test.is_ahead
     assert bad.median(PROBLEM, "tpe", 5) == pytest.approx(1.0055)
+    same = report(ours=[2.0, 1.0], tpe=[2.0, 1.0], ranking=[2.0, 1.0])
+    test = same.versus(PROBLEM, "ours", "tpe", 10)
+    assert (test.wins, test.losses, test.p) == (0, 0, 1.0)
+    assert not test.is_ahead and not test.is_behind
 
 
 def test_runs_that_repeat_each_other_are_counted_once() -> None:
     costs = np.array([[3.0, 2.0, 5.0], [3.0, 2.0, 4.0], [3.0, 2.0, 5.0]])
     made = REPORT.of({(PROBLEM, "ours"): costs, (PROBLEM, "tpe"): costs[:1].repeat(3, 0)})
     assert made.different == {(PROBLEM, "ours"): 2, (PROBLEM, "tpe"): 1}
-
-
-def test_equal_runs_are_neither_ahead_nor_behind() -> None:
-    same = report(ours=[2.0, 1.0], tpe=[2.0, 1.0], ranking=[2.0, 1.0])
-    test = same.versus(PROBLEM, "ours", "tpe", 10)
-    assert (test.wins, test.losses, test.p) == (0, 0, 1.0)
-    assert not test.is_ahead and not test.is_behind

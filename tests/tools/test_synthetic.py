@@ -7,7 +7,8 @@ from scipy.stats import spearmanr
 
 from taichi_nmm.errors import InputError
 from tools.benchmarks import synthetic
-from tools.benchmarks.synthetic import DIMENSION, NAMES, PROBLEMS, Floats, Problem, problem
+from tools.benchmarks.arms import Floats
+from tools.benchmarks.synthetic import DIMENSION, NAMES, PROBLEMS, Problem, problem
 
 SEEDS = range(5)
 

@@ -1,6 +1,7 @@
 """Problems on which samplers are compared: made up (`synthetic`), or tuned by others (`outside`).
 
-`tools/compare_peers.py` and `tools/compare_outside.py` run them, with the cache of `runs`.
+`arms` has the compared samplers, `runs` the cache, `documents` the pages. `tools/compare_peers.py`
+and `tools/compare_outside.py` run them.
 
 The Parquet files in `data/` are pools of candidates whose costly objective was computed once, by
 `tools/make_outside.py` of version 0.2.0: its tag keeps the code that made them.

@@ -1,13 +1,12 @@
 """Tuning problems from outside: pools of candidates whose costly objective was computed once.
 
-Users of public packages tune them; none was invented here. A problem is a Parquet file
-of `data/`: candidates, cheap features and the cost of each. `ARMS` are the samplers that are
-compared on it. All of them are answered by the same objective: ours propose rows of the pool,
-Optuna's propose any point of the space and are told the cost of the nearest row.
+Users of public packages tune them; none was invented here. A problem is a Parquet file of `data/`:
+candidates, cheap features and the cost of each. All arms of `ARMS` meet the same objective: ours
+propose rows of the pool; Optuna's propose any point of the space and get the cost of the nearest
+row.
 """
 
 import hashlib
-import inspect
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -32,20 +31,7 @@ from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import parse_json, reading
-from tools.benchmarks.runs import (
-    CONTROL,
-    OUR_PACKAGES,
-    OUR_SOURCES,
-    OURS,
-    PEER,
-    PEER_PACKAGES,
-    PEERS,
-    Arm,
-    Floats,
-    costs_of,
-    fingerprint,
-    peer,
-)
+from tools.benchmarks.arms import PEERS, Arm, Floats, ours, peer, study_costs
 
 Columns = dict[str, NDArray[Any]]
 Settings = Mapping[str, float | int | str]  # one candidate: its parameters by name
@@ -104,18 +90,12 @@ class OutsideProblem:
     made_by: str
 
     def __len__(self) -> int:
-        """Number of candidates, n."""
         return len(self.cost)
 
     @property
     def best(self) -> float:
-        """The least cost of the pool: nobody gets below it."""
+        """The least cost of the pool: no arm gets below it."""
         return float(self.cost.min())
-
-    @property
-    def feature_names(self) -> tuple[str, ...]:
-        """Of the columns of `features`, k."""
-        return tuple(self.feature_meanings)
 
     @cached_property
     def ranks(self) -> Floats:
@@ -133,7 +113,7 @@ class OutsideProblem:
         return np.asarray(self.ranks.mean(axis=1))
 
     def drawn(self, seed: int) -> "OutsideProblem":
-        """The same problem with half of the candidates, drawn by the seed: a sample of problems."""
+        """The same problem with half of the candidates, which the seed draws."""
         rng = np.random.default_rng(np.random.SeedSequence(seed))
         rows = np.sort(rng.choice(len(self), len(self) // 2, replace=False))
         return replace(
@@ -172,24 +152,18 @@ class OutsideProblem:
         return np.column_stack([_cube(self.space[name], columns[name]) for name in self.space])
 
 
-def require_known(name: str) -> None:
-    """Refuse a name that no problem has.
+def problem(name: str, seed: int) -> OutsideProblem:
+    """Half of a problem's candidates, which the seed draws.
 
     Raises:
-        InputError: listing those that there are.
+        InputError: no such problem, or its file is missing or broken.
     """
-    if name not in PROBLEMS:
-        raise InputError("problem", name, f"one of {', '.join(PROBLEMS)}")
+    return outside_problem(name).drawn(seed)
 
 
-def file_of(name: str) -> Path:
-    """Where a problem's file is.
-
-    Raises:
-        InputError: no such problem.
-    """
-    require_known(name)
-    return DATA / f"{name}.parquet"
+def shared(name: str) -> str:
+    """The folder of runs without features: no other problem has the same costs."""
+    return name
 
 
 def digest(name: str) -> str:
@@ -197,9 +171,20 @@ def digest(name: str) -> str:
     return hashlib.sha256(file_of(name).read_bytes()).hexdigest()
 
 
+def file_of(name: str) -> Path:
+    """The file of a problem.
+
+    Raises:
+        InputError: no such problem.
+    """
+    if name not in PROBLEMS:
+        raise InputError("problem", name, f"one of {', '.join(PROBLEMS)}")
+    return DATA / f"{name}.parquet"
+
+
 @cache
 def outside_problem(name: str) -> OutsideProblem:
-    """A problem by its name; read once a process, and not to be written to.
+    """A problem with all its candidates; read once a process, and not to be written to.
 
     Raises:
         InputError: no such problem, or its file is missing or broken.
@@ -211,7 +196,7 @@ def read(path: Path) -> OutsideProblem:
     """A problem from its file.
 
     Raises:
-        InputError: the file is missing, broken or another's.
+        InputError: the file is missing, broken or of another kind.
     """
     import pyarrow.parquet as pq  # slow to load
 
@@ -220,18 +205,14 @@ def read(path: Path) -> OutsideProblem:
         document = parse_json(table.schema.metadata[METADATA_KEY])
     column = {name: np.array(table[name].to_pylist()) for name in table.column_names}
     meanings = {name: Feature(**meaning) for name, meaning in document["features"].items()}
-    stacked = [column[FEATURE_PREFIX + name].astype(np.float64) for name in meanings]
     space = {name: json_to_distribution(text) for name, text in document["space"].items()}
     return OutsideProblem(
-        name=document["name"],
-        purpose=document["purpose"],
-        field=document["field"],
-        cost_meaning=document["cost_meaning"],
+        **{key: document[key] for key in ("name", "purpose", "field", "cost_meaning")},
         space=space,
         columns={name: column[name] for name in space},
         feature_meanings=meanings,
-        features=np.column_stack(stacked),
-        cost=column[COST].astype(np.float64),
+        features=np.column_stack([column[FEATURE_PREFIX + name] for name in meanings]).astype("f8"),
+        cost=column[COST].astype("f8"),
         made_by=document["command"],
     )
 
@@ -259,30 +240,6 @@ def _cube(distribution: BaseDistribution, values: ArrayLike) -> Floats:
     return np.asarray(((numbers - low) / (high - low))[:, None])
 
 
-def folder(problem: str, arm: str, _: int) -> Path:
-    """Where runs are kept."""
-    return Path(problem, arm)
-
-
-@cache
-def code(problem: str, arm: str) -> str:
-    """Fingerprint of all that decides an arm's costs: numbers, this file and the sampler."""
-    if ARMS[arm].kind == OURS:
-        table = Path(inspect.getfile(FeatureTable))
-        return fingerprint([Path(__file__), table, *OUR_SOURCES], OUR_PACKAGES, digest(problem))
-    return fingerprint([Path(__file__)], PEER_PACKAGES, digest(problem))
-
-
-def costs(problem: str, arm: str, seed: int, trials: int) -> Floats:
-    """Costs of the trials of one run in their order, [trials]; the seed draws half of the pool."""
-    found, sampler = outside_problem(problem).drawn(seed), ARMS[arm].sampler
-    ranked = rows_by_ranking(found, seed)
-    if sampler is None:
-        return found.cost[ranked[:trials]]
-    first = [found.settings(int(row)) for row in ranked[: ARMS[arm].enqueued]]
-    return costs_of(lambda: sampler(found, seed), found.objective, trials, first)
-
-
 def rows_by_ranking(problem: OutsideProblem, seed: int) -> NDArray[np.int64]:
     """Row numbers, the best-ranked first, [n]; the seed decides among equals and nothing else."""
     among_equals = np.random.default_rng(np.random.SeedSequence(seed)).permutation(len(problem))
@@ -291,7 +248,7 @@ def rows_by_ranking(problem: OutsideProblem, seed: int) -> NDArray[np.int64]:
 
 def table(problem: OutsideProblem, ranking: bool) -> FeatureTable:
     """The pool with its features as they come; with `ranking`, the ranking is one more."""
-    features, names = problem.features, [*problem.feature_names]
+    features, names = problem.features, [*problem.feature_meanings]
     if ranking:
         features, names = np.column_stack([features, problem.ranking]), [*names, RANKING]
     with warnings.catch_warnings():
@@ -307,17 +264,26 @@ def _ours_with_prior(problem: OutsideProblem, seed: int) -> BaseSampler:
     return FeatureKernelSampler(table(problem, ranking=True), seed=seed, prior=f"-{RANKING}")
 
 
+def _ranking_alone(problem: OutsideProblem, seed: int, trials: int) -> Floats:
+    return problem.cost[rows_by_ranking(problem, seed)[:trials]]
+
+
+def _tpe_after_ranking(problem: OutsideProblem, seed: int, trials: int) -> Floats:
+    first = [problem.settings(int(row)) for row in rows_by_ranking(problem, seed)[:ENQUEUED]]
+    return study_costs(problem.objective, PEERS["tpe"][1](seed), trials, first)
+
+
 _NOTHING = "nothing"
 _FEATURES = "features"
 _RANKED = "features, and which end of each is good"
 
 ARMS = {
-    "ours": Arm("ours", _FEATURES, OURS, _ours, features=True),
-    "ours-prior": Arm("ours, ranking as prior", _RANKED, OURS, _ours_with_prior, features=True),
-    "ranking": Arm("the ranking alone", _RANKED, CONTROL, features=True),
+    "ours": ours("ours", _FEATURES, _ours, features=True),
+    "ours-prior": ours("ours, ranking as prior", _RANKED, _ours_with_prior, features=True),
+    "ranking": Arm("the ranking alone", _RANKED, "control", _ranking_alone, features=True),
     "tpe-ranking": Arm(
-        f"TPESampler, {ENQUEUED} best-ranked rows first", _RANKED, PEER,
-        lambda _, seed: PEERS["tpe"][1](seed), enqueued=ENQUEUED,
+        f"TPESampler, {ENQUEUED} best-ranked rows first", _RANKED, "peer", _tpe_after_ranking,
+        features=True,
     ),
     **{name: peer(name, _NOTHING) for name in ("tpe", "gp", "cmaes", "random")},
 }  # fmt: skip

@@ -21,12 +21,9 @@ and rotated at random. `ARMS` are the samplers that are compared on it.
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 import optuna
-from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.samplers import BaseSampler
 from scipy.stats import ortho_group, qmc
@@ -34,18 +31,7 @@ from scipy.stats import ortho_group, qmc
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
-from tools.benchmarks.runs import (
-    CONTROL,
-    OUR_PACKAGES,
-    OUR_SOURCES,
-    OURS,
-    PEER_PACKAGES,
-    Arm,
-    Floats,
-    costs_of,
-    fingerprint,
-    peer,
-)
+from tools.benchmarks.arms import Arm, Floats, ours, peer
 
 Function = Callable[[Floats], Floats]
 
@@ -128,15 +114,18 @@ def problem(name: str, seed: int) -> Problem:
     """
     if name not in PROBLEMS:
         raise InputError("problem", name, f"one of {', '.join(PROBLEMS)}")
-    landscape = "schwefel" if name == "informative" else "rastrigin"
-    rng = _rng(seed, _Draw.COST)
+    landscape, rng = landscape_of(name), _rng(seed, _Draw.COST)
     if landscape == "schwefel":
         half_width, terms = SCHWEFEL_HALF_WIDTH, _schwefel(rng)
     else:
         half_width, terms = RASTRIGIN_HALF_WIDTH, _rastrigin(rng)
-    return Problem(
-        name, landscape, seed, half_width, terms, _feature(name, seed, half_width, terms)
-    )
+    feature = _feature(name, seed, half_width, terms)
+    return Problem(name, landscape, seed, half_width, terms, feature)
+
+
+def landscape_of(name: str) -> str:
+    """The cost's function of a problem."""
+    return "schwefel" if name == "informative" else "rastrigin"
 
 
 def _schwefel(rng: np.random.Generator) -> Function:
@@ -199,27 +188,14 @@ def _rng(seed: int, draw: _Draw) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(draw),)))
 
 
-def folder(problem_name: str, arm: str, seed: int) -> Path:
-    """Where runs are kept; problems of one cost share those that see no feature."""
-    found = problem(problem_name, seed)
-    return Path(problem_name if ARMS[arm].features else found.landscape, arm)
+def shared(name: str) -> str:
+    """The folder of runs without features, which problems of one landscape share."""
+    return landscape_of(name)
 
 
-@cache
-def code(_: str, arm: str) -> str:
-    """Fingerprint of all that decides an arm's costs: the problems, and the sampler."""
-    if ARMS[arm].kind == OURS:
-        return fingerprint([Path(__file__), *OUR_SOURCES], OUR_PACKAGES)
-    return fingerprint([Path(__file__)], PEER_PACKAGES)
-
-
-def costs(problem_name: str, arm: str, seed: int, trials: int) -> Floats:
-    """Costs of the trials of one run in their order, [trials]; the problem's seed decides all."""
-    found, sampler = problem(problem_name, seed), ARMS[arm].sampler
-    if sampler is None:
-        rows = found.rows()
-        return found.cost(rows[_CONTROL_ORDERS[arm](found, rows)[:trials]])
-    return costs_of(lambda: sampler(found, seed), found.objective, trials)
+def digest(name: str) -> str:
+    """Nothing: this file decides all numbers."""
+    return ""
 
 
 def _table(found: Problem) -> FeatureTable:
@@ -246,17 +222,16 @@ def _off_grid(found: Problem, seed: int) -> BaseSampler:
     )
 
 
-def _random_rows(found: Problem, rows: Floats) -> NDArray[np.int64]:
-    """Row numbers in random order."""
-    return np.random.default_rng(found.seed).permutation(len(rows))
+def _random_rows(found: Problem, seed: int, trials: int) -> Floats:
+    rows = found.rows()
+    return found.cost(rows[np.random.default_rng(seed).permutation(len(rows))[:trials]])
 
 
-def _score_first(found: Problem, rows: Floats) -> NDArray[np.int64]:
-    """Row numbers, the least feature first."""
-    return np.argsort(found.features(rows)[:, 0], kind="stable")
+def _score_first(found: Problem, _: int, trials: int) -> Floats:
+    """Costs of the rows, the least feature first."""
+    rows = found.rows()
+    return found.cost(rows[np.argsort(found.features(rows)[:, 0], kind="stable")[:trials]])
 
-
-_CONTROL_ORDERS = {"random-rows": _random_rows, "score-first": _score_first}
 
 _SPACE = "the space"
 _ROWS = "4,096 rows"
@@ -265,11 +240,11 @@ _MORE = "4,096 rows, points near the best of them, the feature of each"
 
 ARMS = {
     **{name: peer(name, _SPACE) for name in ("random", "tpe", "gp", "cmaes")},
-    "random-rows": Arm("random rows", _ROWS, CONTROL),
-    "score-first": Arm("least feature first", _FEATURE, CONTROL, features=True),
-    "euclidean": Arm("ours, Euclidean", _SPACE, OURS, _euclidean),
-    "euclidean-rows": Arm("ours, Euclidean, rows", _ROWS, OURS, _over_rows("euclidean")),
-    "ours": Arm("ours", _FEATURE, OURS, _over_rows(), features=True),
-    "paper": Arm("ours, the paper's kernel", _FEATURE, OURS, _over_rows("rbf"), features=True),
-    "off-grid": Arm("ours, off the table", _MORE, OURS, _off_grid, features=True),
+    "random-rows": Arm("random rows", _ROWS, "control", _random_rows),
+    "score-first": Arm("least feature first", _FEATURE, "control", _score_first, features=True),
+    "euclidean": ours("ours, Euclidean", _SPACE, _euclidean),
+    "euclidean-rows": ours("ours, Euclidean, rows", _ROWS, _over_rows("euclidean")),
+    "ours": ours("ours", _FEATURE, _over_rows(), features=True),
+    "paper": ours("ours, the paper's kernel", _FEATURE, _over_rows("rbf"), features=True),
+    "off-grid": ours("ours, off the table", _MORE, _off_grid, features=True),
 }
