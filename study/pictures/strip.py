@@ -1,5 +1,6 @@
 """A strip of stick figures over the ground they walk on, to scale."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,87 @@ KEY = f"Left leg in front. Thin: left leg every {1e3 * GHOST_INTERVAL_S:.0f} ms.
 LEVEL_M = 0.01  # ground that varies by less is level
 
 
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """The last metres of a walk, as they are drawn.
+
+    Attributes:
+        terrain: its ground.
+        trajectory: the whole walk, as far as its pose is finite.
+        poses_s: times of the poses, [n].
+        frame: limits of the picture in m: x from, to; z from, to.
+    """
+
+    terrain: Terrain
+    trajectory: Trajectory
+    poses_s: Array
+    frame: tuple[float, float, float, float]
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Width and height of the frame."""
+        low_x, high_x, low_z, high_z = self.frame
+        return high_x - low_x, high_z - low_z
+
+    def draw(self, axes: Axes, hip_colour: str) -> StickFigure:
+        """Draw poses, ghosts and ground to the frame; the last pose is returned."""
+        style.tidy(axes)
+        axes.grid(False)
+        low_x, high_x, low_z, high_z = self.frame
+        axes.set(xlim=(low_x, high_x), ylim=(low_z, high_z))  # the bones are as wide as its scale
+        q = at_times(self.trajectory, self.trajectory.q, self.poses_s)
+        activation = at_times(self.trajectory, self.trajectory.activation, self.poses_s)
+        for number in range(len(q)):
+            figure = StickFigure(axes, layer=3.0 + number)
+            figure.pose(q[number], activation[number])
+        self._draw_ghosts(axes, hip_colour)
+        x = np.linspace(low_x, high_x, 2000)
+        draw_ground(axes, x, self.terrain.height(x), low_z)
+        axes.set_ylabel("height (m)", fontsize=style.TEXT_PT, color=style.INK)
+        return figure
+
+    def _draw_ghosts(self, axes: Axes, hip_colour: str) -> None:
+        """The left leg and the hip's path between the poses, as in a chronophotograph."""
+        times_s = np.arange(self.poses_s[0], self.poses_s[-1], GHOST_INTERVAL_S)
+        if not len(times_s):
+            return
+        near = leg(at_times(self.trajectory, self.trajectory.q, times_s), LEFT)
+        chains = list(near.chain()[:, [0, 1, 2, 4]])
+        thin = LineCollection(chains, colors=style.FAINT, linewidths=0.4, alpha=0.55, zorder=1.5)
+        axes.add_collection(thin, autolim=False)
+        axes.plot(*near.hip.T, color=hip_colour, linewidth=0.8, zorder=1.6)
+
+
+def last_stretch(
+    trajectory: Trajectory,
+    terrain: Terrain,
+    shown_m: float = SHOWN_M,
+    width_m: float | None = None,
+    below_m: float = BELOW_GROUND_M,
+) -> Stretch:
+    """The last `shown_m` metres; poses are evenly spaced, about `POSE_SPACING_M` apart.
+
+    Args:
+        trajectory: of the walk.
+        terrain: its ground.
+        shown_m: how far the hip moves.
+        width_m: of the frame; by default as wide as the poses.
+        below_m: ground that is shown below its lowest point.
+    """
+    trajectory = finite(trajectory)
+    start_s, end_s = last_metres(trajectory, shown_m)
+    x = np.interp([start_s, end_s], trajectory.time_s, trajectory.q[:, 0])
+    count = max(round(abs(x[1] - x[0]) / POSE_SPACING_M), 1) + 1
+    poses_s = np.linspace(start_s, end_s, count)
+    q = at_times(trajectory, trajectory.q, poses_s)
+    width = width_m or max(np.ptp(q[:, 0]) + 2.0 * MARGIN_M, NARROWEST_M)
+    low_x = 0.5 * (q[:, 0].min() + q[:, 0].max() - width)
+    high_x = low_x + width
+    ground = terrain.height(np.linspace(low_x, high_x, 200))
+    frame = (low_x, high_x, ground.min() - below_m, q[:, 1].max() + ABOVE_HIP_M)
+    return Stretch(terrain, trajectory, poses_s, frame)
+
+
 def write_strip(
     path: str | Path,
     trajectory: Trajectory,
@@ -59,55 +141,25 @@ def write_strip(
     Raises:
         InputError: the file cannot be written.
     """
-    trajectory = finite(trajectory)
-    poses_s = pose_times(trajectory, SHOWN_M)
-    q = at_times(trajectory, trajectory.q, poses_s)
-    low_x, high_x, low_z, high_z = _frame(q, terrain)
-    figure, axes, bar, profile = _layout(
-        high_x - low_x, high_z - low_z, _uneven(trajectory, terrain), dpi
-    )
-    axes.set(xlim=(low_x, high_x), ylim=(low_z, high_z))
-    activation_bar(bar, draw_poses(axes, trajectory, poses_s))
-    draw_ghosts(axes, trajectory, poses_s, style.MODEL)
-    x = np.linspace(low_x, high_x, 2000)
-    draw_ground(axes, x, terrain.height(x), low_z)
+    shown = last_stretch(trajectory, terrain)
+    x = shown.trajectory.q[:, 0]
+    ground = terrain.height(np.linspace(x.min(), x.max() + 1.0, 4000))
+    figure, axes, bar, profile = _layout(shown.size_m, bool(np.ptp(ground) > LEVEL_M), dpi)
+    activation_bar(bar, shown.draw(axes, style.MODEL))
     if profile is not None:
-        _draw_profile(profile, trajectory, terrain, (low_x, high_x))
+        _draw_profile(profile, shown)
     axes.set_title(title, loc="left", fontsize=style.TITLE_PT, color=style.INK, pad=20)
     axes.text(0.0, 1.012, KEY, transform=axes.transAxes, fontsize=style.SMALL_PT, color=style.INK)
     return style.save_png(figure, path)
 
 
-def pose_times(trajectory: Trajectory, shown_m: float) -> Array:
-    """Times of poses over the last metres, evenly spaced, so many that they are a step apart."""
-    start_s, end_s = last_metres(trajectory, shown_m)
-    x = np.interp([start_s, end_s], trajectory.time_s, trajectory.q[:, 0])
-    count = max(round(abs(x[1] - x[0]) / POSE_SPACING_M), 1) + 1
-    return np.linspace(start_s, end_s, count)
-
-
-def _frame(q: Array, terrain: Terrain) -> tuple[float, float, float, float]:
-    """Limits of the picture: x from, to; z from, to."""
-    middle = 0.5 * (q[:, 0].min() + q[:, 0].max())
-    width = max(np.ptp(q[:, 0]) + 2.0 * MARGIN_M, NARROWEST_M)
-    low_x, high_x = middle - 0.5 * width, middle + 0.5 * width
-    ground = terrain.height(np.linspace(low_x, high_x, 200))
-    return low_x, high_x, ground.min() - BELOW_GROUND_M, q[:, 1].max() + ABOVE_HIP_M
-
-
-def _uneven(trajectory: Trajectory, terrain: Terrain) -> bool:
-    x = trajectory.q[:, 0]
-    ground = terrain.height(np.linspace(x.min(), x.max() + 1.0, 4000))
-    return bool(np.ptp(ground) > LEVEL_M)
-
-
 def _layout(
-    width_m: float, height_m: float, with_profile: bool, dpi: int
+    size_m: tuple[float, float], with_profile: bool, dpi: int
 ) -> tuple[Figure, Axes, Axes, Axes | None]:
-    """Figure, axes of the poses, of the colour bar, and of the profile if one is wanted."""
-    strip_in = height_m * SCALE_IN_PER_M
+    """Figure, axes of the poses, of the colour bar, and of the profile if there is one."""
+    strip_in = size_m[1] * SCALE_IN_PER_M
     profile_in = 1.25 if with_profile else 0.0
-    width_in = width_m * SCALE_IN_PER_M + 1.6
+    width_in = size_m[0] * SCALE_IN_PER_M + 1.6
     height_in = strip_in + profile_in + 1.05
     figure = style.new_figure(width_in, height_in, dpi)
 
@@ -118,48 +170,17 @@ def _layout(
 
     axes = box(0.6, profile_in + 0.5, width_in - 1.6, strip_in)
     axes.set_aspect("equal", anchor="W")
-    style.tidy(axes)
-    axes.grid(False)
     axes.set_xlabel("distance (m)", fontsize=style.TEXT_PT, color=style.INK)
-    axes.set_ylabel("height (m)", fontsize=style.TEXT_PT, color=style.INK)
     bar = box(width_in - 0.85, profile_in + 0.5 + 0.15 * strip_in, 0.13, 0.7 * strip_in)
     profile = box(0.6, 0.5, width_in - 1.6, profile_in - 0.65) if with_profile else None
     return figure, axes, bar, profile
 
 
-def draw_poses(axes: Axes, trajectory: Trajectory, times_s: Array) -> StickFigure:
-    """The walker at these times, [n]: one over the other, the last of which is returned.
-
-    The axes' limits must be set: the bones are as wide as their scale says.
-    """
-    q = at_times(trajectory, trajectory.q, times_s)
-    activation = at_times(trajectory, trajectory.activation, times_s)
-    for number in range(len(times_s)):
-        figure = StickFigure(axes, layer=3.0 + number)
-        figure.pose(q[number], activation[number])
-    return figure
-
-
-def draw_ghosts(axes: Axes, trajectory: Trajectory, poses_s: Array, hip_colour: str) -> None:
-    """The left leg and the hip's path between the poses, as a chronophotograph has them."""
-    times_s = np.arange(poses_s[0], poses_s[-1], GHOST_INTERVAL_S)
-    if not len(times_s):
-        return
-    near = leg(at_times(trajectory, trajectory.q, times_s), LEFT)
-    chains = near.chain()[:, [0, 1, 2, 4]]
-    axes.add_collection(
-        LineCollection(list(chains), colors=style.FAINT, linewidths=0.4, alpha=0.55, zorder=1.5),
-        autolim=False,
-    )
-    axes.plot(*near.hip.T, color=hip_colour, linewidth=0.8, zorder=1.6)
-
-
-def _draw_profile(
-    axes: Axes, trajectory: Trajectory, terrain: Terrain, shown_m: tuple[float, float]
-) -> None:
-    """The ground of all that was recorded, with the part above marked."""
-    x = np.linspace(trajectory.q[0, 0], trajectory.q[:, 0].max() + 1.0, 4000)
-    height = terrain.height(x)
+def _draw_profile(axes: Axes, shown: Stretch) -> None:
+    """The ground of the whole walk, with the part above marked."""
+    q = shown.trajectory.q
+    x = np.linspace(q[0, 0], q[:, 0].max() + 1.0, 4000)
+    height = shown.terrain.height(x)
     draw_profile(axes, x, height, margin_m=0.1 * np.ptp(height))
-    axes.axvspan(*shown_m, color=style.MODEL, alpha=0.18, linewidth=0, zorder=3)
+    axes.axvspan(*shown.frame[:2], color=style.MODEL, alpha=0.18, linewidth=0, zorder=3)
     axes.set_xlabel("from the start: distance (m)", fontsize=style.TEXT_PT, color=style.INK)

@@ -207,8 +207,7 @@ class Numbers:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for programs; infinities are null."""
-        plain: dict[str, Any] = _plain(asdict(self))
-        return plain
+        return dict(plain(asdict(self)))
 
 
 def numbers(results: Results) -> Numbers:
@@ -270,11 +269,12 @@ def _comparisons(arms: list[ArmRuns], paper: ArmRuns | None) -> list[Comparison]
     ]
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """A value for JSON: infinities and NaN are None."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value

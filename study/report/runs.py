@@ -1,11 +1,10 @@
-"""A comparison's folder, finished or not, as a report reads it: runs of arms as arrays, and facts.
+"""A comparison's folder, finished or not: runs of arms as arrays, and facts of its documents.
 
-Tables and documents are found to be of the form that a report reads, whoever wrote them.
+Tables and documents are checked, whoever wrote them.
 """
 
-import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,6 +28,7 @@ from study.comparison.folder import (
 )
 from study.experiment.experiment import COST_FUNCTIONS, NAME_PATTERN
 from study.experiment.stores import store_digest
+from taichi_nmm.checks import Check, anything, by_name, each, flag, number, text, word
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, json_document, reading
 
@@ -46,8 +46,8 @@ class ArmRuns:
         best: the best cost so far, [r, t].
         walks: whether a trial walked, bool [r, t].
         found: trials in the table.
-        repeated: trials in the arrays that stand for those after a run's end with its first walker.
-        proposal_ms: median time that the sampler took for a trial; None where it is not known.
+        proposal_ms: median time of a proposal of the sampler; None where it is not known.
+        repeated: further trials in the arrays: the first walker of a run that ended with it.
     """
 
     arm: str
@@ -115,9 +115,9 @@ class Results:
 
     @property
     def planned(self) -> int:
-        """Trials that the table would have if every arm had as many runs and trials as the most.
+        """Trials of the table if every arm had as many runs and trials as the longest.
 
-        Runs that ended with their first walker lack none.
+        Runs that ended with their first walker are complete.
         """
         repeated = sum(arm.repeated for arm in self.arms.values())
         return len(self.arms) * self.runs * self.trials - repeated
@@ -131,11 +131,10 @@ class Results:
 def read_results(folder: str | Path) -> Results:
     """Read the folder of a comparison, finished or not.
 
-    Of each arm the table or its checkpoint counts, whichever has more trials.
+    An arm is read from the table or from its checkpoint, whichever has more trials.
 
     Raises:
-        InputError: no such folder, no trials in it, a table or document that cannot be read or has
-            something else in it than a report can be made of.
+        InputError: no such folder, no trials in it, or a table or document that cannot be used.
     """
     folder = Path(folder)
     arms: dict[str, pa.Table] = {}
@@ -146,8 +145,7 @@ def read_results(folder: str | Path) -> Results:
     if not arms:
         allowed = f"the output of taichi-nmm compare: {RESULTS_NAME}, with trials"
         raise InputError("folder", str(folder), allowed)
-    times = _proposal_times(folder)
-    facts = read_facts(folder)
+    times, facts = _proposal_times(folder), read_facts(folder)
     found = {arm: len(rows) for arm, rows in arms.items()}
     if facts.get("until_walker"):
         arms = _by_arm(as_if_gone_on(pa.concat_tables(arms.values())))
@@ -155,15 +153,15 @@ def read_results(folder: str | Path) -> Results:
         arm: _arm_runs(str(folder), arm, rows, times.get(arm), found[arm])
         for arm, rows in arms.items()
     }
-    first = next(iter(arms.values()))
-    return Results(folder, first["experiment"][0].as_py(), _cost(facts, runs), runs, facts)
+    name = next(iter(arms.values()))["experiment"][0].as_py()
+    largest = max(float(arm.best[:, 0].max()) for arm in runs.values())
+    as_its_size_tells = "smooth" if largest < LARGEST_SMOOTH_COST else "walking"
+    cost = facts.get("objective", {}).get("cost", as_its_size_tells)
+    return Results(folder, name, cost, runs, facts)
 
 
 def runs_of(trials: pa.Table) -> dict[str, ArmRuns]:
-    """The runs of each arm of a table in memory, in the order of the arms' names.
-
-    Args:
-        trials: as `trials.parquet` has them, in any order.
+    """The runs of each arm of a table in memory (of `trials.parquet`), in the order of their names.
 
     Raises:
         InputError: a run lacks a trial between others, or has one twice.
@@ -186,7 +184,7 @@ def _by_arm(table: pa.Table) -> dict[str, pa.Table]:
 def _arm_runs(
     source: str, arm: str, table: pa.Table, proposal_ms: float | None, found: int
 ) -> ArmRuns:
-    """Arrays of a table of which `found` trials were made, the others repeated."""
+    """Arrays of one arm's table: `found` trials were made, the others are repeated."""
     runs, counts = np.unique(table["run"].to_numpy(), return_counts=True)
     trial = table["trial"].to_numpy()
     if not np.array_equal(trial, np.concatenate([np.arange(count) for count in counts])):
@@ -217,54 +215,21 @@ def _proposal_times(folder: Path) -> dict[str, float]:
     return {str(name): 1e3 * float(np.median(seconds[arm == name])) for name in np.unique(arm)}
 
 
-def _cost(facts: Mapping[str, Any], arms: Mapping[str, ArmRuns]) -> str:
-    """The cost's name, as configured; where that is not known, as its size tells."""
-    largest = max(float(arm.best[:, 0].max()) for arm in arms.values())
-    as_its_size_tells = "smooth" if largest < LARGEST_SMOOTH_COST else "walking"
-    return str(facts.get("objective", {}).get("cost", as_its_size_tells))
-
-
 LARGEST_NUMBER = 1e15  # of seconds or trials
 
-Check = tuple[Callable[[Any], bool], str]
-"""Whether a value can be used, and what can."""
-
-
-def is_number(value: Any) -> bool:
-    """Whether a JSON value is a finite number of a size that floats hold well."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) <= LARGEST_NUMBER and math.isfinite(value)
-
-
-def _of_texts(value: Any) -> bool:
-    return isinstance(value, dict) and all(isinstance(text, str) for text in value.values())
-
-
-OBJECT: Check = lambda value: isinstance(value, dict), "an object"
-OBJECTS: Check = (
-    lambda value: isinstance(value, list) and all(isinstance(each, dict) for each in value),
-    "a list of objects",
-)
-TEXTS: Check = (
-    lambda value: isinstance(value, list) and all(isinstance(each, str) for each in value),
-    "a list of texts",
-)
-TEXT_BY_NAME: Check = _of_texts, "an object of texts"
-NUMBER: Check = is_number, f"a number up to {LARGEST_NUMBER:g}"
-FLAG: Check = lambda value: isinstance(value, bool), "true or false"
-COST: Check = lambda value: value in tuple(COST_FUNCTIONS), " or ".join(COST_FUNCTIONS)
-
+OBJECT = by_name(anything)
+NUMBER = number(-LARGEST_NUMBER, LARGEST_NUMBER, f"a number up to {LARGEST_NUMBER:g}")
 FORM: dict[str, dict[str, Check]] = {
     EXPERIMENT_NAME: {
-        "until_walker": FLAG, "objective": OBJECT, "simulation": OBJECT, "versions": OBJECT,
-        "body": OBJECT, "terrain": OBJECT, "ground": OBJECT, "searched": TEXTS,
-        "stores": TEXT_BY_NAME, "objective.cost": COST, "simulation.duration_s": NUMBER,
+        "simulation": OBJECT, "objective": OBJECT, "versions": OBJECT, "body": OBJECT,
+        "terrain": OBJECT, "ground": OBJECT, "until_walker": flag,
+        "searched": each(text), "stores": by_name(text),
+        "objective.cost": word(*COST_FUNCTIONS), "simulation.duration_s": NUMBER,
     },
-    RUN_NAME: {"sessions": OBJECTS},
+    RUN_NAME: {"sessions": each(OBJECT)},
 }  # fmt: skip
 SESSION: dict[str, Check] = {
-    "machine": OBJECT, "stores": TEXT_BY_NAME, "wall_s": NUMBER, "trials": NUMBER,
+    "machine": OBJECT, "stores": by_name(text), "wall_s": NUMBER, "trials": NUMBER,
 }  # fmt: skip
 
 
@@ -289,47 +254,45 @@ def read_facts(folder: Path) -> dict[str, Any]:
     if not is_folder(folder):
         return facts
     for name, form in FORM.items():
-        document = read_document(folder / name)
+        document = _without_nulls(read_document(folder / name))
         _require_form(document, form, name)
-        facts |= without_nulls(document)
-    for number, session in enumerate(facts.get("sessions", [])):
-        _require_form(session, SESSION, f"{RUN_NAME}: sessions[{number}]")
+        facts |= document
+    for place, session in enumerate(facts.get("sessions", [])):
+        _require_form(session, SESSION, f"{RUN_NAME}: sessions[{place}]")
     return facts
 
 
-def without_nulls(value: Any) -> Any:
-    """A JSON value without what is null in its objects: it says as much as if it were not there."""
+def _without_nulls(value: Any) -> Any:
+    """A JSON value without the nulls of its objects: a null is the same as a missing key."""
     if isinstance(value, dict):
-        return {key: without_nulls(part) for key, part in value.items() if part is not None}
-    return [without_nulls(part) for part in value] if isinstance(value, list) else value
+        return {key: _without_nulls(part) for key, part in value.items() if part is not None}
+    return [_without_nulls(part) for part in value] if isinstance(value, list) else value
 
 
 def _require_form(document: dict[str, Any], form: dict[str, Check], name: str) -> None:
-    """Refuse parts that are there and are of another form; a dot stands for a part of a part."""
-    for key, (is_right, allowed) in form.items():
+    """Check the parts that are there; "a.b" is part b of part a."""
+    for key, check in form.items():
         part: Any = document
         for step in key.split("."):
-            part = part.get(step) if part is not None else None
-        if part is not None and not is_right(part):
-            raise InputError(f"{name}: {key}", part, allowed)
+            part = None if part is None else part.get(step)
+        if part is not None:
+            check(f"{name}: {key}", part)
 
 
-Kind = tuple[Callable[[pa.DataType], bool], str]
+Kind = tuple[Callable[[pa.DataType], bool], str]  # whether a type is of the kind; allowed values
 
 NAMES: Kind = pa.types.is_string, "letters, digits, '.', '_' and '-'"
 COUNTS: Kind = pa.types.is_integer, "whole numbers from 0"
 FLAGS: Kind = pa.types.is_boolean, "true or false"
 NUMBERS: Kind = pa.types.is_floating, f"numbers up to {LARGEST_NUMBER:g}"
-KINDS = {
-    "experiment": NAMES, "arm": NAMES, "run": COUNTS, "trial": COUNTS, "walked": FLAGS,
-}  # fmt: skip
+KINDS = {"experiment": NAMES, "arm": NAMES, "run": COUNTS, "trial": COUNTS, "walked": FLAGS}
 
 
 def read_trials(path: Path, columns: Sequence[str]) -> pa.Table:
-    """Columns of a table of trials, each value of its kind, finite, and there.
+    """Columns of a table of trials; all values are there, finite and of their column's kind.
 
     Raises:
-        InputError: not readable, or a column is missing or has something else in it.
+        InputError: the table cannot be read, a column is missing, or a value is of another kind.
     """
     with reading(path.name, path, "a readable table of trials"):
         known = pq.read_schema(path).names
@@ -343,23 +306,23 @@ def read_trials(path: Path, columns: Sequence[str]) -> pa.Table:
 
 
 def _require_column(column: pa.ChunkedArray, name: str, path: Path) -> None:
-    """Refuse a column of something else than what stands under its name."""
-    field, (is_kind, allowed) = f"{path.name}: {name}", KINDS.get(name, NUMBERS)
+    """Refuse a column with values of another kind."""
+    field, kind = f"{path.name}: {name}", KINDS.get(name, NUMBERS)
+    is_kind, allowed = kind
     if not is_kind(column.type) or column.null_count:
         found = f"{column.type}, {column.null_count} of {len(column)} missing"
         raise InputError(field, found, f"{allowed}, none missing")
-    if is_kind is NUMBERS[0] and not (np.abs(column.to_numpy()) <= LARGEST_NUMBER).all():
+    if kind is NUMBERS and not (np.abs(column.to_numpy()) <= LARGEST_NUMBER).all():
         raise InputError(field, "NaN, infinite or larger", allowed)
-    if is_kind is COUNTS[0] and len(column) and pc.min(column).as_py() < 0:
+    if kind is COUNTS and len(column) and pc.min(column).as_py() < 0:
         raise InputError(field, pc.min(column).as_py(), allowed)
-    if is_kind is NAMES[0]:
-        for word in pc.unique(column).to_pylist():
-            if not re.fullmatch(NAME_PATTERN, word):
-                raise InputError(field, word, allowed)
+    for name in pc.unique(column).to_pylist() if kind is NAMES else ():
+        if not re.fullmatch(NAME_PATTERN, name):
+            raise InputError(field, name, allowed)
 
 
 def table_files(folder: Path) -> list[Path]:
-    """The final table of a folder, then the checkpoints of its arms: those that there are.
+    """The final table of a folder, if there is one, and the checkpoints of its arms.
 
     Raises:
         InputError: no such folder.
@@ -372,9 +335,9 @@ def table_files(folder: Path) -> list[Path]:
 
 
 def known_stores(results: Results) -> dict[str, Path]:
-    """The stores that still are what the results were made with, by key.
+    """The stores that are unchanged since the results were made, by key.
 
-    The latest session that says where they are counts; folders from before such sessions have none.
+    Their places are those of the latest session that names them; old folders have none.
     """
     digests: dict[str, str] = results.facts.get("stores", {})
     sessions = [each["stores"] for each in results.facts.get("sessions", []) if "stores" in each]

@@ -1,4 +1,4 @@
-"""Everything that a report consists of, written into its folder."""
+"""Writes a report, or the overview of several, into its folder."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,7 +9,8 @@ from study.report.before_after import Pair, write_strips
 from study.report.figures import write_best_cost, write_first_walker, write_grid, write_walkers
 from study.report.markdown import NO_STORES, condensed_table, overview_text, report_text
 from study.report.numbers import Numbers, numbers
-from study.report.runs import Results, is_number, read_document
+from study.report.runs import NUMBER, Results, read_document
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_file
 
@@ -36,7 +37,8 @@ def write_report(
         InputError: the folder cannot be written.
     """
     found = numbers(results)
-    text = report_text(results, found, optimum, _strips(pair), stores)
+    strips = f"{pair.first.title}. {pair.second.title}. Run {pair.run}." if pair else ""
+    text = report_text(results, found, optimum, strips, stores)
     document = {
         "complete": results.complete,
         "trials_found": results.found,
@@ -73,15 +75,11 @@ def write_overview(folder: Path, experiments: Sequence[Numbers]) -> None:
         commit_text(new / "overview.md", text)
 
 
-def _strips(pair: Pair | None) -> str:
-    return "" if pair is None else f"{pair.first.title}. {pair.second.title}. Run {pair.run}."
-
-
 def find_optimum(results: Results, given: Sequence[Path]) -> float | None:
-    """The best cost of the first document of the experiment's cost: given, or in its folder.
+    """The best cost of the first document (given, or in the folder) of the experiment's cost.
 
     Raises:
-        InputError: a document that was given is missing, or none of taichi-nmm optimum.
+        InputError: a given document is missing, or is not of taichi-nmm optimum.
     """
     for path in given:
         if not is_file(path):
@@ -90,9 +88,9 @@ def find_optimum(results: Results, given: Sequence[Path]) -> float | None:
         document = read_document(path)
         if not document:
             continue
-        cost, best = document.get("cost"), document.get("best_cost")
-        if not isinstance(cost, str) or best is None or not is_number(best):
-            raise InputError("optimum", str(path), "a document of taichi-nmm optimum")
+        field = f"optimum: {path.name}"
+        cost = checks.text(f"{field}: cost", document.get("cost"))
+        best = NUMBER(f"{field}: best_cost", document.get("best_cost"))
         if cost == results.cost:
             return float(best)
     return None

@@ -56,23 +56,24 @@ def test_before_is_a_first_trial_of_our_best_that_fell(tmp_path: Path) -> None:
     results = write(tmp_path, {"best": [[0], [4, 6]], "dog": [[5], [7]]})
     chosen = choose(results, GAIN_NAMES)
     assert chosen is not None
-    run, before, after = chosen
-    assert (run, before.arm, before.trial) == (1, "best", 0)
-    assert (after.arm, after.trial) == ("best", 4)
+    before, after = chosen
+    assert (before["run"], before["arm"], before["trial"]) == (1, "best", 0)
+    assert (after["run"], after["arm"], after["trial"]) == (1, "best", 4)
 
 
 def test_where_our_best_walks_at_once_the_papers_method_is_before(tmp_path: Path) -> None:
     results = write(tmp_path, {"best": [[0], [1]], "dog": [[5], []], "random": [[], []]})
     chosen = choose(results, GAIN_NAMES)
     assert chosen is not None
-    run, before, after = chosen
-    assert (run, before.arm, before.trial, after.arm, after.trial) == (0, "dog", 0, "best", 0)
+    before, after = chosen
+    assert (before["run"], before["arm"], before["trial"]) == (0, "dog", 0)
+    assert (after["run"], after["arm"], after["trial"]) == (0, "best", 0)
 
 
 def test_without_our_best_the_best_arm_is_after(tmp_path: Path) -> None:
     results = write(tmp_path, {"tpe": [[3], [3]], "random": [[], [5]]})
     chosen = choose(results, GAIN_NAMES)
-    assert chosen is not None and chosen[2].arm == "tpe"
+    assert chosen is not None and chosen[1]["arm"] == "tpe"
 
 
 def test_without_a_walker_there_is_nothing_to_show(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from study.report.markdown import condensed_table
 from study.report.numbers import numbers
 from study.report.runs import read_results
@@ -21,18 +23,20 @@ def test_what_it_says_is_what_the_numbers_are(tmp_path: Path) -> None:
     assert list(rows)[2] == "`best`"  # most walkers, the soonest
     best, dog = rows["`best`"], rows["`dog`"]
     arm = next(each for each in found.arms if each.arm == "best")
-    assert best[1].startswith(f"{arm.walkers} of 20 (")
-    assert best[2].startswith(f"{arm.first_walker.value:g} (")
-    assert best[3].split(", ")[0] == str(arm.within[1])
-    assert best[3].endswith(", 20") and best[1].startswith("20 of 20")  # known without 60 trials
-    assert rows["`random`"][3].endswith(", -")
-    assert float(best[4]) == float(f"{arm.cost_after[30].value:.4g}")
+    assert best[1:3] == ["20", str(arm.walkers)] == ["20", "20"]
+    assert best[3] == f"{100 * arm.share.low:.0f} to 100"
+    assert best[4:6] == [f"{arm.first_walker.value:g}", "1 to 1"]
+    assert best[6] == str(arm.within[1])
+    assert best[10] == "20" and rows["`random`"][10] == "-"  # known without 60 trials
+    assert best[11] == f"{arm.cost_after[30].value:.4g}"
     against = next(each for each in found.comparisons if each.arm == "best")
-    assert best[5].startswith(f"{against.difference.value:.3g} (")
-    assert dog[5] == "-"
+    assert best[12] == f"{against.difference.value:.3g}"
+    assert best[13].startswith(f"{against.difference.low:.3g} to ")
+    assert float(best[14]) == pytest.approx(against.cost_p_holm, rel=0.1)
+    assert dog[12:] == ["-", "-", "-"]
 
 
 def test_without_the_papers_method_or_30_trials_there_is_nothing_to_compare(tmp_path: Path) -> None:
     synthetic.write(tmp_path, {"best": (0.9, 0.0)}, runs=3, trials=12, cost="smooth", name="short")
     row = cells(condensed_table(numbers(read_results(tmp_path))))["`best`"]
-    assert row[4:] == ["-", "-"]
+    assert row[11:] == ["-", "-", "-", "-"]

@@ -127,8 +127,8 @@ def test_a_few_trials_have_a_table_of_costs(folder: Path) -> None:
     results = read_results(folder)
     text = report_text(results, numbers(results), None)
     table = text.partition("## Best cost\n\n")[2].splitlines()
-    assert table[0] == "| arm | median best smooth cost after the last trial | ms |"
-    assert table[2].startswith("| dog (DoG, as printed) | ") and len(table[2].split("|")) == 5
+    assert table[0] == "| arm | median best smooth cost after the last trial | interval | ms |"
+    assert table[2].startswith("| dog (DoG, as printed) | ") and len(table[2].split("|")) == 6
 
 
 def test_a_report_that_fails_leaves_what_was_there(
