@@ -64,19 +64,13 @@ def turn(study: optuna.Study, trial: FrozenTrial) -> int:
     A killed trial is run again under a new number (Optuna's retry callback does it). The repetition
     takes the turn of the original, and the trials after it are counted as if it were not there.
     """
-    originals = _repetitions(study)
-    number = originals.get(trial.number, trial.number)
-    return number - sum(repetition < number for repetition in originals)
-
-
-def _repetitions(study: optuna.Study) -> dict[int, int]:
-    """Trials that repeat a killed one: their numbers, and the number of the first original."""
     originals = {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
-        for trial in study.get_trials(deepcopy=False):
-            if trial.system_attrs:  # most have none, and the question is not free
-                originals[trial.number] = RetryHeartbeatStaleTrialCallback.retried_trial_number(
-                    trial
-                )
-    return {number: original for number, original in originals.items() if original is not None}
+        for other in study.get_trials(deepcopy=False):
+            if other.system_attrs:  # most have none, and the call takes time
+                original = RetryHeartbeatStaleTrialCallback.retried_trial_number(other)
+                if original is not None:
+                    originals[other.number] = original
+    number = originals.get(trial.number, trial.number)
+    return number - sum(repetition < number for repetition in originals)

@@ -1,8 +1,8 @@
-"""What rows of a store survive, as features: columns, their means, and an order that covers.
+"""The survival of a store's rows as features: columns, their means, and a covering order.
 
-Gaits are alike that survive the same grounds. What a gait survives was computed beforehand, on
-several families of disturbed bodies and uneven grounds (`store-diverse`); docs/comparison.md says
-how all of this was chosen.
+Gaits are alike that survive the same grounds. Their survival was computed beforehand, on several
+families of disturbed bodies and uneven grounds (`store-diverse`); docs/comparison.md explains the
+choices.
 """
 
 import warnings
@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 COLUMN_END = "_survived_fraction_mean"
 RELIABILITY = 0.7  # chance that the best of a ground walks on its like elsewhere
-SHARPNESS = 3.0  # who survives half as long as the best has an eighth of its chance
+SHARPNESS = 3.0  # a candidate that survives half as long as the best has an eighth of its chance
 COVERING = 128  # candidates that are placed by the rule; the others follow by their mean chance
 
 
@@ -46,11 +46,7 @@ class Survival:
     grid_only: bool = False
 
     def families_of(self, store: Store) -> tuple[str, ...]:
-        """Families that are averaged.
-
-        Raises:
-            InputError: the store has no such family, or none at all.
-        """
+        """The families that are averaged, or an InputError: the store lacks one, or has none."""
         ends = (name for name in store.columns if name.endswith(COLUMN_END))
         known = tuple(name.removesuffix(COLUMN_END) for name in ends)
         for family in self.families or known or ("robust",):
@@ -76,7 +72,7 @@ class Coverage:
 
     @property
     def parts(self) -> tuple[Survival, ...]:
-        """What it is made of."""
+        """All the survivals."""
         return (self.plainest, *self.grounds)
 
 
@@ -86,22 +82,22 @@ Feature = str | Survival | Coverage
 
 def survivals(features: Iterable[Feature]) -> list[Survival]:
     """Every survival that some features are made of."""
-    found = []
+    found: list[Survival] = []
     for feature in features:
-        if isinstance(feature, Survival):
-            found.append(feature)
-        elif isinstance(feature, Coverage):
+        if isinstance(feature, Coverage):
             found.extend(feature.parts)
+        elif isinstance(feature, Survival):
+            found.append(feature)
     return found
 
 
 def name_of(feature: Feature) -> str:
-    """What a feature is called in tables and in `prior`."""
+    """The name of a feature in tables and in `prior`."""
     return feature if isinstance(feature, str) else feature.name
 
 
 def definition_of(feature: Feature) -> Any:
-    """What a feature is, as JSON values."""
+    """The definition of a feature as JSON values."""
     if isinstance(feature, str):
         return feature
     if isinstance(feature, Coverage):
@@ -112,11 +108,7 @@ def definition_of(feature: Feature) -> Any:
 
 
 def check_feature(feature: Feature, store: Store) -> None:
-    """Refuse a store that does not have what a feature is made of.
-
-    Raises:
-        InputError: naming the store and the column.
-    """
+    """Refuse a store without a column of the feature by an InputError that names both."""
     if isinstance(feature, Survival):
         feature.families_of(store)
     elif isinstance(feature, Coverage):
@@ -173,20 +165,20 @@ def _columns(store: Store, names: list[str]) -> Floats:
 
 
 def chances(survival: Floats) -> Floats:
-    """To walk on the like of each ground, of each candidate, [n, f], by its survival, [n, f]."""
+    """Chances to walk on similar grounds, [n, f], from survival of n candidates on f grounds."""
     best = survival.max(axis=0, initial=np.finfo(np.float64).tiny)
     return np.asarray(RELIABILITY * (survival / best) ** SHARPNESS)
 
 
 def covering_order(plainest: Floats, survival: Floats) -> NDArray[np.int64]:
-    """Candidates in the order in which to try them, [n]: the first few cover what a ground may be.
+    """The order in which to try candidates, [n]: the first few cover several grounds.
 
-    The first is the one that best survives the plainest ground. From then on the ground of a trial
-    is like one of several, and nobody knows which: each next candidate is the one that most raises
-    the chance that at least one of those so far walks, the mean over the grounds of
-    1 - prod(1 - chance). That is the greedy rule, whose k candidates have at least 63 % of what the
-    best k would add (Nemhauser, Wolsey, Fisher 1978), and what Bayes's rule says after each fall:
-    grounds on which the fallen ones hardly ever fall lose weight.
+    The first one survives the plainest ground best. The ground of a trial is like one of several,
+    and it is not known which: each next candidate is the one that most raises the chance that at
+    least one of those so far walks, the mean over the grounds of 1 - prod(1 - chance). That is the
+    greedy rule, whose k candidates have at least 63 % of the chance of the best k (Nemhauser,
+    Wolsey, Fisher 1978). It is Bayes's rule after each fall, too: grounds on which the fallen ones
+    hardly ever fall lose weight.
 
     How steep a family's ramps are is its maker's choice, so that a candidate's chance on a ground
     is relative to the best one's there.
@@ -212,14 +204,14 @@ def covering_order(plainest: Floats, survival: Floats) -> NDArray[np.int64]:
 
 
 def earliness(plainest: Floats, survival: Floats) -> Floats:
-    """n less the place in that order, NaN where a candidate is not to be tried, [n]."""
+    """n less the place in `covering_order`, NaN where a candidate is not to be tried, [n]."""
     order = covering_order(plainest, survival)
     values = np.empty(len(order))
     values[order] = np.arange(len(order), 0, -1)
     return np.where(np.isnan(plainest), np.nan, values)
 
 
-# Of the families that a store may have: what nearly stands survives stairs, which says little.
+# Without stairs, which a gait survives that hardly moves.
 FAMILIES = ("rough", "blocks", "up", "down")
 SPEED = "mean_speed_mps"  # on the base setting
 MEAN = Survival().name  # the feature that is also the prior
@@ -271,7 +263,7 @@ def covered_table(
     plainest: tuple[str, ...] = PLAINEST,
     grounds: tuple[str, ...] = GROUNDS,
 ) -> FeatureTable:
-    """The rows of a store of worlds with what tells them apart on these grounds.
+    """The rows of a store of worlds, with features of how they survive these grounds.
 
     Args:
         path: of a store with a family of each ground, and one of longer walks after it; rows that
@@ -287,7 +279,7 @@ def covered_table(
 
 @checks.checked(path=checks.path, families=checks.each(checks.text))
 def survival_table(path: str | Path, families: tuple[str, ...] = FAMILIES) -> FeatureTable:
-    """The rows of a store with what `SurvivalSampler` compares them by.
+    """The rows of a store, with the features that `SurvivalSampler` compares.
 
     Args:
         path: of a store with these families; rows that fell on its base setting are not proposed.
@@ -310,7 +302,7 @@ def _table(path: str | Path, features: tuple[Feature, ...]) -> FeatureTable:
 
 
 class SurvivalSampler(FeatureKernelSampler):
-    """Survival of each family as features; their mean, or what covers them, ranks the first trials.
+    """Survival of each family as features; their mean, or their coverage, ranks the first trials.
 
     Args:
         table: of `covered_table` or `survival_table`, or any with a feature "coverage" or

@@ -63,6 +63,10 @@ class RankCorrelation:
     high: float
     errors: float
 
+    def __str__(self) -> str:
+        """The value and its interval."""
+        return f"{self.value:+.2f} ({self.low:+.2f} to {self.high:+.2f})"
+
     @classmethod
     def of(cls, feature: Floats, cost: Floats) -> "RankCorrelation | None":
         """Of n trials, [n] each; those without the feature (NaN) are left out.
@@ -128,7 +132,7 @@ class Worth:
         errors: None: too few trials, or all cost the same.
         is_doubted: every other trial is left to the parameters at present.
         maximised: the study's value is; costs are minus the values.
-        prior: what is to be said of it, in sentences.
+        prior: remarks on the option `prior`, in sentences.
     """
 
     trials: int
@@ -142,7 +146,7 @@ class Worth:
 
     @property
     def verdict(self) -> str:
-        """In a sentence; a correlation counts that is sure at 95 % for all features at once."""
+        """In a sentence; a correlation counts if it is sure at 95 % for all features at once."""
         if self.trials < LEAST_TRIALS:
             return f"too few trials: {self.trials} of {LEAST_TRIALS}"
         if self.errors is None:
@@ -168,7 +172,7 @@ class Worth:
         return f"Among these trials, the features are not (yet) worth anything: {error}."
 
     def _strongest(self) -> tuple[str, RankCorrelation] | None:
-        """The feature that goes with the cost most surely; None: none is sure, of so many."""
+        """The feature with the surest correlation; None: none is sure, of so many."""
         named = zip(self.names, self.correlations, strict=True)
         known = [(name, r) for name, r in named if r is not None]
         if not known:
@@ -189,8 +193,9 @@ class Worth:
 
     def markdown(self) -> str:
         """The same for a note in the dashboard."""
-        head = ["| " + " | ".join(HEAD) + " |", "|---|---|--:|"]
-        rows = ["| " + " | ".join(map(_escaped, row)) + " |" for row in self._rows()]
+        head = [f"| {' | '.join(HEAD)} |", "|---|---|--:|"]
+        escaped = [[cell.replace("|", "\\|") for cell in row] for row in self._rows()]
+        rows = [f"| {' | '.join(row)} |" for row in escaped]
         table = [*head, *rows, ""] if self.names else []
         return "\n".join([f"## {TITLE}", "", self.verdict, "", *table, *self._remarks()]).rstrip()
 
@@ -205,7 +210,7 @@ class Worth:
                 others.append(("(parameters)", "", parameters))
             others.append(("(noise)", "", noise))
         for name, r, weight in zip(self.names, self.correlations, weights, strict=True):
-            yield name, _correlation_text(r), weight
+            yield name, UNKNOWN if r is None else str(r), weight
         yield from others
 
     def _remarks(self) -> Iterator[str]:
@@ -220,15 +225,6 @@ class Worth:
             yield MAXIMISED
         if self.is_doubted:
             yield DOUBTED
-
-
-def _correlation_text(r: RankCorrelation | None) -> str:
-    return UNKNOWN if r is None else f"{r.value:+.2f} ({r.low:+.2f} to {r.high:+.2f})"
-
-
-def _escaped(cell: str) -> str:
-    """The text with its bars escaped, so that a name does not end a cell of the table."""
-    return cell.replace("|", "\\|")
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,7 +324,7 @@ def _gain(ours: Floats, others: Floats) -> float:
 
 
 def weights_of(model: Model, candidates: Points, owners: tuple[int, ...], count: int) -> Weights:
-    """The shares that a model gives: which part of the costs it puts down to what.
+    """The shares of the costs' variation that a model attributes to features, parameters and noise.
 
     A function of the candidates varies among m of them by (1/m) sum_a (f_a - mean f)^2. With the
     learned constants, a model expects of its parts, in standard units of the cost,

@@ -14,7 +14,6 @@ by most of them at once. Where several features predict the cost, the good end i
 """
 
 import warnings
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
@@ -84,8 +83,8 @@ class Proposal:
 NOTHING = Proposal({}, {})
 
 
-class Policy(ABC):
-    """A maker of proposals for the trials of any study.
+class Policy:
+    """A maker of proposals for the trials of any study: the common part of the two.
 
     Nothing is decided by what it remembers that the trials do not say: another process has none.
 
@@ -108,38 +107,6 @@ class Policy(ABC):
         self.known: Learned = {}
         self._proposals: dict[tuple[int, datetime | None], Proposal] = {}
         self._said: set[str] = set()
-
-    @abstractmethod
-    def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
-        """What `propose` will give values for: distributions by name."""
-
-    @abstractmethod
-    def propose(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
-    ) -> dict[str, Any]:
-        """Values of all parameters of the search space."""
-
-    @abstractmethod
-    def propose_one(
-        self, study: optuna.Study, trial: FrozenTrial, name: str, distribution: BaseDistribution
-    ) -> Any:
-        """The value of one parameter that `propose` has not given."""
-
-    @abstractmethod
-    def present(self, study: optuna.Study) -> Present | None:
-        """What is known of the features at present; None: nothing, there is no trial.
-
-        Raises:
-            InputError: of the feature function.
-        """
-
-    @abstractmethod
-    def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
-        """Note what a trial is, at its start."""
-
-    @abstractmethod
-    def after(self, study: optuna.Study, trial: FrozenTrial, *, is_complete: bool) -> None:
-        """Correct at a trial's end what was noted in it, if something else was run."""
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what another process computes again, and what runs here."""

@@ -17,7 +17,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from study.sampler.diagnostics import Worth, worth_of
 from study.sampler.gp import KERNELS
-from study.sampler.policy import Features, Options, Policy, one_thread
+from study.sampler.policy import Features, Options, one_thread
 from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
 from study.sampler.space_policy import SpacePolicy
 from study.sampler.table import FeatureTable
@@ -150,7 +150,7 @@ class FeatureKernelSampler(BaseSampler):
         seed = new_seed() if seed is None else seed
         independent = independent_sampler or ReproducibleRandomSampler(seed=seed)
         self._independent = independent
-        self._policy: Policy
+        self._policy: TablePolicy | SpacePolicy
         if isinstance(features, FeatureTable):
             self._policy = TablePolicy(features, feature_function, options, seed, independent)
         else:

@@ -10,7 +10,7 @@ Distances in the unit cube are what a Euclidean kernel sees: a parameter's whole
 different choices are 1 apart. New points are drawn anywhere, or near good ones.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any
@@ -75,7 +75,7 @@ class Space:
         if not isinstance(distribution, CategoricalDistribution) and not _is_number(value):
             return None
         try:
-            return _internal(distribution, value)
+            return float(distribution.to_internal_repr(value))  # also outside of the range
         except (TypeError, ValueError):
             return None
 
@@ -86,32 +86,22 @@ class Space:
         pins = zip(columns, numbers, strict=True)
         return replace(self, pins=tuple((c, n) for c, n in pins if n is not None))
 
-    def rows(self, trials: Iterable[Mapping[str, Any]]) -> Floats:
-        """Values of trials as rows, [n, d]."""
-        pairs = tuple(zip(self.names, self.distributions, strict=True))
-        rows = [[_internal(d, values[name]) for name, d in pairs] for values in trials]
-        return np.array(rows, dtype=np.float64).reshape(len(rows), len(self))
-
     def values(self, row: Floats) -> dict[str, Any]:
         """One row [d] as values, numbers of Python's own types."""
         pairs = zip(self.names, self.distributions, row.tolist(), strict=True)
         return {name: _external(distribution, value) for name, distribution, value in pairs}
 
-    def unit(self, rows: Floats) -> Floats:
-        """Rows [n, d] in the unit cube, [n, e]; values outside the ranges are moved to the edge."""
-        parts = [
-            _to_unit(distribution, _moved_inside(distribution, rows[:, column]))
-            for column, distribution in enumerate(self.distributions)
-        ]
-        return np.clip(np.hstack(parts), 0.0, 1.0) if parts else np.zeros((len(rows), 0))
+    def unit(self, rows: Floats, *, beyond: bool = False) -> Floats:
+        """Rows [n, d] in the unit cube, [n, e].
 
-    def unbounded(self, rows: Floats) -> Floats:
-        """The same, [n, e], but values outside the ranges lie outside the cube."""
+        Values outside the ranges are moved to the edge or, with `beyond`, lie outside the cube.
+        """
         parts = [
-            _to_unit(distribution, rows[:, column])
-            for column, distribution in enumerate(self.distributions)
+            _to_unit(distribution, values if beyond else _moved_inside(distribution, values))
+            for distribution, values in zip(self.distributions, rows.T, strict=True)
         ]
-        return np.hstack(parts) if parts else np.zeros((len(rows), 0))
+        cube = np.hstack(parts) if parts else np.zeros((len(rows), 0))
+        return cube if beyond else np.clip(cube, 0.0, 1.0)
 
     def from_fractions(self, fractions: Floats) -> Floats:
         """Rows [n, d] from numbers between 0 and 1, [n, d]: steps and integers are rounded."""
@@ -130,8 +120,8 @@ class Space:
             if isinstance(distribution, CategoricalDistribution):
                 fractions[:, column] = (values + 0.5) / len(distribution.choices)
             else:
-                inside = _to_unit(distribution, _moved_inside(distribution, values))
-                fractions[:, column] = np.clip(inside[:, 0], 0.0, 1.0)
+                unit = _to_unit(distribution, _moved_inside(distribution, values))
+                fractions[:, column] = np.clip(unit[:, 0], 0.0, 1.0)
         return fractions
 
 
@@ -167,7 +157,7 @@ def not_among(points: Floats, taken: Floats) -> NDArray[np.bool_]:
 
 
 def as_suggested(distribution: BaseDistribution, value: Any) -> Any:
-    """A value as a distribution has it: of its type, or the equal one of its choices.
+    """A value in the form of a distribution: of its type, or the equal one of its choices.
 
     Raises:
         ValueError: the distribution does not have it.
@@ -183,7 +173,7 @@ def as_suggested(distribution: BaseDistribution, value: Any) -> Any:
 def first_not_taken(
     own: BaseDistribution, values: Floats, suggested: BaseDistribution
 ) -> int | None:
-    """The first of the values [n] of one parameter that another distribution has not.
+    """The first of the values [n] of one parameter that another distribution does not hold.
 
     Args:
         own: the distribution that the values are of.
@@ -215,11 +205,6 @@ def _taken(distribution: Number, values: Floats) -> NDArray[np.bool_]:
 def _is_number(value: Any) -> bool:
     """Whether it is a number, and not a flag that counts as one."""
     return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def _internal(distribution: BaseDistribution, value: Any) -> float:
-    """A number for a value; a number outside its range is kept."""
-    return float(distribution.to_internal_repr(value))
 
 
 def _external(distribution: BaseDistribution, value: float) -> Any:

@@ -201,7 +201,7 @@ class Rows:
         """The same, computed."""
         if not len(self.numbers):
             return 0, np.inf
-        point = self.space.unbounded(parameters[None])[0]
+        point = self.space.unit(parameters[None], beyond=True)[0]
         squares = np.zeros(len(self.numbers))
         for column, value in enumerate(point):  # column by column: no second table is made
             squares += (self.chosen_unit[:, column] - value) ** 2

@@ -322,46 +322,47 @@ class TablePolicy(Policy):
         rows = self.rows
         self._warn_of_prior(history)
         seen = self._placed(history.parameters, self._shown(history))
-        running = self._placed(
-            history.running, self._features(history.running, history.running_rows, ())
-        )
+        features = self._features(history.running, history.running_rows, ())
+        running = self._placed(history.running, features)
         model = self.model(self.prior_mean, len(rows.space), history, seen, running, own_turn)
         free = offered[rows.numbers]
         utility = np.full(len(free), -np.inf)
         if free.any():
             utility = model.utility(self._points(), free, self.rng(Purpose.CANDIDATES, own_turn))
         if self.options.off_grid:
-            near = self._near(history, utility, own_turn)
-            new = not_among(near, np.vstack([history.parameters, history.running]))
-            value, off = self._best_of(near, new, model, own_turn)
+            value, off = self._off_table(history, utility, model, own_turn)
             if not free.any() or value > utility.max():
                 return off
         best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
         return self._of_row(int(rows.numbers[best]))
 
-    def _near(self, history: History, utility: Floats, own_turn: int) -> Floats:
-        """Points near the best rows and the best trials, [off_grid, d]."""
+    def _off_table(
+        self, history: History, utility: Floats, model: Model, own_turn: int
+    ) -> tuple[float, Proposal]:
+        """The best of some points near the best rows and trials, and its utility.
+
+        Args:
+            history: the trials.
+            utility: of the rows that may be proposed, [m].
+            model: of the trial.
+            own_turn: the trial's.
+        """
+        assert self.function is not None  # checked with off_grid
+        space = self.rows.space
         best = np.argsort(-utility, kind="stable")[:CENTRES]
         best = best[np.isfinite(utility[best])]
         incumbents = history.parameters[np.argsort(history.cost, kind="stable")[:INCUMBENTS]]
         centres = np.vstack([self.rows.parameters[self.rows.numbers[best]], incumbents])
         rng = self.rng(Purpose.OFF_GRID, own_turn)
-        return nearby(self.rows.space.pinned(history.fixed), centres, self.options.off_grid, rng)
-
-    def _best_of(
-        self, near: Floats, new: Mask, model: Model, own_turn: int
-    ) -> tuple[float, Proposal]:
-        """The best of some points off the table, of those that are new, and its utility."""
-        assert self.function is not None  # checked with off_grid
+        near = nearby(space.pinned(history.fixed), centres, self.options.off_grid, rng)
         features = call_features(self.function, near, len(self.own_rows.feature_names))
-        points = self._placed(near, features)
         known = np.asarray(~np.isnan(features).any(axis=1))
-        offered = known & new if (known & new).any() else known
+        new = known & not_among(near, np.vstack([history.parameters, history.running]))
         rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
-        utility = model.utility(points, offered, rng)
-        best = argmax_random_tie(utility, rng)
-        values = self.rows.space.values(near[best])
-        return float(utility[best]), Proposal(values, notes_of(OFF_TABLE, features[best]))
+        utility = model.utility(self._placed(near, features), new if new.any() else known, rng)
+        chosen = argmax_random_tie(utility, rng)
+        notes = notes_of(OFF_TABLE, features[chosen])
+        return float(utility[chosen]), Proposal(space.values(near[chosen]), notes)
 
     def _of_row(self, row: int) -> Proposal:
         """A row as a proposal."""
