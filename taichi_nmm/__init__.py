@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from taichi_nmm.body import Bodies
     from taichi_nmm.controller import Controller, Muscles
-    from taichi_nmm.cost import smooth_cost, walking_cost
     from taichi_nmm.errors import InputError
     from taichi_nmm.forward import forward_dynamics
     from taichi_nmm.observation import Observation
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
         load_all_gains,
         load_gains,
     )
-    from taichi_nmm.result import END_REASONS, Result, Trajectory
+    from taichi_nmm.result import END_REASONS, Result, Trajectory, smooth_cost, walking_cost
     from taichi_nmm.settings import Settings
     from taichi_nmm.simulator import simulate
     from taichi_nmm.terrain import Terrain
@@ -59,13 +58,12 @@ __all__ = [
 _PLACES = {
     "body": ("Bodies",),
     "controller": ("Controller", "Muscles"),
-    "cost": ("smooth_cost", "walking_cost"),
     "errors": ("InputError",),
     "forward": ("forward_dynamics",),
     "parameters": (
         "GAINS", "GAIN_NAMES", "PUBLISHED_GAINS", "LOW_LEVEL_GAINS", "load_all_gains", "load_gains",
     ),
-    "result": ("END_REASONS", "Result", "Trajectory"),
+    "result": ("END_REASONS", "Result", "Trajectory", "smooth_cost", "walking_cost"),
     "observation": ("Observation",),
     "settings": ("Settings",),
     "simulator": ("simulate",),

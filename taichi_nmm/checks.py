@@ -1,7 +1,7 @@
-"""Named checks of what a caller gives, and `checked`, which applies them at a public door.
+"""Checks of what a caller gives, and `checked`, which applies them to a function's arguments.
 
-A check takes the field's name and the value, and returns what to go on with; a value that cannot be
-used is an `InputError`. Types are checked here, once: what follows may rely on them.
+A check takes the field's name and the value, and returns the value to go on with; a value that
+cannot be used is an `InputError`. Configurations (`config`) are checked by the same functions.
 """
 
 import math
@@ -49,17 +49,29 @@ def checked(prefix: str = "", /, **checks: Check) -> Callable[[Callable[P, R]], 
 
 
 def check_fields(record: object, prefix: str, **checks: Check) -> None:
-    """The same for the fields of a frozen dataclass, in its `__post_init__`."""
+    """Check fields of a frozen dataclass, in its `__post_init__`."""
     for name, check in checks.items():
         object.__setattr__(record, name, check(prefix + name, getattr(record, name)))
 
 
+def that(holds: Callable[[Any], bool], allowed: str) -> Check:
+    """A value for which `holds` is true, as it is."""
+
+    def check(field: str, value: Any) -> Any:
+        if not holds(value):
+            raise InputError(field, value, allowed)
+        return value
+
+    return check
+
+
 def number(low: float = -math.inf, high: float = math.inf, allowed: str = "") -> Check:
-    """A finite number from `low` to `high`; `allowed` says it in other words."""
+    """A finite number from `low` to `high`; `allowed` describes it in other words."""
+    allowed = allowed or _within("a finite number", low, high)
 
     def check(field: str, value: Any) -> Any:
         if not is_number(value) or not (math.isfinite(value) and low <= value <= high):
-            raise InputError(field, value, allowed or _ends("a finite number", low, high))
+            raise InputError(field, value, allowed)
         return value or abs(value)  # no negative zero
 
     return check
@@ -79,17 +91,14 @@ def is_number(value: Any) -> bool:
 def whole(low: float = -math.inf, high: float = math.inf) -> Check:
     """A whole number from `low` to `high`."""
 
-    def check(field: str, value: Any) -> Any:
-        if isinstance(value, bool) or not isinstance(value, int | np.integer):
-            raise InputError(field, value, _ends("a whole number", low, high))
-        if not low <= value <= high:
-            raise InputError(field, value, _ends("a whole number", low, high))
-        return value
+    def holds(value: Any) -> bool:
+        whole_number = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        return whole_number and bool(low <= value <= high)
 
-    return check
+    return that(holds, _within("a whole number", low, high))
 
 
-def _ends(kind: str, low: float, high: float) -> str:
+def _within(kind: str, low: float, high: float) -> str:
     least = f" from {low}" if low > -math.inf else ""
     return kind + least + (f" to {high}" if high < math.inf else "")
 
@@ -101,55 +110,27 @@ def seed(field: str, value: Any) -> Any:
     return whole(0, LARGEST_SEED)(field, value)
 
 
-def text(field: str, value: Any) -> Any:
-    """A string."""
-    if not isinstance(value, str):
-        raise InputError(field, value, "a string")
-    return value
+def _names_a_file(value: Any) -> bool:
+    return isinstance(value, str | os.PathLike) and not isinstance(os.fspath(value), bytes)
+
+
+text = that(lambda value: isinstance(value, str), "a string")
+flag = that(lambda value: isinstance(value, bool | np.bool_), "True or False")
+function = that(callable, "a function")
+path = that(_names_a_file, "a path: a string or a pathlib.Path")
+anything = that(lambda value: True, "")
+"""Another check will follow."""
 
 
 def word(*choices: str) -> Check:
     """One of some words."""
-
-    def check(field: str, value: Any) -> Any:
-        if not isinstance(value, str) or value not in choices:
-            raise InputError(field, value, " or ".join(choices))
-        return value
-
-    return check
-
-
-def path(field: str, value: Any) -> Any:
-    """A path: a string or a `pathlib.Path`."""
-    if not isinstance(value, str | os.PathLike) or isinstance(os.fspath(value), bytes):
-        raise InputError(field, value, "a path: a string or a pathlib.Path")
-    return value
-
-
-def flag(field: str, value: Any) -> Any:
-    """True or false."""
-    if not isinstance(value, bool | np.bool_):
-        raise InputError(field, value, "True or False")
-    return value
-
-
-def function(field: str, value: Any) -> Any:
-    """A function."""
-    if not callable(value):
-        raise InputError(field, value, "a function")
-    return value
+    return that(lambda value: isinstance(value, str) and value in choices, " or ".join(choices))
 
 
 def instance(*kinds: type) -> Check:
     """An object of one of some classes."""
     names = " or ".join(f"a {kind.__name__}" for kind in kinds)
-
-    def check(field: str, value: Any) -> Any:
-        if not isinstance(value, kinds):
-            raise InputError(field, value, names)
-        return value
-
-    return check
+    return that(lambda value: isinstance(value, kinds), names)
 
 
 def optional(check: Check) -> Check:
@@ -193,11 +174,6 @@ def interval(low: float = -math.inf, high: float = math.inf) -> Check:
         return ends
 
     return check
-
-
-def anything(field: str, value: Any) -> Any:
-    """Whatever it is: another one will check it."""
-    return value
 
 
 def numbers(field: str, values: Any) -> NDArray[np.float64]:

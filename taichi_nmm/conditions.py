@@ -1,7 +1,4 @@
-"""Under which conditions walkers walk: simulation, body, ground and world, as configured.
-
-Which seed draws a body and a terrain is the caller's to say.
-"""
+"""The conditions of a walk, as configured: simulation, body, ground and world."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,26 +7,23 @@ import numpy as np
 
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
-from taichi_nmm.settings import ENGINES, OWN_ENGINE, MujocoSettings, Settings
+from taichi_nmm.settings import ENGINES, MujocoSettings, Settings
 from taichi_nmm.terrain import Ground, Terrain, read_ground
-from taichi_nmm.world import NOMINAL, NOT_OURS, OWN_CONTACT, WorldRanges, Worlds, read_world
+from taichi_nmm.world import NOMINAL, WorldRanges, Worlds, read_world
 
 MOST_DISTURBANCE = 0.9  # of a configuration; beyond it masses come near zero
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """The tables [simulation], [body], [terrain] and [world] of a configuration.
-
-    They pickle and hash.
+    """The tables [simulation], [body], [terrain] and [world] of a configuration; hashable.
 
     Attributes:
         duration_s: how long a walker may walk.
         settings: how the simulation is integrated, and on which machine.
         disturbance: largest relative disturbance of a body, as in `Bodies.disturbed`.
         ground: kind of terrain, with its options.
-        world_ranges: what a walker's world is drawn from.
+        world_ranges: the ranges that a walker's world is drawn from.
     """
 
     duration_s: float
@@ -51,18 +45,18 @@ class Conditions:
         return self.ground.draw(seed)
 
     def on_one_thread(self) -> "Conditions":
-        """The same for one of several processes of a machine; no result depends on it."""
+        """The same on one thread, for one of several processes; no result depends on it."""
         return replace(self, settings=replace(self.settings, threads=1))
 
     def simulation_document(self) -> dict[str, Any]:
-        """What decides a result, of [simulation], as JSON values by name: nothing of the machine.
+        """The part of [simulation] that decides a result, as JSON values by name.
 
         Stores hash it, so a new setting is one more key at its end.
         """
         return {"duration_s": self.duration_s, **self.settings.document()}
 
     def as_written(self) -> dict[str, Any]:
-        """The tables as a configuration has them, less what belongs to the machine."""
+        """The tables as a configuration has them, less the machine's settings."""
         world = self.world_ranges.document()
         return {
             "simulation": self.simulation_document(),
@@ -96,27 +90,28 @@ def read_conditions(
     duration_s = simulation.number("duration_s", duration_s, shortest_s, longest_s)
     settings = read_settings(simulation, arch)
     simulation.done()
-    world_ranges = read_world(table.table("world"))
-    if settings.engine != OWN_ENGINE:
-        for name in set(world_ranges.document()) & set(OWN_CONTACT):
-            raise InputError(f"world.{name}", getattr(world_ranges, name), NOT_OURS)
     return Conditions(
         duration_s=duration_s,
         settings=settings,
         disturbance=read_disturbance(table.table("body")),
         ground=read_ground(table.table("terrain")),
-        world_ranges=world_ranges,
+        world_ranges=read_world(table.table("world"), settings.engine),
     )
 
 
 def read_settings(table: Table, arch: str | None = None) -> Settings:
     """`Settings` from the table [simulation], less its other keys; `arch` overrides the file's."""
-    configured = table.text("arch", "auto")
-    default = Settings()
+    configured, default = table.text("arch", "auto"), Settings()
     own: dict[str, Any] = {}
     engine = table.text("engine", default.engine, ENGINES)
     if engine == "mujoco":
-        own["mujoco"] = _read_mujoco(table.table("mujoco"))
+        mujoco = table.table("mujoco")
+        own["mujoco"] = MujocoSettings(
+            time_constant_s=mujoco.number("time_constant_s", default.mujoco.time_constant_s),
+            damping_ratio=mujoco.number("damping_ratio", default.mujoco.damping_ratio),
+            limits=mujoco.text("limits", default.mujoco.limits),
+        )
+        mujoco.done()
     else:
         own["contact_relaxation_speed_mps"] = table.number(
             "contact_relaxation_speed_mps", default.contact_relaxation_speed_mps
@@ -128,18 +123,6 @@ def read_settings(table: Table, arch: str | None = None) -> Settings:
         arch=arch or configured,
         **own,
     )
-
-
-def _read_mujoco(table: Table) -> MujocoSettings:
-    """The table [simulation.mujoco]. Reads every key."""
-    default = MujocoSettings()
-    settings = MujocoSettings(
-        time_constant_s=table.number("time_constant_s", default.time_constant_s),
-        damping_ratio=table.number("damping_ratio", default.damping_ratio),
-        limits=table.text("limits", default.limits),
-    )
-    table.done()
-    return settings
 
 
 def read_disturbance(table: Table) -> float:

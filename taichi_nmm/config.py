@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from taichi_nmm.checks import is_number
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_file, toml_document
 
@@ -30,47 +30,35 @@ class Table:
         self, key: str, default: Any = REQUIRED, low: float = -math.inf, high: float = math.inf
     ) -> float:
         """A finite number within [low, high]."""
-        value = self._take(key, default)
         allowed = f"a number from {low:g} to {high:g}"
-        if not is_number(value) or not (math.isfinite(value) and low <= value <= high):
-            raise InputError(self.path(key), value, allowed)
-        return float(value)
+        return float(self._read(key, default, checks.number(low, high, allowed)))
 
     def range(
         self, key: str, default: tuple[float, float], low: float, high: float
     ) -> tuple[float, float]:
         """Two finite numbers within [low, high], the second no less than the first."""
-        value = self._take(key, list(default))
-        allowed = f"[lowest, highest], two numbers from {low:g} to {high:g} in this order"
-        if not isinstance(value, list) or not all(map(is_number, value)) or len(value) != 2:
-            raise InputError(self.path(key), value, allowed)
-        lowest, highest = map(float, value)
-        if not low <= lowest <= highest <= high:
-            raise InputError(self.path(key), value, allowed)
-        return lowest, highest
+        value = self._take(key, default)
+        try:
+            lowest, highest = checks.interval(low, high)(self.path(key), value)
+        except InputError:
+            allowed = f"[lowest, highest], two numbers from {low:g} to {high:g} in this order"
+            raise InputError(self.path(key), value, allowed) from None
+        return float(lowest), float(highest)
 
     def integer(
         self, key: str, default: Any = REQUIRED, low: int = 0, high: int = 2**63 - 1
     ) -> int:
         """A whole number within [low, high]."""
-        value = self._take(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise InputError(self.path(key), value, f"a whole number from {low} to {high}")
-        return value
+        return int(self._read(key, default, checks.whole(low, high)))
 
     def text(self, key: str, default: Any = REQUIRED, choices: tuple[str, ...] = ()) -> str:
         """A string, one of `choices` where they are given."""
-        value = self._take(key, default)
-        if not isinstance(value, str) or (choices and value not in choices):
-            raise InputError(self.path(key), value, " or ".join(choices) or "a string")
-        return value
+        return str(self._read(key, default, checks.word(*choices) if choices else checks.text))
 
     def boolean(self, key: str, default: Any = REQUIRED) -> bool:
         """true or false."""
-        value = self._take(key, default)
-        if not isinstance(value, bool):
-            raise InputError(self.path(key), value, "true or false")
-        return value
+        true_or_false = checks.that(lambda value: isinstance(value, bool), "true or false")
+        return bool(self._read(key, default, true_or_false))
 
     def texts(self, key: str, choices: tuple[str, ...] = ()) -> tuple[str, ...]:
         """An array of strings, each once, of `choices` where they are given; empty if missing."""
@@ -86,9 +74,8 @@ class Table:
     def table(self, key: str) -> "Table":
         """A sub-table, the same one however often it is asked for; empty where it is missing."""
         if key not in self._tables:
-            value = self._take(key, {})
-            if not isinstance(value, dict):
-                raise InputError(self.path(key), value, "a table")
+            is_table = checks.that(lambda value: isinstance(value, dict), "a table")
+            value = self._read(key, {}, is_table)
             self._tables[key] = Table(value, self.path(key), self.folder)
         return self._tables[key]
 
@@ -97,8 +84,10 @@ class Table:
         value = self._take(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise InputError(self.path(key), value, "an array of tables")
-        names = (f"{self.path(key)}[{index}]" for index in range(len(value)))
-        return [Table(*pair, self.folder) for pair in zip(value, names, strict=True)]
+        return [
+            Table(item, f"{self.path(key)}[{index}]", self.folder)
+            for index, item in enumerate(value)
+        ]
 
     @property
     def unread(self) -> dict[str, Any]:
@@ -109,6 +98,9 @@ class Table:
         """Refuse keys that nothing has read."""
         for key, value in self._data.items():
             raise InputError(self.path(key), value, f"only the keys {', '.join(self._known)}")
+
+    def _read(self, key: str, default: Any, check: checks.Check) -> Any:
+        return check(self.path(key), self._take(key, default))
 
     def _take(self, key: str, default: Any) -> Any:
         self._known.append(key)

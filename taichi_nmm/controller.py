@@ -1,8 +1,7 @@
-"""`Controller`: muscles, delays, reflexes and swing-leg placement for a body of anybody's.
+"""`Controller`: muscles, delays, reflexes and swing-leg placement, for a body anywhere.
 
-The body may live in any simulator, or in a room. Every physics step it hands in what it
-senses (`Observation`) and gets the torques of its six joints. docs/controller.md has an example on
-one page.
+The body may be one of any simulator, or a robot. Every physics step, `Controller.step` takes its
+`Observation` and returns the torques of its six joints. docs/controller.md has an example.
 """
 
 from dataclasses import dataclass
@@ -13,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_nmm import checks
 from taichi_nmm.body import Bodies
-from taichi_nmm.constants import blends, constant_rows
 from taichi_nmm.errors import InputError
 from taichi_nmm.initial import filled_delays, first_signals, relaxed_fibres
 from taichi_nmm.kernel import backend
@@ -35,7 +33,7 @@ from taichi_nmm.kernel.swing import HOLD
 from taichi_nmm.observation import JOINTS, Observation, sense_rows
 from taichi_nmm.packs import Packs
 from taichi_nmm.settings import Settings
-from taichi_nmm.walkers import check_batch
+from taichi_nmm.walkers import blends, check_batch, constant_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +54,7 @@ class Muscles:
 
 
 class Controller:
-    """n neuromuscular controllers, a batch; each walks a body that somebody else simulates.
+    """A batch of n neuromuscular controllers, each for a body that another simulator moves.
 
     Call `step` once a physics step (`settings.physics_step_s`); new orders go to the muscles every
     1 ms. The first call begins the walk: muscles are relaxed, and nerves feel that moment.
@@ -84,7 +82,7 @@ class Controller:
         self._settings = (settings or Settings()).on_processor()
         batch = check_batch(gains, bodies, low_level_gains=low_level_gains)
         self._constants = constant_rows(batch, self._settings)
-        self._running: _Running | None = None
+        self._packs: Packs | None = None  # until the first step
         self._step = 0
 
     def __len__(self) -> int:
@@ -101,13 +99,16 @@ class Controller:
         """
         arrays = checks.instance(Observation)("observation", observation).checked(len(self))
         backend.start(self._settings)
-        if self._running is None:
-            self._running = self._run(_first_rows(arrays))
-        elif self._running.actuate.stale:
-            self._running = self._run(self._running.rows())
+        packs = self._packs
+        if packs is None:
+            packs = self._bind(_first_rows(arrays))
+        elif self._kernel.stale:
+            packs = self._bind(packs.unfold(packs.rows))
         tick, within = divmod(self._step, self._settings.substeps)
         self._step += 1
-        return self._running.step(sense_rows(arrays), tick, commands=within == 0)
+        self._senses[...] = packs.fold(sense_rows(arrays))
+        self._kernel.launch(tick=tick, commands=int(within == 0))
+        return packs.unfold(self._torques).astype(np.float64)
 
     def keep(self, rows: ArrayLike) -> None:
         """Go on with these controllers alone, in this order: the others' bodies have fallen.
@@ -117,9 +118,9 @@ class Controller:
         """
         index = checks.row_numbers("rows", rows, len(self))
         self._constants = self._constants[index]
-        if self._running is not None:
+        if self._packs is not None:
             backend.start(self._settings)
-            self._running = self._run(self._running.rows()[index])
+            self._bind(self._packs.unfold(self._packs.rows)[index])
 
     @property
     def muscles(self) -> Muscles:
@@ -128,47 +129,26 @@ class Controller:
         Raises:
             InputError: before the first.
         """
-        if self._running is None:
+        if self._packs is None:
             raise InputError("controller.muscles", "no step yet", "a first step")
-        rows = self._running.rows()[:, FIRST_FIBRE:].astype(np.float64)
-
-        def block(first: int) -> NDArray[np.float64]:
-            return rows[:, first : first + MUSCLE_COUNT]
-
-        return Muscles(
-            activation=block(Muscle.activation),
-            stimulation=block(Muscle.stimulation),
-            length=block(Muscle.length),
-            force_n=block(Muscle.force) * np.tile(FMAX_N, LEGS),
+        rows = self._packs.unfold(self._packs.rows)[:, FIRST_FIBRE:].astype(np.float64)
+        activation, stimulation, length, force = (
+            rows[:, first : first + MUSCLE_COUNT]
+            for first in (Muscle.activation, Muscle.stimulation, Muscle.length, Muscle.force)
         )
+        return Muscles(activation, stimulation, length, force * np.tile(FMAX_N, LEGS))
 
-    def _run(self, rows: NDArray[Any]) -> "_Running":
-        return _Running(rows, self._constants, self._settings.physics_step_s)
-
-
-class _Running:
-    """The controllers' rows in packs, and the kernel bound to them."""
-
-    def __init__(self, rows: NDArray[Any], constants: NDArray[np.float64], step_s: float) -> None:
-        real, lanes = backend.real_dtype(), backend.lanes()
-        nowhere = np.zeros(len(rows), dtype=np.int32)
-        self._packs = Packs(rows, constants, nowhere, lanes, real)
-        self._senses = np.zeros((len(self._packs.rows), Sense.count, lanes), dtype=real)
-        self._torques = np.zeros((len(self._packs.rows), JOINTS, lanes), dtype=real)
-        self.actuate = backend.BoundKernel(
-            actuate, lanes, self._packs.rows, self._packs.constants,
+    def _bind(self, rows: NDArray[Any]) -> Packs:
+        """The controllers' rows in packs, and the kernel bound to them."""
+        step_s, real = self._settings.physics_step_s, backend.real_dtype()
+        packs = self._packs = Packs(rows, self._constants)
+        self._senses = np.zeros((len(packs.rows), Sense.count, packs.lanes), dtype=real)
+        self._torques = np.zeros((len(packs.rows), JOINTS, packs.lanes), dtype=real)
+        self._kernel = backend.BoundKernel(
+            actuate, packs.lanes, packs.rows, packs.constants,
             muscle_table(step_s).astype(real), self._senses, self._torques, 0, 1, *blends(step_s),
         )  # fmt: skip
-
-    def step(self, senses: NDArray[np.float64], tick: int, commands: bool) -> NDArray[np.float64]:
-        """Torques, [n, 6], from rows of `layout.Sense`, [n, rows]."""
-        self._senses[...] = self._packs.fold(senses)
-        self.actuate.launch(tick=tick, commands=int(commands))
-        return self._packs.unfold(self._torques).astype(np.float64)
-
-    def rows(self) -> NDArray[Any]:
-        """Rows of each controller, [n, WALKER_ROWS]."""
-        return self._packs.unfold(self._packs.rows)
+        return packs
 
 
 def _first_rows(observation: dict[str, NDArray[Any]]) -> NDArray[np.float64]:

@@ -5,19 +5,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_nmm import checks
 from taichi_nmm.body import Bodies
-from taichi_nmm.constants import constant_rows
 from taichi_nmm.errors import InputError
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.entry_points import accelerate
 from taichi_nmm.kernel.layout import COORDINATES
+from taichi_nmm.packs import Packs
 from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.settings import Settings
-from taichi_nmm.walkers import check_batch
+from taichi_nmm.walkers import check_batch, constant_rows
 
 JOINTS = 6
 
 
-@checks.checked(bodies=checks.optional(checks.instance(Bodies)))
 def forward_dynamics(
     q: ArrayLike, qdot: ArrayLike, joint_torque: ArrayLike, bodies: Bodies | None = None
 ) -> NDArray[np.float64]:
@@ -37,21 +36,15 @@ def forward_dynamics(
     count = len(angles)
     rates = _matrix("qdot", qdot, COORDINATES, count)
     torques = _matrix("joint_torque", joint_torque, JOINTS, count)
-    states = np.hstack([angles, rates])
-    bodies = Bodies.nominal() if bodies is None else bodies
-    if len(bodies) not in (1, count):
-        raise InputError("bodies", len(bodies), f"one body, or {count}")
+    batch = check_batch(np.tile(PUBLISHED_GAINS, (count, 1)), bodies)
     settings = Settings(precision="float64", arch="cpu")
     backend.start(settings)
-    constants = constant_rows(check_batch(np.tile(PUBLISHED_GAINS, (count, 1)), bodies), settings)
-    lanes = backend.lanes()
-    padded = -(-count // lanes) * lanes
-    accelerations = np.zeros((padded // lanes, COORDINATES, lanes))
+    packs = Packs(np.hstack([angles, rates]), constant_rows(batch, settings))
+    accelerations = np.zeros((len(packs.rows), COORDINATES, packs.lanes))
     backend.launch(
-        accelerate, lanes, _fold(states, padded, lanes), _fold(torques, padded, lanes),
-        _fold(constants, padded, lanes), accelerations,
-    )  # fmt: skip
-    return accelerations.transpose(0, 2, 1).reshape(padded, COORDINATES)[:count]
+        accelerate, packs.lanes, packs.rows, packs.fold(torques), packs.constants, accelerations
+    )
+    return packs.unfold(accelerations)
 
 
 def _matrix(
@@ -63,9 +56,3 @@ def _matrix(
     if not fits or (rows is not None and len(matrix) != rows):
         raise InputError(f"{name}.shape", matrix.shape, f"[{count}, {columns}]")
     return checks.finite(name, matrix)
-
-
-def _fold(flat: NDArray[np.float64], padded: int, lanes: int) -> NDArray[np.float64]:
-    """[n, row] to [pack, row, lane], filled up with the last row."""
-    full = flat[np.minimum(np.arange(padded), len(flat) - 1)]
-    return np.ascontiguousarray(full.reshape(-1, lanes, flat.shape[1]).transpose(0, 2, 1))

@@ -1,23 +1,29 @@
-"""Where Taichi keeps compiled kernels: checked before it starts, since it checks nothing itself.
+"""The environment that Taichi runs in: a place for compiled kernels, and none of its variables.
 
-Without a home it aborts the process, and a folder that cannot be written costs a compilation of
-half a minute at every start, with no word.
+Taichi checks neither. Without a home it aborts the process, and where the folder cannot be written
+it compiles for half a minute at every start. TI_ARCH and its like override the arguments of
+`ti.init`, or abort the process where they are misspelt.
 """
 
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from taichi_nmm.errors import InputError
 
 CACHE_VARIABLE = "TI_OFFLINE_CACHE_FILE_PATH"  # Taichi's own
 DEFAULT_CACHE = Path(".cache") / "taichi"  # of the home
+PREFIX = "TI_"
+SETTLED = {
+    "LC_ALL": "C.UTF-8",  # Taichi decodes its own path: an unknown locale is an exception
+    "TI_ENABLE_PYBUF": "0",  # else it prints in a notebook, and reads a buffer at every launch
+}
 
 
 def require_kernel_cache() -> None:
-    """Refuse a machine on which Taichi can keep no kernels; no Taichi is loaded.
-
-    A cache of another version needs no check: Taichi compiles anew what it does not know.
+    """Refuse a machine on which Taichi can keep no kernels, before Taichi is loaded.
 
     Raises:
         InputError: no home, or no folder that can be written.
@@ -34,3 +40,17 @@ def require_kernel_cache() -> None:
     except OSError as error:
         allowed = f"a folder that can be written, for compiled kernels ({error.strerror})"
         raise InputError(CACHE_VARIABLE if named else "HOME", str(folder), allowed) from None
+
+
+@contextmanager
+def settled_environment() -> Iterator[None]:
+    """Hide all variables of Taichi but the cache's, and set a locale that Python has."""
+    hidden = [name for name in os.environ if name.startswith(PREFIX) and name != CACHE_VARIABLE]
+    kept = {name: os.environ.pop(name, None) for name in {*hidden, *SETTLED}}
+    os.environ.update(SETTLED)
+    try:
+        yield
+    finally:
+        for name in SETTLED:
+            del os.environ[name]
+        os.environ.update({name: value for name, value in kept.items() if value is not None})

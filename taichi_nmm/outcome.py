@@ -1,13 +1,32 @@
-"""From a walker's final state and sums to its row of results."""
+"""From the kernel's rows to what a simulation returns: result rows, and recorded trajectories."""
+
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_nmm import checks
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
-from taichi_nmm.kernel.layout import State, Sums
-from taichi_nmm.result import MUSCLES, RESULT_DTYPE
+from taichi_nmm.errors import InputError
+from taichi_nmm.kernel.layout import (
+    COORDINATES,
+    FIRST_EVENT,
+    FIRST_FIBRE,
+    FIRST_SUM,
+    LEGS,
+    MUSCLE_COUNT,
+    WALKER_ROWS,
+    Gait,
+    Muscle,
+    State,
+    Sums,
+)
+from taichi_nmm.kernel.muscle_table import FMAX_N
+from taichi_nmm.packs import Packs
+from taichi_nmm.result import EVENT_DTYPE, MUSCLES, RESULT_DTYPE, Trajectory
 from taichi_nmm.settings import CONTROL_TICK_S
 
+TICKS_PER_SECOND = round(1.0 / CONTROL_TICK_S)
 SCORE_SUMS = {
     "m1": "m1_sum", "m2": "m2_sum", "m3": "m3_sum", "m4": "m4_sum", "m5": "m5_sum_mps",
     "m5_corrected": "m5_corrected_sum",
@@ -41,12 +60,6 @@ def result_rows(
     work = mass * np.maximum(rows["distance_m"], 0.0)
     rows["cost_of_transport_jpkgpm"] = _quotient(sums[:, Sums.metabolic_energy], work)
     rows["survived_fraction"] = rows["duration_s"] / duration_s
-    _score(rows, sums)
-    _summary(rows, sums, mass * GRAVITY_MPS2)
-    return rows
-
-
-def _score(rows: NDArray[np.void], sums: NDArray[np.float64]) -> None:
     steps = sums[:, Sums.steps]
     rows["step_count"] = np.round(steps).astype(np.int32)
     for name, column in SCORE_SUMS.items():
@@ -56,6 +69,8 @@ def _score(rows: NDArray[np.void], sums: NDArray[np.float64]) -> None:
     binary = rows["m1_sum"] + rows["m2_sum"] + rows["m3_sum"] + rows["m4_sum"]
     rows["phi_printed"] = binary + rows["m5_sum_mps"]
     rows["phi_corrected"] = binary + rows["m5_corrected_sum"]
+    _summary(rows, sums, mass * GRAVITY_MPS2)
+    return rows
 
 
 def _summary(
@@ -87,3 +102,82 @@ def _summary(
 
 def _quotient(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.divide(a, b, out=np.zeros(len(a)), where=b > 0)
+
+
+class Recorder:
+    """Cuts chunks of ticks at the sample times, and keeps the rows of chosen walkers there."""
+
+    def __init__(self, walkers: Sequence[int], rate_hz: float, count: int) -> None:
+        self._walkers: list[int] = checks.row_numbers("record", walkers, count).tolist()
+        if not 0 < rate_hz <= TICKS_PER_SECOND or TICKS_PER_SECOND % rate_hz:
+            raise InputError("record_rate_hz", rate_hz, f"a divisor of {TICKS_PER_SECOND}")
+        self._interval = round(TICKS_PER_SECOND / rate_hz)
+        self._ticks: dict[int, list[int]] = {walker: [] for walker in self._walkers}
+        self._rows: dict[int, list[NDArray[np.float64]]] = {walker: [] for walker in self._walkers}
+
+    def parts(self, tick: int, ticks: int) -> Iterator[int]:
+        """Lengths into which a chunk that starts at `tick` is cut."""
+        end = tick + ticks
+        while tick < end:
+            part = end - tick
+            if self._walkers:
+                part = min(part, self._interval - tick % self._interval)
+            yield part
+            tick += part
+
+    def sample(self, tick: int, packs: Packs) -> None:
+        """At a sample time, keep the rows of the recorded walkers that are up."""
+        if tick % self._interval:
+            return
+        for walker in self._rows:
+            seat = packs.lane_of(walker)
+            if seat is None:
+                continue
+            rows = packs.rows[seat[0], :, seat[1]].astype(np.float64)
+            if rows[State.end_tick] >= tick:
+                self._ticks[walker].append(tick)
+                self._rows[walker].append(rows)
+
+    def trajectories(self) -> tuple[Trajectory, ...]:
+        """The trajectories, in the order in which the walkers were asked for."""
+        return tuple(self._trajectory(walker) for walker in self._walkers)
+
+    def _trajectory(self, walker: int) -> Trajectory:
+        # Empty for a walker that diverged before the first sample.
+        rows = np.array(self._rows[walker]).reshape(-1, WALKER_ROWS)
+        q, fibres = rows[:, State.q : State.q + COORDINATES], rows[:, FIRST_FIBRE:]
+        touching = rows[:, State.touching : State.touching + 2 * LEGS].reshape(-1, LEGS, 2)
+        force = fibres[:, Muscle.force : Muscle.force + MUSCLE_COUNT]
+        return Trajectory(
+            walker=walker,
+            time_s=np.array(self._ticks[walker], dtype=np.float64) * CONTROL_TICK_S,
+            q=q,
+            qdot=rows[:, State.qdot : State.qdot + COORDINATES],
+            joint_rad=q[:, 3:] - q[:, [2, 3, 4, 2, 6, 7]],
+            activation=fibres[:, Muscle.activation : Muscle.activation + MUSCLE_COUNT],
+            muscle_force_n=force * np.tile(FMAX_N, LEGS),
+            ground_force_n=_mean_forces(rows, self._interval),
+            stance=np.any(touching > 0.5, axis=2),
+            events=_events(rows),
+        )
+
+
+def _mean_forces(rows: NDArray[np.float64], interval: int) -> NDArray[np.float64]:
+    """Forces over each sample interval, from the running impulses (drained at every chunk)."""
+    first = FIRST_SUM + Sums.impulse
+    impulse = rows[:, first : first + 2 * LEGS]
+    ticks = rows[:, FIRST_SUM + Sums.ticks]
+    before = np.vstack([np.zeros((1, 2 * LEGS)), impulse])[:-1]
+    restarted = np.diff(ticks, prepend=0.0) <= 0
+    before[restarted] = 0.0
+    return (impulse - before) / (interval * CONTROL_TICK_S)
+
+
+def _events(rows: NDArray[np.float64]) -> NDArray[np.void]:
+    """Strikes and take-offs, from the ticks that the legs remember."""
+    events = []
+    for kind, row in enumerate((Gait.tick_strike, Gait.tick_takeoff)):
+        for side in range(LEGS):
+            remembered = np.unique(rows[:, FIRST_EVENT + row + side])
+            events += [(tick * CONTROL_TICK_S, side, kind) for tick in remembered if tick > 0]
+    return np.sort(np.array(events, dtype=EVENT_DTYPE), order="time_s")

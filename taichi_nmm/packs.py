@@ -1,10 +1,11 @@
-"""Packs of walkers between launches: who sits in which lane, and what has been summed so far."""
+"""Packs of walkers between launches: which walker is in which lane, and the sums so far."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.layout import FIRST_SUM, State, Sums
 
 FULL_ENOUGH = 0.9  # compacting copies every row: not worth it for a few fallen walkers
@@ -12,6 +13,8 @@ FULL_ENOUGH = 0.9  # compacting copies every row: not worth it for a few fallen 
 
 class Packs:
     """Rows of the walkers that still walk, and the final rows of those that have ended.
+
+    The backend runs already: it sets lanes and precision.
 
     Attributes:
         lanes: walkers a pack.
@@ -25,27 +28,29 @@ class Packs:
         self,
         rows: NDArray[Any],
         constants: NDArray[np.float64],
-        terrains: NDArray[np.int32],
-        lanes: int,
-        real: type[np.floating[Any]],
+        terrains: NDArray[np.int32] | None = None,
     ) -> None:
-        self.lanes = lanes
-        self.walkers = np.arange(len(rows))
-        self.rows = self.fold(rows.astype(real))
-        self.constants = self.fold(constants.astype(real))
-        self.terrains = self.fold(terrains[:, None])[:, 0, :].copy()
+        self.lanes, real = backend.lanes(), backend.real_dtype()
+        grounds = np.zeros(len(rows), dtype=np.int32) if terrains is None else terrains
+        self._seat(np.arange(len(rows)), rows.astype(real), constants.astype(real), grounds)
         self._final = np.zeros((len(rows), State.count))
         self._sums = np.zeros((len(rows), Sums.count))
 
-    @property
-    def active(self) -> int:
-        """How many walkers have neither fallen nor diverged."""
-        return int(np.count_nonzero(self.up()))
+    def _seat(
+        self,
+        walkers: NDArray[np.intp],
+        rows: NDArray[Any],
+        constants: NDArray[Any],
+        terrains: NDArray[np.int32],
+    ) -> None:
+        self.walkers = walkers
+        self.rows = self.fold(rows)
+        self.constants = self.fold(constants)
+        self.terrains = self.fold(terrains[:, None])[:, 0, :].copy()
 
     def drain(self) -> None:
         """Move the kernel's sums into float64 totals, so that long walks lose no digits."""
-        sums = self.unfold(self.rows[:, FIRST_SUM:, :])
-        self._sums[self.walkers] += sums
+        self._sums[self.walkers] += self.unfold(self.rows[:, FIRST_SUM:, :])
         self.rows[:, FIRST_SUM:, :] = 0.0
 
     def compact(self) -> None:
@@ -54,12 +59,9 @@ class Packs:
         if np.count_nonzero(up) > FULL_ENOUGH * len(up):
             return
         self._keep_final(~up)
-        rows, constants = self.unfold(self.rows)[up], self.unfold(self.constants)[up]
-        terrains = self.unfold(self.terrains[:, None, :])[up]
-        self.walkers = self.walkers[up]
-        self.rows = self.fold(rows)
-        self.constants = self.fold(constants)
-        self.terrains = self.fold(terrains)[:, 0, :].copy()
+        unfolded = (self.rows, self.constants, self.terrains[:, None, :])
+        rows, constants, terrains = (self.unfold(folded)[up] for folded in unfolded)
+        self._seat(self.walkers[up], rows, constants, terrains[:, 0])
 
     def collect(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Final state rows [n, State.count] and summed rows [n, Sums.count] of every walker."""

@@ -1,6 +1,4 @@
-"""The searched gains and the fixed ones: names, units, bounds, meaning and source, in one place.
-
-The sampler, the store, the configurations, the plots and the documents read this table.
+"""The searched gains and the fixed ones: names, units, bounds, meaning and source.
 
 Sources: P = Antonova, Rai, Atkeson 2016; T = the transfemoral-prosthesis walker of the same group
 (``IntactModel``), whose published rough-ground optimum gives `PUBLISHED_GAINS` and the
@@ -23,7 +21,7 @@ from taichi_nmm.reading import json_document
 
 @dataclass(frozen=True)
 class Parameter:
-    """One gain of the controller: what it is called, what it may be, and where it comes from."""
+    """One gain of the controller: its name, bounds, default, meaning and source."""
 
     name: str
     unit: str
@@ -157,10 +155,7 @@ def check_gains(
     for name in values:
         if name not in names:
             raise InputError(field, name, f"only the names {' '.join(names)}")
-    return np.array(
-        [_within_bounds(values.get(p.name), p, f"{field}.{p.name}") for p in group],
-        dtype=np.float64,
-    )
+    return np.array([_within_bounds(values.get(p.name), p, f"{field}.{p.name}") for p in group])
 
 
 def _within_bounds(value: Any, parameter: Parameter, field: str) -> float:
@@ -168,7 +163,7 @@ def _within_bounds(value: Any, parameter: Parameter, field: str) -> float:
     if not checks.is_number(value):
         too_large = isinstance(value, int) and not isinstance(value, bool)  # for any float
         raise InputError(field, value, bounds if too_large else "a number")
-    if isinstance(value, float) and not math.isfinite(value):
+    if not math.isfinite(value):
         raise InputError(field, value, "a finite number")
     if not parameter.low <= value <= parameter.high:
         raise InputError(field, value, bounds)

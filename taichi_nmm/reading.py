@@ -6,9 +6,10 @@ within `reading`: this package knows nothing of them.
 """
 
 import json
+import os
 import stat
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -94,20 +95,13 @@ def parse_json(text: str | bytes) -> dict[str, Any]:
 
 
 def is_folder(path: str | Path) -> bool:
-    """Whether it is a folder; a name that no file can have, or may be asked for, is none."""
-    return _holds(Path.is_dir, path)
+    """Whether it is a folder; a name that no file can have is none."""
+    return os.path.isdir(path)  # noqa: PTH112  (pathlib raises for such a name)
 
 
 def is_file(path: str | Path) -> bool:
-    """The same of a regular file."""
-    return _holds(Path.is_file, path)
-
-
-def _holds(question: Callable[[Path], bool], path: str | Path) -> bool:
-    try:
-        return question(Path(path))
-    except (OSError, ValueError):
-        return False
+    """Whether it is a regular file; a name that no file can have is none."""
+    return os.path.isfile(path)  # noqa: PTH113
 
 
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

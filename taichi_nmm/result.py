@@ -1,4 +1,4 @@
-"""What a simulation returns: one structured row a walker, and trajectories on request."""
+"""What a simulation returns: a structured row a walker, trajectories on request; costs of rows."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_nmm import checks
+from taichi_nmm.errors import InputError
 
 END_REASONS = ("completed", "fell", "diverged")
 """How a walk ends: `"completed"`, `"fell"`, or `"diverged"` beyond all sense."""
@@ -17,57 +18,40 @@ HUMAN_SPEED_MPS = 1.3  # Winter; the paper's v_human and target speed
 
 MUSCLES = ("SOL", "TA", "GAS", "VAS", "HAM", "GLU", "HFL")
 
-OUTCOME_FIELDS: tuple[tuple[str, str], ...] = (
+Fields = tuple[tuple[str, str], ...]
+
+
+def _floats(*names: str) -> Fields:
+    return tuple((name, "f8") for name in names)
+
+
+OUTCOME_FIELDS: Fields = (
     ("duration_s", "f8"),
     ("end_reason", "u1"),  # index into END_REASONS
-    ("hip_x_m", "f8"),
-    ("hip_z_m", "f8"),
-    ("distance_m", "f8"),
-    ("mean_speed_mps", "f8"),
-    ("cost_of_transport_jpkgpm", "f8"),
+    *_floats("hip_x_m", "hip_z_m", "distance_m", "mean_speed_mps", "cost_of_transport_jpkgpm"),
 )
 
 # The determinants of gait: sums and means over the scored steps.
-SCORE_FIELDS: tuple[tuple[str, str], ...] = (
+SCORE_FIELDS: Fields = (
     ("survived_fraction", "f8"),
     ("step_count", "i4"),
-    ("m1_sum", "f8"),
-    ("m2_sum", "f8"),
-    ("m3_sum", "f8"),
-    ("m4_sum", "f8"),
-    ("m5_sum_mps", "f8"),
-    ("m5_corrected_sum", "f8"),
-    ("m1_mean", "f8"),
-    ("m2_mean", "f8"),
-    ("m3_mean", "f8"),
-    ("m4_mean", "f8"),
-    ("m5_mean_mps", "f8"),
-    ("phi_printed", "f8"),
-    ("phi_corrected", "f8"),
+    *_floats("m1_sum", "m2_sum", "m3_sum", "m4_sum", "m5_sum_mps", "m5_corrected_sum"),
+    *_floats("m1_mean", "m2_mean", "m3_mean", "m4_mean", "m5_mean_mps"),
+    *_floats("phi_printed", "phi_corrected"),
 )
 
 # Zero where no step was scored. Angles: knee flexion, plantarflexion and forward lean positive.
-SUMMARY_FIELDS: tuple[tuple[str, str], ...] = (
-    ("knee_peak_swing_rad", "f8"),
-    ("knee_peak_stance_rad", "f8"),
-    ("ankle_strike_rad", "f8"),
-    ("ankle_takeoff_rad", "f8"),
-    ("trunk_mean_rad", "f8"),
-    ("trunk_sd_rad", "f8"),
-    ("step_length_mean_m", "f8"),
-    ("step_length_sd_m", "f8"),
-    ("step_duration_mean_s", "f8"),
-    ("step_duration_sd_s", "f8"),
-    ("double_support_fraction", "f8"),
-    ("flight_fraction", "f8"),
-    ("hip_height_mean_m", "f8"),  # over the ground
-    ("hip_height_sd_m", "f8"),
-    ("hip_speed_sd_mps", "f8"),
-    ("grf_vertical_mean_bw", "f8"),
-    ("grf_vertical_peak_bw", "f8"),  # mean over steps of the peak of the 20 ms filtered force
-    ("grf_braking_peak_bw", "f8"),
-    ("grf_propulsion_peak_bw", "f8"),
-    *((f"activation_{muscle.lower()}_mean", "f8") for muscle in MUSCLES),
+# Peaks of ground forces are means over steps, of the force behind a low pass of 20 ms.
+SUMMARY_FIELDS: Fields = (
+    *_floats("knee_peak_swing_rad", "knee_peak_stance_rad", "ankle_strike_rad"),
+    *_floats("ankle_takeoff_rad", "trunk_mean_rad", "trunk_sd_rad"),
+    *_floats("step_length_mean_m", "step_length_sd_m"),
+    *_floats("step_duration_mean_s", "step_duration_sd_s"),
+    *_floats("double_support_fraction", "flight_fraction"),
+    *_floats("hip_height_mean_m", "hip_height_sd_m", "hip_speed_sd_mps"),  # over the ground
+    *_floats("grf_vertical_mean_bw", "grf_vertical_peak_bw"),
+    *_floats("grf_braking_peak_bw", "grf_propulsion_peak_bw"),
+    *_floats(*(f"activation_{muscle.lower()}_mean" for muscle in MUSCLES)),
 )
 
 RESULT_DTYPE = np.dtype([*OUTCOME_FIELDS, *SCORE_FIELDS, *SUMMARY_FIELDS])
@@ -137,3 +121,58 @@ class Result:
     def end_reason(self) -> NDArray[np.str_]:
         """End reasons as words, [n]."""
         return np.asarray(np.array(END_REASONS)[self.rows["end_reason"]])
+
+
+# The two costs of Antonova, Rai, Atkeson 2016. The paper leaves two things open: the speed term of
+# the smooth cost is taken as a deviation, and the distance of a walker that fell backward as zero,
+# since 1/(1 + d) has a pole at -1 m.
+
+FALL_COST = 300.0
+SPEED_WEIGHT = 100.0
+NEEDED = (
+    "distance_m", "duration_s", "mean_speed_mps", "cost_of_transport_jpkgpm", "end_reason",
+)  # fmt: skip
+
+
+def _rows(field: str, value: Any) -> Any:
+    """Result rows: a structured array with the columns that a cost is made of."""
+    names = getattr(getattr(value, "dtype", None), "names", None) or ()
+    for name in NEEDED:
+        if name not in names or value.dtype[name].kind not in "fiu":
+            raise InputError(field, value, f"rows of a Result, with numbers in the column {name}")
+    return value
+
+
+_checked = checks.checked(rows=_rows, target_speed_mps=checks.number())
+
+
+@_checked
+def smooth_cost(
+    rows: NDArray[np.void], target_speed_mps: float = HUMAN_SPEED_MPS
+) -> NDArray[np.float64]:
+    """1/(1 + t) + 0.3/(1 + d) + 0.01 |s - s_target| of each row, [n].
+
+    t is the time walked in s, d the final hip position in m, s the mean speed in m/s.
+    """
+    distance = np.maximum(rows["distance_m"], 0.0)
+    speed_error = np.abs(rows["mean_speed_mps"] - target_speed_mps)
+    return np.asarray(
+        1.0 / (1.0 + rows["duration_s"]) + 0.3 / (1.0 + distance) + 0.01 * speed_error
+    )
+
+
+@_checked
+def walking_cost(
+    rows: NDArray[np.void], target_speed_mps: float = HUMAN_SPEED_MPS
+) -> NDArray[np.float64]:
+    """300 - x_fall of a walker that fell, else 100 |v - v_target| + cost of transport, [n].
+
+    x_fall is the distance before the fall in m, the cost of transport in J/(kg m). A walker that
+    stood still until the end counts as walking, and pays 130 for its speed.
+    """
+    fell = FALL_COST - np.maximum(rows["distance_m"], 0.0)
+    walked = (
+        SPEED_WEIGHT * np.abs(rows["mean_speed_mps"] - target_speed_mps)
+        + rows["cost_of_transport_jpkgpm"]
+    )
+    return np.asarray(np.where(rows["end_reason"] == COMPLETED, walked, fell))

@@ -1,7 +1,7 @@
 """How a batch is integrated: precision, step, contact law, machine."""
 
 import os
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from taichi_nmm import checks
@@ -16,18 +16,17 @@ ARCHITECTURES = ("auto", "cpu", *GPUS)
 CONTACT_RELAXATION_SPEED_MPS = (
     0.10  # gaits converge with the step; at 0.03 (Geyer & Herr 2010) they do not
 )
-MACHINE = {"machine": True}  # metadata of a setting that no result depends on
 
 OWN_ENGINE = "taichi"
 ENGINES = (OWN_ENGINE, "mujoco")
 LIMITS_AS_STOPS = "stops"
 LIMITS = (LIMITS_AS_STOPS, "mujoco")
-STEPS_PER_TIME_CONSTANT = 5  # a contact that is shorter than some steps is not what it says
+STEPS_PER_TIME_CONSTANT = 5  # MuJoCo computes a shorter contact otherwise than it is given
 
 
 @dataclass(frozen=True)
 class MujocoSettings:
-    """What is MuJoCo's own of a simulation on it: [simulation.mujoco].
+    """MuJoCo's own settings: [simulation.mujoco].
 
     Attributes:
         time_constant_s: of a contact, the first number of MuJoCo's `solref`; its default is 0.02.
@@ -43,13 +42,8 @@ class MujocoSettings:
     def __post_init__(self) -> None:
         allowed = "a positive, finite number (MuJoCo's direct form is not taken)"
         positive = checks.number(checks.LEAST_POSITIVE, allowed=allowed)
-        checks.check_fields(
-            self,
-            "simulation.mujoco.",
-            time_constant_s=positive,
-            damping_ratio=positive,
-            limits=checks.word(*LIMITS),
-        )
+        pair = {"time_constant_s": positive, "damping_ratio": positive}
+        checks.check_fields(self, "simulation.mujoco.", **pair, limits=checks.word(*LIMITS))
 
 
 @dataclass(frozen=True)
@@ -62,15 +56,15 @@ class Settings:
         precision: "float32" or "float64".
         arch: "auto" (a GPU when there is one, else the CPU), "cpu", "cuda" or "vulkan".
         threads: CPU threads; None takes every core. Results do not depend on it.
-        engine: what moves the bodies: "taichi", this simulator's own, or "mujoco".
-        mujoco: what is MuJoCo's own.
+        engine: the engine that moves the bodies: "taichi", this simulator's own, or "mujoco".
+        mujoco: MuJoCo's own settings.
     """
 
     physics_step_s: float = 1e-3
     contact_relaxation_speed_mps: float = CONTACT_RELAXATION_SPEED_MPS
     precision: str = "float32"
-    arch: str = field(default="auto", metadata=MACHINE)
-    threads: int | None = field(default=None, metadata=MACHINE)
+    arch: str = "auto"
+    threads: int | None = None
     engine: str = OWN_ENGINE
     mujoco: MujocoSettings = MujocoSettings()
 
@@ -89,8 +83,18 @@ class Settings:
         )
         if self.physics_step_s not in PHYSICS_STEPS_S:
             raise InputError("simulation.physics_step_s", self.physics_step_s, f"{PHYSICS_STEPS_S}")
-        if self.engine == "mujoco":
-            self._check_mujoco()
+        if self.engine == OWN_ENGINE:
+            return
+        shortest_s = STEPS_PER_TIME_CONSTANT * self.physics_step_s
+        if self.mujoco.time_constant_s < shortest_s:
+            allowed = (
+                f"{shortest_s:g} or more, {STEPS_PER_TIME_CONSTANT} physics steps: MuJoCo would "
+                "compute another contact; make physics_step_s smaller"
+            )
+            field = "simulation.mujoco.time_constant_s"
+            raise InputError(field, self.mujoco.time_constant_s, allowed)
+        if self.arch not in ("auto", "cpu"):
+            raise InputError("simulation.arch", self.arch, "auto or cpu with the engine mujoco")
 
     @property
     def substeps(self) -> int:
@@ -101,31 +105,17 @@ class Settings:
         """The same on this machine's processor, where a launch costs microseconds."""
         return replace(self, arch="cpu")
 
-    def _check_mujoco(self) -> None:
-        shortest_s = STEPS_PER_TIME_CONSTANT * self.physics_step_s
-        if self.mujoco.time_constant_s < shortest_s:
-            allowed = (
-                f"{shortest_s:g} or more, {STEPS_PER_TIME_CONSTANT} physics steps: "
-                "else MuJoCo's contact is another than it says; make physics_step_s smaller"
-            )
-            raise InputError(
-                "simulation.mujoco.time_constant_s", self.mujoco.time_constant_s, allowed
-            )
-        if self.arch not in ("auto", "cpu"):
-            raise InputError("simulation.arch", self.arch, "auto or cpu with the engine mujoco")
-
     def document(self) -> dict[str, Any]:
-        """What decides a result, as JSON values by name: all settings but those of the machine.
+        """The settings that decide a result, as JSON values by name; not those of the machine.
 
-        What an engine does not ask for is left out, so that adding one changes no other's digest.
+        Only settings of the chosen engine are there, so that adding an engine changes no digest.
         """
-        settings = {
-            setting.name: getattr(self, setting.name)
-            for setting in fields(self)
-            if "machine" not in setting.metadata
+        document: dict[str, Any] = {
+            "physics_step_s": self.physics_step_s,
+            "contact_relaxation_speed_mps": self.contact_relaxation_speed_mps,
+            "precision": self.precision,
         }
-        engine, mujoco = settings.pop("engine"), settings.pop("mujoco")
-        if engine == "mujoco":
-            del settings["contact_relaxation_speed_mps"]
-            settings |= {"engine": engine, "mujoco": asdict(mujoco)}
-        return settings
+        if self.engine != OWN_ENGINE:
+            del document["contact_relaxation_speed_mps"]
+            document |= {"engine": self.engine, "mujoco": asdict(self.mujoco)}
+        return document

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from taichi_nmm import checks
 from taichi_nmm.body import Bodies
-from taichi_nmm.constants import blends, constant_rows
 from taichi_nmm.errors import InputError
 from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import backend
@@ -21,13 +20,12 @@ from taichi_nmm.kernel.entry_points import advance
 from taichi_nmm.kernel.layout import FIRST_SUM, WALKER_ROWS
 from taichi_nmm.kernel.muscle_table import muscle_table
 from taichi_nmm.mujoco_engine import require_mujoco
-from taichi_nmm.outcome import result_rows
+from taichi_nmm.outcome import Recorder, result_rows
 from taichi_nmm.packs import Packs
-from taichi_nmm.recorder import Recorder
 from taichi_nmm.result import Result
-from taichi_nmm.settings import CONTROL_TICK_S, Settings
+from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
 from taichi_nmm.terrain import Terrain
-from taichi_nmm.walkers import Batch, check_batch
+from taichi_nmm.walkers import Batch, blends, check_batch, constant_rows
 from taichi_nmm.world import Worlds
 
 CHUNK_TICKS = 250  # 0.25 s: fallen walkers leave the packs this often
@@ -80,7 +78,9 @@ def simulate(
     """
     settings = Settings() if settings is None else settings
     batch = check_batch(gains, bodies, terrains, terrain_index, low_level_gains, worlds)
-    ticks = _ticks(duration_s)
+    if not CONTROL_TICK_S <= duration_s <= LONGEST_WALK_S:
+        raise InputError("duration_s", duration_s, f"{CONTROL_TICK_S} to {LONGEST_WALK_S:g}")
+    ticks = round(duration_s / CONTROL_TICK_S)
     recorder = Recorder(record, record_rate_hz, len(batch))
     launch, packs, engine = _start(batch, settings)
     tick = 0
@@ -91,30 +91,24 @@ def simulate(
             recorder.sample(tick, packs)
         packs.drain()
         if progress is not None:
-            progress(tick * CONTROL_TICK_S, packs.active)
+            progress(tick * CONTROL_TICK_S, int(np.count_nonzero(packs.up())))
         packs.compact()
     final, sums = packs.collect()
     rows = result_rows(final, sums, batch.bodies, duration_s)
-    return Result(rows, recorder.trajectories(rows), engine())
+    return Result(rows, recorder.trajectories(), engine())
 
 
 def _start(batch: Batch, settings: Settings) -> tuple[Launch, Packs, Callable[[], dict[str, Any]]]:
-    """What advances the walkers, they themselves at the start, and what says how it is done."""
-    if settings.engine == "mujoco":
-        require_mujoco()
-        from taichi_nmm.mujoco_engine import engine
+    """What advances the walkers, the walkers at the start, and what describes the engine."""
+    if settings.engine == OWN_ENGINE:
+        backend.start(settings)
+        return launcher(batch, settings), start_packs(batch, settings), backend.metadata
+    require_mujoco()
+    from taichi_nmm.mujoco_engine import engine
 
-        backend.start(settings.on_processor())
-        packs = start_packs(batch, settings)
-        return engine.launcher(batch, settings, packs), packs, lambda: engine.metadata(settings)
-    backend.start(settings)
-    return launcher(batch, settings), start_packs(batch, settings), backend.metadata
-
-
-def _ticks(duration_s: float) -> int:
-    if not CONTROL_TICK_S <= duration_s <= LONGEST_WALK_S:
-        raise InputError("duration_s", duration_s, f"{CONTROL_TICK_S} to {LONGEST_WALK_S:g}")
-    return round(duration_s / CONTROL_TICK_S)
+    backend.start(settings.on_processor())
+    packs = start_packs(batch, settings)
+    return engine.launcher(batch, settings, packs), packs, lambda: engine.metadata(settings)
 
 
 def start_packs(batch: Batch, settings: Settings) -> Packs:
@@ -122,8 +116,7 @@ def start_packs(batch: Batch, settings: Settings) -> Packs:
     rows = np.zeros((len(batch), WALKER_ROWS))
     starts = np.array([initial_rows(terrain) for terrain in batch.terrains])
     rows[:, :FIRST_SUM] = starts[batch.terrain_index]
-    constants = constant_rows(batch, settings)
-    return Packs(rows, constants, batch.terrain_index, backend.lanes(), backend.real_dtype())
+    return Packs(rows, constant_rows(batch, settings), batch.terrain_index)
 
 
 def launcher(batch: Batch, settings: Settings) -> Launch:

@@ -1,6 +1,6 @@
 """Grounds to walk on: a height table on a uniform grid, linear between its nodes.
 
-The kernel reads nothing else of a terrain than its table; outside the table it is flat.
+The kernel reads the table alone; outside it the ground is level.
 
 A kind of terrain is a function here and a line of `KINDS`. A configuration's table [terrain] takes
 its options, their defaults and what they may be from the function's signature.
@@ -44,8 +44,9 @@ FLAT_START_M = 9.0  # every walker gets some steps to settle
 
 @dataclass(frozen=True)
 class Range:
-    """What a configuration may set an option to, ends included. Callers from Python may go beyond
-    it, as far as the ground can still be made.
+    """The values of an option that a configuration may set, ends included.
+
+    Callers from Python may go beyond it, as far as the ground can still be made.
     """
 
     low: float
@@ -90,27 +91,22 @@ class Terrain:
 
 _POSITIVE = checks.number(checks.LEAST_POSITIVE, allowed="a positive, finite number")
 _WITHIN_GRID = checks.number(
-    GRID_START_M,
-    math.nextafter(GRID_END_M, 0.0),
-    f"{GRID_START_M:g} to below {GRID_END_M:g}",
+    GRID_START_M, math.nextafter(GRID_END_M, 0.0), f"{GRID_START_M:g} to below {GRID_END_M:g}"
 )
 _checked = checks.checked(
     "terrain.",
     seed=checks.seed,
     amplitude_m=checks.number(0.0, HIGHEST_M),
     spacing_m=checks.number(SHORTEST_SPACING_M, allowed=f"a number from {SHORTEST_SPACING_M}"),
-    riser_m=_POSITIVE,
     flat_start_m=_WITHIN_GRID,
     slope=checks.number(),
-    increment=_POSITIVE,
-    segment_m=_POSITIVE,
-    largest_slope=_POSITIVE,
-    rise_m=_POSITIVE,
-    run_m=_POSITIVE,
     direction=checks.word("up", "down"),
     path=checks.path,
+    **dict.fromkeys(
+        ("riser_m", "increment", "segment_m", "largest_slope", "rise_m", "run_m"), _POSITIVE
+    ),
 )
-"""What the functions below take from Python: anything that a ground can be made with."""
+"""Checks of the functions below: they take anything that a ground can be made with."""
 
 
 def flat() -> Terrain:
@@ -221,7 +217,7 @@ def _of_text(text: str, file: Path) -> Terrain:
 
 
 def _from_option(file: str, heights: str = "") -> Terrain:
-    """`from_file` as a configuration asks for it; `heights` is the text of a file that was read."""
+    """`from_file` of a configuration; `heights` is the text of a file that was read."""
     return _of_text(heights, Path(file)) if heights else from_file(file)
 
 
@@ -275,8 +271,8 @@ class Ground:
 def read_ground(table: Table) -> Ground:
     """The table [terrain] of a configuration: its kind, and options of that kind. Reads every key.
 
-    The text of a file, whose name starts from the configuration's folder, becomes an option:
-    whoever keeps the options keeps the ground.
+    The text of a file, whose name starts from the configuration's folder, becomes an option: the
+    options alone make the ground again.
 
     An option that is a number may be a pair, lowest and highest: each ground draws its own. Grounds
     of both ends are drawn here, so that options which do not fit each other, or a file that cannot
@@ -286,12 +282,20 @@ def read_ground(table: Table) -> Ground:
         InputError: an unknown kind or option, a wrong type or a value out of range.
     """
     kind = table.text("kind", "flat", tuple(KINDS))
-    written = table.unread
-    make = KINDS[kind]
+    make, written = KINDS[kind], table.unread
     hints = get_type_hints(make, include_extras=True)
     for name, parameter in signature(make).parameters.items():
-        if name != "seed":
-            _check_option(table, hints[name], parameter)
+        default: Any = REQUIRED if parameter.default is Parameter.empty else parameter.default
+        if name == "seed":
+            continue
+        if get_origin(hints[name]) is not Annotated:  # a Literal's words, or any text
+            table.text(name, default, get_args(hints[name]))
+            continue
+        _number, allowed = get_args(hints[name])
+        if isinstance(written.get(name), list):
+            table.range(name, (default, default), allowed.low, allowed.high)
+        else:
+            table.number(name, default, allowed.low, allowed.high)
     table.done()
     if kind == "file" and not written.get("heights"):
         file = table.folder / written["file"]
@@ -300,20 +304,6 @@ def read_ground(table: Table) -> Ground:
         options = {name: v[end] if isinstance(v, list) else v for name, v in written.items()}
         Ground(kind, options).draw(seed=0)
     return Ground(kind, written)
-
-
-def _check_option(table: Table, hint: Any, parameter: Parameter) -> None:
-    """Read an option: a number within a `Range` or two, one of a Literal's words, or any text."""
-    name = parameter.name
-    default: Any = REQUIRED if parameter.default is Parameter.empty else parameter.default
-    if get_origin(hint) is not Annotated:
-        table.text(name, default, get_args(hint))
-        return
-    _number, allowed = get_args(hint)
-    if isinstance(table.unread.get(name), list):
-        table.range(name, (default, default), allowed.low, allowed.high)
-    else:
-        table.number(name, default, allowed.low, allowed.high)
 
 
 def _drawn(seed: int | np.random.SeedSequence, option: str, low: float, high: float) -> float:
@@ -340,7 +330,6 @@ def _random_walk(
 
 
 def _rising(slope: float) -> str:
-    """What the name of a ground says of its slope; of none, nothing."""
     return f", rising {100 * slope:g} %" if slope else ""
 
 

@@ -1,7 +1,6 @@
 """The walker as the simulator of a store: its parameters, its worlds, and runs of points in them.
 
-`storage.simulator.Simulator` says what each of these is for. That package imports nothing of this
-one but checks and errors, and this module nothing of it.
+`storage.simulator.Simulator` documents each of these. Neither module imports the other.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +18,6 @@ from taichi_nmm import __version__
 from taichi_nmm.body import Bodies
 from taichi_nmm.conditions import read_disturbance, read_settings
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
 from taichi_nmm.kernel_cache import require_kernel_cache
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.parameters import (
@@ -35,15 +33,15 @@ from taichi_nmm.parameters import (
 from taichi_nmm.result import DIVERGED, END_REASONS, RESULT_DTYPE, SCORE_FIELDS
 from taichi_nmm.settings import GPUS, OWN_ENGINE, Settings
 from taichi_nmm.terrain import Ground, Terrain, read_ground, rough
-from taichi_nmm.world import NOT_OURS, OWN_CONTACT, WorldRanges, Worlds, read_world
+from taichi_nmm.world import WorldRanges, Worlds, read_world
 
-# By the purpose of a world's seed, those of the streams that draw its body, its ground, and its
-# contact, muscles and nerves: stores have them from a time when each was a draw of its own.
+# By the purpose of a world's seed: the purposes of the streams that draw its body, its ground, and
+# its contact, muscles and nerves.
 STREAMS = {101: (101, 102, 105), 103: (103, 104, 106)}
 DIGEST_DECIMALS = 9  # nanometres: below what another machine's last bit can change
 
-# What tells gaits apart, with the range that a search covers: slow and fast, short and long steps,
-# feet that are lifted little and much.
+# Columns that tell gaits apart, with the ranges that a search covers: speed, length of steps, and
+# how much feet are lifted.
 MEASURES = {
     "mean_speed_mps": (0.4, 2.0),
     "step_length_mean_m": (0.3, 1.0),
@@ -67,7 +65,7 @@ class DrawnWorlds:
 
 @dataclass(frozen=True)
 class WalkerWorlds:
-    """What worlds are drawn from: the tables [body], [terrain] and [world].
+    """The tables [body], [terrain] and [world], from which worlds are drawn.
 
     Attributes:
         disturbance: largest relative disturbance of a body.
@@ -81,26 +79,33 @@ class WalkerWorlds:
 
     def draw(self, seeds: Sequence[np.random.SeedSequence]) -> DrawnWorlds:
         """One world a seed, whose spawn key is (purpose, index) with a purpose of `STREAMS`."""
-        streams = [
-            [
-                np.random.SeedSequence(seed.entropy, spawn_key=(purpose, *seed.spawn_key[1:]))
-                for purpose in STREAMS[seed.spawn_key[0]]
+
+        def streams(place: int) -> list[np.random.SeedSequence]:
+            """Seeds of all bodies, grounds or surroundings."""
+            keys = [(STREAMS[seed.spawn_key[0]][place], *seed.spawn_key[1:]) for seed in seeds]
+            return [
+                np.random.SeedSequence(seed.entropy, spawn_key=key)
+                for seed, key in zip(seeds, keys, strict=True)
             ]
-            for seed in seeds
-        ]
+
         return DrawnWorlds(
-            Bodies.disturbed([body for body, _, _ in streams], self.disturbance),
-            tuple(self.ground.draw(ground) for _, ground, _ in streams),
-            self.ranges.draw([surroundings for _, _, surroundings in streams]),
+            Bodies.disturbed(streams(0), self.disturbance),
+            tuple(map(self.ground.draw, streams(1))),
+            self.ranges.draw(streams(2)),
         )
 
     def document(self, worlds: DrawnWorlds) -> dict[str, Any]:
         """Names for people, and digests of all numbers that were drawn."""
-        return {
+        bodies, surroundings = (
+            array_digest(*vars(drawn).values()) for drawn in (worlds.bodies, worlds.surroundings)
+        )
+        document: dict[str, Any] = {
             "terrain": terrain_document(worlds.terrains),
-            "body": _body_document(self.disturbance, worlds.bodies),
-            **_surroundings_document(self.ranges, worlds.surroundings),
+            "body": {"disturbance": self.disturbance, "sha256": bodies},
         }
+        if ranges := self.ranges.document():  # else no key: it is newer than many stores
+            document["world"] = ranges | {"sha256": surroundings}
+        return document
 
 
 @dataclass(frozen=True)
@@ -156,10 +161,8 @@ class Walker:
     def read_worlds(self, table: Table) -> WalkerWorlds:
         """The tables [body], [terrain] and [world]. Reads every key of them."""
         disturbance = read_disturbance(table.table("body"))
-        ground, ranges = read_ground(table.table("terrain")), read_world(table.table("world"))
-        if self.settings.engine != OWN_ENGINE:
-            for name in set(ranges.document()) & set(OWN_CONTACT):
-                raise InputError(table.path(f"world.{name}"), getattr(ranges, name), NOT_OURS)
+        ground = read_ground(table.table("terrain"))
+        ranges = read_world(table.table("world"), self.settings.engine)
         return WalkerWorlds(disturbance, ground, ranges)
 
     def run(
@@ -228,8 +231,15 @@ class Walker:
         require_engine(self.settings)
 
     def processes(self, cores: int) -> int:
-        """One a core; one where a GPU computes."""
-        return 1 if uses_gpu(self.settings) else cores
+        """One a core; one where a GPU computes.
+
+        Raises:
+            InputError: no such GPU.
+        """
+        arch, engine = self.settings.arch, self.settings.engine
+        if arch == "cpu" or engine != OWN_ENGINE or (arch == "auto" and not find_library("cuda")):
+            return cores
+        return cores if started_arch(self.settings) == "cpu" else 1
 
 
 def require_engine(settings: Settings) -> None:
@@ -243,19 +253,6 @@ def require_engine(settings: Settings) -> None:
         require_mujoco()
     if settings.arch in GPUS:
         started_arch(settings)
-
-
-def uses_gpu(settings: Settings) -> bool:
-    """Whether a GPU would compute.
-
-    Raises:
-        InputError: no such GPU.
-    """
-    if settings.arch == "cpu" or settings.engine == "mujoco":
-        return False
-    if settings.arch == "auto" and not find_library("cuda"):
-        return False
-    return started_arch(settings) != "cpu"
 
 
 def started_arch(settings: Settings) -> str:
@@ -278,15 +275,3 @@ def terrain_document(terrains: Sequence[Terrain]) -> dict[str, str]:
     """The grounds of one kind: the first one's name, and the digest of all heights."""
     heights = array_digest(*(terrain.height_m for terrain in terrains))
     return {"name": terrains[0].name, "sha256": heights}
-
-
-def _body_document(disturbance: float, bodies: Bodies) -> dict[str, Any]:
-    numbers = array_digest(bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m)
-    return {"disturbance": disturbance, "sha256": numbers}
-
-
-def _surroundings_document(ranges: WorldRanges, worlds: Worlds) -> dict[str, Any]:
-    """{} of nominal ones: the key "world" is newer than many stores."""
-    if not (drawn_from := ranges.document()):
-        return {}
-    return {"world": drawn_from | {"sha256": array_digest(*vars(worlds).values())}}

@@ -1,4 +1,4 @@
-"""What `simulate` is given, checked and brought into one form: `Batch`."""
+"""The walkers of a call: their input, checked, as a `Batch`, and the constants of the kernels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,11 +7,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_nmm import checks
-from taichi_nmm.body import Bodies
+from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import LOW_LEVEL_GAINS, gain_rows
+from taichi_nmm.kernel.contact import STATIC_DEFLECTION_M
+from taichi_nmm.kernel.layout import GAIN_ROWS, LEGS, LOW_LEVEL_ROWS, MUSCLE_COUNT, Const
+from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
+from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
+from taichi_nmm.parameters import LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, gain_rows
+from taichi_nmm.settings import CONTROL_TICK_S, Settings
 from taichi_nmm.terrain import Terrain, flat
 from taichi_nmm.world import Worlds
+
+W_FILTER = LOW_LEVEL_NAMES.index("w_filter")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +58,6 @@ def check_batch(
     Raises:
         InputError: a shape, a value or an index that cannot be used.
     """
-    checks.optional(checks.instance(Bodies))("bodies", bodies)
-    checks.optional(checks.instance(Worlds))("worlds", worlds)
     rows = gain_rows(gains)
     count = len(rows)
     if low_level_gains is None:
@@ -61,10 +66,10 @@ def check_batch(
     if len(low_level) not in (1, count):
         size = len(LOW_LEVEL_GAINS)
         raise InputError("low_level_gains.shape", low_level.shape, f"[{count}, {size}] or [{size}]")
-    bodies = Bodies.nominal() if bodies is None else bodies
+    bodies = checks.instance(Bodies)("bodies", Bodies.nominal() if bodies is None else bodies)
     if len(bodies) not in (1, count):
         raise InputError("bodies", len(bodies), f"one body, or {count}: one a walker")
-    worlds = Worlds.nominal() if worlds is None else worlds
+    worlds = checks.instance(Worlds)("worlds", Worlds.nominal() if worlds is None else worlds)
     if len(worlds) not in (1, count):
         raise InputError("worlds", len(worlds), f"one world, or {count}: one a walker")
     grounds, index = _check_terrains(terrains, terrain_index, count)
@@ -82,8 +87,7 @@ def check_batch(
 def _check_terrains(
     terrains: Terrain | Sequence[Terrain] | None, terrain_index: ArrayLike | None, count: int
 ) -> tuple[tuple[Terrain, ...], NDArray[np.int32]]:
-    if terrains is None:
-        terrains = flat()
+    terrains = flat() if terrains is None else terrains
     listed = (terrains,) if isinstance(terrains, Terrain) else terrains
     grounds: tuple[Terrain, ...] = checks.each(checks.instance(Terrain))("terrains", listed)
     if not grounds:
@@ -97,3 +101,65 @@ def _check_terrains(
     if len(index) != count:
         raise InputError("terrain_index.shape", index.shape, f"[{count}] of whole numbers")
     return grounds, index.astype(np.int32)
+
+
+def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
+    """`layout.Const` of each walker, [n, Const.count]."""
+    bodies, worlds = batch.bodies, batch.worlds
+    mass, inertia, com = bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m
+    rows = np.zeros((len(batch), Const.count))
+    rows[:, GAIN_ROWS] = batch.gains
+    rows[:, LOW_LEVEL_ROWS] = batch.low_level
+    rows[:, Const.leg_angle_blend] = 1.0 - np.exp(-batch.low_level[:, W_FILTER] * CONTROL_TICK_S)
+    rows[:, Const.total_mass] = mass.sum(axis=1)
+    nominal_n_per_m = mass.sum(axis=1) * GRAVITY_MPS2 / STATIC_DEFLECTION_M
+    rows[:, Const.contact_stiffness] = nominal_n_per_m * worlds.contact_stiffness
+    rows[:, Const.relaxation_speed] = (
+        settings.contact_relaxation_speed_mps * worlds.relaxation_speed
+    )
+    rows[:, Const.friction] = worlds.friction
+    rows[:, Const.strength : Const.strength + MUSCLE_COUNT] = worlds.strength
+    with np.errstate(divide="ignore"):  # no lag: all of the way in a tick
+        rows[:, Const.nerve_blend] = 1.0 - np.exp(-CONTROL_TICK_S / worlds.nerve_lag_s)
+    rows[:, Const.sensing_noise] = worlds.sensing_noise
+    rows[:, Const.noise_seed] = worlds.noise_seed
+    rows[:, Const.hat_weight] = mass[:, 0] * GRAVITY_MPS2
+    # The HAT's centre of mass lies above the hip while D points down: hence the sign.
+    rows[:, Const.a_hat] = -mass[:, 0] * com[:, 0]
+    rows[:, Const.b_hat] = inertia[:, 0] + mass[:, 0] * com[:, 0] ** 2
+    for leg in range(LEGS):
+        links = slice(1 + 3 * leg, 4 + 3 * leg)
+        rows[:, Const.leg_weight + leg] = mass[:, links].sum(axis=1) * GRAVITY_MPS2
+        a, b = leg_coefficients(mass[:, links], inertia[:, links], com[:, links])
+        rows[:, Const.a_leg + 3 * leg : Const.a_leg + 3 * leg + 3] = a
+        rows[:, Const.b_leg + 6 * leg : Const.b_leg + 6 * leg + 6] = b
+    return rows
+
+
+def leg_coefficients(
+    mass: NDArray[np.float64], inertia: NDArray[np.float64], com: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A1 A2 A3 and B11 B22 B33 B12 B13 B23 of legs, from columns thigh, shank, foot."""
+    m1, m2, m3 = mass.T
+    i1, i2, i3 = inertia.T
+    c1, c2, c3 = com.T
+    below_hip = m1 * c1 + (m2 + m3) * THIGH_LENGTH_M
+    below_knee = m2 * c2 + m3 * SHANK_LENGTH_M
+    below_ankle = m3 * c3
+    a = np.column_stack([below_hip, below_knee, below_ankle])
+    b = np.column_stack(
+        [
+            i1 + m1 * c1**2 + (m2 + m3) * THIGH_LENGTH_M**2,
+            i2 + m2 * c2**2 + m3 * SHANK_LENGTH_M**2,
+            i3 + m3 * c3**2,
+            below_knee * THIGH_LENGTH_M,
+            below_ankle * THIGH_LENGTH_M,
+            below_ankle * SHANK_LENGTH_M,
+        ]
+    )
+    return a, b
+
+
+def blends(step_s: float) -> tuple[float, float]:
+    """What a physics step takes of the way to a new activation, and of the loads' low pass."""
+    return 1.0 - np.exp(-step_s / ACTIVATION_TIME_S), 1.0 - np.exp(-step_s / LOAD_FILTER_S)

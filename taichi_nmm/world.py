@@ -1,7 +1,6 @@
-"""What of a walker's surroundings and muscles may differ from one walker to another: `Worlds`.
+"""What differs from walker to walker besides links and ground: contact, muscles, nerves.
 
-Nominal is the published walker. A real one differs in what no model of its links says: how its feet
-meet the ground, how strong its muscles are, how late and how exactly it feels.
+The nominal world is that of the published walker. `WorldRanges` draws others.
 """
 
 from collections.abc import Iterable
@@ -14,6 +13,7 @@ from taichi_nmm import checks
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES
+from taichi_nmm.settings import OWN_ENGINE
 
 FRICTION_COEFFICIENT = 0.9  # Geyer & Herr 2010, sticking; here sliding too (they: 0.8)
 MUSCLE_COUNT = 2 * len(MUSCLES)
@@ -47,8 +47,8 @@ class Worlds:
         friction: Coulomb's coefficient, [n].
         strength: largest force over the nominal of each muscle of the left leg, then the right,
             [n, 14]. Nerves feel the force itself: a weaker muscle's reflex gets less.
-        nerve_lag_s: time constant of a lag that what is felt has besides its delay, [n].
-        sensing_noise: half the width of uniform noise on what is felt, each tick anew, [n]: of
+        nerve_lag_s: time constant of a low pass of the signals, besides their delay, [n].
+        sensing_noise: half the width of uniform noise on the signals, each tick anew, [n]: of
             forces over Fmax, lengths over the optimal one, loads over body weight, angles in rad,
             angular rates in 10 rad/s. Contact flags have neither noise nor lag.
         noise_seed: of the noise, whole numbers below 2^24, [n].
@@ -64,16 +64,15 @@ class Worlds:
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            values = checks.numbers(f"worlds.{each.name}", getattr(self, each.name))
-            expected = _size(each.name)
+            name, expected = f"worlds.{each.name}", _size(each.name)
+            values = checks.numbers(name, getattr(self, each.name))
             if values.ndim != 1 + len(expected) or values.shape[1:] != expected:
                 allowed = "[" + ", ".join(["n", *map(str, expected)]) + "]"
-                raise InputError(f"worlds.{each.name}.shape", values.shape, allowed)
+                raise InputError(f"{name}.shape", values.shape, allowed)
             low, high = LIMITS[each.name]
             outside = values[~((values >= low) & (values <= high))]
             if outside.size:
-                allowed = f"{low:g} to {high:g}"
-                raise InputError(f"worlds.{each.name}", float(outside[0]), allowed)
+                raise InputError(name, float(outside[0]), f"{low:g} to {high:g}")
             object.__setattr__(self, each.name, values)
         if len({len(getattr(self, each.name)) for each in fields(self)}) != 1:
             raise InputError("worlds", "arrays of different length", "one row a world in each")
@@ -135,14 +134,13 @@ class WorldRanges:
         streams = [_streams(seed) for seed in seeds]
         drawn: dict[str, NDArray[np.float64]] = {}
         for each in fields(self):
-            size = _size(each.name)
+            size, (low, high) = _size(each.name), getattr(self, each.name)
             shares = np.array([stream[each.name].random(size) for stream in streams])
-            low, high = getattr(self, each.name)
             shares = shares.reshape(-1, *size)
-            by_factors = each.name in OWN_CONTACT
-            drawn[each.name] = (
-                low * (high / low) ** shares if by_factors else low + (high - low) * shares
-            )
+            if each.name in OWN_CONTACT:
+                drawn[each.name] = low * (high / low) ** shares
+            else:
+                drawn[each.name] = low + (high - low) * shares
         drawn["strength"] = drawn["strength"] * drawn.pop("overall_strength")[:, None]
         noise_seeds = [stream["noise_seed"].integers(NOISE_SEEDS) for stream in streams]
         return Worlds(**drawn, noise_seed=np.array(noise_seeds, dtype=np.float64))
@@ -162,20 +160,26 @@ OWN_CONTACT = ("contact_stiffness", "relaxation_speed")  # numbers of our own en
 NOT_OURS = "1 with the engine mujoco, whose contact is a setting of its own"
 
 
-def read_world(table: Table) -> WorldRanges:
+def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
     """The table [world]: a pair of numbers, lowest and highest, for what is not nominal.
 
     Reads every key.
 
     Raises:
-        InputError: an unknown key, or a range that is empty or out of bounds.
+        InputError: an unknown key, a range that is empty or out of bounds, or a contact of our own
+            engine for another one.
     """
-    ranges = {
-        each.name: table.range(each.name, getattr(NOMINAL, each.name), *LIMITS[each.name])
-        for each in fields(NOMINAL)
-    }
+    ranges = WorldRanges(
+        **{
+            each.name: table.range(each.name, getattr(NOMINAL, each.name), *LIMITS[each.name])
+            for each in fields(NOMINAL)
+        }
+    )
     table.done()
-    return WorldRanges(**ranges)
+    if engine != OWN_ENGINE:
+        for name in set(ranges.document()) & set(OWN_CONTACT):
+            raise InputError(table.path(name), getattr(ranges, name), NOT_OURS)
+    return ranges
 
 
 def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generator]:

@@ -17,9 +17,9 @@ from study.draws import Purpose, stream
 from taichi_nmm.body import Bodies
 from taichi_nmm.conditions import Conditions, read_conditions
 from taichi_nmm.config import Table, read_toml
-from taichi_nmm.cost import smooth_cost, walking_cost
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS, Parameter, searched_parameters
+from taichi_nmm.result import smooth_cost, walking_cost
 from taichi_nmm.terrain import Terrain
 from taichi_nmm.world import Worlds
 

@@ -4,7 +4,7 @@ Muscles, delays, reflexes and swing-leg placement are the walker's own functions
 sense comes from outside. `actuate` is what the host launches.
 """
 
-from taichi_nmm.kernel import attachments, kinematics, walker
+from taichi_nmm.kernel import joints, kinematics, walker
 from taichi_nmm.kernel.backend import Array, Rows, ti
 from taichi_nmm.kernel.entry_points import load, load_slots, save, save_slots
 from taichi_nmm.kernel.layout import (
@@ -31,13 +31,13 @@ def step(tick, commands, activation_blend, load_blend,
         take_in(lane, senses, state, work)
         kinematics.directions(lane, state, work)
         kinematics.joints(lane, state, work)
-        attachments.stretch_tendons(lane, work)
+        joints.stretch_tendons(lane, work)
         walker.filter_loads(lane, load_blend, state, const)
     if commands == 1:
         walker.command(tick, lanes, state, fibres, delay, const, work)
     walker.contract_muscles(activation_blend, lanes, muscles, fibres, const, work)
     for lane in range(lanes):
-        attachments.turn_joints(lane, fibres, work)
+        joints.turn_joints(lane, fibres, work)
         walker.add_ideal_torques(lane, state, work)
 
 

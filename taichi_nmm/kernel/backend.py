@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from taichi_nmm.errors import InputError
-from taichi_nmm.kernel.environment import settled_environment
+from taichi_nmm.kernel_cache import settled_environment
 from taichi_nmm.settings import Settings
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # standard output is the commands'

@@ -4,7 +4,7 @@ The same functions as in `walker.step`, less dynamics, contacts and joint stops.
 torques of a physics step, `follow` takes in where the bodies are after it.
 """
 
-from taichi_nmm.kernel import attachments, contact, gait, walker
+from taichi_nmm.kernel import contact, gait, joints, walker
 from taichi_nmm.kernel.backend import Array, Rows, ti
 from taichi_nmm.kernel.entry_points import load, load_slots, save, save_slots
 from taichi_nmm.kernel.layout import (
@@ -41,7 +41,7 @@ def before(tick, commands, activation_blend,
         walker.control(tick, lanes, state, fibres, delay, events, sums, const, work)
     walker.contract_muscles(activation_blend, lanes, muscles, fibres, const, work)
     for lane in range(lanes):
-        attachments.turn_joints(lane, fibres, work)
+        joints.turn_joints(lane, fibres, work)
         walker.add_ideal_torques(lane, state, work)
 
 

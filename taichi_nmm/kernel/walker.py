@@ -8,11 +8,10 @@ and delays are the same for all lanes, since a batch starts together.
 import math
 
 from taichi_nmm.kernel import (
-    attachments,
     contact,
     dynamics,
     gait,
-    joint_stops,
+    joints,
     kinematics,
     muscle,
     nerves,
@@ -58,11 +57,11 @@ def step(tick, substeps, step_s, activation_blend, load_blend,
             control(tick, lanes, state, fibres, delay, events, sums, const, work)
         contract_muscles(activation_blend, lanes, muscles, fibres, const, work)
         for lane in range(lanes):
-            attachments.turn_joints(lane, fibres, work)
+            joints.turn_joints(lane, fibres, work)
             add_ideal_torques(lane, state, work)
-            joint_stops.hip_stops(lane, work)
+            joints.hip_stops(lane, work)
             contact.spring_forces(lane, step_s, state, const, work)
-            joint_stops.knee_and_ankle_stops(lane, step_s, work)
+            joints.knee_and_ankle_stops(lane, step_s, work)
             dynamics.momentum_after_free_step(lane, step_s, 1.0, state, const, work)
         for _ in range(CONTACT_PASSES):
             for lane in range(lanes):
@@ -88,7 +87,7 @@ def locate(lanes: Rows, terrain: Rows, heights: Rows, state: Rows, work: Rows):
         kinematics.contact_points(lane, state, work)
         contact.find_cells(lane, state, work)
         kinematics.joints(lane, state, work)
-        attachments.stretch_tendons(lane, work)
+        joints.stretch_tendons(lane, work)
     for lane in range(lanes):
         contact.read_terrain(lane, terrain[lane], heights, work)
 

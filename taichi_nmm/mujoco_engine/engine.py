@@ -17,7 +17,6 @@ from mujoco.batch import SimulationError
 from numpy.typing import NDArray
 
 from taichi_nmm.body import Bodies
-from taichi_nmm.constants import blends
 from taichi_nmm.errors import InputError
 from taichi_nmm.initial import PENETRATION_M, initial_rows
 from taichi_nmm.kernel import backend
@@ -29,7 +28,7 @@ from taichi_nmm.mujoco_engine.mjcf import FOOT_SENSOR, RELATIVE, walk_model
 from taichi_nmm.packs import Packs
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
-from taichi_nmm.walkers import Batch
+from taichi_nmm.walkers import Batch, blends
 from taichi_nmm.world import NOT_OURS, OWN_CONTACT
 
 Array = NDArray[np.float64]
@@ -110,30 +109,25 @@ def start_state(terrain: Terrain) -> Array:
 
 
 def launcher(batch: Batch, settings: Settings, packs: Packs) -> Callable[[Packs, int, int], None]:
-    """What advances the packs, which are at the start; here it is, too, that MuJoCo's starts.
+    """The function that advances the packs; these are put where MuJoCo's walkers start.
 
     Raises:
-        InputError: worlds that ask for a contact of our own engine.
+        InputError: worlds with a contact of our own engine.
     """
     for name in OWN_CONTACT:
-        asked = getattr(batch.worlds, name)
-        if np.any(asked != 1.0):
-            raise InputError(f"worlds.{name}", float(asked[asked != 1.0][0]), NOT_OURS)
-    begin(packs)
-    return _Engine(batch, settings).launch
-
-
-def begin(packs: Packs) -> None:
-    """Put the packs' walkers where MuJoCo's start: the foot touches, and is not in the ground."""
+        scale = getattr(batch.worlds, name)
+        if np.any(scale != 1.0):
+            raise InputError(f"worlds.{name}", float(scale[scale != 1.0][0]), NOT_OURS)
     rows = packs.unfold(packs.rows).copy()
     rows[:, [State.q + 1, State.end_z]] += PENETRATION_M
     for leg in range(LEGS):
         rows[:, State.touching + 2 * leg] = rows[:, State.stance_before + leg]
     packs.rows = packs.fold(rows)
+    return _Engine(batch, settings).launch
 
 
 class _Engine:
-    """What stays the same from launch to launch, and who sits where while nobody falls."""
+    """The walkers of MuJoCo and of the kernels between launches, and their seats in the packs."""
 
     def __init__(self, batch: Batch, settings: Settings) -> None:
         self._settings = settings
@@ -157,7 +151,8 @@ class _Engine:
                     return
                 for substep in range(substeps):
                     self._drive.launch(tick=tick, commands=int(substep == 0))
-                    self._move()
+                    seen = self._herd.step(self._torques[self._seats])
+                    self._motions[self._seats] = motion_rows(seen)
                     self._follow.launch(tick=tick, ends=int(substep == substeps - 1))
 
     def _bind(self, packs: Packs) -> None:
@@ -180,18 +175,13 @@ class _Engine:
         self._seat(packs)
 
     def _seat(self, packs: Packs) -> None:
-        """Let go who has fallen, and note in which pack and lane the others are."""
+        """Let the fallen walkers go, and note in which pack and lane the others are."""
         places = np.flatnonzero(packs.up())
         self._active = np.count_nonzero(packs.rows[:, State.active])
         self._up = len(places)
         if 0 < self._up < len(self._herd.numbers):
             self._herd.keep(np.isin(self._herd.numbers, packs.walkers[places]))
         self._seats = np.divmod(places, packs.lanes)
-
-    def _move(self) -> None:
-        """MuJoCo's step of each walker that is up."""
-        seen = self._herd.step(self._torques[self._seats])
-        self._motions[self._seats] = motion_rows(seen)
 
 
 def motion_rows(seen: Array) -> Array:
@@ -207,7 +197,7 @@ def motion_rows(seen: Array) -> Array:
     rows = np.empty((len(seen), Motion.count))
     rows[:, : 2 * COORDINATES] = coordinates.reshape(len(seen), -1)
     rows[:, Motion.touching : Motion.touching + LEGS] = feet[:, :, 0] > 0.0
-    # What the foot does to the ground is sensed.
+    # The sensors give the force of a foot on the ground.
     rows[:, Motion.ground_force :: LEGS] = -feet[:, :, 1]
     rows[:, Motion.ground_force + 1 :: LEGS] = -feet[:, :, 3]
     return rows
@@ -225,7 +215,7 @@ def _no_warnings() -> Iterator[None]:
 
 
 def metadata(settings: Settings) -> dict[str, Any]:
-    """What produced a result: engine, version, numerics; the controller's engine beside it."""
+    """Engine, version and numerics of a result, and the controller's engine."""
     return {
         "engine": "mujoco",
         "engine_version": mujoco.__version__,

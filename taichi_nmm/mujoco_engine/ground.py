@@ -1,7 +1,7 @@
-"""The ground: of a walk, planes under the soles, anew at every step; of a file, boxes.
+"""The ground of a walk, planes under the soles, anew at every step; and that of a file, boxes.
 
-A box stands for each straight piece of a terrain, its top on the table. MuJoCo's viewer shows it: a
-file can only have solids. Planes are laid by `kernel.contact_planes`.
+Planes are laid by `kernel.contact_planes`. A file for MuJoCo's viewer can only have solids: a box
+for each straight piece of a terrain, its top on the table.
 """
 
 from dataclasses import dataclass
@@ -89,7 +89,11 @@ def boxes(terrain: Terrain) -> Boxes:
     Raises:
         InputError: pieces so short and steep that the thinnest box comes out of the next one.
     """
-    x, z = _corners(terrain)
+    height = terrain.height_m
+    slopes = np.concatenate([[0.0], np.diff(height) / GRID_SPACING_M, [0.0]])
+    corners = np.abs(np.diff(slopes)) > SAME_SLOPE  # where straight pieces meet; then the aprons
+    x = np.concatenate([[GRID_X_M[0] - APRON_M], GRID_X_M[corners], [GRID_X_M[-1] + APRON_M]])
+    z = np.concatenate([height[:1], height[corners], height[-1:]])
     dx, dz = np.diff(x), np.diff(z)
     length, angle = np.hypot(dx, dz), np.arctan2(dz, dx)
     down = np.column_stack([np.sin(angle), -np.cos(angle)])
@@ -111,20 +115,8 @@ def boxes(terrain: Terrain) -> Boxes:
     )
 
 
-def _corners(terrain: Terrain) -> tuple[Array, Array]:
-    """Where straight pieces meet, and the outer ends of the aprons: x and z, [k + 1] each."""
-    height = terrain.height_m
-    slopes = np.concatenate([[0.0], np.diff(height) / GRID_SPACING_M, [0.0]])
-    corners = np.abs(np.diff(slopes)) > SAME_SLOPE
-    x = np.concatenate([[GRID_X_M[0] - APRON_M], GRID_X_M[corners], [GRID_X_M[-1] + APRON_M]])
-    return x, np.concatenate([height[:1], height[corners], height[-1:]])
-
-
 def _thickness(tops: Array, down: Array) -> Array:
-    """How thick each box may be: as thick as does not come out of the ground elsewhere, [k].
-
-    Zero where none is thin enough.
-    """
+    """Largest thickness with which each box stays in the ground, [k]; zero where there is none."""
     thickness = np.zeros(len(down))
     along = np.linspace(0.0, 1.0, SAMPLES)
     for candidate in reversed(THICKNESSES_M):

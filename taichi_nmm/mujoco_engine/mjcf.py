@@ -1,4 +1,4 @@
-"""The walker as a MuJoCo model: links, feet, joint limits, motors, ground, and what is sensed.
+"""The walker as a MuJoCo model: links, feet, joint limits, motors, sensors and ground.
 
 Feet are two spheres each, their soles on the line from heel to ball. Contacts are elliptic cones
 with the walker's friction; a motor turns each joint; a sensor of each foot says whether it touches,
@@ -11,7 +11,7 @@ x to the right and z up, as ours. The slides and the HAT's hinge are ours as the
 and a joint torque, which does work on child minus parent, is the hinge's generalised force.
 
 **Joint stops** as limits of MuJoCo's.
-A stop is tau = -k D (1 + w/w_max)+, D the angle beyond the limit (`kernel.joint_stops`): a damper
+A stop is tau = -k D (1 + w/w_max)+, D the angle beyond the limit (`kernel.joints`): a damper
 that grows with the excess, and a weak spring. A limit of MuJoCo's with impedance d, whose joint
 has the inverse inertia A, gives at a slow creep under a torque T (MuJoCo's documentation,
 Computation, "Constraint model")
@@ -25,10 +25,10 @@ is then the largest, and stable.
 """
 
 import math
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 import mujoco
 import numpy as np
@@ -43,7 +43,7 @@ from taichi_nmm.body import (
     THIGH_LENGTH_M,
     Bodies,
 )
-from taichi_nmm.kernel import joint_stops as stops
+from taichi_nmm.kernel import joints as stops
 from taichi_nmm.kernel.contact_planes import PLANES, PLANES_PER_SOLE, SOLE_RADIUS_M
 from taichi_nmm.mujoco_engine.ground import Boxes
 from taichi_nmm.settings import LIMITS_AS_STOPS, Settings
@@ -55,68 +55,50 @@ ORIGINS = ((0, 0), (0, 0), (0, -THIGH_LENGTH_M), (0, -SHANK_LENGTH_M))  # x, z
 DIRECTIONS = ((0, 1), (0, -1), (0, -1), (1, 0))  # HAT up, thigh and shank down, foot forward
 
 
-def relative_coordinates() -> Array:
-    """RELATIVE [9, 9]: child minus parent at the six joints, the rest unchanged."""
-    relative = np.eye(9)
-    relative[range(3, 9), JOINT_PARENT] = -1.0
-    return relative
-
-
 JOINT_PARENT = (2, 3, 4, 2, 6, 7)  # coordinate of the segment above hip, knee and ankle
-RELATIVE = relative_coordinates()
+RELATIVE: Array = np.eye(9)  # child minus parent at the six joints, the rest unchanged
+RELATIVE[range(3, 9), JOINT_PARENT] = -1.0
 
 
-def linkage(bodies: Bodies, row: int = 0) -> ElementTree.Element:
+def linkage(bodies: Bodies, row: int = 0) -> Element:
     """MJCF of one body in free flight: no contact, no damping, no armature."""
-    root = ElementTree.Element("mujoco")
-    ElementTree.SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
-    ElementTree.SubElement(root, "option", gravity=f"0 0 {-GRAVITY_MPS2!r}")
-    world = ElementTree.SubElement(root, "worldbody")
-    links = _links(bodies, row)
-    hat = _link(world, *next(links))
+    root = Element("mujoco")
+    SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
+    SubElement(root, "option", gravity=f"0 0 {-GRAVITY_MPS2!r}")
+    hat = _add_link(SubElement(root, "worldbody"), bodies, row, 0)
     for axis, direction in (("x", "1 0 0"), ("z", "0 0 1")):
-        ElementTree.SubElement(hat, "joint", name=axis, type="slide", axis=direction)
-    _hinge(hat)
-    for _ in ("left", "right"):
-        parent = hat
-        for _ in ("thigh", "shank", "foot"):
-            parent = _link(parent, *next(links))
-            _hinge(parent)
+        SubElement(hat, "joint", name=axis, type="slide", axis=direction)
+    _add_hinge(hat)
+    parent = hat
+    for index in range(1, len(SEGMENT_NAMES)):
+        parent = _add_link(hat if index % 3 == 1 else parent, bodies, row, index)
+        _add_hinge(parent)
     return root
 
 
-def compile_model(root: ElementTree.Element) -> mujoco.MjModel:
+def compile_model(root: Element) -> mujoco.MjModel:
     """The model of an MJCF tree."""
     return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
 
 
-def _links(bodies: Bodies, row: int) -> Iterator[tuple[str, str, str, dict[str, str]]]:
-    """Name, origin in the parent, centre of mass and inertial attributes of each segment."""
-    for index, name in enumerate(SEGMENT_NAMES):
-        kind = 0 if index == 0 else (index - 1) % 3 + 1
-        inertia = float(bodies.inertia_kgm2[row, index])
-        com_m = float(bodies.com_m[row, index])
-        dynamic = {
-            "mass": repr(float(bodies.mass_kg[row, index])),
-            "diaginertia": f"{inertia!r} {inertia!r} {inertia!r}",  # only the y axis ever turns
-        }
-        yield name, _point(*ORIGINS[kind]), _point(*(com_m * x for x in DIRECTIONS[kind])), dynamic
+def _add_link(parent: Element, bodies: Bodies, row: int, index: int) -> Element:
+    """A segment, by its index in `SEGMENT_NAMES`, with its inertia."""
+    kind = 0 if index == 0 else (index - 1) % 3 + 1
+    x, z = ORIGINS[kind]
+    link = SubElement(parent, "body", name=SEGMENT_NAMES[index], pos=f"{x!r} 0 {z!r}")
+    com_m = float(bodies.com_m[row, index])
+    x, z = (com_m * direction for direction in DIRECTIONS[kind])
+    inertia = repr(float(bodies.inertia_kgm2[row, index]))
+    SubElement(
+        link, "inertial",
+        pos=f"{x!r} 0 {z!r}", mass=repr(float(bodies.mass_kg[row, index])),
+        diaginertia=" ".join([inertia] * 3),  # only the y axis ever turns
+    )  # fmt: skip
+    return link
 
 
-def _link(
-    parent: ElementTree.Element, name: str, origin: str, com: str, dynamic: dict[str, str]
-) -> ElementTree.Element:
-    body = ElementTree.SubElement(parent, "body", name=name, pos=origin)
-    ElementTree.SubElement(body, "inertial", {"pos": com, **dynamic})
-    return body
-
-
-def _hinge(body: ElementTree.Element) -> None:
-    ElementTree.SubElement(body, "joint", name=body.attrib["name"], type="hinge", axis="0 1 0")
-
-
-def _point(x: float, z: float) -> str:
-    return f"{x!r} 0 {z!r}"
+def _add_hinge(body: Element) -> None:
+    SubElement(body, "joint", name=body.attrib["name"], type="hinge", axis="0 1 0")
 
 
 LEAST_RANGE_RAD = math.radians(10.0)  # the law is followed so far at least; walking stays within
@@ -129,7 +111,7 @@ NO_LIMIT_RAD = math.pi
 
 @dataclass(frozen=True)
 class Stop:
-    """A joint's range, rad, and the law of what lies beyond: stiffness k, relaxation rate w_max."""
+    """A joint's range, rad, and the relaxation rate w_max of the law beyond it."""
 
     low_rad: float
     high_rad: float
@@ -147,15 +129,10 @@ STOPS: dict[str, Stop] = {
 }  # by the segment whose hinge it is
 
 
-def limit(
-    stop: Stop, inverse_inertia: float, step_s: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def limit(stop: Stop, inverse_inertia: float, step_s: float) -> tuple[Array, Array]:
     """`solref` [2] and `solimp` [5] of a limit with a stop's law.
 
-    Args:
-        stop: whose law.
-        inverse_inertia: of the joint, as MuJoCo has it in `dof_invweight0`, 1/(kg m2).
-        step_s: physics step.
+    `inverse_inertia` of the joint is MuJoCo's `dof_invweight0`, 1/(kg m2).
     """
     time_constant_s = STEPS_PER_TIME_CONSTANT * step_s
     stiffness = stops.STOP_STIFFNESS_NMPRAD
@@ -192,14 +169,14 @@ def walk_model(bodies: Bodies, settings: Settings, friction: float) -> mujoco.Mj
     The planes are MuJoCo's mocap bodies, in that order.
     """
     root = _walker(bodies, settings, friction)
-    world, contact = _find(root, "worldbody"), ElementTree.SubElement(root, "contact")
+    world, contact = _find(root, "worldbody"), SubElement(root, "contact")
     for plane in range(PLANES):
-        body = ElementTree.SubElement(world, "body", mocap="true")
-        ElementTree.SubElement(
+        body = SubElement(world, "body", mocap="true")
+        SubElement(
             body, "geom",
             name=f"plane_{plane}", type="plane", size="1 1 1", contype="0", conaffinity="0",
         )  # fmt: skip
-        ElementTree.SubElement(
+        SubElement(
             contact, "pair",
             geom1=f"plane_{plane}", geom2=f"sole_{plane // PLANES_PER_SOLE}", condim="3",
             friction=_numbers((friction, friction, 0.0, 0.0, 0.0)), solref=_solref(settings),
@@ -213,7 +190,7 @@ def write_mjcf(
     friction: float,
     ground: Boxes,
     settings: Settings,
-    start: np.ndarray,
+    start: Array,
 ) -> None:
     """Write the model, with the whole ground and the start as key frame, for MuJoCo's viewer.
 
@@ -222,65 +199,56 @@ def write_mjcf(
     root = _walker(bodies, settings, friction)
     world = _find(root, "worldbody")
     for box in range(len(ground)):
-        ElementTree.SubElement(
+        SubElement(
             world, "geom",
             type="box", contype="0", conaffinity="1", rgba="0.6 0.6 0.55 1",
             size=_numbers(ground.half_size[box]), pos=_numbers(ground.position[box]),
             quat=_numbers(ground.quaternion[box]),
         )  # fmt: skip
-    keyframe = ElementTree.SubElement(root, "keyframe")
-    ElementTree.SubElement(
-        keyframe, "key", name="start", qpos=_numbers(start[:9]), qvel=_numbers(start[9:])
-    )
+    keyframe = SubElement(root, "keyframe")
+    SubElement(keyframe, "key", name="start", qpos=_numbers(start[:9]), qvel=_numbers(start[9:]))
     # Where the viewer looks, and from how far: not at the whole ground.
-    ElementTree.SubElement(
-        root, "statistic", extent=repr(VIEWED_M), center=_numbers((start[0], 0.0, start[1]))
-    )
+    SubElement(root, "statistic", extent=repr(VIEWED_M), center=_numbers((start[0], 0.0, start[1])))
     ElementTree.indent(root)
     path.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
 
 
-def _walker(bodies: Bodies, settings: Settings, friction: float) -> ElementTree.Element:
+def _walker(bodies: Bodies, settings: Settings, friction: float) -> Element:
     """All but the ground."""
     root = linkage(bodies, 0)
     invweights = compile_model(root).dof_invweight0
-    _set_options(root, settings, friction)
-    _add_feet(root)
-    for index, joint in enumerate(JOINTS):
-        _limit_joint(root, joint, float(invweights[3 + index]), settings)
-    _add_motors_and_sensors(root)
-    return root
-
-
-def _set_options(root: ElementTree.Element, settings: Settings, friction: float) -> None:
     option = _find(root, "option")
     option.set("timestep", repr(settings.physics_step_s))
     option.set("integrator", "implicitfast")
     option.set("cone", "elliptic")
     option.set("impratio", repr(IMPRATIO))
-    # A walker that diverges is to be seen, not put back to the start.
-    ElementTree.SubElement(option, "flag", autoreset="disable")
-    default = ElementTree.SubElement(root, "default")
-    ElementTree.SubElement(
-        default, "geom",
+    # Else MuJoCo puts a walker that diverges back to the start.
+    SubElement(option, "flag", autoreset="disable")
+    SubElement(
+        SubElement(root, "default"), "geom",
         friction=_numbers((friction, 0.0, 0.0)), solref=_solref(settings),
     )  # fmt: skip
-
-
-def _add_feet(root: ElementTree.Element) -> None:
     for leg, side in enumerate(SIDES):
         foot = _find(root, "body", f"foot_{side}")
         for end, x_m in enumerate((HEEL_OFFSET_M, BALL_OFFSET_M)):
-            ElementTree.SubElement(
+            SubElement(
                 foot, "geom", name=f"sole_{2 * leg + end}",
                 type="sphere", size=repr(SOLE_RADIUS_M), pos=_numbers((x_m, 0.0, SOLE_RADIUS_M)),
                 contype="1", conaffinity="0", group="0",
             )  # fmt: skip
+    actuator, sensor = SubElement(root, "actuator"), SubElement(root, "sensor")
+    for index, joint in enumerate(JOINTS):
+        _limit_joint(root, joint, float(invweights[3 + index]), settings)
+        SubElement(actuator, "motor", name=joint, joint=joint)
+    for side in SIDES:
+        SubElement(
+            sensor, "contact",
+            body1=f"foot_{side}", data="found force", reduce="netforce", num="1",
+        )  # fmt: skip
+    return root
 
 
-def _limit_joint(
-    root: ElementTree.Element, joint: str, inverse_inertia: float, settings: Settings
-) -> None:
+def _limit_joint(root: Element, joint: str, inverse_inertia: float, settings: Settings) -> None:
     hinge, stop = _find(root, "joint", joint), STOPS[joint.split("_")[0]]
     hinge.set("limited", "true")
     hinge.set("range", _numbers((stop.low_rad, stop.high_rad)))
@@ -290,22 +258,11 @@ def _limit_joint(
         hinge.set("solimplimit", _numbers(solimp))
 
 
-def _add_motors_and_sensors(root: ElementTree.Element) -> None:
-    actuator, sensor = (ElementTree.SubElement(root, tag) for tag in ("actuator", "sensor"))
-    for joint in JOINTS:
-        ElementTree.SubElement(actuator, "motor", name=joint, joint=joint)
-    for side in SIDES:
-        ElementTree.SubElement(
-            sensor, "contact",
-            body1=f"foot_{side}", data="found force", reduce="netforce", num="1",
-        )  # fmt: skip
-
-
 def _solref(settings: Settings) -> str:
     return _numbers((settings.mujoco.time_constant_s, settings.mujoco.damping_ratio))
 
 
-def _find(root: ElementTree.Element, tag: str, name: str | None = None) -> ElementTree.Element:
+def _find(root: Element, tag: str, name: str | None = None) -> Element:
     return next(e for e in root.iter(tag) if name is None or e.get("name") == name)
 
 

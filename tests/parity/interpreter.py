@@ -15,8 +15,8 @@ import numpy as np
 from taichi_nmm import kernel
 
 INTERPRETED = (
-    "elementary", "kinematics", "muscle_table", "attachments", "muscle", "dynamics", "contact",
-    "joint_stops", "nerves", "reflexes", "swing", "gait", "walker", "entry_points",
+    "elementary", "kinematics", "muscle_table", "joints", "muscle", "dynamics", "contact",
+    "nerves", "reflexes", "swing", "gait", "walker", "entry_points",
     "carried", "actuation",
 )  # fmt: skip
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, Bodies
 from taichi_nmm.initial import initial_rows
-from taichi_nmm.kernel import joint_stops
+from taichi_nmm.kernel import joints
 from taichi_nmm.kernel.layout import COORDINATES, State
 from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, MuscleData
 from taichi_nmm.mujoco_engine.mjcf import RELATIVE, compile_model, linkage
@@ -36,9 +36,9 @@ FRICTION = 0.9  # as in the walker
 RADIUS_M = 0.01  # of the contact spheres
 SEGMENT_OF_JOINT = {"hip": "thigh", "knee": "shank", "ankle": "foot"}  # whose hinge it is
 RANGE_RAD = {
-    "hip": (-2.0, joint_stops.HIP_EXTENSION_LIMIT_RAD),
-    "knee": (joint_stops.KNEE_STRAIGHTEST_RAD, 2.5),
-    "ankle": (joint_stops.ANKLE_DORSIFLEXION_LIMIT_RAD, joint_stops.ANKLE_PLANTARFLEXION_LIMIT_RAD),
+    "hip": (-2.0, joints.HIP_EXTENSION_LIMIT_RAD),
+    "knee": (joints.KNEE_STRAIGHTEST_RAD, 2.5),
+    "ankle": (joints.ANKLE_DORSIFLEXION_LIMIT_RAD, joints.ANKLE_PLANTARFLEXION_LIMIT_RAD),
 }
 
 

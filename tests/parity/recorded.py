@@ -55,9 +55,8 @@ class Walks:
 def record(gains: Array, ticks: int, settings: Settings) -> Walks:
     """Walk on level ground at a physics step of 1 ms, and keep each tick."""
     from taichi_nmm import simulator
-    from taichi_nmm.constants import constant_rows
     from taichi_nmm.kernel import backend
-    from taichi_nmm.walkers import check_batch
+    from taichi_nmm.walkers import check_batch, constant_rows
 
     batch = check_batch(gains)
     backend.start(settings)

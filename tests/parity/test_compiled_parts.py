@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from taichi_nmm import terrain
 from taichi_nmm.body import Bodies
-from taichi_nmm.constants import blends, constant_rows
 from taichi_nmm.kernel.layout import (
     COORDINATES,
     FIRST_DELAY,
@@ -30,6 +29,7 @@ from taichi_nmm.kernel.layout import (
 from taichi_nmm.kernel.muscle_table import muscle_table
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings
+from taichi_nmm.walkers import blends, constant_rows
 from taichi_nmm.world import WorldRanges
 from tests.parity.interpreter import AllLanes, interpreted
 

@@ -68,11 +68,11 @@ def compiled(request: Any, step_s: float) -> NDArray[np.float64]:
 
 def interpreted(request: Any, step_s: float) -> NDArray[np.float64]:
     """The same by NumPy."""
-    from taichi_nmm.constants import constant_rows
     from taichi_nmm.kernel.layout import FIRST_DELAY, FIRST_EVENT, FIRST_FIBRE, FIRST_SUM, Work
     from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
     from taichi_nmm.kernel.muscle_table import muscle_table
     from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
+    from taichi_nmm.walkers import constant_rows
 
     settings, batch, packs = start(request, step_s)
     firsts = [FIRST_FIBRE, FIRST_DELAY, FIRST_EVENT, FIRST_SUM]

@@ -7,7 +7,7 @@ import pytest
 
 from taichi_nmm import Controller
 from taichi_nmm.body import Bodies
-from taichi_nmm.kernel.joint_stops import HIP_EXTENSION_LIMIT_RAD
+from taichi_nmm.kernel.joints import HIP_EXTENSION_LIMIT_RAD
 from taichi_nmm.observation import Observation
 from taichi_nmm.parameters import PUBLISHED_GAINS, load_gains, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings

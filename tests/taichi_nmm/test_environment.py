@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from taichi_nmm.kernel.environment import settled_environment
+from taichi_nmm.kernel_cache import settled_environment
 from tests.tools.running import ROOT
 
 ODD = {

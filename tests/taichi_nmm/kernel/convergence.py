@@ -41,7 +41,6 @@ def walk(walker: Any, ticks: int) -> Iterator[Array]:
     """State rows of the interpreted walkers after each tick of 1 ms on flat ground."""
     from storage.points import sobol_points
     from taichi_nmm import terrain
-    from taichi_nmm.constants import constant_rows
     from taichi_nmm.initial import initial_rows
     from taichi_nmm.kernel.layout import FIRST_DELAY, FIRST_EVENT, FIRST_FIBRE, Sums, Work
     from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
@@ -49,7 +48,7 @@ def walk(walker: Any, ticks: int) -> Iterator[Array]:
     from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
     from taichi_nmm.parameters import GAINS as PARAMETERS
     from taichi_nmm.settings import Settings
-    from taichi_nmm.walkers import check_batch
+    from taichi_nmm.walkers import check_batch, constant_rows
 
     flat, step_s = terrain.flat(), 1e-3
     batch = check_batch(sobol_points(SEED, 0, GAINS, PARAMETERS), None, flat, None, None)

@@ -74,7 +74,7 @@ def isometric(m: int) -> Any:
         fibres[Muscle.activation + i] = fibres[Muscle.stimulation + i] = ACTIVATIONS
         fibres[Muscle.length + i] = (unit - data.slack_length_m) / data.optimal_length_m
     constants = muscle.constants(muscle_table(1e-3), m)
-    walker.attachments.stretch_tendons(lanes, work)
+    walker.joints.stretch_tendons(lanes, work)
     relaxed = work.copy()
     for _ in range(3000):
         before = fibres.copy()
@@ -166,14 +166,14 @@ def test_torques_do_the_work_of_the_lengths(joint: int) -> None:
     from taichi_nmm.kernel.layout import Muscle, Work
     from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, unit_lengths
 
-    attachments, step = interpreted_walker().attachments, 1e-6
+    joints, step = interpreted_walker().joints, 1e-6
     angles = np.deg2rad([-10.0, 25.0, 5.0])
     turn = step * np.eye(3)[joint]
     slopes = (unit_lengths(*(angles + turn)) - unit_lengths(*(angles - turn))) / (2 * step)
     for m, (data, slope) in enumerate(zip(MUSCLE_DATA.values(), slopes, strict=True)):
         fibres, work = interpreted_rows(angles)
         fibres[Muscle.force + m] = 1.0
-        attachments.turn_joints(np.arange(1), fibres, work)
+        joints.turn_joints(np.arange(1), fibres, work)
         attachment = (data.hip, data.knee, data.ankle)[joint]
         pennation = 1.0 if attachment is None else attachment.pennation
         torque_nm = work[Work.joint_torque + joint, 0]
@@ -189,7 +189,7 @@ def test_strains_follow_the_lengths() -> None:
 
     angles = np.deg2rad([-10.0, 25.0, 5.0])
     _fibres, work = interpreted_rows(angles)
-    interpreted_walker().attachments.stretch_tendons(np.arange(1), work)
+    interpreted_walker().joints.stretch_tendons(np.arange(1), work)
     slack = np.array([data.slack_length_m for data in MUSCLE_DATA.values()])
     expected = (unit_lengths(*angles) / slack - 1.0) / REFERENCE
     for leg in range(2):

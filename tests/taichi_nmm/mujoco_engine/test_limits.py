@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 
 from taichi_nmm.body import Bodies
-from taichi_nmm.kernel.joint_stops import STOP_STIFFNESS_NMPRAD
+from taichi_nmm.kernel.joints import STOP_STIFFNESS_NMPRAD
 from taichi_nmm.mujoco_engine.mjcf import JOINTS, LEAST_RANGE_RAD, STOPS, limit, walk_model
 from taichi_nmm.settings import MujocoSettings, Settings
 
