@@ -86,12 +86,11 @@ def _add_link(parent: Element, bodies: Bodies, row: int, index: int) -> Element:
     kind = 0 if index == 0 else (index - 1) % 3 + 1
     x, z = ORIGINS[kind]
     link = SubElement(parent, "body", name=SEGMENT_NAMES[index], pos=f"{x!r} 0 {z!r}")
-    com_m = float(bodies.com_m[row, index])
-    x, z = (com_m * direction for direction in DIRECTIONS[kind])
+    com_x, com_z = (float(bodies.com_m[row, index]) * part for part in DIRECTIONS[kind])
     inertia = repr(float(bodies.inertia_kgm2[row, index]))
     SubElement(
         link, "inertial",
-        pos=f"{x!r} 0 {z!r}", mass=repr(float(bodies.mass_kg[row, index])),
+        pos=f"{com_x!r} 0 {com_z!r}", mass=repr(float(bodies.mass_kg[row, index])),
         diaginertia=" ".join([inertia] * 3),  # only the y axis ever turns
     )  # fmt: skip
     return link
