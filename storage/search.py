@@ -6,9 +6,10 @@ of its own, so one goes on while another waits; each generation is a file until 
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +31,12 @@ CELLS = 8  # of the archive, a measure
 Walked = Callable[[int, bool], None]
 """Called with the runs of a generation, and whether this call made them or an earlier one."""
 
+Search = Generator[NDArray[np.float64], Any, None]
+"""Yields points that are to be run, and is sent their `Generation`."""
 
-@dataclass(frozen=True, eq=False)
-class Generation:
-    """Points that were tried for a family at a time, and what came of them.
+
+class Generation(NamedTuple):
+    """Points that were tried for a family at a time, and their results.
 
     Attributes:
         points: [n, p], within the bounds.
@@ -53,9 +56,8 @@ class Generation:
         return [*(each.name for each in simulator.parameters), simulator.objective, *tried]
 
     def columns(self, simulator: Simulator) -> Tried:
-        """All of it by column."""
-        every = np.column_stack([self.points, self.objective, self.measures])
-        return dict(zip(self.names(simulator), every.T, strict=True))
+        """The generation by column."""
+        return dict(zip(self.names(simulator), np.column_stack(self).T, strict=True))
 
     @staticmethod
     def of(columns: Tried, simulator: Simulator) -> "Generation":
@@ -64,11 +66,15 @@ class Generation:
         count = len(simulator.parameters)
         return Generation(every[:, :count], every[:, count], every[:, count + 1 :])
 
-    @staticmethod
-    def joined(parts: list["Generation"]) -> "Generation":
-        """One generation of several parts."""
-        names = ("points", "objective", "measures")
-        return Generation(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """A unit of work: a part of a generation, points [n, p] to be run in a family's worlds."""
+
+    simulator: Simulator
+    family: Family
+    part: int
+    points: NDArray[np.float64]
 
 
 def evolved_points(
@@ -106,23 +112,75 @@ def _search(
     folder: StoreFolder, asked: Specification, repertoire: Repertoire, pool: Pool, walked: Walked
 ) -> dict[str, list[Generation]]:
     """All generations of all families, those of earlier calls included."""
-    starts = grid_starts(folder, asked, repertoire)
-    parts = -(-pool.slots // len(repertoire.trials))
-    lines = {
-        family.name: Line(
-            asked, family, repertoire.stream(family.name), *starts[family.name], folder, walked
-        )
-        for family in repertoire.trials
-    }
-    units = deque(unit for line in lines.values() for unit in line.next_units(parts))
+    starts = _grid_starts(folder, asked, repertoire)
+    count = -(-pool.slots // len(repertoire.trials))  # units of a generation
+    found: dict[str, list[Generation]] = {}
+    searches: dict[str, Search] = {}
+    done: dict[str, dict[int, Generation]] = {}
+    units: deque[Unit] = deque()
+
+    def go_on(family: Family, tried: Generation | None) -> None:
+        with suppress(StopIteration):  # the search for this family is over
+            points = searches[family.name].send(tried)
+            done[family.name] = {}
+            pieces = enumerate(np.array_split(points, count))
+            units.extend(Unit(asked.simulator, family, part, piece) for part, piece in pieces)
+
+    for family in repertoire.trials:
+        own = found[family.name] = []
+        evolution = Evolution(asked.simulator, repertoire.stream(family.name))
+        start, length = starts[family.name]
+        searches[family.name] = _search_for(family, folder, evolution, start, length, own, walked)
+        go_on(family, None)
     for unit, tried in pool.results(try_points, units):
-        line = lines[unit.family.name]
-        if line.take(unit.part, tried):
-            units.extend(line.next_units(parts))
-    return {name: line.generations for name, line in lines.items()}
+        parts = done[unit.family.name]
+        parts[unit.part] = tried
+        if len(parts) == count:
+            ordered = (parts[part] for part in range(count))
+            go_on(unit.family, Generation(*map(np.concatenate, zip(*ordered, strict=True))))
+    return found
 
 
-def grid_starts(
+def _search_for(
+    family: Family,
+    folder: StoreFolder,
+    evolution: "Evolution",
+    start: NDArray[np.float64],
+    length: int,
+    found: list[Generation],
+    walked: Walked,
+) -> Search:
+    """The search for one family.
+
+    A generation that a file keeps is taken from there. On another machine the search may ask for
+    other points, in their last bits: then a file is not of this generation, and it and later ones
+    are tried again.
+
+    Args:
+        family: with worlds of the search's own.
+        folder: where generations are kept.
+        evolution: that makes the points of all generations but the first.
+        start: points of the grid, [n, p]: the first generation.
+        length: generations after that one.
+        found: gets all generations.
+        walked: called for every generation.
+    """
+    simulator = evolution.simulator
+    for number in range(1 + length):
+        points = evolution.ask() if number else start
+        columns = folder.read_generation(family.name, number, Generation.names(simulator))
+        kept = None if columns is None else Generation.of(columns, simulator)
+        if kept is None or not np.array_equal(kept.points, points):
+            tried: Generation = yield points
+            folder.write_generation(family.name, number, tried.columns(simulator))
+        else:
+            tried = kept
+        evolution.tell(tried)
+        found.append(tried)
+        walked(len(points) * family.settings, tried is not kept)
+
+
+def _grid_starts(
     folder: StoreFolder, specification: Specification, repertoire: Repertoire
 ) -> dict[str, tuple[NDArray[np.float64], int]]:
     """For each family, the points of the grid that survive it longest, and generations after them.
@@ -151,105 +209,17 @@ def grid_starts(
     return {name: (starts[name], generations[name]) for name in families}
 
 
-@dataclass(frozen=True, eq=False)
-class Unit:
-    """Some points of a generation, to be run: a unit of work.
-
-    Attributes:
-        specification: of the store.
-        family: whose worlds they are run in.
-        part: number of the unit in the generation.
-        points: [n, p].
-    """
-
-    specification: Specification
-    family: Family
-    part: int
-    points: NDArray[np.float64]
-
-
 def try_points(unit: Unit) -> Generation:
-    """The points with what came of them."""
-    simulator, family = unit.specification.simulator, unit.family
+    """The points of a unit with their results."""
+    simulator, family = unit.simulator, unit.family
     rows, _ = run_points(simulator, unit.points, family.worlds, family.settings, family.horizon_s)
     return Generation(unit.points, *judge_rows(simulator, rows, family.horizon_s))
-
-
-class Line:
-    """The search for one family, as far as it has come.
-
-    Args:
-        specification: of the store, as units are to be run.
-        family: with worlds of the search's own.
-        seed: of its evolution.
-        start: points of the grid, [n, p]: the first generation.
-        length: generations after that one.
-        folder: where generations are kept.
-        walked: called for every generation.
-    """
-
-    def __init__(
-        self,
-        specification: Specification,
-        family: Family,
-        seed: np.random.SeedSequence,
-        start: NDArray[np.float64],
-        length: int,
-        folder: StoreFolder,
-        walked: Walked,
-    ) -> None:
-        """No generation is known yet."""
-        self.generations: list[Generation] = []
-        self._specification, self._family = specification, family
-        self._start, self._length = start, length
-        self._folder, self._walked = folder, walked
-        self._evolution = Evolution(specification.simulator, seed)
-        self._done: dict[int, Generation] = {}
-        self._parts = 0
-
-    def next_units(self, parts: int) -> list[Unit]:
-        """What has to be run next, in so many units; nothing when the search is over.
-
-        Generations that are kept in files are taken from there. On another machine the search may
-        ask other points, in their last bits: then a file is not of this generation, and it and
-        later ones are tried again.
-        """
-        simulator, name = self._specification.simulator, self._family.name
-        while (number := len(self.generations)) <= self._length:
-            points = self._evolution.ask() if self.generations else self._start
-            columns = self._folder.read_generation(name, number, Generation.names(simulator))
-            kept = None if columns is None else Generation.of(columns, simulator)
-            if kept is None or not np.array_equal(kept.points, points):
-                stretches = np.array_split(points, parts)
-                self._done, self._parts = {}, len(stretches)
-                return [
-                    Unit(self._specification, self._family, part, stretch)
-                    for part, stretch in enumerate(stretches)
-                ]
-            self._tell(kept, now=False)
-        return []
-
-    def take(self, part: int, tried: Generation) -> bool:
-        """Take what came of a unit; True: the generation is complete, and kept."""
-        self._done[part] = tried
-        if len(self._done) < self._parts:
-            return False
-        whole = Generation.joined([self._done[part] for part in range(self._parts)])
-        columns = whole.columns(self._specification.simulator)
-        self._folder.write_generation(self._family.name, len(self.generations), columns)
-        self._tell(whole, now=True)
-        return True
-
-    def _tell(self, tried: Generation, now: bool) -> None:
-        self._evolution.tell(tried)
-        self.generations.append(tried)
-        self._walked(len(tried.points) * self._family.settings, now)
 
 
 class Evolution:
     """An archive of candidates, and the evolution strategies (CMA-ES) that fill it.
 
-    What it asks depends on the seed and on what it was told, on nothing else. The library works on
+    The points depend on the seed and on the generations told, on nothing else. The library works on
     the unit cube.
 
     Args:
@@ -261,10 +231,10 @@ class Evolution:
         """Nothing is known yet."""
         from ribs.archives import GridArchive  # here: it compiles, and most stores do without
 
+        self.simulator = simulator
         own, *self._seeds = map(int, seed.generate_state(1 + EMITTERS))
-        self._parameters = simulator.parameters
         self._archive: GridArchive = GridArchive(
-            solution_dim=len(self._parameters),
+            solution_dim=len(simulator.parameters),
             dims=(CELLS,) * len(simulator.measures),
             ranges=tuple(simulator.measures.values()),
             seed=own,
@@ -274,38 +244,34 @@ class Evolution:
     def ask(self) -> NDArray[np.float64]:
         """The next generation, [GENERATION, p]."""
         unit = folded(np.concatenate([emitter.ask() for emitter in self._emitters]))
-        return within_bounds(unit, self._parameters)
+        return within_bounds(unit, self.simulator.parameters)
 
     def tell(self, tried: Generation) -> None:
-        """What came of the generation that was asked last; or first, of the points to start from.
+        """Take the results of the last generation; or first, of the points to start from.
 
         Emitters begin at the best of these.
         """
-        points = in_unit_cube(tried.points, self._parameters)
+        from ribs.emitters import EvolutionStrategyEmitter
+
+        points = in_unit_cube(tried.points, self.simulator.parameters)
         added = self._archive.add(points, tried.objective, tried.measures)
-        if not self._emitters:
-            best = points[np.argsort(-tried.objective, kind="stable")]
-            self._emitters = [
-                self._emitter(best[number % len(best)], seed)
-                for number, seed in enumerate(self._seeds)
-            ]
-            return
         for number, emitter in enumerate(self._emitters):
             own = slice(number * BATCH, (number + 1) * BATCH)
             told = {name: values[own] for name, values in added.items()}
             emitter.tell(points[own], tried.objective[own], tried.measures[own], told)
-
-    def _emitter(self, start: NDArray[np.float64], seed: int) -> "EvolutionStrategyEmitter":
-        from ribs.emitters import EvolutionStrategyEmitter
-
-        return EvolutionStrategyEmitter(
-            self._archive,
-            x0=start,
-            sigma0=STEP,
-            ranker="2imp",  # new cells first, then by what a cell gained
-            batch_size=BATCH,
-            seed=seed,
-        )
+        if not self._emitters:
+            best = points[np.argsort(-tried.objective, kind="stable")]
+            self._emitters = [
+                EvolutionStrategyEmitter(
+                    self._archive,
+                    x0=best[number % len(best)],
+                    sigma0=STEP,
+                    ranker="2imp",  # new cells first, then by what a cell gained
+                    batch_size=BATCH,
+                    seed=seed,
+                )
+                for number, seed in enumerate(self._seeds)
+            ]
 
 
 def folded(points: NDArray[np.float64]) -> NDArray[np.float64]:

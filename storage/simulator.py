@@ -1,8 +1,8 @@
-"""The seam: what a store knows of the simulator whose scores it keeps.
+"""The seam: all that a store knows of the simulator whose scores it keeps.
 
-A store is of *a simulator*: points of its parameters, worlds drawn by a rule and a seed, and a row
-of columns for every point in every world. Nothing else in this package depends on what is
-simulated. To add a simulator, write a class in a file `my_robot.py`,
+A simulator has parameters, a rule that draws worlds from seeds, and `run`, which gives a row of
+columns for every point in every world. Nothing else in this package depends on what is simulated.
+To add a simulator, write a class in a file `my_robot.py`,
 
     class MyRobot(Simulator):
         code_version = "1"
@@ -14,8 +14,8 @@ with the methods `read_worlds` and `run`, and name it in a configuration:
     [simulator]
     name = "my_robot:MyRobot"
 
-All other members have defaults that a child inherits. A class that has every member, such as the
-walker, need not be a child.
+All other members have defaults. A class that has every member, such as the walker, need not be a
+child of `Simulator`.
 """
 
 import sys
@@ -34,24 +34,22 @@ from taichi_nmm.errors import InputError, one_line, shortened
 
 WALKER = "walker"
 SIMULATORS = {WALKER: "taichi_nmm.walker_simulator:Walker"}  # imported when a store needs one
-SIMULATOR_KEY = "simulator"  # of a specification; those of the walker are older and lack it
-NAME_KEY = f"{SIMULATOR_KEY}.name"  # of a configuration
-
+SIMULATOR_KEY = "simulator"  # of a specification; stores of the walker are older and lack it
 SURVIVED = "survived_fraction"
 
 Report = Callable[[float], None]
 """Called with the fraction of the work that is done."""
 
 Worlds = Any
-"""Worlds that a rule has drawn, of whatever type its simulator takes. They pickle."""
+"""Worlds that a rule has drawn, of any type that pickles."""
 
 
 class Parameter(Protocol):
-    """A coordinate of a point; a store draws it uniformly between its bounds."""
+    """A coordinate of a point; a store draws it uniformly from `low` to `high`."""
 
     @property
     def name(self) -> str:
-        """Of its column, with its unit."""
+        """Name of its column, with the unit."""
 
     @property
     def low(self) -> float:
@@ -63,13 +61,7 @@ class Parameter(Protocol):
 
 
 class Uniform(NamedTuple):
-    """A `Parameter`.
-
-    Attributes:
-        name: of its column, with its unit.
-        low: lower bound.
-        high: upper bound, above the lower one.
-    """
+    """A `Parameter` that has nothing else."""
 
     name: str
     low: float
@@ -77,13 +69,13 @@ class Uniform(NamedTuple):
 
 
 class WorldRule(Protocol):
-    """What worlds are drawn from, such as a kind of ground with ranges of its options."""
+    """Draws worlds, such as grounds of one kind with random options."""
 
     def draw(self, seeds: Sequence[np.random.SeedSequence]) -> Worlds:
         """One world a seed; each depends on its own seed alone."""
 
     def document(self, worlds: Worlds) -> dict[str, Any]:
-        """The rule, and the worlds that were drawn by it, as JSON values."""
+        """The rule, and the worlds that it has drawn, as JSON values."""
 
 
 class Simulator(Protocol):
@@ -92,21 +84,21 @@ class Simulator(Protocol):
     @property
     @abstractmethod
     def code_version(self) -> str:
-        """Of the code that computes; a store is of one version."""
+        """Version of the code that computes; a store is of one version."""
 
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
-        """What a point consists of, [p]."""
+        """Coordinates of a point, [p]."""
 
     @property
     @abstractmethod
     def columns(self) -> np.dtype[np.void]:
-        """Numbers that a run gives, by name and type, units in the names."""
+        """Names and types of the numbers that a run gives, units in the names."""
 
     @abstractmethod
     def read_worlds(self, table: Table) -> WorldRule:
-        """The rule in the tables of a family, or of the whole configuration for its base setting.
+        """The rule in the table of a family, or in the whole configuration for the base setting.
 
         Raises:
             InputError: a value out of range.
@@ -131,12 +123,12 @@ class Simulator(Protocol):
 
     @property
     def name(self) -> str:
-        """In specifications. Default: module and class, as a configuration names them."""
+        """Name in specifications. Default: module and class, as a configuration names them."""
         return f"{type(self).__module__}:{type(self).__qualname__}"
 
     @property
     def survived(self) -> str:
-        """The column that tells how far a run came: its share of the horizon, from 0 to 1."""
+        """Column that tells how far a run came: its share of the horizon, from 0 to 1."""
         return SURVIVED
 
     @property
@@ -152,11 +144,6 @@ class Simulator(Protocol):
         """
         return tuple(name for name in self.columns.names or () if name not in self.words)
 
-    @property
-    def packages(self) -> tuple[str, ...]:
-        """Installed packages whose versions decide results."""
-        return ("numpy",)
-
     @classmethod
     def read(cls, table: Table, arch: str | None) -> Self:
         """The simulator that a configuration describes. Default: one without settings.
@@ -165,7 +152,7 @@ class Simulator(Protocol):
             table: the whole configuration; a key that is not read is refused. The table
                 [simulator] is for the simulator's own settings; of [simulation], `duration_s` is
                 the store's.
-            arch: what computes, where the command line names it.
+            arch: hardware that computes, where the command line names it.
 
         Raises:
             InputError: a value out of range.
@@ -173,11 +160,6 @@ class Simulator(Protocol):
         if arch is not None:
             raise InputError("arch", arch, f"no architecture: {cls.__name__} reads none")
         return cls()
-
-    @classmethod
-    def parameters_of(cls, names: Sequence[str]) -> tuple[Parameter, ...]:
-        """The parameters of a store whose points have those of these names."""
-        return tuple(cls.parameters)  # type: ignore[arg-type]  # where the class has them
 
     def document(self) -> dict[str, Any]:
         """All settings that decide results, as JSON values. Default: the fields of a dataclass.
@@ -195,17 +177,22 @@ class Simulator(Protocol):
         """
         return {}
 
+    @classmethod
+    def parameters_of(cls, names: Sequence[str]) -> tuple[Parameter, ...]:
+        """The parameters of a store whose points have parameters of these names."""
+        return tuple(cls.parameters)  # type: ignore[arg-type]  # where the class has them
+
     @property
     def measures(self) -> Mapping[str, tuple[float, float]]:
         """Columns that tell candidates apart, with the ranges that a search covers.
 
-        Default: none, and no search can be asked for.
+        Default: none, and a store cannot have a search.
         """
         return {}
 
     @property
     def objective(self) -> str:
-        """What a search for candidates maximises, by name."""
+        """Name of the number that a search for candidates maximises."""
         return "objective"
 
     def judge(
@@ -218,6 +205,11 @@ class Simulator(Protocol):
         means = [rows[name].astype(np.float64).mean(axis=1) for name in self.measures]
         return rows[self.survived].astype(np.float64).mean(axis=1), np.column_stack(means)
 
+    @property
+    def packages(self) -> tuple[str, ...]:
+        """Installed packages whose versions decide results."""
+        return ("numpy",)
+
     def canary(self) -> NDArray[np.void]:
         """Rows of a small fixed batch, by whose bits machines are told apart. Default: none."""
         return np.zeros(0, self.columns)
@@ -227,7 +219,7 @@ class Simulator(Protocol):
         return self
 
     def require_machine(self) -> None:
-        """Refuse a machine on which it cannot run; nothing is written.
+        """Refuse a machine on which the simulator cannot run; nothing is written.
 
         Raises:
             InputError: naming what is missing.
@@ -247,22 +239,22 @@ def find_simulator(name: str) -> type[Simulator]:
     Raises:
         InputError: there is none, or a class that is no simulator.
     """
+    field = f"{SIMULATOR_KEY}.name"
     module, _, attribute = SIMULATORS.get(name, name).partition(":")
     allowed = f"{' or '.join(SIMULATORS)}, or a class that can be imported: module:Class"
     if not attribute:
-        raise InputError(NAME_KEY, name, allowed)
+        raise InputError(field, name, allowed)
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)  # last, so that it hides nothing; processes that start take it over
     try:
         found: type[Simulator] = getattr(import_module(module), attribute)
     except (ImportError, AttributeError, ValueError, SyntaxError) as error:
         reason = one_line(shortened(f"{error}"))
-        raise InputError(NAME_KEY, name, f"{allowed} ({reason})") from None
+        raise InputError(field, name, f"{allowed} ({reason})") from None
     missing = {each for each in vars(Simulator) if not each.startswith("_")} - set(dir(found))
     missing |= getattr(found, "__abstractmethods__", frozenset())
     if missing:
-        allowed = f"a class that has {', '.join(sorted(missing))}, too"
-        raise InputError(NAME_KEY, name, allowed)
+        raise InputError(field, name, f"a class that has {', '.join(sorted(missing))}, too")
     return found
 
 
@@ -284,31 +276,28 @@ def check_simulator(simulator: Simulator) -> None:
     Raises:
         InputError: naming the simulator and what is wrong.
     """
-
-    def refuse(allowed: str) -> None:
-        raise InputError(SIMULATOR_KEY, simulator.name, allowed)
-
-    names = simulator.columns.names or ()
-    if simulator.survived not in names:
-        refuse(f"columns with {simulator.survived}, how far a run came")
-    if simulator.survived not in simulator.scores:
-        refuse(f"{simulator.survived} among the scores")
+    names, survived = simulator.columns.names or (), simulator.survived
+    if survived not in names:
+        raise _fault(simulator, f"columns with {survived}, how far a run came")
+    if survived not in simulator.scores:
+        raise _fault(simulator, f"{survived} among the scores")
     for kind in ("scores", "words", "measures"):
         for name in getattr(simulator, kind):
             if name not in names:
-                refuse(f"{kind} that are columns; {name!r} is none")
+                raise _fault(simulator, f"{kind} that are columns; {name!r} is none")
     for name in simulator.scores:
         if name in simulator.words or simulator.columns[name].kind not in "fiu":
-            refuse(f"scores that are numbers; {name!r} is none")
+            raise _fault(simulator, f"scores that are numbers; {name!r} is none")
     if not simulator.parameters:
-        refuse("one parameter at least")
-    for each in simulator.parameters:
-        if not (np.isfinite([each.low, each.high]).all() and each.low < each.high):
-            refuse(f"parameters with low < high; {each.name} has {each.low}, {each.high}")
+        raise _fault(simulator, "one parameter at least")
+    for name, low, high in ((each.name, each.low, each.high) for each in simulator.parameters):
+        if not (np.isfinite([low, high]).all() and low < high):
+            raise _fault(simulator, f"parameters with low < high; {name} has {low}, {high}")
     every = ["row", *(each.name for each in simulator.parameters), *names]
     for name in every:
         if every.count(name) > 1:
-            refuse(f"other names than 'row' for parameters and columns, each once, not {name!r}")
+            allowed = "other names than 'row' for parameters and columns, each once, not "
+            raise _fault(simulator, f"{allowed}{name!r}")
 
 
 def run_points(
@@ -319,38 +308,35 @@ def run_points(
     horizon_s: float,
     report: Report = lambda part: None,
 ) -> tuple[NDArray[np.void], dict[str, Any]]:
-    """What `Simulator.run` gives for points [n, p] and `count` worlds, found to be of its form.
+    """`Simulator.run` of points [n, p] in `count` worlds, and a check of what it returns.
 
     Raises:
         InputError: a simulator that does not keep what `Simulator` promises, naming the column.
     """
     rows, computed_by = simulator.run(points, worlds, horizon_s, report)
-
-    def refuse(what: str, allowed: str) -> None:
-        raise InputError(SIMULATOR_KEY, simulator.name, f"a run with {allowed}, not {what}")
-
     if not isinstance(rows, np.ndarray) or rows.dtype != simulator.columns:
         wrong = rows.dtype.names or rows.dtype if isinstance(rows, np.ndarray) else type(rows)
-        refuse(f"{wrong}", f"columns {', '.join(simulator.columns.names or ())} of their types")
+        names = ", ".join(simulator.columns.names or ())
+        raise _fault(simulator, f"a run with columns {names} of their types, not {wrong}")
     if rows.shape != (len(points), count):
-        refuse(f"{list(rows.shape)}", f"rows [{len(points)} points, {count} worlds]")
+        shape = f"[{len(points)} points, {count} worlds]"
+        raise _fault(simulator, f"a run with rows {shape}, not {list(rows.shape)}")
     for name in simulator.scores:
         if not np.isfinite(rows[name]).all():
-            refuse("NaN or infinity", f"finite {name}")
+            raise _fault(simulator, f"a run with finite {name}, not NaN or infinity")
     lasted = rows[simulator.survived]
-    if not ((lasted >= 0.0) & (lasted <= 1.0)).all():
-        wrong = lasted[(lasted < 0.0) | (lasted > 1.0)][0]
-        refuse(f"{wrong:g}", f"{simulator.survived} from 0 to 1")
+    for outside in lasted[~((lasted >= 0.0) & (lasted <= 1.0))]:
+        raise _fault(simulator, f"a run with {simulator.survived} from 0 to 1, not {outside:g}")
     for name, words in simulator.words.items():
-        if not ((rows[name] >= 0) & (rows[name] < len(words))).all():
-            refuse(f"{rows[name].max()}", f"{name} from 0 to {len(words) - 1}")
+        for outside in rows[name][~((rows[name] >= 0) & (rows[name] < len(words)))]:
+            raise _fault(simulator, f"a run with {name} from 0 to {len(words) - 1}, not {outside}")
     return rows, computed_by
 
 
 def judge_rows(
     simulator: Simulator, rows: NDArray[np.void], horizon_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What `Simulator.judge` makes of rows [n, w], found to be of its form.
+    """`Simulator.judge` of rows [n, w], and a check of what it returns.
 
     Raises:
         InputError: an objective or measures that are not finite or of another shape.
@@ -360,5 +346,9 @@ def judge_rows(
     finite = np.isfinite(objective).all() and np.isfinite(measures).all()
     if not finite or (np.shape(objective), np.shape(measures)) != shapes:
         allowed = f"an objective {list(shapes[0])} and measures {list(shapes[1])}, all finite"
-        raise InputError(SIMULATOR_KEY, simulator.name, allowed)
+        raise _fault(simulator, allowed)
     return objective, measures
+
+
+def _fault(simulator: Simulator, allowed: str) -> InputError:
+    return InputError(SIMULATOR_KEY, simulator.name, allowed)

@@ -17,15 +17,9 @@ from zlib import crc32
 import numpy as np
 import pyarrow as pa
 
+from storage import points
 from storage.document import FORMAT, document_hash
-from storage.points import (
-    BASE_WORLD,
-    EVOLUTION,
-    FAMILY_WORLD,
-    LARGEST_SEQUENCE,
-    TRIAL_WORLDS,
-    seed_sequence,
-)
+from storage.points import LARGEST_SEQUENCE, seed_sequence
 from storage.schema import ORIGIN, arrow_schema, columns_of
 from storage.simulator import (
     SIMULATOR_KEY,
@@ -36,6 +30,7 @@ from storage.simulator import (
     check_simulator,
     find_simulator,
 )
+from taichi_nmm import checks
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 
@@ -93,7 +88,9 @@ class Family:
     @cached_property
     def worlds(self) -> Worlds:
         """Its worlds, drawn."""
-        seeds = [seed_sequence(self.seed, FAMILY_WORLD, index) for index in range(self.settings)]
+        seeds = [
+            seed_sequence(self.seed, points.FAMILY_WORLD, index) for index in range(self.settings)
+        ]
         return self.rule.draw(seeds)
 
     @property
@@ -134,16 +131,18 @@ class Repertoire:
 
         A candidate is chosen for what it does in these, and measured in the family's own.
         """
-        return tuple(
-            replace(family, settings=self.settings, seed=self._trial_seed(family.name))
-            for family in self.families
-        )
+        trials = []
+        for family in self.families:  # each has a seed of its own, whatever the others are
+            sequence = seed_sequence(self.seed, points.TRIAL_WORLDS, crc32(family.name.encode()))
+            seed = int(sequence.generate_state(1, np.uint64)[0])
+            trials.append(replace(family, settings=self.settings, seed=seed))
+        return tuple(trials)
 
     @property
     def generations(self) -> int:
-        """Of all families, after those that are the grid's."""
-        points = self.evaluations // self.settings
-        return (points - STARTS * len(self.families)) // GENERATION
+        """Generations of all families together, after those of the grid's points."""
+        tried = self.evaluations // self.settings - STARTS * len(self.families)
+        return tried // GENERATION
 
     @property
     def walks(self) -> int:
@@ -151,8 +150,8 @@ class Repertoire:
         return (STARTS * len(self.families) + self.generations * GENERATION) * self.settings
 
     def stream(self, family: str) -> np.random.SeedSequence:
-        """Of the search for a family."""
-        return seed_sequence(self.seed, EVOLUTION, crc32(family.encode()))
+        """The random stream of the search for a family."""
+        return seed_sequence(self.seed, points.EVOLUTION, crc32(family.encode()))
 
     @property
     def document(self) -> dict[str, Any]:
@@ -166,21 +165,10 @@ class Repertoire:
             "library": f"{LIBRARY} {library_version()}",  # another version evolves other candidates
         }
 
-    def _trial_seed(self, family: str) -> int:
-        """Another family of the store does not change it."""
-        sequence = seed_sequence(self.seed, TRIAL_WORLDS, crc32(family.encode()))
-        return int(sequence.generate_state(1, np.uint64)[0])
-
 
 @dataclass(frozen=True)
 class Layout:
-    """Which rows are in which shard: those of the grid, then those of the candidates.
-
-    Attributes:
-        samples: points of the grid.
-        shard_rows: points of a shard of the grid; the last may have fewer.
-        candidates: rows after those of the grid.
-    """
+    """Which rows are in which shard: `samples` of the grid, then `candidates`."""
 
     samples: int
     shard_rows: int
@@ -194,7 +182,7 @@ class Layout:
 
     @property
     def rows(self) -> int:
-        """Of the finished store."""
+        """Rows of the finished store."""
         return self.samples + self.candidates
 
     @property
@@ -204,7 +192,7 @@ class Layout:
 
     @property
     def shards(self) -> int:
-        """Of the finished store."""
+        """Shards of the finished store."""
         return self.grid_shards - (-self.candidates // self._candidate_rows)
 
     def shard_range(self, number: int) -> tuple[int, int]:
@@ -248,7 +236,7 @@ class Specification:
     @cached_property
     def worlds(self) -> Worlds:
         """The one world of the base setting."""
-        return self.rule.draw([seed_sequence(self.seed, BASE_WORLD)])
+        return self.rule.draw([seed_sequence(self.seed, points.BASE_WORLD)])
 
     @property
     def schema(self) -> pa.Schema:
@@ -339,7 +327,9 @@ def read_specification(
     table.done()
     return Specification(
         simulator=simulator,
-        samples=configured if samples is None else _checked_samples(samples),
+        samples=configured
+        if samples is None
+        else checks.whole(1, LARGEST_SEQUENCE)("samples", samples),
         shard_rows=shard_rows,
         seed=seed,
         horizon_s=horizon_s,
@@ -353,17 +343,10 @@ def _other_keys(document: dict[str, Any], taken: Set[str]) -> dict[str, Any]:
     """The document of a simulator or of a rule, which has no key that is taken."""
     for key in document:
         if key in taken:
-            allowed = (
-                f"a document of the simulator or its worlds without {', '.join(sorted(taken))}"
-            )
+            names = ", ".join(sorted(taken))
+            allowed = f"a document of the simulator or its worlds without {names}"
             raise InputError(SIMULATOR_KEY, key, allowed)
     return document
-
-
-def _checked_samples(samples: int) -> int:
-    if not 1 <= samples <= LARGEST_SEQUENCE:
-        raise InputError("samples", samples, f"a whole number from 1 to {LARGEST_SEQUENCE}")
-    return samples
 
 
 def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tuple[Family, ...]:
@@ -371,39 +354,33 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
 
     Families that come after another one are last.
 
-    Args:
-        table: the store's top table.
-        simulator: of the store.
-        horizon_s: of the base setting.
-
     Raises:
         InputError: a name that cannot begin columns, a setting out of range, or a family after one
             that does not exist.
     """
-    robust = table.table(ROBUST)
+    robust, others = table.table(ROBUST), table.table("families")
     count = robust.integer("settings", 0, 0, MOST_WORLDS)
     families = [_read_family(ROBUST, robust, count, simulator, horizon_s)] if count else []
     robust.done()
-    others = table.table("families")
     for name in sorted(others.unread):
         _check_name(name, arrow_schema(simulator).names)
-        family = others.table(name)
-        count = family.integer("settings", low=1, high=MOST_WORLDS)
-        families.append(_read_family(name, family, count, simulator, horizon_s))
-        family.done()
-    first = [member.name for member in families if not member.after]
-    later = [member for member in families if member.after]
-    for member in later:
-        if member.after not in first:
-            allowed = f"a family that comes after none: {', '.join(first) or 'there is none'}"
-            raise InputError(f"families.{member.name}.after", member.after, allowed)
-    return (*(member for member in families if not member.after), *later)
+        own = others.table(name)
+        count = own.integer("settings", low=1, high=MOST_WORLDS)
+        families.append(_read_family(name, own, count, simulator, horizon_s))
+        own.done()
+    first = [family for family in families if not family.after]
+    later = [family for family in families if family.after]
+    for family in later:
+        if family.after not in (names := [each.name for each in first]):
+            allowed = f"a family that comes after none: {', '.join(names) or 'there is none'}"
+            raise InputError(f"families.{family.name}.after", family.after, allowed)
+    return (*first, *later)
 
 
 def _check_name(name: str, columns: Sequence[str]) -> None:
-    """Refuse a name whose columns could be taken for others."""
-    allowed = "lower-case letters, digits and '_', first a letter"
+    """Refuse a family's name whose columns could be taken for others."""
     if not re.fullmatch(NAME_PATTERN, name):
+        allowed = "lower-case letters, digits and '_', first a letter"
         raise InputError("families", name, allowed)
     if name == ROBUST:
         raise InputError("families", name, "another name; this family is the table [robust]")
@@ -416,13 +393,14 @@ def _read_family(
     name: str, table: Table, count: int, simulator: Simulator, horizon_s: float
 ) -> Family:
     after = table.text("after", "") if name != ROBUST else ""
-    fraction = table.number("min_survived_fraction", low=0.0, high=1.0) if after else 0.0
     return Family(
         name=name,
         settings=count,
-        min_survival_s=table.number("min_survival_s", 3.0, 0.0, horizon_s),
         after=after,
-        min_survived_fraction=fraction,
+        min_survived_fraction=table.number("min_survived_fraction", low=0.0, high=1.0)
+        if after
+        else 0.0,
+        min_survival_s=table.number("min_survival_s", 3.0, 0.0, horizon_s),
         horizon_s=table.number("horizon_s", 8.0, SHORTEST_HORIZON_S, LONGEST_HORIZON_S),
         seed=table.integer("seed", 0),
         rule=simulator.read_worlds(table),
@@ -433,11 +411,6 @@ def _read_repertoire(
     table: Table, simulator: Simulator, families: tuple[Family, ...]
 ) -> Repertoire | None:
     """The table [repertoire] of a store, or None where there is none. Reads every key.
-
-    Args:
-        table: the store's top table.
-        simulator: of the store.
-        families: of the store.
 
     Raises:
         InputError: a value out of range, no family to breed for or one that does not exist, fewer
@@ -458,29 +431,21 @@ def _read_repertoire(
         raise InputError("repertoire", "no family", "a store with [families.<name>] or [robust]")
     if any(f"{ORIGIN}_".startswith(f"{family.name}_") for family in families):
         raise InputError("families", ORIGIN, "another name; it is a column of this store")
-    repertoire = Repertoire(
-        evaluations=own.integer("evaluations", 100_000, 1, LARGEST_NUMBER),
-        candidates=own.integer("candidates", 2000, 1, LARGEST_NUMBER),
-        seed=own.integer("seed", 0),
-        settings=own.integer("settings", SEARCH_WORLDS, 1, MOST_WORLDS),
-        families=tuple(first[name] for name in sorted(names)),
-    )
+    evaluations = own.integer("evaluations", 100_000, 1, LARGEST_NUMBER)
+    candidates = own.integer("candidates", 2000, 1, LARGEST_NUMBER)
+    settings = own.integer("settings", SEARCH_WORLDS, 1, MOST_WORLDS)
+    bred = tuple(first[name] for name in sorted(names))
+    repertoire = Repertoire(evaluations, candidates, own.integer("seed", 0), settings, bred)
     own.done()
-    _check_evaluations(repertoire)
+    if candidates < len(bred):
+        raise InputError("repertoire.candidates", candidates, f"at least {len(bred)}, one a family")
+    # A search keeps no more than half of what it tries.
+    generations = max(len(bred), -(-2 * candidates // GENERATION))
+    least = (STARTS * len(bred) + generations * GENERATION) * settings
+    if evaluations < least:
+        allowed = f"at least {least} for {candidates} candidates"
+        raise InputError("repertoire.evaluations", evaluations, allowed)
     return repertoire
-
-
-def _check_evaluations(repertoire: Repertoire) -> None:
-    """Refuse a search that would have to keep more than half of what it tries."""
-    families = len(repertoire.families)
-    if repertoire.candidates < families:
-        allowed = f"at least {families}, one a family"
-        raise InputError("repertoire.candidates", repertoire.candidates, allowed)
-    generations = max(families, -(-2 * repertoire.candidates // GENERATION))
-    least = (STARTS * families + generations * GENERATION) * repertoire.settings
-    if repertoire.evaluations < least:
-        allowed = f"at least {least} for {repertoire.candidates} candidates"
-        raise InputError("repertoire.evaluations", repertoire.evaluations, allowed)
 
 
 def library_version() -> str:

@@ -9,17 +9,19 @@ kind.json            of a store that a cluster fills: what its workers compute w
 .lock                held by the one process that writes
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from storage.document import FORMAT, document_hash
-from storage.folder import Folder, remove
+from storage.document import FORMAT, agree, document_hash
+from storage.folder import claimed, remove
 from storage.pool import KIND_NAME
 from storage.schema import columns_of
 from storage.specification import Layout
@@ -31,6 +33,8 @@ from taichi_nmm.reading import reading
 SPECIFICATION_NAME = "specification.json"
 REPERTOIRE_NAME = "repertoire.parquet"
 GENERATION_PATTERN = "search-*.parquet"
+# All files but the specification, in the order in which they are removed.
+FILES = (MANIFEST_NAME, SHARD_PATTERN, GENERATION_PATTERN, REPERTOIRE_NAME, KIND_NAME)
 
 NOT_CHOSEN = -1
 FAMILY, GENERATION, ROW = "family", "generation", "row"  # columns of the repertoire
@@ -40,13 +44,36 @@ Tried = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
-class StoreFolder(Folder):
-    """The folder of a store; its document is the specification's."""
+class StoreFolder:
+    """The folder of a store; made by `claim`, which gives one process the right to write.
 
-    KIND = "a store"
-    FIRST = SPECIFICATION_NAME
-    REMEDY = "another --out; or --fresh, which starts over"
-    FILES = (MANIFEST_NAME, SHARD_PATTERN, GENERATION_PATTERN, REPERTOIRE_NAME, KIND_NAME)
+    Attributes:
+        path: of the folder.
+        document: of the store's specification, as JSON values.
+    """
+
+    path: Path
+    document: dict[str, Any]
+
+    @classmethod
+    @contextmanager
+    def claim(cls, path: Path, document: dict[str, Any], fresh: bool = False) -> Iterator[Self]:
+        """Hold the folder: new, or begun with the same document, or emptied by `fresh`.
+
+        Raises:
+            InputError: in use by another process, of something else, of another document, or not
+                writable.
+        """
+        with claimed(path, SPECIFICATION_NAME, "a store"):
+            for pattern in (SPECIFICATION_NAME, *FILES):  # or the work would end in an error
+                for file in sorted(path.glob(pattern)):
+                    if file.is_dir():
+                        allowed = "a file there, not a folder; or another --out"
+                        raise InputError("out", str(file), allowed)
+            if fresh:  # the specification goes last: it tells whose folder this is
+                remove(path, *FILES, SPECIFICATION_NAME)
+            remedy = "another --out; or --fresh, which starts over"
+            yield cls(path, agree(path / SPECIFICATION_NAME, document, remedy=remedy))
 
     @cached_property
     def layout(self) -> Layout:
