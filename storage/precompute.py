@@ -30,16 +30,17 @@ Progress = Callable[[float], None]
 The runs of a search count as points.
 """
 
-Unit = tuple[Specification, int, NDArray[np.float64] | None]
-"""A store, the number of one of its shards, and the shard's points if they are no Sobol points."""
-
 ScoredShard = tuple[pa.Table, dict[str, Any]]
 """A shard's table, and what computed it."""
+
+Unit = tuple[Specification, int, NDArray[np.float64] | None, bool]
+"""A store, a shard's number, its points if they are no Sobol points; and whether to name the kind
+of machine that computes it."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What a run has to say at its end.
+    """The end of a run, in numbers.
 
     Attributes:
         path: the store's folder.
@@ -49,10 +50,10 @@ class Summary:
         shards: in the store.
         alive_at_horizon: points that completed the base setting.
         alive_fraction: the same, over all points.
-        evaluated: points run on the settings of each family, by its name.
+        evaluated: points run in the worlds of each family, by its name.
         wall_s: of computing and writing, compilation included.
         walkers_per_s: points computed and walks searched, over `wall_s`.
-        specification_hash: SHA-256 of what the store was to hold.
+        specification_hash: SHA-256 of the specification.
     """
 
     path: str
@@ -77,15 +78,15 @@ def precompute(
 ) -> Summary:
     """Finish the store at `path`, or make it.
 
-    Whatever stops this loses the shards in work and no others. Calling it again goes on, and the
+    However this ends, it loses the shards in work and no others. The next call goes on, and the
     manifest at the end is that of a run that nothing stopped.
 
     Args:
-        specification: what the store is to hold.
+        specification: of the store.
         path: of its folder.
         fresh: start over.
-        progress: told within a shard by a pool in this process, by others a shard at a time.
-        pool: what computes the shards; the files do not depend on it. A single shard is computed
+        progress: called within a shard by a pool in this process, by others a shard at a time.
+        pool: that computes the shards; the files do not depend on it. A single shard is computed
             in this process.
 
     Raises:
@@ -111,10 +112,10 @@ def precompute(
 
 @dataclass
 class Tally:
-    """Counts what is done, and tells whoever asked.
+    """Counts finished points and walks of a search, and reports the sum to `progress`.
 
     Attributes:
-        progress: is told.
+        progress: called with the sum.
         done: points, and walks of a search.
         walks: of a search that this run did.
     """
@@ -142,45 +143,39 @@ def _fill(
     pool: Pool,
     evolved: NDArray[np.float64] | None = None,
 ) -> None:
-    """Commit the missing shards of one kind as they come.
+    """Commit the missing shards as they come: those of the grid, or those of `evolved` points.
 
     Args:
         folder: of the store.
         asked: the store's specification, as units of work are to be run.
         missing: numbers of the shards.
-        tally: of what is done.
+        tally: of finished points.
         pool: that computes them; a single shard is computed in this process.
-        evolved: points of all rows after the grid's, [candidates, p]; None: shards of the grid.
+        evolved: points of all rows after the grid's, [candidates, p].
     """
     layout, code = folder.layout, {"code_version": asked.simulator.code_version}
     pool = pool if len(missing) > 1 or pool.kinds else IN_PROCESS
-
-    def unit(number: int) -> Unit:
-        if evolved is None:
-            return asked, number, None
+    units: deque[Unit] = deque()
+    for number in missing:
         first, size = layout.shard_range(number)
-        return asked, number, evolved[first - layout.samples :][:size]
+        points = None if evolved is None else evolved[first - layout.samples :][:size]
+        units.append((asked, number, points, pool.mixed))
 
     def score_here(unit: Unit) -> ScoredShard:
         _, size = layout.shard_range(unit[1])
         return _score(unit, lambda part: tally.progress(tally.done + part * size))
 
-    score = score_here if pool.in_process else _score_mixed if pool.mixed else _score
     tally.add(0)
-    for (_, number, _), (table, computed_by) in pool.results(score, deque(map(unit, missing))):
+    score = score_here if pool.in_process else _score
+    for (_, number, _, _), (table, computed_by) in pool.results(score, units):
         folder.write_shard(number, table, code | computed_by)
-        tally.add(layout.shard_range(number)[1])
+        tally.add(len(table))
 
 
 def _score(unit: Unit, report: Report = lambda part: None) -> ScoredShard:
-    specification, number, evolved = unit
-    return score_shard(specification, number, report, evolved)
-
-
-def _score_mixed(unit: Unit) -> ScoredShard:
-    """With the kind of the machine beside what it computed."""
-    table, computed_by = _score(unit)
-    return table, computed_by | {"kind": own_kind(unit[0].simulator)}
+    specification, number, evolved, name_kind = unit
+    table, computed_by = score_shard(specification, number, report, evolved)
+    return table, computed_by | ({"kind": own_kind(specification.simulator)} if name_kind else {})
 
 
 def score_shard(
@@ -196,8 +191,8 @@ def score_shard(
     Args:
         specification: of the store.
         number: of the shard.
-        report: called with the fraction of it that is done.
-        evolved: its points, [n, p], where it is one of those after the grid's.
+        report: called with the fraction of the shard that is done.
+        evolved: the shard's points, [n, p], if it comes after the grid's.
     """
     simulator, families = specification.simulator, specification.families
     first, count = specification.layout.shard_range(number)

@@ -38,7 +38,7 @@ class Manifest:
     """Content of manifest.json.
 
     Attributes:
-        specification: what was computed.
+        specification: of the store.
         rows: of the whole store.
         hashes: SHA-256 by file name, in the order of the rows.
     """
@@ -69,22 +69,20 @@ class Manifest:
         allowed = "a finished store, which has an undamaged manifest: run precompute.py again"
         document = json_document("store", path, allowed)
         with reading("store", path, allowed):
-            return _sound(document)
-
-
-def _sound(document: dict[str, Any]) -> Manifest:
-    """What a manifest says, unless it is none; then whatever is raised tells why."""
-    if document["format"] != FORMAT:
-        raise ValueError(f"of format {document['format']!r}, not {FORMAT}")
-    specification, rows = document["specification"], document["rows"]
-    if document_hash(specification) != document["specification_hash"]:
-        raise ValueError("its specification has another hash")
-    hashes = {shard["file"]: shard["sha256"] for shard in document["shards"]}
-    if not hashes or list(hashes) != [shard_name(number) for number in range(len(hashes))]:
-        raise ValueError("its shards are not part-00000.parquet and so on, in the same folder")
-    if not all(isinstance(value, str) for value in hashes.values()) or type(rows) is not int:
-        raise ValueError("rows or hashes that are none")
-    return Manifest(specification, rows, hashes)
+            if document["format"] != FORMAT:
+                raise ValueError(f"of format {document['format']!r}, not {FORMAT}")
+            specification, rows = document["specification"], document["rows"]
+            if document_hash(specification) != document["specification_hash"]:
+                raise ValueError("its specification has another hash")
+            hashes = {shard["file"]: shard["sha256"] for shard in document["shards"]}
+            names = [shard_name(number) for number in range(len(hashes))]
+            if not hashes or list(hashes) != names:
+                raise ValueError(
+                    f"its shards are not {shard_name(0)} and so on, in the same folder"
+                )
+            if not all(type(value) is str for value in hashes.values()) or type(rows) is not int:
+                raise ValueError("rows or hashes that are none")
+        return Manifest(specification, rows, hashes)
 
 
 @dataclass(frozen=True)
@@ -93,10 +91,10 @@ class Store:
 
     Attributes:
         path: what was opened.
-        files: the Parquet files it consists of.
-        footers: what each file says of itself: shard, rows, code, engine, architecture, precision.
+        files: its Parquet files.
+        footers: of each file: shard, rows, code, engine, architecture, precision.
         columns: names of all columns.
-        specification: what was computed, as in specification.json.
+        specification: of the store, as in specification.json.
     """
 
     path: Path
@@ -116,7 +114,7 @@ class Store:
 
     @checks.checked(columns=checks.optional(checks.each(checks.text)))
     def tables(self, columns: Iterable[str] | None = None) -> Iterator[pa.Table]:
-        """The same, file by file: of a store that is larger than memory."""
+        """The same, file by file, for a store that is larger than memory."""
         names = list(self.columns if columns is None else columns)
         for name in names:
             if name not in self.columns:
@@ -126,7 +124,10 @@ class Store:
     def numpy(self, columns: Iterable[str] | None = None) -> NDArray[np.void]:
         """The rows as a structured array, [n]; words are NumPy strings."""
         table = self.table(columns)
-        arrays = {name: _as_numpy(table[name]) for name in table.column_names}
+        arrays = {}
+        for name in table.column_names:
+            values = table[name].to_numpy()
+            arrays[name] = values.astype(np.str_) if values.dtype == object else values
         rows = np.empty(len(table), [(name, values.dtype) for name, values in arrays.items()])
         for name, values in arrays.items():
             rows[name] = values
@@ -187,50 +188,38 @@ def open_store(path: str | Path, verify: bool = False, unfinished: bool = False)
         InputError: missing, unfinished, truncated, damaged, or not a store.
     """
     path = Path(path)
-    shards = _shards_there(path) if unfinished else ()
-    manifest = Manifest.read(path) if is_folder(path) and not shards else None
-    files = shards or (tuple(path / name for name in manifest.hashes) if manifest else (path,))
-    footers, specification = _read_footers(files)
+    manifest: Manifest | None = None
+    files: tuple[Path, ...] = (path,)
+    if is_folder(path):
+        shards = tuple(sorted(path.glob(SHARD_PATTERN))) if unfinished else ()
+        if shards and not (path / MANIFEST_NAME).exists():  # which is written last
+            files = shards
+        else:
+            manifest = Manifest.read(path)
+            files = tuple(path / name for name in manifest.hashes)
+    footers = tuple(map(_checked_footer, files))
     if manifest is not None:
         _check_folder(files, footers, manifest)
     elif len({footer["specification_hash"] for footer in footers}) > 1:
         raise InputError("store", str(path), "a folder of shards of one store")
+    specification = footers[0]["specification"]
     columns = tuple(column.partition(":")[0] for column in specification["columns"])
-    store = Store(path, files, footers, columns, specification)
     if verify:
-        _verify(store)
-    return store
+        for file in files:
+            _verify(file)
+    return Store(path, files, footers, columns, specification)
 
 
 @checks.checked(source=checks.path, target=checks.path)
 def merge(source: str | Path, target: str | Path) -> Store:
     """Write a store into one file, whole or not at all, and open it."""
     store, target = open_store(source, verify=True), Path(target)
-    footer = {key: _common(store.footers, key) for key in store.footers[0]}
+    footer = {}
+    for key in store.footers[0]:  # a value that all footers share, or the list of all values
+        values = [each[key] for each in store.footers]
+        footer[key] = values[0] if all(value == values[0] for value in values) else values
     write_table(target, store.table(), footer | {"rows": len(store)})
     return open_store(target)
-
-
-def _shards_there(path: Path) -> tuple[Path, ...]:
-    """Of a folder that has no manifest: it is written last."""
-    if not is_folder(path) or (path / MANIFEST_NAME).exists():
-        return ()
-    return tuple(sorted(path.glob(SHARD_PATTERN)))
-
-
-def _read_footers(files: tuple[Path, ...]) -> tuple[tuple[dict[str, Any], ...], dict[str, Any]]:
-    """The footers of all files, and the one specification that they were checked to share."""
-    footers = []
-    for file in files:
-        footer, schema = read_footer(file)
-        specification = footer["specification"]
-        check_specification(specification, str(file))
-        if document_hash(specification) != footer["specification_hash"]:
-            raise InputError("store", str(file), "a footer whose specification has its hash")
-        if columns_of(schema) != specification["columns"]:
-            raise InputError("store", str(file), "a file with the columns of its specification")
-        footers.append(footer)
-    return tuple(footers), footers[0]["specification"]
 
 
 def _check_folder(
@@ -245,27 +234,27 @@ def _check_folder(
         raise InputError("store", f"{rows} rows", f"{manifest.rows} rows, as the manifest says")
 
 
-def _verify(store: Store) -> None:
-    for file in store.files:
-        try:
-            expected = Manifest.read(file.parent).hashes.get(file.name)
-        except InputError:
-            expected = None
-        if expected is None:
-            read_columns(file)
-        elif file_hash(file) != expected:
-            raise InputError("store", str(file), f"a file of SHA-256 {expected}; compute it again")
+def _verify(file: Path) -> None:
+    try:
+        expected = Manifest.read(file.parent).hashes.get(file.name)
+    except InputError:
+        expected = None
+    if expected is None:
+        read_columns(file)
+    elif file_hash(file) != expected:
+        raise InputError("store", str(file), f"a file of SHA-256 {expected}; compute it again")
 
 
-def _common(footers: tuple[dict[str, Any], ...], key: str) -> Any:
-    """What all footers say, or the list of all they say."""
-    values = [footer[key] for footer in footers]
-    return values[0] if all(value == values[0] for value in values) else values
-
-
-def _as_numpy(column: pa.ChunkedArray) -> NDArray[Any]:
-    values: NDArray[Any] = column.to_numpy()
-    return values.astype(np.str_) if values.dtype == object else values
+def _checked_footer(file: Path) -> dict[str, Any]:
+    """The footer of a file that fits its specification."""
+    footer, schema = read_footer(file)
+    specification = footer["specification"]
+    check_specification(specification, str(file))
+    if document_hash(specification) != footer["specification_hash"]:
+        raise InputError("store", str(file), "a footer whose specification has its hash")
+    if columns_of(schema) != specification["columns"]:
+        raise InputError("store", str(file), "a file with the columns of its specification")
+    return footer
 
 
 def read_footer(path: Path) -> tuple[dict[str, Any], pa.Schema]:
@@ -289,11 +278,11 @@ def read_footer(path: Path) -> tuple[dict[str, Any], pa.Schema]:
 
 
 def check_specification(specification: Any, where: str) -> None:
-    """Refuse a specification without what readers of stores take from it.
+    """Refuse a specification without the keys that readers of stores need.
 
     Args:
-        specification: as JSON gave it.
-        where: the file that it stands in, for messages.
+        specification: a value of JSON.
+        where: its file, for messages.
 
     Raises:
         InputError: naming the file and the key.

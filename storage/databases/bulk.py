@@ -7,6 +7,7 @@ nothing private of Optuna is needed; a schema that is not the known one is refus
 
 import json
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -22,70 +23,8 @@ from optuna.trial import FrozenTrial
 from storage.databases.look import known_tables
 from storage.databases.postgresql import copy_rows
 
-Rows = list[dict[str, Any]]
-Owned = list[tuple[int, FrozenTrial]]
-"""Trials with their ids in the database."""
-
-
-def trial_row(study_id: int, number: int, trial: FrozenTrial) -> dict[str, Any]:
-    """The trial itself.
-
-    Raises:
-        ValueError: it is not finished, or has intermediate values.
-    """
-    if not trial.state.is_finished() or trial.intermediate_values:
-        raise ValueError(f"trial {number}: not finished, or with intermediate values")
-    return {
-        "study_id": study_id,
-        "number": number,
-        "state": trial.state.name,
-        "datetime_start": _naive_utc(trial.datetime_start),
-        "datetime_complete": _naive_utc(trial.datetime_complete),
-    }
-
-
-def value_row(trial_id: int, trial: FrozenTrial) -> dict[str, Any]:
-    """Its one value, which it must have."""
-    assert trial.value is not None
-    if math.isfinite(trial.value):
-        stored, kind = trial.value, "FINITE"
-    else:
-        stored, kind = None, "INF_POS" if trial.value > 0 else "INF_NEG"
-    return {"trial_id": trial_id, "objective": 0, "value": stored, "value_type": kind}
-
-
-def parameter_rows(owned: Owned) -> Rows:
-    """A row a parameter."""
-    return [
-        {
-            "trial_id": trial_id,
-            "param_name": name,
-            "param_value": distribution.to_internal_repr(trial.params[name]),
-            "distribution_json": _as_json(distribution),
-        }
-        for trial_id, trial in owned
-        for name, distribution in trial.distributions.items()
-    ]
-
-
-def attribute_rows(owned: Owned, kind: str) -> Rows:
-    """A row an attribute; `kind` is "user" or "system"."""
-    return [
-        {"trial_id": trial_id, "key": key, "value_json": json.dumps(value)}
-        for trial_id, trial in owned
-        for key, value in getattr(trial, f"{kind}_attrs").items()
-    ]
-
-
-def _naive_utc(local: datetime | None) -> datetime | None:
-    return None if local is None else local.astimezone(UTC).replace(tzinfo=None)
-
-
-@cache
-def _as_json(distribution: BaseDistribution) -> str:
-    return distribution_to_json(distribution)
-
-
+Row = dict[str, Any]
+Tables = dict[str, sql.Table]
 METRIC_ATTRIBUTE = "study:metric_names"  # where `optuna.Study.set_metric_names` puts them
 TRIALS_PER_TRANSACTION = 2000  # 30 rows each: some 20 MB of memory, half a second
 
@@ -99,8 +38,7 @@ class FinishedStudy:
         trials: finished, without intermediate values, in the order of their numbers.
         first: number of the first of them; those before it are in the database already.
         user_attrs: of the study, plain values; written when the study is made.
-        metric: what its objective is called; written where the study does not say it. Empty: not
-            said.
+        metric: name of its objective; written where the study has none. Empty: none.
     """
 
     name: str
@@ -113,18 +51,15 @@ class FinishedStudy:
 def trial_counts(storage: RDBStorage) -> dict[str, int]:
     """How many trials each study has, by name."""
     tables = known_tables(storage)
-    studies, trials = tables["studies"], tables["trials"]
-    counts = (
-        sql.select(studies.c.study_name, sql.func.count(trials.c.trial_id))
-        .outerjoin(trials, trials.c.study_id == studies.c.study_id)
-        .group_by(studies.c.study_name)
-    )
+    studies, trials = tables["studies"].c, tables["trials"].c
+    query = sql.select(studies.study_name, sql.func.count(trials.trial_id))
+    query = query.outerjoin(tables["trials"], trials.study_id == studies.study_id)
     with storage.engine.connect() as connection:
-        return {name: count for name, count in connection.execute(counts)}
+        return _pairs(connection, query.group_by(studies.study_name))
 
 
 def study_ids(storage: RDBStorage) -> dict[str, int]:
-    """What the database, and the addresses of its dashboard, call each study, by its name."""
+    """The number of each study in the database, and in addresses of its dashboard, by name."""
     studies = known_tables(storage)["studies"]
     with storage.engine.connect() as connection:
         return _pairs(connection, sql.select(studies.c.study_name, studies.c.study_id))
@@ -133,12 +68,12 @@ def study_ids(storage: RDBStorage) -> dict[str, int]:
 def study_attributes(storage: RDBStorage, key: str) -> dict[str, Any]:
     """The value of a user attribute in each study that has it, by the study's name."""
     tables = known_tables(storage)
-    studies, attributes = tables["studies"], tables["study_user_attributes"]
-    query = sql.select(studies.c.study_name, attributes.c.value_json).where(
-        studies.c.study_id == attributes.c.study_id, attributes.c.key == key
+    studies, attributes = tables["studies"].c, tables["study_user_attributes"].c
+    query = sql.select(studies.study_name, attributes.value_json).where(
+        studies.study_id == attributes.study_id, attributes.key == key
     )
     with storage.engine.connect() as connection:
-        return {name: json.loads(value) for name, value in connection.execute(query)}
+        return {name: json.loads(value) for name, value in _pairs(connection, query).items()}
 
 
 def write_studies(storage: RDBStorage, studies: Iterable[FinishedStudy]) -> int:
@@ -178,23 +113,22 @@ def attach(
         KeyError: a trial that is not there.
     """
     tables = known_tables(storage)
-    studies, trials = tables["studies"], tables["trials"]
+    studies, trials = tables["studies"].c, tables["trials"].c
     table = tables["trial_system_attributes"]
-    joined = sql.join(trials, studies, trials.c.study_id == studies.c.study_id)
     wanted = list(attributes)
     with storage.engine.begin() as connection:
-        _lock(connection, studies, [name for name, *_ in wanted])
-        query = sql.select(studies.c.study_name, trials.c.number, trials.c.trial_id)
-        query = query.select_from(joined).where(
-            studies.c.study_name.in_({name for name, *_ in wanted}),
-            trials.c.number.in_({number for _, number, *_ in wanted}),
+        _lock(connection, tables["studies"], [name for name, *_ in wanted])
+        query = sql.select(studies.study_name, trials.number, trials.trial_id).where(
+            trials.study_id == studies.study_id,
+            studies.study_name.in_({name for name, *_ in wanted}),
+            trials.number.in_({number for _, number, *_ in wanted}),
         )
         ids = {(name, number): trial_id for name, number, trial_id in connection.execute(query)}
         known = sql.select(table.c.trial_id, table.c.key).where(table.c.trial_id.in_(ids.values()))
         there = {(trial_id, key) for trial_id, key in connection.execute(known)}
         new = [item for item in wanted if (ids[item[0], item[1]], item[2]) not in there]
         rows = [
-            {"trial_id": ids[name, number], "key": key, "value_json": json.dumps(value)}
+            {"trial_id": ids[name, number], **_attributes({key: value})[0]}
             for name, number, key, value in new
         ]
         _insert(connection, table, rows)
@@ -212,12 +146,12 @@ def _batches(studies: Iterable[FinishedStudy]) -> Iterator[list[FinishedStudy]]:
         yield batch
 
 
-def _write(
-    connection: sql.Connection, tables: dict[str, sql.Table], batch: list[FinishedStudy]
-) -> int:
+def _write(connection: sql.Connection, tables: Tables, batch: list[FinishedStudy]) -> int:
     ids = _study_ids(connection, tables, batch)
     _name_metrics(connection, tables["study_system_attributes"], ids, batch)
-    counts = _counts(connection, tables["trials"], list(ids.values()))
+    trials = tables["trials"].c
+    counted = sql.select(trials.study_id, sql.func.count()).group_by(trials.study_id)
+    counts = _pairs(connection, counted.where(trials.study_id.in_(ids.values())))
     fresh: list[tuple[int, int, FrozenTrial]] = []  # study id, number, trial
     for study in batch:
         study_id = ids[study.name]
@@ -226,20 +160,67 @@ def _write(
             raise ValueError(f"{study.name}: {have} trials, so none can be number {study.first}")
         numbered = enumerate(study.trials, start=study.first)
         fresh += [(study_id, number, trial) for number, trial in numbered if number >= have]
-    _insert(connection, tables["trials"], [trial_row(*item) for item in fresh])
-    trial_ids = _trial_ids(connection, tables["trials"], {study_id for study_id, _, _ in fresh})
-    owned = [(trial_ids[study_id, number], trial) for study_id, number, trial in fresh]
-    values = [value_row(*item) for item in owned if item[1].value is not None]
-    _insert(connection, tables["trial_values"], values)
-    _insert(connection, tables["trial_params"], parameter_rows(owned))
-    for kind in ("user", "system"):
-        rows = attribute_rows(owned, kind)
-        _insert(connection, tables[f"trial_{kind}_attributes"], rows)
+    _insert(connection, tables["trials"], [_trial_row(*item) for item in fresh])
+    query = sql.select(trials.study_id, trials.number, trials.trial_id).where(
+        trials.study_id.in_({study_id for study_id, _, _ in fresh})
+    )
+    trial_ids = {(study_id, number): key for study_id, number, key in connection.execute(query)}
+    rows: dict[str, list[Row]] = defaultdict(list)
+    for study_id, number, trial in fresh:
+        for table, row in _rows_of(trial):
+            rows[table].append({"trial_id": trial_ids[study_id, number]} | row)
+    for table, of_table in rows.items():
+        _insert(connection, tables[table], of_table)
     return len(fresh)
 
 
+def _trial_row(study_id: int, number: int, trial: FrozenTrial) -> Row:
+    """The trial itself.
+
+    Raises:
+        ValueError: it is not finished, or has intermediate values.
+    """
+    if not trial.state.is_finished() or trial.intermediate_values:
+        raise ValueError(f"trial {number}: not finished, or with intermediate values")
+    return {
+        "study_id": study_id,
+        "number": number,
+        "state": trial.state.name,
+        "datetime_start": _naive_utc(trial.datetime_start),
+        "datetime_complete": _naive_utc(trial.datetime_complete),
+    }
+
+
+def _rows_of(trial: FrozenTrial) -> Iterator[tuple[str, Row]]:
+    """All that a trial has, row by row, each with the name of its table; the trial's id is not."""
+    if trial.value is not None:
+        kind = {math.inf: "INF_POS", -math.inf: "INF_NEG"}.get(trial.value, "FINITE")
+        stored = trial.value if kind == "FINITE" else None
+        yield "trial_values", {"objective": 0, "value": stored, "value_type": kind}
+    for name, distribution in trial.distributions.items():
+        value = distribution.to_internal_repr(trial.params[name])
+        about = {"param_value": value, "distribution_json": _as_json(distribution)}
+        yield "trial_params", {"param_name": name, **about}
+    for owner in ("user", "system"):
+        for attribute in _attributes(getattr(trial, f"{owner}_attrs")):
+            yield f"trial_{owner}_attributes", attribute
+
+
+def _attributes(values: dict[str, Any]) -> list[Row]:
+    return [{"key": key, "value_json": json.dumps(value)} for key, value in values.items()]
+
+
+def _naive_utc(local: datetime | None) -> datetime | None:
+    return None if local is None else local.astimezone(UTC).replace(tzinfo=None)
+
+
+@cache
+def _as_json(distribution: BaseDistribution) -> str:
+    return distribution_to_json(distribution)
+
+
 def _study_ids(
-    connection: sql.Connection, tables: dict[str, sql.Table], batch: list[FinishedStudy]
+    connection: sql.Connection, tables: Tables, batch: list[FinishedStudy]
 ) -> dict[str, int]:
     """Ids by name; the studies are made where they are missing, and locked for this transaction."""
     table = tables["studies"]
@@ -255,9 +236,9 @@ def _study_ids(
         directions = [{"study_id": ids[study.name], **direction} for study in new]
         _insert(connection, tables["study_directions"], directions)
         attributes = [
-            {"study_id": ids[study.name], "key": key, "value_json": json.dumps(value)}
+            {"study_id": ids[study.name], **row}
             for study in new
-            for key, value in study.user_attrs.items()
+            for row in _attributes(study.user_attrs)
         ]
         _insert(connection, tables["study_user_attributes"], attributes)
     return ids
@@ -266,19 +247,16 @@ def _study_ids(
 def _name_metrics(
     connection: sql.Connection, table: sql.Table, ids: dict[str, int], batch: list[FinishedStudy]
 ) -> None:
-    """Say what objectives are called in those studies that do not."""
+    """Name the objectives of those studies that have no name for theirs."""
     query = sql.select(table.c.study_id).where(
         table.c.key == METRIC_ATTRIBUTE, table.c.study_id.in_(ids.values())
     )
     named = set(connection.execute(query).scalars())
-    unnamed = [study for study in batch if study.metric and ids[study.name] not in named]
     rows = [
-        {
-            "study_id": ids[study.name],
-            "key": METRIC_ATTRIBUTE,
-            "value_json": json.dumps([study.metric]),
-        }
-        for study in unnamed
+        {"study_id": ids[study.name], **row}
+        for study in batch
+        if study.metric and ids[study.name] not in named
+        for row in _attributes({METRIC_ATTRIBUTE: [study.metric]})
     ]
     _insert(connection, table, rows)
 
@@ -292,24 +270,11 @@ def _lock(connection: sql.Connection, studies: sql.Table, names: list[str]) -> N
     connection.execute(sql.update(studies).where(named).values(study_name=studies.c.study_name))
 
 
-def _counts(connection: sql.Connection, trials: sql.Table, study_ids: list[int]) -> dict[int, int]:
-    query = sql.select(trials.c.study_id, sql.func.count()).where(trials.c.study_id.in_(study_ids))
-    return _pairs(connection, query.group_by(trials.c.study_id))
-
-
-def _pairs(connection: sql.Connection, query: sql.Select[Any]) -> dict[Any, Any]:
+def _pairs(connection: sql.Connection, query: sql.Executable) -> dict[Any, Any]:
     return {key: value for key, value in connection.execute(query)}
 
 
-def _trial_ids(
-    connection: sql.Connection, trials: sql.Table, study_ids: set[int]
-) -> dict[tuple[int, int], int]:
-    query = sql.select(trials.c.study_id, trials.c.number, trials.c.trial_id)
-    rows = connection.execute(query.where(trials.c.study_id.in_(study_ids)))
-    return {(study_id, number): trial_id for study_id, number, trial_id in rows}
-
-
-def _insert(connection: sql.Connection, table: sql.Table, rows: Rows) -> None:
+def _insert(connection: sql.Connection, table: sql.Table, rows: list[Row]) -> None:
     if rows and connection.dialect.name == "postgresql":
         copy_rows(connection, table, rows)
     elif rows:
