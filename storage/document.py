@@ -1,4 +1,4 @@
-"""What a folder holds, as JSON values: hashed, compared, agreed upon; and the format's version."""
+"""Documents of folders, as JSON values: hashed, compared, agreed upon; and the format's version."""
 
 import hashlib
 import json
@@ -34,50 +34,48 @@ def difference(document: Any, other: Any, name: str = "") -> tuple[str, Any, Any
 def differs(
     document: dict[str, Any], known: dict[str, Any], growing: tuple[str, ...] = ()
 ) -> tuple[str, Any, Any] | None:
-    """As `difference`, but of `growing` dictionaries only what both have may differ."""
+    """As `difference`; a key that one side of a `growing` dictionary lacks is no difference."""
     ours = document | {key: known.get(key, {}) | document[key] for key in growing}
     theirs = known | {key: document[key] | known.get(key, {}) for key in growing}
     return difference(ours, theirs)
 
 
-def agreed(
-    path: Path, document: dict[str, Any], *, growing: tuple[str, ...] = (), remedy: str
+def agree(
+    path: Path,
+    document: dict[str, Any],
+    *,
+    growing: tuple[str, ...] = (),
+    remedy: str,
+    write: bool = True,
 ) -> dict[str, Any]:
-    """The document that `agree` would leave in the file; nothing is written.
+    """Write the document into a new folder; in an old one, check that it is the same.
 
     Args:
         path: the document's file, which need not be there.
-        document: what this call is to fill the folder with.
+        document: of this call.
         growing: dictionaries of the document to which calls add; where missing in the file, empty.
-        remedy: what helps whom this refuses, for messages: "another --out".
+        remedy: advice for messages: "another --out".
+        write: whether the file is made, or gets what the call adds.
+
+    Returns:
+        The document that is then in the file, or would be.
 
     Raises:
-        InputError: the file cannot be read, or says something else.
+        InputError: the file cannot be read or written, or has another document.
     """
-    if not path.exists():  # in the order that later calls will find
-        return document | {key: dict(sorted(document[key].items())) for key in growing}
-    allowed = f"a readable {path.stem}; or {remedy}"
-    known = json_document("out", path, allowed)
-    with reading("out", path, allowed):
-        found = differs(document, known, growing)
-        grown = {key: dict(sorted((known.get(key, {}) | document[key]).items())) for key in growing}
-    if found:
-        name, here, there = found
-        raise InputError(name or path.stem, here, f"{there!r}, as {path} says; or {remedy}")
-    return document | grown
-
-
-def agree(
-    path: Path, document: dict[str, Any], *, growing: tuple[str, ...] = (), remedy: str
-) -> dict[str, Any]:
-    """Write the document into a new folder; in an old one, see that it is the same.
-
-    Args and what is returned, which is then in the file: as `agreed`.
-
-    Raises:
-        InputError: as `agreed`, or the file cannot be written.
-    """
-    grown = agreed(path, document, growing=growing, remedy=remedy)
-    if not path.exists() or (growing and grown != json_document("out", path, remedy)):
-        commit_json(path, grown)
-    return grown
+    known: dict[str, Any] = {}
+    if path.exists():
+        allowed = f"a readable {path.stem}; or {remedy}"
+        known = json_document("out", path, allowed)
+        with reading("out", path, allowed):
+            found = differs(document, known, growing)
+            grown = {key: known.get(key, {}) | document[key] for key in growing}
+        if found:
+            name, here, there = found
+            raise InputError(name or path.stem, here, f"{there!r}, as {path} says; or {remedy}")
+    else:
+        grown = {key: document[key] for key in growing}
+    whole = document | {key: dict(sorted(values.items())) for key, values in grown.items()}
+    if write and (not path.exists() or (growing and whole != known)):
+        commit_json(path, whole)
+    return whole

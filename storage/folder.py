@@ -1,15 +1,102 @@
-"""A folder whose files are the state of some work: one process fills it, any later one goes on."""
+"""A folder whose files are the state of some work: one process fills it, any later one goes on.
+
+Its first file is the document, which describes the work. Other work in this folder is refused.
+"""
 
 import fnmatch
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import pyarrow as pa
 
 from storage.commit import TEMPORARY_SUFFIX, lock_now, require_folder, writable
+from storage.document import agree
+from storage.tables import read_stamped, write_stamped
 from taichi_nmm.errors import InputError
 
 LOCK_NAME = ".lock"
 UNFINISHED = f".*{TEMPORARY_SUFFIX}"
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A folder being filled; made by `claim`, which gives one process the right to write.
+
+    A child sets the names of its files.
+
+    Attributes:
+        path: of the folder.
+        document: of the folder, as JSON values.
+    """
+
+    path: Path
+    document: dict[str, Any]
+
+    KIND: ClassVar[str]  # of folder, for messages: "a store"
+    FIRST: ClassVar[str]  # name of the document's file
+    GROWING: ClassVar[tuple[str, ...]] = ()  # dictionaries of the document to which calls add
+    REMEDY: ClassVar[str] = "another --out"  # where the document is another one
+    FILES: ClassVar[tuple[str, ...]] = ()  # patterns of all others, in the order of their removal
+
+    @classmethod
+    @contextmanager
+    def claim(cls, path: Path, document: dict[str, Any], fresh: bool = False) -> Iterator[Self]:
+        """Hold the folder: new, or begun with the same document, or emptied by `fresh`.
+
+        Raises:
+            InputError: in use by another process, of something else, of another document, or not
+                writable.
+        """
+        with claimed(path, cls.FIRST, cls.KIND):
+            for pattern in (cls.FIRST, *cls.FILES):  # a folder would be met after the work
+                for file in sorted(path.glob(pattern)):
+                    if file.is_dir():
+                        allowed = "a file there, not a folder; or another --out"
+                        raise InputError("out", str(file), allowed)
+            if fresh:  # the document goes last: it tells whose folder this is
+                remove(path, *cls.FILES, cls.FIRST)
+            yield cls(path, cls._agree(path, document))
+
+    @classmethod
+    def check(cls, path: Path, document: dict[str, Any]) -> Self:
+        """The folder that `claim` would hold, if no other process does; nothing is written.
+
+        Raises:
+            InputError: of something else, of another document, or not writable.
+        """
+        _require_claimable(path, cls.FIRST, cls.KIND)
+        return cls(path, cls._agree(path, document, write=False))
+
+    def read_state(self, name: str, schema: pa.Schema, content: str) -> pa.Table:
+        """A table that `write_state` wrote; empty where there is none.
+
+        Args:
+            name: of its file.
+            schema: its columns.
+            content: what it holds, for messages.
+
+        Raises:
+            InputError: damaged, edited, of another folder, or with other columns.
+        """
+        path = self.path / name
+        if not path.exists():
+            return schema.empty_table()
+        table = read_stamped(path, self.document, self.GROWING)
+        if not table.schema.equals(schema):
+            raise InputError("out", str(path), f"{content}, in this version's form")
+        return table
+
+    def write_state(self, name: str, table: pa.Table) -> None:
+        """Commit a table with the folder's document and a digest of the content."""
+        write_stamped(self.path / name, table, self.document)
+
+    @classmethod
+    def _agree(cls, path: Path, document: dict[str, Any], write: bool = True) -> dict[str, Any]:
+        file, growing = path / cls.FIRST, cls.GROWING
+        return agree(file, document, growing=growing, remedy=cls.REMEDY, write=write)
 
 
 @contextmanager
@@ -25,7 +112,7 @@ def claimed(path: Path, first: str, kind: str) -> Iterator[None]:
         InputError: in use by another process, not empty and without the first file, or not
             writable.
     """
-    require_claimable(path, first, kind)
+    _require_claimable(path, first, kind)
     with writable(path):
         path.mkdir(parents=True, exist_ok=True)
         lock = (path / LOCK_NAME).open("a")  # never removed: another process may hold it
@@ -35,20 +122,16 @@ def claimed(path: Path, first: str, kind: str) -> Iterator[None]:
         yield
 
 
-def require_claimable(path: Path, first: str, kind: str) -> None:
-    """Refuse a folder that holds something else, whose files would be overwritten.
-
-    Nothing is written. Arguments as of `claimed`.
-
-    Raises:
-        InputError: not a folder, not empty and without the first file, or not writable.
-    """
+def _require_claimable(path: Path, first: str, kind: str) -> None:
+    """Refuse a folder that holds something else, whose files would be overwritten."""
     with writable(path):
         require_folder(path)
         names = {file.name for file in path.iterdir()} if path.is_dir() else set()
-    names -= {LOCK_NAME, *fnmatch.filter(names, UNFINISHED)}
-    if names and first not in names:
-        raise InputError("out", str(path), f"an empty folder or {kind} (this has {min(names)})")
+    if first not in names:
+        foreign = sorted(names - {LOCK_NAME, *fnmatch.filter(names, UNFINISHED)})
+        if foreign:
+            allowed = f"an empty folder or {kind} (this has {foreign[0]})"
+            raise InputError("out", str(path), allowed)
 
 
 def remove(path: Path, *patterns: str) -> None:

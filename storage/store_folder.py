@@ -1,27 +1,25 @@
-"""The folder of a store that is being filled. The folder is the state; this class knows its files.
+"""The folder of a store that is being filled.
 
-specification.json   written first: what the store is to hold
+specification.json   written first: the configuration of the store
 part-00000.parquet   a shard; done when it opens, is undamaged and its footer is as expected
 search-up-00000.parquet   a generation of a search under way
-repertoire.parquet   what the search tried and chose; done when the search is over
+repertoire.parquet   all candidates that the search tried and chose; written when it is over
 manifest.json        written last: SHA-256 of every shard
-kind.json            of a store that a cluster fills: what its workers compute with
+kind.json            the kind of the workers, where a cluster fills the store
 .lock                held by the one process that writes
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from storage.document import FORMAT, agree, document_hash
-from storage.folder import claimed, remove
+from storage.document import FORMAT, document_hash
+from storage.folder import Folder, remove
 from storage.pool import KIND_NAME
 from storage.schema import columns_of
 from storage.specification import Layout
@@ -33,47 +31,22 @@ from taichi_nmm.reading import reading
 SPECIFICATION_NAME = "specification.json"
 REPERTOIRE_NAME = "repertoire.parquet"
 GENERATION_PATTERN = "search-*.parquet"
-# All files but the specification, in the order in which they are removed.
-FILES = (MANIFEST_NAME, SHARD_PATTERN, GENERATION_PATTERN, REPERTOIRE_NAME, KIND_NAME)
 
 NOT_CHOSEN = -1
 FAMILY, GENERATION, ROW = "family", "generation", "row"  # columns of the repertoire
 
 Tried = dict[str, NDArray[Any]]
-"""Columns by name: points that a search has tried, and what came of them."""
+"""Columns by name: points that a search has tried, and their results."""
 
 
 @dataclass(frozen=True)
-class StoreFolder:
-    """The folder of a store; made by `claim`, which gives one process the right to write.
+class StoreFolder(Folder):
+    """The folder of a store; its document is the specification's."""
 
-    Attributes:
-        path: of the folder.
-        document: of the store's specification, as JSON values.
-    """
-
-    path: Path
-    document: dict[str, Any]
-
-    @classmethod
-    @contextmanager
-    def claim(cls, path: Path, document: dict[str, Any], fresh: bool = False) -> Iterator[Self]:
-        """Hold the folder: new, or begun with the same document, or emptied by `fresh`.
-
-        Raises:
-            InputError: in use by another process, of something else, of another document, or not
-                writable.
-        """
-        with claimed(path, SPECIFICATION_NAME, "a store"):
-            for pattern in (SPECIFICATION_NAME, *FILES):  # or the work would end in an error
-                for file in sorted(path.glob(pattern)):
-                    if file.is_dir():
-                        allowed = "a file there, not a folder; or another --out"
-                        raise InputError("out", str(file), allowed)
-            if fresh:  # the specification goes last: it tells whose folder this is
-                remove(path, *FILES, SPECIFICATION_NAME)
-            remedy = "another --out; or --fresh, which starts over"
-            yield cls(path, agree(path / SPECIFICATION_NAME, document, remedy=remedy))
+    KIND = "a store"
+    FIRST = SPECIFICATION_NAME
+    REMEDY = "another --out; or --fresh, which starts over"
+    FILES = (MANIFEST_NAME, SHARD_PATTERN, GENERATION_PATTERN, REPERTOIRE_NAME, KIND_NAME)
 
     @cached_property
     def layout(self) -> Layout:
@@ -122,7 +95,7 @@ class StoreFolder:
     def write_repertoire(
         self, found: Mapping[str, list[Tried]], chosen: Mapping[str, NDArray[np.int64]]
     ) -> None:
-        """Commit what a search found, and which points of each family become rows of the store."""
+        """Commit all generations of a search, and which points become rows, by family."""
         tables, row = [], self.layout.samples
         for family, generations in found.items():
             sizes = [len(next(iter(tried.values()))) for tried in generations]
