@@ -1,11 +1,10 @@
-"""A recorded walk as a file for other programs: CSV in our own terms, .mot and .sto in OpenSim's.
+"""A recorded walk as a file for other programs: CSV by our own names, .mot and .sto by OpenSim's.
 
 Names and signs of .mot and .sto are those of OpenSim's planar model gait10dof18musc: angles
 counter-clockwise positive, flexion of the knee negative. Its pelvis is our hip, its trunk does not
-bend. Numbers are written so that they are read back as the same float64.
+bend. Numbers have as many digits as needed to read the same float64 back.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from taichi_nmm.result import MUSCLES, Trajectory
 
 Columns = dict[str, NDArray[np.float64]]
 
+FORMATS = (".csv", ".mot", ".sto")
 RECORD_RATE_HZ = 200.0  # of walks that are kept
 
 OPENSIM_MUSCLES = {
@@ -47,18 +47,17 @@ ground_force_*_vx forward +, _vy upward +, on the foot, mean over the sample int
 
 
 def own_columns(trajectory: Trajectory) -> Columns:
-    """Everything, by names that tell the unit; signs as in `Trajectory`."""
+    """All samples, by names with units; signs as in `Trajectory`."""
     sides = [(side, muscle) for side in SIDES for muscle in MUSCLES]
-    named: list[tuple[tuple[str, ...], NDArray[np.float64]]] = [
+    named = (
         (COORDINATES, trajectory.q),
-        (tuple(f"{name}ps" for name in COORDINATES), trajectory.qdot),
+        ([f"{name}ps" for name in COORDINATES], trajectory.qdot),
         (JOINTS, trajectory.joint_rad),
-        (tuple(f"{side}_{muscle}_activation" for side, muscle in sides), trajectory.activation),
-        (tuple(f"{side}_{muscle}_force_n" for side, muscle in sides), trajectory.muscle_force_n),
-        (("l_ground_x_n", "l_ground_z_n", "r_ground_x_n", "r_ground_z_n"),
-         trajectory.ground_force_n),
-        (("l_stance", "r_stance"), trajectory.stance.astype(np.float64)),
-    ]  # fmt: skip
+        ([f"{side}_{muscle}_activation" for side, muscle in sides], trajectory.activation),
+        ([f"{side}_{muscle}_force_n" for side, muscle in sides], trajectory.muscle_force_n),
+        ([f"{side}_ground_{axis}_n" for side in SIDES for axis in "xz"], trajectory.ground_force_n),
+        ([f"{side}_stance" for side in SIDES], trajectory.stance.astype(np.float64)),
+    )
     columns = {"time_s": trajectory.time_s}
     for names, values in named:
         columns |= dict(zip(names, values.T, strict=True))
@@ -82,36 +81,17 @@ def coordinates(trajectory: Trajectory) -> Columns:
 
 def forces(trajectory: Trajectory) -> Columns:
     """Forces of the ground, and activation and force of each muscle, by OpenSim's names."""
+    sides = [(side, muscle) for side in SIDES for muscle in MUSCLES]
     columns = {"time": trajectory.time_s}
-    for place, side in enumerate(SIDES):
-        for axis, name in enumerate(("vx", "vy")):
-            values = trajectory.ground_force_n[:, 2 * place + axis]
-            columns[f"ground_force_{side}_{name}"] = values
-    for what, values in (
+    names = [f"ground_force_{side}_{axis}" for side in SIDES for axis in ("vx", "vy")]
+    columns |= dict(zip(names, trajectory.ground_force_n.T, strict=True))
+    for quantity, values in (
         ("activation", trajectory.activation),
         ("tendon_force", trajectory.muscle_force_n),
     ):
-        for place, side in enumerate(SIDES):
-            for number, muscle in enumerate(MUSCLES):
-                column = values[:, place * len(MUSCLES) + number]
-                columns[f"{OPENSIM_MUSCLES[muscle]}_{side}.{what}"] = column
+        names = [f"{OPENSIM_MUSCLES[muscle]}_{side}.{quantity}" for side, muscle in sides]
+        columns |= dict(zip(names, values.T, strict=True))
     return columns
-
-
-def _csv(trajectory: Trajectory, _: str) -> str:
-    columns = own_columns(trajectory)
-    return ",".join(columns) + "\n" + _lines(columns, ",")
-
-
-def _mot(trajectory: Trajectory, name: str) -> str:
-    return _storage(name, coordinates(trajectory), "yes", SIGNS)
-
-
-def _sto(trajectory: Trajectory, name: str) -> str:
-    return _storage(name, forces(trajectory), "no", FORCES)
-
-
-FORMATS: dict[str, Callable[[Trajectory, str], str]] = {".csv": _csv, ".mot": _mot, ".sto": _sto}
 
 
 def trajectory_text(trajectory: Trajectory, suffix: str, name: str = "walk") -> str:
@@ -119,22 +99,33 @@ def trajectory_text(trajectory: Trajectory, suffix: str, name: str = "walk") -> 
 
     Args:
         trajectory: of any length.
-        suffix: of the file, which tells the format.
+        suffix: of the file, which selects the format.
         name: of the walk, a line of .mot and .sto.
 
     Raises:
         InputError: another suffix.
     """
-    return _format(suffix)(trajectory, name)
+    _require_format(suffix)
+    if suffix == ".csv":
+        columns = own_columns(trajectory)
+        return ",".join(columns) + "\n" + _lines(columns, ",")
+    if suffix == ".mot":
+        columns, degrees, words = coordinates(trajectory), "yes", SIGNS
+    else:
+        columns, degrees, words = forces(trajectory), "no", FORCES
+    # OpenSim's storage, version 1: lines before `endheader` that are no keys are remarks.
+    rows = len(trajectory.time_s)
+    head = f"{name}\nversion=1\nnRows={rows}\nnColumns={len(columns)}\ninDegrees={degrees}\n\n"
+    return f"{head}{words}\nendheader\n" + "\t".join(columns) + "\n" + _lines(columns, "\t")
 
 
 def require_trajectory_file(path: Path) -> None:
-    """Refuse a file that `write_trajectory` would; nothing is touched.
+    """Refuse a file that `write_trajectory` would refuse; nothing is touched.
 
     Raises:
         InputError: another ending, or a place that cannot be written.
     """
-    _format(path.suffix)
+    _require_format(path.suffix)
     require_writable(path, "trajectory")
 
 
@@ -147,17 +138,9 @@ def write_trajectory(path: Path, trajectory: Trajectory, name: str = "walk") -> 
     commit_text(path, trajectory_text(trajectory, path.suffix, name))
 
 
-def _format(suffix: str) -> Callable[[Trajectory, str], str]:
+def _require_format(suffix: str) -> None:
     if suffix not in FORMATS:
         raise InputError("trajectory", suffix, f"a file that ends in {', '.join(FORMATS)}")
-    return FORMATS[suffix]
-
-
-def _storage(name: str, columns: Columns, degrees: str, words: str) -> str:
-    """OpenSim's storage, version 1: what stands before `endheader` and is no key is a remark."""
-    rows = len(next(iter(columns.values())))
-    head = f"{name}\nversion=1\nnRows={rows}\nnColumns={len(columns)}\ninDegrees={degrees}\n\n"
-    return f"{head}{words}\nendheader\n" + "\t".join(columns) + "\n" + _lines(columns, "\t")
 
 
 def _lines(columns: Columns, between: str) -> str:

@@ -1,4 +1,4 @@
-"""Figure: the mean gait cycle of a walk, beside the ranges of people, and how far apart they are.
+"""Figure: the mean gait cycle of a walk, beside the ranges of people, and the distance from them.
 
 A walk is cut into strides of the left leg, each stretched to 0 to 100 %.
 
@@ -10,7 +10,6 @@ and off times of Perry (1992), Gait Analysis, rounded to a few percent.
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -129,7 +128,7 @@ class Strides:
     duration_s: Array
 
     def __len__(self) -> int:
-        """How many."""
+        """Number of strides."""
         return len(self.duration_s)
 
     @property
@@ -184,6 +183,9 @@ def _take_offs(trajectory: Trajectory, starts: Array, ends: Array) -> Array:
 
 
 SIZE_IN = (8.8, 9.6)
+GRID = {
+    "left": 0.075, "right": 0.985, "top": 0.875, "bottom": 0.055, "hspace": 0.42, "wspace": 0.3,
+}  # fmt: skip
 PANEL_MUSCLES = ("HFL", "GLU", "HAM", "VAS", "GAS", "SOL", "TA")  # from the hip down
 MUSCLE_WORDS = {
     "HFL": "hip flexors", "GLU": "gluteus", "HAM": "hamstrings", "VAS": "vasti",
@@ -193,9 +195,9 @@ MUSCLE_WORDS = {
 
 @dataclass(frozen=True)
 class Panel:
-    """A quantity over the stride: what it is called, whose range it has, and its smallest axis.
+    """A quantity over the stride: its name, its human range, and its axis.
 
-    The axis never reaches beyond `floor` and `ceiling`.
+    The axis is at least from `low` to `high`, and never beyond `floor` and `ceiling`.
     """
 
     title: str
@@ -221,7 +223,7 @@ def write_gait_cycle(
 ) -> Path:
     """Draw the strides of the left leg, from heel strike to heel strike, mean +- 1 sd.
 
-    Where the walk has too few whole strides, the picture says so and shows the human ranges alone.
+    Of a walk with too few whole strides, the picture has the human ranges alone, and a line on why.
 
     Args:
         path: of the PNG.
@@ -234,44 +236,27 @@ def write_gait_cycle(
     """
     strides = left_strides(finite(trajectory), body_weight_n)
     figure = style.new_figure(*SIZE_IN)
-    panels = _panels(figure)
+    grid = figure.subplots(4, 3, gridspec_kw=GRID)
+    panels = iter(grid.flat)
     for name, panel in PANELS.items():
         axes = next(panels)
-        _draw_human(axes, panel)
+        mean, sd = panel.human.at(PERCENT)
+        axes.fill_between(PERCENT, mean - sd, mean + sd, color=style.HUMAN, alpha=0.35, linewidth=0)
+        axes.plot(PERCENT, mean, color=style.FAINT, linewidth=1.0, linestyle="--")
         _draw_model(axes, getattr(strides, name), strides)
         _finish(axes, panel.title, panel.unit)
         _scale(axes, panel, getattr(strides, name))
     for muscle in PANEL_MUSCLES:
         axes = next(panels)
-        _draw_emg(axes, muscle)
+        for start, end in EMG_ON_PERCENT[muscle]:
+            axes.axvspan(start, end, color=style.EMG, alpha=0.6, linewidth=0, zorder=0.5)
         _draw_model(axes, strides.activation[MUSCLES.index(muscle)], strides)
         _finish(axes, f"{muscle}, {MUSCLE_WORDS[muscle]}", "activation (1)")
         axes.set(ylim=(0.0, 1.05), yticks=[0.0, 0.5, 1.0])
+    for axes in grid[-1]:
+        axes.set_xlabel("stride (%)", fontsize=style.TEXT_PT, color=style.INK)
     _caption(figure, strides, title)
     return style.save_png(figure, path)
-
-
-def _panels(figure: Figure) -> Iterator[Axes]:
-    grid = figure.add_gridspec(
-        4, 3, left=0.075, right=0.985, top=0.875, bottom=0.055, hspace=0.42, wspace=0.3
-    )
-    for row in range(4):
-        for column in range(3):
-            axes = figure.add_subplot(grid[row, column])
-            if row == 3:
-                axes.set_xlabel("stride (%)", fontsize=style.TEXT_PT, color=style.INK)
-            yield axes
-
-
-def _draw_human(axes: Axes, panel: Panel) -> None:
-    mean, sd = panel.human.at(PERCENT)
-    axes.fill_between(PERCENT, mean - sd, mean + sd, color=style.HUMAN, alpha=0.35, linewidth=0)
-    axes.plot(PERCENT, mean, color=style.FAINT, linewidth=1.0, linestyle="--")
-
-
-def _draw_emg(axes: Axes, muscle: str) -> None:
-    for start, end in EMG_ON_PERCENT[muscle]:
-        axes.axvspan(start, end, color=style.EMG, alpha=0.6, linewidth=0, zorder=0.5)
 
 
 def _draw_model(axes: Axes, curves: Array, strides: Strides) -> None:
@@ -295,10 +280,10 @@ def _finish(axes: Axes, title: str, unit: str) -> None:
 
 
 def _scale(axes: Axes, panel: Panel, curves: Array) -> None:
-    """At least the panel's usual axis, so that pictures of different gaits compare.
+    """Set the axis, alike for different gaits.
 
-    The impact of the heel lasts a few milliseconds and would flatten all else: where the panel has
-    a ceiling, what goes beyond it is told in words.
+    The impact of the heel lasts a few milliseconds and would flatten all else: a peak above the
+    panel's ceiling is given in words.
     """
     low, high = axes.get_ylim()
     peak = curves.mean(axis=0).max() if len(curves) else 0.0
@@ -311,16 +296,26 @@ def _scale(axes: Axes, panel: Panel, curves: Array) -> None:
 
 
 def _caption(figure: Figure, strides: Strides, title: str) -> None:
+    handles: list[Line2D | Patch] = [
+        Patch(facecolor=style.HUMAN, alpha=0.35, label=SOURCE),
+        Patch(facecolor=style.EMG, alpha=0.6, label=EMG_SOURCE),
+    ]
+    if strides.enough:
+        handles = [
+            Line2D([], [], color=style.MODEL, linewidth=1.6, label="model ± 1 sd"),
+            Line2D([], [], color=style.MODEL, linewidth=0.9, linestyle=":", label="model toe-off"),
+            *handles,
+        ]
     figure.text(0.012, 0.978, title, fontsize=style.TITLE_PT, color=style.INK, va="top")
     figure.text(0.012, 0.953, subtitle(strides), fontsize=style.TEXT_PT, color=style.INK, va="top")
     figure.legend(
-        handles=_legend_handles(strides), loc="upper left", bbox_to_anchor=(0.004, 0.94), ncols=4,
+        handles=handles, loc="upper left", bbox_to_anchor=(0.004, 0.94), ncols=4,
         frameon=False, fontsize=style.SMALL_PT, columnspacing=1.4, handlelength=1.8,
     )  # fmt: skip
 
 
 def subtitle(strides: Strides) -> str:
-    """What the curves are made of, or why there are none."""
+    """How many strides the curves are of, or why there are no curves."""
     if not strides.enough:
         return (
             f"{len(strides)} whole strides after settling: too few for a mean "
@@ -332,31 +327,17 @@ def subtitle(strides: Strides) -> str:
     )
 
 
-def _legend_handles(strides: Strides) -> list[Line2D | Patch]:
-    human: list[Line2D | Patch] = [
-        Patch(facecolor=style.HUMAN, alpha=0.35, label=SOURCE),
-        Patch(facecolor=style.EMG, alpha=0.6, label=EMG_SOURCE),
-    ]
-    if not strides.enough:
-        return human
-    return [
-        Line2D([], [], color=style.MODEL, linewidth=1.6, label="model ± 1 sd"),
-        Line2D([], [], color=style.MODEL, linewidth=0.9, linestyle=":", label="model toe-off"),
-        *human,
-    ]
-
-
 ACCURACY = {"deg": 3.0, "bw": 0.05}  # of the published tables: `study.pictures.gait_cycle`
 
 
 @dataclass(frozen=True)
 class Distance:
-    """Of a walker's mean stride from the mean of people.
+    """The distance of a walker's mean stride from the mean of people.
 
     Attributes:
         rmse: root of the mean squared difference, in the curve's unit.
-        deviations: the same in standard deviations of people; one that is less than the tables'
-            accuracy counts as that.
+        deviations: the same in standard deviations of people, or in the tables' accuracy where that
+            is larger.
     """
 
     rmse: float
@@ -376,5 +357,5 @@ def human_distances(strides: Strides) -> dict[str, Distance]:
     return found
 
 
-def _root_mean_square(values: NDArray[np.float64]) -> float:
+def _root_mean_square(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))

@@ -50,7 +50,7 @@ def write_movie(
         seconds: how much of the walk's end is shown.
         title: one line in the corner.
         film: its size, rate and quality.
-        program: what `find_ffmpeg` found; looked for if not given.
+        program: path of ffmpeg; by default that of `find_ffmpeg`.
 
     Raises:
         InputError: no ffmpeg that works, or the file cannot be written.
@@ -61,7 +61,11 @@ def write_movie(
     def write(temporary: Path) -> None:
         _encode(encoder, frames(trajectory, terrain, seconds, title, film), temporary, film)
 
-    commit(path, write, _check)
+    def check(temporary: Path) -> None:
+        if temporary.stat().st_size == 0:
+            raise OSError("the film was not written")
+
+    commit(path, write, check)
     return path
 
 
@@ -98,8 +102,3 @@ def _feed(pipe: IO[bytes], pictures: Iterator[bytes]) -> None:
                 pipe.write(picture)
     except BrokenPipeError:
         pass
-
-
-def _check(path: Path) -> None:
-    if path.stat().st_size == 0:
-        raise OSError("the film was not written")

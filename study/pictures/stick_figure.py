@@ -56,13 +56,9 @@ class StickFigure:
             widths = (THIGH_WIDTH_M, SHANK_WIDTH_M, FOOT_WIDTH_M)
             bones.set_linewidth([self._points(width) for width in widths])
         self._joints.set_data(*near.chain()[:3].T)
-        count = len(MUSCLES)
-        for muscles, side, first in (
-            (self._near_muscles, LEFT, 0),
-            (self._far_muscles, RIGHT, count),
-        ):
+        for muscles, side in ((self._near_muscles, LEFT), (self._far_muscles, RIGHT)):
             muscles.set_verts(muscle_outlines(q, side))
-            muscles.set_array(activation[first : first + count])
+            muscles.set_array(activation[len(MUSCLES) * side :][: len(MUSCLES)])
 
     def _bones(self, colour: str, layer: float) -> LineCollection:
         bones = LineCollection([], colors=colour, capstyle="round", zorder=layer)
@@ -106,7 +102,7 @@ def draw_ground(axes: Axes, x_m: Array, height_m: Array, bottom_m: float) -> Non
 
 
 def draw_profile(axes: Axes, x_m: Array, height_m: Array, margin_m: float) -> None:
-    """The ground of a whole walk, small, with so much room above and below it."""
+    """The ground of a whole walk, small, with a margin above and below it."""
     style.tidy(axes)
     draw_ground(axes, x_m, height_m, height_m.min() - margin_m)
     axes.set(xlim=(x_m[0], x_m[-1]), ylim=(height_m.min() - margin_m, height_m.max() + margin_m))
@@ -220,7 +216,7 @@ NOT_SAMPLED = ("walker", "events")
 
 
 def finite(trajectory: Trajectory) -> Trajectory:
-    """The samples whose pose is finite: a walker that diverged is shown until it did.
+    """The samples whose pose is finite: those before a walker diverged.
 
     Raises:
         InputError: there is none.

@@ -1,6 +1,7 @@
 """A strip of stick figures over the ground they walk on, to scale."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -162,12 +163,7 @@ def _layout(
     width_in = size_m[0] * SCALE_IN_PER_M + 1.6
     height_in = strip_in + profile_in + 1.05
     figure = style.new_figure(width_in, height_in, dpi)
-
-    def box(left: float, bottom: float, width: float, height: float) -> Axes:
-        return figure.add_axes(
-            (left / width_in, bottom / height_in, width / width_in, height / height_in)
-        )
-
+    box = partial(style.axes_at, figure)
     axes = box(0.6, profile_in + 0.5, width_in - 1.6, strip_in)
     axes.set_aspect("equal", anchor="W")
     axes.set_xlabel("distance (m)", fontsize=style.TEXT_PT, color=style.INK)

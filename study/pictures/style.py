@@ -1,4 +1,4 @@
-"""What all pictures share: colours that survive colour blindness and print, fonts, saving.
+"""Common to all pictures: colours that survive colour blindness and print, fonts, saving.
 
 Figures are made with Matplotlib's object-oriented interface; its global state is never touched.
 """
@@ -35,6 +35,14 @@ def new_figure(width_in: float, height_in: float, dpi: int = PNG_DPI) -> Figure:
     figure = Figure(figsize=(width_in, height_in), dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
+
+
+def axes_at(
+    figure: Figure, left_in: float, bottom_in: float, wide_in: float, high_in: float
+) -> Axes:
+    """Axes at a place and of a size in inches."""
+    wide, high = figure.get_figwidth(), figure.get_figheight()
+    return figure.add_axes((left_in / wide, bottom_in / high, wide_in / wide, high_in / high))
 
 
 def tidy(axes: Axes) -> None:

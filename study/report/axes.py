@@ -1,7 +1,7 @@
 """How figures of a report look: arms by colour, dash and marker; trial axes; labels; PNG and SVG.
 
-Colour says the kind of an arm, marker and dash the arm; three arms stand in front. In a grey print
-the lines in front are known by width and dash, all others by the label at their end.
+Colour shows the kind of an arm, marker and dash the arm; three arms stand in front. In a grey print
+width and dash show the lines in front, and the label at its end names every line.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -29,11 +29,11 @@ class Look:
     """How one arm is drawn.
 
     Attributes:
-        label: what a reader calls it.
+        label: its name for readers.
         colour: of its line.
-        text: of its label.
-        dash: of its line, as Matplotlib has it.
-        marker: of its points, as Matplotlib has it.
+        text: colour of its label.
+        dash: of its line, in Matplotlib's form.
+        marker: of its points, in Matplotlib's form.
         front: whether it is one of the three in front, with a band.
     """
 
@@ -58,17 +58,17 @@ class Look:
 
 
 def label_of(arm: str) -> str:
-    """What a reader calls an arm; one of an old folder that nobody knows any more, its name."""
+    """The name of an arm for readers; for an arm that was removed, its own name."""
     return ARMS[arm].label if arm in ARMS else arm
 
 
 def kind_of(arm: str) -> Kind:
-    """Whose an arm is; one that nobody knows any more was ours."""
+    """The kind of an arm; an arm that was removed was ours."""
     return ARMS[arm].kind if arm in ARMS else "ours"
 
 
 def best_peer(arms: Iterable[ArmRuns]) -> str | None:
-    """The peer with most runs that have a walker; of equals the earliest, then the cheapest."""
+    """The peer with most runs with a walker; of equals the earliest, then the cheapest."""
     peers = [arm for arm in arms if kind_of(arm.arm) == "peer"]
     return min(peers, key=_rank).arm if peers else None
 
@@ -77,15 +77,16 @@ def looks(arms: Mapping[str, ArmRuns]) -> dict[str, Look]:
     """The look of each arm, in the order given."""
     front = {PAPER_ARM: "paper", BEST_ARM: "best", best_peer(arms.values()): "peer"}
     found: dict[str, Look] = {}
-    members = dict.fromkeys(BACK, 0)  # a marker for each of a kind
+    members = dict.fromkeys(BACK, 0)  # arms of a kind so far: each has another marker
     for arm in arms:
         role, kind = front.get(arm), kind_of(arm)
-        label, marker = label_of(arm), MARKERS[members[kind] % len(MARKERS)]
-        members[kind] += 1
         if role is not None:
-            found[arm] = Look(label, FRONT[role], FRONT[role], FRONT_DASH[role], marker, True)
+            drawn = FRONT[role], FRONT[role], FRONT_DASH[role]
         else:
-            found[arm] = Look(label, BACK[kind], BACK_TEXT[kind], BACK_DASH[kind], marker, False)
+            drawn = BACK[kind], BACK_TEXT[kind], BACK_DASH[kind]
+        marker = MARKERS[members[kind] % len(MARKERS)]
+        found[arm] = Look(label_of(arm), *drawn, marker, front=role is not None)
+        members[kind] += 1
     return found
 
 
@@ -104,19 +105,16 @@ LABEL_SPACING_PT = 10.0
 POINTS_AN_INCH = 72.0
 LABEL_OFFSET_PT = 16.0
 TICKS = (1, 3, 10, 30, 100, 300, 1000)
-SVG: dict[Any, Any] = {
-    "svg.hashsalt": "taichi-nmm",
-    "svg.fonttype": "path",
-}  # the same file each time
+SVG: dict[Any, Any] = {"svg.hashsalt": "taichi-nmm", "svg.fonttype": "path"}  # the same file again
 
 
 @dataclass(frozen=True)
 class End:
-    """Where a line ends, and what to write there.
+    """The end of a line, and its label.
 
     Attributes:
-        y: its end.
-        look: how its arm is drawn.
+        y: the end.
+        look: of the arm.
         text: the label.
         rank: of lines that end at one place, the higher is written above.
     """
@@ -128,7 +126,7 @@ class End:
 
 
 def trial_axis(axes: Axes, trials: int) -> None:
-    """A logarithmic axis of trials from 1: what happens in the first ten is what counts."""
+    """A logarithmic axis of trials from 1: the first ten matter most."""
     axes.set_xscale("log")
     axes.set_xlim(1.0 / 1.06, trials * 1.04)
     axes.xaxis.set_major_locator(FixedLocator(trial_ticks(trials)))
@@ -187,13 +185,13 @@ def label_ends(axes: Axes, ends: Sequence[End], x: float) -> None:
 
 
 def spread_out(places: Sequence[float], apart: float, low: float, high: float) -> list[float]:
-    """Ascending places moved as little as it takes to be `apart`, within low and high if they fit.
+    """Ascending places, moved as little as needed to be `apart`; within [low, high] if they fit.
 
-    Places that push each other form a group about the mean of where they want to be.
+    Places that push each other form a group about the mean of their own places.
     """
     span = apart * (len(places) - 1)
     high = max(high, low + span)
-    groups: list[tuple[float, int]] = []  # mean of where the group's first would be, members
+    groups: list[tuple[float, int]] = []  # mean place of the group's first, members
     for place in places:
         mean, size = float(place), 1
         while groups and groups[-1][0] + groups[-1][1] * apart > mean:

@@ -165,8 +165,8 @@ def write_strips(folder: Path, title: str, pair: Pair) -> list[Path]:
     figure = style.new_figure(width, height)
 
     def axes_at(top_in: float, high_in: float) -> Axes:
-        wide, bottom = WIDTH_M * SCALE_IN_PER_M / width, (height - top_in - high_in) / height
-        return figure.add_axes((LEFT_IN / width, bottom, wide, high_in / height))
+        bottom_in = height - top_in - high_in
+        return style.axes_at(figure, LEFT_IN, bottom_in, WIDTH_M * SCALE_IN_PER_M, high_in)
 
     top = 0.35
     for walk, part, colour, high_in in zip(walks, parts, COLOURS, heights_in, strict=True):

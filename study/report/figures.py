@@ -1,10 +1,11 @@
 """Figures: best cost and walkers against trials, a dot a run at its first walker, an overview.
 
-Of several experiments the overview has one in each row and an arm in each column; the darker, the
-more runs with a walker.
+The overview has an experiment in each row and an arm in each column; the darker, the more runs with
+a walker.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,7 @@ def write_best_cost(folder: Path, results: Results, optimum: float | None) -> li
         _cost_axis(axes, results, optimum)
         if panel:
             axes.set_ylabel("")
-        ends = _draw_arms(axes, results, _best_cost(statistic), "{:.3g}", up=1)
+        ends = _draw_arms(axes, results, partial(_best_cost, statistic), "{:.3g}", up=1)
         axes.set_title(title, fontsize=style.TEXT_PT, loc="left", color=style.INK)
         label_ends(axes, ends, results.trials)
     title = f"{results.name}: best {results.cost} cost so far"
@@ -98,8 +99,8 @@ def write_walkers(folder: Path, results: Results) -> list[Path]:
     return save(figure, folder, "walkers")
 
 
-def _best_cost(statistic: Statistic) -> Callable[[ArmRuns], Curve]:
-    return lambda arm: curve(arm.best, statistic)
+def _best_cost(statistic: Statistic, arm: ArmRuns) -> Curve:
+    return curve(arm.best, statistic)
 
 
 def _walker_share(arm: ArmRuns) -> Curve:
@@ -112,26 +113,22 @@ def _walker_share(arm: ArmRuns) -> Curve:
 def _draw_arms(
     axes: Axes, results: Results, curve_of: Callable[[ArmRuns], Curve], number: str, up: int
 ) -> list[End]:
-    """The line of each arm, worst first, with bands for those in front; their ends.
+    """Draw the line of each arm, worst first, with bands for those in front; return their ends.
 
-    Of lines with one end, the best label is lowest (`up` 1) or highest (-1).
+    Where lines end at one place, the best label is lowest (`up` 1) or highest (-1).
     """
     styles, ends = looks(results.arms), []
     order = by_rank(results.arms)
     for arm in sorted(order[::-1], key=lambda name: styles[name].front):
         values, low, high = curve_of(results.arms[arm])
-        _draw_line(axes, styles[arm], values, order.index(arm))
-        if styles[arm].front:
-            trials = np.arange(1, len(values) + 1)
-            axes.fill_between(trials, low, high, color=styles[arm].colour, alpha=0.15, linewidth=0)
-        text = f"{styles[arm].label} {number.format(values[-1])}".replace("%", " %")
-        ends.append(End(float(values[-1]), styles[arm], text, up * order.index(arm)))
+        look, rank = styles[arm], order.index(arm)
+        trials = np.arange(1, len(values) + 1)
+        axes.plot(trials, values, markevery=marked(len(values), rank), **look.line())
+        if look.front:
+            axes.fill_between(trials, low, high, color=look.colour, alpha=0.15, linewidth=0)
+        text = f"{look.label} {number.format(values[-1])}".replace("%", " %")
+        ends.append(End(float(values[-1]), look, text, up * rank))
     return ends
-
-
-def _draw_line(axes: Axes, look: Look, values: Floats, place: int) -> None:
-    trials = np.arange(1, len(values) + 1)
-    axes.plot(trials, values, markevery=marked(len(values), place), **look.line())
 
 
 def _cost_axis(axes: Axes, results: Results, optimum: float | None) -> None:
@@ -164,9 +161,8 @@ def _height_in(results: Results) -> float:
 
 def _panel(figure: Figure, number: int, width_in: float = PANEL_IN) -> Axes:
     """Axes with room for labels on their right, at a fixed size whatever the labels."""
-    wide, high = figure.get_figwidth(), figure.get_figheight()
-    left = LEFT_IN + number * (PANEL_IN + LABELS_IN)
-    axes = figure.add_axes((left / wide, 0.5 / high, width_in / wide, (high - MARGINS_IN) / high))
+    left_in = LEFT_IN + number * (PANEL_IN + LABELS_IN)
+    axes = style.axes_at(figure, left_in, 0.5, width_in, figure.get_figheight() - MARGINS_IN)
     style.tidy(axes)
     return axes
 
@@ -198,13 +194,8 @@ def write_first_walker(folder: Path, results: Results) -> list[Path]:
     order, styles = by_rank(results.arms), looks(results.arms)
     height = ROW_IN * len(order) + DOTS_TOP_IN + DOTS_BOTTOM_IN
     figure = style.new_figure(WIDTH_IN, height)
-    box = (
-        DOTS_LEFT_IN / WIDTH_IN,
-        DOTS_BOTTOM_IN / height,
-        1.0 - (DOTS_LEFT_IN + DOTS_RIGHT_IN) / WIDTH_IN,
-        1.0 - (DOTS_TOP_IN + DOTS_BOTTOM_IN) / height,
-    )
-    axes = figure.add_axes(box)
+    wide, high = WIDTH_IN - DOTS_LEFT_IN - DOTS_RIGHT_IN, ROW_IN * len(order)
+    axes = style.axes_at(figure, DOTS_LEFT_IN, DOTS_BOTTOM_IN, wide, high)
     scale = TrialScale(results.trials)
     _frame_dots(axes, scale, len(order))
     for row, arm in enumerate(order):
@@ -227,7 +218,7 @@ class TrialScale:
 
 
 def piles(places: Floats) -> tuple[Floats, Floats]:
-    """Where dots lie that would lie on each other: in columns of `PILE` about their place.
+    """Places of dots, apart: in columns of `PILE` about their place on the axis.
 
     Args:
         places: on the axis, [n], ascending.
@@ -249,13 +240,14 @@ def piles(places: Floats) -> tuple[Floats, Floats]:
 
 
 def _draw_row(axes: Axes, scale: TrialScale, row: int, arm: ArmRuns, look: Look) -> None:
+    """The dots of an arm, with its label, median and count."""
     found = np.sort(arm.first_walker[np.isfinite(arm.first_walker)])
     x, y = piles(np.array([scale.place(trial) for trial in found]))
     axes.plot(x, row + y, "o", ms=DOT_PT, color=look.colour, markeredgewidth=0.0, zorder=3)
     _draw_none(axes, row, len(arm.runs) - len(found), look)
     interval = median(arm.first_walker)
     _draw_median(axes, scale, row, interval)
-    middle = f"{interval.value:g}" if np.isfinite(interval.value) else f"> {arm.trials}"
+    middle = count_text(interval.value, arm.trials)
     weight = "bold" if look.front else "normal"
     for place, words, side in (
         (FROM - 0.02, look.label, "right"),
@@ -278,7 +270,7 @@ def _draw_none(axes: Axes, row: int, count: int, look: Look) -> None:
 
 
 def _draw_median(axes: Axes, scale: TrialScale, row: int, interval: Interval) -> None:
-    """Below the dots; an arrow where the interval has no upper end, nothing where it has none."""
+    """Below the dots; with an arrow if the interval has no upper end, none without a lower end."""
     if not np.isfinite(interval.low):
         return
     y, closed = row + MEDIAN_BELOW, bool(np.isfinite(interval.high))
@@ -318,25 +310,18 @@ FRONT_OF = {PAPER_ARM: FRONT["paper"], BEST_ARM: FRONT["best"]}
 
 
 def write_grid(folder: Path, experiments: Sequence[Numbers]) -> list[Path]:
-    """Draw overview.png and .svg.
+    """Runs with a walker and median trial of the first, as overview.png and .svg.
 
     Args:
-        folder: where to.
-        experiments: their figures, one row each.
+        folder: of the files.
+        experiments: their numbers, one row each.
     """
     arms = arms_of(experiments)
-    wide = CELL_IN[0] * len(arms) + GRID_LEFT_IN + GRID_RIGHT_IN
-    high = CELL_IN[1] * len(experiments) + GRID_TOP_IN + GRID_BOTTOM_IN
-    figure = style.new_figure(max(wide, 6.0), high)
-    wide = figure.get_figwidth()
-    axes = figure.add_axes(
-        (
-            GRID_LEFT_IN / wide,
-            GRID_BOTTOM_IN / high,
-            CELL_IN[0] * len(arms) / wide,
-            CELL_IN[1] * len(experiments) / high,
-        )
+    wide, high = CELL_IN[0] * len(arms), CELL_IN[1] * len(experiments)
+    figure = style.new_figure(
+        max(wide + GRID_LEFT_IN + GRID_RIGHT_IN, 6.0), high + GRID_TOP_IN + GRID_BOTTOM_IN
     )
+    axes = style.axes_at(figure, GRID_LEFT_IN, GRID_BOTTOM_IN, wide, high)
     shares = np.full((len(experiments), len(arms)), np.nan)
     for row, experiment in enumerate(experiments):
         for arm in experiment.arms:

@@ -1,8 +1,8 @@
-"""The figures of an experiment: of each arm, and of each arm against the paper's method.
+"""The numbers of an experiment: of each arm, and of each arm against the paper's method.
 
-Runs are the unit of intervals and tests: trials of one run are not independent. Resampling is
-seeded by the number of runs alone, so that a report made twice is the same report, and arms with as
-many runs are resampled alike.
+Runs are the unit of intervals and tests: trials of one run are not independent. The number of runs
+alone seeds the resampling: a report made twice is the same, and arms with as many runs are
+resampled alike.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,7 +44,7 @@ class PairedTest:
 
     Attributes:
         pairs: runs that both have, n.
-        unequal: those of them on which the two differ; the test rests on these.
+        unequal: pairs that differ; the test rests on these.
         p: two-sided; 1 where no pair differs.
     """
 
@@ -55,7 +55,7 @@ class PairedTest:
 
 @cache
 def wilson(successes: int, count: int) -> Interval:
-    """A proportion with Wilson's score interval; of 0 runs it is unknown (nan, 0, 1)."""
+    """A proportion with Wilson's score interval; (nan, 0, 1) of 0 runs."""
     if count == 0:
         return Interval(float("nan"), 0.0, 1.0)
     test = scipy.stats.binomtest(successes, count)
@@ -135,21 +135,22 @@ COMPARED_AFTER = 30  # trials
 
 @dataclass(frozen=True)
 class ArmNumbers:
-    """What an arm reached.
+    """The results of an arm.
 
     Attributes:
         arm: its name.
-        family: whose it is.
-        runs: how many.
-        trials: that all of them have; every other figure is of these.
+        family: its kind.
+        runs: their number.
+        trials: of every run; all other numbers but `found` are of these.
         found: trials of all runs together.
         walkers: runs with a walker.
         share: the same as a proportion, Wilson's interval.
         first_walker: median trial of the first walker; infinite where most runs have none.
-        within: runs with a walker within so many trials, as far as the trials go, or all have one.
-        cost_after: median best cost after so many trials, as far as the trials go.
+        within: runs with a walker within so many trials, for limits up to `trials`; for all limits
+            if every run has a walker.
+        cost_after: median best cost after so many trials, for limits up to `trials`.
         best_cost: median best cost after the last of the trials.
-        proposal_ms: median time that the sampler took for a trial; None where it is not known.
+        proposal_ms: median time of a proposal of the sampler; None where it is not known.
     """
 
     arm: str
@@ -175,7 +176,7 @@ class Comparison:
         after: trials after which the best costs are compared.
         cost: Wilcoxon's signed-rank test of the best costs.
         cost_p_holm: its p, adjusted for all arms of the experiment.
-        difference: median over runs of its best cost less the paper's method's; below 0 is better.
+        difference: of the best costs, median over runs; below 0 the arm is better.
         walkers: McNemar's exact test of having a walker by the last trial that both have.
         walkers_p_holm: its p, adjusted likewise.
     """
@@ -191,13 +192,13 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Everything that the table and the programs get.
+    """All numbers of an experiment.
 
     Attributes:
         experiment: its name.
         arms: best first.
-        peer: the best of the peers, where there are peers.
-        comparisons: with the paper's method, where that was run; in the order of the arms.
+        peer: the best of the peers; None without peers.
+        comparisons: with the paper's method, if it was run; in the order of the arms.
     """
 
     experiment: str
@@ -247,26 +248,22 @@ def _within(arm: ArmRuns) -> dict[int, int]:
 def _comparisons(arms: list[ArmRuns], paper: ArmRuns | None) -> list[Comparison]:
     if paper is None:
         return []
-    others = [
-        arm for arm in arms if arm.arm != PAPER_ARM and len(np.intersect1d(arm.runs, paper.runs))
-    ]
-    costs, differences, walkers, afters = [], [], [], []
-    for arm in others:
-        _, ours, theirs = np.intersect1d(arm.runs, paper.runs, return_indices=True)
+    names, afters, costs, differences, walkers = [], [], [], [], []
+    for arm in arms:
+        runs, ours, theirs = np.intersect1d(arm.runs, paper.runs, return_indices=True)
+        if arm.arm == PAPER_ARM or not len(runs):
+            continue
         last = min(arm.trials, paper.trials)
         after = min(COMPARED_AFTER, last)
         pair = arm.best[ours, after - 1], paper.best[theirs, after - 1]
+        names.append(arm.arm)
         afters.append(after)
         costs.append(wilcoxon(*pair))
         differences.append(median(pair[0] - pair[1]))
         walkers.append(mcnemar(arm.has_walker[ours, last - 1], paper.has_walker[theirs, last - 1]))
     cost_p, walkers_p = (holm([test.p for test in tests]) for tests in (costs, walkers))
-    return [
-        Comparison(arm.arm, *row)
-        for arm, *row in zip(
-            others, afters, costs, cost_p, differences, walkers, walkers_p, strict=True
-        )
-    ]
+    columns = (names, afters, costs, cost_p, differences, walkers, walkers_p)
+    return [Comparison(*row) for row in zip(*columns, strict=True)]
 
 
 def plain(value: Any) -> Any:
