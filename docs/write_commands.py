@@ -13,7 +13,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from study.options import parsers  # noqa: E402
+from study.options import COMMANDS, parser_of  # noqa: E402
 
 PAGE = ROOT / "docs" / "commands.md"
 INTRODUCTION = """\
@@ -37,18 +37,19 @@ Each command prints this text with `--help`. Made by `python docs/write_commands
 
 def page() -> str:
     """The whole page."""
-    chapters = ("\n".join(chapter(name, parser)) for name, parser in parsers().items())
-    return "\n".join([INTRODUCTION, *chapters])
+    return "\n".join([INTRODUCTION, *(line for name in COMMANDS for line in chapter(name))])
 
 
-def chapter(name: str, parser: argparse.ArgumentParser) -> Iterator[str]:
+def chapter(name: str) -> Iterator[str]:
     """A command: its first sentence, the rest of its description as it is printed, its options."""
+    parser = parser_of(name)
     first, _, rest = (parser.description or "").strip().partition("\n")
     yield from (f"## {name}", first, "", "```text", rest.strip("\n"), "```", "")
     yield from ("| option | meaning |", "|---|---|")
     for action in parser._actions:
-        if action.help != argparse.SUPPRESS and not isinstance(action, argparse._HelpAction):
-            yield f"| `{words(action)}` | {cell(meaning(action))} |"
+        if not isinstance(action, argparse._HelpAction):
+            meaning = (action.help or "") % vars(action)
+            yield f"| `{words(action)}` | {cell(meaning)} |"
     yield ""
 
 
@@ -58,11 +59,6 @@ def words(action: argparse.Action) -> str:
     if action.choices is not None and not value:
         value = "{" + ",".join(map(str, action.choices)) + "}"
     return cell(" ".join(filter(None, [", ".join(action.option_strings), value])) or action.dest)
-
-
-def meaning(action: argparse.Action) -> str:
-    """The help of an option, its default in place."""
-    return (action.help or "") % vars(action)
 
 
 def cell(text: str) -> str:

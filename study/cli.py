@@ -57,13 +57,12 @@ def main(words: Sequence[str] | None = None) -> None:
     """
     words = sys.argv[1:] if words is None else words
     with guarded_imports():
-        from study.options import check_command, overview, parser_of
+        from study.options import overview, parser_of
 
         if not words or words[0] in ("-h", "--help"):
             print(overview())
             return
         name, *rest = words
-        check_command(name)
         options = parser_of(name).parse_args(rest)
         command = import_module(f"study.commands.{name.replace('-', '_')}")
     run_command(lambda: command.main(options))

@@ -1,5 +1,6 @@
 """Gains to look at: by name, from a file, a store's row, or a finished trial."""
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from optuna.trial import TrialState
 import taichi_nmm
 from storage.databases.studies import read_studies, shown_url, studies_path
 from storage.databases.urls import SQLITE
-from storage.store import open_store
+from storage.store import Store, open_store
 from storage.tables import read_columns
 from study.comparison.folder import ARMS_NAME, RESULTS_NAME
 from study.experiment.experiment import Experiment
@@ -29,7 +30,8 @@ from taichi_nmm.parameters import (
 )
 from taichi_nmm.reading import is_folder, reading
 
-LONGEST_NUMBER = 100  # digits; Python refuses to read thousands
+NUMBER = re.compile(r"\d{1,100}")  # Python refuses to read thousands of digits
+TRIAL = re.compile(rf"([^/]*)/([^/]*)/(?:run-)?({NUMBER.pattern})/({NUMBER.pattern})")
 TRIAL_FORM = "EXPERIMENT/ARM/run-NNN/NUMBER, such as rough8-smooth/dog/run-007/12"
 
 
@@ -75,8 +77,13 @@ def gains_of_row(store: Path, row: int) -> NamedGains:
     opened = open_store(store)
     if not 0 <= row < len(opened):
         raise InputError("row", row, f"0 to {len(opened) - 1}, the rows of {store}")
-    values = opened.table(opened.gain_names).slice(row, 1).to_pylist()[0]
-    return named_gains(f"{store.name}-row-{row}", values)
+    return gains_at(opened, row, row)
+
+
+def gains_at(store: Store, place: int, row: int) -> NamedGains:
+    """The point at a place among a store's rows, called by the number of its row."""
+    values = store.table(store.gain_names).slice(place, 1).to_pylist()[0]
+    return _named_gains(f"{store.path.name}-row-{row}", values)
 
 
 def gains_of_trial(trial: str, where: str) -> NamedGains:
@@ -90,13 +97,13 @@ def gains_of_trial(trial: str, where: str) -> NamedGains:
         InputError: no such database or folder, study or trial.
     """
     study, _, number = trial.rpartition("/")
-    if not study or not _is_number(number):
+    if not study or not NUMBER.fullmatch(number):
         raise InputError("trial", trial, TRIAL_FORM)
     if is_folder(where):
         values = _of_folder(Path(where), trial)
     else:
         values = _of_database(where, study, int(number))
-    return named_gains(trial.replace("/", "-"), values)
+    return _named_gains(trial.replace("/", "-"), values)
 
 
 def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
@@ -104,27 +111,20 @@ def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
     paths = [final] if final.is_file() else sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))
     if not paths:
         raise InputError("storage", str(folder), f"a comparison's folder, with {RESULTS_NAME}")
-    *named, run, number = trial.split("/")
-    if len(named) == 2 and _is_number(run.removeprefix("run-")):
-        wanted = {
-            "experiment": named[0], "arm": named[1], "run": int(run.removeprefix("run-")),
-            "trial": int(number),
-        }  # fmt: skip
+    named = TRIAL.fullmatch(trial)
+    if named:
+        experiment, arm, run, number = named.groups()
+        wanted = {"experiment": experiment, "arm": arm, "run": int(run), "trial": int(number)}
         for path in paths:
-            row = _row_of(path, wanted)
-            if row is not None:
+            table = read_columns(path)
+            with reading("storage", path, "a comparison's table of trials"):
+                for name, value in wanted.items():  # as text: a number may be too large for Arrow
+                    table = table.filter(pc.equal(table[name].cast("string"), str(value)))
+            if len(table):
+                row: dict[str, Any] = table.to_pylist()[0]
                 return row
     where = final if final in paths else folder / ARMS_NAME
     raise InputError("trial", trial, f"a finished trial of {where}: {TRIAL_FORM}")
-
-
-def _row_of(path: Path, wanted: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The first row with these values, of a table of trials."""
-    table = read_columns(path)
-    with reading("storage", path, "a comparison's table of trials"):
-        for name, value in wanted.items():  # as text: a number may be too large for Arrow
-            table = table.filter(pc.equal(table[name].cast("string"), str(value)))
-    return table.to_pylist()[0] if len(table) else None
 
 
 def _of_database(url: str, name: str, number: int) -> dict[str, Any]:
@@ -140,11 +140,7 @@ def _of_database(url: str, name: str, number: int) -> dict[str, Any]:
     return trials[number].params
 
 
-def _is_number(text: str) -> bool:
-    return text.isdecimal() and len(text) <= LONGEST_NUMBER
-
-
-def named_gains(name: str, values: Mapping[str, Any]) -> NamedGains:
+def _named_gains(name: str, values: Mapping[str, Any]) -> NamedGains:
     """Gains among other values; low-level gains that are not there have their defaults."""
     both = {parameter.name: parameter.default for parameter in LOW_LEVEL_GAINS}
     both |= {key: values[key] for key in (*GAIN_NAMES, *LOW_LEVEL_NAMES) if key in values}
@@ -159,13 +155,13 @@ def recorded_walk(
     rate_hz: float,
     progress: Callable[[float, int], None] | None = None,
 ) -> taichi_nmm.Result:
-    """The result of one walker, with its trajectory at so many samples a second.
+    """The result of one walker in a run of an experiment, with its trajectory.
 
     Args:
         gains: of the walker.
-        experiment: whose conditions.
-        run: whose body, world and ground.
-        rate_hz: samples a second.
+        experiment: for the conditions.
+        run: for the body, the world and the ground.
+        rate_hz: samples of the trajectory a second.
         progress: as `taichi_nmm.simulate` takes it.
 
     Raises:

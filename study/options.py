@@ -1,9 +1,9 @@
 """The options of every command, in a file that is quick to load: `taichi-nmm COMMAND --help`.
 
 `COMMANDS` has a function for each command that adds the command's options to its parser. The
-docstring of the command's file in `study/commands` is its description. Numbers are checked against
-the bounds of configurations; a configuration is a name or a file. An option that cannot be used is
-an `InputError`, which is one line, as for every other input.
+docstring of the command's file in `study/commands` is its description. Whole numbers are checked
+against the bounds of configurations. An option that cannot be used is an `InputError`: one line, as
+for all other input.
 """
 
 import argparse
@@ -66,12 +66,14 @@ class Options(argparse.ArgumentParser):
             description=documentation(Path(file)),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
+        self.bounds: dict[str, tuple[int, Bound]] = {}  # of whole numbers
 
     def parse_args(self, words: Sequence[str] | None = None) -> argparse.Namespace:  # type: ignore[override]
         """The options of a command line; by default that of this process.
 
         Raises:
-            InputError: a word that is not text of one line, or a path that no file can have.
+            InputError: a number out of its bounds, a word that is not text of one line, or a path
+                that no file can have.
         """
         words = sys.argv[1:] if words is None else words
         for word in words:
@@ -80,8 +82,11 @@ class Options(argparse.ArgumentParser):
                 raise InputError(flag.removeprefix("--"), value, "a value")
         found = super().parse_args(words)
         for name, value in vars(found).items():
+            field = name.replace("_", "-")
             for word in value if isinstance(value, list) else [value]:
-                _check_word(name.replace("_", "-"), word)
+                _check_word(field, word)
+            if name in self.bounds and isinstance(value, str):
+                setattr(found, name, _whole(field, value, *self.bounds[name]))
         return found
 
     def error(self, message: str) -> NoReturn:
@@ -90,16 +95,34 @@ class Options(argparse.ArgumentParser):
 
     def whole(self, flag: str, low: int, high: Bound, **options: Any) -> None:
         """A whole number from `low` to `high`; further options are argparse's."""
-        options.setdefault("metavar", "N")
-        self.add_argument(flag, action=_Whole, bounds=(low, high), **options)
+        added = self.add_argument(flag, **({"metavar": "N"} | options))
+        self.bounds[added.dest] = low, high
+
+    def path(self, name: str, help: str, metavar: str = "DIR", **options: Any) -> None:
+        """A folder or a file; further options are argparse's."""
+        self.add_argument(name, type=Path, metavar=metavar, help=help, **options)
 
     def out(self, default: str, metavar: str = "DIR") -> None:
         """The folder or file to write."""
-        self.add_argument("--out", type=Path, metavar=metavar, help=f"default: {default}")
+        self.path("--out", f"default: {default}", metavar)
+
+    def flag(self, name: str, help: str) -> None:
+        """A switch."""
+        self.add_argument(name, action="store_true", help=help)
 
     def seed(self, purpose: str = "replaces the configuration's") -> None:
         """The seed of an experiment."""
         self.whole("--seed", 0, LARGEST_SEED, help=purpose)
+
+    def run(self, purpose: str) -> None:
+        """A run of an experiment, which checks it."""
+        self.add_argument(
+            "--run", type=int, default=0, metavar="N", help=f"{purpose} (%(default)s)"
+        )
+
+    def port(self, default: int) -> None:
+        """The port of a page."""
+        self.whole("--port", 0, LARGEST_PORT, default=default, help="%(default)s; 0: any free port")
 
     def arch(self) -> None:
         """The Taichi backend."""
@@ -109,24 +132,19 @@ class Options(argparse.ArgumentParser):
 
     def json(self, what: str = "the result") -> None:
         """Output for programs."""
-        self.add_argument("--json", action="store_true", help=f"print {what} as one JSON object")
+        self.flag("--json", f"print {what} as one JSON object")
 
     def workers(self) -> None:
-        """The number of processes of this machine."""
+        """How many processes of this machine do the work, or which Dask cluster."""
         self.whole(
             "--workers", 1, MOST_WORKERS, help="processes; default: one a core, or 1 on a GPU"
         )
-
-    def cluster(self) -> None:
-        """A Dask cluster that does the work, in place of processes of this machine."""
         self.add_argument(
-            "--cluster", metavar="ADDRESS|local:N",
+            "--cluster",
+            metavar="ADDRESS|local:N",
             help="a Dask scheduler, or N processes of this machine, instead of --workers",
-        )  # fmt: skip
-        self.add_argument(
-            "--mixed", action="store_true",
-            help="allow workers of a cluster whose results differ in their last bits",
-        )  # fmt: skip
+        )
+        self.flag("--mixed", "allow workers of a cluster whose results differ in their last bits")
 
     def config(self, default: str | None = None, stores: bool = False) -> None:
         """A configuration of an experiment or a store, and the list of those that ship.
@@ -154,43 +172,36 @@ def compare(options: Options) -> None:
     options.seed("other bodies, grounds and samplers than the configuration's, to tune on")
     options.out("out/compare/NAME or NAME-seed-N")
     options.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
-    options.add_argument(
-        "--store", type=Path, metavar="DIR",
-        help=f"the scores, if the arms read one store; {FROM_CONFIG}",
-    )  # fmt: skip
+    options.path("--store", f"the scores, if the arms read one store; {FROM_CONFIG}")
     options.workers()
-    options.cluster()
     options.add_argument(
         "--films", choices=("few", "all"), default="few",
         help="films of the best trials: of each arm's first runs, or of all runs (%(default)s)",
     )  # fmt: skip
-    options.add_argument("--no-artifacts", action="store_true", help="no pictures, no films")
+    options.flag("--no-artifacts", "no pictures, no films")
     options.arch()
     options.json()
 
 
 def dashboard(options: Options) -> None:
     """Options of `dashboard`."""
-    options.add_argument(
-        "folder", nargs="?", type=Path, metavar="DIR",
-        help="of an experiment; default: the newest in out/compare",
-    )  # fmt: skip
+    options.path("folder", "of an experiment; default: the newest in out/compare", nargs="?")
     options.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
-    options.add_argument("--artifacts", type=Path, metavar="DIR", help="default: DIR/artifacts")
-    options.whole("--port", 0, LARGEST_PORT, default=8080, help="%(default)s; 0: any free port")
+    options.path("--artifacts", "default: DIR/artifacts")
+    options.port(8080)
 
 
 def draw_store(options: Options) -> None:
     """Options of `draw-store`."""
-    options.add_argument("store", type=Path, metavar="STORE", help="folder or file of a store")
+    options.path("store", "folder or file of a store", "STORE")
     options.out("beside the store", "PNG")
 
 
 def explore(options: Options) -> None:
     """Options of `explore`."""
-    options.add_argument("folder", type=Path, metavar="DIR", help="of a store or a comparison")
-    options.whole("--port", 0, LARGEST_PORT, default=5006, help="%(default)s; 0: any free port")
-    options.add_argument("--no-browser", action="store_true", help="only print the address")
+    options.path("folder", "of a store or a comparison")
+    options.port(5006)
+    options.flag("--no-browser", "only print the address")
 
 
 def optimum(options: Options) -> None:
@@ -203,7 +214,6 @@ def optimum(options: Options) -> None:
     )  # fmt: skip
     options.out("out/optimum/NAME")
     options.workers()
-    options.cluster()
     options.arch()
     options.json("optimum.json")
 
@@ -215,53 +225,40 @@ def precompute(options: Options) -> None:
     options.out("out/NAME of the configuration")
     options.arch()
     options.workers()
-    options.cluster()
-    options.add_argument("--fresh", action="store_true", help="delete the store and start over")
+    options.flag("--fresh", "delete the store and start over")
     options.json("the summary")
 
 
 def quickstart(options: Options) -> None:
     """Options of `quickstart`."""
-    options.add_argument(
-        "--out", type=Path, default=Path("out/quickstart"), metavar="DIR", help="%(default)s"
-    )
+    options.path("--out", "%(default)s", default=Path("out/quickstart"))
 
 
 def report(options: Options) -> None:
     """Options of `report`."""
-    options.add_argument(
-        "folders", nargs="+", type=Path, metavar="DIR", help="folder of a comparison"
-    )
-    options.add_argument(
-        "--out", type=Path, metavar="DIR", help="for the overview of several folders"
-    )
-    options.add_argument(
-        "--optimum", type=Path, metavar="FILE", action="append", default=[],
-        help="an optimum.json to draw as a line; once for each cost",
+    options.path("folders", "folder of a comparison", nargs="+")
+    options.path("--out", "for the overview of several folders")
+    options.path(
+        "--optimum", "an optimum.json to draw as a line; once for each cost", "FILE",
+        action="append", default=[],
     )  # fmt: skip
-    options.add_argument("--no-strips", action="store_true", help="simulate and draw no walks")
+    options.flag("--no-strips", "simulate and draw no walks")
 
 
 def study(options: Options) -> None:
     """Options of `study`."""
     options.config()
     options.add_argument(
-        "--arm",
-        required=True,
-        metavar="ARM",
+        "--arm", required=True, metavar="ARM",
         help="such as best, dog or random; an unknown one lists all",
-    )
-    options.add_argument(
-        "--run", type=int, default=0, metavar="N", help="its body and ground (%(default)s)"
-    )
+    )  # fmt: skip
+    options.run("its body and ground")
     options.whole("--trials", 1, MOST_TRIALS, help=f"in total; {FROM_CONFIG}")
     options.seed()
     options.add_argument(
         "--storage", required=True, metavar="URL", help="sqlite:///FILE, or one of PostgreSQL"
     )
-    options.add_argument(
-        "--store", type=Path, metavar="DIR", help=f"scores that the arm reads; {FROM_CONFIG}"
-    )
+    options.path("--store", f"scores that the arm reads; {FROM_CONFIG}")
     options.out("out/NAME, for the best gains")
     options.arch()
     options.json()
@@ -282,15 +279,13 @@ def walk(options: Options) -> None:
         "--gains", metavar="NAME|FILE", help="reference (default), published, FILE.json"
     )
     options.add_argument("--row", type=int, metavar="N", help="a row of --store")
-    options.add_argument("--store", type=Path, metavar="DIR", help="a store, for --row")
+    options.path("--store", "a store, for --row")
     options.add_argument("--trial", metavar="STUDY/NUMBER", help="a finished trial of --storage")
     options.add_argument(
         "--storage", metavar="URL|DIR", help="a study database, or a comparison's folder"
     )
     options.config("flat")
-    options.add_argument(
-        "--run", type=int, default=0, metavar="N", help="whose body and ground (%(default)s)"
-    )
+    options.run("whose body and ground")
     options.seed()
     options.add_argument("--duration", type=float, metavar="S", help=f"seconds; {FROM_CONFIG}")
     options.out("out/walk/NAME, for the pictures")
@@ -301,10 +296,11 @@ def walk(options: Options) -> None:
     options.add_argument(
         "--engine", choices=(*ENGINES, BOTH_ENGINES), help="overrides the configuration's"
     )
-    options.add_argument("--mjcf", type=Path, metavar="FILE", help="write MuJoCo's model there too")
-    options.add_argument(
-        "--trajectory", type=Path, metavar="FILE", action="append", default=[],
-        help="write all samples there too: .csv, or OpenSim's .mot (coordinates), .sto (forces)",
+    options.path("--mjcf", "write MuJoCo's model there too", "FILE")
+    options.path(
+        "--trajectory",
+        "write all samples there too: .csv, or OpenSim's .mot (coordinates), .sto (forces)",
+        "FILE", action="append", default=[],
     )  # fmt: skip
     options.arch()
     options.json()
@@ -317,26 +313,17 @@ COMMANDS: dict[str, Callable[[Options], None]] = {
 }  # fmt: skip
 
 
-def check_command(name: str) -> None:
-    """Refuse a word that is no command.
+def parser_of(name: str) -> Options:
+    """The parser of a command; `parser_of(name).format_help()` is its help.
 
     Raises:
-        InputError: listing the commands.
+        InputError: no such command; the line lists all.
     """
     if name not in COMMANDS:
         raise InputError("command", name, ", ".join(COMMANDS))
-
-
-def parser_of(name: str) -> Options:
-    """The parser of a command."""
     parser = Options(file_of(name), f"{PROGRAM} {name}")
     COMMANDS[name](parser)
     return parser
-
-
-def parsers() -> dict[str, Options]:
-    """The parser of every command by its name; `parsers()[name].format_help()` is its help."""
-    return {name: parser_of(name) for name in COMMANDS}
 
 
 def overview() -> str:
@@ -424,32 +411,17 @@ def _check_word(field: str, word: object) -> None:
             raise InputError(field, str(word), allowed)
 
 
-class _Whole(argparse.Action):
-    """A whole number within bounds."""
-
-    def __init__(self, *args: Any, bounds: tuple[int, Bound], **options: Any) -> None:
-        super().__init__(*args, **options)
-        self._low, self._high = bounds
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: str | Sequence[Any] | None,
-        option_string: str | None = None,
-    ) -> None:
-        """Check and keep the number."""
-        text = str(values)
-        high = self._high() if callable(self._high) else self._high
-        try:
-            value = int(text)
-        except ValueError:  # no number, or one of thousands of digits
-            value = None
-        if value is None or not self._low <= value <= high:
-            field = self.dest.replace("_", "-")
-            allowed = f"a whole number from {self._low} to {high}"
-            raise InputError(field, text if value is None else value, allowed)
-        setattr(namespace, self.dest, value)
+def _whole(field: str, text: str, low: int, high: Bound) -> int:
+    """The whole number within bounds that a text is."""
+    high = high() if callable(high) else high
+    try:
+        value = int(text)
+    except ValueError:  # no number, or one of thousands of digits
+        value = None
+    if value is None or not low <= value <= high:
+        allowed = f"a whole number from {low} to {high}"
+        raise InputError(field, text if value is None else value, allowed)
+    return value
 
 
 class _ListConfigs(argparse.Action):

@@ -19,24 +19,18 @@ import optuna
 
 from storage.pool import cores
 from study.comparison.optimum import OPTIMUM_NAME, estimate
-from study.experiment.experiment import Experiment, read_experiment
+from study.experiment.experiment import read_experiment
 from study.options import asked_cluster
 from taichi_nmm.walker_simulator import Walker, require_engine
-
-
-def read(args: Namespace) -> Experiment:
-    """The experiment, with the limit of the options."""
-    experiment = read_experiment(args.config, args.arch)
-    most = args.max_generations
-    if most is None:
-        return experiment
-    return replace(experiment, cmaes=replace(experiment.cmaes, max_generations=most))
 
 
 def main(args: Namespace) -> None:
     """Estimate, or go on."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    experiment = read(args)
+    experiment = read_experiment(args.config, args.arch)
+    if args.max_generations is not None:
+        cmaes = replace(experiment.cmaes, max_generations=args.max_generations)
+        experiment = replace(experiment, cmaes=cmaes)
     out = args.out or Path("out") / "optimum" / experiment.name
     settings = experiment.conditions.settings
     require_engine(settings)

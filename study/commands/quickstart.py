@@ -54,22 +54,11 @@ RUN = 0
 REFERENCE_S = 30.0  # of the reference gait, for its pictures
 
 
-def require_studies(experiment: Experiment, url: str) -> None:
-    """Refuse studies that cannot be resumed, before the store is made."""
-    for name in ARMS:
-        require_lockable(url, study_name(experiment.name, name, RUN))
-    with read_studies(url):
-        pass
-
-
 def make_store(path: Path) -> None:
     """Make the store of scores, or the missing part of it."""
     specification = read_specification(read_toml(config_path(STORE_CONFIG)))
-    duration_s = specification.horizon_s
-    names = ", ".join(family.name for family in specification.families)
-    say(
-        f"1. Scoring {specification.samples} walkers, {duration_s:g} s on flat ground; then {names}"
-    )
+    walkers = f"{specification.samples} walkers, {specification.horizon_s:g} s on flat ground"
+    say(f"1. Scoring {walkers}; then {', '.join(each.name for each in specification.families)}")
     with closing(ProgressBar()) as bar:
         progress = partial(bar.move, "walker", total=specification.walkers)
         precompute(specification, path, progress=progress)
@@ -90,23 +79,21 @@ def run_arm(experiment: Experiment, name: str, url: str, out: Path) -> optuna.St
         return study
 
 
-def draw_found(out: Path, experiment: Experiment, study: optuna.Study) -> list[Path]:
-    """Pictures of the best trial."""
+def draw_walks(out: Path, experiment: Experiment, study: optuna.Study) -> list[Path]:
+    """Pictures of the best trial, and of the reference gait on flat ground."""
     gains = np.array([list(best_gains(study).values())])
-    result = simulate_trials(experiment, [RUN], gains, record=True)
-    title = f"Found by {study.study_name}"
-    return draw(out, "found", title, result, experiment.terrain(RUN), experiment.body(RUN))
-
-
-def draw_reference(out: Path, experiment: Experiment) -> list[Path]:
-    """Pictures of the reference gait on flat ground."""
-    result = taichi_nmm.simulate(
+    found = simulate_trials(experiment, [RUN], gains, record=True)
+    reference = taichi_nmm.simulate(
         taichi_nmm.load_gains("reference"),
         duration_s=REFERENCE_S,
         settings=experiment.conditions.settings,
         record=(0,),
     )
-    return draw(out, "reference", "Reference gait", result, flat(), Bodies.nominal())
+    title = f"Found by {study.study_name}"
+    return [
+        *draw(out, "found", title, found, experiment.terrain(RUN), experiment.body(RUN)),
+        *draw(out, "reference", "Reference gait", reference, flat(), Bodies.nominal()),
+    ]
 
 
 def draw(
@@ -137,7 +124,10 @@ def main(args: Namespace) -> None:
     experiment = replace(read_experiment(config_path(CONFIG)), stores=stores)
     require_engine(experiment.conditions.settings)
     url = f"sqlite:///{out / 'studies.db'}"
-    require_studies(experiment, url)
+    for name in ARMS:  # studies that cannot be resumed are refused before the store is made
+        require_lockable(url, study_name(experiment.name, name, RUN))
+    with read_studies(url):
+        pass
     make_store(out / "store")
     ground, duration_s = experiment.terrain(RUN).name, experiment.conditions.duration_s
     say(f"2. {experiment.trials} trials with each sampler: {duration_s:g} s on {ground}")
@@ -145,7 +135,7 @@ def main(args: Namespace) -> None:
     best = min(studies, key=lambda study: study.best_value)
     commit_json(out / "found.json", best_gains(best))
     say("3. Drawing the best walker found, and the reference gait")
-    paths = draw_found(out, experiment, best) + draw_reference(out, experiment)
+    paths = draw_walks(out, experiment, best)
     say(
         "",
         *(study_line(study) for study in studies),

@@ -71,13 +71,12 @@ def read(args: Namespace) -> Experiment:
     """The experiment, with the duration and the engine of the options."""
     experiment = read_experiment(args.config, args.arch, args.seed)
     experiment.require_run(args.run)
-    conditions = experiment.conditions
     if args.duration is not None:
-        conditions = replace(conditions, duration_s=args.duration)
-    experiment = replace(experiment, conditions=conditions)
-    if args.engine in ENGINES:
-        return on_engine(experiment, args.engine)
-    return on_engine(experiment, "taichi") if args.engine == BOTH_ENGINES else experiment
+        conditions = replace(experiment.conditions, duration_s=args.duration)
+        experiment = replace(experiment, conditions=conditions)
+    if args.engine is None:
+        return experiment
+    return on_engine(experiment, "taichi" if args.engine == BOTH_ENGINES else args.engine)
 
 
 def on_engine(experiment: Experiment, engine: str) -> Experiment:

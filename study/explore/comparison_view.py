@@ -1,6 +1,5 @@
 """A comparison on the page: a dot a run at its first walker, best costs, and each run's robot."""
 
-import html
 from collections.abc import Callable
 from typing import Any
 
@@ -45,8 +44,8 @@ class ComparisonView:
 
     Args:
         results: of the folder.
-        experiment: that it compares samplers on.
-        message: for what goes wrong.
+        experiment: of the folder.
+        message: for refusals.
         watch: called with the gains of a trial and where it was tried.
     """
 
@@ -62,7 +61,7 @@ class ComparisonView:
         self._arm = Select(
             title="arm", options=self._arms, value=self._arms[0], width=190, name="arm"
         )
-        # without `low` and `high`: the browser would make another trial of a wrong one in silence
+        # without `low` and `high`: the browser would silently replace a wrong number
         self._run = Spinner(title="run", step=1, value=0, mode="int", width=80, name="run")
         self._trial = Spinner(
             title="trial, from 0", step=1, value=0, mode="int", width=100, name="trial"
@@ -84,14 +83,17 @@ class ComparisonView:
         go = Button(label="watch it", width=90, name="watch")
         go.on_click(message.safely(self.watch_chosen))
         self._robot = Div(text="", name="robot", width=WIDTH_PX)
-        self._profile, self._ground = _profile()
+        self._ground = ColumnDataSource({"x": [], "y": []}, name="ground-profile")
+        self._profile = figure(name="profile", width=WIDTH_PX, height=120, tools="",
+                               toolbar_location=None, title=" ", y_axis_label="m")  # fmt: skip
+        self._profile.line("x", "y", source=self._ground, line_color=style.INK)
         self.layout: Column = column(
             shown, self._dots, curves, row(self._arm, self._run, self._trial, go), self._profile,
             self._robot,
         )  # fmt: skip
 
     def watch_chosen(self) -> None:
-        """Let the trial walk that is chosen, and show its robot.
+        """Let the chosen trial walk, and show its robot.
 
         Raises:
             InputError: there is no such trial.
@@ -105,21 +107,16 @@ class ComparisonView:
         name = f"{study_name(self._results.name, arm, run)}/{trial}"
         gains = gains_of_trial(name, str(self._results.folder))
         setting = Setting(self._experiment, run)
-        self._show_robot(setting)
+        near = GRID_X_M <= SHOWN_M
+        self._ground.data = {"x": GRID_X_M[near], "y": setting.terrain.height_m[near]}
+        self._profile.title.text = f"ground of run {run}: {setting.terrain.name}"
+        self._robot.text = robot_table(setting)
         self._watch(gains, setting)
 
     def _click(self) -> None:
-        found = {name: values[0] for name, values in self._clicked.data.items()}
-        self._arm.value, self._run.value = found["arm"], int(found["run"])
-        self._trial.value = int(found["trial"])
+        arm, run, trial = (self._clicked.data[name][0] for name in ("arm", "run", "trial"))
+        self._arm.value, self._run.value, self._trial.value = arm, int(run), int(trial)
         self.watch_chosen()
-
-    def _show_robot(self, setting: Setting) -> None:
-        terrain = setting.experiment.terrain(setting.run)
-        near = terrain.height_m[GRID_X_M <= SHOWN_M]
-        self._ground.data = {"x": GRID_X_M[: len(near)], "y": near}
-        self._profile.title.text = f"ground of run {setting.run}: {terrain.name}"
-        self._robot.text = robot_table(setting)
 
     def _drawn_dots(self) -> tuple[Any, list[Any]]:
         arms, scale = self._results.arms, TrialScale(self._results.trials)
@@ -167,29 +164,18 @@ def robot_table(setting: Setting) -> str:
     """A run's body and world in numbers, as HTML."""
     body, world = setting.experiment.body(setting.run), setting.experiment.world(setting.run)
     nominal = Bodies.nominal(1)
-    lines = [
-        f"<tr><td>{html.escape(name)} over nominal, by link</td><td>{_ratios(own, usual)}</td></tr>"
-        for name, own, usual in (
-            ("mass", body.mass_kg, nominal.mass_kg),
-            ("inertia", body.inertia_kgm2, nominal.inertia_kgm2),
-            ("centre of mass", body.com_m, nominal.com_m),
-        )
-    ]
-    lines += [
-        f"<tr><td>{name.replace('_', ' ')}</td><td>{getattr(world, name)[0]:.3g}</td></tr>"
-        for name in ("friction", "contact_stiffness", "relaxation_speed", "nerve_lag_s",
-                     "sensing_noise")
-    ]  # fmt: skip
-    lines.append(f"<tr><td>strength of muscles</td><td>{_span(world.strength[0])}</td></tr>")
-    return f"<b>robot of run {setting.run}</b><table>{''.join(lines)}</table>"
-
-
-def _ratios(own: np.ndarray[Any, Any], usual: np.ndarray[Any, Any]) -> str:
-    return " ".join(f"{value:.2f}" for value in (own[0] / usual[0]).ravel())
-
-
-def _span(values: np.ndarray[Any, Any]) -> str:
-    return f"{values.min():.2f} to {values.max():.2f}"
+    numbers = {}
+    for name, field in (("mass", "mass_kg"), ("inertia", "inertia_kgm2"),
+                        ("centre of mass", "com_m")):  # fmt: skip
+        ratios = getattr(body, field)[0] / getattr(nominal, field)[0]
+        numbers[f"{name} over nominal, by link"] = " ".join(f"{each:.2f}" for each in ratios.flat)
+    for name in ("friction", "contact_stiffness", "relaxation_speed", "nerve_lag_s",
+                 "sensing_noise"):  # fmt: skip
+        numbers[name.replace("_", " ")] = f"{getattr(world, name)[0]:.3g}"
+    strength = world.strength[0]
+    numbers["strength of muscles"] = f"{strength.min():.2f} to {strength.max():.2f}"
+    lines = "".join(f"<tr><td>{name}</td><td>{text}</td></tr>" for name, text in numbers.items())
+    return f"<b>robot of run {setting.run}</b><table>{lines}</table>"
 
 
 def _dots_of(arm: ArmRuns, scale: TrialScale, place: int) -> dict[str, Any]:
@@ -201,11 +187,3 @@ def _dots_of(arm: ArmRuns, scale: TrialScale, place: int) -> dict[str, Any]:
     x, y = piles(places[order])
     trial = np.where(walks, first - 1, arm.best.argmin(axis=1))[order]
     return {"x": x, "y": place + y, "run": arm.runs[order], "trial": trial.astype(np.int64)}
-
-
-def _profile() -> tuple[Any, ColumnDataSource]:
-    source = ColumnDataSource({"x": np.zeros(0), "y": np.zeros(0)}, name="ground-profile")
-    plot = figure(name="profile", width=WIDTH_PX, height=120, tools="", toolbar_location=None,
-                  title=" ", y_axis_label="m")  # fmt: skip
-    plot.line("x", "y", source=source, line_color=style.INK)
-    return plot, source

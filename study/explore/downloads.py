@@ -3,7 +3,6 @@
 import io
 import json
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow as pa
@@ -18,45 +17,15 @@ from study.pictures import write_gait_cycle, write_movie, write_strip
 from study.trajectory_files import FORMATS, RECORD_RATE_HZ, trajectory_text
 
 FILM_S = 20.0  # of a walk's end
-
-
-def gains_file(walk: Walk) -> bytes:
-    """JSON that every command takes as --gains."""
-    return f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()
-
-
-def config_file(walk: Walk) -> bytes:
-    """TOML that every command takes as --config: the same body, ground, world and engine."""
-    return walk.setting.toml().encode()
+GAINS, CONFIG = "gains.json", "walk.toml"  # what every command takes as --gains and --config
+STRIP, CYCLE, FILM = "strip.png", "gait_cycle.png", "walk.mp4"
+NAMES = (GAINS, CONFIG, *(f"walk{suffix}" for suffix in FORMATS), STRIP, CYCLE, FILM)
 
 
 def command_line(walk: Walk) -> str:
-    """What does the same without a page, where both files are."""
+    """The command that does the same without a page, in a folder with `GAINS` and `CONFIG`."""
     run = f" --run {walk.setting.run}" if walk.setting.run else ""
-    return f"taichi-nmm walk --gains gains.json --config walk.toml{run} --trajectory walk.sto"
-
-
-def _strip(walk: Walk, path: Path) -> None:
-    write_strip(path, walk.trajectory, walk.terrain, _title(walk))
-
-
-def _cycle(walk: Walk, path: Path) -> None:
-    write_gait_cycle(path, walk.trajectory, walk.weight_n, _title(walk))
-
-
-def _film(walk: Walk, path: Path) -> None:
-    write_movie(path, walk.trajectory, walk.terrain, FILM_S, _title(walk))
-
-
-def _title(walk: Walk) -> str:
-    return f"{walk.gains.name} on {walk.terrain.name}: {walk.ended}"
-
-
-PICTURES: dict[str, Callable[[Walk, Path], None]] = {
-    "strip.png": _strip, "gait_cycle.png": _cycle, "walk.mp4": _film,
-}  # fmt: skip
-TEXTS: dict[str, Callable[[Walk], bytes]] = {"gains.json": gains_file, "walk.toml": config_file}
-NAMES = (*TEXTS, *(f"walk{suffix}" for suffix in FORMATS), *PICTURES)
+    return f"taichi-nmm walk --gains {GAINS} --config {CONFIG}{run} --trajectory walk.sto"
 
 
 def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
@@ -65,22 +34,30 @@ def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
     Raises:
         InputError: a film without a working ffmpeg.
     """
-    if name in TEXTS:
-        return name, TEXTS[name](walk)
+    if name == GAINS:
+        return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()
+    if name == CONFIG:
+        return name, walk.setting.toml().encode()
     walk = walk_again(walk.gains, walk.setting, RECORD_RATE_HZ)
-    if name in PICTURES:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / name
-            PICTURES[name](walk, path)
-            return name, path.read_bytes()
-    text = trajectory_text(walk.trajectory, Path(name).suffix, walk.gains.name)
-    return name, text.encode()
+    suffix = Path(name).suffix
+    if suffix in FORMATS:
+        return name, trajectory_text(walk.trajectory, suffix, walk.gains.name).encode()
+    terrain = walk.setting.terrain
+    title = f"{walk.gains.name} on {terrain.name}: {walk.ended}"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        if name == STRIP:
+            write_strip(path, walk.trajectory, terrain, title)
+        elif name == CYCLE:
+            write_gait_cycle(path, walk.trajectory, walk.setting.weight_n, title)
+        else:
+            write_movie(path, walk.trajectory, terrain, FILM_S, title)
+        return name, path.read_bytes()
 
 
 def file_of_selection(store: Path, ranges: Ranges, suffix: str) -> tuple[str, bytes]:
     """All columns of the selected rows of a store, as .csv or .parquet."""
-    opened = open_store(store, unfinished=True)
-    table = opened.table()
+    table = open_store(store, unfinished=True).table()
     chosen = selected(ranges, lambda name: table[name].to_numpy(), len(table))
     table = table.filter(pa.array(chosen))
     content = io.BytesIO()

@@ -1,13 +1,10 @@
-"""What a page is served by: loopback alone, one call at a time, and a line for what goes wrong.
+"""The page's server, calls of other processes of which the latest counts, and the message line.
 
-A page of any site may send a browser to the loopback address by a name of its own that it lets
-point there; so requests of other names find nothing, and sockets of other pages are refused.
-Nor does the page lend itself to other sites: what Bokeh serves for them is not found here.
+Requests of other names than the loopback's (`study/loopback.py`) find nothing, and sockets of other
+pages are refused. What Bokeh serves for other sites to embed is not found either.
 """
 
-import errno
 import html
-import re
 import sys
 import time
 import traceback
@@ -29,10 +26,9 @@ from tornado.ioloop import IOLoop
 from tornado.routing import HostMatches, Matcher, PathMatches, Rule, RuleRouter
 
 from study.cli import what_is_missing
+from study.loopback import HOST, LOOPBACK, listening
 from taichi_nmm.errors import InputError
 
-HOST = "127.0.0.1"  # the page asks nobody who they are
-NAMES = (HOST, "localhost")
 PAGE = r"/(?:favicon\.ico|static/.*)?"  # not /metadata, nor /autoload.js, which any site may embed
 SOCKET = "/ws"
 
@@ -66,31 +62,23 @@ def serve(page: Callable[[Document], None], port: int) -> tuple[IOLoop, str]:
     Raises:
         InputError: the port is in use, or not ours to take.
     """
-    try:
+    with listening(port):
         sockets, port = bind_sockets(HOST, port)
-    except OSError as error:
-        if error.errno not in (errno.EADDRINUSE, errno.EACCES):
-            raise
-        raise InputError("port", port, f"a free port, or 0 ({error.strerror})") from None
-    origins = [f"{name}:{port}" for name in NAMES]
+    origins = [f"{name}:{port}" for name in (HOST, "localhost")]
     application = BokehTornado(page, extra_websocket_origins=origins)
-    names = "|".join(map(re.escape, NAMES))
     asked = [Rule(PathMatches(PAGE), application), Rule(TokenMatches(), application)]
-    http = HTTPServer(RuleRouter([Rule(HostMatches(f"(?:{names})"), RuleRouter(asked))]))
+    http = HTTPServer(RuleRouter([Rule(HostMatches(LOOPBACK), RuleRouter(asked))]))
     http.add_sockets(sockets)
     server = BaseServer(IOLoop.current(), application, http)
     server.start()
     return server.io_loop, f"http://{HOST}:{port}/"
 
 
-Call = tuple[Callable[..., Any], tuple[Any, ...]]
-
-
 class Latest:
-    """Calls of another process, of which a newer one takes the place of the one that waits.
+    """Calls of another process: one at a time, and only the newest of those that wait.
 
     Args:
-        document: of the tab; when it is closed, what still comes is dropped.
+        document: of the tab; once the tab is closed, results are dropped.
         executor: of all tabs.
         done: called with each result, in the page's own loop.
         failed: called with what was raised.
@@ -104,9 +92,8 @@ class Latest:
         failed: Callable[[BaseException], None],
     ) -> None:
         self._document, self._executor, self._done, self._failed = document, executor, done, failed
-        self._waits: Call | None = None
-        self._busy = False
-        self._closed = False
+        self._waits: tuple[Callable[..., Any], tuple[Any, ...]] | None = None
+        self._busy = self._closed = False
         document.on_session_destroyed(self._close)
 
     def ask(self, function: Callable[..., Any], *arguments: Any) -> None:
@@ -144,22 +131,21 @@ class Latest:
 
 
 WARNING = "#B3261E"
-OURS = "this did not work; what went wrong stands where the command was started"
+OURS = "this did not work; the error is printed where the command was started"
 
 
 class Message:
-    """One line, and whatever calls of the page's models have to say."""
+    """One line of the page: refusals of the calls that its models make."""
 
     def __init__(self) -> None:
-        """Nothing yet."""
         self.layout = Div(text="", name="message", height=20, styles={"color": WARNING})
 
     def tell(self, text: str) -> None:
-        """Say this in place of what was said before."""
+        """Show this in place of the text before."""
         self.layout.text = html.escape(text)
 
     def failed(self, error: BaseException) -> None:
-        """Say what a call raised: the line of bad input, or that the mistake is ours."""
+        """Show an error of a call: the line of bad input, or that the mistake is ours."""
         if isinstance(error, InputError):
             self.tell(str(error))
         elif isinstance(error, ImportError) and (missing := what_is_missing(error)) is not None:
@@ -169,7 +155,7 @@ class Message:
             self.tell(OURS)
 
     def safely(self, call: Callable[[], None]) -> Callable[[], None]:
-        """The same call, whose errors are said."""
+        """The same call, whose errors are shown."""
 
         def answer() -> None:
             try:

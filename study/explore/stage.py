@@ -9,7 +9,7 @@ from bokeh.layouts import column, row
 from bokeh.models import Column, ColumnDataSource, CustomJS, Div, Range1d, Select, Slider, Toggle
 from bokeh.plotting import figure
 
-from study.explore.walk import COLOURS, Frames, Walk
+from study.explore.walk import COLOURS, Walk
 from study.pictures import style
 from study.pictures.gait_cycle import (
     PANELS,
@@ -32,7 +32,7 @@ HEIGHT_M = VIEW_WIDTH_M * FRAME_PX[1] / FRAME_PX[0]
 
 
 def points(count: int) -> ColumnDataSource:
-    """Places that the script moves."""
+    """Points of a line, which the script moves."""
     return ColumnDataSource({"x": np.full(count, np.nan, "f4"), "y": np.full(count, np.nan, "f4")})
 
 
@@ -63,7 +63,7 @@ class Stage:
 
     @property
     def parts(self) -> dict[str, Any]:
-        """What the player moves."""
+        """The models that the player's script moves."""
         return {
             "frames": self.frames, "near": self._near, "far": self._far, "trunk": self._trunk,
             "head": self._head, "muscles": self._muscles, "forces": self._forces,
@@ -71,11 +71,11 @@ class Stage:
         }  # fmt: skip
 
     def show(self, walk: Walk) -> None:
-        """Have the player begin with a walk."""
-        frames: Frames = walk.frames
-        self._ground.data = {"x": frames.ground[:, 0], "y": frames.ground[:, 1]}
+        """Begin to play a walk."""
+        x, y = walk.frames.ground.T
+        self._ground.data = {"x": x, "y": y}
         self.words.text = f"<b>{html.escape(walk.gains.name)}</b>: {html.escape(walk.ended)}"
-        self.frames.data = frames.columns()
+        self.frames.data = walk.frames.columns()
 
     def _drawn(self, name: str) -> Any:
         plot = figure(
@@ -99,7 +99,7 @@ class Stage:
 
 
 class Player:
-    """Two stages, the second one off the page until a walk is kept there, and the clock of both."""
+    """Two stages and the clock of both; the second stage is off the page until a walk is kept."""
 
     def __init__(self) -> None:
         self.stages = (Stage("stage"), Stage("beside"))
@@ -120,7 +120,7 @@ class Player:
         self.layout: Column = column(self.stages[0].layout, self._controls)
 
     def show(self, walk: Walk, place: int = 0) -> None:
-        """Let a walk be seen, on the second stage besides the first where that is asked for."""
+        """Play a walk on a stage; the second stage comes to the page with its first walk."""
         if place:
             self.layout.children = [*(stage.layout for stage in self.stages), self._controls]
         self.stages[place].show(walk)
@@ -135,7 +135,6 @@ class Cycle:
     """A small figure for each joint and each ground force."""
 
     def __init__(self) -> None:
-        """The ranges of people alone."""
         self._words = Div(text="", name="cycle", width=SIZE_PX[0] * COLUMNS)
         self._curves: dict[str, ColumnDataSource] = {}
         self._figures = {}
@@ -157,8 +156,8 @@ class Cycle:
         self.layout: Column = column(self._words, row(*plots[:COLUMNS]), row(*plots[COLUMNS:]))
 
     def show(self, walk: Walk) -> None:
-        """The mean stride of a walk, if it has enough of them."""
-        strides = left_strides(finite(walk.trajectory), walk.weight_n)
+        """The mean stride of a walk that has enough strides."""
+        strides = left_strides(finite(walk.trajectory), walk.setting.weight_n)
         distances = human_distances(strides)
         self._words.text = f"{subtitle(strides)} Grey: {SOURCE}. Numbers: RMSE."
         for name, panel in PANELS.items():
@@ -182,19 +181,19 @@ class Score:
     """A table of numbers of two walks on the same ground."""
 
     def __init__(self) -> None:
-        """Empty."""
         self._start: np.void | None = None
         self.layout = Div(text="", name="score", width=420)
 
     def show(self, row: np.void, start: bool) -> None:
-        """The result row of a walk; `start`: the next ones are compared with it."""
+        """The result row of a walk; later rows are compared with that of a `start`."""
         if start or self._start is None:
             self._start = row
-        lines = [_line(name, float(self._start[name]), float(row[name])) for name in FIELDS]
-        self.layout.text = f"<table cellspacing=4>{HEAD}{''.join(lines)}</table>"
-
-
-def _line(name: str, start: float, now: float) -> str:
-    cells = "".join(f"<td align=right>{text}</td>" for text in (f"{start:.4g}", f"{now:.4g}"))
-    change = "" if start == now else f"{now - start:+.3g}"
-    return f"<tr><td>{html.escape(name)}</td>{cells}<td align=right><b>{change}</b></td></tr>"
+        text = HEAD
+        for name in FIELDS:
+            before, now = float(self._start[name]), float(row[name])
+            change = "" if before == now else f"{now - before:+.3g}"
+            text += f"<tr><td>{name}</td>"
+            for cell in (f"{before:.4g}", f"{now:.4g}", f"<b>{change}</b>"):
+                text += f"<td align=right>{cell}</td>"
+            text += "</tr>"
+        self.layout.text = f"<table cellspacing=4>{text}</table>"

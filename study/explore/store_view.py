@@ -1,7 +1,7 @@
-"""A store on the page: a cloud of its rows, histograms, parallel lines, and a selection as text.
+"""A store on the page: a cloud of its rows, histograms, parallel lines, a selection and a table.
 
-The selection is a text, "column low..high, column low..high". The page's script reads the same text
-(scripts/brush.mjs), so that a brush needs no server.
+The selection is a text, "column low..high, column low..high". The page's script (scripts/brush.mjs)
+reads the same text, and so needs no server while a person drags a box.
 """
 
 import html
@@ -45,7 +45,7 @@ Ranges = dict[str, tuple[float, float]]
 
 
 def read_selection(text: str, columns: Sequence[str]) -> Ranges:
-    """The ranges of a text, by column; of two of a column the last counts.
+    """The ranges of a text, by column; the last one counts where a column is named twice.
 
     Raises:
         InputError: another form, or another column than these.
@@ -65,7 +65,7 @@ def read_selection(text: str, columns: Sequence[str]) -> Ranges:
 def selected(
     ranges: Ranges, column: Callable[[str], NDArray[np.float64]], rows: int
 ) -> NDArray[np.bool_]:
-    """Which rows lie within all ranges, ends included, [n]; one without a number does not."""
+    """Which rows lie within all ranges, ends included, [n]; a row with NaN there does not."""
     inside = np.ones(rows, dtype=bool)
     for name, (low, high) in ranges.items():
         values = column(name)
@@ -194,19 +194,19 @@ class StoreView:
 
     Args:
         store: finished or not.
-        pick: called with the place among the store's rows that was clicked.
-        tell: called with what is to be said to the reader.
+        message: for refusals.
+        pick: called with the place of a clicked row among the store's rows, and with its number.
         save: called with a selection and the suffix of a file.
     """
 
     def __init__(
         self,
         store: Store,
-        pick: Callable[[int], None],
-        tell: Callable[[str], None],
+        message: Message,
+        pick: Callable[[int, int], None],
         save: Callable[[Ranges, str], None],
     ) -> None:
-        self._store, self._pick, self._tell = store, pick, tell
+        self._store, self._message, self._pick = store, message, pick
         self._rows: NDArray[np.int64] = self._read("row").astype(np.int64)
         names = numeric_columns(store)
         self._columns = [
@@ -222,7 +222,7 @@ class StoreView:
             title="selection: column low..high, ...; drag a box over any of the views",
             width=WIDTH_PX - 90, name="selection",
         )  # fmt: skip
-        # without `low` and `high`: the browser would make another row of a wrong one in silence
+        # without `low` and `high`: the browser would silently replace a wrong number
         self.row = Spinner(title="row that walks", step=1, mode="int", width=120, name="row")
         self._cloud, self._image = cloud()
         self._histograms, self._bars = histograms()
@@ -234,60 +234,49 @@ class StoreView:
             self._load(slot)
         self._script()
         clear = Button(label="all rows", width=70)
-        clear.on_click(self._clear)
+        clear.on_click(lambda: self.selection.update(value=""))
         csv, parquet = (
             Button(label=f"selection as {kind}", width=150) for kind in ("CSV", "Parquet")
         )
-        csv.on_click(lambda: save(self.ranges(), ".csv"))
-        parquet.on_click(lambda: save(self.ranges(), ".parquet"))
+        csv.on_click(message.safely(lambda: save(self._ranges(), ".csv")))
+        parquet.on_click(message.safely(lambda: save(self._ranges(), ".parquet")))
         self._above = [
             row(*self._columns), self._cloud, row(self.selection, clear), row(*self._histograms),
             self._lines, row(self._count, self.row, csv, parquet),
         ]  # fmt: skip
         self.layout = column(*self._above, table(self._listed, self._names))
-
-    def ranges(self) -> Ranges:
-        """The selection.
-
-        Raises:
-            InputError: its text cannot be read.
-        """
-        return read_selection(self.selection.value, self._names)
+        message.watch(self.selection, "value", self._check)
+        message.watch(self.row, "value", self._picked)
+        for slot, select in enumerate(self._columns):
+            message.watch(select, "value", partial(self._look_at, slot))
 
     @property
     def _names(self) -> list[str]:
         """Of the five columns."""
         return [select.value for select in self._columns]
 
-    def listen(self, message: Message) -> None:
-        """Answer the choices; what goes wrong is a message."""
-        message.watch(self.selection, "value", self._check)
-        message.watch(self.row, "value", self._picked)
-        for slot, select in enumerate(self._columns):
-            message.watch(select, "value", partial(self._look_at, slot))
+    def _ranges(self) -> Ranges:
+        return read_selection(self.selection.value, self._names)
 
     def _check(self) -> None:
-        """Say so where the selection cannot be read."""
-        self._tell("")
-        self.ranges()
+        """Refuse a selection that cannot be read."""
+        self._message.tell("")
+        self._ranges()
 
     def _picked(self) -> None:
         """Hand on the row that was clicked or typed."""
         places = np.flatnonzero(self._rows == self.row.value)
         if not len(places):
             raise InputError("row", self.row.value, f"0 to {self._rows.max()}, rows of the store")
-        self._pick(int(places[0]))
+        self._pick(int(places[0]), self.row.value)
 
     def _look_at(self, slot: int) -> None:
-        """Another column; what the old one was brushed to is forgotten."""
+        """Draw another column; the selection forgets the old one."""
         kept = read_selection(self.selection.value, self._store.columns)
         known = {name: ends for name, ends in kept.items() if name in self._names}
         self.selection.value = selection_text(known)
         self._load(slot)
         self.layout.children = [*self._above, table(self._listed, self._names)]
-
-    def _clear(self) -> None:
-        self.selection.value = ""
 
     def _read(self, name: str) -> Floats:
         return np.asarray(self._store.table([name])[name].to_numpy(), dtype=np.float64)
@@ -323,13 +312,8 @@ class StoreView:
                         reset_end=high + margin)  # fmt: skip
         if slot == 2:
             self._cloud.title.text = f"colour: {name}, {low:.3g} (dark) to {high:.3g} (light)"
-        self._parallel_labels()
-        self._source.data[f"c{slot}"] = values  # last: the script paints when it comes
-
-    def _parallel_labels(self) -> None:
-        self._lines.xaxis.major_label_overrides = {
-            slot: select.value for slot, select in enumerate(self._columns)
-        }
+        self._lines.xaxis.major_label_overrides = dict(enumerate(self._names))
+        self._source.data[f"c{slot}"] = values  # last: it makes the script paint
 
     def _script(self) -> None:
         script = CustomJS.from_file(
@@ -352,7 +336,7 @@ class StoreView:
 
 
 def _ends(values: Floats) -> tuple[float, float]:
-    """What most numbers lie within: a few far ones would press all others together."""
+    """Bounds of most numbers: a few outliers would press all others together."""
     finite = values[np.isfinite(values)]
     low, high = map(float, np.percentile(finite, SHOWN_PERCENT)) if len(finite) else (0.0, 1.0)
     return (low, high) if high > low else (low - 0.5, low + 0.5)

@@ -62,6 +62,16 @@ class Setting:
     experiment: Experiment
     run: int = 0
 
+    @property
+    def terrain(self) -> Terrain:
+        """The ground."""
+        return self.experiment.terrain(self.run)
+
+    @property
+    def weight_n(self) -> float:
+        """Of the robot."""
+        return float(self.experiment.body(self.run).mass_kg[0].sum() * GRAVITY_MPS2)
+
     def toml(self) -> str:
         """The configuration that every command takes for it."""
         runs = max(self.experiment.runs, self.run + 1)
@@ -88,15 +98,11 @@ def chosen_setting(
 
 def to_toml(tables: dict[str, Any], name: str = "") -> str:
     """Plain values as TOML, in which they look as in JSON; tables come last."""
+    inner = {key: value for key, value in tables.items() if isinstance(value, dict)}
     lines = [f"[{name}]"] if name else []
-    lines += [f"{key} = {json.dumps(value)}" for key, value in tables.items() if not _is(value)]
-    text = "\n".join(lines) + "\n"
-    inner = {f"{name}.{key}".lstrip("."): value for key, value in tables.items() if _is(value)}
-    return text + "".join("\n" + to_toml(value, key) for key, value in inner.items())
-
-
-def _is(value: object) -> bool:
-    return isinstance(value, dict)
+    lines += [f"{key} = {json.dumps(value)}" for key, value in tables.items() if key not in inner]
+    texts = [to_toml(value, f"{name}.{key}".lstrip(".")) for key, value in inner.items()]
+    return "\n".join(["\n".join(lines) + "\n", *texts])
 
 
 Array = NDArray[np.float32]
@@ -181,15 +187,15 @@ SEEN_RATE_HZ = 100.0  # a sample costs as much as ten steps; enough for a gait c
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """What came of it.
+    """A walk that was simulated.
 
     Attributes:
         gains: of the walker.
-        setting: where it walked.
+        setting: the robot and its ground.
         row: of the simulator's result.
-        trajectory: all of it.
-        frames: what the page draws.
-        ended: how it ended, and why, in words.
+        trajectory: of the whole walk.
+        frames: for the page to draw.
+        ended: how the walk ended, and why, in words.
     """
 
     gains: NamedGains
@@ -199,17 +205,6 @@ class Walk:
     frames: Frames
     ended: str
 
-    @property
-    def terrain(self) -> Terrain:
-        """The ground."""
-        return self.setting.experiment.terrain(self.setting.run)
-
-    @property
-    def weight_n(self) -> float:
-        """Of the walker."""
-        body = self.setting.experiment.body(self.setting.run)
-        return float(body.mass_kg[0].sum() * GRAVITY_MPS2)
-
 
 def walk(gains: NamedGains, setting: Setting, rate_hz: float = SEEN_RATE_HZ) -> Walk:
     """Simulate, with so many samples a second, and prepare what is drawn.
@@ -217,11 +212,12 @@ def walk(gains: NamedGains, setting: Setting, rate_hz: float = SEEN_RATE_HZ) -> 
     Raises:
         InputError: what the simulator refuses.
     """
-    experiment, run = setting.experiment.on_one_thread(), setting.run  # others walk beside it
+    experiment = setting.experiment.on_one_thread()  # other tabs' walks run beside this one
     conditions = experiment.conditions
     on_cpu = replace(conditions, settings=replace(conditions.settings, arch="cpu"))
-    result = recorded_walk(gains, replace(experiment, conditions=on_cpu), run, rate_hz)
-    row, trajectory, terrain = result.rows[0], result.trajectories[0], experiment.terrain(run)
+    experiment = replace(experiment, conditions=on_cpu)
+    result = recorded_walk(gains, experiment, setting.run, rate_hz)
+    row, trajectory, terrain = result.rows[0], result.trajectories[0], setting.terrain
     ended = f"{row_text(row)}{_why(row, trajectory, terrain)}"
     return Walk(gains, setting, row, trajectory, frames_of(trajectory, terrain), ended)
 
@@ -243,7 +239,7 @@ def _why(row: np.void, trajectory: Trajectory, terrain: Terrain) -> str:
 
 
 def warm_up() -> None:
-    """Have the kernels ready before the first gait is asked for."""
+    """Compile the kernels before the first gait is asked for."""
     walk(
         gains_of_source("reference"), chosen_setting("flat", "nominal", 0, "nominal", "taichi", 0.1)
     )

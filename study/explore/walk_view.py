@@ -1,4 +1,4 @@
-"""The right half of a page: a gait by its sliders, where it walks, and the walk."""
+"""The right half of a page: the gains of a gait, the ground it walks on, and the walk."""
 
 import html
 from collections.abc import Callable
@@ -45,13 +45,13 @@ AS_TRIED = "as it was tried"
 
 
 class WalkView:
-    """Choices of a setting, the stages, the hands, and what can be taken away.
+    """Choices of a setting, the stages, the gains, and files to save.
 
     Args:
         document: of the tab.
-        walkers: of processes that simulate.
-        makers: of processes that make files.
-        message: for what goes wrong.
+        walkers: processes that simulate.
+        makers: processes that make files.
+        message: for refusals.
         tried: whether walks may be shown as a comparison tried them.
     """
 
@@ -67,12 +67,13 @@ class WalkView:
         self._tried: Setting | None = None
         self._walk: Walk | None = None
         self._beside: NamedGains | None = None
-        self._first = True  # the next walk is one to compare with
+        self._first = True  # later walks are compared with the next one
         self._walks = Latest(document, walkers, self._walked, message.failed)
-        self._others = Latest(document, walkers, self._walked_beside, message.failed)
         self._files = Latest(document, makers, self._made, message.failed)
         self._player, self._score, self._cycle = Player(), Score(), Cycle()
-        self._hands = Hands(message, self._changed, self.show)
+        beside = partial(self._player.show, place=1)
+        self._others = Latest(document, walkers, beside, message.failed)
+        self._hands = Hands(message, self._again, self.show)
         self._choices = _choices(tried)
         for name, choice in self._choices.items():
             message.watch(choice, "value", partial(self._chosen, name))
@@ -86,7 +87,7 @@ class WalkView:
             "stride beside people": self._cycle.layout, "take it with you": self._taking(),
         }  # fmt: skip
         self._part = RadioButtonGroup(labels=list(self._parts), active=0, name="part")
-        self._part.tags = [self._save]  # a page has only what something on it refers to
+        self._part.tags = [self._save]  # Bokeh sends only models that the layout refers to
         self._below = column(self._hands.layout)
         message.watch(self._part, "active", self._turn)
         keep = Button(label="keep it beside", width=110, name="keep")
@@ -98,16 +99,14 @@ class WalkView:
         )  # fmt: skip
 
     def show(self, gains: NamedGains, setting: Setting | None = None) -> None:
-        """Let gains walk: as they were tried, or where the choices say."""
+        """Let gains walk: as they were tried, or in the setting of the choices."""
         self._hands.take(gains)
-        self._gains = gains
         self._first = True
-        if setting is not None:
-            self._tried = setting
+        self._tried = setting or self._tried
         self._again()
 
     def save(self, function: Callable[..., Any], *arguments: Any) -> None:
-        """Have a file made elsewhere, and then saved by the browser."""
+        """Make a file in another process; then the browser saves it."""
         self._message.tell("making the file ...")
         self._files.ask(function, *arguments)
 
@@ -122,17 +121,13 @@ class WalkView:
         if name != "ground" and self._choices["ground"].value == AS_TRIED:
             self._message.tell(f"{name}: counts once a ground is chosen")
             return
-        self._first = True  # what walked elsewhere is nothing to compare with
-        self._again()
-
-    def _changed(self, gains: NamedGains) -> None:
-        self._gains = gains
+        self._first = True  # a walk of another setting is no comparison
         self._again()
 
     def _again(self) -> None:
         self._message.tell("")
         setting = self._setting()
-        self._walks.ask(walk, self._gains, setting)
+        self._walks.ask(walk, self._hands.gains, setting)
         if self._beside is not None:
             self._others.ask(walk, self._beside, setting)
 
@@ -145,16 +140,13 @@ class WalkView:
         self._cycle.show(found)
 
     def _turn(self) -> None:
-        """To another part; the others are not on the page: hidden figures never get a size."""
+        """Show another part alone: a hidden figure never gets a size."""
         self._below.children = [list(self._parts.values())[self._part.active]]
 
     def _keep(self) -> None:
         if self._walk is not None:
             self._beside = self._walk.gains
             self._player.show(self._walk, place=1)
-
-    def _walked_beside(self, found: Walk) -> None:
-        self._player.show(found, place=1)
 
     def _made(self, file: tuple[str, bytes]) -> None:
         name, content = file
@@ -168,7 +160,7 @@ class WalkView:
             button.on_click(self._message.safely(partial(self._take, name)))
             buttons.append(button)
         half = (len(buttons) + 1) // 2
-        words = Div(text="gains.json and walk.toml are what the commands take; without a page:")
+        words = Div(text="The commands take gains.json and walk.toml. Without a page:")
         return column(row(*buttons[:half]), row(*buttons[half:]), words, self._command)
 
     def _take(self, name: str) -> None:
@@ -202,23 +194,22 @@ SLIDER_PX, NUMBER_PX = 225, 95
 
 
 class Hands:
-    """What holds a walker's gains, and says so when a hand has changed them.
+    """A slider and a number for each gain of a walker.
 
     Args:
         message: for a number that is out of its bounds.
-        changed: called with the new gains.
+        changed: called when a person has changed `gains`.
         start: called with the gains of a starting point.
     """
 
     def __init__(
         self,
         message: Message,
-        changed: Callable[[NamedGains], None],
+        changed: Callable[[], None],
         start: Callable[[NamedGains], None],
     ) -> None:
         self._message, self._changed, self._start = message, changed, start
-        self._gains = gains_of_source(STARTS[0])
-        self._still = False  # while the page, not a hand, moves them
+        self._still = False  # while the page, not a person, moves the sliders
         self._starts = Select(title="start from", options=["", *STARTS], value="", width=150,
                               name="start")  # fmt: skip
         self._sliders = [
@@ -235,7 +226,7 @@ class Hands:
         for place, (slider, number) in enumerate(zip(self._sliders, self._numbers, strict=True)):
             message.watch(slider, "value", partial(self._moved, place))
             message.watch(number, "value", partial(self._typed, place))
-        self.take(self._gains)
+        self.take(gains_of_source(STARTS[0]))
         pairs = [row(*pair) for pair in zip(self._sliders, self._numbers, strict=True)]
         half = len(pairs) // 2
         self.layout: Column = column(
@@ -243,14 +234,10 @@ class Hands:
         )
 
     def take(self, gains: NamedGains) -> None:
-        """Hold other gains; nobody is told."""
-        self._gains = gains
-        self._still = True
-        for slider, number, value in zip(
-            self._sliders, self._numbers, gains.gains.tolist(), strict=True
-        ):
-            slider.value, number.value = value, value
-        self._still = False
+        """Show other gains, without a call of `changed`."""
+        self.gains = gains
+        for place, value in enumerate(gains.gains.tolist()):
+            self._show(place, value)
 
     def _from_start(self) -> None:
         if self._starts.value:
@@ -266,20 +253,19 @@ class Hands:
             return
         value, gain = self._numbers[place].value, GAINS[place]
         if value is None or not gain.low <= value <= gain.high:
-            self._show(place, float(self._gains.gains[place]))
+            self._show(place, float(self.gains.gains[place]))
             raise InputError(gain.name, value, f"{gain.low:g} to {gain.high:g}")
         self._set(place, float(value))
 
     def _set(self, place: int, value: float) -> None:
-        if self._still or value == self._gains.gains[place]:
+        if self._still or value == self.gains.gains[place]:
             return
-        gains = self._gains.gains.copy()
+        gains = self.gains.gains.copy()
         gains[place] = np.clip(value, GAINS[place].low, GAINS[place].high)
-        name = self._gains.name.removesuffix(" changed") + " changed"
-        self._gains = replace(self._gains, name=name, gains=gains)
+        name = self.gains.name.removesuffix(" changed") + " changed"
+        self.gains = replace(self.gains, name=name, gains=gains)
         self._show(place, value)
-        self._message.tell("")
-        self._changed(self._gains)
+        self._changed()
 
     def _show(self, place: int, value: float) -> None:
         self._still = True

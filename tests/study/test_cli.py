@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from study.cli import main
-from study.options import COMMANDS, Options, config_path, parsers
+from study.options import COMMANDS, Options, config_path, parser_of
 from taichi_nmm.errors import InputError
 
 SLOW_TO_LOAD = ("taichi", "matplotlib", "optuna", "pyarrow", "scipy", "sklearn")
@@ -36,7 +36,7 @@ for words in {QUICK!r}:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_of_a_command_is_described(name: str) -> None:
-    parser = parsers()[name]
+    parser = parser_of(name)
     assert parser.prog == f"taichi-nmm {name}"
     assert (parser.description or "").partition("\n")[0].endswith(".")
     assert len(parser._actions) > 1

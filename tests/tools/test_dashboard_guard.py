@@ -11,7 +11,8 @@ import optuna
 import pytest
 from optuna.storages import InMemoryStorage
 
-from study.commands.dashboard import guarded, guarded_dashboard
+from study.commands.dashboard import guarded_dashboard
+from study.loopback import guarded
 
 HTML = b"<script>alert(1)</script>"
 PICTURE, PAGE, LINK, GONE, VECTOR = (f"{number:08d}-0000" for number in range(1, 6))

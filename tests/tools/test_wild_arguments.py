@@ -12,7 +12,7 @@ import pytest
 
 import taichi_nmm
 from study.cli import main
-from study.options import COMMANDS, _Whole, config_path, parser_of
+from study.options import COMMANDS, config_path, parser_of
 from tests.study import fake_walker
 from tests.tools.running import run_tool
 
@@ -77,10 +77,12 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Places:
     return places
 
 
-def tries(command: str, action: Action, places: Places) -> Iterator[tuple[str, list[str]]]:
+def tries(
+    command: str, action: Action, is_whole: bool, places: Places
+) -> Iterator[tuple[str, list[str]]]:
     """What is tried with an option: what it is called, and all words of the command."""
     flag = action.option_strings[-1] if action.option_strings else ""
-    of_text = action.type in (None, Path, config_path) and not isinstance(action, _Whole)
+    of_text = action.type in (None, Path, config_path) and not is_whole
     is_text = of_text and action.choices is None
     words = WORDS if is_text else {"5,000 digits": WORDS["5,000 digits"]}
     if is_text and NEW_FILE.get(command) != flag:
@@ -115,9 +117,10 @@ def test_it_is_refused_in_one_line(
     monkeypatch.setitem(vars(taichi_nmm), "simulate", refuse_work)
     monkeypatch.setattr("socketserver.BaseServer.serve_forever", refuse_work)
     tried, wrong = 0, []
-    actions = [action for action in parser_of(command)._actions if action.nargs != 0]
+    parser = parser_of(command)
+    actions = [action for action in parser._actions if action.nargs != 0]
     for action in [*actions, Action(["--new\nline"], "unknown")]:
-        for name, words in tries(command, action, places):
+        for name, words in tries(command, action, action.dest in parser.bounds, places):
             tried += 1
             code: object = None
             try:

@@ -43,7 +43,7 @@ def test_frames_are_the_poses_of_the_walk(fallen: Walk) -> None:
 def test_a_fall_says_why(fallen: Walk) -> None:
     assert fallen.ended.startswith("fell after ")
     pose = fallen.trajectory.q[-1]
-    height_m = pose[1] - fallen.terrain.height(pose[0])
+    height_m = pose[1] - fallen.setting.terrain.height(pose[0])
     leaned = abs(np.rad2deg(pose[2])) > 57.0  # a sample before the bound of 60
     assert ("the trunk leaned" in fallen.ended) == leaned
     assert ("the hip sank to" in fallen.ended) == (not leaned)
