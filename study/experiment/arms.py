@@ -1,6 +1,6 @@
-"""The arms: what each is, what it reads, how its sampler is made, and what readers call it.
+"""The arms: ways of choosing trials. Each has a sampler, a store that it reads, and a label.
 
-An arm is added here and nowhere else: one study, comparisons and reports know it from this list.
+An arm is added here and nowhere else: studies, comparisons and reports take it from this list.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,13 +32,13 @@ from study.sampler.random_sampler import ReproducibleRandomSampler
 from study.sampler.sampler import PAPER, FeatureKernelSampler
 from taichi_nmm.errors import InputError
 
-PAPER_ARM = "dog"  # the paper's method, to which all others are compared
+PAPER_ARM = "dog"  # the paper's, to which all others are compared
 BEST_ARM = "best"  # our best combination
 Kind = Literal["ours", "peer", "control"]
 
 PRINTED = ("phi_printed",)
 TIES = "phi_corrected"
-NOTHING = "nothing but its own trials"  # that an arm without a store has seen
+NOTHING = "nothing but its own trials"  # what an arm without a store has seen
 
 # Arms of version 0.2.0 that are gone, and the arm to use instead.
 REMOVED = {
@@ -56,16 +56,16 @@ class Arm:
     """A way of choosing trials.
 
     Attributes:
-        name: of the arm, as commands and files know it.
-        label: what figures and tables call it.
+        name: of the arm, in commands and files.
+        label: of the arm, in figures and tables.
         kind: "ours", "peer" (of others, or plain) or "control" (no model).
         summary: in a line.
         new_sampler: makes one.
         store: key of the store that it reads, in the configuration's [stores]; "" for none.
-        features: columns of that store, or what is computed of several.
+        features: columns of that store, or features computed of several.
         fresh: its sampler is made anew for each trial, since the library keeps a state in it.
         replayed: the library keeps a state in the trials, which a resumed study must repeat.
-        options: what else decides what it proposes.
+        options: further settings that decide its proposals.
     """
 
     name: str
@@ -86,7 +86,7 @@ class Arm:
 
     @property
     def definition(self) -> dict[str, Any]:
-        """What decides what it proposes, as JSON values: trials of two definitions must not mix."""
+        """All that decides its proposals, as JSON values; trials of two definitions never mix."""
         features = [definition_of(feature) for feature in self.features]
         return {"store": self.store, "features": features, "options": dict(self.options)}
 
@@ -103,18 +103,6 @@ def find_arm(name: str) -> Arm:
     if name not in ARMS:
         raise InputError("arm", name, f"one of {', '.join(ARMS)}")
     return ARMS[name]
-
-
-def _random(task: Task) -> BaseSampler:
-    return ReproducibleRandomSampler(seed=task.seed)
-
-
-def _euclidean(task: Task) -> BaseSampler:
-    return FeatureKernelSampler(None, seed=task.seed, space=task.experiment.space)
-
-
-def _tpe(task: Task) -> BaseSampler:
-    return TPESampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn))
 
 
 def _table_arm(
@@ -138,11 +126,18 @@ def _ordered_arm(
     name: str, label: str, summary: str, store: str, features: tuple[Feature, ...]
 ) -> Arm:
     """The rows of a store in the order of its features: the first, ties by the second, then row."""
-    return Arm(name, label, "control", summary, samplers.score_first, store, features)
+    return Arm(name, label, "control", summary, _ranked, store, features)
+
+
+def _ranked(task: Task) -> BaseSampler:
+    return samplers.RankedSampler(task.table)
 
 
 _ALL = (
-    Arm("random", "random", "peer", "uniform random", _random),
+    Arm(
+        "random", "random", "peer", "uniform random",
+        lambda task: ReproducibleRandomSampler(seed=task.seed),
+    ),
     Arm(
         "cmaes-cold", "CMA-ES", "peer", "CMA-ES from a random mean", samplers.cmaes_cold,
         fresh=True, replayed=True, options={"sigma": samplers.SIGMA_COLD},
@@ -159,9 +154,13 @@ _ALL = (
     ),
     Arm(
         "bo-euclidean", "plain BO", "peer", "Bayesian optimisation over the gains, ours",
-        _euclidean,
+        lambda task: FeatureKernelSampler(None, seed=task.seed, space=task.experiment.space),
     ),
-    Arm("tpe", "TPE", "peer", "Optuna's TPESampler", _tpe, fresh=True),
+    Arm(
+        "tpe", "TPE", "peer", "Optuna's TPESampler",
+        lambda task: TPESampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn)),
+        fresh=True,
+    ),
     _table_arm(
         PAPER_ARM, "DoG, as printed", "the paper's method: kernel over the score",
         "flat", PRINTED, **PAPER,
@@ -211,18 +210,14 @@ def check_arms(experiment: Experiment, names: Sequence[str], trials: int) -> tup
         raise InputError("arms", "none", "one arm or more, in the configuration or by --arms")
     arms = tuple(find_arm(name) for name in dict.fromkeys(names))
     for arm in arms:
-        _check(experiment, arm, trials)
+        if not arm.store:
+            continue
+        store = check_store(experiment, arm.store, arm.features)
+        rows = int(candidates(experiment, arm.store, arm.features).rows.offered.sum())
+        if trials > rows:
+            allowed = f"at most {rows}, the rows that {arm.name} may take of the store {store.path}"
+            raise InputError("trials", trials, allowed)
     return arms
-
-
-def _check(experiment: Experiment, arm: Arm, trials: int) -> None:
-    if not arm.store:
-        return
-    store = check_store(experiment, arm.store, arm.features)
-    rows = int(candidates(experiment, arm.store, arm.features).rows.offered.sum())
-    if trials > rows:
-        allowed = f"at most {rows}, the rows that {arm.name} may take of the store {store.path}"
-        raise InputError("trials", trials, allowed)
 
 
 def with_store(experiment: Experiment, names: Sequence[str], path: Path) -> Experiment:
@@ -239,7 +234,7 @@ def with_store(experiment: Experiment, names: Sequence[str], path: Path) -> Expe
 
 
 def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
-    """What an arm's store had seen of the world before the first trial, in words.
+    """The bodies and grounds that an arm's store had seen before the first trial, in words.
 
     Args:
         arm: that reads the store.
@@ -251,31 +246,22 @@ def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
     try:
         return _of_store(arm, open_store(stores[arm.store]))
     except (KeyError, TypeError, InputError):  # of another simulator, or edited
-        asked = [
-            name for survival in survivals(arm.features) for name in survival.families or ("all",)
-        ]
-        names = ", ".join(dict.fromkeys(asked))
+        read = [name for each in survivals(arm.features) for name in each.families or ("all",)]
+        names = ", ".join(dict.fromkeys(read))
         return f"base setting of the store {arm.store}{f'; its families: {names}' * bool(names)}"
 
 
 def _of_store(arm: Arm, store: Store) -> str:
     specification = store.specification
     known = {"robust": specification.get("robust"), **specification.get("families", {})}
-    read = {
-        name: known[name] for each in survivals(arm.features) for name in each.families_of(store)
-    }
-    by_body: dict[str, list[str]] = {}
-    for setting in (specification, *read.values()):
-        by_body.setdefault(_body(setting), []).append(_ground(setting))
-    return "; ".join(f"{body}: {'; '.join(grounds)}" for body, grounds in by_body.items())
-
-
-def _ground(setting: dict[str, Any]) -> str:
-    name = str(setting["terrain"]["name"])
-    return "level ground" if name == "flat" else name
-
-
-def _body(setting: dict[str, Any]) -> str:
-    percent = 100.0 * setting["body"]["disturbance"]
-    body = f"bodies disturbed by {percent:g} %" if percent else "undisturbed body"
-    return f"{body}, in worlds that differ" if "world" in setting else body
+    names = dict.fromkeys(
+        name for each in survivals(arm.features) for name in each.families_of(store)
+    )
+    grounds: dict[str, list[str]] = {}
+    for setting in (specification, *(known[name] for name in names)):
+        percent = 100.0 * setting["body"]["disturbance"]
+        body = f"bodies disturbed by {percent:g} %" if percent else "undisturbed body"
+        body += ", in worlds that differ" * ("world" in setting)
+        ground = str(setting["terrain"]["name"])
+        grounds.setdefault(body, []).append("level ground" if ground == "flat" else ground)
+    return "; ".join(f"{body}: {'; '.join(found)}" for body, found in grounds.items())

@@ -39,7 +39,7 @@ DECIDES_NOTHING = {"decides": False}  # of a field: it may grow, or its content 
 
 @dataclass(frozen=True)
 class CmaesOptions:
-    """How CMA-ES goes on until convergence, where the optimum is estimated: [cmaes].
+    """Options of CMA-ES where the optimum is estimated: the table [cmaes].
 
     Attributes:
         sigma: first spread, of each range.
@@ -57,7 +57,7 @@ class CmaesOptions:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is tried on what. It pickles: processes make bodies and grounds where they need them.
+    """All that the studies of an experiment share. It pickles; processes draw bodies and grounds.
 
     Attributes:
         name: of the experiment; a study is called name/arm/run-NNN.
@@ -88,7 +88,7 @@ class Experiment:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What is searched: the 16 gains, and the low-level ones asked for."""
+        """The searched parameters: the 16 gains, and the low-level ones asked for."""
         return (*GAINS, *searched_parameters(self.searched))
 
     @cached_property
@@ -138,12 +138,12 @@ def search_space(parameters: Iterable[Parameter]) -> dict[str, FloatDistribution
 
 
 def study_name(experiment: str, arm: str, run: int) -> str:
-    """What the study of an arm in a run is called, live or exported."""
+    """The name of an arm's study in a run, live or exported."""
     return f"{experiment}/{arm}/run-{run:03d}"
 
 
 def summary_name(experiment: str) -> str:
-    """What the study is called that compares the arms of an exported experiment."""
+    """The name of the study that compares the arms of an exported experiment."""
     return f"{experiment}{SUMMARY}"
 
 
@@ -163,11 +163,14 @@ def read_experiment(
 def experiment_of(
     table: Table, name: str, arch: str | None = None, seed: int | None = None
 ) -> Experiment:
-    """The experiment of a configuration's tables; `name` is its own where it says none."""
+    """The experiment of a configuration's tables; `name` is used where they have none."""
     objective, stores = table.table("objective"), table.table("stores")
     configured = table.integer("seed")
+    name = table.text("name", name)  # becomes a part of studies' and folders' names
+    if not re.fullmatch(NAME_PATTERN, name):
+        raise InputError("name", name, "letters, digits, '.', '_' and '-', first a letter or digit")
     experiment = Experiment(
-        name=_checked_name(table.text("name", name)),
+        name=name,
         seed=configured if seed is None else Table({"seed": seed}).integer("seed"),
         searched=table.texts("searched", SEARCHABLE),
         cost=objective.text("cost", "smooth", tuple(COST_FUNCTIONS)),
@@ -181,16 +184,9 @@ def experiment_of(
         stores={key: Path(stores.text(key)) for key in stores.unread},
         cmaes=_read_cmaes(table.table("cmaes")),
     )
-    for part in (objective, table):
-        part.done()
+    objective.done()
+    table.done()
     return experiment
-
-
-def _checked_name(name: str) -> str:
-    """The name, which becomes a part of studies' and folders' names."""
-    if not re.fullmatch(NAME_PATTERN, name):
-        raise InputError("name", name, "letters, digits, '.', '_' and '-', first a letter or digit")
-    return name
 
 
 def _read_cmaes(table: Table) -> CmaesOptions:
@@ -211,7 +207,7 @@ def _read_cmaes(table: Table) -> CmaesOptions:
 
 
 def as_written(experiment: Experiment) -> dict[str, Any]:
-    """What decides trials, as the tables of a configuration; `experiment_of` reads it back.
+    """All that decides trials, as the tables of a configuration; `experiment_of` reads it back.
 
     It is made of the fields themselves, so that none can be forgotten.
     """

@@ -1,4 +1,4 @@
-"""What decides an experiment's trials, as JSON values; and the machine that ran them.
+"""All that decides an experiment's trials, as JSON values; and the machine that ran them.
 
 There is one such document: a comparison's folder, a study database, a live study and the estimate
 of the optimum all keep it, or its digest, and refuse to go on with another.
@@ -17,7 +17,6 @@ from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.stores import store_digest, store_path
 from taichi_nmm import __version__
 from taichi_nmm.config import Table
-from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import terrain_document
 
 PACKAGES = ("taichi", "optuna", "cma", "cmaes", "numpy", "scipy")
@@ -27,7 +26,7 @@ LIVE_ATTRIBUTE = "experiment"  # of a live study: its document; of a comparison'
 
 
 def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
-    """What is compared on what. Runs and trials may grow, so they are no part of it.
+    """The identity of an experiment. Runs and trials may grow, so they are no part of it.
 
     Arms and stores are those of one call; a folder gathers them. The architecture is no part of
     it either: what was begun on one machine may go on on another.
@@ -50,12 +49,8 @@ def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
 
 def deciding_packages(experiment: Experiment) -> tuple[str, ...]:
     """Packages whose versions decide an experiment's trials."""
-    return *PACKAGES, *engine_packages(experiment.conditions.settings)
-
-
-def engine_packages(settings: Settings) -> tuple[str, ...]:
-    """Packages that decide results beside those that always do."""
-    return ("mujoco",) if settings.engine == "mujoco" else ()
+    of_engine = ("mujoco",) if experiment.conditions.settings.engine == "mujoco" else ()
+    return *PACKAGES, *of_engine
 
 
 @cache
@@ -66,7 +61,7 @@ def versions(*packages: str) -> dict[str, str]:
 
 @lru_cache(maxsize=16)
 def fingerprint(experiment: Experiment) -> str:
-    """A short digest of what decides trials, whatever the arms: for databases and file names."""
+    """A short digest of all that decides trials but the arms: for databases and file names."""
     return document_hash(document(experiment, ()))[:FINGERPRINT_LENGTH]
 
 
@@ -86,7 +81,7 @@ def documented_experiment(known: dict[str, Any]) -> Experiment | None:
 
 
 def machine() -> dict[str, Any]:
-    """What the trials were run on."""
+    """The machine that runs the trials."""
     return {
         "system": platform.system(),
         "processor": platform.machine(),

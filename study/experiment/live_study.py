@@ -8,7 +8,7 @@ import re
 import time
 import warnings
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from copy import copy
 from pathlib import Path
 from typing import Any
@@ -83,16 +83,15 @@ def run_study(
     """
     experiment.require_run(run)
     one = LiveStudy(experiment, arm, run, open_study(experiment, arm, run, storage))
-    told_of = report or (lambda study, told: None)
+    report = report or (lambda study, told: None)
     if crew is not None:
-        _run_together(experiment, one, trials, told_of, crew)
-        with crew.turn():
-            note_worth(experiment, arm, run, one.study)
-        return one.study
-    _repeat(experiment, one.study, running(one.study))
-    while one.trials < trials and not _ended(experiment, one):
-        told_of(one.study, _run_trial(experiment, one))
-    note_worth(experiment, arm, run, one.study)
+        _run_together(experiment, one, trials, report, crew)
+    else:
+        _repeat(experiment, one.study, running(one.study))
+        while one.trials < trials and not _ended(experiment, one):
+            report(one.study, _run_trial(experiment, one))
+    with crew.turn() if crew else nullcontext():
+        note_worth(experiment, arm, run, one.study)
     return one.study
 
 
@@ -111,12 +110,11 @@ def _run_together(
                 is_due = done + begun < trials
                 if is_due:
                     one.trials = done + begun
-                    gains = one.ask()
-                    until_told.enter_context(crew.alive(one.asked.number))
+                    gains, number = one.ask(), one.asked.number
+                    until_told.enter_context(crew.alive(number))
             if not is_due:
                 time.sleep(WAIT_S)
                 continue
-            number = one.asked.number
             try:
                 report(one.study, _simulated(experiment, one, gains))
             except UpdateFinishedTrialError:
@@ -158,10 +156,10 @@ def check_study(experiment: Experiment, arm: Arm, run: int, url: str, out: Path)
         arm: that proposes.
         run: whose body and ground it is about.
         url: of the database, which need not be there.
-        out: folder for what the study finds.
+        out: folder for the best gains and their picture.
 
     Raises:
-        InputError: as `open_study`, or what cannot be read or written.
+        InputError: as `open_study`, or a file that cannot be read or written.
     """
     experiment.require_run(run)
     require_folder(out)
@@ -176,8 +174,12 @@ def _check_study(
 ) -> tuple[str, dict[str, Any]]:
     """Name and document of the study, which is new or was begun with this document."""
     name, identity = study_name(experiment.name, arm.name, run), document(experiment, (arm,))
-    _refuse_older(f"{experiment.name}/{arm.name}", name, storage)
-    if name not in optuna.get_all_study_names(storage):
+    names = optuna.get_all_study_names(storage)
+    older = f"{experiment.name}/{arm.name}"  # of before studies had runs; its seeds were others
+    if older in names:
+        allowed = f"another --storage: this study is of an earlier version, and is now {name}"
+        raise InputError("study", older, allowed)
+    if name not in names:
         return name, identity
     study = optuna.load_study(study_name=name, storage=storage)
     trials = study.get_trials(deepcopy=False)  # read before anything is written
@@ -195,13 +197,6 @@ def _check_study(
     require_written(study, experiment)
     require_notes(name, storage)
     return name, identity
-
-
-def _refuse_older(old: str, new: str, storage: BaseStorage) -> None:
-    """Refuse to go on beside a study of before studies had runs; its seeds were others."""
-    if old in optuna.get_all_study_names(storage):
-        allowed = f"another --storage: this study is of an earlier version, and is now {new}"
-        raise InputError("study", old, allowed)
 
 
 def _run_trial(experiment: Experiment, one: LiveStudy) -> FrozenTrial:
@@ -229,42 +224,43 @@ def running(study: optuna.Study) -> list[FrozenTrial]:
 def _repeat(experiment: Experiment, study: optuna.Study, dead: list[FrozenTrial]) -> None:
     """Fail trials that nobody runs, and queue others with the parameters that they had been given.
 
-    One that had been given some of them is asked for anew: samplers draw them one after the other.
+    A trial that had been given only some of them is queued without any: samplers draw them one
+    after the other.
     """
     for trial in dead:
+        given = copy(trial)
+        if set(trial.params) != set(experiment.names):
+            given.params, given.distributions = {}, {}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ExperimentalWarning)
             retry = RetryHeartbeatStaleTrialCallback()
             # First the successor: killed between the two steps, the next run must not lose it.
             waiting = study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
             if not any(trial.number in retry.retry_history(other) for other in waiting):
-                retry(study, trial if set(trial.params) == set(experiment.names) else _bare(trial))
+                retry(study, given)
         study.tell(trial.number, state=TrialState.FAIL)
-
-
-def _bare(trial: FrozenTrial) -> FrozenTrial:
-    bare = copy(trial)
-    bare.params, bare.distributions = {}, {}
-    return bare
 
 
 RETRIED_ATTRIBUTE = "retry_history"  # Optuna's, of the system
 
-_number, _flag = checks.number(), checks.flag
-_whole_numbers = checks.each(checks.whole(0))
+Form = dict[str, Callable[[str, Any], Any]]
+"""Checks of attributes by name."""
+
+_number = checks.number()
 _numbers = checks.each(checks.optional(_number))
 
-# Of a finished trial, those that must be there; and of any, those that may be.
-FINISHED: dict[str, Callable[[str, Any], Any]] = dict.fromkeys(ATTRIBUTES, _number) | {
-    "end_reason": checks.text, "walked": _flag,
+# Attributes of a finished trial that must be there; of any trial, those that may be.
+FINISHED: Form = dict.fromkeys(ATTRIBUTES, _number) | {
+    "end_reason": checks.text, "walked": checks.flag,
 }  # fmt: skip
-IF_THERE: dict[str, Callable[[str, Any], Any]] = {
+IF_THERE: Form = {
     SCORE_ATTRIBUTE: checks.optional(_number), FEATURES_ATTRIBUTE: _numbers,
-    FELL_ATTRIBUTE: _flag, SHOWN_ATTRIBUTE: _numbers,
+    FELL_ATTRIBUTE: checks.flag, SHOWN_ATTRIBUTE: _numbers,
 }  # fmt: skip
-OF_OPTUNA: dict[str, Callable[[str, Any], Any]] = {
-    FIXED_ATTRIBUTE: checks.by_name(checks.anything), RETRIED_ATTRIBUTE: _whole_numbers,
-}  # fmt: skip
+OF_OPTUNA: Form = {
+    FIXED_ATTRIBUTE: checks.by_name(checks.anything),
+    RETRIED_ATTRIBUTE: checks.each(checks.whole(0)),
+}
 
 # The keys that optuna-dashboard keeps a note under, of a study or of a trial: a version, and parts.
 NOTE = re.compile(r"(dashboard:(?:\d+:)?note_)(ver|str:(\d+))")
@@ -274,7 +270,7 @@ def require_written(study: optuna.Study, experiment: Experiment) -> None:
     """Refuse a study whose trials nobody could go on with.
 
     Raises:
-        InputError: naming the study, the trial, and what of it.
+        InputError: naming the study, the trial, and the part of it.
     """
     if study.directions != [StudyDirection.MINIMIZE]:
         directions = [direction.name for direction in study.directions]
@@ -285,9 +281,34 @@ def require_written(study: optuna.Study, experiment: Experiment) -> None:
             raise InputError(prefix, trial.number, f"{place}: trials without a gap")
         if trial.state is TrialState.COMPLETE:
             _require_finished(trial, experiment, prefix)
-        _require_compatible(trial, experiment, prefix)
+        for name, distribution in trial.distributions.items():
+            ours = experiment.space.get(name, distribution)
+            try:
+                check_distribution_compatibility(distribution, ours)
+            except ValueError:  # Optuna would take no value of ours beside it
+                raise InputError(f"{prefix}: {name}", str(distribution), str(ours)) from None
         _require(trial.user_attrs, IF_THERE, prefix)
         _require(trial.system_attrs, OF_OPTUNA, prefix)
+
+
+def _require_finished(trial: FrozenTrial, experiment: Experiment, prefix: str) -> None:
+    checks.each(_number)(f"{prefix}: values", trial.values)
+    if trial.params.keys() != experiment.space.keys():
+        allowed = f"one of each of {', '.join(experiment.names)}"
+        raise InputError(f"{prefix}: parameters", list(trial.params), allowed)
+    for parameter in experiment.parameters:
+        ends = checks.number(parameter.low, parameter.high)
+        ends(f"{prefix}: {parameter.name}", trial.params[parameter.name])
+    for name in FINISHED:
+        if name not in trial.user_attrs:
+            raise InputError(f"{prefix}: {name}", "missing", "the outcome of the walk")
+    _require(trial.user_attrs, FINISHED, prefix)
+
+
+def _require(found: dict[str, Any], form: Form, prefix: str) -> None:
+    for name, check in form.items():
+        if name in found:
+            check(f"{prefix}: {name}", found[name])
 
 
 def require_notes(study: str, storage: BaseStorage) -> None:
@@ -309,37 +330,3 @@ def require_notes(study: str, storage: BaseStorage) -> None:
     for numbers in parts.values():
         if numbers != set(range(len(numbers))):
             raise InputError(f"study {study}: note", sorted(numbers), "parts without a gap")
-
-
-def _require_finished(trial: FrozenTrial, experiment: Experiment, prefix: str) -> None:
-    checks.each(_number)(f"{prefix}: values", trial.values)
-    if trial.params.keys() != experiment.space.keys():
-        allowed = f"one of each of {', '.join(experiment.names)}"
-        raise InputError(f"{prefix}: parameters", list(trial.params), allowed)
-    for parameter in experiment.parameters:
-        ends = checks.number(parameter.low, parameter.high)
-        ends(f"{prefix}: {parameter.name}", trial.params[parameter.name])
-    for name in FINISHED:
-        if name not in trial.user_attrs:
-            raise InputError(f"{prefix}: {name}", "missing", "what the walk came to")
-    _require(trial.user_attrs, FINISHED, prefix)
-
-
-def _require_compatible(trial: FrozenTrial, experiment: Experiment, prefix: str) -> None:
-    """Refuse distributions beside which Optuna takes none of ours."""
-    for name, distribution in trial.distributions.items():
-        ours = experiment.space.get(name)
-        if ours is None:
-            continue
-        try:
-            check_distribution_compatibility(distribution, ours)
-        except ValueError:
-            raise InputError(f"{prefix}: {name}", str(distribution), str(ours)) from None
-
-
-def _require(
-    found: dict[str, Any], form: dict[str, Callable[[str, Any], Any]], prefix: str
-) -> None:
-    for name, check in form.items():
-        if name in found:
-            check(f"{prefix}: {name}", found[name])

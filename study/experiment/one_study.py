@@ -5,23 +5,21 @@ run and experiment give the same trials in both.
 """
 
 import math
+import warnings
 from typing import Any
 
 import numpy as np
 import optuna
 from numpy.typing import NDArray
-from optuna.distributions import BaseDistribution
-from optuna.samplers import BaseSampler, RandomSampler
+from optuna.exceptions import ExperimentalWarning
+from optuna.samplers import BaseSampler, PartialFixedSampler, RandomSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from study.draws import Purpose, name_key, seed_64bit
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment
 from study.experiment.samplers import Task
-from study.experiment.trials import (
-    KEPT,
-    fell,
-)
+from study.experiment.trials import KEPT, fell
 from study.sampler.diagnostics import TITLE, Worth
 from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
@@ -55,7 +53,6 @@ class OneStudy:
         self.study = study or optuna.create_study(direction="minimize")
         self.trials = len(self.finished())
         self._experiment = experiment
-        self._seed = sampler_seed(experiment.seed, arm.name, run)
         self._sampler: BaseSampler | None = None
         self._asked: optuna.Trial | None = None
 
@@ -80,24 +77,24 @@ class OneStudy:
             ]
 
     def noted(self) -> dict[str, Any]:
-        """What the sampler wrote into the trial that was asked for."""
-        # Not the trial's own: it does not hear of what samplers write into the storage.
+        """The attributes that the sampler gave the trial that was asked for."""
+        # Not the trial's own: it does not hold what samplers write into the storage.
         return dict(self.study.get_trials(deepcopy=False)[self.asked.number].user_attrs)
 
     def tell(
         self, cost: float, rows: NDArray[np.void], attributes: dict[str, Any] | None = None
     ) -> FrozenTrial:
-        """What became of the trial that was asked for.
+        """Finish the trial that was asked for.
 
         Args:
             cost: of the trial, finite.
             rows: the simulator's row of it, [1].
-            attributes: that readers of the study want beside it.
+            attributes: further ones, for readers of the study.
         """
         return self._tell(cost, shown(self.arm, rows) | (attributes or {}))
 
     def hand_on(self) -> optuna.Study:
-        """The study for another process, which makes its sampler anew: some do not travel."""
+        """The study for another process, which makes its sampler anew: some do not pickle."""
         self._sampler, self.study.sampler = None, RandomSampler(seed=0)
         return self.study
 
@@ -110,10 +107,12 @@ class OneStudy:
             noted: all user attributes that the trial had.
 
         Raises:
-            InputError: the sampler now asks for other gains.
+            InputError: the sampler now proposes other gains.
         """
         if self.arm.replayed:
-            self._replay(gains, cost, noted)
+            self.require_proposed(gains, self.ask())
+            own = self.noted()
+            self._tell(cost, {name: value for name, value in noted.items() if name not in own})
             return
         space = self._experiment.space
         self.study.add_trial(
@@ -127,7 +126,7 @@ class OneStudy:
         self.trials += 1
 
     def require_proposed(self, gains: list[float], proposed: list[float]) -> None:
-        """Refuse gains of the next trial that are not what is proposed for it.
+        """Refuse gains of the next trial other than those proposed for it.
 
         Raises:
             InputError: naming the trial.
@@ -136,11 +135,6 @@ class OneStudy:
             where = f"{self.arm.name}, run {self.run}, trial {self.trials}"
             allowed = "the gains that the sampler proposes there; use another --out or --storage"
             raise InputError(where, "other gains", allowed)
-
-    def _replay(self, gains: list[float], cost: float, noted: dict[str, Any]) -> None:
-        self.require_proposed(gains, self.ask())
-        own = self.noted()
-        self._tell(cost, {name: value for name, value in noted.items() if name not in own})
 
     def _tell(self, cost: float, attributes: dict[str, Any]) -> FrozenTrial:
         asked = self.asked
@@ -154,11 +148,14 @@ class OneStudy:
 
     def _sampler_of_turn(self) -> BaseSampler:
         if self._sampler is None or self.arm.fresh:
-            task = Task(
-                self._experiment, self._seed, self.trials, self.arm.store, self.arm.features
-            )
-            self._sampler = self.arm.new_sampler(task)
+            self._sampler = new_sampler(self._experiment, self.arm, self.run, self.trials)
         return self._sampler
+
+
+def new_sampler(experiment: Experiment, arm: Arm, run: int, turn: int = 0) -> BaseSampler:
+    """The sampler of an arm in a run, for its trial of this number."""
+    seed = sampler_seed(experiment.seed, arm.name, run)
+    return arm.new_sampler(Task(experiment, seed, turn, arm.store, arm.features))
 
 
 class LiveStudy(OneStudy):
@@ -181,12 +178,11 @@ class LiveStudy(OneStudy):
     def __init__(self, experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> None:
         """The study as it stands; a twin is told its trials."""
         super().__init__(experiment, arm, run, study)
-        self._names = experiment.names
-        self._given: BaseSampler | None = None
+        self._given: dict[str, float] = {}
         self._twin = OneStudy(experiment, arm, run) if arm.replayed else None
         if self._twin is not None:
             for trial in self.finished():
-                gains = [trial.params.get(name, math.nan) for name in self._names]
+                gains = [trial.params.get(name, math.nan) for name in experiment.names]
                 self._twin.restore(gains, trial.values[0], {})
 
     def ask(self) -> list[float]:
@@ -198,13 +194,17 @@ class LiveStudy(OneStudy):
         if self._twin is None:
             return super().ask()
         proposed = self._twin.ask()
-        self._given = GivenSampler(dict(zip(self._names, proposed, strict=True)))
+        self._given = dict(zip(self._experiment.names, proposed, strict=True))
         asked = super().ask()
         self.require_proposed(asked, proposed)
         return asked
 
     def _sampler_of_turn(self) -> BaseSampler:
-        return self._given or super()._sampler_of_turn()
+        if self._twin is None:
+            return super()._sampler_of_turn()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            return PartialFixedSampler(self._given, RandomSampler(seed=0))
 
     def _tell(self, cost: float, attributes: dict[str, Any]) -> FrozenTrial:
         if self._twin is not None:
@@ -212,31 +212,8 @@ class LiveStudy(OneStudy):
         return super()._tell(cost, attributes)
 
 
-class GivenSampler(RandomSampler):
-    """Proposes what it is given.
-
-    Args:
-        values: by name.
-    """
-
-    def __init__(self, values: dict[str, float]) -> None:
-        """Nothing is drawn."""
-        super().__init__(seed=0)
-        self._values = values
-
-    def sample_independent(
-        self,
-        study: optuna.Study,
-        trial: FrozenTrial,
-        param_name: str,
-        param_distribution: BaseDistribution,
-    ) -> Any:
-        """The value of that name."""
-        return self._values[param_name]
-
-
 def shown(arm: Arm, rows: NDArray[np.void]) -> dict[str, Any]:
-    """What a trial shows to samplers that learn from it, beside its cost; rows [1]."""
+    """The attributes by which samplers learn from a trial, beside its cost; rows [1]."""
     found: dict[str, Any] = {FELL_ATTRIBUTE: bool(fell(rows)[0])}
     if arm.columns and all(name in KEPT for name in arm.columns):
         found[SHOWN_ATTRIBUTE] = [float(rows[name][0]) for name in arm.columns]
@@ -245,17 +222,14 @@ def shown(arm: Arm, rows: NDArray[np.void]) -> dict[str, Any]:
 
 def worth_of_study(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> Worth | None:
     """The worth of the arm's features in the trials of its study; None: it follows none."""
-    if not arm.features:
-        return None
-    seed = sampler_seed(experiment.seed, arm.name, run)
-    sampler = arm.new_sampler(Task(experiment, seed, 0, arm.store, arm.features))
+    sampler = new_sampler(experiment, arm, run) if arm.features else None
     if not isinstance(sampler, FeatureKernelSampler) or not sampler.has_features:
         return None
     return sampler.worth(study)
 
 
 def note_worth(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> None:
-    """Show it with the study, in place of an earlier one; a note of the user's stays."""
+    """Show the worth with the study, in place of an earlier one; a note of the user's stays."""
     worth = worth_of_study(experiment, arm, run, study)
     if worth is None:
         return

@@ -4,7 +4,6 @@ CMA-ES starts in three ways: from nowhere, from a good row, from many good rows.
 """
 
 import warnings
-from abc import ABC
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -31,7 +30,6 @@ from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
-Order = NDArray[np.int64]
 
 SIGMA_COLD = 0.2  # of each range
 SIGMA_WARM = 0.1
@@ -63,29 +61,19 @@ class Task:
         return candidates(self.experiment, self.store, self.features)
 
 
-class RowSampler(BaseSampler, ABC):
+class RowSampler(ReproducibleRandomSampler):
     """Proposes all parameters of a table at once; parameters that are not in it are uniform."""
 
-    def __init__(self, table: FeatureTable, seed: int) -> None:
+    def __init__(self, table: FeatureTable, seed: int = 0) -> None:
         """Nothing is computed."""
+        super().__init__(seed=seed)
         self._table = table
-        self._independent = ReproducibleRandomSampler(seed=seed)
 
     def infer_relative_search_space(
         self, study: optuna.Study, trial: FrozenTrial
     ) -> dict[str, BaseDistribution]:
         """The table's parameters."""
         return self._table.rows.space.as_dict()
-
-    def sample_independent(
-        self,
-        study: optuna.Study,
-        trial: FrozenTrial,
-        param_name: str,
-        param_distribution: BaseDistribution,
-    ) -> Any:
-        """Uniform, for parameters that the table does not have."""
-        return self._independent.sample_independent(study, trial, param_name, param_distribution)
 
     def take(self, study: optuna.Study, trial: FrozenTrial, row: int) -> dict[str, Any]:
         """The parameters of a row, which is noted in the trial."""
@@ -95,27 +83,17 @@ class RowSampler(BaseSampler, ABC):
 
 
 class RankedSampler(RowSampler):
-    """Rows of a table in an order that was fixed beforehand: trial t is row `order[t]`.
-
-    Args:
-        table: of candidates.
-        order: rows, best first, at least as many as there are trials.
-    """
-
-    def __init__(self, table: FeatureTable, order: Order) -> None:
-        """Nothing is computed."""
-        super().__init__(table, seed=0)
-        self._order = order
+    """The rows of a table in `score_order`: trial t is the row of rank t."""
 
     def sample_relative(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
         """The trial's row."""
-        return self.take(study, trial, int(self._order[turn(study, trial)]))
+        return self.take(study, trial, int(score_order(self._table)[turn(study, trial)]))
 
 
 @lru_cache(maxsize=32)
-def score_order(table: FeatureTable) -> Order:
+def score_order(table: FeatureTable) -> NDArray[np.int64]:
     """Rows by the first feature, descending; ties by the second, and so on, then by row, [m].
 
     Unknown features come last; rows that repeat the parameters of another are left out.
@@ -124,11 +102,6 @@ def score_order(table: FeatureTable) -> Order:
     known = np.where(np.isfinite(rows.features), rows.features, -np.inf)
     order = np.lexsort((np.arange(len(rows)), *(-known).T[::-1]))
     return order[rows.offered[order]]
-
-
-def score_first(task: Task) -> BaseSampler:
-    """The best score first."""
-    return RankedSampler(task.table, score_order(task.table))
 
 
 class CmaEs:
@@ -176,30 +149,31 @@ class CmaEs:
         self.generation += 1
 
 
-def cmaes_cold(task: Task) -> BaseSampler:
-    """Optuna's CMA-ES from a random mean; trial 0 is random.
-
-    It keeps its state in the trials; a new object with a seed of its own for each trial makes it
-    draw alike after a restart.
-    """
-    space = Space.of(task.experiment.space)
-    fractions = generator(task.seed, Purpose.CMAES_MEAN).random((1, len(space)))
-    start = space.values(space.from_fractions(fractions)[0])
-    with warnings.catch_warnings():
-        # `source_trials`, which is to replace x0 and sigma0, fixes sigma at a tenth.
-        warnings.simplefilter("ignore", FutureWarning)
-        return TurnCmaEsSampler(x0=start, sigma0=SIGMA_COLD, **_common(task))
-
-
-def cmaes_source(task: Task) -> BaseSampler:
-    """Optuna's CMA-ES from the distribution of the best rows; trial 0 is random."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ExperimentalWarning)
-        return TurnCmaEsSampler(source_trials=_source_trials(task.table), **_common(task))
-
-
 class TurnCmaEsSampler(CmaEsSampler):
-    """Optuna's CMA-ES, whose draws depend on the trial's number; here it is the trial's turn."""
+    """Optuna's CMA-ES, whose draws depend on the trial's number; here it is the trial's turn.
+
+    It keeps its state in the trials. A new object with a seed of its own for each trial makes it
+    draw alike after a restart. Trial 0 is random.
+
+    Args:
+        task: study and trial.
+        **start: where the search starts, as options of Optuna's.
+    """
+
+    def __init__(self, task: Task, **start: Any) -> None:
+        """As Optuna's; it warns of options that it calls experimental, and of x0 and sigma0.
+
+        `source_trials`, which is to replace these two, fixes sigma at a tenth.
+        """
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            super().__init__(
+                **start,
+                independent_sampler=ReproducibleRandomSampler(seed=task.seed),
+                warn_independent_sampling=False,
+                seed=seed_32bit(task.seed, Purpose.CMAES, task.turn),
+            )
 
     def sample_relative(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
@@ -210,12 +184,17 @@ class TurnCmaEsSampler(CmaEsSampler):
         return super().sample_relative(study, counted, search_space)
 
 
-def _common(task: Task) -> dict[str, Any]:
-    return {
-        "independent_sampler": ReproducibleRandomSampler(seed=task.seed),
-        "warn_independent_sampling": False,
-        "seed": seed_32bit(task.seed, Purpose.CMAES, task.turn),
-    }
+def cmaes_cold(task: Task) -> BaseSampler:
+    """Optuna's CMA-ES from a random mean."""
+    space = Space.of(task.experiment.space)
+    fractions = generator(task.seed, Purpose.CMAES_MEAN).random((1, len(space)))
+    start = space.values(space.from_fractions(fractions)[0])
+    return TurnCmaEsSampler(task, x0=start, sigma0=SIGMA_COLD)
+
+
+def cmaes_source(task: Task) -> BaseSampler:
+    """Optuna's CMA-ES from the distribution of the best rows."""
+    return TurnCmaEsSampler(task, source_trials=_source_trials(task.table))
 
 
 @lru_cache(maxsize=8)
@@ -243,8 +222,8 @@ def cmaes_warm(task: Task) -> BaseSampler:
 class WarmCmaEsSampler(RowSampler):
     """pycma in the unit cube: trial 0 is the start point, the generations follow.
 
-    The state is that of pycma's object, which is rebuilt from the study's trials where this sampler
-    has not seen them: a resumed study goes on as it would have.
+    The state is that of pycma's object. A new sampler rebuilds it from the study's trials, so a
+    resumed study goes on as it would have.
 
     Args:
         table: of candidates.
@@ -254,36 +233,34 @@ class WarmCmaEsSampler(RowSampler):
     """
 
     def __init__(self, table: FeatureTable, row: int, sigma: float, seed: int) -> None:
-        """The start; pycma is loaded when it is first asked."""
+        """The start; pycma is loaded when it is first needed."""
         super().__init__(table, seed)
-        self._row = row
-        self._sigma = sigma
-        self._seed = seed
+        self._row, self._sigma, self._draws = row, sigma, generator(seed, Purpose.CMAES)
         self._search: CmaEs | None = None
 
     def sample_relative(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
-        """The start point, or the next of the generation."""
+        """The start point, or the next of the generation.
+
+        Raises:
+            InputError: earlier trials are not those that this sampler proposed.
+        """
         finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
         if not finished:
             return self.take(study, trial, self._row)
-        return self._values(self._next(finished[1:]))
-
-    def _next(self, finished: list[FrozenTrial]) -> Floats:
-        """The point after these trials (the start point is not among them), in the unit cube."""
+        rows, tried = self._table.rows, finished[1:]  # the start is of no generation
         if self._search is None:
-            rows = self._table.rows
             start = rows.space.fractions(rows.parameters[self._row : self._row + 1])[0]
-            self._search = CmaEs(start, self._sigma, generator(self._seed, Purpose.CMAES))
+            self._search = CmaEs(start, self._sigma, self._draws)
         search = self._search
-        while len(finished) >= search.population * (search.generation + 1):
+        while len(tried) >= search.population * (search.generation + 1):
             first = search.population * search.generation
-            told = finished[first : first + search.population]
-            for point, trial in zip(search.ask(), told, strict=True):
-                self._require_asked(point, trial)
-            search.tell([trial.values[0] for trial in told])
-        return np.asarray(search.ask()[len(finished) - search.population * search.generation])
+            told = tried[first : first + search.population]
+            for point, each in zip(search.ask(), told, strict=True):
+                self._require_asked(point, each)
+            search.tell([each.values[0] for each in told])
+        return self._values(search.ask()[len(tried) - search.population * search.generation])
 
     def _values(self, point: Floats) -> dict[str, Any]:
         space = self._table.rows.space
@@ -293,5 +270,5 @@ class WarmCmaEsSampler(RowSampler):
         """Refuse trials that this sampler has not proposed."""
         for name, value in self._values(point).items():
             if trial.params[name] != value:
-                allowed = f"{value!r}, which pycma asks there"
+                allowed = f"{value!r}, which pycma proposes there"
                 raise InputError(f"trial {trial.number}: {name}", trial.params[name], allowed)

@@ -24,7 +24,7 @@ def candidates(experiment: Experiment, store: str, features: tuple[Feature, ...]
     try:
         written_ns = written.stat().st_mtime_ns
     except OSError:
-        written_ns = 0  # opening it says what is missing
+        written_ns = 0  # opening the store tells what is missing
     return _read(path, written_ns, features, experiment.parameters)
 
 
@@ -40,7 +40,7 @@ def store_path(experiment: Experiment, store: str) -> Path:
     """Where the store of that name is.
 
     Raises:
-        InputError: the configuration does not say.
+        InputError: the configuration does not name it.
     """
     if store not in experiment.stores:
         known = ", ".join(experiment.stores) or "none"
@@ -72,7 +72,7 @@ def check_store(experiment: Experiment, store: str, features: tuple[Feature, ...
 
 
 def store_digest(path: Path) -> str:
-    """SHA-256 of what a store holds: of its manifest's hashes, or of the one file that it is."""
+    """SHA-256 of a store's content: of its manifest's hashes, or of the one file that it is."""
     if not path.is_dir():
         return file_hash(path)
     hashes = Manifest.read(path).hashes

@@ -1,6 +1,7 @@
 """Trials of an experiment: simulated as one batch, what they cost, and whether they walked."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,13 @@ from taichi_nmm.world import Worlds
 
 WALKING_SPEED_MPS = 0.3  # slower, a walker that lasted to the end has stood rather than walked
 
-# What is kept of a trial beside its cost: how it ended, and the components of the score.
+# Columns kept of a trial beside its cost: how it ended, and the components of the score.
 OUTCOMES = ("duration_s", "distance_m", "mean_speed_mps", "cost_of_transport_jpkgpm")
 KEPT = (*OUTCOMES, *(name for name, _ in SCORE_FIELDS))
 
-MEASURES = ("duration_s", "distance_m", "mean_speed_mps")  # what words about a walk name
+MEASURES = ("duration_s", "distance_m", "mean_speed_mps")  # named in words about a walk
 
-# What a reader of a study database wants to know of a trial, beside its parameters and cost.
+# Attributes of a trial in a study database, for readers.
 ATTRIBUTES = (
     "duration_s", "distance_m", "mean_speed_mps", "end_reason", "walked", "phi_printed",
     "phi_corrected", "survived_fraction",
@@ -50,17 +51,19 @@ def simulate_trials(
     Raises:
         InputError: what `taichi_nmm.simulate` refuses.
     """
-    different, index = np.unique(np.asarray(runs, dtype=np.int64), return_inverse=True)
-    bodies = [experiment.body(int(run)) for run in different]
+    numbers, index = np.unique(np.asarray(runs, dtype=np.int64), return_inverse=True)
+    different = numbers.tolist()
+    bodies = [experiment.body(run) for run in different]
+    columns = ([getattr(body, each.name) for body in bodies] for each in fields(Bodies))
     rows = range(len(gains)) if record is True else record or ()
     conditions = experiment.conditions
     own, low_level = split_points(gains, experiment.parameters[len(GAINS) :])
     return taichi_nmm.simulate(
         own,
         duration_s=conditions.duration_s if duration_s is None else duration_s,
-        bodies=_stacked(bodies).take(index),
-        worlds=Worlds.stacked(experiment.world(int(run)) for run in different).take(index),
-        terrains=[experiment.terrain(int(run)) for run in different],
+        bodies=Bodies(*map(np.vstack, columns)).take(index),
+        worlds=Worlds.stacked(experiment.world(run) for run in different).take(index),
+        terrains=[experiment.terrain(run) for run in different],
         terrain_index=index.astype(np.int32),
         low_level_gains=low_level if experiment.searched else None,
         settings=conditions.settings,
@@ -69,19 +72,9 @@ def simulate_trials(
     )
 
 
-def _stacked(bodies: Sequence[Bodies]) -> Bodies:
-    """Several batches of bodies as one."""
-    return Bodies(
-        np.vstack([body.mass_kg for body in bodies]),
-        np.vstack([body.inertia_kgm2 for body in bodies]),
-        np.vstack([body.com_m for body in bodies]),
-    )
-
-
 def walked(rows: NDArray[np.void]) -> NDArray[np.bool_]:
     """Which result rows lasted to the end and got somewhere, bool [n]."""
-    fast = rows["mean_speed_mps"] >= WALKING_SPEED_MPS
-    return np.asarray((rows["end_reason"] == COMPLETED) & fast)
+    return np.asarray(~fell(rows) & (rows["mean_speed_mps"] >= WALKING_SPEED_MPS))
 
 
 def fell(rows: NDArray[np.void]) -> NDArray[np.bool_]:
@@ -95,7 +88,7 @@ def costs(rows: NDArray[np.void], cost: str) -> NDArray[np.float64]:
 
 
 def metric_name(cost: str) -> str:
-    """What the named cost is called where a study shows it: as its function in `taichi_nmm`."""
+    """The name of a cost in a study: that of its function in `taichi_nmm`."""
     return COST_FUNCTIONS[cost].__name__
 
 
