@@ -1,33 +1,279 @@
-"""Costs on another scale."""
+"""Costs and features on the scales of the model, against SciPy; tables larger than memory."""
+
+import errno
+import mmap
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.testing import assert_allclose
+import optuna
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+from scipy.stats import norm, rankdata
 
-from study.sampler.transforms import log_excess
+from storage.precompute import precompute
+from study import FeatureKernelSampler, FeatureTable
+from study.sampler import transforms
+from study.sampler.transforms import (
+    LARGEST,
+    LEAST_GAPS,
+    NormalScores,
+    Standard,
+    by_blocks,
+    clip_infinities,
+    columns_of,
+    log_excess,
+    new_matrix,
+    rows_of,
+    side_by_side,
+)
+from taichi_nmm.errors import InputError
+from tests.storage import fake
+
+Floats = NDArray[np.float64]
 
 CLIFF = np.array([-1.0, 0.0, 2.0, 1e6, 2.0])
 
 
-def test_it_is_the_logarithm_of_the_excess_in_typical_units() -> None:
-    assert_allclose(
-        log_excess(CLIFF), np.log1p((CLIFF + 1.0) / 3.0)
-    )  # 3: the median of 1, 3, 3, 1e6
-
-
-def test_the_order_is_kept() -> None:
-    values = log_excess(CLIFF)
-    assert np.array_equal(
-        np.sign(np.subtract.outer(values, values)), np.sign(np.subtract.outer(CLIFF, CLIFF))
-    )
-
-
-def test_a_cliff_is_not_high() -> None:
-    assert log_excess(CLIFF).max() < 20.0
-
-
-def test_equal_costs_stay_equal_and_finite() -> None:
+def test_the_cost_is_the_logarithm_of_the_excess_in_typical_units() -> None:
+    expected = np.log1p((CLIFF + 1.0) / 3.0)  # 3: the median of 1, 3, 3, 1e6
+    assert_allclose(log_excess(CLIFF), expected)
+    assert_allclose(log_excess(1e3 * CLIFF - 7.0), expected)  # whatever its unit
     assert_allclose(log_excess(np.full(4, 3.0)), 0.0)
 
 
-def test_the_unit_of_cost_does_not_matter() -> None:
-    assert_allclose(log_excess(1e3 * CLIFF - 7.0), log_excess(CLIFF))
+def test_the_order_of_large_costs_is_kept() -> None:
+    cost = np.array([-1e307, 4e307, 3e307, 1.0, LARGEST, -LARGEST])
+    found = log_excess(cost)
+    assert np.isfinite(found).all()
+    assert np.argsort(found).tolist() == np.argsort(cost).tolist()
+
+
+def test_costs_below_a_quarter_of_the_largest_are_as_before() -> None:
+    cost = np.array([3.0, 1.0, 1e150, -2.0, 7.0])
+    excess = cost - cost.min()
+    before = np.log1p(excess / np.median(excess[excess > 0]))
+    assert log_excess(cost).tobytes() == before.tobytes()
+
+
+def test_infinities_become_the_extremes() -> None:
+    values = np.array([np.inf, 1.0, -np.inf, 3.0])
+    assert clip_infinities(values).tolist() == [3.0, 1.0, 1.0, 3.0]
+    assert clip_infinities(np.array([np.inf, -np.inf])).tolist() == [0.0, 0.0]
+
+
+# Scales of features.
+
+NAN, INF = np.nan, np.inf
+
+
+def blom(rows: Floats, values: Floats) -> Floats:
+    """Normal scores of values among rows, by SciPy: of each alone, put in among the rows."""
+    known = rows[~np.isnan(rows)]
+    ranks = []
+    for value in values:
+        with_it = rankdata(np.append(known, value))  # it is itself among those that are equal
+        among = with_it[-1] if value in known else with_it[-1] - 0.5
+        ranks.append(among - 0.5 * (value in known))
+    clipped = np.clip(ranks, 1, len(known))
+    own = norm.ppf((rankdata(known) - 0.375) / (len(known) + 0.25))
+    scores = norm.ppf((clipped - 0.375) / (len(known) + 0.25)) / own.std()
+    return np.where(np.isnan(values), 0.0, scores)
+
+
+def drawn(seed: int) -> Floats:
+    """A column with ties, infinities of both signs, gaps, and a heavy tail, [60]."""
+    rng = np.random.default_rng(seed)
+    values = np.round(rng.standard_cauchy(60), 1)
+    values[rng.choice(60, 12, replace=False)] = np.repeat([INF, -INF, NAN], 4)
+    return np.asarray(values)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_normal_scores_are_scipys(seed: int) -> None:
+    rows = drawn(seed)
+    scores = NormalScores.of(rows[:, None])
+    others = np.concatenate([drawn(seed + 100), rows, [-1e9, 1e9]])  # on the rows, between, beyond
+    assert_allclose(scores.standard(others[:, None])[:, 0], blom(rows, others), atol=1e-12)
+    own = scores.standard(rows[:, None])[:, 0]
+    assert_allclose(own[~np.isnan(rows)].std(), 1.0)
+
+
+def test_columns_are_scored_one_by_one() -> None:
+    features = np.column_stack([drawn(seed) for seed in range(3)])
+    together = NormalScores.of(features).standard(features)
+    for column in range(3):
+        alone = features[:, [column]]
+        assert_array_equal(together[:, column], NormalScores.of(alone).standard(alone)[:, 0])
+
+
+@pytest.mark.parametrize("value", [7.0, INF, -INF])
+def test_a_constant_is_zero_wherever_it_is_asked(value: float) -> None:
+    rows = np.array([[value], [value], [NAN]])
+    standard = NormalScores.of(rows).standard(np.array([[value], [1e9], [-1e9], [NAN]]))
+    assert not standard[:, 0].any()
+    assert_allclose(standard[:, 1], [-np.sqrt(0.5)] * 3 + [np.sqrt(2.0)])  # a third has a gap
+
+
+def test_without_rows_all_are_alike() -> None:
+    assert_array_equal(NormalScores.of(np.empty((0, 2))).standard(np.array([[1.0, NAN]])), [[0, 0]])
+
+
+def test_a_feature_with_gaps_has_a_column_that_says_so_each_pattern_once() -> None:
+    rows = np.random.default_rng(0).normal(size=(100, 4))
+    rows[:30, 1] = rows[:30, 2] = NAN  # one pattern
+    rows[90:, 3] = NAN
+    standard = NormalScores.of(rows).standard(rows)
+    assert standard.shape == (100, 6)
+    for column, feature in ((4, 1), (5, 3)):
+        missing = np.isnan(rows[:, feature]).astype(float)
+        assert_allclose(standard[:, column], (missing - missing.mean()) / missing.std())
+    assert not standard[:30, 1].any() and not standard[90:, 3].any()
+
+
+@pytest.mark.parametrize(("missing", "columns"), [(0, 1), (2, 1), (3, 2), (97, 2), (98, 1)])
+def test_hardly_any_gaps_or_hardly_any_values_are_no_column(missing: int, columns: int) -> None:
+    rows = np.arange(100.0)[:, None]
+    rows[:missing] = NAN
+    assert LEAST_GAPS == 0.02
+    assert NormalScores.of(rows).standard(rows).shape == (100, columns)
+
+
+def test_the_affine_scale_is_numpys_and_takes_infinities_for_gaps() -> None:
+    rows = np.column_stack([drawn(3), np.full(60, 5.0)])
+    known = rows[np.isfinite(rows[:, 0]), 0]
+    expected = np.where(np.isfinite(rows[:, 0]), (rows[:, 0] - known.mean()) / known.std(), 0.0)
+    assert_allclose(
+        Standard.of(rows).standard(rows), np.column_stack([expected, np.zeros(60)]), atol=1e-12
+    )
+
+
+A, B = np.random.default_rng(4).uniform(size=(2, 50))
+FEATURES = np.column_stack([np.abs(A - 0.4), B, A + B])
+
+
+def proposed(features: Floats, **options: Any) -> list[int]:
+    """Rows of 14 trials of a study over a table with these features."""
+    table = FeatureTable.from_arrays({"a": A, "b": B}, features)
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=2, **options))
+    study.optimize(
+        lambda t: (t.suggest_float("a", 0, 1) - 0.4) ** 2 + 0.1 * t.suggest_float("b", 0, 1),
+        n_trials=14,
+    )
+    return [trial.user_attrs["row"] for trial in study.trials]
+
+
+def to_infinity(column: Floats) -> Floats:
+    """The largest and the smallest value made infinite."""
+    ends = np.where(column == column.max(), INF, np.where(column == column.min(), -INF, column))
+    return np.asarray(ends)
+
+
+CHANGES: dict[str, Callable[[Floats], Floats]] = {
+    "cubed and moved": lambda column: 1e3 * (column - 0.3) ** 3 - 50.0,
+    "heavy-tailed, to 1e6": lambda column: np.expm1((column / column.max()) ** 9 * np.log(1e6)),
+    "ranks": rankdata,
+    "with infinities": to_infinity,
+}
+
+
+@pytest.mark.parametrize("options", [{}, {"prior": "-feature_0"}])
+@pytest.mark.parametrize("columns", [[0], [1], [2], [0, 1, 2]])
+@pytest.mark.parametrize("change", CHANGES)
+def test_an_increasing_change_of_a_feature_changes_no_proposal(
+    change: str, columns: list[int], options: dict[str, Any]
+) -> None:
+    changed = FEATURES.copy()
+    for column in columns:
+        changed[:, column] = CHANGES[change](FEATURES[:, column])
+        order = np.argsort(FEATURES[:, column])
+        assert np.all(np.diff(changed[order, column]) > 0)  # or it is no test
+    assert proposed(changed, **options) == proposed(FEATURES, **options)
+
+
+# Tables larger than memory: what is in a file is what would be in memory.
+
+LARGE = 300
+
+
+@pytest.fixture
+def tiny_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transforms, "MOST_IN_MEMORY", 100)
+    monkeypatch.setattr(transforms, "BLOCK", 64)
+
+
+def in_a_file(matrix: Any) -> bool:
+    while isinstance(matrix, np.ndarray):
+        matrix = matrix.base
+    return isinstance(matrix.obj if isinstance(matrix, memoryview) else matrix, mmap.mmap)
+
+
+def test_matrices_in_files_are_matrices(tiny_memory: None) -> None:
+    rng = np.random.default_rng(1)
+    values, more = rng.uniform(size=(LARGE, 3)), rng.uniform(size=(LARGE, 2))
+    matrix, other = new_matrix(LARGE, 3), new_matrix(LARGE, 2)
+    for made, source in ((matrix, values), (other, more)):
+        for column, content in zip(columns_of(made), source.T, strict=True):
+            column[:] = content
+    assert in_a_file(matrix) and not in_a_file(new_matrix(33, 3))
+    assert np.array_equal(matrix, values)
+    joined, doubled = side_by_side(matrix, other), by_blocks(lambda rows: 2.0 * rows, matrix)
+    assert in_a_file(joined) and np.array_equal(joined, np.hstack([values, more]))
+    assert in_a_file(doubled) and np.array_equal(doubled, 2.0 * values)
+    for index in (np.array([5, 299, 5]), values[:, 0] > 0.5):
+        assert np.array_equal(rows_of(matrix, index), values[index])
+
+
+def proposals(table: FeatureTable, kernel: str) -> list[dict[str, Any]]:
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1, kernel=kernel))
+    space = table.rows.space.as_dict()
+    for _ in range(15):
+        trial = study.ask(space)
+        study.tell(trial, trial.params["a"] + trial.params["b"])
+    return [trial.params for trial in study.trials]
+
+
+def make() -> FeatureTable:
+    rng = np.random.default_rng(2)
+    a, b = rng.uniform(size=(2, LARGE))
+    words = rng.choice(["x", "y"], LARGE)
+    return FeatureTable.from_arrays({"a": a, "b": b, "c": words}, np.column_stack([a + b, a * b]))
+
+
+@pytest.mark.parametrize("kernel", ["additive", "rbf"])
+def test_a_large_table_is_proposed_from_like_a_small_one(
+    kernel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = make()
+    expected, digest = proposals(small, kernel), small.rows.digest()
+    monkeypatch.setattr(transforms, "MOST_IN_MEMORY", 100)
+    table = make()
+    assert in_a_file(table.rows.parameters) and not in_a_file(small.rows.parameters)
+    assert proposals(table, kernel) == expected
+    assert table.rows.digest() == digest
+    assert table.rows.find(expected[3]) == small.rows.find(expected[3]) is not None
+
+
+def test_a_store_is_read_file_by_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(vars(__import__("taichi_nmm")), "simulate", fake.simulate)
+    precompute(fake.specification(), tmp_path / "store")
+
+    def rows() -> Any:
+        read = FeatureTable.from_parquet(tmp_path / "store", features=["phi_printed", "m1_mean"])
+        return read.rows
+
+    small = rows()
+    monkeypatch.setattr(transforms, "MOST_IN_MEMORY", 100)
+    assert in_a_file(rows().parameters) and rows().digest() == small.digest()
+
+
+def test_no_space_for_a_large_table(tiny_memory: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(InputError, match=r"table: '300 rows' .* \(No space left on device\): TMPD"):
+        make()

@@ -1,28 +1,41 @@
-"""Features of a store's rows, and what the arms make of them."""
+"""Features of a store's rows, the order that covers grounds, and the sampler that uses both."""
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import optuna
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
+import study
 from storage.store import Store, open_store
+from study import features
 from study.experiment.arms import ARMS
+from study.experiment.samplers import Task
 from study.experiment.stores import candidates
 from study.features import (
+    COVERED_OPTIONS,
     FAMILIES,
     GROUNDS,
     LONGER,
+    OPTIONS,
     PLAINEST,
+    RELIABILITY,
     Coverage,
     Feature,
     Survival,
+    SurvivalSampler,
+    chances,
     check_feature,
+    covered_table,
+    covering_order,
     earliness,
     feature_values,
+    survival_table,
     survivals,
 )
-from study.features import OPTIONS as BEST
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons
@@ -44,8 +57,8 @@ def test_survival_is_the_mean_over_the_families_of_a_store(
     up, down = (
         store.table()[f"{name}_survived_fraction_mean"].to_numpy() for name in ("up", "down")
     )
-    np.testing.assert_allclose(feature_values(Survival(), store), (up + down) / 2)
-    np.testing.assert_array_equal(feature_values(Survival(("up",)), store), up)
+    assert_allclose(feature_values(Survival(), store), (up + down) / 2)
+    assert_array_equal(feature_values(Survival(("up",)), store), up)
 
 
 def test_coverage_is_of_the_survival_of_each_ground(fake_simulator: None, tmp_path: Path) -> None:
@@ -54,7 +67,7 @@ def test_coverage_is_of_the_survival_of_each_ground(fake_simulator: None, tmp_pa
     plainest = replace(plainest, survivors=True)
     grounds = np.column_stack([feature_values(ground, store) for ground in (up, down)])
     covered = feature_values(Coverage(plainest, (up, down)), store)
-    np.testing.assert_array_equal(covered, earliness(feature_values(plainest, store), grounds))
+    assert_array_equal(covered, earliness(feature_values(plainest, store), grounds))
     assert np.isnan(covered).any()
 
 
@@ -68,9 +81,9 @@ def test_rows_that_a_search_bred_can_be_left_out(fake_simulator: None, tmp_path:
     everyone = Survival(("up",))
     of_grid = feature_values(replace(everyone, grid_only=True), store)
     expected = np.where(is_of_grid, feature_values(everyone, store), np.nan)
-    np.testing.assert_array_equal(of_grid, expected)
+    assert_array_equal(of_grid, expected)
     of_grid = feature_values(Coverage(replace(everyone, grid_only=True), (everyone,)), store)
-    np.testing.assert_array_equal(np.isnan(of_grid), ~is_of_grid)
+    assert_array_equal(np.isnan(of_grid), ~is_of_grid)
 
 
 def test_of_a_store_without_a_search_all_rows_are_of_the_grid(
@@ -79,7 +92,7 @@ def test_of_a_store_without_a_search_all_rows_are_of_the_grid(
     store = write(tmp_path / "store", ("up",))
     everyone = Survival(("up",))
     of_grid = feature_values(replace(everyone, grid_only=True), store)
-    np.testing.assert_array_equal(of_grid, feature_values(everyone, store))
+    assert_array_equal(of_grid, feature_values(everyone, store))
 
 
 @pytest.mark.filterwarnings("error:FeatureTable")
@@ -89,11 +102,11 @@ def test_rows_that_no_family_ran_are_left_out(comparisons: Comparisons) -> None:
     assert 30 < ran.sum() < len(store) - 30
     survivors = replace(Survival(FAMILIES), survivors=True)
     everyone = feature_values(Survival(FAMILIES), store)
-    np.testing.assert_array_equal(feature_values(survivors, store), np.where(ran, everyone, np.nan))
+    assert_array_equal(feature_values(survivors, store), np.where(ran, everyone, np.nan))
     stores = dict.fromkeys(comparisons.experiment.stores, store.path)
     experiment = replace(comparisons.experiment, stores=stores)
     table = candidates(experiment, "diverse", ARMS["best"].features)
-    np.testing.assert_array_equal(table.rows.offered, ran)
+    assert_array_equal(table.rows.offered, ran)
     comparisons.run("out", experiment=experiment, arms=("best",), runs=2, trials=20)
     assert ran[comparisons.table("out")["row"].to_numpy()].all()
 
@@ -121,9 +134,66 @@ def test_a_store_without_what_a_feature_needs(
     assert "\n" not in str(caught.value)
 
 
+# The order that covers, against its rule and against Bayes's.
+
+
+def test_the_first_row_is_the_best_on_the_plainest_ground() -> None:
+    plainest = np.array([0.8, 0.9, 0.9, np.nan])
+    survival = np.array([[0.9, 0.9], [0.1, 0.2], [0.1, 0.3], [1.0, 1.0]])
+    assert covering_order(plainest, survival).tolist() == [1, 0, 2, 3]
+
+
+def test_a_row_for_what_the_first_one_does_not_survive_comes_before_a_better_one() -> None:
+    everywhere_but_up, its_like, up = [0.9, 0.9, 0.1], [0.9, 0.8, 0.1], [0.0, 0.0, 0.9]
+    survival = np.array([its_like, up, everywhere_but_up])
+    assert covering_order(np.array([0.8, 0.0, 0.9]), survival).tolist() == [2, 1, 0]
+
+
+def test_a_chance_is_relative_to_the_best_on_that_ground() -> None:
+    survival = np.array([[1.0, 0.2, 0.0], [0.5, 0.4, 0.0]])
+    one, eighth = RELIABILITY, RELIABILITY / 8
+    assert_allclose(chances(survival), [[one, eighth, 0.0], [eighth, one, 0.0]])
+
+
+def test_equal_rows_come_in_their_order() -> None:
+    assert covering_order(np.ones(5), np.full((5, 2), 0.5)).tolist() == [0, 1, 2, 3, 4]
+
+
+def test_rows_beyond_those_that_cover_follow_by_their_mean(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(features, "COVERING", 3)
+    survival = np.random.default_rng(1).uniform(size=(20, 4))
+    order = covering_order(np.ones(20), survival)
+    assert sorted(order) == list(range(20))
+    rest = chances(survival).mean(axis=1)[order[3:]]
+    assert (np.diff(rest) <= 0).all()
+
+
+def test_the_next_row_is_the_likeliest_to_walk_after_so_many_falls() -> None:
+    survival = np.random.default_rng(2).uniform(size=(30, 4)) ** 2
+    plainest = np.random.default_rng(3).uniform(size=30)
+    order, belief = covering_order(plainest, survival), np.full(4, 0.25)
+    for place, row in enumerate(order[:10]):
+        likely = plainest.copy() if place == 0 else chances(survival) @ belief
+        likely[order[:place]] = -1.0
+        assert row == np.argmax(likely)
+        belief *= 1.0 - chances(survival)[row]  # of each ground, given that it fell
+        belief /= belief.sum()
+
+
+def test_rows_that_are_not_to_be_tried_have_no_place() -> None:
+    plainest, survival = np.array([0.2, np.nan, 0.9]), np.array([[0.2], [1.0], [0.9]])
+    assert_array_equal(earliness(plainest, survival), [2.0, np.nan, 3.0])
+    assert np.isnan(earliness(np.full(3, np.nan), survival)).all()
+
+
+# The arms of the comparisons.
+
+
 def test_the_best_arm_is_what_its_definition_says() -> None:
     definition = ARMS["best"].definition
-    assert definition["options"] == BEST
+    assert definition["options"] == OPTIONS
     assert definition["features"] == [
         ["survival", *FAMILIES, "survivors only"],
         *([name, name, "survivors only"] for name in FAMILIES),
@@ -154,3 +224,62 @@ def test_its_control_differs_in_the_rows_that_are_proposed_only() -> None:
 def test_the_arm_of_stairs_reads_nothing_else() -> None:
     read = {name for each in survivals(ARMS["best-stairs"].features) for name in each.families}
     assert read == {"stairs", f"stairs{LONGER}"}
+
+
+# The sampler outside of the comparisons.
+
+
+@pytest.fixture
+def stores(fake_simulator: None, tmp_path: Path) -> Path:
+    fake_walker.write_store(tmp_path / "store")
+    return tmp_path / "store"
+
+
+def proposals(sampler: optuna.samplers.BaseSampler, count: int) -> list[int]:
+    """Rows that it proposes, when the cost of a trial is a formula of its gains."""
+    made = optuna.create_study(sampler=sampler)
+    for _ in range(count):
+        trial = made.ask(fixed_distributions=sampler.infer_relative_search_space(made, None))  # type: ignore[arg-type]
+        gains = np.array([list(trial.params.values())])
+        made.tell(trial, float(1.0 - fake_walker.quality(gains[:, :16])[0]))
+    return [trial.user_attrs["row"] for trial in made.trials]
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "options"),
+    [("best", survival_table, OPTIONS), ("best-worlds", covered_table, COVERED_OPTIONS)],
+)
+def test_it_proposes_what_the_arm_of_the_comparisons_does(
+    name: str, table: Any, options: dict[str, Any], tmp_path: Path, stores: Path
+) -> None:
+    experiment = fake_walker.experiment(tmp_path)
+    arm = ARMS[name]
+    task = Task(experiment, 11, 0, arm.store, arm.features)
+    ours = SurvivalSampler(table(experiment.stores[arm.store]), seed=11)
+    assert proposals(ours, 12) == proposals(arm.new_sampler(task), 12)
+    assert arm.definition["options"] == options
+
+
+def test_rows_and_features_are_the_stores(stores: Path) -> None:
+    table, rows = survival_table(stores), open_store(stores).table()
+    means = [rows[f"{name}_survived_fraction_mean"].to_numpy() for name in FAMILIES]
+    ran = rows["rough_evaluated"].to_numpy()
+    assert_allclose(table.rows.features[ran, 0], np.mean(means, axis=0)[ran])
+    assert_allclose(table.rows.features[ran, 5], rows["mean_speed_mps"].to_numpy()[ran])
+    assert_array_equal(table.rows.offered, ran)
+
+
+def test_options_may_differ(stores: Path) -> None:
+    table = survival_table(stores, ("up", "down"))
+    assert len(proposals(SurvivalSampler(table, seed=1, kernel="rbf"), 3)) == 3
+
+
+def test_a_store_without_families_is_one_line(stores: Path, tmp_path: Path) -> None:
+    fake_walker.write_store(tmp_path / "plain", families={})
+    with pytest.raises(InputError, match="a store with the column rough_survived_fraction_mean"):
+        survival_table(tmp_path / "plain")
+
+
+def test_it_is_public() -> None:
+    assert study.SurvivalSampler is SurvivalSampler
+    assert study.survival_table is survival_table

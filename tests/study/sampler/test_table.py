@@ -1,17 +1,25 @@
-"""Tables of rows: from arrays, frames and Parquet; imperfect ones, and refused ones."""
+"""Tables of rows: from arrays, frames, Parquet and stores; imperfect, refused, pickled, shown."""
 
 import pickle
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import optuna
 import pandas as pd
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
-from study.sampler.table import FeatureTable
+import taichi_nmm
+from storage import open_store
+from storage.precompute import precompute
+from study import DoGSampler, FeatureTable
 from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES, GAINS, LOW_LEVEL_GAINS
+from tests.storage import fake
+from tests.study import fake_walker
 
 TWO = {"a": [0.0, 1.0], "b": [5.0, 6.0]}
 MIXED = {"rate": [0.1, 0.01, 1.0], "units": [3, 1, 2], "kind": ["relu", "tanh", "relu"]}
@@ -152,49 +160,49 @@ def test_features_of_any_scale() -> None:
 
 
 @pytest.mark.parametrize(
-    ("parameters", "features", "message"),
+    ("parameters", "features", "options", "message"),
     [
-        ({}, [1.0], "table.parameters"),
-        ({"a": [0.0]}, [1.0, 2.0], "table.a.shape"),
-        ({"a": [[0.0]]}, [1.0], "table.a.shape"),
-        ({"a": []}, [1.0], "table.a.shape"),
-        ({"a": [float("nan")]}, [1.0], r"table.a\[0\]"),
-        ({"a": [0.0, None]}, [1.0, 2.0], r"table.a\[1\]"),
-        ({"a": [0.0]}, [], "table.features.shape"),
-        ({"a": [0.0]}, [[[1.0]]], "table.features.shape"),
-        ({"a": [0.0]}, ["x"], "table.features"),
+        ({}, [1.0], {}, "table.parameters"),
+        ({"a": [0.0]}, [1.0, 2.0], {}, "table.a.shape"),
+        ({"a": [[0.0]]}, [1.0], {}, "table.a.shape"),
+        ({"a": []}, [1.0], {}, "table.a.shape"),
+        ({"a": [float("nan")]}, [1.0], {}, r"table.a\[0\]"),
+        ({"a": [0.0, None]}, [1.0, 2.0], {}, r"table.a\[1\]"),
+        ({"a": [0.0]}, [], {}, "table.features.shape"),
+        ({"a": [0.0]}, [[[1.0]]], {}, "table.features.shape"),
+        ({"a": [0.0]}, ["x"], {}, "table.features"),
+        (TWO, [1, 3], {"bounds": {"a": (0, 1), "b": (0, 5.5)}}, r"table.b\[1\]: 6.0 .* 0 to 5.5"),
+        (TWO, [1, 3], {"bounds": {"c": (0, 1)}}, "table.bounds: 'c'"),
+        (TWO, [1, 3], {"bounds": {"a": (1, 0)}}, "table.bounds.a"),
+        (MIXED, [1, 2, 3], {"bounds": {"kind": (1, 2)}}, "table.bounds.kind: .* categorical"),
+        (TWO, [1, 3], {"space": {"c": FloatDistribution(0, 1)}}, "table.space: 'c'"),
+        (
+            TWO,
+            [1, 3],
+            {"space": {"a": FloatDistribution(0.5, 1)}},
+            r"table.a\[0\]: 0.0 .* 0.5 to 1",
+        ),
+        (TWO, [1, 3], {"space": {"a": FloatDistribution(0, 0.9, step=0.3)}}, r"table.a\[1\]: 1.0"),
+        (
+            TWO,
+            [1, 3],
+            {"space": {"a": FloatDistribution(0, 2, step=0.4)}},
+            r"a\[1\]: .* a value of",
+        ),
+        (TWO, [1, 3], {"space": {"a": CategoricalDistribution([0.0, 2.0])}}, r"table.a\[1\]: 1.0"),
+        (TWO, [1, 3], {"feature_names": ["p", "q"]}, "table.feature_names"),
     ],
 )
 def test_bad_arrays_are_refused(
-    parameters: dict[str, object], features: list[float], message: str
+    parameters: dict[str, Any], features: Any, options: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
-        FeatureTable.from_arrays(parameters, features)
+        FeatureTable.from_arrays(parameters, features, **options)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"bounds": {"a": (0, 1), "b": (0, 5.5)}}, r"table.b\[1\]: 6.0 .* 0 to 5.5"),
-        ({"bounds": {"c": (0, 1)}}, "table.bounds: 'c'"),
-        ({"bounds": {"a": (1, 0)}}, "table.bounds.a"),
-        ({"space": {"c": FloatDistribution(0, 1)}}, "table.space: 'c'"),
-        ({"space": {"a": FloatDistribution(0.5, 1)}}, r"table.a\[0\]: 0.0"),
-        ({"space": {"a": FloatDistribution(0, 0.9, step=0.3)}}, r"table.a\[1\]: 1.0"),
-        ({"space": {"a": CategoricalDistribution([0.0, 2.0])}}, r"table.a\[1\]: 1.0"),
-        ({"feature_names": ["p", "q"]}, "table.feature_names"),
-    ],
-)
-def test_rows_that_do_not_fit_are_refused(options: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        FeatureTable.from_arrays(TWO, [1, 3], **options)
-
-
-def test_rows_between_steps_are_refused() -> None:
+def test_rows_on_their_steps_are_taken() -> None:
     space = {"a": FloatDistribution(0, 1, step=0.25)}
     assert len(FeatureTable.from_arrays({"a": [0.25, 0.75]}, [1, 2], space=space)) == 2
-    with pytest.raises(InputError, match=r"table.a\[1\]: 0.8"):
-        FeatureTable.from_arrays({"a": [0.25, 0.8]}, [1, 2], space=space)
 
 
 def test_a_file_that_changed_since_is_refused(tmp_path: Path) -> None:
@@ -205,3 +213,100 @@ def test_a_file_that_changed_since_is_refused(tmp_path: Path) -> None:
     frame.assign(p=[1.0, 2.0, 5.0]).to_parquet(path)
     with pytest.raises(InputError, match="the store this table was made from"):
         len(pickle.loads(pickled))
+
+
+# Stores.
+
+
+def test_a_store_gives_its_parameters_and_bounds(store: Path) -> None:
+    table = FeatureTable.from_parquet(store, features=["phi_corrected", "mean_speed_mps"])
+    rows = table.rows
+    assert len(table) == 200
+    assert rows.names == GAIN_NAMES
+    quality = fake_walker.quality(rows.parameters)
+    assert_allclose(rows.features, np.column_stack([np.round(50 * quality), 1.3 * quality]))
+    assert rows.space.distributions == tuple(FloatDistribution(g.low, g.high) for g in GAINS)
+
+
+def test_a_store_of_more_parameters_gives_them_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
+    up = fake.family(settings=2, kind="ramp")
+    precompute(fake.specification(searched=["theta_ref"], families={"up": up}), tmp_path / "store")
+    table = FeatureTable.from_parquet(
+        tmp_path / "store", features=["up_survived_fraction_mean", "phi_printed"]
+    )
+    rows = table.rows
+    theta_ref = LOW_LEVEL_GAINS[-1]
+    assert rows.names == (*GAIN_NAMES, "theta_ref")
+    assert rows.space.distributions[-1] == FloatDistribution(theta_ref.low, theta_ref.high)
+    assert np.array_equal(rows.parameters, open_store(tmp_path / "store").gains())
+    assert rows.find(rows.as_parameters(11)) == 11
+    assert rows.as_parameters(11)["theta_ref"] == rows.parameters[11, 16]
+    with pytest.raises(InputError, match="theta_ref"):
+        FeatureTable.from_parquet(tmp_path / "store", features=["theta_ref"])
+
+
+def test_a_stored_table_pickles_without_its_rows(store: Path) -> None:
+    table = FeatureTable.from_parquet(store, features=["phi_printed"])
+    pickled = pickle.dumps(table)
+    assert len(pickled) < 2000
+    assert_array_equal(pickle.loads(pickled).rows.parameters, table.rows.parameters)
+
+
+def test_a_store_that_changed_since_is_refused(store: Path, tmp_path: Path) -> None:
+    pickled = pickle.dumps(FeatureTable.from_parquet(store, features=["phi_printed"]))
+    store.rename(tmp_path / "old")
+    fake_walker.write_plain_store(store, samples=100)
+    with pytest.raises(InputError, match="the store this table was made from"):
+        len(pickle.loads(pickled))
+
+
+@pytest.mark.parametrize("feature", ["phi", "K_GAS", "end_reason"])
+def test_columns_that_are_no_feature_are_refused(store: Path, feature: str) -> None:
+    with pytest.raises(InputError, match=feature):
+        FeatureTable.from_parquet(store, features=[feature])
+
+
+@pytest.mark.parametrize("parameters", [None, ["K_GAS"]])
+def test_a_table_of_no_features_is_refused(store: Path, parameters: list[str] | None) -> None:
+    with pytest.raises(InputError, match="features: 'none'"):
+        FeatureTable.from_parquet(store, features=[], parameters=parameters)
+
+
+def test_a_sampler_over_a_store_pickles_small(store: Path) -> None:
+    sampler = DoGSampler(FeatureTable.from_parquet(store, features=["phi_printed"]), seed=1)
+    optuna.create_study(sampler=sampler).ask()
+    assert len(pickle.dumps(sampler)) < 6000
+
+
+# What a table looks like at a prompt.
+
+
+@pytest.mark.parametrize(
+    ("parameters", "features", "shown"),
+    [
+        (16, 6, "600 rows, 16 parameters, 6 features: a, b, c, ..."),
+        (2, 3, "600 rows, 2 parameters, 3 features: a, b, c"),
+    ],
+)
+def test_a_table_shows_its_size_and_features(parameters: int, features: int, shown: str) -> None:
+    columns = {f"x{i}": np.linspace(0, 1, 600) for i in range(parameters)}
+    values = np.random.default_rng(0).random((600, features))
+    made = FeatureTable.from_arrays(columns, values, list("abcdef"[:features]))
+    assert repr(made) == f"FeatureTable({shown})"
+
+
+@pytest.mark.filterwarnings("ignore:FeatureTable")
+def test_one_of_a_thing_is_shown_as_one() -> None:
+    shown = repr(FeatureTable.from_arrays({"x": [0.0]}, [[1.0, 2.0]]))
+    assert shown == "FeatureTable(1 row, 1 parameter, 2 features: feature_0, feature_1)"
+
+
+def test_a_table_that_travelled_is_not_read_again_to_be_shown(tmp_path: Path) -> None:
+    path = tmp_path / "table.parquet"
+    pd.DataFrame({"x": [0.0, 1.0], "f": [1.0, 2.0]}).to_parquet(path)
+    made = pickle.dumps(FeatureTable.from_parquet(path, features=["f"], parameters=["x"]))
+    path.unlink()
+    assert repr(pickle.loads(made)) == "FeatureTable(2 rows, 1 parameter, 1 feature: f)"

@@ -1,7 +1,9 @@
-"""The general sampler's contract with Optuna, in all its forms, and what its options are worth."""
+"""The contract of all forms of the sampler with Optuna, their options, and large tables."""
 
+import json
 import multiprocessing
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -16,13 +18,15 @@ import optuna
 import pytest
 from numpy.typing import NDArray
 from optuna.distributions import FloatDistribution
+from optuna.samplers import RandomSampler
 from optuna.trial import TrialState
 
 from storage.databases.studies import open_studies
-from study import FeatureKernelSampler, FeatureTable
+from study import DoGSampler, FeatureKernelSampler, FeatureTable, SurvivalSampler
 from study.sampler.acquisition import Model
 from study.sampler.gp import KERNELS
-from study.sampler.transforms import Points
+
+Floats = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[3]
 SPACE = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
@@ -32,11 +36,11 @@ def bowl(trial: optuna.Trial) -> float:
     return trial.suggest_float("a", -1, 1) ** 2 + 0.01 * trial.suggest_float("b", 0, 5)
 
 
-def features(params: NDArray[np.float64]) -> NDArray[np.float64]:
+def features(params: Floats) -> Floats:
     return np.column_stack([np.abs(params[:, 0]), params[:, 1] - 2.0])
 
 
-def three_features(params: NDArray[np.float64]) -> NDArray[np.float64]:
+def three_features(params: Floats) -> Floats:
     return np.column_stack([params, params.sum(axis=1)])
 
 
@@ -108,7 +112,7 @@ SCRIPT = """
 import os, signal, sys, optuna
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 from storage.databases.studies import open_studies
-from tests.study.sampler.test_feature_sampler import FORMS, bowl
+from tests.study.sampler.test_sampler import FORMS, bowl
 url, form = sys.argv[1:]
 study = optuna.create_study(
     study_name="s", storage=open_studies(url), sampler=FORMS[form](), load_if_exists=True
@@ -156,7 +160,7 @@ def test_points_off_the_table_beat_its_best_row() -> None:
     best_row = (table.rows.parameters[:, 0] ** 2 + 0.01 * table.rows.parameters[:, 1]).min()
     calls: list[int] = []
 
-    def counted(params: NDArray[np.float64]) -> NDArray[np.float64]:
+    def counted(params: Floats) -> Floats:
         calls.append(len(params))
         return features(params)
 
@@ -174,7 +178,7 @@ def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such(
 ) -> None:
     """What is noted in trials has no infinity."""
 
-    def function(params: NDArray[np.float64]) -> NDArray[np.float64]:
+    def function(params: Floats) -> Floats:
         return np.column_stack([np.where(params[:, 0] < 0.5, -np.inf, 1.0), params[:, 1]])
 
     learned: list[Any] = []
@@ -200,7 +204,7 @@ def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such(
 def test_a_trial_off_the_table_may_have_gaps(gaps: list[float]) -> None:
     """As a function may return for a point that it cannot do, here one that a user enqueued."""
 
-    def function(params: NDArray[np.float64]) -> NDArray[np.float64]:
+    def function(params: Floats) -> Floats:
         outside = (params[:, 0] < -0.5)[:, None]
         return np.where(outside, gaps, features(params))
 
@@ -230,34 +234,22 @@ def test_a_prior_that_is_wrong_is_left() -> None:
 
 @pytest.mark.filterwarnings("ignore:FeatureTable")
 @pytest.mark.parametrize("kernel", ["additive", "rbf_ard"])
-def test_rows_left_out_are_not_looked_at_and_change_no_choice(
-    kernel: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_left_out_change_no_choice(kernel: str) -> None:
     rng = np.random.default_rng(0)
     columns = {"a": rng.uniform(-1, 1, 300), "b": rng.uniform(0, 5, 300)}
     values = features(np.column_stack(list(columns.values())))
     values[100:] = np.nan
-    table = FeatureTable.from_arrays(columns, values, ["size", "side"])
-    looked: list[int] = []
-    looked_at = Model._looked_at
 
-    def counted(model: Model, points: Points, offered: Any, rng: Any) -> Any:
-        some = looked_at(model, points, offered, rng)
-        looked.append(len(some))
-        return some
-
-    def proposed() -> list[dict[str, Any]]:
+    def proposed(rows: int) -> list[dict[str, Any]]:
+        some = {name: column[:rows] for name, column in columns.items()}
+        bounds = {"a": (-1, 1), "b": (0, 5)}
+        table = FeatureTable.from_arrays(some, values[:rows], ["size", "side"], bounds=bounds)
         sampler = FeatureKernelSampler(table, seed=3, kernel=kernel, prior="-size")
         study = optuna.create_study(sampler=sampler)
         study.optimize(bowl, n_trials=12)
         return parameters_of(study)
 
-    monkeypatch.setattr(Model, "_looked_at", counted)
-    some = proposed()
-    assert max(looked) <= 100
-    monkeypatch.setattr(Model, "_looked_at", lambda model, points, *_: np.arange(len(points)))
-    assert some == proposed()
-    assert {params["a"] for params in some} <= set(columns["a"][:100])
+    assert proposed(300) == proposed(100)
 
 
 def test_enqueued_points_are_learned_from_where_their_features_are_known() -> None:
@@ -378,3 +370,234 @@ def test_where_no_row_is_left_points_off_the_table_are(kernel: str, unknown: flo
             lambda t: t.suggest_float("a", 0.1, 0.4) + t.suggest_float("b", 0.1, 0.4), n_trials=9
         )
     assert [trial.user_attrs["row"] for trial in study.trials[6:]] == [-1, -1, -1]
+
+
+# The paper's sampler.
+
+
+def rows_of(study: optuna.Study) -> list[int]:
+    return [trial.user_attrs["row"] for trial in study.get_trials(deepcopy=False)]
+
+
+def new_study(table: FeatureTable, seed: int = 1) -> optuna.Study:
+    return optuna.create_study(sampler=DoGSampler(table, seed=seed))
+
+
+def test_trials_are_rows_and_no_row_comes_twice(table: FeatureTable) -> None:
+    study = new_study(table)
+    study.optimize(bowl, n_trials=30)
+    rows = rows_of(study)
+    assert len(set(rows)) == 30
+    for trial, row in zip(study.trials, rows, strict=True):
+        assert trial.params == table.rows.as_parameters(row)
+        assert trial.user_attrs["score"] == table.rows.features[row, 0]
+
+
+def test_rows_of_running_trials_are_not_proposed(table: FeatureTable) -> None:
+    study = new_study(table)
+    study.optimize(bowl, n_trials=5)
+    for _ in range(40):
+        study.ask(SPACE)
+    assert len(set(rows_of(study))) == 45
+
+
+@pytest.mark.parametrize("state", [TrialState.FAIL, TrialState.PRUNED])
+def test_failed_and_pruned_trials_teach_nothing(table: FeatureTable, state: TrialState) -> None:
+    def rows(lose_a_trial: bool) -> list[int]:
+        study = new_study(table)
+        study.optimize(bowl, n_trials=6)
+        if lose_a_trial:
+            study.tell(study.ask(SPACE), state=state)
+        study.optimize(bowl, n_trials=1)
+        return rows_of(study)
+
+    lost, clean = rows(lose_a_trial=True), rows(lose_a_trial=False)
+    assert lost[:7] == clean
+    assert lost[7] not in lost[:7]
+    score = table.rows.features[:, 0]  # it goes on where it was, as if nothing had been learned
+    assert abs(score[lost[7]] - score[clean[6]]) < 0.2
+
+
+def test_ties_are_broken_by_the_seed(table: FeatureTable) -> None:
+    tied = FeatureTable.from_arrays({"a": np.linspace(0, 1, 50), "b": np.ones(50)}, np.zeros(50))
+    seen = set()
+    for seed in range(12):
+        study = new_study(tied, seed=seed)
+        study.optimize(bowl, n_trials=4)
+        seen.add(rows_of(study)[3])
+    assert len(seen) > 6
+
+
+def test_what_is_stored_are_plain_numbers(table: FeatureTable) -> None:
+    study = new_study(table)
+    study.optimize(bowl, n_trials=1)
+    assert set(json.loads(json.dumps(study.trials[0].user_attrs))) == {"row", "score"}
+    assert all(type(value) is float for value in study.trials[0].params.values())
+
+
+def test_an_informative_score_beats_random_search() -> None:
+    rng = np.random.default_rng(5)
+    unit = rng.uniform(size=(3000, 8))
+    depth = ((unit - 0.6) ** 2).sum(axis=1)
+    cost = 1.0 - np.exp(-8.0 * depth)
+    score = np.maximum(0.0, 20.0 - 40.0 * depth + rng.normal(0, 3, 3000))  # most are zero
+    columns = {f"x{i}": unit[:, i] for i in range(8)}
+    table = FeatureTable.from_arrays(columns, score, bounds=dict.fromkeys(columns, (0.0, 1.0)))
+
+    def objective(trial: optuna.Trial) -> float:
+        x = np.array([trial.suggest_float(name, 0, 1) for name in columns])
+        return float(1.0 - np.exp(-8.0 * ((x - 0.6) ** 2).sum()))
+
+    def mean_best(samplers: list[optuna.samplers.BaseSampler]) -> float:
+        best = []
+        for sampler in samplers:
+            study = optuna.create_study(sampler=sampler)
+            study.optimize(objective, n_trials=20)
+            best.append(study.best_value)
+        return float(np.mean(best))
+
+    dog = mean_best([DoGSampler(table, seed=seed) for seed in range(6)])
+    random = mean_best([optuna.samplers.RandomSampler(seed=seed) for seed in range(6)])
+    assert dog < random - 0.1
+    assert dog < np.quantile(cost, 0.01)
+
+
+def test_a_proposal_from_100000_rows_takes_no_half_second() -> None:
+    rng = np.random.default_rng(0)
+    score = np.maximum(0.0, rng.normal(-3, 8, 100_000))  # two thirds are zero
+    columns = {f"x{i}": rng.uniform(size=100_000) for i in range(16)}
+    big = FeatureTable.from_arrays(columns, score)
+    study = new_study(big)
+    space = {name: FloatDistribution(0, 1) for name in columns}
+    for row in range(100):
+        study.add_trial(
+            optuna.create_trial(
+                params=big.rows.as_parameters(row),
+                distributions=space,
+                user_attrs={"row": row},
+                value=float(np.exp(-score[row] / 10) + 0.1 * rng.normal()),
+            )
+        )
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        study.ask(space)
+        times.append(time.perf_counter() - start)
+    assert min(times) < 0.5
+
+
+# Extreme numbers.
+
+LARGEST = np.finfo(np.float64).max
+LINE = np.linspace(0.0, 1.0, 30)
+EXTREMES = [
+    (5e307, -5e307),
+    (LARGEST, -LARGEST),
+    (LARGEST, LARGEST),
+    (-LARGEST, 0.0),
+    (1e155, 1.0),
+    (np.inf, -LARGEST),
+]
+
+
+def extreme_study(costs: tuple[float, float], limit: float = -1.0, **options: Any) -> optuna.Study:
+    table = FeatureTable.from_arrays({"x": LINE}, np.column_stack([LINE, LINE**2]))
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1, **options))
+
+    def objective(trial: optuna.Trial) -> float:
+        x = trial.suggest_float("x", 0, 1)
+        trial.set_constraint("limit", limit * x)
+        return costs[trial.number] if trial.number < 2 else x
+
+    study.optimize(objective, n_trials=9)
+    return study
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("kernel", ["additive", "rbf", "rbf_ard", "euclidean"])
+@pytest.mark.parametrize("costs", EXTREMES)
+def test_extreme_costs_are_learned_from(costs: tuple[float, float], kernel: str) -> None:
+    study = extreme_study(costs, kernel=kernel)
+    assert len({trial.params["x"] for trial in study.trials}) == 9
+    if kernel != "euclidean":
+        study.sampler.worth(study).markdown()  # type: ignore[attr-defined]
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("limit", [LARGEST, -LARGEST, 1e200])
+def test_extreme_constraints_are_learned_from(limit: float) -> None:
+    assert len(extreme_study((1.0, 2.0), limit).trials) == 9
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("kernel", ["additive", "rbf", "rbf_ard"])
+def test_extreme_features_tell_rows_apart(kernel: str) -> None:
+    features = np.where(np.arange(30) % 2, LARGEST, -LARGEST) * LINE
+    table = FeatureTable.from_arrays({"x": LINE}, features)
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1, kernel=kernel))
+    study.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=6)
+    assert len({trial.params["x"] for trial in study.trials}) == 6
+
+
+# What a sampler looks like at a prompt.
+
+
+def shown_table(features: int = 6, parameters: int = 16) -> FeatureTable:
+    columns = {f"x{i}": np.linspace(0, 1, 600) for i in range(parameters)}
+    names = [chr(ord("a") + i) for i in range(features)]
+    return FeatureTable.from_arrays(
+        columns, np.random.default_rng(0).random((600, features)), names
+    )
+
+
+TABLE = "FeatureTable(600 rows, 16 parameters, 6 features: a, b, c, ...)"
+
+
+@pytest.mark.parametrize(
+    ("sampler", "shown"),
+    [
+        (
+            lambda: FeatureKernelSampler(shown_table(), seed=3),
+            f"FeatureKernelSampler({TABLE}, seed=3)",
+        ),
+        (
+            lambda: FeatureKernelSampler(
+                shown_table(), kernel="rbf", off_grid=0, nearest=0.1, seed=3
+            ),
+            f"FeatureKernelSampler({TABLE}, seed=3, kernel='rbf', nearest=0.1)",
+        ),
+        (
+            lambda: FeatureKernelSampler(
+                features, seed=3, independent_sampler=RandomSampler(), extra_parameters=["n"]
+            ),
+            "FeatureKernelSampler(features, seed=3, extra_parameters=('n',), "
+            "independent_sampler=RandomSampler)",
+        ),
+        (
+            lambda: FeatureKernelSampler(seed=0, space={"x": FloatDistribution(0, 1)}),
+            "FeatureKernelSampler(seed=0, space={'x': FloatDistribution("
+            "high=1.0, log=False, low=0.0, step=None)})",
+        ),
+    ],
+)
+def test_a_sampler_shows_its_seed_and_what_was_chosen(sampler, shown: str) -> None:
+    assert repr(sampler()) == shown
+
+
+def test_a_seed_that_was_drawn_is_shown() -> None:
+    shown = repr(FeatureKernelSampler())
+    found = re.fullmatch(r"FeatureKernelSampler\(seed=(\d+)\)", shown)
+    assert found and int(found[1]) > 0
+
+
+def test_presets_go_by_their_own_names() -> None:
+    assert repr(DoGSampler(shown_table(), seed=1)).startswith(f"DoGSampler({TABLE}, seed=1")
+    survival = shown_table().rows.features
+    columns = {"x": np.linspace(0, 1, 600)}
+    good = FeatureTable.from_arrays(columns, survival[:, :1], ["survival"])
+    assert repr(SurvivalSampler(good, seed=1)).startswith("SurvivalSampler(FeatureTable(600 rows")
+
+
+def test_a_sampler_that_travelled_shows_the_same() -> None:
+    sampler = FeatureKernelSampler(shown_table(), seed=3, kernel="rbf")
+    assert repr(pickle.loads(pickle.dumps(sampler))) == repr(sampler)

@@ -1,0 +1,334 @@
+"""The Gaussian process against scikit-learn's: kernels, likelihood, constants and posterior."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import approx_fprime
+
+from study.sampler.acquisition import along_feature
+from study.sampler.gp import (
+    BLOCK,
+    FEATURE_NOISE,
+    LIKELIHOOD_TRIALS,
+    SLOPE,
+    Covariance,
+    Posterior,
+    Term,
+    condition,
+    learn,
+    misfit,
+    new_covariance,
+)
+from study.sampler.transforms import Points
+from tests.study.sampler import reference
+
+LAYOUT = (3, 4, 4)  # features, coordinates, parameters
+EXACT = 1e-8
+FAST = 1e-4  # of the prior's scale
+X = np.random.default_rng(0).standard_normal((12, 7))
+
+
+def covariance_of(form: str, layout: tuple[int, int, int] = LAYOUT) -> Covariance:
+    return new_covariance(reference.FORMS[form], *layout)
+
+
+def some_points(count: int, seed: int) -> Points:
+    rng = np.random.default_rng(seed)
+    return Points(rng.standard_normal((count, 3)), rng.uniform(size=(count, 4)))
+
+
+def costs(points: Points, seed: int = 0) -> np.ndarray:
+    noise = np.random.default_rng(seed).standard_normal(len(points))
+    smooth = np.sin(points.features[:, 0]) + (points.coordinates - 0.4).sum(axis=1) ** 2
+    return 50.0 + 20.0 * smooth + noise
+
+
+def trials(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows [n, 7] and costs [n], in standard units."""
+    points = some_points(max(count, 2), seed)
+    y = costs(points, seed)
+    return points.matrix()[:count], ((y - y.mean()) / y.std())[:count] * (count > 1)
+
+
+# Kernels.
+
+
+def between(covariance: Covariance, theta: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return covariance.towards(theta, a, np.float64)(b)
+
+
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_kernels_are_scikit_learns(form: str) -> None:
+    ours = covariance_of(form)
+    theta = ours.start + np.linspace(-1.0, 1.0, len(ours.start))
+    theirs = reference.of_covariance(ours, theta)
+    assert_allclose(theta, theirs.theta)
+    assert_allclose(ours.bounds, theirs.bounds)
+    noise = np.exp(theta[-1])
+    assert_allclose(ours.gram(theta, X)[0] + noise * np.eye(12), theirs(X), atol=1e-12)
+    assert_allclose(between(ours, theta, X, X[:5]), theirs(X, X[:5]), atol=1e-12)
+    assert_allclose(ours.variance(theta, X) + noise * np.ones(12), theirs.diag(X))
+    half = ours.towards(theta, X, np.float32)(X[:5])
+    assert half.dtype == np.float32
+    assert_allclose(half, theirs(X, X[:5]), atol=1e-5)
+
+
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_a_pull_weighs_the_derivatives_of_all_entries(form: str) -> None:
+    ours = covariance_of(form)
+    weights = np.random.default_rng(1).standard_normal((12, 12))
+
+    def weighed(theta: np.ndarray) -> float:
+        return float(np.sum(weights * ours.gram(theta, X)[0]))
+
+    _, pull = ours.gram(ours.start, X)
+    slopes = approx_fprime(ours.start, weighed, 1e-6)
+    assert_allclose(pull(weights), slopes[:-1], atol=1e-4)
+    assert slopes[-1] == 0  # the noise is not in this part
+    assert_allclose(pull(np.tril(weights)) + pull(np.triu(weights, 1)), pull(weights))
+
+
+@pytest.mark.parametrize(
+    ("form", "same_features", "same_parameters"),
+    [
+        ("rbf", 1, 0),
+        ("rbf_ard", 1, 0),
+        ("euclidean", 0, 1),
+        ("nearness", 0, 1),
+        ("additive", 1, 1),
+    ],
+)
+def test_kernels_see_their_columns(form: str, same_features: int, same_parameters: int) -> None:
+    built = covariance_of(form)
+    a, far = np.zeros((1, 7)), 1e3
+    other_parameters, other_features = a.copy(), a.copy()
+    other_parameters[:, 3:], other_features[:, :3] = far, far
+    assert_allclose(between(built, built.start, a, other_parameters), same_features, atol=1e-9)
+    assert_allclose(between(built, built.start, a, other_features), same_parameters, atol=1e-9)
+
+
+def test_the_additive_one_is_its_formula() -> None:
+    """v phi^T phi' + s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) + t^2 exp(-|u - u'|^2 / 2L^2)."""
+    v, s2, l1, l2, l3, t2, nearness = constants = np.array([0.2, 1.3, 0.7, 2.0, 1.1, 0.4, 0.9])
+    theta = np.append(np.log(constants), 0.0)
+    phi, u = X[:, :3], X[:, 3:]
+    difference = (phi[:, None] - phi[None]) / [l1, l2, l3]
+    away = ((u[:, None] - u[None]) ** 2).sum(axis=-1) / nearness**2
+    likeness = s2 * np.exp(-0.5 * (difference**2).sum(axis=-1))
+    expected = v * phi @ phi.T + likeness + t2 * np.exp(-0.5 * away)
+    assert_allclose(covariance_of("additive").gram(theta, X)[0], expected, rtol=1e-10)
+
+
+def test_a_shared_length_scale_and_one_a_feature() -> None:
+    counts = {"rbf": 3, "rbf_ard": 5, "euclidean": 6, "nearness": 3, "additive": 8}
+    assert {form: len(covariance_of(form).start) for form in counts} == counts
+
+
+def test_parameters_have_the_dimension_scaled_prior() -> None:
+    for d in (1, 16, 100):
+        mu, sigma = np.sqrt(2) + np.log(d) / 2, np.sqrt(3)  # Hvarfner et al. 2024
+        for form, place in (("euclidean", 1), ("nearness", 1), ("additive", 4)):
+            prior = covariance_of(form, (1, d, d)).constants[place]
+            assert_allclose(prior.mode, mu - sigma**2)
+            assert_allclose(prior.sd, sigma)
+
+
+# Likelihood and constants.
+
+
+def anywhere(covariance: Covariance, seed: int) -> np.ndarray:
+    """Constants within their bounds, as the priors have them, [t]."""
+    drawn = np.random.default_rng(seed).normal(covariance.modes, covariance.spreads)
+    return np.clip(drawn, *covariance.bounds.T)
+
+
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_the_misfit_and_its_gradient_are_scikit_learns(form: str) -> None:
+    covariance = covariance_of(form)
+    for seed, count in enumerate((1, 2, 9, 40, 120)):
+        x, y = trials(count, seed)
+        for draw in range(3):
+            theta = anywhere(covariance, draw)
+            expected, slopes = reference.misfit(covariance, x, y, theta)
+            found, gradient = misfit(covariance, x, y, theta)
+            assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+            assert_allclose(gradient, slopes, rtol=1e-6, atol=1e-6 * np.abs(slopes).max())
+
+
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_the_gradient_is_that_of_the_misfit(form: str) -> None:
+    covariance = covariance_of(form)
+    x, y = trials(25, 0)
+    theta = covariance.start
+    slopes = approx_fprime(theta, lambda at: misfit(covariance, x, y, at)[0], 1e-6)
+    assert_allclose(misfit(covariance, x, y, theta)[1], slopes, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("count", [2, 8, 30, 31, LIKELIHOOD_TRIALS])
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_the_constants_are_those_that_scikit_learn_finds(form: str, count: int) -> None:
+    covariance = covariance_of(form)
+    x, y = trials(count, seed=count)
+    assert_allclose(learn(covariance, x, y), reference.learned(covariance, x, y), atol=1e-6)
+
+
+def test_without_a_cholesky_factor_the_misfit_is_infinite() -> None:
+    covariance = Covariance((Term(0, 1, SLOPE, ()),), FEATURE_NOISE)
+    x = np.array([[1.0], [1.0], [3.0]]) * 1e12
+    theta = np.array([0.0, np.log(1e-4)])
+    found, gradient = misfit(covariance, x, np.ones(3), theta)
+    assert found == np.inf
+    assert_allclose(gradient, 0.0)
+
+
+def test_the_posterior_density_is_maximised() -> None:
+    """No constant can be moved either way for a better likelihood times prior."""
+    covariance = covariance_of("rbf_ard")
+    x, y = trials(12, 0)
+    theta = learn(covariance, x, y)
+    low, high = covariance.bounds.T
+    for place in range(len(theta)):
+        for step in (-0.1, 0.1):
+            moved = theta.copy()
+            moved[place] += step
+            there = misfit(covariance, x, y, np.clip(moved, low, high))[0]
+            assert there >= misfit(covariance, x, y, theta)[0] - 1e-3
+
+
+def test_the_prior_decides_where_there_is_one_trial() -> None:
+    covariance = covariance_of("euclidean")
+    theta = learn(covariance, X[:1], np.array([2.0]))
+    for found, prior in zip(theta[1:5], covariance.constants[1:5], strict=True):
+        assert_allclose(found, prior.mode, atol=1e-3)
+
+
+def test_constants_are_learned_from_a_part_of_many_trials() -> None:
+    points = some_points(2 * LIKELIHOOD_TRIALS, seed=1)
+    x, y = points.matrix(), costs(points)
+    covariance = covariance_of("rbf")
+    assert_allclose(learn(covariance, x, y), learn(covariance, x, y))
+    assert np.isfinite(learn(covariance, x, y)).all()
+
+
+# The posterior.
+
+
+def learned(
+    covariance: Covariance, x: np.ndarray, y: np.ndarray, *, fast: bool = False, noisy: bool = True
+) -> Posterior:
+    return condition(covariance, learn(covariance, x, y), x, y, noisy=noisy, fast=fast)
+
+
+def fitted(covariance: Covariance, count: int, *, fast: bool, noisy: bool = True) -> Posterior:
+    points = some_points(count, seed=1)
+    x, y = points.matrix(), costs(points)
+    return learned(covariance, x, y, fast=fast, noisy=noisy)
+
+
+def oracle(posterior: Posterior, candidates: Points) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and variance by scikit-learn, of the same kernel on the same trials."""
+    mean, sd = reference.of_posterior(posterior).predict(candidates.matrix(), return_std=True)
+    mean, sd = posterior.cost_mean + posterior.cost_sd * mean, posterior.cost_sd * sd
+    return mean, sd**2
+
+
+def assert_near(
+    posterior: Posterior, candidates: Points, found: tuple[np.ndarray, np.ndarray], tolerance: float
+) -> None:
+    """Mean and variance are scikit-learn's, within a share of the prior's scale, noise included."""
+    prior = posterior.covariance.variance(posterior.theta, candidates.matrix()) + posterior.noise
+    prior = posterior.cost_sd**2 * prior * np.ones(len(candidates))
+    mean, variance = oracle(posterior, candidates)
+    assert np.max(np.abs(found[0] - mean) / np.sqrt(prior)) < tolerance
+    assert np.max(np.abs(found[1] - variance) / prior) < tolerance
+
+
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_the_exact_posterior_is_scikit_learns(form: str) -> None:
+    posterior = fitted(covariance_of(form), 40, fast=False)
+    candidates = some_points(2 * BLOCK + 17, seed=2)
+    expected = oracle(posterior, candidates)
+    assert_allclose(posterior.predict(candidates), expected, rtol=EXACT)
+    assert_allclose(posterior.mean(candidates), expected[0], rtol=EXACT)
+
+
+@pytest.mark.parametrize("form", reference.FORMS)
+def test_the_fast_posterior_is_nearly_scikit_learns(form: str) -> None:
+    posterior = fitted(covariance_of(form), 100, fast=True)
+    candidates = some_points(2 * BLOCK + 17, seed=2)
+    assert_near(posterior, candidates, posterior.predict(candidates), FAST)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 1000])
+def test_any_number_of_trials_will_do(count: int) -> None:
+    posterior = fitted(covariance_of("euclidean"), count, fast=False)
+    candidates = some_points(50, seed=2)
+    assert_allclose(posterior.predict(candidates), oracle(posterior, candidates), rtol=EXACT)
+
+
+@pytest.mark.parametrize(("fast", "tolerance"), [(False, EXACT), (True, FAST)])
+@pytest.mark.parametrize("values", [30, 20_000])
+def test_along_one_feature(fast: bool, tolerance: float, values: int) -> None:
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-1, 4, (60, 1))
+    y = 5.0 + 2.0 * np.sin(x[:, 0]) + 0.3 * rng.standard_normal(60)
+    posterior = learned(covariance_of("rbf", (1, 0, 2)), x, y, fast=fast)
+    feature = np.random.default_rng(1).choice(np.linspace(-3, 8, values), 20_000)[:, None]
+    candidates = Points(feature, np.empty((len(feature), 0)))
+
+    def along(which: int) -> np.ndarray:
+        return along_feature(posterior, candidates, lambda points: posterior.predict(points)[which])
+
+    assert_near(posterior, candidates, (along(0), along(1)), tolerance)
+
+
+def test_believing_adds_trials_and_keeps_constants() -> None:
+    posterior = fitted(covariance_of("rbf"), 20, fast=False)
+    more = some_points(3, seed=5)
+    believed = posterior.believing(more)
+    candidates = some_points(200, seed=6)
+    mean, variance = posterior.predict(candidates)
+    assert_allclose(believed.theta, posterior.theta)
+    assert_allclose(believed.predict(candidates)[0], mean, rtol=1e-6)
+    assert np.all(believed.predict(candidates)[1] <= variance * (1 + 1e-9))
+    assert believed.predict(more)[1].sum() < posterior.predict(more)[1].sum()
+
+
+def test_the_spread_of_equal_features_is_learned_as_noise() -> None:
+    x = np.repeat([[0.0], [1.0], [2.0]], 30, axis=0)
+    y = 10.0 * x[:, 0] + 1.5 * np.random.default_rng(2).standard_normal(90)
+    posterior = learned(covariance_of("rbf", (1, 0, 1)), x, y)
+    mean, variance = posterior.predict(Points(x[::30], np.empty((3, 0))))
+    assert_allclose(mean, [0, 10, 20], atol=1.0)
+    assert_allclose(np.sqrt(variance), 1.5, rtol=0.25)
+
+
+def test_equal_costs_are_no_accident() -> None:
+    points = some_points(2, seed=0)
+    posterior = learned(covariance_of("additive"), points.matrix(), np.full(2, 3.0), fast=True)
+    mean, variance = posterior.predict(points)
+    assert_allclose(mean, 3.0)
+    assert np.isfinite(variance).all()
+
+
+def test_the_unit_of_cost_does_not_matter() -> None:
+    points, candidates = some_points(20, seed=1), some_points(50, seed=2)
+    x, y = points.matrix(), costs(points)
+    ours, scaled = (
+        learned(covariance_of("additive"), x, c, noisy=True).predict(candidates)
+        for c in (y, 1e6 * y - 7e6)
+    )
+    assert_allclose(scaled[0], 1e6 * ours[0] - 7e6, rtol=1e-3)
+    assert_allclose(scaled[1], 1e12 * ours[1], rtol=1e-2)
+
+
+def test_slopes_carry_beyond_the_trials() -> None:
+    x = np.hstack([np.linspace(-1, 1, 25)[:, None], np.full((25, 1), 0.5)])
+    beyond = Points(np.array([[6.0]]), np.array([[0.5]]))
+
+    def predicted(form: str) -> float:
+        posterior = learned(covariance_of(form, (1, 1, 1)), x, 3.0 * x[:, 0])
+        return float(posterior.predict(beyond)[0][0])
+
+    assert abs(predicted("additive") - 18.0) < abs(predicted("rbf_ard") - 18.0)
+    assert abs(predicted("additive") - 18.0) < 4.0

@@ -1,0 +1,421 @@
+"""What a user can get wrong: each an error that names the cause before a trial is lost, or, with
+strict=False, one warning; each message that docs/sampler.md explains, and no other."""
+
+import re
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import pandas as pd
+import pytest
+from optuna.distributions import CategoricalDistribution, FloatDistribution
+from optuna.samplers import BaseSampler, PartialFixedSampler
+from optuna.trial import TrialState
+
+from study import FeatureKernelSampler, FeatureTable
+from study.sampler.table_policy import TableExhaustedError
+from taichi_nmm.errors import InputError
+
+Floats = np.ndarray
+PAGE = Path(__file__).parents[3] / "docs" / "sampler.md"
+EXPLAINED = re.findall(
+    r"^\| (?:warning )?`([^`]+)`", PAGE.read_text().split("## Messages, and what to do")[1], re.M
+)
+
+PARAMETERS = {"a": [0.1, 0.5, 0.9], "b": [1.0, 2.0, 3.0]}
+FEATURES = [[0.0], [1.0], [4.0]]
+SPACE = {"a": FloatDistribution(0, 1), "b": FloatDistribution(0, 5)}
+
+
+def new_table(features: Any = FEATURES, **options: Any) -> FeatureTable:
+    return FeatureTable.from_arrays(PARAMETERS, features, **options)
+
+
+def sampler(features: Any = None, **options: Any) -> FeatureKernelSampler:
+    return FeatureKernelSampler(new_table() if features is None else features, seed=1, **options)
+
+
+def both(trial: optuna.Trial) -> float:
+    return trial.suggest_float("a", 0, 1) + trial.suggest_float("b", 0, 5)
+
+
+def a_within(low: float, high: float) -> Callable[[optuna.Trial], float]:
+    return lambda trial: trial.suggest_float("a", low, high) + trial.suggest_float("b", 0, 5)
+
+
+def run(sampler: BaseSampler, objective: Any = both, trials: int = 5) -> optuna.Study:
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(objective, n_trials=trials)
+    return study
+
+
+def run_two_objectives() -> None:
+    study = optuna.create_study(sampler=sampler(), directions=["minimize", "maximize"])
+    study.optimize(lambda trial: (both(trial), 0.0), n_trials=1)
+
+
+def run_after_a_point_off_the_table() -> None:
+    study = optuna.create_study(sampler=sampler())
+    study.enqueue_trial({"a": 0.33, "b": 2.0})
+    study.optimize(both, n_trials=3)
+
+
+def run_enqueued(**fixed: float) -> None:
+    study = optuna.create_study(sampler=sampler())
+    study.enqueue_trial(fixed)
+    study.enqueue_trial(fixed)
+    study.optimize(both, n_trials=2)
+
+
+def run_against_the_prior() -> None:
+    values = np.linspace(0, 1, 20)
+    many = FeatureTable.from_arrays({"a": values}, values)
+    study = optuna.create_study(sampler=sampler(many, prior="feature_0"))
+    study.optimize(lambda trial: trial.suggest_float("a", 0, 1), n_trials=8)
+
+
+def run_points_as_choices() -> None:
+    units = FeatureTable.from_arrays({"a": [1, 30]}, [1.0, 30.0])
+    options = {"feature_function": lambda params: params, "off_grid": 50}
+    run(sampler(units, **options), lambda trial: trial.suggest_categorical("a", [1, 30]))
+
+
+def frame_without_c() -> None:
+    FeatureTable.from_dataframe(pd.DataFrame(PARAMETERS), parameters=["a"], features=["c"])
+
+
+def no_file() -> None:
+    FeatureTable.from_parquet("missing.parquet", parameters=["a"], features=["f"])
+
+
+CASES: dict[str, Callable[[], object]] = {
+    "table.….shape: … allowed: …, as the features": lambda: FeatureTable.from_arrays(
+        {"a": [1.0, 2.0]}, FEATURES
+    ),
+    "table.…: nan cannot be used; allowed: a finite number": lambda: FeatureTable.from_arrays(
+        {"a": [1.0, np.nan, 3.0]}, FEATURES
+    ),
+    "table.features: … allowed: numbers, [n, k]": lambda: new_table(["x", "y", "z"]),
+    "table.feature_names: … allowed: … names": lambda: new_table(feature_names=["f", "g"]),
+    "table.…: … allowed: … to …": lambda: new_table(bounds={"a": (0, 0.5)}),
+    "table.bounds.…: … allowed: none beside space=, …": lambda: new_table(
+        bounds={"a": (0, 1)}, space=SPACE
+    ),
+    "table.…: … allowed: a value of …": lambda: new_table(
+        space={"a": FloatDistribution(0, 1, step=0.25)}
+    ),
+    "table.…: … allowed: a value; or None as a choice: space=…": lambda: FeatureTable.from_arrays(
+        {"a": [1, None, 3]}, FEATURES
+    ),
+    "table.…: … allowed: one of (…)": lambda: FeatureTable.from_arrays(
+        {"a": ["x", "y", "z"]}, FEATURES, space={"a": CategoricalDistribution(["x", "y"])}
+    ),
+    "column: … allowed: one of …": frame_without_c,
+    "…: … allowed: a Parquet file, or a folder of them, that exists": no_file,
+    "… rows that lack more than half of their features are not proposed": lambda: new_table(
+        [[0.0], [1.0], [np.nan]]
+    ),
+    "… rows repeat the parameters of another and are not proposed": (
+        lambda: FeatureTable.from_arrays({"a": [1.0, 1.0, 2.0]}, FEATURES)
+    ),
+    "features without information are ignored: …": lambda: new_table([[0, 1], [1, 1], [4, 1]]),
+    "kernel: … allowed: one of …": lambda: sampler(kernel="gauss"),
+    "kernel: … allowed: euclidean: there are no features": lambda: FeatureKernelSampler(
+        kernel="rbf"
+    ),
+    "kernel: … allowed: one that uses features, or there is nothing to report": lambda: (
+        FeatureKernelSampler().worth(optuna.create_study())
+    ),
+    "prior: … allowed: one of …, or one with a minus": lambda: sampler(prior="phi"),
+    "nearest: … allowed: none with a feature_function, …": lambda: sampler(
+        nearest=0.1, feature_function=len
+    ),
+    "constraints_func: … allowed: None: call trial.set_constraint(key, value) in the objective": (
+        lambda: sampler(constraints_func=3)
+    ),
+    "off_grid: … allowed: 0 without a feature_function": lambda: sampler(off_grid=9),
+    "space: … allowed: none: a table knows its own": lambda: sampler(space=SPACE),
+    "features: … allowed: a FeatureTable, a function, or None": lambda: sampler(FEATURES),
+    "If the study is being used for multi-objective optimization, … cannot be used.": (
+        run_two_objectives
+    ),
+    "…: … allowed: a range that holds all rows: …": lambda: run(sampler(), a_within(0, 0.7)),
+    "…: … allowed: choices that hold all rows: …": lambda: run(
+        sampler(), lambda trial: trial.suggest_categorical("a", [0.1, 0.5])
+    ),
+    "…: … allowed: what has …, a point off the table …": run_points_as_choices,
+    "…: … allowed: a value that a row of the table has…; or all parameters, in enqueue_trial": (
+        lambda: run_enqueued(a=0.2)
+    ),
+    "…: … allowed: values of a row that has not been tried; …": lambda: run_enqueued(a=0.1),
+    "…: 'suggested, and not in the table' …": lambda: run(
+        sampler(), lambda trial: trial.suggest_float("A", 0, 1)
+    ),
+    "…: 'not suggested in trial …' …": lambda: run(
+        sampler(), lambda trial: trial.suggest_float("a", 0, 1)
+    ),
+    "…: 'fixed' cannot be used; …": lambda: run(PartialFixedSampler({"a": 0.5}, sampler())),
+    "all … rows of the table have been tried": lambda: run(sampler()),
+    "…: … allowed: the range declared in …": lambda: run(
+        FeatureKernelSampler(space=SPACE, seed=1), a_within(0, 0.001)
+    ),
+    "features(params): … allowed: features [n, k], no exception": lambda: run(
+        sampler(lambda params: 1 / 0, space=SPACE)
+    ),
+    "features(params).shape: … allowed: …": lambda: run(
+        sampler(lambda params: np.ones((7, 2)), space=SPACE)
+    ),
+    "features(params): 'no row without NaN' …": lambda: run(
+        sampler(lambda params: params * np.nan, space=SPACE)
+    ),
+    "prior: … cost more than the median of the trials; …": run_against_the_prior,
+    "… the independent sampler takes over": lambda: run(sampler(strict=False)),
+    "trials whose parameters are no row of the table are ignored: …": (
+        run_after_a_point_off_the_table
+    ),
+}
+
+
+def said_by(case: Callable[[], object]) -> list[str]:
+    """Warnings, then the error that ended it."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        error: list[str] = []
+        try:
+            case()
+        except (ValueError, RuntimeError) as raised:
+            error = [str(raised)]
+    ours = [str(w.message) for w in caught if w.category is UserWarning]
+    return ours + error
+
+
+def test_every_explained_message_has_a_case() -> None:
+    assert list(CASES) == EXPLAINED
+
+
+@pytest.mark.parametrize("message", CASES)
+def test_it_is_said(message: str) -> None:
+    pattern = re.escape(message).replace("…", ".+")
+    said = said_by(CASES[message])
+    assert any(re.search(pattern, line) for line in said), said
+
+
+def test_nothing_is_said_of_what_fits() -> None:
+    assert said_by(lambda: run(sampler(), trials=3)) == []
+
+
+def test_a_table_of_one_row_has_one_trial() -> None:
+    one = FeatureTable.from_arrays({"a": [0.5], "b": [1.0]}, [[2.0]])
+    run(sampler(one), trials=1)
+    assert said_by(lambda: run(sampler(one), trials=2))[-1].startswith("all 1 rows")
+
+
+BOX = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
+
+
+def bowl(trial: optuna.Trial) -> float:
+    return trial.suggest_float("a", -1, 1) ** 2 + 0.01 * trial.suggest_float("b", 0, 5)
+
+
+def rows_of(study: optuna.Study) -> list[int]:
+    return [trial.user_attrs["row"] for trial in study.trials]
+
+
+def test_names_that_the_table_has_not_are_one_warning_where_it_need_not_fit(table):
+    for objective in (
+        lambda trial: trial.suggest_float("A", -1, 1) + trial.suggest_float("B", 0, 5),
+        lambda trial: trial.suggest_float("a", -1, 1),
+    ):
+        with pytest.warns(UserWarning, match="independent sampler takes over") as said:
+            study = run(FeatureKernelSampler(table, seed=0, strict=False), objective)
+        assert [trial.state for trial in study.trials] == [TrialState.COMPLETE] * 5
+        assert len(said) == 1
+
+
+def test_a_table_that_fits_is_used_without_strictness_too(table):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        study = run(FeatureKernelSampler(table, seed=0, strict=False), bowl, trials=6)
+    assert rows_of(study) == rows_of(run(FeatureKernelSampler(table, seed=0), bowl, trials=6))
+
+
+@pytest.mark.filterwarnings("ignore:Fixed parameter")
+def test_a_range_that_shrinks_is_an_error_where_it_leaves_the_row_out(table):
+    def shrunk(trial: optuna.Trial) -> float:
+        return trial.suggest_float("a", -0.999, 1) + trial.suggest_float("b", 0, 1e-9)
+
+    study = run(FeatureKernelSampler(table, seed=0), bowl, trials=2)
+    study.enqueue_trial(table.rows.as_parameters(3))
+    study.optimize(shrunk, n_trials=1)
+    study.optimize(bowl, n_trials=1)  # what another trial suggested is no fault of this one
+    with pytest.raises(InputError, match=r"b: .* a range that holds all rows: row \d+ has"):
+        study.optimize(shrunk, n_trials=1)
+
+
+@pytest.mark.parametrize("features", ["table", "callable", "none"])
+def test_several_objectives_are_refused(table, features):
+    given = {"table": table, "callable": lambda params: params, "none": None}[features]
+    sampler = FeatureKernelSampler(given)
+    study = optuna.create_study(sampler=sampler, directions=["minimize", "maximize"])
+    with pytest.raises(ValueError, match="multi-objective"):
+        study.ask(BOX)
+    with pytest.raises(ValueError, match="multi-objective"):
+        study.ask().suggest_float("other", 0, 1)
+
+
+def test_extra_parameters_come_after_the_tables_or_are_named(table):
+    def first(trial: optuna.Trial) -> float:
+        return trial.suggest_int("n", 1, 9) + bowl(trial)
+
+    def last(trial: optuna.Trial) -> float:
+        return bowl(trial) + (trial.suggest_categorical("kind", ["x", "y"]) == "x")
+
+    with pytest.raises(InputError, match=r"extra_parameters=\['n'\]"):
+        run(FeatureKernelSampler(table, seed=0), first)
+    for objective, name, options in (first, "n", {"extra_parameters": ["n"]}), (last, "kind", {}):
+        study, again = (
+            run(FeatureKernelSampler(table, seed=0, **options), objective, 8) for _ in range(2)
+        )
+        assert [trial.params for trial in study.trials] == [trial.params for trial in again.trials]
+        assert len({trial.params[name] for trial in study.trials}) > 1
+        assert len(set(rows_of(study))) == 8
+
+
+def test_an_exhausted_table():
+    small = FeatureTable.from_arrays({"a": [0.0, 0.5], "b": [0.0, 1.0]}, [1, 2])
+    study = run(FeatureKernelSampler(small, seed=0), bowl, trials=2)
+    with pytest.raises(TableExhaustedError, match="all 2 rows"):
+        study.optimize(bowl, n_trials=1)
+    assert [trial.state for trial in study.trials] == [TrialState.COMPLETE] * 2 + [TrialState.FAIL]
+    with pytest.warns(UserWarning) as said:
+        study = run(FeatureKernelSampler(small, seed=0, strict=False), bowl)
+    assert sum("all 2 rows of the table have been tried" in str(w.message) for w in said) == 1
+    assert len(study.trials) == 5
+
+
+def test_rows_without_features_or_repeated_are_never_proposed():
+    a = [0.0, 0.1, 0.2, 0.3, 0.1]
+    with pytest.warns(UserWarning, match="1 rows that lack .* 1 rows repeat"):
+        table = FeatureTable.from_arrays({"a": a}, [1.0, 2.0, np.nan, 4.0, 5.0])
+    sampler = FeatureKernelSampler(table, seed=0)
+    study = run(sampler, lambda t: t.suggest_float("a", 0, 1), trials=3)
+    assert {trial.user_attrs["row"] for trial in study.trials} == {0, 1, 3}
+    with pytest.raises(TableExhaustedError):
+        study.optimize(lambda t: t.suggest_float("a", 0, 1), n_trials=1)
+
+
+@pytest.mark.parametrize("value", [float("nan"), None])
+def test_a_trial_without_a_cost_fails_and_teaches_nothing(
+    table: FeatureTable, value: float | None
+) -> None:
+    study = run(FeatureKernelSampler(table, seed=0), bowl, trials=4)
+
+    def broken(trial: optuna.Trial) -> float:
+        bowl(trial)
+        return value  # type: ignore[return-value]
+
+    study.optimize(broken, n_trials=2)
+    study.optimize(bowl, n_trials=2)
+    states = [trial.state for trial in study.trials]
+    assert states.count(TrialState.FAIL) == 2
+    assert len({trial.user_attrs["row"] for trial in study.trials}) == 8
+
+
+def raising(params: Floats) -> Floats:
+    raise OSError("the simulator is not there")
+
+
+BROKEN = [
+    (raising, "OSError: the simulator is not there"),
+    (lambda params: params[:-1], "shape"),
+    (lambda params: params[:, :, None], "shape"),
+    (lambda params: params[:, :0], "at least one feature"),
+    (lambda params: "no", "an array of numbers"),
+    (lambda params: np.full((len(params), 2), np.nan), "no row without NaN"),
+]
+
+
+@pytest.mark.parametrize(("function", "message"), BROKEN)
+def test_a_broken_function_is_an_error_before_a_trial_is_lost(
+    function: Callable[[Floats], Floats], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        run(FeatureKernelSampler(function, seed=0, space=BOX), bowl)
+    lenient = FeatureKernelSampler(function, seed=0, space=BOX, strict=False)
+    with pytest.warns(UserWarning, match="independent sampler takes over") as said:
+        assert len(run(lenient, bowl).trials) == 5
+    assert len(said) == 1
+
+
+def test_a_broken_function_of_a_table_too(table: FeatureTable) -> None:
+    def wide(params: Floats) -> Floats:
+        return np.hstack([params, params])
+
+    options = {"seed": 0, "off_grid": 20, "feature_function": wide}
+    with pytest.raises(InputError, match=r"shape: \(20, 4\) .* \[20, 1\]"):
+        run(FeatureKernelSampler(table, **options), bowl)
+    with pytest.warns(UserWarning, match="independent sampler takes over"):
+        run(FeatureKernelSampler(table, strict=False, **options), bowl)
+
+
+def test_a_table_of_other_names_is_one_warning_where_it_need_not_fit() -> None:
+    study = optuna.create_study(sampler=FeatureKernelSampler(new_table(), seed=1, strict=False))
+    with pytest.warns(UserWarning, match="none of the table's parameters: a, b") as caught:
+        study.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=5)
+    assert len(caught) == 1
+
+
+def test_a_declared_parameter_that_is_never_suggested_is_an_error() -> None:
+    space = {"x": FloatDistribution(0, 1), "unused": FloatDistribution(0, 1)}
+    study = optuna.create_study(sampler=FeatureKernelSampler(seed=1, space=space))
+    with pytest.raises(InputError, match="unused: 'not suggested in trial 0'"):
+        study.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=3)
+
+
+@pytest.mark.filterwarnings("ignore:PartialFixedSampler is experimental")
+def test_a_fixed_parameter() -> None:
+    table = FeatureTable.from_arrays({"a": [0.0, 0.5, 1.0], "b": [0.0, 1.0, 2.0]}, [1, 2, 3])
+    for features in (table, lambda params: params):
+        space = None if features is table else BOX
+        strict = FeatureKernelSampler(features, seed=0, space=space)
+        with pytest.raises(InputError, match="a: 'fixed"):
+            run(PartialFixedSampler({"a": 0.5}, strict), bowl)
+    plain = PartialFixedSampler({"a": 0.5}, FeatureKernelSampler(seed=0))
+    assert {trial.params["a"] for trial in run(plain, bowl).trials} == {0.5}
+
+
+@pytest.mark.parametrize(
+    ("features", "options", "message"),
+    [
+        (FEATURES, {"kernel": "cubic"}, "kernel: 'cubic' .*rbf_ard"),
+        (FEATURES, {"kernel": "nearness"}, "kernel: 'nearness' .*additive"),
+        (FEATURES, {"prior": "speed"}, "prior: 'speed' .*feature_0"),
+        (FEATURES, {"prior": "-speed"}, "prior: '-speed' .*feature_0, or one with a minus"),
+        (FEATURES, {"off_grid": -1}, "off_grid: -1 .* from 0 to 1000000"),
+        (FEATURES, {"off_grid": 5}, "off_grid: 5 .* feature_function"),
+        (FEATURES, {"space": {"x": CategoricalDistribution([1])}}, "space"),
+        (None, {"kernel": "rbf"}, "kernel: 'rbf' .*no features"),
+        (None, {"kernel": "additive"}, "kernel: 'additive' .*no features"),
+        (None, {"prior": "p"}, "prior"),
+        (None, {"off_grid": 3}, "off_grid"),
+        (None, {"feature_function": len}, "feature_function"),
+        (3, {}, "features: 'int'"),
+    ],
+)
+def test_options_that_cannot_be_used(features: Any, options: dict[str, Any], message: str):
+    with pytest.raises(InputError, match=message):
+        FeatureKernelSampler(new_table() if features is FEATURES else features, **options)
+
+
+def test_a_trial_that_could_not_be_asked_for_is_ended_as_documented(table: FeatureTable) -> None:
+    """Optuna keeps the trial of an `ask` that raises RUNNING, whichever sampler raised."""
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=0))
+    study.enqueue_trial({"a": 0.123})
+    with pytest.raises(InputError, match=r"a: 0\.123"):
+        study.ask(BOX)
+    study.tell(study.trials[-1].number, state=TrialState.FAIL)
+    study.optimize(bowl, n_trials=1)
+    assert [trial.state for trial in study.trials] == [TrialState.FAIL, TrialState.COMPLETE]
