@@ -1,19 +1,62 @@
-"""Accelerations of the simulator's own functions against MuJoCo's C engine, float64."""
+"""Accelerations of the linkage in the air against MuJoCo, and the laws of free flight.
 
+The equations conserve momentum exactly; an integrator conserves it to its own order, because
+momentum is not linear in the state. So the equations are checked instant by instant, to rounding,
+and a flight is checked by how its drift falls with the step.
+"""
+
+import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import taichi_nmm
-from taichi_nmm.body import Bodies
-from taichi_nmm.errors import InputError
-from tests.parity import mujoco_dynamics, numpy_dynamics
-from tests.parity.states import States, random_states
+from taichi_nmm import InputError, forward_dynamics
+from taichi_nmm.body import GRAVITY_MPS2, Bodies
+from taichi_nmm.mujoco_engine.mjcf import RELATIVE, compile_model, linkage
+from tests.parity import numpy_dynamics
 
 pytestmark = pytest.mark.slow
 
+Array = NDArray[np.float64]
+States = tuple[Array, Array, Array, Bodies]  # q, qdot [n, 9], joint torques [n, 6] and n bodies
+
 STATES = 1000
+LARGEST_RATE_PS = 10.0  # m/s and rad/s; walking stays below
+LARGEST_TORQUE_NM = 300.0
 LARGEST_ERROR = 1e-9  # of each single acceleration; rounding leaves about 1e-10
+
+FLYING = 16
+FLIGHT_S = 0.5
+STEPS_S = (2e-3, 1e-3)
+RK4_ORDER_AT_LEAST = 3.5  # 4 less what the second step's higher-order terms take
+GENTLE = 0.1  # of the random rates: at 1 ms the integrator's error is then below rounding
+ROUNDING = 1e-12  # relative, over the 2,000 evaluations of a flight
+
+
+def random_states(count: int) -> States:
+    """Any angles, fast rates, strong torques; every second body is disturbed."""
+    rng = np.random.default_rng(20161)
+    nominal, disturbed = vars(Bodies.nominal(count)), vars(Bodies.disturbed(range(count)))
+    odd = (np.arange(count) % 2 == 1)[:, None]
+    return (
+        rng.uniform(-np.pi, np.pi, (count, 9)),
+        rng.uniform(-LARGEST_RATE_PS, LARGEST_RATE_PS, (count, 9)),
+        rng.uniform(-LARGEST_TORQUE_NM, LARGEST_TORQUE_NM, (count, 6)),
+        Bodies(**{name: np.where(odd, disturbed[name], nominal[name]) for name in nominal}),
+    )
+
+
+def by_mujoco(q: Array, qdot: Array, joint_torque: Array, bodies: Bodies) -> Array:
+    """Accelerations [n, 9] by `mj_forward`, in our coordinates; one body a state."""
+    accelerations = []
+    for row in range(len(q)):
+        model = compile_model(linkage(bodies, row))
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = RELATIVE @ q[row], RELATIVE @ qdot[row]
+        data.qfrc_applied[3:] = joint_torque[row]
+        mujoco.mj_forward(model, data)
+        accelerations.append(np.linalg.solve(RELATIVE, data.qacc))
+    return np.array(accelerations)
 
 
 @pytest.fixture(scope="module")
@@ -22,86 +65,134 @@ def states() -> States:
 
 
 @pytest.fixture(scope="module")
-def expected(states: States) -> NDArray[np.float64]:
-    return mujoco_dynamics.forward_dynamics(
-        states.q, states.qdot, states.joint_torque, states.bodies
-    )
+def expected(states: States) -> Array:
+    return by_mujoco(*states)
 
 
-def simulated(states: States) -> NDArray[np.float64]:
-    return taichi_nmm.forward_dynamics(states.q, states.qdot, states.joint_torque, states.bodies)
-
-
-def relative_error(found: NDArray[np.float64], expected: NDArray[np.float64]) -> float:
+def relative_error(found: Array, expected: Array) -> float:
     return float(np.max(np.abs(found - expected) / np.abs(expected)))
 
 
-def test_agrees_with_mujoco(states: States, expected: NDArray[np.float64]) -> None:
-    found = simulated(states)
+def test_accelerations_and_those_of_dense_equations_agree_with_mujoco(
+    states: States, expected: Array
+) -> None:
+    found = forward_dynamics(*states)
     assert found.shape == (STATES, 9)
     assert found.dtype == np.float64
     assert relative_error(found, expected) <= LARGEST_ERROR
+    assert relative_error(numpy_dynamics.forward_dynamics(*states), expected) <= LARGEST_ERROR
 
 
-def test_dense_numpy_dynamics_agree_with_mujoco(
-    states: States, expected: NDArray[np.float64]
-) -> None:
-    found = numpy_dynamics.forward_dynamics(
-        states.q, states.qdot, states.joint_torque, states.bodies
-    )
-    assert relative_error(found, expected) <= LARGEST_ERROR
-
-
-def test_bodies_matter(states: States, expected: NDArray[np.float64]) -> None:
-    found = taichi_nmm.forward_dynamics(states.q, states.qdot, states.joint_torque)
+def test_bodies_matter(states: States, expected: Array) -> None:
+    found = forward_dynamics(*states[:3])
     nominal, disturbed = slice(0, None, 2), slice(1, None, 2)
     assert relative_error(found[nominal], expected[nominal]) <= LARGEST_ERROR
     assert relative_error(found[disturbed], expected[disturbed]) > 0.01
-
-
-def test_one_body_serves_every_state(states: States) -> None:
     body = Bodies.disturbed([7])
-    one = taichi_nmm.forward_dynamics(states.q, states.qdot, states.joint_torque, body)
-    each = taichi_nmm.forward_dynamics(
-        states.q, states.qdot, states.joint_torque, body.take([0] * STATES)
-    )
-    np.testing.assert_array_equal(one, each)
+    one = forward_dynamics(*states[:3], body)
+    np.testing.assert_array_equal(one, forward_dynamics(*states[:3], body.take([0] * STATES)))
 
 
 @pytest.mark.parametrize("count", [1, 3, 17])
 def test_a_state_does_not_depend_on_its_batch(states: States, count: int) -> None:
-    few = taichi_nmm.forward_dynamics(
-        states.q[:count],
-        states.qdot[:count],
-        states.joint_torque[:count],
-        states.bodies.take(range(count)),
-    )
-    np.testing.assert_array_equal(few, simulated(states)[:count])
+    q, qdot, torque, bodies = states
+    few = forward_dynamics(q[:count], qdot[:count], torque[:count], bodies.take(range(count)))
+    np.testing.assert_array_equal(few, forward_dynamics(*states)[:count])
+
+
+GOOD = {"q": np.zeros((2, 9)), "qdot": np.zeros((2, 9)), "joint_torque": np.zeros((2, 6))}
 
 
 @pytest.mark.parametrize(
-    ("shapes", "field"),
+    ("name", "value"),
     [
-        (((2, 8), (2, 9), (2, 6)), "q"),
-        (((2, 9), (3, 9), (2, 6)), "qdot"),
-        (((2, 9), (2, 9), (2, 5)), "joint_torque"),
+        ("q", np.zeros((2, 8))),
+        ("qdot", np.zeros((3, 9))),
+        ("joint_torque", np.zeros((2, 5))),
+        ("bodies", Bodies.nominal(3)),
+        ("q", np.full((2, 9), np.nan)),
     ],
 )
-def test_wrong_shapes_are_named(shapes: tuple[tuple[int, int], ...], field: str) -> None:
-    q, qdot, joint_torque = (np.zeros(shape) for shape in shapes)
-    with pytest.raises(InputError, match=rf"\b{field}\b"):
-        taichi_nmm.forward_dynamics(q, qdot, joint_torque)
+def test_what_cannot_be_used_is_named(name: str, value: object) -> None:
+    with pytest.raises(InputError, match=rf"^{name}\b"):
+        forward_dynamics(**GOOD | {name: value})  # type: ignore[arg-type]
 
 
-def test_wrong_number_of_bodies_is_named() -> None:
-    with pytest.raises(InputError, match="bodies"):
-        taichi_nmm.forward_dynamics(
-            np.zeros((2, 9)), np.zeros((2, 9)), np.zeros((2, 6)), Bodies.nominal(3)
-        )
+# Free flight without torque.
 
 
-def test_nan_is_named() -> None:
-    q = np.zeros((2, 9))
-    q[1, 4] = np.nan
-    with pytest.raises(InputError, match=r"\bq\b"):
-        taichi_nmm.forward_dynamics(q, np.zeros((2, 9)), np.zeros((2, 6)))
+def accelerate(q: Array, qdot: Array, bodies: Bodies) -> Array:
+    return forward_dynamics(q, qdot, np.zeros((len(q), 6)), bodies)
+
+
+def runge_kutta_step(q: Array, v: Array, bodies: Bodies, h: float) -> tuple[Array, Array]:
+    """The classical fourth-order step of q' = v, v' = accelerate(q, v)."""
+    a1 = accelerate(q, v, bodies)
+    v2 = v + 0.5 * h * a1
+    a2 = accelerate(q + 0.5 * h * v, v2, bodies)
+    v3 = v + 0.5 * h * a2
+    a3 = accelerate(q + 0.5 * h * v2, v3, bodies)
+    v4 = v + h * a3
+    a4 = accelerate(q + h * v3, v4, bodies)
+    return q + h / 6 * (v + 2 * v2 + 2 * v3 + v4), v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+
+
+def fly(h: float, rate: float) -> dict[str, Array]:
+    """Conserved quantities over a flight, less what gravity adds, [t, n] and [t, n, 2]."""
+    q, v, _, bodies = random_states(FLYING)
+    v *= rate
+    weight_n = GRAVITY_MPS2 * np.sum(bodies.mass_kg, axis=1)
+    samples = []
+    for step in range(round(FLIGHT_S / h) + 1):
+        momentum = numpy_dynamics.momentum(q, v, bodies)
+        momentum[:, 1] += weight_n * step * h
+        spin = numpy_dynamics.angular_momentum(q, v, bodies)
+        samples.append((numpy_dynamics.energy(q, v, bodies), momentum, spin))
+        q, v = runge_kutta_step(q, v, bodies, h)
+    energy, momentum, spin = (np.array(column) for column in zip(*samples, strict=True))
+    return {"energy": energy, "momentum": momentum, "angular momentum": spin}
+
+
+def drift(samples: Array) -> Array:
+    """Largest departure from the first sample, for each walker."""
+    return np.asarray(np.max(np.abs(samples - samples[0]), axis=0))
+
+
+@pytest.fixture(scope="module")
+def fast() -> list[dict[str, Array]]:
+    return [fly(h, rate=1.0) for h in STEPS_S]
+
+
+@pytest.fixture(scope="module")
+def gentle() -> dict[str, Array]:
+    return fly(STEPS_S[-1], GENTLE)
+
+
+@pytest.mark.parametrize("name", ["energy", "momentum", "angular momentum"])
+def test_drift_falls_at_the_order_of_the_integrator(
+    fast: list[dict[str, Array]], name: str
+) -> None:
+    coarse, fine = (drift(flight[name]) for flight in fast)
+    assert np.log2(np.max(coarse) / np.max(fine)) >= RK4_ORDER_AT_LEAST
+
+
+def test_a_gentle_flight_conserves_to_rounding(gentle: dict[str, Array]) -> None:
+    energy, momentum, spin = gentle.values()
+    assert np.max(drift(energy) / np.abs(energy[0])) <= ROUNDING
+    assert np.max(drift(momentum)) <= ROUNDING * np.max(np.linalg.norm(momentum[0], axis=1))
+    assert np.max(drift(spin)) <= ROUNDING * np.max(np.abs(spin[0]))
+
+
+def test_no_torque_between_segments_moves_the_whole(states: States) -> None:
+    """At any instant: sum of m a is the weight, and no moment acts about the centre of mass."""
+    q, qdot, _, bodies = states
+    qddot = forward_dynamics(*states)
+    acceleration = numpy_dynamics.com_accelerations(q, qdot, qddot, bodies)
+    force = bodies.mass_kg[..., None] * acceleration
+    net = np.sum(force, axis=1)
+    net[:, 1] += GRAVITY_MPS2 * np.sum(bodies.mass_kg, axis=1)
+    spin = bodies.inertia_kgm2 * qddot[:, 2:]
+    moment = numpy_dynamics.moment_about_com(q, acceleration, bodies) + np.sum(spin, axis=1)
+    scale = np.sum(np.abs(force), axis=(1, 2))  # arms are about a metre: of force and moment alike
+    assert np.max(np.abs(net) / scale[:, None]) <= ROUNDING
+    assert np.max(np.abs(moment) / scale) <= ROUNDING

@@ -1,5 +1,7 @@
 """Segments against the table of Geyer & Herr, and bodies drawn round them."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,6 +11,7 @@ from taichi_nmm.body import SEGMENT_NAMES, SEGMENTS, Bodies
 from taichi_nmm.errors import InputError
 
 LENGTH_M = np.array([segment.length_m for segment in SEGMENTS])
+NAMES = ("mass_kg", "inertia_kgm2", "com_m")
 
 
 def test_segments_are_those_of_the_publication() -> None:
@@ -21,13 +24,10 @@ def test_segments_are_those_of_the_publication() -> None:
     }
 
 
-def test_segments_go_down_the_left_leg_then_the_right() -> None:
+def test_segments_go_down_the_left_leg_then_the_right_and_weigh_80_kg() -> None:
     assert [name.split("_")[0] for name in SEGMENT_NAMES] == [s.name for s in SEGMENTS]
     assert SEGMENT_NAMES[1:4] == ("thigh_l", "shank_l", "foot_l")
     assert SEGMENT_NAMES[4:] == ("thigh_r", "shank_r", "foot_r")
-
-
-def test_the_nominal_body_weighs_80_kg() -> None:
     bodies = Bodies.nominal(3)
     assert len(bodies) == 3
     np.testing.assert_allclose(bodies.mass_kg.sum(axis=1), 80.0)
@@ -69,10 +69,8 @@ def test_disturbances_are_independent_of_each_other() -> None:
 def test_a_seed_makes_one_body_whatever_the_batch() -> None:
     batch = Bodies.disturbed([4, 5, np.random.SeedSequence(6)])
     for row, seed in enumerate([4, 5, 6]):
-        alone = Bodies.disturbed([seed])
-        np.testing.assert_array_equal(alone.mass_kg[0], batch.mass_kg[row])
-        np.testing.assert_array_equal(alone.inertia_kgm2[0], batch.inertia_kgm2[row])
-        np.testing.assert_array_equal(alone.com_m[0], batch.com_m[row])
+        for name, values in vars(Bodies.disturbed([seed])).items():
+            np.testing.assert_array_equal(values[0], getattr(batch, name)[row])
 
 
 def test_no_disturbance_and_no_seed_are_allowed() -> None:
@@ -82,10 +80,8 @@ def test_no_disturbance_and_no_seed_are_allowed() -> None:
 
 def test_take_repeats_and_reorders() -> None:
     bodies = Bodies.disturbed(range(4))
-    taken = bodies.take([2, 0, 2])
-    np.testing.assert_array_equal(taken.com_m, bodies.com_m[[2, 0, 2]])
-    np.testing.assert_array_equal(taken.mass_kg, bodies.mass_kg[[2, 0, 2]])
-    np.testing.assert_array_equal(taken.inertia_kgm2, bodies.inertia_kgm2[[2, 0, 2]])
+    for name, values in vars(bodies.take([2, 0, 2])).items():
+        np.testing.assert_array_equal(values, getattr(bodies, name)[[2, 0, 2]])
 
 
 @pytest.mark.parametrize("fraction", [-0.01, 1.0, np.nan])
@@ -94,50 +90,33 @@ def test_a_disturbance_out_of_range_is_named(fraction: float) -> None:
         Bodies.disturbed([1], fraction)
 
 
-def arrays() -> dict[str, NDArray[np.float64]]:
-    nominal = Bodies.nominal(2)
-    return {
-        "mass_kg": nominal.mass_kg,
-        "inertia_kgm2": nominal.inertia_kgm2,
-        "com_m": nominal.com_m,
-    }
+def nominal_but(row: int, segment: int, value: float) -> NDArray[np.float64]:
+    """Masses (or inertias, or centres of mass) of two bodies, but for one."""
+    values = np.ones((2, 7))
+    values[row, segment] = value
+    return values
 
 
-@pytest.mark.parametrize("name", ["mass_kg", "inertia_kgm2", "com_m"])
-def test_wrong_shapes_are_named(name: str) -> None:
-    with pytest.raises(InputError, match=rf"bodies\.{name}\.shape"):
-        Bodies(**{**arrays(), name: np.ones((2, 6))})
-
-
-@pytest.mark.parametrize("name", ["mass_kg", "inertia_kgm2", "com_m"])
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_numbers_that_are_not_finite_are_named(name: str, value: float) -> None:
-    values = arrays()
-    values[name][1, 3] = value
-    with pytest.raises(InputError, match=rf"bodies\.{name}\b"):
-        Bodies(**values)
-
-
-@pytest.mark.parametrize("name", ["mass_kg", "inertia_kgm2"])
-@pytest.mark.parametrize("value", [0.0, -1.0])
-def test_masses_and_inertias_must_be_positive(name: str, value: float) -> None:
-    values = arrays()
-    values[name][0, 6] = value
-    with pytest.raises(InputError, match=rf"bodies\.{name}\b.*positive"):
-        Bodies(**values)
+@pytest.mark.parametrize(
+    ("names", "value", "message"),
+    [
+        (NAMES, np.ones((2, 6)), r"bodies\.NAME\.shape"),
+        (NAMES, nominal_but(1, 3, np.nan), r"bodies\.NAME: nan"),
+        (NAMES, nominal_but(1, 3, np.inf), r"bodies\.NAME: inf"),
+        (NAMES[:2], nominal_but(0, 6, 0.0), r"bodies\.NAME\b.*positive"),
+        (NAMES[:2], nominal_but(0, 6, -1.0), r"bodies\.NAME\b.*positive"),
+        (NAMES, np.ones((3, 7)), "bodies: 'arrays of different length'"),
+        (NAMES, [["heavy"] * 7] * 2, r"bodies\.NAME"),
+    ],
+)
+def test_arrays_that_cannot_be_used_are_named(
+    names: tuple[str, ...], value: Any, message: str
+) -> None:
+    for name in names:
+        with pytest.raises(InputError, match=f"^{message.replace('NAME', name)}"):
+            Bodies(**{**vars(Bodies.nominal(2)), name: value})
 
 
 def test_a_centre_of_mass_may_lie_behind_its_joint() -> None:
-    values = arrays()
-    values["com_m"][0, 3] = -0.01
-    assert Bodies(**values).com_m[0, 3] == -0.01
-
-
-def test_arrays_of_different_length_are_refused() -> None:
-    with pytest.raises(InputError, match="bodies: 'arrays of different length'"):
-        Bodies(**{**arrays(), "com_m": np.ones((3, 7))})
-
-
-def test_what_is_no_number_is_refused() -> None:
-    with pytest.raises(InputError, match=r"bodies\.mass_kg"):
-        Bodies(**{**arrays(), "mass_kg": [["heavy"] * 7] * 2})  # type: ignore[arg-type]
+    behind = nominal_but(0, 3, -0.01)
+    assert Bodies(**{**vars(Bodies.nominal(2)), "com_m": behind}).com_m[0, 3] == -0.01

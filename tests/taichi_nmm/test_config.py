@@ -103,24 +103,24 @@ def test_variants_and_likenesses_that_are_refused(
     assert re.search(message, str(error))
 
 
-def test_values_within_range_are_returned() -> None:
-    table = Table({"a": 1, "b": 2, "c": "up", "d": False})
-    number = table.number("a", low=0, high=1)
-    assert (number, type(number)) == (1.0, float)
+def test_values_within_range_are_returned_and_defaults_of_missing_keys() -> None:
+    table = Table({"a": 1, "b": 2, "c": "up", "d": False, "e": [1, 2], "f": ["x", "y"]})
+    numbers = (table.number("a", low=0, high=1), *table.range("e", (0, 0), 1, 2))
+    assert numbers == (1.0, 1.0, 2.0) and {type(number) for number in numbers} == {float}
     assert table.integer("b", low=2, high=2) == 2
     assert table.text("c", choices=("up", "down")) == "up"
     assert table.boolean("d") is False
+    assert table.texts("f", ("x", "y", "z")) == ("x", "y")
     table.done()
-
-
-def test_defaults_stand_in_for_missing_keys() -> None:
     table = Table({})
     assert table.number("a", 0.5) == 0.5
     assert table.integer("b", 7) == 7
     assert table.text("c", "x") == "x"
     assert table.boolean("d", True) is True
-    table.table("e").done()
-    assert table.tables("f") == []
+    assert table.range("e", (1, 2), 0, 9) == (1.0, 2.0)
+    assert table.texts("f") == ()
+    table.table("g").done()
+    assert table.tables("h") == []
     table.done()
 
 
@@ -145,6 +145,8 @@ BAD_VALUES: list[tuple[object, Callable[[Table], object], str]] = [
     (3, lambda t: t.text("key"), "a string"),
     ("left", lambda t: t.text("key", choices=("up", "down")), "up or down"),
     (1, lambda t: t.boolean("key"), "true or false"),
+    ("x", lambda t: t.texts("key"), "a list of names, each once"),
+    (["x", "x"], lambda t: t.texts("key"), "a list of names, each once"),
     (1, lambda t: t.table("key"), "a table"),
     ({}, lambda t: t.tables("key"), "an array of tables"),
     ([1], lambda t: t.tables("key"), "an array of tables"),
@@ -161,17 +163,9 @@ def test_a_value_of_wrong_type_or_range_is_named(
     assert error.allowed.startswith(allowed)
 
 
-REQUIRED: list[Callable[[Table], object]] = [
-    lambda t: t.number("key"),
-    lambda t: t.integer("key"),
-    lambda t: t.text("key"),
-    lambda t: t.boolean("key"),
-]
-
-
-@pytest.mark.parametrize("read", REQUIRED)
-def test_a_required_key_that_is_missing_is_named(read: Callable[[Table], object]) -> None:
-    error = refused(lambda: read(Table({}, "outer")))
+@pytest.mark.parametrize("read", [Table.number, Table.integer, Table.text, Table.boolean])
+def test_a_required_key_that_is_missing_is_named(read: Callable[[Table, str], object]) -> None:
+    error = refused(lambda: read(Table({}, "outer"), "key"))
     assert (error.field, error.value) == ("outer.key", "missing")
 
 

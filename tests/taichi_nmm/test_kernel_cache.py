@@ -1,17 +1,36 @@
-"""Places for compiled kernels: what Taichi would abort on, or say nothing about, is one line."""
+"""The environment of Taichi: what it would abort on, or be changed by, is one line or no matter."""
 
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
 from taichi_nmm.errors import InputError
-from taichi_nmm.kernel_cache import CACHE_VARIABLE, require_kernel_cache
+from taichi_nmm.kernel_cache import CACHE_VARIABLE, require_kernel_cache, settled_environment
 
 ROOT = Path(__file__).parents[2]
+WALK = ROOT / "tools" / "walk.py"
 SIMULATE = "import taichi_nmm; taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.1)"
+NOTEBOOK = "import io, sys; sys.stdout = io.StringIO(); import taichi_nmm.simulator"
+ODD = {
+    "LC_ALL": "xx", "LANG": "xx", "TI_ARCH": "zzz", "TI_LOG_LEVEL": "zzz", "TI_FAST_MATH": "maybe",
+    "TI_DEFAULT_FP": "7",
+}  # fmt: skip
+
+
+def python(
+    *words: object, environment: Mapping[str, str] = os.environ
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *map(str, words)],
+        env=environment,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
 
 
 def test_a_folder_that_can_be_written_is_taken(
@@ -40,19 +59,37 @@ def test_a_folder_that_cannot_be_written_is_named(
 
 
 @pytest.mark.slow
-def test_without_a_home_a_command_says_one_line_and_makes_nothing(tmp_path: Path) -> None:
-    environment = {name: value for name, value in os.environ.items() if name != "HOME"}
+def test_without_a_home_a_command_and_a_simulation_say_one_line(tmp_path: Path) -> None:
+    homeless = {name: value for name, value in os.environ.items() if name != "HOME"}
     out = tmp_path / "out"
-    words = [sys.executable, str(ROOT / "tools" / "walk.py"), "--out", str(out)]
-    done = subprocess.run(words, env=environment, cwd=ROOT, capture_output=True, text=True)
+    done = python(WALK, "--out", out, environment=homeless)
     assert done.stderr.startswith("error: HOME: 'unset'") and done.stderr.count("\n") == 1
     assert done.returncode == 2 and not out.exists()
+    done = python("-c", SIMULATE, environment=homeless)
+    assert done.returncode == 1 and "InputError: HOME: 'unset'" in done.stderr
+
+
+def test_variables_are_as_they_were_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in ODD.items():
+        monkeypatch.setenv(name, value)
+    before = dict(os.environ)
+    with settled_environment():
+        assert not set(ODD) - {"LC_ALL", "LANG"} & set(os.environ)
+        os.environ["TI_OF_TAICHI"] = "kept"
+    assert os.environ.pop("TI_OF_TAICHI") == "kept"
+    assert dict(os.environ) == before
 
 
 @pytest.mark.slow
-def test_without_a_home_a_simulation_is_an_input_error() -> None:
-    environment = {name: value for name, value in os.environ.items() if name != "HOME"}
-    done = subprocess.run(
-        [sys.executable, "-c", SIMULATE], env=environment, cwd=ROOT, capture_output=True, text=True
-    )
-    assert done.returncode == 1 and "InputError: HOME: 'unset'" in done.stderr
+def test_a_walk_is_the_same_in_an_odd_environment_and_without_docstrings(tmp_path: Path) -> None:
+    words = [WALK, "--duration", "2", "--movie-seconds", "0", "--json", "--out", tmp_path]
+    plain = python(*words)
+    odd = python("-OO", *words, environment={**os.environ, **ODD})
+    assert (plain.returncode, odd.returncode) == (0, 0), plain.stderr + odd.stderr
+    assert plain.stdout == odd.stdout
+
+
+@pytest.mark.slow
+def test_nothing_is_said_where_standard_output_is_a_notebooks() -> None:
+    done = python("-c", NOTEBOOK)
+    assert (done.returncode, done.stderr) == (0, "")

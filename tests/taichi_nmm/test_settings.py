@@ -1,11 +1,62 @@
-"""Settings of a simulation: defaults and ranges."""
+"""Settings of a simulation and the tables of a configuration that set its conditions."""
 
+import importlib.util
+import pickle
 from dataclasses import fields
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+import taichi_nmm
+from taichi_nmm import mujoco_engine, terrain
+from taichi_nmm.body import Bodies
+from taichi_nmm.conditions import Conditions, read_conditions, read_disturbance, read_settings
+from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
-from taichi_nmm.settings import PHYSICS_STEPS_S, Settings
+from taichi_nmm.mujoco_engine import require_mujoco
+from taichi_nmm.parameters import PUBLISHED_GAINS
+from taichi_nmm.settings import PHYSICS_STEPS_S, MujocoSettings, Settings
+from taichi_nmm.terrain import Ground
+
+NAN, INF = float("nan"), float("inf")
+SEED = 3
+ALL: dict[str, Any] = {
+    "simulation": {
+        "duration_s": 20,
+        "physics_step_s": 0.5e-3,
+        "contact_relaxation_speed_mps": 0.03,
+        "precision": "float64",
+        "arch": "cpu",
+    },
+    "body": {"disturbance": 0.15},
+    "terrain": {"kind": "rough", "amplitude_m": 0.03},
+}
+ON_MUJOCO: dict[str, Any] = {"engine": "mujoco", "duration_s": 20.0}
+
+
+def read(data: dict[str, Any], arch: str | None = None) -> Conditions:
+    table = Table(data)
+    conditions = read_conditions(table, duration_s=5.0, shortest_s=1.0, longest_s=100.0, arch=arch)
+    table.done()
+    return conditions
+
+
+def refused(field: str, data: dict[str, Any]) -> str:
+    """The one line about a field."""
+    with pytest.raises(InputError) as caught:
+        read(data)
+    assert caught.value.field == field
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def refused_on_mujoco(field: str, **simulation: Any) -> str:
+    return refused(f"simulation.{field}", {"simulation": ON_MUJOCO | simulation})
+
+
+# Settings from Python.
 
 
 def test_defaults_are_those_the_gaits_converge_with() -> None:
@@ -14,6 +65,9 @@ def test_defaults_are_those_the_gaits_converge_with() -> None:
     assert settings.contact_relaxation_speed_mps == 0.10
     assert settings.precision == "float32"
     assert settings.threads is None
+    assert settings.engine == "taichi"
+    assert settings.mujoco == MujocoSettings(0.02, 1.0, "stops")
+    assert Settings(contact_relaxation_speed_mps=0.03)  # the published one is allowed
 
 
 @pytest.mark.parametrize(("step_s", "substeps"), [*zip(PHYSICS_STEPS_S, (1, 2, 4), strict=True)])
@@ -21,22 +75,22 @@ def test_physics_steps_fill_a_control_tick(step_s: float, substeps: int) -> None
     assert Settings(physics_step_s=step_s).substeps == substeps
 
 
-def test_the_published_contact_speed_is_allowed() -> None:
-    assert Settings(contact_relaxation_speed_mps=0.03).contact_relaxation_speed_mps == 0.03
-
-
 @pytest.mark.parametrize(
     ("field", "value"),
     [
         ("physics_step_s", 2e-3),
-        ("physics_step_s", float("nan")),
+        ("physics_step_s", NAN),
         ("contact_relaxation_speed_mps", 0.0),
         ("contact_relaxation_speed_mps", 11.0),
-        ("contact_relaxation_speed_mps", float("nan")),
+        ("contact_relaxation_speed_mps", NAN),
         ("precision", "float16"),
         ("arch", "tpu"),
         ("threads", 0),
         ("threads", 10_000),
+        ("engine", "bullet"),
+        ("engine", "MuJoCo"),
+        ("engine", ""),
+        ("engine", 1),
     ],
 )
 def test_settings_out_of_range_are_named(field: str, value: object) -> None:
@@ -44,11 +98,186 @@ def test_settings_out_of_range_are_named(field: str, value: object) -> None:
         Settings(**{field: value})  # type: ignore[arg-type]
     assert caught.value.field == f"simulation.{field}"
     assert "\n" not in str(caught.value)
+    assert field != "engine" or caught.value.allowed == "taichi or mujoco"
+
+
+# Tables.
+
+
+def test_tables_become_conditions() -> None:
+    settings = Settings(0.5e-3, 0.03, "float64", "cpu")
+    expected = Conditions(20.0, settings, 0.15, Ground("rough", {"amplitude_m": 0.03}))
+    assert read(ALL) == expected
+    assert pickle.loads(pickle.dumps(expected)) == expected
+    assert hash(read(ALL)) == hash(expected)
+
+
+def test_missing_tables_are_a_nominal_body_on_level_ground() -> None:
+    assert read({}) == Conditions(5.0, Settings(), 0.0, Ground())
+    found, nominal = read({}).body(SEED), Bodies.nominal()
+    for name, values in vars(nominal).items():
+        assert getattr(found, name).tobytes() == values.tobytes()
+
+
+def test_body_and_terrain_follow_their_seeds() -> None:
+    conditions = read(ALL)
+    seed = np.random.SeedSequence(SEED, spawn_key=(1,))
+    body = Bodies.disturbed([seed], 0.15)
+    np.testing.assert_array_equal(conditions.body(seed).mass_kg, body.mass_kg)
+    ground = terrain.rough(seed, 0.03)
+    np.testing.assert_array_equal(conditions.terrain(seed).height_m, ground.height_m)
+
+
+def test_the_command_line_overrides_the_files_architecture() -> None:
+    assert read({"simulation": {"arch": "cuda"}}, arch="cpu").settings.arch == "cpu"
+    assert read_settings(Table({"arch": "cuda"}), arch="cpu").arch == "cpu"
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value"),
+    [
+        ("simulation", "duration_s", 0.5),
+        ("simulation", "duration_s", 101.0),
+        ("simulation", "physics_step_s", 2e-3),
+        ("simulation", "precision", "half"),
+        ("simulation", "precision", 64),
+        ("simulation", "arch", "tpu"),
+        ("simulation", "threads", 2),
+        ("simulation", "engine", "bullet"),
+        ("simulation", "engine", 1),
+        ("simulation", "mujoco", {"time_constant_s": 0.01}),  # on our own engine
+        ("body", "disturbance", 0.95),
+        ("body", "mass", 80),
+        ("terrain", "kind", "lava"),
+        ("terrain", "amplitude_m", 0.1),
+    ],
+)
+def test_a_bad_condition_is_named(table: str, key: str, value: object) -> None:
+    refused(f"{table}.{key}", {table: {key: value}})
+
+
+def test_the_body_table_may_be_read_alone() -> None:
+    assert read_disturbance(Table({"disturbance": 0.15}, "body")) == 0.15
+    assert read_disturbance(Table({}, "body")) == 0.0
+    with pytest.raises(InputError, match=r"^body\.disturbance: 0\.95 .* a number from 0 to 0\.9$"):
+        read_disturbance(Table({"disturbance": 0.95}, "body"))
+
+
+# MuJoCo.
+
+
+@pytest.mark.parametrize("value", [0.0, -0.02, NAN, INF, -INF, "soft"])
+@pytest.mark.parametrize("name", ["time_constant_s", "damping_ratio"])
+def test_contact_numbers_that_mean_something_else(name: str, value: Any) -> None:
+    """Negative ones are MuJoCo's direct form, of other units."""
+    with pytest.raises(InputError, match=rf"^simulation\.mujoco\.{name}: ") as caught:
+        MujocoSettings(**{name: value})
+    assert "\n" not in str(caught.value)
+    refused_on_mujoco(f"mujoco.{name}", mujoco={name: value})
+
+
+@pytest.mark.parametrize(
+    ("step_s", "shortest_s"), [(1e-3, 5e-3), (0.5e-3, 2.5e-3), (0.25e-3, 1.25e-3)]
+)
+def test_a_time_constant_of_some_steps_only(step_s: float, shortest_s: float) -> None:
+    own = {"time_constant_s": shortest_s * 0.99}
+    line = refused_on_mujoco("mujoco.time_constant_s", physics_step_s=step_s, mujoco=own)
+    assert f"{shortest_s:g} or more" in line and "physics_step_s smaller" in line
+    shortest = MujocoSettings(time_constant_s=shortest_s)
+    assert Settings(engine="mujoco", physics_step_s=step_s, mujoco=shortest).mujoco == shortest
+
+
+@pytest.mark.parametrize(
+    ("field", "simulation", "allowed"),
+    [
+        ("mujoco.limits", {"mujoco": {"limits": "none"}}, "stops or mujoco"),
+        ("mujoco.limits", {"mujoco": {"limits": "Stops"}}, "stops or mujoco"),
+        ("mujoco.limits", {"mujoco": {"limits": ""}}, "stops or mujoco"),
+        ("mujoco.limits", {"mujoco": {"limits": 1}}, "a string"),
+        ("mujoco.solimp", {"mujoco": {"solimp": 0.9}}, "only the keys"),
+        ("contact_relaxation_speed_mps", {"contact_relaxation_speed_mps": 0.1}, "only the keys"),
+        ("arch", {"arch": "cuda"}, "auto or cpu"),
+        ("arch", {"arch": "vulkan"}, "auto or cpu"),
+    ],
+)
+def test_a_bad_setting_of_mujoco_is_named(
+    field: str, simulation: dict[str, Any], allowed: str
+) -> None:
+    assert allowed in refused_on_mujoco(field, **simulation)
+
+
+@pytest.mark.parametrize("arch", ["auto", "cpu"])
+def test_mujoco_computes_on_the_processor(arch: str) -> None:
+    assert read({"simulation": ON_MUJOCO | {"arch": arch}}).settings.arch == arch
+
+
+@pytest.mark.parametrize("missing", ["mujoco", "mujoco.batch"])
+def test_mujoco_is_not_installed_or_too_old(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
+    def find_spec(name: str, *_: Any) -> Any:
+        return None if name == missing else importlib.util.find_spec(name)
+
+    monkeypatch.setattr(mujoco_engine, "find_spec", find_spec)
+    says = r"^simulation\.engine: 'mujoco' .* 4\.0 or newer: pip install 'taichi-nmm\[mujoco\]'$"
+    with pytest.raises(InputError, match=says) as caught:
+        require_mujoco()
+    assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match=says):
+        taichi_nmm.simulate(PUBLISHED_GAINS, settings=Settings(engine="mujoco"))
+
+
+def test_configurations_with_three_contacts() -> None:
+    """MuJoCo's default, half of it, and a quarter at half the step; all else is equal."""
+    configs = Path(__file__).resolve().parents[2] / "configs"
+    contacts = {"soft": (0.02, 1e-3), "middle": (0.01, 1e-3), "hard": (0.005, 0.5e-3)}
+    grounds = {path.stem for path in configs.glob("mujoco-*.toml")}
+    assert len(grounds) == 5
+    for ground in grounds:
+        others = []
+        for contact, (time_constant_s, step_s) in contacts.items():
+            data = read_toml(configs / f"{ground}-{contact}.toml").unread
+            simulation = dict(data.pop("simulation"))
+            assert simulation.pop("mujoco") == {"time_constant_s": time_constant_s}
+            assert simulation.pop("physics_step_s") == step_s
+            assert simulation["engine"] == "mujoco" and data.pop("name") == f"{ground}-{contact}"
+            assert data["runs"] == 50 and data["trials"] == 40 and data["until_walker"] is True
+            others.append((data, simulation))
+        assert others[0] == others[1] == others[2]
+
+
+# Documents. Stores hash their keys in this order.
+
+
+def test_the_document_leaves_the_machine_and_the_other_engine_out() -> None:
+    assert list(read(ALL).simulation_document().items()) == [
+        ("duration_s", 20.0),
+        ("physics_step_s", 0.5e-3),
+        ("contact_relaxation_speed_mps", 0.03),
+        ("precision", "float64"),
+    ]
+    for simulation in ({}, {"engine": "taichi"}):
+        assert list(read({"simulation": simulation}).simulation_document().items()) == [
+            ("duration_s", 5.0), ("physics_step_s", 1e-3),
+            ("contact_relaxation_speed_mps", 0.1), ("precision", "float32"),
+        ]  # fmt: skip
 
 
 def test_every_setting_but_the_machines_is_in_the_document() -> None:
-    document = Settings(precision="float64", arch="cpu", threads=1).document()
-    names = [field.name for field in fields(Settings)]
-    left_out = ("arch", "threads", "engine", "mujoco")  # of another engine: its own test
-    assert list(document) == [name for name in names if name not in left_out]
-    assert document["precision"] == "float64"
+    documents = (Settings(threads=1).document(), Settings(engine="mujoco").document())
+    found = {name for document in documents for name in document}
+    assert found == {field.name for field in fields(Settings)} - {"arch", "threads"}
+
+
+def test_the_document_of_mujoco_comes_back() -> None:
+    own = {"time_constant_s": 0.005, "damping_ratio": 0.8, "limits": "mujoco"}
+    simulation = ON_MUJOCO | {"physics_step_s": 0.5e-3, "mujoco": own, "arch": "cpu"}
+    conditions = read({"simulation": simulation})
+    document = conditions.simulation_document()
+    assert document == {
+        "duration_s": 20.0, "physics_step_s": 0.5e-3, "precision": "float32",
+        "engine": "mujoco", "mujoco": own,
+    }  # fmt: skip
+    again = read({"simulation": document})
+    assert again.simulation_document() == document
+    assert again.settings.mujoco == conditions.settings.mujoco
+    assert pickle.loads(pickle.dumps(conditions)) == conditions
+    assert hash(pickle.loads(pickle.dumps(conditions))) == hash(conditions)

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ pytestmark = pytest.mark.slow
 CPU = Settings(arch="cpu")
 # The published gains without push-off and balance: falls within the first steps.
 FALLING = PUBLISHED_GAINS * np.where(np.isin(GAIN_NAMES, ["K_SOL", "Kp_stance"]), 0.0, 1.0)
+MASKED = np.ma.masked_array(PUBLISHED_GAINS, mask=np.arange(len(PUBLISHED_GAINS)) == 3)
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +48,8 @@ def test_reference_gait_is_that_of_a_human(walk: Result) -> None:
     assert 0.1 < row["double_support_fraction"] < 0.25
     assert row["flight_fraction"] == 0.0
     assert np.deg2rad(4) < row["trunk_mean_rad"] < np.deg2rad(9)
-    assert row["step_duration_mean_s"] * row["mean_speed_mps"] == pytest.approx(
-        row["step_length_mean_m"] + row["mean_speed_mps"] * 0.0, rel=0.15
-    )
+    step_m = row["step_duration_mean_s"] * row["mean_speed_mps"]
+    assert step_m == pytest.approx(row["step_length_mean_m"], rel=0.15)
 
 
 def test_score_is_the_sum_of_its_components(walk: Result) -> None:
@@ -123,12 +124,8 @@ def test_divergence_is_a_code_and_touches_no_neighbour() -> None:
 
 @pytest.mark.parametrize("gain", [1e300, 1e38, -1e30])
 def test_divergence_in_the_first_tick_is_a_code_while_recorded(gain: float) -> None:
-    result = taichi_nmm.simulate(
-        [PUBLISHED_GAINS, np.full(len(PUBLISHED_GAINS), gain)],
-        duration_s=0.5,
-        settings=CPU,
-        record=[1, 0],
-    )
+    gains = [PUBLISHED_GAINS, np.full(len(PUBLISHED_GAINS), gain)]
+    result = taichi_nmm.simulate(gains, duration_s=0.5, settings=CPU, record=[1, 0])
     first, second = result.trajectories
     assert result.end_reason.tolist() == ["completed", "diverged"]
     assert (first.walker, len(first.time_s), first.ground_force_n.shape) == (1, 0, (0, 4))
@@ -136,6 +133,14 @@ def test_divergence_in_the_first_tick_is_a_code_while_recorded(gain: float) -> N
     assert len(second.time_s) == 50
     alone = taichi_nmm.simulate(PUBLISHED_GAINS, duration_s=0.5, settings=CPU)
     np.testing.assert_array_equal(result.rows[:1], alone.rows)
+
+
+def test_a_walker_that_is_recorded_twice_has_two_equal_trajectories() -> None:
+    once = taichi_nmm.simulate(PUBLISHED_GAINS, duration_s=0.1, settings=CPU, record=[0])
+    twice = taichi_nmm.simulate(PUBLISHED_GAINS, duration_s=0.1, settings=CPU, record=[0, 0])
+    for trajectory in twice.trajectories:
+        np.testing.assert_array_equal(trajectory.time_s, once.trajectories[0].time_s)
+    assert len(twice.trajectories) == 2
 
 
 @pytest.mark.parametrize("engine", ["taichi", "mujoco"])
@@ -147,13 +152,9 @@ def test_grounds_at_the_bounds_end_walks_with_a_code(engine: str) -> None:
         terrain.Terrain("high", np.full(terrain.GRID_NODES, high)),
         terrain.stairs(1.0, 0.1, 0.0),
     ]
-    settings = Settings(engine=engine, arch="cpu")
+    settings, gains = Settings(engine=engine, arch="cpu"), [PUBLISHED_GAINS] * len(cliffs)
     result = taichi_nmm.simulate(
-        [PUBLISHED_GAINS] * len(cliffs),
-        duration_s=0.5,
-        settings=settings,
-        terrains=cliffs,
-        record=[0, 1],
+        gains, duration_s=0.5, settings=settings, terrains=cliffs, record=[0, 1]
     )
     assert set(result.end_reason) <= {"completed", "fell", "diverged"}
     ended = result["end_reason"] != DIVERGED
@@ -202,53 +203,42 @@ def test_settings_change_the_walk() -> None:
         ({"low_level_gains": np.zeros(7)}, r"low_level_gains\.shape"),
         ({"record": [2]}, "record: 2"),
         ({"record": [0], "record_rate_hz": 300.0}, "record_rate_hz: 300"),
+        ({"gains": MASKED}, "gains.*nan"),
+        (
+            {"terrains": [terrain.flat()], "terrain_index": np.ma.masked_array([0, 0], [0, 1])},
+            "terrain_index.*whole numbers",
+        ),
     ],
 )
 def test_bad_input_names_field_value_and_what_is_allowed(
     arguments: dict[str, object], message: str
 ) -> None:
-    full: dict[str, object] = {
-        "gains": [PUBLISHED_GAINS, PUBLISHED_GAINS],
-        "settings": CPU,
-        **arguments,
-    }
-    gains = full.pop("gains")
+    full: dict[str, Any] = {"gains": [PUBLISHED_GAINS] * 2, "settings": CPU, **arguments}
     with pytest.raises(InputError, match=message) as caught:
-        taichi_nmm.simulate(gains, **full)  # type: ignore[arg-type]
+        taichi_nmm.simulate(**full)
     assert "allowed:" in str(caught.value) and "\n" not in str(caught.value)
 
 
-THREAD = """
-import threading, taichi_nmm
+ATTEMPT = """
+import multiprocessing, threading, taichi_nmm
+def walk():
+    taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.01)
 def attempt():
     try:
-        taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.01)
+        walk()
     except taichi_nmm.InputError as error:
-        print(error)
+        print(error, flush=True)
+"""
+THREAD = """
 for _ in range(2):
     thread = threading.Thread(target=attempt, name="worker")
     thread.start()
     thread.join()
-    taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.01)
+    walk()
 print("done")
 """
-
-
-def test_first_simulation_off_the_main_thread_is_refused_and_later_ones_run() -> None:
-    done = subprocess.run([sys.executable, "-c", THREAD], capture_output=True, text=True)
-    lines = done.stdout.splitlines()
-    assert lines[0].startswith("thread: 'worker' cannot be used; allowed: the main thread")
-    assert lines[1:] == ["done"], done.stderr
-
-
 FORK = """
-import multiprocessing, taichi_nmm
-def attempt():
-    try:
-        taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.01)
-    except taichi_nmm.InputError as error:
-        print(error, flush=True)
-taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.01)
+walk()
 child = multiprocessing.get_context("fork").Process(target=attempt)
 child.start()
 child.join(30)
@@ -256,29 +246,24 @@ child.kill()
 """
 
 
+def printed(code: str) -> list[str]:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_first_simulation_off_the_main_thread_is_refused_and_later_ones_run() -> None:
+    first, *others = printed(ATTEMPT + THREAD)
+    assert first.startswith("thread: 'worker' cannot be used; allowed: the main thread")
+    assert others == ["done"]
+
+
 def test_simulation_in_a_fork_of_a_process_that_simulated_is_refused() -> None:
     """Taichi's threads do not survive a fork: the child would wait for them without end."""
-    done = subprocess.run([sys.executable, "-c", FORK], capture_output=True, text=True)
-    assert done.stdout.startswith("process: "), done.stderr
-    assert "multiprocessing.get_context('spawn')" in done.stdout
-
-
-def test_masked_gains_are_no_numbers() -> None:
-    gains = np.ma.masked_array(PUBLISHED_GAINS, mask=np.arange(len(PUBLISHED_GAINS)) == 3)
-    with pytest.raises(InputError, match=r"gains.*nan"):
-        taichi_nmm.simulate(gains, duration_s=0.01, settings=CPU)
-
-
-def test_masked_rows_are_no_rows() -> None:
-    index = np.ma.masked_array([0, 0], mask=[False, True])
-    with pytest.raises(InputError, match=r"terrain_index.*whole numbers"):
-        taichi_nmm.simulate(
-            [PUBLISHED_GAINS, PUBLISHED_GAINS], terrains=[terrain.flat()], terrain_index=index
-        )
+    (line,) = printed(ATTEMPT + FORK)
+    assert line.startswith("process: ") and "multiprocessing.get_context('spawn')" in line
 
 
 def test_import_is_cheap() -> None:
     imports = "import sys, taichi_nmm, taichi_nmm.conditions, taichi_nmm.kernel.layout"
-    code = f"{imports}; assert 'taichi' not in sys.modules; print('cheap')"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stdout.strip() == "cheap", done.stderr
+    assert printed(f"{imports}; print('taichi' in sys.modules)") == ["False"]

@@ -12,20 +12,17 @@ from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import MEASURES, Walker, array_digest
 
 
-@pytest.mark.parametrize("settings", [Settings(arch="cpu"), Settings(engine="mujoco")])
+@pytest.mark.parametrize(
+    ("settings", "processes"),
+    [(Settings(arch="cpu"), 7), (Settings(engine="mujoco"), 7), (Settings(), 1)],
+)
 def test_a_process_a_core_where_no_gpu_computes(
-    settings: Settings, monkeypatch: pytest.MonkeyPatch
+    settings: Settings, processes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """MuJoCo computes on the processor, whatever else the machine has."""
     monkeypatch.setattr(walker_simulator, "find_library", lambda name: "libcuda.so")
     monkeypatch.setattr(walker_simulator, "started_arch", lambda settings: "cuda")
-    assert Walker(settings).processes(7) == 7
-
-
-def test_one_process_where_a_gpu_computes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(walker_simulator, "find_library", lambda name: "libcuda.so")
-    monkeypatch.setattr(walker_simulator, "started_arch", lambda settings: "cuda")
-    assert Walker(Settings()).processes(7) == 1
+    assert Walker(settings).processes(7) == processes
 
 
 def test_points_are_split_into_gains_and_low_level_gains() -> None:

@@ -65,9 +65,7 @@ def test_a_strength_that_all_muscles_share_multiplies_each_of_them() -> None:
 
 
 @pytest.mark.parametrize("overall", [(0.1, 1.0), (1.0, 9.0)])
-def test_a_product_of_strengths_that_no_muscle_may_have_is_refused(
-    overall: tuple[float, float],
-) -> None:
+def test_a_product_of_strengths_that_no_muscle_may_have_is_refused(overall: Any) -> None:
     with pytest.raises(InputError, match=r"^world\.overall_strength: .* a product of 0\.1 to 10$"):
         replace(ALL, strength=(0.5, 2.0), overall_strength=overall)
 
@@ -172,13 +170,9 @@ def one_of(**changes: Any) -> Worlds:
 def recorded(worlds: Worlds) -> Any:
     """Trajectory of the published gains on level ground, every tick."""
     return taichi_nmm.simulate(
-        PUBLISHED_GAINS,
-        duration_s=3.0,
-        worlds=worlds,
-        settings=CPU,
-        record=[0],
-        record_rate_hz=1000,
-    ).trajectories[0]
+        PUBLISHED_GAINS, duration_s=3.0, worlds=worlds, settings=CPU,
+        record=[0], record_rate_hz=1000,
+    ).trajectories[0]  # fmt: skip
 
 
 def test_friction_caps_the_horizontal_force() -> None:

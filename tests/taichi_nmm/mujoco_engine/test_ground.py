@@ -1,4 +1,4 @@
-"""Planes under the soles against the height table itself, looked at point by point."""
+"""Planes under the soles, and the boxes of a file, against the height table itself."""
 
 from pathlib import Path
 
@@ -9,15 +9,16 @@ from numpy.typing import NDArray
 
 from taichi_nmm import terrain
 from taichi_nmm.body import Bodies
+from taichi_nmm.errors import InputError
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.contact_planes import PLANES, SOLE_RADIUS_M
 from taichi_nmm.kernel.layout import CONTACTS
-from taichi_nmm.mujoco_engine.ground import ContactPlanes
-from taichi_nmm.mujoco_engine.mjcf import walk_model
+from taichi_nmm.mujoco_engine.engine import start_state
+from taichi_nmm.mujoco_engine.ground import ContactPlanes, boxes
+from taichi_nmm.mujoco_engine.mjcf import walk_model, write_mjcf
 from taichi_nmm.settings import Settings
 from taichi_nmm.simulator import LONGEST_WALK_S
-from taichi_nmm.terrain import GRID_END_M, GRID_START_M, GRID_X_M, KINDS, Terrain
-from tests.taichi_nmm.mujoco_engine.grounds import grounds_of
+from taichi_nmm.terrain import GRID_END_M, GRID_NODES, GRID_START_M, GRID_X_M, KINDS, Terrain
 
 Array = NDArray[np.float64]
 
@@ -27,6 +28,26 @@ SPACING_M = 1e-5  # of the points of the ground that are looked at
 AROUND_M = 0.03
 STEEPEST = 5.0  # of these grounds, its length along a metre: the points on it are so far apart
 FASTEST_MPS = 2.4  # see `terrain.GRID_END_M`
+FILE = "0, 0\n1, 0.5\n1.31, 0.2\n7, 0.21\n40, -3\n"
+ABOVE_M = 1000.0
+AWAY_M = 1e4  # where the walker is, while rays are cast
+
+
+def grounds_of(kind: str, folder: Path) -> list[Terrain]:
+    """Grounds of a kind, the steepest of the experiments among them; a file's is written."""
+    (folder / "table.csv").write_text(FILE)
+    return {
+        "flat": [terrain.flat()],
+        "rough": [terrain.rough(1), terrain.rough(2, amplitude_m=0.3, flat_start_m=0.0)],
+        "blocks": [terrain.blocks(2), terrain.blocks(3, amplitude_m=0.2, riser_m=0.05)],
+        "ramp": [terrain.ramp(), terrain.ramp(direction="down")],
+        "stairs": [
+            terrain.stairs(rise_m=0.05),
+            terrain.stairs(direction="down", rise_m=0.15),
+            terrain.stairs(rise_m=0.2, run_m=0.1),
+        ],
+        "file": [terrain.from_file(folder / "table.csv")],
+    }[kind]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -207,3 +228,43 @@ def test_bits_do_not_depend_on_the_controllers_precision() -> None:
     for one, other in zip(single, planes.under(qpos), strict=True):
         np.testing.assert_array_equal(one, other)
     assert single[0].shape == (2, PLANES, 3)
+
+
+# Boxes: rays from above meet the height table.
+
+
+def errors_m(model: mujoco.MjModel, data: mujoco.MjData, ground: Terrain, x_m: np.ndarray) -> float:
+    """The largest, between rays from above and the table."""
+    data.qpos[1] = AWAY_M
+    mujoco.mj_forward(model, data)
+    hit, down, found = np.zeros(1, np.int32), np.array([0.0, 0.0, -1.0]), []
+    for x in x_m:
+        start = np.array([x, 0.0, ABOVE_M])
+        found.append(ABOVE_M - mujoco.mj_ray(model, data, start, down, None, 1, -1, hit, None))
+    return float(np.max(np.abs(np.array(found) - ground.height(x_m))))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_rays_meet_the_height_table(kind: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    x_m = np.concatenate([rng.uniform(-6, 302, 150), rng.choice(GRID_X_M, 50) + 1e-9, [-20.0]])
+    file = tmp_path / "walker.xml"
+    for ground in grounds_of(kind, tmp_path):
+        write_mjcf(file, Bodies.nominal(), 0.9, boxes(ground), MUJOCO, start_state(ground))
+        model = mujoco.MjModel.from_xml_path(str(file))
+        assert errors_m(model, mujoco.MjData(model), ground, x_m) <= 1e-6, ground.name
+
+
+def test_a_straight_piece_is_one_box() -> None:
+    assert len(boxes(terrain.flat())) == 1
+    ramp = terrain.ramp()
+    slopes = np.diff(ramp.height_m)
+    assert len(boxes(ramp)) == 2 + np.count_nonzero(np.abs(np.diff(slopes)) > 1e-10)
+
+
+def test_a_ground_that_is_too_jagged_is_refused() -> None:
+    height = np.where(np.arange(GRID_NODES) % 2, 1.0, 0.0)
+    with pytest.raises(InputError, match=r"^terrain: 'saw' .* smoother ground than at x = ") as no:
+        boxes(Terrain("saw", height))
+    assert "\n" not in str(no.value)
