@@ -1,9 +1,9 @@
 """Work spread over an executor: in this process, over processes of this machine, or any other.
 
-A unit of work is a function of an importable module and its arguments, and depends on nothing else;
-its result is the same wherever it is run, and the order in which units end decides nothing. That
-holds for machines of one *kind*: bits are the same at any number of threads, but not on any
-processor. Machines of one kind may fill a folder together; two kinds would mix two simulators.
+A unit of work is a function of an importable module and its arguments, and depends on nothing else.
+Its result is the same on every machine of one *kind*, and the order in which units end decides
+nothing. Bits are the same at any number of threads, but not on any processor. Machines of one kind
+may fill a folder together; two kinds would mix two simulators.
 """
 
 import hashlib
@@ -25,13 +25,14 @@ from storage.simulator import WALKER, Simulator
 from taichi_nmm.errors import InputError, shortened
 
 Kind = dict[str, str]
-"""Of each part what it is: "canary", "processor", the simulator's code, packages by their names."""
+"""By name: "canary", "processor", and the versions of the simulator and of packages."""
 
 MOST_LOCAL = 256  # processes of this machine
 FORMS = f"local:N with N from 1 to {MOST_LOCAL}, or a scheduler's HOST:PORT, tcp:// or tls://"
 _LOCAL = re.compile(r"local:([1-9]\d{0,2})")
 _SCHEDULER = re.compile(r"(?!local:)((tcp|tls)://)?(\[[0-9a-fA-F:.%]+\]|[\w.-]+):\d{1,5}", re.ASCII)
 
+DIGEST_LENGTH = 64  # of SHA-256 in hexadecimal digits
 KIND_NAME = "kind.json"  # in a folder: the kind of the workers that fill it
 
 Unit = TypeVar("Unit")
@@ -58,21 +59,23 @@ class Pool:
     Attributes:
         executor: any.
         slots: units under way at once, to begin with; no more are lost when work is stopped.
+        mixed: whether machines may differ in the bits that they compute.
     """
 
     executor: Executor
     slots: int
+    mixed: bool = False
 
     def room(self) -> int:
         """Units that may be under way at this moment."""
         return self.slots
 
     def there(self, store: Path) -> Path:
-        """Where units find a store of this machine."""
+        """The path at which units find a store of this machine."""
         return store
 
     def agree(self, folder: Path) -> None:
-        """See that what computes the units computes the bits of a folder, which is held.
+        """Check that units are computed with the bits of a folder, which is held.
 
         Raises:
             InputError: the folder is of another kind of machine.
@@ -80,13 +83,8 @@ class Pool:
 
     @property
     def kinds(self) -> list[Kind]:
-        """Of the machines that compute, where they are others than this one."""
+        """Kinds of the machines that compute, where they are others than this one."""
         return []
-
-    @property
-    def mixed(self) -> bool:
-        """Whether they may differ in the bits that they compute."""
-        return False
 
     @property
     def in_process(self) -> bool:
@@ -101,13 +99,13 @@ class Pool:
     def results(
         self, function: Callable[[Unit], Result], units: deque[Unit]
     ) -> Iterator[tuple[Unit, Result]]:
-        """Units and what came of them, in the order in which they end.
+        """Units and their results, in the order in which they end.
 
-        The caller may append further units while it goes on, such as the next stretch of one.
+        The caller may append further units meanwhile.
 
         Raises:
-            InputError: what a unit raised, or a process was killed.
-            Exception: whatever else a unit raised.
+            InputError: a process was killed.
+            Exception: raised by a unit.
         """
         running: dict[Future[Result], Unit] = {}
         try:
@@ -130,8 +128,8 @@ IN_PROCESS = Pool(InProcess(), 1)
 def local_pool(workers: int) -> Iterator[Pool]:
     """A pool of this machine: up to so many spawned processes, or, for one, this process itself.
 
-    They are started as units need them, and end when the context does, in the middle of a unit if
-    need be; see `Processes`.
+    They are started as units need them, and end when the context does, even in the middle of a
+    unit; see `Processes`.
 
     Raises:
         InputError: not a number of processes.
@@ -147,27 +145,25 @@ def local_pool(workers: int) -> Iterator[Pool]:
 
 @dataclass(frozen=True)
 class Cluster:
-    """What a user asks for.
+    """A cluster that a user names.
 
     Attributes:
         address: of a scheduler; or "local:N", N processes of this machine.
-        mixed: whether workers may differ from one another in what they compute.
+        mixed: whether workers may differ in the bits that they compute.
     """
 
     address: str
     mixed: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what is no address.
+        """Refuse other addresses.
 
         Raises:
             InputError: neither form, or the package distributed is not there.
         """
-        local = _LOCAL.fullmatch(self.address)
-        if local is not None and int(local[1]) > MOST_LOCAL:
-            raise InputError("cluster", self.address, FORMS)
-        if local is None and not _SCHEDULER.fullmatch(self.address):
-            # An "@" is where somebody's password would end.
+        scheduler = _SCHEDULER.fullmatch(self.address)
+        if not scheduler and not 0 < self.local_processes <= MOST_LOCAL:
+            # An "@" may end a password.
             said = shortened(self.address) if "@" not in self.address else "..."
             raise InputError("cluster", said, FORMS)
         if find_spec("distributed") is None:
@@ -218,17 +214,16 @@ def processor(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
 
 
 def differences(kind: Kind, reference: Kind) -> str:
-    """In what a kind differs from another, in a line; empty: in nothing."""
+    """All differences of a kind from another, in a line; empty: none."""
     names = dict.fromkeys([*reference, *kind])
+
+    def shown(value: str | None) -> str:
+        if value is None:
+            return "none"
+        return value[:12] if len(value) == DIGEST_LENGTH else value  # a digest by its beginning
+
     return ", ".join(
-        f"{name} {_shown(kind.get(name))}, not {_shown(reference.get(name))}"
+        f"{name} {shown(kind.get(name))}, not {shown(reference.get(name))}"
         for name in names
         if kind.get(name) != reference.get(name)
     )
-
-
-def _shown(value: str | None) -> str:
-    """A digest by its beginning."""
-    if value is None:
-        return "none"
-    return value[:12] if len(value) == hashlib.sha256().digest_size * 2 else value

@@ -1,7 +1,7 @@
-"""A session of work on a cluster: connected, its workers let in, calls passed on, left as found.
+"""A session of work on a cluster, which lets workers in and passes calls on.
 
-Workers that compute the bits of the folder get work, however late they join; a call whose worker is
-killed is made again elsewhere, by Dask.
+Workers that compute the bits of the folder get work, however late they join. Dask makes a call
+again elsewhere when its worker is killed. The cluster is left as it was found.
 """
 
 import asyncio
@@ -14,7 +14,7 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -50,16 +50,11 @@ GOES_ON = "the same command goes on where it stopped"
 
 
 class Session(Executor):
-    """Makes calls on workers, each of which it lets in first. What fails is an `InputError`.
-
-    Args:
-        client: of the scheduler.
-        asked: the cluster, as the user has named it.
-        kind: of the folder; None: that of the first worker.
+    """Lets workers in and makes calls on them. A failure is an `InputError`.
 
     Attributes:
         name: of the plugin on workers, of their events, and of the resource that they offer.
-        kind: that workers must be of, unless they may be mixed.
+        kind: that workers must be of, unless they may be mixed; None: that of the first worker.
         kinds: of all workers that were ever let in, in this order.
     """
 
@@ -70,8 +65,8 @@ class Session(Executor):
         self._client = client
         self._asked = asked
         self._inside: set[str] = set()
-        self._there: dict[str, int] = {}  # threads of each worker that the scheduler knows
-        self._refused: dict[str, str] = {}  # the reason by a worker's address
+        self._there: dict[str, int] = {}  # threads of the scheduler's workers, by address
+        self._refused: dict[str, str] = {}  # reasons, by address
         self._met = threading.Event()
         self._pending: dict[Future[Any], Remote] = {}
         client.loop.add_callback(self._watch)
@@ -79,21 +74,20 @@ class Session(Executor):
     def places(self) -> int:
         """Calls that can be under way at once: threads of the workers that are in and alive.
 
-        As of the last look: asking each time would cost a call as much as all else of Dask.
+        As of the last look: to ask the scheduler would double the cost of a call.
         """
         return sum(self._there.get(address, 0) for address in self._inside)
 
     async def meet(self, event: tuple[float, dict[str, Any]]) -> None:
-        """Let a worker in that has told what it computes with, or tell the user why not."""
+        """Let in a worker that sends its kind, or tell the user why not."""
         _, told = event
         address, kind, reason = str(told["worker"]), told.get("kind"), str(told.get("error", ""))
         if kind is not None:
             self.kind = self.kind or kind
             reason = "" if self._asked.mixed else differences(kind, self.kind)
         if reason or kind is None:
-            if reason not in self._refused.values():  # a line for a hundred workers alike
-                line = f"worker {address} gets no work: {reason}"
-                print(line, file=sys.stderr, flush=True)
+            if reason not in self._refused.values():  # one line for a hundred workers alike
+                print(f"worker {address} gets no work: {reason}", file=sys.stderr, flush=True)
             self._refused[address] = reason
         else:
             if kind not in self.kinds:
@@ -109,16 +103,16 @@ class Session(Executor):
         Raises:
             InputError: all workers were refused, or there is none in time.
         """
-        began_s, address = time.monotonic(), self._asked.address
+        began_s = time.monotonic()
         while not self.places():
             self._client.sync(self._look)
             if self._there and self._there.keys() <= self._refused.keys():
                 reason = next(iter(self._refused.values()))
-                allowed = f"workers like the folder's ({reason}); or --mixed; or another --out"
-                raise InputError("cluster", address, allowed)
+                allowed = f"workers like the folder's ({reason}); or {REMEDY}"
+                raise InputError("cluster", self._asked.address, allowed)
             if time.monotonic() - began_s > START_S:
                 allowed = f"a scheduler that has a worker within {START_S:.0f} s"
-                raise InputError("cluster", address, allowed)
+                raise InputError("cluster", self._asked.address, allowed)
             self._met.wait(POLL_S)
             self._met.clear()
 
@@ -149,22 +143,22 @@ class Session(Executor):
         self._there = dict(await self._client.scheduler.ncores())
 
     async def _follow(self, remote: Remote, future: Future[Any]) -> None:
+        outcome, error = None, None
         try:
-            outcome, error = pickle.loads(await remote), None
+            outcome = pickle.loads(await remote)
         except InputError as refused:
-            outcome, error = None, refused
+            error = refused
         except (asyncio.CancelledError, CancelledError, CommClosedError):
-            outcome, error = None, self._given_up("a scheduler that stays")
+            error = self._given_up("a scheduler that stays")
         except KilledWorker as killed:
-            allowed = f"workers that live: a call took {killed.allowed_failures + 1} with it"
-            outcome, error = None, self._given_up(allowed)
+            deaths = killed.allowed_failures + 1
+            error = self._given_up(f"workers that live: a call took {deaths} with it")
         except Exception as failed:
-            reason = one_line(shortened(f"{type(failed).__name__}: {failed}"))
-            outcome, error = None, self._given_up(f"calls that do not fail there ({reason})")
+            error = self._given_up(f"calls that do not fail there ({_in_a_line(failed)})")
         self._settle(future, outcome, error)
 
     async def _watch(self) -> None:
-        """Give up when there has been no worker for long, or no answer."""
+        """Give up calls when there has been no worker for long, or no answer."""
         seen_s = time.monotonic()
         while self._client.status not in ("closed", "closing"):
             await asyncio.sleep(WATCH_S)
@@ -187,13 +181,12 @@ class Session(Executor):
         return InputError("cluster", self._asked.address, f"{allowed}; {GOES_ON}")
 
     def _settle(self, future: Future[Any], outcome: Any, error: InputError | None) -> None:
-        """Once; the remote result is let go."""
-        if self._pending.pop(future, None) is None:
-            return
-        if error is None:
-            future.set_result(outcome)
-        else:
-            future.set_exception(error)
+        """End a call, if it has not ended; the remote result is let go."""
+        if self._pending.pop(future, None) is not None:
+            if error is None:
+                future.set_result(outcome)
+            else:
+                future.set_exception(error)
 
 
 @dataclass(frozen=True)
@@ -201,18 +194,15 @@ class ClusterPool(Pool):
     """A pool whose places come and go.
 
     Attributes:
-        session: that makes the calls; the executor.
-        freights: the stores that workers have, by where they are here.
-        may_mix: whether workers may differ.
+        freights: stores that workers have, by their paths here.
     """
 
-    session: Session
-    freights: dict[Path, Freight]
-    may_mix: bool
+    executor: Session
+    freights: dict[Path, Freight] = field(default_factory=dict)
 
     def room(self) -> int:
         """One unit a place, and one that waits there."""
-        return max(1, AHEAD * self.session.places())
+        return max(1, AHEAD * self.executor.places())
 
     def there(self, store: Path) -> Path:
         """Its place in the folder that units run in."""
@@ -220,18 +210,13 @@ class ClusterPool(Pool):
 
     def agree(self, folder: Path) -> None:
         """Write the kind into a folder that has none yet."""
-        if not self.may_mix and self.session.kind is not None:
-            agree(folder / KIND_NAME, self.session.kind, remedy=REMEDY)
+        if not self.mixed and self.executor.kind is not None:
+            agree(folder / KIND_NAME, self.executor.kind, remedy=REMEDY)
 
     @property
     def kinds(self) -> list[Kind]:
-        """Of all workers that were let in."""
-        return list(self.session.kinds)
-
-    @property
-    def mixed(self) -> bool:
-        """Whether they may differ."""
-        return self.may_mix
+        """Kinds of all workers that were let in."""
+        return list(self.executor.kinds)
 
 
 @contextmanager
@@ -242,14 +227,9 @@ def cluster_pool(
     packages: tuple[str, ...] = (),
     stores: Sequence[Path] = (),
 ) -> Iterator[Pool]:
-    """A pool of a cluster's workers; they have nothing of it when the context ends.
+    """A pool of a cluster's workers, on which nothing is left when the context ends.
 
-    Args:
-        asked: which cluster.
-        folder: that is to be filled, and decides what kind workers must be of; None: a new one.
-        simulator: that units use, on one thread.
-        packages: beside the simulator's, that decide results.
-        stores: that units read, by `Pool.there`.
+    Arguments as of `storage.cluster.open_pool`; the folder decides of which kind workers must be.
 
     Raises:
         InputError: no scheduler there, none of its workers is of the folder's kind, or a store
@@ -270,7 +250,7 @@ def cluster_pool(
                 client.register_plugin(plugin)
                 session.wait_for_one()
             slots = AHEAD * session.places()
-            yield ClusterPool(session, slots, session, freights, asked.mixed)
+            yield ClusterPool(session, slots, asked.mixed, freights)
         finally:
             session.shutdown()
             with suppress(Exception):  # a scheduler that is gone, or stalls
@@ -279,12 +259,12 @@ def cluster_pool(
 
 
 def folder_kind(folder: Path, describe: Callable[[], Kind]) -> Kind | None:
-    """The kind of what is in a folder; None of a new one.
+    """The kind of machine that has begun a folder; None: it is new.
 
-    What no cluster has begun is taken to be of this machine.
+    A folder that no cluster has begun is taken to be of this machine.
 
     Raises:
-        InputError: its note of the kind cannot be read.
+        InputError: its file of the kind cannot be read.
     """
     path = folder / KIND_NAME
     if path.exists():
@@ -309,8 +289,8 @@ def left_behind(dask_scheduler: Any = None) -> list[str]:
 def _scheduler(asked: Cluster) -> Iterator[tuple[str, Security]]:
     """The address of the cluster and how to talk to it; one of this machine is started and ended.
 
-    Whoever reaches a scheduler can have it run anything. So of ours nobody else hears: it is on the
-    loopback address, and asks for certificates that only this process and its workers have.
+    A scheduler runs anything for anybody who reaches it. So ours is on the loopback address, and
+    asks for certificates that only this process and its workers have.
     """
     if not asked.local_processes:
         yield asked.address, Security()  # as Dask's own settings say
@@ -354,12 +334,15 @@ def _client(asked: Cluster, address: str, security: Security) -> Iterator[Client
 
 @contextmanager
 def _failures(asked: Cluster) -> Iterator[None]:
-    """What a scheduler can do to its client, in one line."""
+    """Turn whatever a scheduler does to its client into one line."""
     try:
         yield
     except InputError:
         raise
     except Exception as error:  # of sockets, TLS, or what a worker made of the plugin
-        said = one_line(shortened(f"{type(error).__name__}: {error}"))
-        allowed = f"a scheduler that answers, and workers with this project ({said})"
+        allowed = f"a scheduler that answers, and workers with this project ({_in_a_line(error)})"
         raise InputError("cluster", asked.address, allowed) from None
+
+
+def _in_a_line(error: Exception) -> str:
+    return one_line(shortened(f"{type(error).__name__}: {error}"))

@@ -1,8 +1,8 @@
-"""What a session puts on every worker of a cluster: processes that run calls, and stores they read.
+"""A session's part on every worker of a cluster: processes that run calls, and stores they read.
 
-Taichi compiles on a main thread only, and a worker's is Dask's own; so calls go to processes of the
-worker's, which end with it. A worker that is started again, or joins late, is set up likewise.
-Workers share no disk with whoever reads the configuration, so stores are sent to them.
+Taichi compiles on a main thread only, and a worker's main thread is Dask's own; so calls go to
+processes that end with the worker. A worker that is started again, or joins late, is set up
+likewise. Workers share no disk with the command, so stores are sent to them.
 """
 
 import hashlib
@@ -17,6 +17,7 @@ import threading
 import traceback
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Future
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,7 +77,7 @@ def packed(path: Path) -> Freight:
 
 
 def _add(tar: tarfile.TarFile, path: Path, name: str) -> None:
-    """The content alone: neither dates nor owners, which would make two packages of one store."""
+    """Add the content alone: dates and owners would make two packages of one store."""
     with reading("store", path, "a file that can be read") as file:
         content = file.read_bytes()
     about = tarfile.TarInfo(name)
@@ -85,7 +86,7 @@ def _add(tar: tarfile.TarFile, path: Path, name: str) -> None:
 
 
 def dask_setup(worker: Any) -> None:
-    """Of a worker of this machine, which preloads this file: Ctrl-C is for the command alone."""
+    """A worker of this machine preloads this file: Ctrl-C is for the command alone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -107,46 +108,49 @@ class Workplace(WorkerPlugin):  # type: ignore[misc]
         self._freights = freights
 
     def setup(self, worker: Worker) -> None:
-        """Unpack the stores, start a process, and tell the session what it computes with."""
-        # Dask's nannies start workers as daemons, which may have no children; ours end by
-        # themselves when their worker does.
+        """Unpack the stores, start a process, and send its kind to the session."""
+        # Dask's nannies start workers as daemons, which may have no children. Ours end with their
+        # worker.
         multiprocessing.current_process().daemon = False
         self._folder = Path(worker.local_directory) / self.name
         self._folder.mkdir(parents=True, exist_ok=True)
         self._processes = Processes(worker.state.nthreads)
         for freight in self._freights:
             freight.unpack(self._folder)
-        described = self._processes.submit(
-            _within, self._folder, pickle.dumps((self._describe, ()))
-        )
 
         def introduce(done: "Future[memoryview]") -> None:
-            worker.loop.add_callback(worker.log_event, self.name, _event(worker.address, done))
+            event = {"worker": worker.address}
+            try:
+                event["kind"] = pickle.loads(done.result())
+            except Exception as error:
+                said = "".join(traceback.format_exception_only(error)).strip()
+                event["error"] = one_line(shortened(said))
+            worker.loop.add_callback(worker.log_event, self.name, event)
 
-        described.add_done_callback(introduce)
+        self._call(pickle.dumps((self._describe, ()))).add_done_callback(introduce)
 
     def teardown(self, worker: Worker) -> None:
-        """End the processes, without keeping the worker's loop waiting."""
-        threading.Thread(target=self._end, daemon=True).start()
+        """End the processes, in a thread of its own: the worker's loop does not wait."""
+
+        def end() -> None:
+            self._processes.shutdown(wait=False, cancel_futures=True)
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+        threading.Thread(target=end, daemon=True).start()
 
     def answer(self, words: bytes) -> memoryview:
         """Make a call in a process, and in another one where that is killed."""
-        for life in range(LIVES):
-            try:
-                outcome: memoryview = self._processes.submit(_within, self._folder, words).result()
-                return outcome
-            except BrokenExecutor:
-                if life == LIVES - 1:
-                    raise
-        raise AssertionError("no life left")
+        for _ in range(LIVES - 1):
+            with suppress(BrokenExecutor):
+                return self._call(words).result()
+        return self._call(words).result()
 
-    def _end(self) -> None:
-        self._processes.shutdown(wait=False, cancel_futures=True)
-        shutil.rmtree(self._folder, ignore_errors=True)
+    def _call(self, words: bytes) -> "Future[memoryview]":
+        return self._processes.submit(_within, self._folder, words)
 
 
 def answer(session: str, words: bytes) -> memoryview:
-    """On a worker: what comes of a call, pickled."""
+    """On a worker: the result of a call, pickled."""
     plugin: Workplace = get_worker().plugins[session]
     return plugin.answer(words)
 
@@ -158,19 +162,10 @@ async def let_in(session: str, dask_worker: Worker | None = None) -> None:
 
 
 def _within(folder: Path, words: bytes) -> pickle.PickleBuffer:
-    """In a process: a call whose relative paths begin in the session's folder.
+    """In a process: make a call whose relative paths begin in the session's folder.
 
-    What comes of it is pickled, and marked as what needs no copy on its way.
+    The result is pickled, in a buffer that is not copied on its way.
     """
     os.chdir(folder)
     function, args = pickle.loads(words)
     return pickle.PickleBuffer(pickle.dumps(function(*args), protocol=5))
-
-
-def _event(address: str, described: "Future[memoryview]") -> dict[str, Any]:
-    """What the session is told of a worker: its kind, or why it has none."""
-    try:
-        return {"worker": address, "kind": pickle.loads(described.result())}
-    except Exception as error:
-        said = "".join(traceback.format_exception_only(error)).strip()
-        return {"worker": address, "error": one_line(shortened(said))}

@@ -111,12 +111,9 @@ def test_a_single_shard_is_computed_here(store: Path) -> None:
 def test_where_machines_may_differ_each_shard_says_of_which_it_is(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Mixed(Pool):
-        mixed = property(lambda self: True)
-
     monkeypatch.setattr(filling, "own_kind", lambda simulator: {"processor": "Fast 3000"})
     with ThreadPoolExecutor(2) as executor:
-        precompute(fake.specification(), tmp_path / "b", pool=Mixed(executor, 2))
+        precompute(fake.specification(), tmp_path / "b", pool=Pool(executor, 2, mixed=True))
     found = open_store(tmp_path / "b")
     assert all(footer["kind"] == {"processor": "Fast 3000"} for footer in found.footers)
     assert found.table().equals(open_store(store).table())
