@@ -1,8 +1,11 @@
 """Several processes, on any machines, that work on one study of a PostgreSQL server.
 
 They take turns at proposing, by a lock of the server, so that no row is proposed twice and no trial
-too many is begun. A trial that runs has a heartbeat, in Optuna's own table; one without is dead:
-its process was killed, or its machine, or the network between.
+too many is begun. A running trial has a heartbeat, in Optuna's own table; without one its process,
+its machine or its network is dead.
+
+Optuna's own heartbeats run within `Study.optimize` alone. A crew asks and tells, so that a proposal
+is made in a turn, and a process that finds itself alone need not wait until heartbeats are old.
 """
 
 import threading
@@ -41,12 +44,9 @@ DEAD = f"""
 
 
 class Crew:
-    """One process's place among those that work on a study; made by `joined`.
+    """One of several processes that work on a study; made by `joined`.
 
-    Args:
-        engine: connected to the database.
-        connection: that holds the locks of this process, which end with it.
-        study_name: of the study.
+    `connection` holds the locks of this process, which end with it.
     """
 
     def __init__(self, engine: sql.Engine, connection: sql.Connection, study_name: str) -> None:
@@ -59,7 +59,7 @@ class Crew:
     def joined(url: str, study_name: str) -> Iterator["Crew"]:
         """Be of the crew while the block lasts.
 
-        Who finds nobody there knows that what is running is dead, and stops its heart.
+        A process that finds nobody there ends the heartbeats of all running trials: they are dead.
 
         Raises:
             InputError: a process has the study for itself, or the server is gone.
@@ -82,7 +82,7 @@ class Crew:
 
     @contextmanager
     def turn(self) -> Iterator[None]:
-        """Be the only one of the crew in this block; waits for the others."""
+        """Be alone of the crew in this block; wait for the others."""
         self._do(f"SELECT pg_advisory_lock({TURN_KEY})")
         try:
             yield
@@ -91,7 +91,7 @@ class Crew:
                 self._do(f"SELECT pg_advisory_unlock({TURN_KEY})")
 
     def dead(self) -> list[int]:
-        """Numbers of trials that are running, and whose process is not; for a turn."""
+        """Numbers of running trials whose processes are gone; to be called within a turn."""
         found = self._connection.execute(sql.text(DEAD), self._study | {"grace": GRACE_S})
         return [int(number) for (number,) in found]
 
@@ -114,7 +114,7 @@ class Crew:
             over.set()
 
     def _do(self, statement: str) -> object:
-        """Its first value, if it has one."""
+        """Run a statement; its first value, if it has one."""
         found = self._connection.execute(sql.text(statement), self._study)
         return found.scalar() if found.returns_rows else None
 

@@ -1,6 +1,6 @@
-"""A database as it is, read alone: a refused one must not have been changed.
+"""A database read as it is: nothing of a refused one may be changed.
 
-So is one whose schema is not the one of Optuna's that `bulk` knows how to write.
+A database is refused, too, if it has another schema of Optuna than the one that `bulk` writes.
 """
 
 import os
@@ -38,6 +38,15 @@ TABLES: dict[str, set[str]] = {  # with their columns
 }  # fmt: skip
 
 
+REVISION_TABLE = "alembic_version"
+OWNED = ("study_directions", "study_user_attributes", "study_system_attributes", "trials")
+OF_TRIALS = tuple(
+    name for name, columns in TABLES.items() if "trial_id" in columns and name != "trials"
+)
+NAMES = ("study_name", "key", "param_name")  # columns of texts
+COUNTED = ("studies", "version_info", REVISION_TABLE)  # the last two have a row, which Optuna adds
+
+
 def known_tables(storage: RDBStorage) -> dict[str, sql.Table]:
     """The database's tables by name, as they are there.
 
@@ -46,45 +55,27 @@ def known_tables(storage: RDBStorage) -> dict[str, sql.Table]:
     """
     metadata = sql.MetaData()
     metadata.reflect(storage.engine, only=lambda name, _: name in TABLES)
-    version = metadata.tables.get("version_info")
-    if version is None or len(metadata.tables) < len(TABLES):
-        raise _refusal("an unknown schema")
-    with storage.engine.connect() as connection:
-        found = connection.execute(sql.select(version.c.schema_version)).scalar()
-    if found != SCHEMA_VERSION:
-        raise _refusal(f"schema {found}")
-    return dict(metadata.tables)
-
-
-def _refusal(found: str) -> InputError:
+    version, found = metadata.tables.get("version_info"), "an unknown schema"
+    if version is not None and len(metadata.tables) == len(TABLES):
+        with storage.engine.connect() as connection:
+            number = connection.execute(sql.select(version.c.schema_version)).scalar()
+        if number == SCHEMA_VERSION:
+            return dict(metadata.tables)
+        found = f"schema {number}"
     allowed = f"a database with Optuna's schema {SCHEMA_VERSION} (Optuna 5.0 makes such)"
-    return InputError("storage", found, allowed)
-
-
-REVISION_TABLE = "alembic_version"
-OWNED = ("study_directions", "study_user_attributes", "study_system_attributes", "trials")
-OF_TRIALS = tuple(
-    name for name, columns in TABLES.items() if "trial_id" in columns and name != "trials"
-)
-NAMES = tuple(
-    (table, name)
-    for table, columns in TABLES.items()
-    for name in ("study_name", "key", "param_name")
-    if name in columns
-)
-COUNTED = ("studies", "version_info", REVISION_TABLE)  # the last two have a row, which Optuna adds
+    raise InputError("storage", found, allowed)
 
 
 @contextmanager
 def looked_at(url: str, shown: str, options: dict[str, Any]) -> Iterator[RDBStorage | None]:
     """The studies of a database, to be read; None where it has no tables.
 
-    What the block raises is the database's fault, in one line: Optuna, which believes it, raises
-    whatever it meets in there.
+    Optuna trusts a database, and raises any error where it is damaged: so whatever the block raises
+    is reported as the database's fault, in one line.
 
     Args:
         url: of the database.
-        shown: what it is called in messages.
+        shown: its name in messages.
         options: of SQLAlchemy's engine; with them nothing can be written.
 
     Raises:
@@ -92,101 +83,88 @@ def looked_at(url: str, shown: str, options: dict[str, Any]) -> Iterator[RDBStor
             block raised.
     """
     storage = None
-    said = optuna.logging.get_verbosity()
+    verbosity = optuna.logging.get_verbosity()
     try:
         engine = sql.create_engine(url, **options)
         try:
-            empty = _is_empty(engine, shown)
-            if not empty:
-                _require_whole(engine, shown)
-                _require_named(engine, shown)
-                _require_owned(engine, shown)
+            with engine.connect() as connection:
+                empty = _is_empty(connection, shown)
+                if not empty:
+                    _check_texts(connection, shown)
+                    _check_owners(connection, shown)
         finally:
             engine.dispose()
         if not empty:
             storage = RDBStorage(url, engine_kwargs=dict(options), skip_table_creation=True)
-        optuna.logging.set_verbosity(optuna.logging.ERROR)  # what it thinks of a damaged value
+        optuna.logging.set_verbosity(optuna.logging.ERROR)  # no warnings about damaged values
         yield storage
     except InputError:
         raise
     except Exception as error:
         raise unusable(shown, error) from None
     finally:
-        optuna.logging.set_verbosity(said)
+        optuna.logging.set_verbosity(verbosity)
         if storage is not None:
             storage.engine.dispose()
 
 
-def _is_empty(engine: sql.Engine, shown: str) -> bool:
+def _is_empty(connection: sql.Connection, shown: str) -> bool:
     """Whether there is nothing yet: no tables, or Optuna's without a study and without a version.
 
-    These a killed process may have left, and Optuna finishes them. What is of another program is
-    refused.
+    A killed process may leave such tables, and Optuna finishes them. A database of another program
+    is refused.
     """
     columns = {
         name: {column["name"] for column in listed}
-        for (_, name), listed in sql.inspect(engine).get_multi_columns().items()
+        for (_, name), listed in sql.inspect(connection).get_multi_columns().items()
     }
     if not columns:
         return True
     complete = all(columns.get(name, set()) >= known for name, known in TABLES.items())
-    with engine.connect() as connection:
-        rows = {name: _count(connection, name) for name in COUNTED if complete and name in columns}
-        complete &= REVISION_TABLE in rows and rows["version_info"] == rows[REVISION_TABLE] == 1
-        empty = not complete and rows.get("studies") == 0 and max(rows.values()) <= 1
-        empty = empty and not any(_count(connection, name) for name in (*OWNED, *OF_TRIALS))
+    rows = {name: _count(connection, name) for name in COUNTED if complete and name in columns}
+    complete &= REVISION_TABLE in rows and rows["version_info"] == rows[REVISION_TABLE] == 1
+    empty = not complete and rows.get("studies") == 0 and max(rows.values()) <= 1
+    empty = empty and not any(_count(connection, name) for name in (*OWNED, *OF_TRIALS))
     if not (complete or empty):
         raise InputError("storage", shown, "an Optuna database, or an empty one, or a new file")
     return empty
 
 
-def _require_whole(engine: sql.Engine, shown: str) -> None:
-    """Refuse a file of which SQLite cannot read every page: by itself it reads those it needs."""
-    if engine.dialect.name != "sqlite":
-        return
-    with engine.connect() as connection:
-        said = connection.execute(sql.text("PRAGMA quick_check(1)")).scalar()
-    if said != "ok":
-        reason = str(said).splitlines()[-1]
-        raise InputError("storage", shown, f"a database that SQLite finds whole ({reason})")
+def _check_texts(connection: sql.Connection, shown: str) -> None:
+    """Refuse a SQLite file with a damaged page, or with a number for a name.
 
-
-def _require_named(engine: sql.Engine, shown: str) -> None:
-    """Refuse names of studies, attributes or parameters that are no texts.
-
-    SQLite keeps whatever it is given, and Optuna compares it with texts.
+    By itself SQLite reads the pages that it needs, and keeps any value; Optuna compares names with
+    texts.
     """
-    if engine.dialect.name != "sqlite":
+    if connection.dialect.name != "sqlite":
         return
-    with engine.connect() as connection:
-        for table, name in NAMES:
+    said = str(connection.execute(sql.text("PRAGMA quick_check(1)")).scalar())
+    if said != "ok":
+        allowed = f"a database that SQLite finds whole ({said.splitlines()[-1]})"
+        raise InputError("storage", shown, allowed)
+    for table, columns in TABLES.items():
+        for name in columns.intersection(NAMES):
             other = f"SELECT {name} FROM {table} WHERE typeof({name}) <> 'text' LIMIT 1"
             for (found,) in connection.execute(sql.text(other)):
                 allowed = f"a database whose {table} have texts for {name}, not {found!r}"
                 raise InputError("storage", shown, allowed)
 
 
-def _require_owned(engine: sql.Engine, shown: str) -> None:
-    """Refuse what belongs to a study or a trial that is gone: it would be given to the next one.
+def _check_owners(connection: sql.Connection, shown: str) -> None:
+    """Refuse rows of a study or a trial that is gone: they would be given to the next one.
 
-    Of trials, whose rows are many, only those matter that come after the last one.
+    Trials have many rows; only rows after the last trial matter.
     """
-    with engine.connect() as connection:
-        known = {row[0] for row in connection.execute(sql.text("SELECT study_id FROM studies"))}
-        for name in OWNED:
-            query = sql.text(f"SELECT DISTINCT study_id FROM {name}")
-            if not {row[0] for row in connection.execute(query)} <= known:
-                raise _not_owned(shown, name, "study")
-        last = "SELECT COALESCE(MAX(trial_id), 0) FROM trials"
-        for name in OF_TRIALS:
-            query = sql.text(f"SELECT (SELECT MAX(trial_id) FROM {name}) > ({last})")
-            if connection.execute(query).scalar():
-                raise _not_owned(shown, name, "trial")
-
-
-def _not_owned(shown: str, table: str, owner: str) -> InputError:
-    allowed = f"a database without rows in {table} of a {owner} that is not there"
-    return InputError("storage", shown, allowed)
+    known = "SELECT 1 FROM studies WHERE studies.study_id = owned.study_id"
+    last = "SELECT COALESCE(MAX(trial_id), 0) FROM trials"
+    for name in (*OWNED, *OF_TRIALS):
+        owner, gone = "study", f"NOT EXISTS ({known})"
+        if name in OF_TRIALS:
+            owner, gone = "trial", f"trial_id > ({last})"
+        query = sql.text(f"SELECT 1 FROM {name} AS owned WHERE {gone} LIMIT 1")
+        if connection.execute(query).first():
+            allowed = f"a database without rows in {name} of a {owner} that is not there"
+            raise InputError("storage", shown, allowed)
 
 
 def _count(connection: sql.Connection, table: str) -> int:
@@ -195,11 +173,11 @@ def _count(connection: sql.Connection, table: str) -> int:
 
 
 def sqlite_options(path: Path, timeout_s: float) -> dict[str, Any]:
-    """Of an engine that reads a SQLite file.
+    """Options of an engine that reads a SQLite file.
 
-    SQLite leaves files beside a database in WAL mode that it reads, unless it takes it to be
-    immutable: which it is, for a moment, where there is no log beside it. What a crash left of a
-    transaction, a journal, SQLite itself rolls back before anything can be read.
+    When SQLite reads a database in WAL mode, it leaves files beside it, unless the database is
+    immutable: which it is, for a moment, where there is no log beside it. A journal that a crash
+    left is rolled back by SQLite before anything can be read.
     """
 
     def beside(ending: str) -> bool:

@@ -27,7 +27,7 @@ READING_OPTIONS: dict[str, Any] = {
 
 
 def require_server(url: str) -> str:
-    """What the database is called in messages.
+    """The name of the database in messages.
 
     Raises:
         InputError: not a URL of a PostgreSQL database, or no driver for it.
@@ -65,7 +65,7 @@ def locked(url: str, name: str, wait: bool = False) -> Iterator[bool]:
 
     Args:
         url: of the database.
-        name: of the study, or of something else that one process does at a time.
+        name: of the study, or of other work that one process does at a time.
         wait: until it is free.
     """
     take = "pg_advisory_lock" if wait else "pg_try_advisory_lock"
@@ -80,10 +80,10 @@ def locked(url: str, name: str, wait: bool = False) -> Iterator[bool]:
 
 @contextmanager
 def connected(url: str) -> Iterator[sql.Engine]:
-    """An engine of the database, whose connections are closed in the end, and so lose their locks.
+    """An engine of the database; its connections are closed in the end, and so lose their locks.
 
     Raises:
-        InputError: not such a URL, or what the block met of the server.
+        InputError: not such a URL, or an error of the server in the block.
     """
     shown = require_server(url)
     engine = _engine(url, shown)
@@ -114,7 +114,7 @@ def copy_rows(connection: sql.Connection, table: sql.Table, rows: Sequence[dict[
 
 
 def unusable(shown: str, error: Exception) -> InputError:
-    """What a database said about itself, in one line for its user."""
+    """The error of a database, in one line for its user."""
     cause = error.__cause__ or error
     words = str(getattr(cause, "orig", cause)).strip().splitlines()
     reason = words[0] if words else type(cause).__name__

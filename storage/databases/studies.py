@@ -1,4 +1,4 @@
-"""Study databases that Optuna, its dashboard and our commands share: SQLite files, or PostgreSQL.
+"""Study databases that Optuna, its dashboard and our commands share: SQLite files or PostgreSQL.
 
 On SQLite, write-ahead logging lets the dashboard read while a study writes, and with
 synchronous=NORMAL a trial of 16 parameters costs about 60 ms instead of 450. A crash of the machine
@@ -19,23 +19,13 @@ from typing import Any
 
 import optuna
 import sqlalchemy as sql
-from optuna.exceptions import (
-    ExperimentalWarning,
-    StorageInternalError,
-    UpdateFinishedTrialError,
-)
+from optuna.exceptions import ExperimentalWarning, StorageInternalError, UpdateFinishedTrialError
 from optuna.storages import RDBStorage
 from sqlalchemy import event
 from sqlalchemy.exc import SQLAlchemyError
 
-from storage.commit import (
-    remove_orphans,
-    require_writable,
-    sync,
-    temporary_sibling,
-    without_locks,
-    writable,
-)
+from storage import commit
+from storage.commit import remove_orphans, require_writable, writable
 from storage.databases import postgresql
 from storage.databases.look import looked_at, sqlite_options
 from storage.databases.postgresql import unusable
@@ -59,7 +49,7 @@ def open_studies(url: str) -> RDBStorage:
             program.
     """
     with read_studies(url):
-        pass  # nothing of what is refused is changed
+        pass  # a database that is refused has not been changed
     if is_postgresql(url):
         return postgresql.open_database(url)
     path = studies_path(url)
@@ -99,7 +89,7 @@ def read_studies(url: str) -> Iterator[RDBStorage | None]:
 
 
 def shown_url(url: str) -> str:
-    """What a study database is called in messages: its file, or its URL without a password.
+    """The name of a study database in messages: its file, or its URL without a password.
 
     Raises:
         InputError: the URL names no such database.
@@ -130,7 +120,7 @@ def studies_path(url: str) -> Path:
 
 @contextmanager
 def storage_errors(url: str) -> Iterator[None]:
-    """Turn what a database, or its other users, can do to a running study into one line."""
+    """Turn whatever a database, or another user of it, does to a running study into one line."""
     try:
         yield
     except UpdateFinishedTrialError:
@@ -145,7 +135,7 @@ def storage_errors(url: str) -> Iterator[None]:
 
 @contextmanager
 def read_errors(url: str) -> Iterator[None]:
-    """The same for a block that only has Optuna read: it raises whatever it meets in a database."""
+    """The same for a block that only reads: any error is taken to be the database's fault."""
     try:
         yield
     except InputError:
@@ -155,7 +145,7 @@ def read_errors(url: str) -> Iterator[None]:
 
 
 def load_whole(storage: RDBStorage, name: str) -> optuna.Study:
-    """A study of which all has been read: an edited value is met here, whatever Optuna raises."""
+    """A study that has been read completely: for an edited value, Optuna raises its error here."""
     study = optuna.load_study(study_name=name, storage=storage)
     for _ in (study.directions, study.user_attrs, study.metric_names):
         pass
@@ -170,10 +160,12 @@ def only_run(url: str, study_name: str) -> Iterator[None]:
     The lock is a file beside the database, or a lock of the server; it ends with the process,
     however that ends.
     """
+    allowed = "one run of a study at a time; another process is running this one"
+    taken = InputError("study", study_name, allowed)
     if is_postgresql(url):
         with postgresql.locked(url, study_name) as free:
             if not free:
-                raise _taken(study_name)
+                raise taken
             yield
         return
     lock = _lock_file(url, study_name)
@@ -185,16 +177,16 @@ def only_run(url: str, study_name: str) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise _taken(study_name) from None
+            raise taken from None
         except OSError as error:
-            raise without_locks("storage", lock, error) from None
+            raise commit.without_locks("storage", lock, error) from None
         yield
 
 
 def require_lockable(url: str, study_name: str) -> None:
-    """Refuse a study that another process holds in a file; nothing is touched.
+    """Refuse a study of a SQLite file that another process holds; nothing is touched.
 
-    The database is not asked: a process that was stopped while it wrote holds that as well.
+    The database is not read: a process that was stopped while it wrote holds that as well.
 
     Raises:
         InputError: naming the study, or the file that cannot be made for its lock.
@@ -243,16 +235,11 @@ def _stays(path: Path) -> Callable[[sql.Connection], None]:
 
 
 def name_metric(study: optuna.Study, metric: str) -> None:
-    """Say in a study what its one objective is called, unless it says so already."""
+    """Name the one objective of a study, unless it has a name."""
     if study.metric_names is None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ExperimentalWarning)
             study.set_metric_names([metric])
-
-
-def _taken(study_name: str) -> InputError:
-    allowed = "one run of a study at a time; another process is running this one"
-    return InputError("study", study_name, allowed)
 
 
 def _storage(url: str, **options: Any) -> RDBStorage:
@@ -262,7 +249,7 @@ def _storage(url: str, **options: Any) -> RDBStorage:
 
 
 class _Unjournaled(sqlite3.Connection):
-    """Of a file that nobody knows yet: without a journal beside it or a wait for the disk."""
+    """A connection to a file that nobody knows yet: no journal beside it, no wait for the disk."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -273,24 +260,24 @@ class _Unjournaled(sqlite3.Connection):
 def _make(path: Path) -> None:
     """Make the file with its tables, where there is none: it appears whole or not at all.
 
-    SQLite commits each table by itself; a process killed between two would leave what nobody knows.
+    SQLite commits each table by itself; a process killed between two would leave half a database.
     """
     remove_orphans(path)
     if path.exists():
         return
-    with temporary_sibling(path) as temporary:
+    with commit.temporary_sibling(path) as temporary:
         _storage(file_url(temporary), factory=_Unjournaled).engine.dispose()
         with closing(sqlite3.connect(temporary)) as connection:
             connection.execute("PRAGMA journal_mode=WAL")
-        sync(temporary)
+        commit.sync(temporary)
         with suppress(OSError):  # another process was faster; or no links here: it is made in place
             os.link(temporary, path)
 
 
 def _claim(connection: sqlite3.Connection) -> None:
-    """See that the database can be written, and put it into WAL mode (kept by the file).
+    """Check that the database can be written, and put it into WAL mode, which the file keeps.
 
-    For the mode SQLite does not wait, whatever the timeout, where others open the file as well.
+    When others open the file as well, SQLite does not wait for the mode, whatever the timeout.
     """
     deadline_s = time.monotonic() + BUSY_TIMEOUT_S
     while True:

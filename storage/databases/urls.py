@@ -1,4 +1,4 @@
-"""The URLs of study databases: which there are, and what of one may be shown."""
+"""The URLs of study databases: their forms, and the parts that may be shown."""
 
 import re
 from pathlib import Path
@@ -29,10 +29,10 @@ def file_url(path: Path) -> str:
 
 
 def public_url(url: str) -> str:
-    """The URL, or what was given as one, without anything that may be a password.
+    """A URL, or any text given as one, without anything that may be a password.
 
-    Nothing after "?", nothing before the last "@", and nothing at all of what is neither of SQLite
-    nor of PostgreSQL. Of a file's name an "@" is a part, unless it looks like USER:PASSWORD@.
+    Nothing after "?" is shown, nothing before the last "@", and no URL of another kind. In a file's
+    name an "@" is shown, unless it looks like USER:PASSWORD@.
     """
     for kind, form in _FORM_OF.items():
         if url.startswith(kind):
