@@ -19,6 +19,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache
+from importlib import import_module
 from types import MappingProxyType
 from typing import Any
 
@@ -248,7 +249,8 @@ def one_thread() -> AbstractContextManager[Any]:
 
 @cache
 def _thread_pools() -> ThreadpoolController:
-    """The libraries of this process, looked for once."""
+    """The BLAS libraries of this process, found once: NumPy's, and SciPy's own."""
+    import_module("scipy.linalg")  # SciPy loads its library with this module, at first use
     return ThreadpoolController()
 
 

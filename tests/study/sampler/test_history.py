@@ -1,29 +1,28 @@
-"""What trials say to the sampler, and how killed ones are counted."""
+"""Turns, rows and draws of trials, and parameters that a study suggests in its own way."""
 
-import math
 import warnings
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import optuna
 import pytest
-from optuna.exceptions import ExperimentalWarning
-from optuna.storages import RetryHeartbeatStaleTrialCallback
+from optuna.distributions import FloatDistribution, IntDistribution
 from optuna.trial import TrialState
 
-from study import FeatureTable
+from study import FeatureKernelSampler, FeatureTable
 from study.draws import Purpose, generator, turn
 from study.sampler.history import read_history
 from study.sampler.random_sampler import ReproducibleRandomSampler
-from study.sampler.transforms import clip_infinities
-
-
-def kill(study: optuna.Study, number: int) -> None:
-    """Fail a running trial and queue its repetition, as Optuna's heartbeat does."""
-    trial = study.trials[number]
-    study.tell(number, state=TrialState.FAIL)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ExperimentalWarning)
-        RetryHeartbeatStaleTrialCallback()(study, trial)
+from taichi_nmm.errors import InputError
+from tests.study.sampler.studies import (
+    kill,
+    params_of,
+    resumed,
+    rows_of,
+    study_of,
+    without_warnings,
+)
 
 
 def test_turns_are_counted_as_if_nothing_had_been_killed() -> None:
@@ -57,6 +56,14 @@ def test_random_search_repeats_what_was_killed() -> None:
     assert all(params["x"] != params["y"] for params in undisturbed)
 
 
+@pytest.mark.parametrize("purpose", [Purpose.BODY, Purpose.TIE_BREAK])
+def test_draws_depend_on_purpose_and_key_alone(purpose: Purpose) -> None:
+    first = generator(1, purpose, 5).random()
+    assert generator(1, purpose, 5).random() == first
+    others = [generator(1, purpose, 6), generator(2, purpose, 5), generator(1, Purpose.TERRAIN, 5)]
+    assert all(other.random() != first for other in others)
+
+
 def test_history_takes_finished_trials_and_counts_all_rows(table: FeatureTable) -> None:
     study = optuna.create_study(direction="maximize")
     for row, state in enumerate((TrialState.COMPLETE, TrialState.FAIL, TrialState.PRUNED)):
@@ -72,15 +79,174 @@ def test_history_takes_finished_trials_and_counts_all_rows(table: FeatureTable) 
     assert history.unplaced == ()
 
 
-def test_infinities_become_the_extremes() -> None:
-    values = np.array([math.inf, 1.0, -math.inf, 3.0])
-    assert clip_infinities(values).tolist() == [3.0, 1.0, 1.0, 3.0]
-    assert clip_infinities(np.array([math.inf, -math.inf])).tolist() == [0.0, 0.0]
+# A table's parameters, suggested otherwise: it works where the values fit.
+
+RATE = np.geomspace(1e-4, 1.0, 12)
+COLUMNS = {
+    "rate": RATE,
+    "units": np.tile([16, 32, 64, 128], 3),
+    "kind": np.array(["relu", "tanh", "gelu"] * 4),
+    "depth": np.array([2.0, 4.0, 8.0] * 4),
+}
 
 
-@pytest.mark.parametrize("purpose", [Purpose.BODY, Purpose.TIE_BREAK])
-def test_draws_depend_on_purpose_and_key_alone(purpose: Purpose) -> None:
-    first = generator(1, purpose, 5).random()
-    assert generator(1, purpose, 5).random() == first
-    others = [generator(1, purpose, 6), generator(2, purpose, 5), generator(1, Purpose.TERRAIN, 5)]
-    assert all(other.random() != first for other in others)
+def new_table(**options: Any) -> FeatureTable:
+    features = np.column_stack([np.log(RATE), COLUMNS["units"]])
+    return FeatureTable.from_arrays(COLUMNS, features, **options)
+
+
+TABLE = new_table()
+Suggest = Callable[[optuna.Trial], Any]
+AS_THE_TABLE: dict[str, Suggest] = {
+    "rate": lambda trial: trial.suggest_float("rate", 1e-5, 1),
+    "units": lambda trial: trial.suggest_int("units", 1, 500),
+    "kind": lambda trial: trial.suggest_categorical("kind", ["relu", "tanh", "gelu"]),
+    "depth": lambda trial: trial.suggest_float("depth", 1, 10),
+}
+
+
+OTHERWISE: dict[str, tuple[str, Suggest]] = {
+    "a float on a logarithmic scale": (
+        "rate",
+        lambda trial: trial.suggest_float("rate", 1e-5, 1, log=True),
+    ),
+    "an integer on a logarithmic scale": (
+        "units",
+        lambda trial: trial.suggest_int("units", 1, 512, log=True),
+    ),
+    "integers as choices": (
+        "units",
+        lambda trial: trial.suggest_categorical("units", [8, 16, 32, 64, 128]),
+    ),
+    "integers as floats": ("units", lambda trial: trial.suggest_float("units", 16, 128)),
+    "floats as integers": ("depth", lambda trial: trial.suggest_int("depth", 1, 8)),
+    "floats as choices": ("depth", lambda trial: trial.suggest_categorical("depth", [8, 4, 2])),
+    "another order of choices": (
+        "kind",
+        lambda trial: trial.suggest_categorical("kind", ["gelu", "relu", "tanh"]),
+    ),
+    "more choices": (
+        "kind",
+        lambda trial: trial.suggest_categorical("kind", ["elu", "gelu", "relu", "tanh", None]),
+    ),
+    "a step": ("depth", lambda trial: trial.suggest_float("depth", 0, 8, step=0.5)),
+}
+
+
+LOG_RATE = OTHERWISE["a float on a logarithmic scale"]
+
+
+def objective(name: str, suggest: Suggest) -> Callable[[optuna.Trial], float]:
+    """With one parameter suggested first, and otherwise than the table has it."""
+
+    def cost(trial: optuna.Trial) -> float:
+        suggest(trial)
+        others = (ask for other, ask in AS_THE_TABLE.items() if other != name)
+        return float(len(str([ask(trial) for ask in others])))
+
+    return cost
+
+
+@pytest.mark.parametrize("strict", [True, False])
+@pytest.mark.parametrize("how", OTHERWISE)
+def test_what_holds_the_rows_works_also_where_it_is_resumed(how: str, strict: bool) -> None:
+    name, suggest = OTHERWISE[how]
+    study = study_of(TABLE, strict=strict)
+    without_warnings(study, objective(name, suggest), 12)
+    assert sorted(rows_of(study)) == list(range(12))
+    for trial, row in zip(study.trials, rows_of(study), strict=True):
+        assert trial.params == TABLE.rows.as_parameters(row)
+        distribution = trial.distributions[name]
+        expected = {IntDistribution: int, FloatDistribution: float}.get(type(distribution))
+        assert expected is None or type(trial.params[name]) is expected
+    new_sampler = lambda: FeatureKernelSampler(TABLE, seed=1, strict=strict)  # noqa: E731
+    pieces = resumed(new_sampler, objective(name, suggest), 8, optuna.create_study())
+    assert params_of(pieces) == params_of(study)[:8]
+
+
+MISFITS: dict[str, tuple[str, Suggest, str]] = {
+    "too narrow, logarithmic": (
+        "rate",
+        lambda trial: trial.suggest_float("rate", 0.01, 1, log=True),
+        r"rate: .*log=True.* a range that holds all rows: row 0 has 0.0001 .*space=",
+    ),
+    "floats as integers": (
+        "rate",
+        lambda trial: trial.suggest_int("rate", 0, 1),
+        r"rate: 'IntDistribution.* a range that holds all rows: row 0 has 0.0001 .*space=",
+    ),
+    "too few choices": (
+        "kind",
+        lambda trial: trial.suggest_categorical("kind", ["gelu", "relu"]),
+        r"kind: .* choices that hold all rows: row 1 has 'tanh' .*space=",
+    ),
+    "too few integers": (
+        "units",
+        lambda trial: trial.suggest_categorical("units", [16, 32, 64]),
+        r"units: .* choices that hold all rows: row 3 has 128 .*space=",
+    ),
+    "words as numbers": (
+        "kind",
+        lambda trial: trial.suggest_int("kind", 0, 2),
+        r"kind: .* row 0 has 'relu' .*space=",
+    ),
+    "a step between": (
+        "depth",
+        lambda trial: trial.suggest_float("depth", 0, 9, step=3),
+        r"depth: .* row 0 has 2.0 .*space=",
+    ),
+    "too narrow, as the table": (
+        "rate",
+        lambda trial: trial.suggest_float("rate", 0, 0.5),
+        r"rate: .* a range that holds all rows: row 11 has 1.0",
+    ),
+}
+
+
+@pytest.mark.parametrize("how", MISFITS)
+def test_what_does_not_hold_them_is_one_line_before_the_objective_or_one_warning(how: str) -> None:
+    name, suggest, message = MISFITS[how]
+    done: list[float] = []
+    cost = objective(name, suggest)
+    with pytest.raises(InputError, match=message):
+        study_of(TABLE, lambda trial: done.append(cost(trial)) or 0.0, 1)
+    assert not done
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        study = study_of(TABLE, cost, 6, strict=False)
+    assert sum("independent sampler takes over" in str(w.message) for w in said) == 1
+    assert all(trial.state is TrialState.COMPLETE for trial in study.trials)
+    assert all(row in (None, -1) for row in rows_of(study))
+
+
+def test_a_logarithmic_scale_is_the_kernels_too() -> None:
+    """As if the table had been given it."""
+    given = new_table(space={"rate": FloatDistribution(1e-4, 1, log=True)})
+    found, expected = (
+        study_of(table, objective(*LOG_RATE), 8, kernel="euclidean") for table in (TABLE, given)
+    )
+    assert params_of(found) == params_of(expected)
+    plain = study_of(TABLE, objective("rate", AS_THE_TABLE["rate"]), 8, kernel="euclidean")
+    assert params_of(plain) != params_of(found)
+
+
+def test_points_near_the_table_are_on_the_logarithmic_scale_and_within_the_range() -> None:
+    rate = np.geomspace(1e-4, 1.0, 30)
+    study = study_of(
+        FeatureTable.from_arrays({"rate": rate}, np.log(rate)),
+        lambda trial: abs(np.log(trial.suggest_float("rate", 1e-4, 1, log=True)) + 3.3),
+        15,
+        feature_function=np.log,
+        off_grid=50,
+    )
+    assert -1 in rows_of(study)
+    assert study.best_value < 0.1
+
+
+def test_trials_off_the_table_are_learned_from_whatever_they_are_suggested_as() -> None:
+    own = {"rate": 0.002, "units": 64, "kind": "relu", "depth": 2.0}
+    study = study_of(TABLE, enqueued=[own], feature_function=lambda params: params[:, :2])
+    without_warnings(study, objective(*OTHERWISE["integers as choices"]), 5)
+    assert study.trials[0].params["rate"] == 0.002
+    first, *others = rows_of(study)
+    assert first is None and None not in others

@@ -20,6 +20,7 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS, LOW_LEVEL_GAINS
 from tests.storage import fake
 from tests.study import fake_walker
+from tests.study.sampler.studies import rows_of, study_of
 
 TWO = {"a": [0.0, 1.0], "b": [5.0, 6.0]}
 MIXED = {"rate": [0.1, 0.01, 1.0], "units": [3, 1, 2], "kind": ["relu", "tanh", "relu"]}
@@ -213,6 +214,41 @@ def test_a_file_that_changed_since_is_refused(tmp_path: Path) -> None:
     frame.assign(p=[1.0, 2.0, 5.0]).to_parquet(path)
     with pytest.raises(InputError, match="the store this table was made from"):
         len(pickle.loads(pickled))
+
+
+# Choices and gaps.
+
+
+@pytest.mark.parametrize(
+    ("values", "choices"),
+    [
+        (["sqrt", None, "log2"], [None, "sqrt", "log2"]),
+        ([True, None, False], [None, True, False]),
+        (["scale", 0.1, 1], [0.1, 1, "scale"]),
+    ],
+)
+def test_none_and_numbers_among_words_are_choices(values: list[Any], choices: list[Any]) -> None:
+    table = FeatureTable.from_arrays({"kind": values}, [1.0, 2.0, 4.0])
+    study = study_of(table, lambda trial: trial.suggest_categorical("kind", choices) is None, 3)
+    assert {trial.params["kind"] for trial in study.trials} == set(values)
+    assert sorted(rows_of(study)) == [0, 1, 2]
+
+
+@pytest.mark.parametrize("values", [[3, None, 5], [None, None], ["x", float("nan")]])
+def test_what_may_be_a_gap_names_the_way_to_make_it_a_choice(values: list[Any]) -> None:
+    with pytest.raises(InputError, match=r"table.depth\[\d\]: .* None .*space=\{'depth': "):
+        FeatureTable.from_arrays({"depth": values}, np.arange(float(len(values))))
+
+
+@pytest.mark.parametrize("values", [[3, None, 5], [3.0, float("nan"), 5.0], ["x", None, "y"]])
+def test_given_as_a_choice_a_gap_is_none(values: list[Any]) -> None:
+    choices = [None if value is None or value != value else value for value in values]
+    frame = pd.DataFrame({"depth": values, "feature": [1.0, 2.0, 3.0]})
+    space = {"depth": CategoricalDistribution(choices)}
+    given = FeatureTable.from_dataframe(
+        frame, parameters=["depth"], features=["feature"], space=space
+    )
+    assert [given.rows.as_parameters(row)["depth"] for row in range(3)] == choices
 
 
 # Stores.

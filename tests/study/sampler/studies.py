@@ -1,0 +1,75 @@
+"""Studies of a sampler that tests share."""
+
+import warnings
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import optuna
+from optuna.exceptions import ExperimentalWarning
+from optuna.storages import RetryHeartbeatStaleTrialCallback
+from optuna.trial import TrialState
+
+from study import FeatureKernelSampler
+
+Objective = Callable[[optuna.Trial], Any]
+
+
+def study_of(
+    features: Any = None,
+    objective: Objective | None = None,
+    trials: int = 0,
+    *,
+    enqueued: Iterable[dict[str, Any]] = (),
+    seed: int = 1,
+    direction: str = "minimize",
+    **options: Any,
+) -> optuna.Study:
+    """A study with our sampler, after some trials."""
+    sampler = FeatureKernelSampler(features, seed=seed, **options)
+    study = optuna.create_study(sampler=sampler, direction=direction)
+    for params in enqueued:
+        study.enqueue_trial(params)
+    if objective is not None:
+        study.optimize(objective, n_trials=trials)
+    return study
+
+
+def rows_of(study: optuna.Study) -> list[int | None]:
+    """The row that is noted in each trial."""
+    return [trial.user_attrs.get("row") for trial in study.trials]
+
+
+def params_of(study: optuna.Study) -> list[dict[str, Any]]:
+    """Of the complete trials."""
+    return [trial.params for trial in study.get_trials(states=(TrialState.COMPLETE,))]
+
+
+def without_warnings(study: optuna.Study, objective: Objective, trials: int) -> None:
+    """Run trials in which a warning is an error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        study.optimize(objective, n_trials=trials)
+
+
+def resumed(
+    new_sampler: Callable[[], Any], objective: Objective, trials: int, study: optuna.Study
+) -> optuna.Study:
+    """A study of which a new sampler runs each trial, as another process would."""
+    for _ in range(trials):
+        study.sampler = new_sampler()
+        study.optimize(objective, n_trials=1)
+    return study
+
+
+def kill(study: optuna.Study, number: int) -> None:
+    """Fail a running trial and queue its repetition, as Optuna's heartbeat does."""
+    trial = study.trials[number]
+    study.tell(number, state=TrialState.FAIL)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExperimentalWarning)
+        RetryHeartbeatStaleTrialCallback()(study, trial)
+
+
+def bowl(trial: optuna.Trial) -> float:
+    """On a from -1 to 1 and b from 0 to 5."""
+    return trial.suggest_float("a", -1, 1) ** 2 + 0.01 * trial.suggest_float("b", 0, 5)

@@ -1,0 +1,520 @@
+"""Trials that a user fixes or adds: no row is noted, or learned, that was not run."""
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+from numpy.typing import NDArray
+from optuna.distributions import CategoricalDistribution, FloatDistribution
+from optuna.samplers import PartialFixedSampler, RandomSampler
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
+
+from study import FeatureKernelSampler, FeatureTable
+from study.sampler.acquisition import Model
+from study.sampler.history import read_history, row_of
+from taichi_nmm.errors import InputError
+from tests.study.sampler.studies import (
+    kill,
+    params_of,
+    resumed,
+    rows_of,
+    study_of,
+    without_warnings,
+)
+
+Floats = NDArray[np.float64]
+A = np.repeat([0.0, 0.5, 1.0], 6)
+B = np.tile(np.arange(6.0), 3)
+FEATURES = np.column_stack([A + B, A - B])
+TABLE = FeatureTable.from_arrays({"a": A, "b": B}, FEATURES)  # 18 rows on a grid
+ONE = FeatureTable.from_arrays({"a": A, "b": B}, A + B)  # with one feature
+ROWS = TABLE.rows
+SPACE = ROWS.space.as_dict()
+
+
+def row(number: int) -> dict[str, Any]:
+    return ROWS.as_parameters(number)
+
+
+def compute(params: Floats) -> Floats:
+    return np.column_stack([params[:, 0] + params[:, 1], params[:, 0] - params[:, 1]])
+
+
+def both(trial: optuna.Trial) -> float:
+    return trial.suggest_float("a", 0, 1) + trial.suggest_float("b", 0, 5)
+
+
+def only_a(trial: optuna.Trial) -> float:
+    return trial.suggest_float("a", 0, 1)
+
+
+def run_quietly(study: optuna.Study, trials: int, objective: Callable[..., float] = both) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        study.optimize(objective, n_trials=trials)
+
+
+def assert_rows_were_run(study: optuna.Study) -> None:
+    """What is noted in each trial is true of it."""
+    for trial in study.trials:
+        number = trial.user_attrs.get("row", -1)
+        if number >= 0:
+            assert trial.params | row(number) == trial.params
+            assert trial.user_attrs["features"] == ROWS.features[number].tolist()
+        else:
+            assert ROWS.find(trial.params) is None
+
+
+def features_learned(study: optuna.Study) -> Floats:
+    """Of the finished trials, as the next proposal's model sees them, in standard units [n, 2]."""
+    seen = []
+    made = Model.__init__
+
+    def spied(model: Model, *given: Any, **named: Any) -> None:
+        made(model, *given, **named)
+        seen.append(model.trials.features)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Model, "__init__", spied)
+        study.tell(study.ask(SPACE), state=TrialState.FAIL)
+    return seen[-1]
+
+
+# Trials that are enqueued in part.
+
+
+@pytest.mark.parametrize("finished", [0, 6])
+def test_a_partly_enqueued_trial_is_a_row_that_has_the_fixed_values(finished: int) -> None:
+    study = study_of(TABLE, both, finished)
+    for _ in range(3):
+        study.enqueue_trial({"a": 1.0})
+    study.optimize(both, n_trials=5)
+    assert [trial.params["a"] for trial in study.trials[finished : finished + 3]] == [1.0] * 3
+    assert len(set(rows_of(study))) == finished + 5
+    assert_rows_were_run(study)
+
+
+def test_of_the_rows_that_have_it_the_model_chooses_the_best() -> None:
+    enqueued = [*map(row, (0, 1, 3, 6, 8, 11)), {"a": 1.0}]
+    study = study_of(TABLE, lambda trial: 10.0 * both(trial), 7, enqueued=enqueued)
+    assert study.trials[-1].params == {"a": 1.0, "b": 0.0}
+
+
+def test_where_no_row_has_the_fixed_values_it_is_an_error_before_the_objective() -> None:
+    study = study_of(TABLE, enqueued=[{"a": 0.3}])
+    done: list[float] = []
+    with pytest.raises(InputError, match=r"^a: 0.3 cannot be used; allowed: .* row .* 0.5; or"):
+        study.optimize(lambda trial: done.append(both(trial)) or 0.0, n_trials=1)
+    assert not done
+    assert "row" not in study.trials[0].user_attrs
+    study.optimize(both, n_trials=2)
+    assert_rows_were_run(study)
+
+
+@pytest.mark.parametrize(
+    ("enqueued", "message"),
+    [
+        ([{"a": 0.0, "b": 5.0}], r"^a, b: \(0.0, 5.0\) cannot be used"),
+        ([{"a": 1.0}, {"a": 1.0}], r"^a: 1.0 .* not been tried"),
+    ],
+)
+def test_no_row_has_all_of_them_or_those_that_have_are_tried(
+    enqueued: list[dict[str, float]], message: str
+) -> None:
+    columns = {"a": [0.0, 1.0], "b": [0.0, 5.0], "c": [1.0, 2.0]}
+    study = study_of(FeatureTable.from_arrays(columns, [1, 2]), enqueued=enqueued)
+    with pytest.raises(InputError, match=message):
+        study.optimize(lambda trial: both(trial) + trial.suggest_float("c", 0, 5), n_trials=2)
+
+
+def test_where_the_table_need_not_fit_the_rest_is_drawn_and_not_learned() -> None:
+    study = study_of(TABLE, both, 4, strict=False)
+    study.enqueue_trial({"a": 0.25})
+    with pytest.warns(UserWarning, match=r"a: 0.25 .* independent sampler takes over") as said:
+        study.optimize(both, n_trials=1)
+    assert len(said) == 1
+    assert study.trials[-1].params["a"] == 0.25
+    assert study.trials[-1].user_attrs == {}
+    run_quietly(study, 3)
+    assert_rows_were_run(study)
+    assert len(features_learned(study)) == 7
+
+
+def test_with_a_function_it_is_learned_with_its_own_features() -> None:
+    study = study_of(TABLE, enqueued=[{"a": 0.25}], feature_function=compute)
+    with pytest.warns(UserWarning, match="a: 0.25"):
+        study.optimize(both, n_trials=1)
+    study.optimize(both, n_trials=3)
+    own = compute(np.array([list(study.trials[0].params.values())]))
+    assert features_learned(study)[0] == pytest.approx(ROWS.scores.standard(own)[0])
+
+
+@pytest.mark.parametrize(("value", "tried"), [(0.25, 5), (0.5, 18)])  # some rows, or all
+def test_points_near_the_table_keep_the_fixed_value(value: float, tried: int) -> None:
+    enqueued = [*map(row, range(tried)), {"a": value}]
+    options = {"feature_function": compute, "off_grid": 40}
+    last = study_of(TABLE, both, tried + 1, enqueued=enqueued, **options).trials[-1]
+    assert last.params["a"] == value
+    assert last.user_attrs["row"] == -1 or last.params["b"] == 0.0  # that is row 6 again
+    own = compute(np.array([[value, last.params["b"]]]))[0]
+    assert last.user_attrs["features"] == pytest.approx(own)
+
+
+@pytest.mark.parametrize("space", [None, SPACE])
+@pytest.mark.parametrize("function", [None, compute])
+def test_without_a_table_a_fixed_value_stays(space: Any, function: Any) -> None:
+    study = study_of(function, both, 4, space=space)
+    study.enqueue_trial({"b": 1.25})
+    study.optimize(both, n_trials=1)
+    last = study.trials[-1]
+    assert last.params["b"] == 1.25
+    if function is not None:
+        own = compute(np.array([[last.params["a"], 1.25]]))[0]
+        assert last.user_attrs["features"] == pytest.approx(own)
+
+
+def test_features_of_a_point_that_was_not_run_are_taken_back() -> None:
+    """The range shrinks in one trial: one parameter is drawn independently."""
+    study = study_of(compute, both, 4, space=SPACE, strict=False)
+    with pytest.warns(UserWarning, match="b: .* the independent sampler takes over"):
+        study.optimize(lambda trial: only_a(trial) + trial.suggest_float("b", 4.99, 5), n_trials=1)
+    assert study.trials[-1].user_attrs["features"] is None
+    study.optimize(both, n_trials=2)
+
+
+# Trials that are enqueued whole.
+
+
+def test_an_enqueued_row_is_noted_from_its_start() -> None:
+    study = study_of(TABLE, enqueued=[row(7), row(9) | {"other": 3}])
+    trial = study.ask()
+    assert study.trials[0].user_attrs == {"row": 7, "features": [1.5, -0.5]}
+    study.tell(trial, both(trial))
+    study.optimize(lambda trial: both(trial) + trial.suggest_int("other", 1, 5), n_trials=1)
+    study.optimize(both, n_trials=6)
+    assert rows_of(study)[:2] == [7, 9]
+    assert_rows_were_run(study)
+
+
+@pytest.mark.filterwarnings("ignore:FeatureTable")
+def test_notes_have_a_score_or_features_of_which_unknown_ones_are_none() -> None:
+    gap = FeatureTable.from_arrays({"a": A, "b": B}, np.where(FEATURES == 1.5, np.nan, FEATURES))
+    cases = (ONE, {"row": 7, "score": 1.5}), (gap, {"row": 7, "features": [None, -0.5]})
+    for table, expected in cases:
+        study = study_of(table, both, 5, enqueued=[row(7)])
+        assert study.trials[0].user_attrs == expected
+
+
+def test_a_row_that_waits_is_not_proposed_to_another_worker() -> None:
+    study = study_of(TABLE, enqueued=[row(0)])  # waits until the end
+    for _ in range(17):
+        trial = study._storage.get_trial(study._storage.create_new_trial(study._study_id))
+        value = study.sampler.sample_independent(study, trial, "a", SPACE["a"])
+        assert isinstance(value, float)
+    assert study.trials[0].state is TrialState.WAITING
+    assert sorted(rows_of(study)[1:]) == list(range(1, 18))
+
+
+def test_a_row_enqueued_by_another_process_is_taken(tmp_path: Path) -> None:
+    def opened() -> optuna.Study:
+        storage = JournalStorage(JournalFileBackend(str(tmp_path / "journal.log")))
+        sampler = FeatureKernelSampler(TABLE, seed=1)
+        return optuna.create_study(
+            study_name="s", storage=storage, sampler=sampler, load_if_exists=True
+        )
+
+    first, second = opened(), opened()
+    first.enqueue_trial(row(7))
+    first.ask()
+    asked = [second.ask(SPACE) for _ in range(17)]
+    rows = {second.trials[trial.number].user_attrs["row"] for trial in asked}
+    assert rows == set(range(18)) - {7}
+
+
+def test_resumed_is_uninterrupted_with_enqueued_trials() -> None:
+    enqueued = (row(4), {"a": 0.5}, {"b": 2.0})
+    whole = study_of(TABLE, both, 9, enqueued=enqueued)
+    pieces = resumed(
+        lambda: FeatureKernelSampler(TABLE, seed=1), both, 9, study_of(TABLE, enqueued=enqueued)
+    )
+    told = [(trial.params, trial.user_attrs) for trial in whole.trials]
+    assert told == [(trial.params, trial.user_attrs) for trial in pieces.trials]
+    assert_rows_were_run(whole)
+
+
+def test_a_killed_trial_that_was_partly_enqueued_is_run_again() -> None:
+    study = study_of(TABLE, enqueued=[{"a": 0.5}])
+    both(study.ask())
+    kill(study, 0)
+    study.optimize(both, n_trials=1)
+    assert study.trials[1].params == study.trials[0].params
+    assert_rows_were_run(study)
+
+
+# Notes that are not true, and what was run in place of a proposal.
+
+
+def test_a_row_noted_by_an_earlier_version_counts_only_if_it_was_run() -> None:
+    """Two trials that say row 3 and did something else: they teach nothing, and row 3 is free."""
+    study = study_of(TABLE)
+    for params in ({"a": 0.25, "b": 3.0}, {"a": 0.0}):
+        distributions = {name: SPACE[name] for name in params}
+        notes = {"row": 3, "features": FEATURES[3].tolist()}
+        study.add_trial(
+            optuna.create_trial(
+                params=params, distributions=distributions, value=1.0, user_attrs=notes
+            )
+        )
+    assert [row_of(ROWS, trial) for trial in study.trials] == [None, None]
+    assert not read_history(study, study.trials[0], ROWS.space, ROWS).tried.any()
+    with pytest.warns(UserWarning, match="no row of the table are ignored"):
+        study.optimize(both, n_trials=18)
+    assert sorted(rows_of(study)[2:]) == list(range(18))
+
+
+def test_a_value_that_was_not_left_to_the_sampler_takes_the_note_back() -> None:
+    """A range of one value: Optuna asks no sampler."""
+
+    def pinned(value: float) -> Callable[[optuna.Trial], float]:
+        return lambda trial: trial.suggest_float("b", 0, 5) + trial.suggest_float("a", value, value)
+
+    study = study_of(TABLE)
+    with pytest.raises(InputError, match=r"a: .*low=0.25.* a range that holds all rows"):
+        study.optimize(pinned(0.25), n_trials=1)
+    assert study.trials[0].user_attrs == {"row": -1, "features": None}
+    study = study_of(TABLE, strict=False)
+    run_quietly(study, 3, pinned(0.5))
+    assert {trial.params["a"] for trial in study.trials} == {0.5}
+    assert_rows_were_run(study)
+
+
+def test_a_range_of_one_value_that_comes_first_is_as_if_it_were_fixed() -> None:
+    def half(trial: optuna.Trial) -> float:
+        return trial.suggest_float("a", 0.5, 0.5) + trial.suggest_float("b", 0, 5)
+
+    study = study_of(TABLE, half, 6)
+    assert sorted(rows_of(study)) == list(range(6, 12))
+    with pytest.raises(InputError, match=r"a: 0.5 .* a row that has not been tried"):
+        study.optimize(half, n_trials=1)
+
+
+def test_a_row_of_another_table_that_came_with_an_enqueued_trial_is_put_right() -> None:
+    study = study_of(TABLE)
+    study.enqueue_trial({"a": 0.5, "b": 3.0}, user_attrs={"row": 2, "mood": "good"})
+    study.enqueue_trial({"a": 0.25, "b": 3.0}, user_attrs={"row": 2})
+    study.ask()
+    assert study.trials[0].user_attrs == {"row": 9, "features": [3.5, -2.5], "mood": "good"}
+    study.optimize(both, n_trials=1)
+    assert study.trials[1].user_attrs["row"] == -1
+
+
+def test_features_of_a_refused_point_near_the_table_are_taken_back() -> None:
+    options = {"feature_function": lambda params: params.sum(axis=1), "off_grid": 50}
+    enqueued = map(row, range(18))
+    study = study_of(ONE, both, 18, enqueued=enqueued, strict=False, **options)
+    with pytest.warns(UserWarning, match="a: .* a range that holds all rows"):
+        study.optimize(
+            lambda trial: trial.suggest_float("b", 0, 5) + trial.suggest_float("a", 2, 3),
+            n_trials=1,
+        )
+    assert study.trials[-1].user_attrs == {"row": -1, "score": None, "features": None}
+
+
+def test_a_trial_that_is_refused_keeps_no_row() -> None:
+    study = study_of(TABLE)
+    with pytest.raises(InputError):
+        study.optimize(lambda trial: trial.suggest_float("a", 0, 1e-9), n_trials=1)
+    study.optimize(both, n_trials=18)
+    assert set(rows_of(study)[1:]) == set(range(18))
+
+
+@pytest.mark.filterwarnings("ignore:PartialFixedSampler is experimental")
+def test_a_fixed_parameter_where_the_table_need_not_fit_is_no_row() -> None:
+    sampler = FeatureKernelSampler(TABLE, seed=1, strict=False)
+    study = optuna.create_study(sampler=PartialFixedSampler({"a": 0.25}, sampler))
+    run_quietly(study, 5)
+    assert {trial.params["a"] for trial in study.trials} == {0.25}
+    assert_rows_were_run(study)
+
+
+# A parameter of the table that the study does not always suggest.
+
+
+def b_at_times(trial: optuna.Trial) -> float:
+    return both(trial) if trial.number else only_a(trial)
+
+
+@pytest.mark.parametrize("objective", [only_a, b_at_times])
+@pytest.mark.parametrize("enqueued", [[], [row(3)]])
+def test_it_is_an_error_of_the_very_trial(
+    objective: Callable[[optuna.Trial], float], enqueued: list[Any]
+) -> None:
+    study = study_of(ONE, enqueued=enqueued)
+    with pytest.raises(InputError, match=r"b: 'not suggested in trial 0' .* all of a, b"):
+        study.optimize(objective, n_trials=1)
+    assert study.trials[0].state is TrialState.COMPLETE  # what it cost is not lost
+    assert study.trials[0].user_attrs == {"row": -1, "score": None}
+    run_quietly(study, 2)  # the objective was mended
+    assert len(set(rows_of(study)[1:])) == 2
+
+
+def test_asked_and_told_too_also_where_nothing_of_the_table_was_suggested() -> None:
+    study = study_of(ONE, extra_parameters=["n"])
+    trial = study.ask()
+    value = only_a(trial)
+    with pytest.raises(InputError, match="b: 'not suggested in trial 0'"):
+        study.tell(trial, value)
+    with pytest.raises(InputError, match="a: 'not suggested in trial 1'"):
+        study.optimize(lambda trial: trial.suggest_int("n", 1, 9), n_trials=1)
+    with pytest.raises(InputError, match="a: 'not suggested in trial 2'"):
+        study.tell(study.ask(), 1.0)
+
+
+def test_where_the_table_need_not_fit_it_is_one_warning_and_no_row() -> None:
+    study = study_of(ONE, strict=False)
+    with pytest.warns(UserWarning, match="b: 'not suggested in trial 0'") as said:
+        study.optimize(only_a, n_trials=4)
+    assert len(said) == 1
+    assert all(number in (None, -1) for number in rows_of(study))
+
+
+@pytest.mark.parametrize("error", [optuna.TrialPruned, RuntimeError])
+def test_a_trial_that_ends_early_says_nothing(error: type[Exception]) -> None:
+    def ends(trial: optuna.Trial) -> float:
+        only_a(trial)
+        raise error
+
+    study = study_of(ONE)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        study.optimize(ends, n_trials=2, catch=RuntimeError)
+    assert len(set(rows_of(study))) == 2
+
+
+# Trials off the table, of this study or an earlier one, that the nearest row lends its features.
+
+NEAR = {"a": FloatDistribution(0, 1), "b": FloatDistribution(0.01, 100, log=True)}
+LINE = np.linspace(0, 1, 40)
+LINES = FeatureTable.from_arrays(
+    {"a": LINE, "b": np.random.default_rng(0).permutation(np.geomspace(0.01, 100, 40))},
+    LINE,
+    space=NEAR,
+)
+
+
+def cost(trial: optuna.Trial) -> float:
+    b = trial.suggest_float("b", 0.01, 100, log=True)
+    return (trial.suggest_float("a", 0, 1) - 0.7) ** 2 + 0 * b
+
+
+def after_an_earlier_study(**options: Any) -> optuna.Study:
+    earlier = optuna.create_study(sampler=RandomSampler(seed=5))
+    earlier.optimize(cost, n_trials=15)
+    study = study_of(LINES, **options)
+    study.add_trials(earlier.get_trials())
+    return study
+
+
+def test_trials_of_an_earlier_study_start_the_model() -> None:
+    study = after_an_earlier_study(nearest=0.5)
+    without_warnings(study, cost, 2)
+    assert min(trial.values[0] for trial in study.trials[15:]) < 0.01
+    assert all(number >= 0 for number in rows_of(study)[15:])
+    study.optimize(cost, n_trials=4)
+    pieces = after_an_earlier_study()
+    resumed(lambda: FeatureKernelSampler(LINES, seed=1, nearest=0.5), cost, 6, pieces)
+    assert params_of(study) == params_of(pieces)
+
+
+def beside_row_20() -> dict[str, float]:
+    near = LINES.rows.as_parameters(20)
+    return near | {"a": near["a"] + 0.01}
+
+
+def test_an_enqueued_trial_near_a_row_is_learned_from_and_is_no_row() -> None:
+    study = study_of(LINES, enqueued=[beside_row_20()], nearest=0.05)
+    without_warnings(study, cost, 1)
+    assert study.trials[0].user_attrs == {}
+    without_warnings(study, cost, 40)  # its nearest row is still free
+    assert len(set(rows_of(study)[1:])) == 40
+
+
+@pytest.mark.parametrize("nearest", [None, 0.001])
+def test_the_warning_names_both_ways_and_how_far_the_nearest_row_is(nearest: float | None) -> None:
+    study = study_of(LINES, enqueued=[beside_row_20()], nearest=nearest)
+    with pytest.warns(UserWarning) as said:
+        study.optimize(cost, n_trials=4)
+    assert len(said) == 1
+    message = str(said[0].message)
+    assert message.startswith("trials whose parameters are no row of the table are ignored: ")
+    for part in ("such as trial 0", "feature_function", "nearest=", f"{0.01 / 2**0.5:.2g} from"):
+        assert part in message
+
+
+@pytest.mark.parametrize(
+    ("point", "nearest", "distance"),
+    [
+        ((0.0, 0.01, "x"), 0, 0.0),
+        ((1.0, 100.0, "z"), 1, 1.0),
+        ((0.3, 0.01, "x"), 0, 0.3),
+        ((0.0, 0.1, "x"), 0, 0.25),  # a quarter of four decades
+        ((1.4, 100.0, "y"), 1, 0.4),  # outside the range
+        ((1.0, 1000.0, "y"), 1, 0.25),
+    ],
+)
+def test_distances_are_root_mean_squares_of_shares_of_the_ranges(
+    point: tuple[Any, ...], nearest: int, distance: float
+) -> None:
+    columns = {"a": [0.0, 1.0], "b": [0.01, 100.0], "kind": ["x", "y"]}
+    space = NEAR | {"kind": CategoricalDistribution(["x", "y", "z"])}
+    rows = FeatureTable.from_arrays(columns, [1, 2], space=space).rows
+    values = rows.space.row(dict(zip(columns, point, strict=True)))
+    assert values is not None
+    assert rows.nearest(values) == (nearest, pytest.approx(distance / 3**0.5))
+
+
+@pytest.mark.filterwarnings("ignore:FeatureTable")
+def test_a_constant_parameter_is_near_only_where_it_is_equal_and_gaps_lend_nothing() -> None:
+    rows = FeatureTable.from_arrays({"a": LINE, "c": np.full(40, 2.0)}, LINE).rows
+    assert rows.nearest(np.array([0.0, 2.0])) == (0, 0.0)
+    assert rows.nearest(np.array([0.0, 2.5]))[1] == np.inf
+    features = np.where(np.arange(40) == 20, np.nan, LINE)
+    rows = FeatureTable.from_arrays({"a": LINE}, features).rows
+    assert rows.nearest(rows.parameters[20])[0] in (19, 21)
+
+
+@pytest.mark.parametrize(
+    ("features", "options", "message"),
+    [
+        (LINES, {"nearest": -0.1}, r"nearest: .* a finite number from 0"),
+        (LINES, {"nearest": float("nan")}, r"nearest: .* a finite number from 0"),
+        (LINES, {"nearest": 0.1, "feature_function": compute}, r"nearest: 0.1 .*feature_function"),
+        (None, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
+        (compute, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
+    ],
+)
+def test_how_near_is_a_number_and_for_tables_without_a_function(
+    features: Any, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        FeatureKernelSampler(features, **options)
+
+
+def test_an_earlier_study_may_have_suggested_otherwise() -> None:
+    """Another scale and narrower ranges: Optuna's own samplers fail on the first."""
+    rate = np.geomspace(1e-3, 1, 30)
+    given = FeatureTable.from_arrays({"rate": rate}, np.log(rate))
+    before = study_of(given, lambda trial: trial.suggest_float("rate", 1e-3, 1), 3, seed=2)
+    before.enqueue_trial({"rate": 0.4})
+    before.optimize(lambda trial: trial.suggest_float("rate", 0.3, 0.5), n_trials=1)
+    study = study_of(given, nearest=0.1)
+    study.add_trials(before.trials)
+    study.optimize(lambda trial: trial.suggest_float("rate", 1e-3, 1, log=True), n_trials=5)
+    assert len({trial.user_attrs["row"] for trial in study.trials if trial.user_attrs}) == 8
+    assert study.best_value == rate[0]
