@@ -1,9 +1,9 @@
-"""What a study says to its user: a line a trial, and what was found."""
+"""The lines that a study prints: one a trial, and a summary."""
 
 import os
 import shlex
 import sys
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +14,6 @@ from storage.databases.urls import is_postgresql, public_url
 from study.experiment.trials import outcome_text
 from study.options import config_path
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
-
-
-@dataclass(frozen=True)
-class Commands:
-    """Lines to paste, to look at what was found.
-
-    Attributes:
-        film: that films the best trial.
-        dashboard: that opens the studies in a browser.
-    """
-
-    film: str
-    dashboard: str
-
 
 OUTCOMES = ("duration_s", "distance_m", "mean_speed_mps", "end_reason")
 
@@ -47,7 +33,7 @@ def study_line(study: optuna.Study) -> str:
     best, walkers = study.best_trial, _walkers(study)
     row = ""
     if ROW_ATTRIBUTE in best.user_attrs:
-        score = best.user_attrs.get(SCORE_ATTRIBUTE)  # where rows are compared by one number
+        score = best.user_attrs.get(SCORE_ATTRIBUTE)  # of arms that compare rows by one number
         scored = "" if score is None else f", score {score:.1f}"
         row = f" (row {best.user_attrs[ROW_ATTRIBUTE]}{scored})"
     first = f", the first in trial {walkers[0]}" if walkers else ""
@@ -57,8 +43,17 @@ def study_line(study: optuna.Study) -> str:
     )
 
 
-def summary(study: optuna.Study, url: str, gains: Path, commands: Commands) -> dict[str, Any]:
-    """What a study has found, for programs: one object of plain values."""
+def summary(
+    study: optuna.Study, url: str, gains: Path, commands: Mapping[str, str]
+) -> dict[str, Any]:
+    """A study and its best trial, for programs: one object of plain values.
+
+    Args:
+        study: with a finished trial.
+        url: of its database.
+        gains: file of the best gains.
+        commands: command lines that show the study, by name.
+    """
     best, walkers = study.best_trial, _walkers(study)
     return {
         "study": study.study_name,
@@ -72,25 +67,19 @@ def summary(study: optuna.Study, url: str, gains: Path, commands: Commands) -> d
         **{name: best.user_attrs[name] for name in OUTCOMES},
         "gains": str(gains),
         "storage": public_url(url),
-        **asdict(commands),
+        **commands,
     }
 
 
-def summary_text(study: optuna.Study, url: str, gains: Path, commands: Commands) -> str:
+def summary_text(study: optuna.Study, url: str, gains: Path, commands: Mapping[str, str]) -> str:
     """The same, for people."""
-    return "\n".join(
-        (
-            study_line(study),
-            f"gains:     {gains}",
-            f"database:  {public_url(url)}",
-            f"film:      {commands.film}",
-            f"dashboard: {commands.dashboard}",
-        )
-    )
+    named = {"gains": gains, "database": public_url(url), **commands}
+    lines = [f"{name + ':':<10} {value}" for name, value in named.items()]
+    return "\n".join([study_line(study), *lines])
 
 
 def film_command(gains: Path, config: Path, run: int = 0, seed: int | None = None) -> str:
-    """The line that films gains on body and ground of a run of a configuration."""
+    """A command line: films gains on body and ground of a run of a configuration."""
     shown = config.stem if config_path(config.stem) == config else str(config)
     words = ["walk", "--gains", str(gains), "--config", shown]
     words += ["--run", str(run)] if run else []
@@ -98,21 +87,16 @@ def film_command(gains: Path, config: Path, run: int = 0, seed: int | None = Non
 
 
 def dashboard_command(url: str, artifacts: Path) -> str:
-    """The line that opens the studies of a database, and their pictures, in a browser."""
+    """A command line: opens the studies of a database, and their pictures, in a browser."""
     words = ["dashboard", "--storage", public_url(url)]
     return command_line(*words, *(["--artifacts", str(artifacts)] if is_postgresql(url) else []))
 
 
 def command_line(*words: str) -> str:
-    """A line that runs a command of ours, whether the environment is active or not."""
+    """A line that runs `taichi-nmm`, whether the environment is active or not."""
     here = Path(sys.executable).is_relative_to(Path.cwd())
     program = os.path.relpath(sys.executable) if here else sys.executable
     return shlex.join([program, "-m", "taichi_nmm", *words])
-
-
-def best_gains(study: optuna.Study) -> dict[str, float]:
-    """The searched parameters of the best trial by name: the content of a gains file."""
-    return dict(study.best_trial.params)
 
 
 def _finished(study: optuna.Study) -> list[FrozenTrial]:

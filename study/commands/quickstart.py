@@ -34,7 +34,6 @@ from study.experiment.live_study import run_study
 from study.experiment.trials import simulate_trials
 from study.options import config_path
 from study.summary import (
-    best_gains,
     command_line,
     dashboard_command,
     film_command,
@@ -81,7 +80,7 @@ def run_arm(experiment: Experiment, name: str, url: str, out: Path) -> optuna.St
 
 def draw_walks(out: Path, experiment: Experiment, study: optuna.Study) -> list[Path]:
     """Pictures of the best trial, and of the reference gait on flat ground."""
-    gains = np.array([list(best_gains(study).values())])
+    gains = np.array([list(study.best_params.values())])
     found = simulate_trials(experiment, [RUN], gains, record=True)
     reference = taichi_nmm.simulate(
         taichi_nmm.load_gains("reference"),
@@ -133,7 +132,7 @@ def main(args: Namespace) -> None:
     say(f"2. {experiment.trials} trials with each sampler: {duration_s:g} s on {ground}")
     studies = [run_arm(experiment, arm, url, out) for arm in ARMS]
     best = min(studies, key=lambda study: study.best_value)
-    commit_json(out / "found.json", best_gains(best))
+    commit_json(out / "found.json", best.best_params)
     say("3. Drawing the best walker found, and the reference gait")
     paths = draw_walks(out, experiment, best)
     say(

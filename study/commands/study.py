@@ -25,8 +25,6 @@ from study.experiment.arms import check_arms, with_store
 from study.experiment.experiment import read_experiment, study_name
 from study.experiment.live_study import check_study, run_study
 from study.summary import (
-    Commands,
-    best_gains,
     dashboard_command,
     film_command,
     progress_line,
@@ -62,15 +60,15 @@ def main(args: Namespace) -> None:
         study = run_study(experiment, arm, args.run, trials, storage, report, crew)
         with writable(folder):
             folder.mkdir(parents=True, exist_ok=True)
-        commit_json(gains, best_gains(study))
+        commit_json(gains, study.best_params)
         from study.comparison.artifacts import draw_best  # Matplotlib: a second
 
         with crew.turn() if crew else nullcontext():
             draw_best(experiment, args.run, study, args.storage, folder)
-        commands = Commands(
-            film_command(gains, args.config, args.run, args.seed),
-            dashboard_command(args.storage, live_artifacts(args.storage, folder)),
-        )
+        commands = {
+            "film": film_command(gains, args.config, args.run, args.seed),
+            "dashboard": dashboard_command(args.storage, live_artifacts(args.storage, folder)),
+        }
         if args.json:
             print(json.dumps(summary(study, args.storage, gains, commands)))
         else:

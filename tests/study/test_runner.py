@@ -26,8 +26,6 @@ from study.experiment.samplers import Task
 from study.experiment.trials import ATTRIBUTES, simulate_trials
 from study.options import config_path
 from study.summary import (
-    Commands,
-    best_gains,
     dashboard_command,
     film_command,
     progress_line,
@@ -417,12 +415,11 @@ def test_what_a_study_says(toy: Experiment) -> None:
     )
     assert len(lines) == 6
     assert lines[5].startswith("toy/dog/run-002  6/6  cost ")
-    commands = Commands("film it", "show it")
+    commands = {"film": "film it", "dashboard": "show it"}
     found = summary(study, "sqlite:///x.db", Path("out/best.json"), commands)
     assert found["study"] == study_name("toy", "dog", 2)
     assert found["best_cost"] == study.best_value
     assert (found["film"], found["dashboard"]) == ("film it", "show it")
-    assert best_gains(study) == study.best_params
     text = summary_text(study, "sqlite:///x.db", Path("out/best.json"), commands)
     assert [line.split(":")[0] for line in text.splitlines()[1:]] == [
         "gains", "database", "film", "dashboard",
