@@ -11,10 +11,11 @@ import pytest
 import taichi_nmm
 from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.identity import document, documented_experiment
-from study.report.before_after import before_and_after, choose
+from study.report.before_after import Pair, Shown, before_and_after, choose, write_strips
 from study.report.runs import Results, read_results
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
+from taichi_nmm.terrain import Terrain, ramp, rough
 from tests.study import synthetic_gait
 from tests.study.report import synthetic
 
@@ -52,28 +53,26 @@ def write(folder: Path, walks: dict[str, list[list[int]]]) -> Results:
     return read_results(folder)
 
 
-def test_before_is_a_first_trial_of_our_best_that_fell(tmp_path: Path) -> None:
-    results = write(tmp_path, {"best": [[0], [4, 6]], "dog": [[5], [7]]})
-    chosen = choose(results, GAIN_NAMES)
+@pytest.mark.parametrize(
+    ("walks", "run", "before", "after"),
+    [
+        ({"best": [[0], [4, 6]], "dog": [[5], [7]]}, 1, ("best", 0), ("best", 4)),
+        ({"best": [[0], [1]], "dog": [[5], []], "random": [[], []]}, 0, ("dog", 0), ("best", 0)),
+        ({"tpe": [[3], [3]], "random": [[], [5]]}, 0, ("tpe", 0), ("tpe", 3)),
+    ],
+    ids=["a first trial of our best that fell", "our best walks at once", "without our best"],
+)
+def test_which_trials_are_shown(
+    tmp_path: Path,
+    walks: dict[str, list[list[int]]],
+    run: int,
+    before: tuple[str, int],
+    after: tuple[str, int],
+) -> None:
+    chosen = choose(write(tmp_path, walks), GAIN_NAMES)
     assert chosen is not None
-    before, after = chosen
-    assert (before["run"], before["arm"], before["trial"]) == (1, "best", 0)
-    assert (after["run"], after["arm"], after["trial"]) == (1, "best", 4)
-
-
-def test_where_our_best_walks_at_once_the_papers_method_is_before(tmp_path: Path) -> None:
-    results = write(tmp_path, {"best": [[0], [1]], "dog": [[5], []], "random": [[], []]})
-    chosen = choose(results, GAIN_NAMES)
-    assert chosen is not None
-    before, after = chosen
-    assert (before["run"], before["arm"], before["trial"]) == (0, "dog", 0)
-    assert (after["run"], after["arm"], after["trial"]) == (0, "best", 0)
-
-
-def test_without_our_best_the_best_arm_is_after(tmp_path: Path) -> None:
-    results = write(tmp_path, {"tpe": [[3], [3]], "random": [[], [5]]})
-    chosen = choose(results, GAIN_NAMES)
-    assert chosen is not None and chosen[1]["arm"] == "tpe"
+    found = [(row["run"], row["arm"], row["trial"]) for row in chosen]
+    assert found == [(run, *before), (run, *after)]
 
 
 def test_without_a_walker_there_is_nothing_to_show(tmp_path: Path) -> None:
@@ -111,3 +110,14 @@ def test_both_walks_are_of_the_gains_and_the_run_of_the_table(
     assert seen["bodies"].mass_kg[0].tolist() == made.body(1).mass_kg[0].tolist()
     assert pair.first.title == "Before: best combination, trial 1: fell after 2 s, 1.5 m"
     assert pair.second.title == "After: best combination, trial 5: 100 s, 130 m at 1.30 m/s"
+
+
+@pytest.mark.parametrize("terrain", [rough(1, flat_start_m=1.0), ramp()], ids=["rough", "ramp"])
+def test_strips_are_drawn_on_the_ground(tmp_path: Path, terrain: Terrain) -> None:
+    walks = [
+        Shown(when, f"{when}: somebody", synthetic_gait.walk(seconds, 50.0))
+        for when, seconds in (("before", 0.3), ("after", 12.0))
+    ]
+    files = write_strips(tmp_path, "made-up", Pair(0, terrain, *walks))
+    assert [file.name for file in files] == ["strips.png", "strips.svg"]
+    assert min(file.stat().st_size for file in files) > 50_000

@@ -1,25 +1,24 @@
-"""The report's figures on runs small enough to count by hand."""
-
-from pathlib import Path
+"""Counts by hand; intervals and tests against closed forms, SciPy's, and their own coverage."""
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from study.experiment.arms import ARMS
-from study.report.markdown import overview_text, report_text
-from study.report.numbers import numbers
-from study.report.runs import ArmRuns, Results, read_results
-from study.report.writing import write_report
-from tests.study.report import synthetic
-from tests.study.report.synthetic import arm
-
-
-def experiment(*arms: ArmRuns) -> Results:
-    return Results(Path(), "counted", "smooth", {each.arm: each for each in arms}, {})
+from study.report.numbers import (
+    curve,
+    holm,
+    mcnemar,
+    median,
+    numbers,
+    resamples,
+    wilcoxon,
+    wilson,
+)
+from tests.study.report.synthetic import arm, counted
 
 
 def test_walkers_are_counted() -> None:
-    found = numbers(experiment(arm("dog", [1, 3, 11, 30, np.inf]))).arms[0]
+    found = numbers(counted(arm("dog", [1, 3, 11, 30, np.inf]))).arms[0]
     assert (found.walkers, found.runs, found.trials) == (4, 5, 40)
     assert found.share.value == 0.8
     assert found.first_walker.value == 11
@@ -30,15 +29,15 @@ def test_walkers_are_counted() -> None:
 
 
 def test_where_all_runs_have_a_walker_later_limits_are_known() -> None:
-    found = numbers(experiment(arm("dog", [1, 2, 5], trials=8))).arms[0]
+    found = numbers(counted(arm("dog", [1, 2, 5], trials=8))).arms[0]
     assert found.within == {1: 1, 3: 2, 10: 3, 30: 3, 60: 3, 100: 3}
-    assert 10 not in numbers(experiment(arm("dog", [1, np.inf], trials=8))).arms[0].within
+    assert 10 not in numbers(counted(arm("dog", [1, np.inf], trials=8))).arms[0].within
 
 
 def test_arms_are_compared_with_the_papers_method_on_the_same_runs() -> None:
     paper = arm("dog", [40] * 12, cost=2.0)
     better = arm("best", [1] * 10, cost=1.5)
-    found = numbers(experiment(paper, better)).comparisons
+    found = numbers(counted(paper, better)).comparisons
     assert [each.arm for each in found] == ["best"]
     assert (found[0].after, found[0].cost.pairs) == (30, 10)
     assert found[0].difference.value == pytest.approx(-0.5)
@@ -48,62 +47,123 @@ def test_arms_are_compared_with_the_papers_method_on_the_same_runs() -> None:
 
 def test_p_values_are_adjusted_over_all_arms() -> None:
     arms = [arm(name, [1] * 10, cost=1.5) for name in ("best", "tpe", "random")]
-    found = numbers(experiment(arm("dog", [40] * 10, cost=2.0), *arms)).comparisons
+    found = numbers(counted(arm("dog", [40] * 10, cost=2.0), *arms)).comparisons
     assert len(found) == 3
     for each in found:
         assert each.cost_p_holm == pytest.approx(3 * each.cost.p)
 
 
-def test_without_the_papers_method_there_is_no_comparison() -> None:
-    found = numbers(experiment(arm("tpe", [3, 4])))
-    assert found.comparisons == ()
-    assert found.peer == "tpe"
-    assert "paper's method" not in report_text(experiment(arm("tpe", [3, 4])), found, None)
-
-
-def test_the_document_says_what_was_counted_and_how(results: Results) -> None:
-    found = numbers(results)
-    text = report_text(results, found, 0.01)
-    rows = [line for line in text.splitlines() if line.startswith("| random")]
-    count = int(np.isfinite(results.arms["random"].first_walker).sum())
-    assert f"| 50 | {count} | " in rows[0] and "> 100" in rows[0]
-    assert "bootstrap" in text and "Wilson" in text and "Holm" in text and "SeedSequence" in text
-    assert "estimated optimum: 0.01" in text
-    assert "Best of the peers (most runs with a walker, then the earliest): cmaes-warm" in text
-    assert text.count("| 50 | 50 |") >= 10  # no p without its n
-    for name in synthetic.ARMS:
-        assert ARMS[name].label in text
-
-
-def test_an_unfinished_experiment_says_so() -> None:
-    results = experiment(arm("dog", [1, 2]), arm("tpe", [1], trials=10))
-    text = report_text(results, numbers(results), None)
-    assert "Unfinished: 90 of 160 trials" in text
-    assert "tpe 1 x 10" in text
-
-
 def test_programs_get_null_for_never() -> None:
-    plain = numbers(experiment(arm("dog", [np.inf, np.inf]))).as_dict()
+    plain = numbers(counted(arm("dog", [np.inf, np.inf]))).as_dict()
     assert plain["arms"][0]["first_walker"]["value"] is None
     assert plain["arms"][0]["within"]["30"] == 0
 
 
-def test_one_table_of_several_experiments(tmp_path: Path) -> None:
-    first = synthetic.write(
-        tmp_path / "a", {"dog": (0.9, 0.0), "best": (1.0, 0.0)}, 4, 10, name="a"
-    )
-    second = synthetic.write(
-        tmp_path / "b", {"dog": (0.0, 0.0), "tpe": (1.0, 0.0)}, 4, 10, name="b"
-    )
-    lines = overview_text([numbers(read_results(each)) for each in (first, second)]).splitlines()
-    assert lines.count("| experiment | DoG, as printed | best combination | TPE |") == 4
-    rows = {name: [line for line in lines if line.startswith(f"| {name} | ")] for name in "ab"}
-    assert [line.split(" | ")[2] for line in rows["a"]] == ["4", "4", "4", "1"]
-    assert [line.split(" | ")[1] for line in rows["b"]] == ["0", "0", "0", "> 10"]
-    assert all(line.split(" | ")[2] == "" for line in rows["b"])
+@pytest.mark.parametrize(("successes", "count"), [(0, 50), (1, 8), (37, 50), (50, 50)])
+def test_wilson_is_scipys(successes: int, count: int) -> None:
+    theirs = stats.binomtest(successes, count).proportion_ci(method="wilson")
+    ours = wilson(successes, count)
+    assert ours.value == successes / count
+    assert (ours.low, ours.high) == pytest.approx((theirs.low, theirs.high), abs=1e-12)
+    assert 0.0 <= ours.low <= ours.value <= ours.high <= 1.0
 
 
-def test_a_single_arm_of_a_single_run_is_reported(tmp_path: Path) -> None:
-    results = experiment(arm("random", [np.inf], trials=2))
-    write_report(results, None, folder=tmp_path)
-    assert "| 1 | 0 | 0 to 79 | > 2 |" in (tmp_path / "report.md").read_text()
+def test_wilson_at_its_ends_has_the_closed_form() -> None:
+    """Of n of n, the lower end is n / (n + z^2): 95 % of runs are not claimed from a few."""
+    z = 1.959963984540054
+    assert wilson(50, 50).low == pytest.approx(50 / (50 + z * z))
+    assert wilson(0, 50).high == pytest.approx(z * z / (50 + z * z))
+
+
+def test_wilson_of_no_runs_says_nothing() -> None:
+    found = wilson(0, 0)
+    assert np.isnan(found.value)
+    assert (found.low, found.high) == (0.0, 1.0)
+
+
+def test_median_of_equal_runs_is_certain() -> None:
+    found = median(np.full(20, 3.0))
+    assert (found.value, found.low, found.high) == (3.0, 3.0, 3.0)
+
+
+def test_runs_without_a_walker_are_later_than_all_others() -> None:
+    most = median([1.0, 2.0, 5.0, np.inf, np.inf, np.inf, np.inf])
+    assert np.isinf(most.value) and np.isinf(most.high) and np.isfinite(most.low)
+    few = median([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, np.inf])
+    assert few.value == 4.0 and few.low <= 2.0
+    none = median([np.inf] * 5)
+    assert np.isinf(none.low)
+
+
+def test_medians_interval_agrees_with_scipys_bootstrap() -> None:
+    sample = np.random.default_rng(5).exponential(10.0, 50)
+    theirs = stats.bootstrap(
+        (sample,), np.median, method="percentile", n_resamples=10_000, rng=np.random.default_rng(0)
+    ).confidence_interval
+    ours = median(sample)
+    assert ours.value == np.median(sample)
+    assert (ours.low, ours.high) == pytest.approx((theirs.low, theirs.high), rel=0.08)
+
+
+def test_medians_interval_covers_the_truth_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(6)
+    hits = 0
+    for _ in range(80):
+        found = median(rng.exponential(10.0, 50))
+        hits += found.low <= 10.0 * np.log(2.0) <= found.high
+    assert 0.88 <= hits / 80 <= 1.0
+
+
+def test_curves_are_means_and_medians_within_their_bands() -> None:
+    values = np.random.default_rng(7).normal(5.0, 1.0, (50, 12))
+    for statistic in (np.mean, np.median):
+        middle, low, high = curve(values, statistic)
+        np.testing.assert_allclose(middle, statistic(values, axis=0))
+        assert np.all((low <= middle) & (middle <= high))
+        assert np.all(high - low < 1.2)
+    _, low, high = curve(values, np.mean)
+    normal = 2 * 1.96 * values.std(axis=0) / np.sqrt(50)
+    np.testing.assert_allclose(high - low, normal, rtol=0.1)
+
+
+def test_a_report_made_twice_is_the_same() -> None:
+    np.testing.assert_array_equal(resamples(7, 5), resamples(7, 5))
+    assert resamples(7, 5).max() < 7
+    assert not np.array_equal(resamples(7, 5)[:, :6], resamples(6, 5))
+
+
+def test_wilcoxon_is_scipys_and_counts_its_pairs() -> None:
+    rng = np.random.default_rng(8)
+    ours, theirs = rng.normal(0.0, 1.0, 40), rng.normal(0.4, 1.0, 40)
+    found = wilcoxon(ours, theirs)
+    assert found.p == pytest.approx(stats.wilcoxon(ours, theirs).pvalue)
+    assert (found.pairs, found.unequal) == (40, 40)
+
+
+def test_wilcoxon_of_all_better_has_the_closed_form() -> None:
+    """Eight pairs of one sign: two of 2^8 assignments are as extreme."""
+    found = wilcoxon(np.arange(8.0), np.arange(8.0) + np.linspace(1, 2, 8))
+    assert found.p == pytest.approx(2 / 2**8)
+
+
+def test_equal_pairs_decide_nothing() -> None:
+    same = wilcoxon([1.0, 2.0], [1.0, 2.0])
+    assert (same.pairs, same.unequal, same.p) == (2, 0, 1.0)
+    some = wilcoxon([1.0, 2.0, 3.0, 4.0], [1.0, 2.1, 3.2, 4.4])
+    assert (some.pairs, some.unequal) == (4, 3)
+    assert some.p == pytest.approx(2 / 2**3)
+
+
+def test_mcnemar_rests_on_runs_of_which_one_arm_alone_walked() -> None:
+    ours = np.array([True] * 40 + [False] * 10)
+    theirs = np.array([True] * 34 + [False] * 16)
+    found = mcnemar(ours, theirs)
+    assert (found.pairs, found.unequal) == (50, 6)
+    assert found.p == pytest.approx(2 / 2**6)
+    assert mcnemar(ours, ours).p == 1.0
+
+
+def test_holm_is_the_textbooks() -> None:
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.6, 0.7]) == [1.0, 1.0]
+    assert holm([]) == []

@@ -1,8 +1,9 @@
 """Reading a comparison's folder: arrays, checkpoints, what is unfinished, what is refused."""
 
 import json
-import re
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -10,19 +11,36 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from study.report.runs import Results, read_results, runs_of
+from study.experiment.stores import store_digest
+from study.report.markdown import facts
+from study.report.runs import Results, known_stores, read_results, runs_of
 from taichi_nmm.errors import InputError
 from tests.study.report import synthetic
 
 TWO = {"dog": (0.02, 0.002), "random": (0.01, 0.0)}
+RUNS, TRIALS = 4, 6
+COUNT = len(TWO) * RUNS * TRIALS
 
 
-def small(folder: Path, **options: str) -> Path:
-    return synthetic.write(folder, TWO, runs=4, trials=6, **options)
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return synthetic.write(tmp_path / "small", TWO, RUNS, TRIALS)
+
+
+@pytest.fixture
+def table(folder: Path) -> pa.Table:
+    return pq.read_table(folder / "trials.parquet")
 
 
 def rewrite(folder: Path, table: pa.Table) -> None:
     pq.write_table(table, folder / "trials.parquet")
+
+
+def refusal(folder: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        read_results(folder)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
 
 
 def test_arrays_are_those_of_the_table(comparison: Path, results: Results) -> None:
@@ -39,17 +57,18 @@ def test_arrays_are_those_of_the_table(comparison: Path, results: Results) -> No
     assert (results.name, results.cost) == ("made-up", "smooth")
 
 
-def test_the_order_of_the_rows_does_not_matter(tmp_path: Path) -> None:
-    folder = small(tmp_path)
-    before = read_results(folder).arms["dog"]
-    table = pq.read_table(folder / "trials.parquet")
-    rewrite(folder, table.take(np.random.default_rng(0).permutation(len(table))))
-    np.testing.assert_array_equal(read_results(folder).arms["dog"].best, before.best)
+def test_the_order_of_the_rows_does_not_matter(folder: Path, table: pa.Table) -> None:
+    known = read_results(folder).arms
+    shuffled = table.take(np.random.default_rng(0).permutation(len(table)))
+    rewrite(folder, shuffled)
+    for found in (read_results(folder).arms, runs_of(shuffled)):  # of the file, and in memory
+        assert list(found) == list(known)
+        for arm, theirs in known.items():
+            np.testing.assert_array_equal(found[arm].best, theirs.best)
+            assert (found[arm].walkers, found[arm].found) == (theirs.walkers, theirs.found)
 
 
-def test_a_checkpoint_with_more_trials_counts(tmp_path: Path) -> None:
-    folder = small(tmp_path)
-    table = pq.read_table(folder / "trials.parquet")
+def test_a_checkpoint_with_more_trials_counts(folder: Path, table: pa.Table) -> None:
     (folder / "arms").mkdir()
     pq.write_table(table.filter(pc.equal(table["arm"], "dog")), folder / "arms" / "dog.parquet")
     (folder / "arms" / ".random.parquet.1.tmp").write_bytes(b"half")
@@ -62,9 +81,7 @@ def test_a_checkpoint_with_more_trials_counts(tmp_path: Path) -> None:
     assert list(read_results(folder).arms) == ["dog"]
 
 
-def test_runs_count_as_far_as_all_have_come(tmp_path: Path) -> None:
-    folder = small(tmp_path)
-    table = pq.read_table(folder / "trials.parquet")
+def test_runs_count_as_far_as_all_have_come(folder: Path, table: pa.Table) -> None:
     late = pc.and_(pc.equal(table["run"], 3), pc.greater_equal(table["trial"], 4))
     rewrite(folder, table.filter(pc.invert(late)))
     results = read_results(folder)
@@ -74,58 +91,19 @@ def test_runs_count_as_far_as_all_have_come(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("cost", ["smooth", "walking"])
 def test_the_cost_is_known_by_its_size_where_nothing_says_it(tmp_path: Path, cost: str) -> None:
-    folder = small(tmp_path, cost=cost)
+    folder = synthetic.write(tmp_path, TWO, RUNS, TRIALS, cost)
     assert read_results(folder).cost == cost
     (folder / "experiment.json").unlink()
     assert read_results(folder).cost == cost
 
 
-def test_a_folder_without_trials_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"folder: .*trials\.parquet"):
-        read_results(tmp_path)
-    with pytest.raises(InputError, match=r"folder: .*nowhere"):
-        read_results(tmp_path / "nowhere")
-
-
-def test_a_damaged_table_is_refused(tmp_path: Path) -> None:
-    folder = small(tmp_path)
-    (folder / "trials.parquet").write_bytes(b"PAR1 and no more")
-    with pytest.raises(InputError, match=r"trials\.parquet: .*readable"):
-        read_results(folder)
-
-
-def test_a_missing_column_is_named(tmp_path: Path) -> None:
-    folder = small(tmp_path)
-    rewrite(folder, pq.read_table(folder / "trials.parquet").drop_columns(["best_cost"]))
-    with pytest.raises(InputError, match="column: 'best_cost'"):
-        read_results(folder)
-
-
-def test_a_trial_that_is_missing_or_doubled_is_refused(tmp_path: Path) -> None:
-    folder = small(tmp_path)
-    table = pq.read_table(folder / "trials.parquet")
-    for broken in (table.slice(1), pa.concat_tables([table, table.slice(3, 1)])):
-        rewrite(folder, broken)
-        with pytest.raises(InputError, match="arm dog"):
-            read_results(folder)
-
-
-def test_unreadable_json_is_refused(tmp_path: Path) -> None:
-    folder = small(tmp_path)
-    (folder / "experiment.json").write_text("{")
-    with pytest.raises(InputError, match=re.escape("experiment.json")):
-        read_results(folder)
-
-
-def test_facts_of_the_run_are_kept(tmp_path: Path) -> None:
-    folder = small(tmp_path)
+def test_facts_of_the_run_are_kept(folder: Path) -> None:
     (folder / "run.json").write_text(json.dumps({"machine": "two cores"}))
-    facts = read_results(folder).facts
-    assert facts["machine"] == "two cores" and facts["seed"] == 1
+    known = read_results(folder).facts
+    assert known["machine"] == "two cores" and known["seed"] == 1
 
 
-def test_proposal_times_are_medians_of_each_arm(tmp_path: Path) -> None:
-    folder = small(tmp_path)
+def test_proposal_times_are_medians_of_each_arm(folder: Path) -> None:
     assert read_results(folder).arms["dog"].proposal_ms is None
     times = {"arm": ["dog", "dog", "dog", "random"], "proposal_s": [0.01, 0.02, 0.9, 0.001]}
     pq.write_table(pa.table(times), folder / "proposal_times.parquet")
@@ -133,14 +111,104 @@ def test_proposal_times_are_medians_of_each_arm(tmp_path: Path) -> None:
     assert (arms["dog"].proposal_ms, arms["random"].proposal_ms) == (20.0, 1.0)
 
 
-def test_a_table_in_memory_gives_the_same_runs(tmp_path: Path) -> None:
-    folder = small(tmp_path)
-    table = pq.read_table(folder / "trials.parquet")
-    found = runs_of(table.take(np.random.default_rng(0).permutation(len(table))))
-    known = read_results(folder).arms
-    assert list(found) == list(known)
-    for arm, theirs in known.items():
-        np.testing.assert_array_equal(found[arm].best, theirs.best)
-        assert (found[arm].walkers, found[arm].found) == (theirs.walkers, theirs.found)
+def test_stores_that_still_are_what_the_results_were_made_with_are_known(tmp_path: Path) -> None:
+    paths = {name: tmp_path / f"{name}.parquet" for name in ("flat", "mild", "ramps")}
+    for name in ("flat", "mild"):
+        paths[name].write_text(name)
+    digests = {key: store_digest(paths["flat"]) for key in paths}
+    made = read_results(synthetic.write(tmp_path / "made-up", {"dog": (0.1, 0.0)}, 1, 3))
+
+    def known(*sessions: dict[str, str]) -> dict[str, Path]:
+        noted = [{"trials": 1}, *({"stores": stores} for stores in sessions), {"trials": 0}]
+        return known_stores(replace(made, facts={"stores": digests, "sessions": noted}))
+
+    where = {key: str(path) for key, path in paths.items()}
+    assert known(where) == {"flat": paths["flat"]}
+    assert known({"flat": "nowhere"}, where) == {"flat": paths["flat"]}
+    assert known(where, {"flat": "nowhere"}) == {}  # the latest counts
+    assert known() == known_stores(replace(made, facts={})) == {}
+
+
+def test_a_folder_without_trials_is_refused(folder: Path, table: pa.Table, tmp_path: Path) -> None:
+    assert "nowhere" in refusal(tmp_path / "nowhere")
+    rewrite(folder, table.slice(0, 0))
+    for empty in (folder, tmp_path):
+        message = refusal(empty)
+        assert message.startswith("folder: ") and "trials.parquet, with trials" in message
+
+
+def test_a_damaged_table_is_refused(folder: Path, table: pa.Table) -> None:
+    rewrite(folder, table.drop_columns(["best_cost"]))
+    assert "column: 'best_cost'" in refusal(folder)
+    (folder / "trials.parquet").write_bytes(b"PAR1 and no more")
+    message = refusal(folder)
+    assert message.startswith("trials.parquet: ") and "readable" in message
+
+
+def test_a_trial_that_is_missing_or_doubled_is_refused(folder: Path, table: pa.Table) -> None:
     with pytest.raises(InputError, match="trials: 'arm dog'"):
         runs_of(table.slice(1))
+    for broken in (table.slice(1), pa.concat_tables([table, table.slice(3, 1)])):
+        rewrite(folder, broken)
+        assert "arm dog" in refusal(folder)
+
+
+@pytest.mark.parametrize("text", ["[]", "5", "null", '"a"', "true", "{", "[" * 100_000])
+@pytest.mark.parametrize("name", ["experiment.json", "run.json"])
+def test_documents_that_are_no_objects(folder: Path, name: str, text: str) -> None:
+    (folder / name).write_text(text)
+    assert refusal(folder).startswith(f"{name}: ")
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        {"objective": 5}, {"objective": {"cost": "<b>"}}, {"simulation": []}, {"searched": [1]},
+        {"simulation": {"duration_s": "long"}}, {"simulation": {"duration_s": 10**400}},
+        {"until_walker": "no"}, {"until_walker": {}}, {"stores": {"flat": 3}},
+        {"terrain": "rough"}, {"versions": ["1"]}, {"body": 0.15}, {"ground": "rough"},
+        {"sessions": 5}, {"sessions": {}}, {"sessions": [5]}, {"sessions": [None]},
+        {"sessions": [{"machine": "fast"}]}, {"sessions": [{"wall_s": float("nan")}]},
+        {"sessions": [{"trials": 10**400}]}, {"sessions": [{"stores": {"flat": 5}}]},
+    ],
+)  # fmt: skip
+def test_parts_of_another_form(folder: Path, part: dict[str, Any]) -> None:
+    name = "run.json" if "sessions" in part else "experiment.json"
+    (folder / name).write_text(json.dumps(part))
+    assert refusal(folder).startswith(f"{name}: {next(iter(part))}")
+
+
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [
+        ("run.json", {"sessions": None}), ("run.json", {"sessions": [{"stores": None}]}),
+        ("run.json", {"sessions": [{"stores": {"flat": None}}]}),
+        ("run.json", {"sessions": [{"wall_s": None, "machine": None, "started": None}]}),
+        ("experiment.json", {"simulation": {"duration_s": None}, "objective": {"cost": None}}),
+        ("experiment.json", {"terrain": None, "searched": None, "stores": None, "body": None}),
+    ],
+)  # fmt: skip
+def test_a_null_is_not_there(folder: Path, name: str, part: dict[str, Any]) -> None:
+    (folder / name).write_text(json.dumps({}))
+    without = facts(read_results(folder))
+    (folder / name).write_text(json.dumps(part))
+    results = read_results(folder)
+    assert known_stores(results) == {}
+    assert {k: value for k, value in facts(results).items() if k != "wall time"} == without
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("arm", [None, *["dog"] * (COUNT - 1)]), ("arm", ["<script>"] * COUNT),
+        ("arm", ["a|b"] * COUNT), ("arm", ["$\\frac$"] * COUNT), ("arm", [1] * COUNT),
+        ("arm", [None] * COUNT), ("experiment", ["a\nb"] * COUNT),
+        ("run", [None, *[0] * (COUNT - 1)]), ("run", [-1] * COUNT), ("trial", [0.5] * COUNT),
+        ("walked", [1] * COUNT), ("cost", [np.nan] * COUNT), ("cost", [1e308] * COUNT),
+        ("best_cost", [np.nan, *[1.0] * (COUNT - 1)]), ("best_cost", [np.inf] * COUNT),
+        ("best_cost", ["cheap"] * COUNT),
+    ],
+)  # fmt: skip
+def test_columns_of_another_kind(folder: Path, table: pa.Table, name: str, values: Any) -> None:
+    rewrite(folder, table.set_column(table.schema.get_field_index(name), name, pa.array(values)))
+    assert refusal(folder).startswith(f"trials.parquet: {name}: ")

@@ -1,0 +1,68 @@
+"""Joints and muscles are drawn where the pose has them; the shown part of a walk."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from study.pictures.stick_figure import (
+    finite,
+    last_metres,
+    last_seconds,
+    leg,
+    muscle_outlines,
+    trunk,
+)
+from taichi_nmm.errors import InputError
+from taichi_nmm.result import MUSCLES
+from tests.study import synthetic_gait
+from tests.study.synthetic_gait import SPEED_MPS
+
+WALK = synthetic_gait.walk()
+
+
+def test_standing_upright_is_drawn_upright() -> None:
+    q = np.array([2.0, 1.0, 0, 0, 0, 0, 0, 0, 0])
+    shoulder, head = trunk(q)
+    expected = [[2.0, 1.0], [2.0, 0.5], [2.0, 0.0], [1.96, 0.0], [2.16, 0.0]]
+    np.testing.assert_allclose(leg(q, 0).chain(), expected, atol=1e-12)
+    np.testing.assert_allclose(shoulder, [2.0, 1.5])
+    assert head[1] > shoulder[1]
+
+
+@pytest.mark.parametrize(
+    ("column", "angle", "point", "moves"),
+    [(3, 0.3, "knee", (-1, 1)), (4, 0.3, "ankle", (-1, 1)), (5, 0.3, "ball", (-1, -1))],
+)
+def test_positive_angles_turn_clockwise(
+    column: int, angle: float, point: str, moves: tuple[int, int]
+) -> None:
+    q = np.zeros(9)
+    before = getattr(leg(q, 0), point)
+    q[column] = angle
+    assert tuple(np.sign(getattr(leg(q, 0), point) - before)) == moves
+
+
+def test_muscles_lie_along_their_bones() -> None:
+    outlines = dict(zip(MUSCLES, muscle_outlines(np.array([0, 1.0, *[0.0] * 7]), 1), strict=True))
+    assert outlines["TA"][:, 0].max() > 0 > outlines["SOL"][:, 0].min()
+    assert outlines["VAS"][:, 0].max() > 0 > outlines["HAM"][:, 0].min()
+    assert outlines["HFL"][:, 1].min() > 0.8 and outlines["SOL"][:, 1].max() < 0.5
+    assert all(np.isfinite(outline).all() for outline in outlines.values())
+
+
+def test_the_end_of_the_walk_is_shown() -> None:
+    start_s, end_s = last_metres(WALK, 2.6)
+    assert end_s == WALK.time_s[-1]
+    assert end_s - start_s == pytest.approx(2.6 / SPEED_MPS, abs=0.03)
+    assert last_metres(WALK, 100.0) == last_seconds(WALK, 100.0) == (WALK.time_s[0], end_s)
+    assert last_seconds(WALK, 2.0) == (end_s - 2.0, end_s)
+
+
+def test_a_walker_that_diverged_is_shown_until_it_did() -> None:
+    q = WALK.q.copy()
+    q[700:, 3] = np.nan
+    shown = finite(replace(WALK, q=q))
+    assert len(shown.time_s) == len(shown.q) == len(shown.activation) == 700
+    with pytest.raises(InputError, match="no finite sample"):
+        finite(replace(WALK, q=np.full_like(q, np.nan)))

@@ -1,0 +1,40 @@
+"""A strip, as a file."""
+
+from pathlib import Path
+
+import pytest
+from matplotlib.image import imread
+
+from study.pictures import write_gait_cycle, write_strip
+from study.pictures.style import PNG_DPI
+from taichi_nmm.errors import InputError
+from taichi_nmm.result import Trajectory
+from taichi_nmm.terrain import Terrain, flat, ramp, rough
+from tests.study import synthetic_gait
+
+pytestmark = pytest.mark.slow
+
+WALK = synthetic_gait.walk()
+GLIMPSE = synthetic_gait.walk(0.3)
+
+
+@pytest.mark.parametrize("terrain", [flat(), rough(1), ramp()], ids=lambda terrain: terrain.name)
+@pytest.mark.parametrize("trajectory", [WALK, GLIMPSE], ids=["walk", "glimpse"])
+def test_a_strip_is_drawn(tmp_path: Path, trajectory: Trajectory, terrain: Terrain) -> None:
+    picture = imread(write_strip(tmp_path / "strip.png", trajectory, terrain, "a title"))
+    height, width = picture.shape[:2]
+    assert width >= 5 * PNG_DPI and 2 * PNG_DPI < height < width
+    assert picture[..., :3].std() > 0.03
+
+
+def test_pictures_are_the_same_every_time(tmp_path: Path) -> None:
+    first, second = (write_strip(tmp_path / name, WALK, flat()) for name in ("1.png", "2.png"))
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_an_unwritable_place_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(InputError, match="a place that can be written"):
+        write_strip(tmp_path / "file" / "picture.png", GLIMPSE, flat())
+    with pytest.raises(InputError, match="a place that can be written"):
+        write_gait_cycle(tmp_path / "file" / "picture.png", GLIMPSE, synthetic_gait.BODY_WEIGHT_N)

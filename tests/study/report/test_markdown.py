@@ -1,0 +1,154 @@
+"""The words of a report: every number stands in its cell, and what a folder says is escaped."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from study.experiment.arms import ARMS
+from study.report.markdown import (
+    arms_documents,
+    arms_text,
+    condensed_table,
+    facts,
+    overview_text,
+    report_text,
+)
+from study.report.numbers import Numbers, numbers
+from study.report.runs import Results, read_facts, read_results
+from tests.study.report import synthetic
+from tests.study.report.synthetic import arm, counted
+
+
+def rows(text: str) -> dict[str, list[str]]:
+    """The rows of the first table in a text, by their first cell."""
+    lines = [line for line in text.split("\n\n")[0].splitlines() if line.startswith("|")]
+    cells = [[cell.strip() for cell in line[1:-1].split(" | ")] for line in lines]
+    return {row[0]: row for row in cells}
+
+
+def test_the_document_has_what_was_counted_and_how(results: Results) -> None:
+    found = numbers(results)
+    text = report_text(results, found, 0.01)
+    reached = rows(text[text.index("| arm | runs") :])["random"]
+    count = int(np.isfinite(results.arms["random"].first_walker).sum())
+    assert reached[1:3] == ["50", str(count)] and reached[5].endswith("> 100")
+    tests = rows(text[text.index("| arm | trials") :])
+    assert len(tests) == 1 + len(results.arms)  # with the rule; the paper's method has none
+    against = next(each for each in found.comparisons if each.arm == "best")
+    row = tests["best (best combination)"]
+    assert row[1:5] == [
+        "30", f"{against.difference.value:+.3g}",
+        f"{against.difference.low:+.3g} to {against.difference.high:+.3g}", "50",
+    ]  # fmt: skip
+    assert row[5] == "50" and row[8] == "50"  # no p without its n
+    assert "bootstrap" in text and "Wilson" in text and "Holm" in text and "SeedSequence" in text
+    assert "estimated optimum: 0.01" in text
+    assert "Best of the peers (most runs with a walker, then the earliest): cmaes-warm" in text
+    assert all(ARMS[name].label in text for name in synthetic.ARMS)
+
+
+def test_a_few_trials_have_a_table_of_costs() -> None:
+    results = counted(arm("dog", [1, 2], trials=4), arm("random", [np.inf, 3], trials=4))
+    text = report_text(results, numbers(results), None)
+    costs = rows(text.partition("## Best cost\n\n")[2])
+    assert costs["arm"][1:] == ["median best smooth cost after the last trial", "interval", "ms"]
+    assert len(costs["dog (DoG, as printed)"]) == 4
+
+
+def test_without_the_papers_method_there_is_no_comparison() -> None:
+    results = counted(arm("tpe", [3, 4]))
+    found = numbers(results)
+    assert found.comparisons == () and found.peer == "tpe"
+    assert "paper's method" not in report_text(results, found, None)
+
+
+def test_an_unfinished_experiment_is_marked() -> None:
+    results = counted(arm("dog", [1, 2]), arm("tpe", [1], trials=10))
+    text = report_text(results, numbers(results), None)
+    assert "Unfinished: 90 of 160 trials" in text and "tpe 1 x 10" in text
+
+
+def test_facts_of_several_sessions(tmp_path: Path) -> None:
+    folder = synthetic.write(tmp_path, {"dog": (0.1, 0.0)}, 2, 3)
+    machine = {"system": "Linux", "cores": 2}
+    session = {"trials": 3, "wall_s": 90.0, "machine": machine}
+    sessions = [session | {"started": f"2026-11-{day}T10:00:00+00:00"} for day in (21, 22)]
+    (folder / "run.json").write_text(json.dumps({"sessions": sessions}))
+    found = facts(read_results(folder))
+    assert found["date"] == "2026-11-21 to 2026-11-22"
+    assert found["wall time"] == "3.0 min for 6 trials in 2 sessions"
+    assert found["machine"] == "system Linux, cores 2"
+    (folder / "run.json").unlink()
+    assert "date" not in facts(read_results(folder))
+
+
+def test_what_a_folder_says_is_escaped(tmp_path: Path) -> None:
+    folder = synthetic.write(tmp_path, {"dog": (0.1, 0.0)}, 2, 3)
+    said = {"machine": {"system": "<script>alert(1)</script>\n# b | c"}}
+    (folder / "run.json").write_text(json.dumps({"sessions": [said]}))
+    assert read_facts(folder)["sessions"] == [said]
+    words = facts(read_results(folder))["machine"]
+    assert words == "system &lt;script&gt;alert(1)&lt;/script&gt; # b \\| c"
+
+
+def test_one_table_a_quantity_of_several_experiments() -> None:
+    first = counted(arm("dog", [2] * 4, trials=10), arm("best", [1, 1, 1, 4], trials=10), name="a")
+    second = counted(arm("dog", [np.inf] * 4, trials=10), arm("tpe", [1] * 4, trials=10), name="b")
+    text = overview_text([numbers(first), numbers(second)])
+    tables = [rows(part) for part in text.split("\n\n") if part.startswith("|")]
+    assert len(tables) == 4
+    for found in tables:
+        assert found["experiment"][1:] == ["DoG, as printed", "best combination", "TPE"]
+    assert [found["a"][2] for found in tables] == ["4", "3", "3", "1"]
+    assert [found["b"][1:] for found in tables] == [
+        ["0", "", "4"], ["0", "", "4"], ["0", "", "4"], ["> 10", "", "1"],
+    ]  # fmt: skip
+
+
+def test_the_condensed_table_has_the_numbers() -> None:
+    dog, best = arm("dog", [9] * 20, cost=2.0), arm("best", [1] * 20, cost=1.5)
+    found = numbers(counted(dog, best, arm("random", [30.0] + [np.inf] * 19, cost=3.0)))
+    table = rows(condensed_table(found))
+    assert list(table)[2:] == ["`best`", "`dog`", "`random`"]  # most walkers, the soonest
+    cost = found.arms[0].cost_after[30]
+    assert table["`best`"] == [
+        "`best`", "20", "20", "84 to 100", "1", "1 to 1", "20", "20", "20", "20", "20",
+        f"{cost.value:.4g}", "-0.5", "-0.5 to -0.5", "< 1e-4",
+    ]  # fmt: skip
+    assert table["`dog`"][10] == "20" and table["`random`"][10] == "-"  # known without 60 trials
+    assert table["`dog`"][12:] == ["-", "-", "-"]
+    short = rows(condensed_table(numbers(counted(arm("best", [1, 1], trials=12)))))
+    assert short["`best`"][11:] == ["-", "-", "-", "-"]
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Numbers:
+    arms = {"random": (0.0, 0.0), "dog": (1.0, 0.0), "older": (1.0, 0.0)}
+    synthetic.write(tmp_path, arms, runs=3, trials=4)
+    times = {"arm": ["dog", "dog", "dog"], "proposal_s": [0.01, 0.02, 0.9]}
+    pq.write_table(pa.table(times), tmp_path / "proposal_times.parquet")
+    return numbers(read_results(tmp_path))
+
+
+def test_a_comparison_ends_with_a_line_an_arm(made: Numbers) -> None:
+    header, *lines = arms_text(made).splitlines()
+    assert [line.split()[0] for line in lines] == ["dog", "older", "random"]
+    assert lines[0].split()[1:4] == ["3", "3", "1"] and lines[0].split()[-1] == "20.0"
+    assert lines[1].split()[-1] == "-"
+    assert lines[2].split()[1:5] == ["3", "0", ">", "4"]
+    assert {len(line) for line in lines} == {len(header)}
+
+
+def test_programs_get_the_same(made: Numbers) -> None:
+    dog, older, random = arms_documents(made, {})
+    best = next(arm for arm in made.arms if arm.arm == "dog").best_cost.value
+    assert dog == {
+        "arm": "dog", "saw": "base setting of the store flat", "runs": 3, "trials": 12,
+        "walkers": 3, "first_walker": 1.0, "best_cost": best, "proposal_ms": 20.0,
+    }  # fmt: skip
+    assert (older["saw"], older["proposal_ms"]) == ("", None)
+    assert (random["walkers"], random["first_walker"]) == (0, None)
