@@ -1,6 +1,6 @@
-"""Commands beside one another: every one that a document names, and one study through all of them.
+"""The commands together: every one that a document names, and one study through all of them.
 
-What documents name is run with the simulator replaced. The rest is on the real one, small.
+The commands of documents run with the simulator replaced; the rest uses the real one, small.
 """
 
 import json
@@ -29,7 +29,7 @@ from tests.tools.running import ROOT, run_tool
 CONFIGS = {*shipped_configs(stores=True), *shipped_configs(stores=False)}
 PAINTERS = ("write_strip", "write_gait_cycle", "write_movie")
 
-# How a command is made short, by options at its end: those before them stand, but for these.
+# Options that make a command short, at its end, where they replace earlier ones.
 SHORT: dict[str, tuple[object, ...]] = {
     "precompute": ("--samples", 24, "--workers", 1, "--out", "made"),
     "study": ("--trials", 2, "--out", "made"),
@@ -39,15 +39,14 @@ SHORT: dict[str, tuple[object, ...]] = {
     "quickstart": ("--out", "made"),
 }
 
-# What the explorer's page gives to take away.
+# Files that a document has the reader make: taken from the explorer's page, or copied and changed.
 TAKEN_AWAY = {
     "gains.json": json.dumps(
         dict(zip(GAIN_NAMES, taichi_nmm.PUBLISHED_GAINS.tolist(), strict=True))
     ),
     "walk.toml": 'seed = 1\n[terrain]\nkind = "rough"\n',
+    "short.toml": (ROOT / "configs" / "store.toml").read_text(),
 }
-# What a document has copied and changed.
-COPIED = {"short.toml": (ROOT / "configs" / "store.toml").read_text()}
 
 Words = tuple[str, ...]
 
@@ -65,25 +64,23 @@ def named_commands() -> list[Words]:
     for document in documents:
         for tool, arguments in re.findall(line, document.read_text()):
             words = shlex.split(arguments.replace("\\", " ").replace("URL", "sqlite:///studies.db"))
-            if "--cluster" in words:  # of which no fake simulator would hear
+            if "--cluster" in words:  # whose processes would run the real simulator
                 place = words.index("--cluster")
                 words = [*words[:place], *words[place + 2 :]]
-            if "$@" not in words and "$*" not in words:  # make's, whose names stand elsewhere too
+            if not {"$@", "$*", "NAME"} & set(words):  # placeholders: names stand elsewhere too
                 found.add((tool, *words))
     return sorted(words for words in found if words[0] in SHORT)
 
 
-def alike(words: Words) -> bool:
-    """Whether it differs in numbers from another one: another contact of MuJoCo's."""
-    return any(re.search(r"mujoco-.*-(middle|hard)", word) for word in words)
-
-
 COMMANDS = named_commands()
-TAKEN = [  # the quickstart's own test runs it, twice
-    pytest.param(words, marks=[pytest.mark.campaign] if alike(words) else [], id=" ".join(words))
+TAKEN = [  # other contacts of MuJoCo differ in numbers; the quickstart has a test of its own
+    pytest.param(
+        words, id=" ".join(words),
+        marks=[pytest.mark.campaign] if re.search(r"mujoco-.*-(middle|hard)", str(words)) else [],
+    )
     for words in COMMANDS
     if words != ("quickstart",)
-]
+]  # fmt: skip
 
 
 def configurations(words: Words) -> set[str]:
@@ -103,35 +100,33 @@ def test_every_configuration_is_named_by_a_command() -> None:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What commands that are named expect to be there: stores, and a comparison to draw from."""
+    """A folder with all that named commands read: stores, and comparisons to draw from."""
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
         (folder / "configs").symlink_to(ROOT / "configs")
-        for name, text in (TAKEN_AWAY | COPIED).items():
+        for name, text in TAKEN_AWAY.items():
             (folder / name).write_text(text)
         out = folder / "out"
         fake_walker.write_store(out / "store")
         for kind in ("diverse", "worlds", "stairs", "diverse-10s", "worlds-large"):
             (out / f"store-{kind}").symlink_to(out / "store")
         fake_walker.write_store(out / "store-torso", searched=["theta_ref"])
-        request = ("--arms", "dog", "--runs", 8, "--trials", 13, "--no-artifacts", "--workers", 1)
-        config = "rough8-smooth"
-        assert run_tool(patch, "compare", "--config", config, *request) == 0
-        request = ("--arms", "best-worlds", "--runs", 1, "--trials", 1, *request[-3:])
-        config = "mujoco-rough8-soft"
-        assert run_tool(patch, "compare", "--config", config, *request) == 0
-        request = ("--arms", "best-stairs", "--runs", 32, "--trials", 10, *request[-3:])
-        config = "stairs-up-high"
-        assert run_tool(patch, "compare", "--config", config, *request) == 0
+        for config, arm, runs, trials in (
+            ("rough8-smooth", "dog", 8, 13),
+            ("mujoco-rough8-soft", "best-worlds", 1, 1),
+            ("stairs-up-high", "best-stairs", 32, 10),
+        ):
+            given = ("--config", config, "--arms", arm, "--runs", runs, "--trials", trials)
+            assert run_tool(patch, "compare", *given, "--no-artifacts", "--workers", 1) == 0
     return folder
 
 
 @pytest.fixture
 def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PAINTERS:
-        for module in (pictures, artifacts):  # which would keep what it finds when it is imported
+        for module in (pictures, artifacts):  # the second has imported them from the first
             monkeypatch.setattr(module, name, lambda path, *_: path, raising=module is pictures)
     monkeypatch.setattr(before_after, "write_strips", lambda folder, *_: [folder])
     monkeypatch.setattr(trajectory_files, "write_trajectory", lambda *_: None)
@@ -144,7 +139,7 @@ def test_a_command_that_is_named_is_taken(
 ) -> None:
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     monkeypatch.chdir(tmp_path)
-    for name in ("configs", "out", *TAKEN_AWAY, *COPIED):
+    for name in ("configs", "out", *TAKEN_AWAY):
         (tmp_path / name).symlink_to(made / name)
     assert run_tool(monkeypatch, *words, *SHORT[words[0]]) == 0
     assert (tmp_path / "made").is_dir()
@@ -220,9 +215,8 @@ def walk(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> Walk:
-    """What tools/walk.py prints with --json."""
-
     def walk(*arguments: object) -> dict[str, Any]:
+        capsys.readouterr()
         assert run_tool(monkeypatch, "walk", "--json", "--out", tmp_path / "out", *arguments) == 0
         report: dict[str, Any] = json.loads(capsys.readouterr().out)
         return report
@@ -240,22 +234,16 @@ def assert_walked(report: dict[str, Any], row: dict[str, Any]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", ARMS)
-def test_a_trial_walks_as_it_did(real: Real, walk: Walk, arm: str) -> None:
-    """From the comparison's folder, from its database, and from the live study's."""
+def test_a_trial_walks_as_it_did(real: Real, walk: Walk, arm: str, tmp_path: Path) -> None:
+    """From the comparison's folder and database, the live study's, and the result of a walk."""
     where = ("--config", real.config, "--run", 1, "--trial", f"rough8-smooth/{arm}/run-001/2")
     of_folder = walk(*where, "--storage", real.compared)
     assert_walked(of_folder, rows_of(real.compared, arm, 1)[2])
     assert walk(*where, "--storage", f"sqlite:///{real.compared / 'studies.db'}") == of_folder
     assert walk(*where, "--storage", real.url) == of_folder
-
-
-@pytest.mark.slow
-def test_a_result_walks_as_it_did(real: Real, walk: Walk, tmp_path: Path) -> None:
-    where = ("--config", real.config, "--run", 1)
-    trial = ("--trial", "rough8-smooth/cmaes-warm/run-001/3", "--storage", real.compared)
-    first = walk(*where, *trial)
-    (tmp_path / "result.json").write_text(json.dumps(first))
-    assert walk(*where, "--gains", tmp_path / "result.json") == first
+    (tmp_path / "result.json").write_text(json.dumps(of_folder))
+    where = ("--config", real.config, "--run", 1, "--gains", tmp_path / "result.json")
+    assert walk(*where) == of_folder
 
 
 @pytest.mark.slow
@@ -269,25 +257,24 @@ def test_a_row_of_a_store_walks_as_it_did(real: Real, walk: Walk) -> None:
 
 @pytest.mark.slow
 def test_a_17th_parameter_is_kept(
-    walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = small_config("ramp-up.toml", tmp_path, 2.0).with_stem("ramp-up-torso")
-    out = tmp_path / "compared"
+    out, live = tmp_path / "compared", tmp_path / "live"
     given = ("--config", config, "--arms", "random", "--runs", 1, *SMALL, "--out", out)
     assert run_tool(monkeypatch, "compare", *given) == 0
-    live = ("--config", config, "--arm", "random", "--trials", TRIALS, "--out", tmp_path / "live")
     url = f"sqlite:///{tmp_path / 'live.db'}"
-    assert run_tool(monkeypatch, "study", *live, "--storage", url) == 0
-    best = tmp_path / "live" / "random-run-000-best.json"
+    given = ("--config", config, "--arm", "random", "--trials", TRIALS, "--out", live)
+    assert run_tool(monkeypatch, "study", *given, "--storage", url) == 0
+    best = live / "random-run-000-best.json"
     assert set(json.loads(best.read_text())) == {*GAIN_NAMES, "theta_ref"}
-    capsys.readouterr()
-    row = rows_of(out, "random", 0)[1]
+    rows = rows_of(out, "random", 0)
     trial = ("--config", config, "--trial", "ramp-up-torso/random/run-000/1")
     report = walk(*trial, "--storage", out)
     assert set(report["gains"]) - set(GAIN_NAMES) == {"theta_ref"}
-    assert_walked(report, row)
+    assert_walked(report, rows[1])
     assert walk(*trial, "--storage", url) == report
-    cheapest = min(rows_of(out, "random", 0), key=lambda row: float(row["cost"]))
+    cheapest = min(rows, key=lambda row: float(row["cost"]))
     assert_walked(walk("--config", config, "--gains", best), cheapest)
 
 
@@ -309,47 +296,44 @@ def test_strips_of_a_comparison_with_another_seed(
 # Bad input: one line, exit code 2, and nothing written.
 
 
+FIRST = "rough8-smooth/dog/run-001"  # study of a comparison
+COMPARED, LIVE = "--storage OUT", "--storage URL"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("tool", "options", "says"),
     [
-        ("study", ("--arm", "cat"), "arm: 'cat' cannot be used; allowed: one of random"),
-        ("study", ("--arm", "dog", "--run", 50), "run: 50 cannot be used; allowed: 0 to 49"),
-        ("study", ("--arm", "random", "--store", "STORE"), "store: "),
-        ("study", ("--arm", "best"), "store: "),
-        ("compare", ("--arms", "dog,cat"), "arm: 'cat'"),
-        ("walk", ("--trial", "FIRST/4", "--storage", "OUT"), "trial: "),
-        ("walk", ("--trial", "rough8-smooth/dog/run-002/0", "--storage", "OUT"), "trial: "),
-        ("walk", ("--trial", "rough8-smooth/best/run-001/0", "--storage", "OUT"), "trial: "),
-        ("walk", ("--trial", f"FIRST/{10**30}", "--storage", "OUT"), "trial: "),
-        ("walk", ("--trial", "FIRST", "--storage", "OUT"), "trial: "),
-        ("walk", ("--trial", "12", "--storage", "OUT"), "trial: '12' cannot be used; allowed: EXP"),
-        ("walk", ("--trial", "FIRST/0", "--storage", "STORE"), "storage: "),
-        ("walk", ("--trial", "FIRST/0", "--storage", "nowhere"), "storage: '***'"),
-        ("walk", ("--trial", "FIRST/0", "--storage", "sqlite:///no.db"), "storage: 'no.db'"),
-        ("walk", ("--trial", "FIRST/4", "--storage", "URL"), "trial: "),
-        ("walk", (f"--trial=FIRST/{10**30}", "--storage", "URL"), "trial: "),
-        ("walk", ("--trial", "rough8-smooth/dog/0", "--storage", "URL"), "trial: "),
-        ("walk", ("--row", 300, "--store", "STORE"), "row: 300 cannot be used; allowed: 0 to 299"),
-        ("walk", ("--row", 3, "--store", "OUT"), "store: "),
+        ("study", "--arm cat", "arm: 'cat' cannot be used; allowed: one of random"),
+        ("study", "--arm dog --run 50", "run: 50 cannot be used; allowed: 0 to 49"),
+        ("study", "--arm random --store STORE", "store: "),
+        ("study", "--arm best", "store: "),
+        ("compare", "--arms dog,cat", "arm: 'cat'"),
+        *(("walk", f"--trial {trial} {storage}", "trial: ") for trial, storage in [
+            (f"{FIRST}/4", COMPARED), ("rough8-smooth/dog/run-002/0", COMPARED),
+            ("rough8-smooth/best/run-001/0", COMPARED), (f"{FIRST}/{10**30}", COMPARED),
+            (FIRST, COMPARED), (f"{FIRST}/4", LIVE), (f"{FIRST}/{10**30}", LIVE),
+            ("rough8-smooth/dog/0", LIVE),
+        ]),
+        ("walk", f"--trial 12 {COMPARED}", "trial: '12' cannot be used; allowed: EXP"),
+        ("walk", f"--trial {FIRST}/0 --storage STORE", "storage: "),
+        ("walk", f"--trial {FIRST}/0 --storage nowhere", "storage: '***'"),
+        ("walk", f"--trial {FIRST}/0 --storage sqlite:///no.db", "storage: 'no.db'"),
+        ("walk", "--row 300 --store STORE", "row: 300 cannot be used; allowed: 0 to 299"),
+        ("walk", "--row 3 --store OUT", "store: "),
     ],
-)
+)  # fmt: skip
 def test_what_is_not_there_is_refused(
     real: Real,
     tool: str,
-    options: tuple[object, ...],
+    options: str,
     says: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    places = {
-        "STORE": real.store, "OUT": real.compared, "URL": real.url,
-        "FIRST": "rough8-smooth/dog/run-001",
-    }  # fmt: skip
-    words = [str(word) for word in options]
-    for name, place in places.items():
-        words = [word.replace(name, str(place)) for word in words]
+    places = {"STORE": str(real.store), "OUT": str(real.compared), "URL": real.url}
+    words = [places.get(word, word) for word in options.split()]
     monkeypatch.chdir(tmp_path)
     database = ("--storage", "sqlite:///new.db") if tool == "study" else ()
     assert run_tool(monkeypatch, tool, "--config", real.config, *words, *database) == 2

@@ -1,8 +1,8 @@
 """Documents agree with the code: tables, commands, links; and every example on them runs."""
 
-import importlib.util
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -42,39 +42,27 @@ def anchors(page: Path) -> set[str]:
 
 
 def run_as_a_newcomer(code: str, folder: Path) -> str:
-    """What the code prints as a file of its own, in a process of its own."""
+    """The output of the code as a file of its own, in a process of its own."""
     (folder / "example.py").write_text(code)
-    done = subprocess.run(
-        [sys.executable, "example.py"],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "example.py"]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
     return done.stdout
 
 
-def table_row(parameter: Parameter) -> str:
-    """A parameter's row of the table in docs/walker.md."""
-    p = parameter
-    bounds = f"{p.low:.4g} | {p.high:.4g} | {p.default:.4g}"
-    return f"| `{p.name}` | {p.unit} | {bounds} | {p.meaning} | {p.source} |"
-
-
 @pytest.mark.parametrize("parameter", [*GAINS, *LOW_LEVEL_GAINS], ids=lambda p: p.name)
 def test_parameter_table_is_that_of_the_code(parameter: Parameter) -> None:
-    assert table_row(parameter) in (DOCS / "walker.md").read_text()
+    p = parameter
+    bounds = f"{p.low:.4g} | {p.high:.4g} | {p.default:.4g}"
+    row = f"| `{p.name}` | {p.unit} | {bounds} | {p.meaning} | {p.source} |"
+    assert row in (DOCS / "walker.md").read_text()
 
 
 def test_the_page_of_commands_is_made_from_their_help() -> None:
     """`python docs/write_commands.py` writes it anew."""
-    file = DOCS / "write_commands.py"
-    spec = importlib.util.spec_from_file_location("write_commands", file)
-    assert spec is not None and spec.loader is not None
-    writer = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(writer)
-    assert (DOCS / "commands.md").read_text() == writer.page()
+    writer = runpy.run_path(str(DOCS / "write_commands.py"))
+    assert (DOCS / "commands.md").read_text() == writer["page"]()
 
 
 @pytest.mark.parametrize("tool", sorted(path.name for path in (ROOT / "tools").glob("*.py")))
@@ -84,13 +72,15 @@ def test_every_tool_is_in_a_document(tool: str) -> None:
 
 @pages
 def test_links_lead_somewhere(page: Path) -> None:
+    wrong = []
     for file, anchor in LINK.findall(prose(page)):
-        if "://" in file:
-            continue
         target = page.parent / file if file else page
-        assert target.exists(), file
-        if anchor and "api" not in target.parts:  # whose anchors mkdocstrings makes: test_site.py
-            assert anchor in anchors(target), f"{file}#{anchor}"
+        made_later = "api" in target.parts  # with the site, which test_site.py looks at
+        if "://" not in file and not (
+            target.exists() and (not anchor or made_later or anchor in anchors(target))
+        ):
+            wrong.append(f"{file}#{anchor}")
+    assert wrong == []
 
 
 @pages

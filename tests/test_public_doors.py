@@ -29,18 +29,13 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 
 Call = tuple[Callable[..., Any], dict[str, Any]]
 PACKAGES = (taichi_nmm, storage, study)
-CONTAINERS = {
-    "InputError",
-    "Muscles",
-    "Result",
-    "Store",
-    "Trajectory",
-}  # made by us, of what they are given
+# Made by us, of values that were checked.
+CONTAINERS = {"InputError", "Muscles", "Result", "Store", "Trajectory"}
 SEED = 14
 
 
 class Hostile:
-    """An object that is nothing, and does not even say what it is."""
+    """An object whose repr fails."""
 
     def __repr__(self) -> str:
         raise RuntimeError("no")
@@ -80,7 +75,6 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         "com_speed_mps": [1.3],
     }  # fmt: skip
     rows = np.zeros(2, RESULT_DTYPE)
-    result = taichi_nmm.Result(rows)
     bodies, worlds = taichi_nmm.Bodies.nominal(2), taichi_nmm.Worlds.nominal(2)
     opened = storage.open_store(store)
     table = study.FeatureTable.from_arrays({"x": np.linspace(0, 1, 20)}, np.linspace(0, 1, 20))
@@ -92,167 +86,121 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         "constraints_func": None,
     }  # fmt: skip
     frame = pd.DataFrame({"x": [0.0, 1.0], "f": [1.0, 2.0]})
-    ranged = {"bounds": {"x": (0, 1)}, "space": None}
-    named = {"parameters": ["x"], "features": ["f"]}
+    named = {"parameters": ["x"], "features": ["f"], "bounds": {"x": (0, 1)}, "space": None}
     frame.to_parquet(folder / "frame.parquet")
+    (folder / "hill.csv").write_text("0,0\n1,1\n")
+    from_arrays = study.FeatureTable.from_arrays
+    box = {"x": FloatDistribution(0, 1)}
+    rough = {"seed": 1, "amplitude_m": 0.1, "spacing_m": 1.0, "flat_start_m": 9.0, "slope": 0.0}
+
+    def controller() -> taichi_nmm.Controller:
+        return taichi_nmm.Controller(PUBLISHED_GAINS, settings=cpu)
 
     def stepped(**arrays: Any) -> Any:
-        controller = taichi_nmm.Controller(PUBLISHED_GAINS, settings=cpu)
-        return controller.step(taichi_nmm.Observation(**arrays)), controller.muscles
+        stepping = controller()
+        return stepping.step(taichi_nmm.Observation(**arrays)), stepping.muscles
 
-    return {
-        "Bodies": (taichi_nmm.Bodies, dict(vars(bodies))),
-        "Bodies.disturbed": (taichi_nmm.Bodies.disturbed, {"seeds": [1], "fraction": 0.1}),
-        "Bodies.nominal": (taichi_nmm.Bodies.nominal, {"count": 1}),
-        "Bodies.take": (bodies.take, {"index": [1, 0]}),
-        "Controller": (
-            taichi_nmm.Controller,
-            {"gains": PUBLISHED_GAINS, "bodies": None, "low_level_gains": None, "settings": cpu},
-        ),
-        "Controller.keep": (
-            lambda rows: taichi_nmm.Controller(PUBLISHED_GAINS, settings=cpu).keep(rows),
-            {"rows": [0]},
-        ),
+    by_their_names: list[Call] = [
+        (taichi_nmm.Bodies, dict(vars(bodies))),
+        (taichi_nmm.Bodies.disturbed, {"seeds": [1], "fraction": 0.1}),
+        (taichi_nmm.Bodies.nominal, {"count": 1}),
+        (bodies.take, {"index": [1, 0]}),
+        (taichi_nmm.Controller, {"gains": PUBLISHED_GAINS, "bodies": None,
+                                 "low_level_gains": None, "settings": cpu}),
+        (taichi_nmm.Result(rows).__getitem__, {"name": "duration_s"}),
+        (taichi_nmm.Observation(**observation).checked, {"count": 1}),
+        (taichi_nmm.Settings, dict(vars(cpu))),
+        (cpu.document, {}),
+        (cpu.on_processor, {}),
+        (taichi_nmm.Terrain, dict(vars(terrain.flat()))),
+        (terrain.flat().height, {"x_m": [1.0]}),
+        (taichi_nmm.WorldRanges().document, {}),
+        (taichi_nmm.WorldRanges().draw, {"seeds": [1, 2]}),
+        (taichi_nmm.Worlds, dict(vars(worlds))),
+        (taichi_nmm.Worlds.nominal, {"count": 1}),
+        (taichi_nmm.Worlds.stacked, {"worlds": [worlds]}),
+        (worlds.take, {"index": [1, 0]}),
+        (taichi_nmm.forward_dynamics, {"q": np.zeros((1, 9)), "qdot": np.zeros((1, 9)),
+                                       "joint_torque": np.zeros((1, 6)), "bodies": None}),
+        (taichi_nmm.load_all_gains, {"source": "published"}),
+        (taichi_nmm.load_gains, {"source": "published"}),
+        (taichi_nmm.simulate, {
+            "gains": PUBLISHED_GAINS, "duration_s": 0.002, "bodies": None,
+            "terrains": terrain.flat(), "terrain_index": [0], "low_level_gains": None,
+            "worlds": None, "settings": cpu, "record": [0], "record_rate_hz": 100,
+            "progress": None,
+        }),
+        (taichi_nmm.smooth_cost, {"rows": rows, "target_speed_mps": 1.3}),
+        (taichi_nmm.walking_cost, {"rows": rows, "target_speed_mps": 1.3}),
+        (storage.merge, {"source": store, "target": folder / "merged.parquet"}),
+        (storage.open_store, {"path": store, "verify": False}),
+        (opened.gains, {}),
+        (opened.require_bounds, {}),
+        *((read, {"columns": ["row"]})
+          for read in (opened.numpy, opened.pandas, opened.table, opened.tables)),
+        (sampler.worth, {"study": tried(lambda: sampler)()}),
+        (study.FeatureTable, {"rows": table.rows, "file": None}),
+        (from_arrays, {"parameters": {"x": [0.0, 1.0]}, "features": [1, 2],
+                       "feature_names": ["f"], "bounds": {"x": (0, 1)}, "space": None}),
+        (study.FeatureTable.from_dataframe, {"frame": frame} | named),
+        (study.FeatureTable.from_parquet, {"path": folder / "frame.parquet"} | named),
+        (study.covered_table, {"path": store, "grounds": ()}),
+        (study.survival_table, {"path": store, "families": ("up", "down")}),
+        (terrain.blocks, rough | {"riser_m": 0.1}),
+        (terrain.from_file, {"path": folder / "hill.csv"}),
+        (terrain.ramp, {"increment": 0.1, "segment_m": 20.0, "largest_slope": 0.2,
+                        "direction": "up"}),
+        (terrain.rough, rough),
+        (terrain.stairs, {"rise_m": 0.1, "run_m": 0.3, "flat_start_m": 9.0, "direction": "down"}),
+    ]  # fmt: skip
+    return {call.__qualname__: (call, arguments) for call, arguments in by_their_names} | {
+        "Controller.keep": (lambda rows: controller().keep(rows), {"rows": [0]}),
         "Controller.step": (
-            lambda observation: taichi_nmm.Controller(PUBLISHED_GAINS, settings=cpu).step(
-                observation
-            ),
+            lambda observation: controller().step(observation),
             {"observation": taichi_nmm.Observation(**observation)},
         ),
-        "Result.__getitem__": (result.__getitem__, {"name": "duration_s"}),
         "Observation": (stepped, observation),
-        "Observation.checked": (taichi_nmm.Observation(**observation).checked, {"count": 1}),
-        "Settings": (taichi_nmm.Settings, dict(vars(cpu))),
-        "Settings.document": (cpu.document, {}),
-        "Settings.on_processor": (cpu.on_processor, {}),
-        "Terrain": (taichi_nmm.Terrain, dict(vars(terrain.flat()))),
-        "Terrain.height": (terrain.flat().height, {"x_m": [1.0]}),
         "WorldRanges": (
             lambda **ranges: taichi_nmm.WorldRanges(**ranges).draw([1]),
             dict(vars(taichi_nmm.WorldRanges())),
         ),
-        "WorldRanges.document": (taichi_nmm.WorldRanges().document, {}),
-        "WorldRanges.draw": (taichi_nmm.WorldRanges().draw, {"seeds": [1, 2]}),
-        "Worlds": (taichi_nmm.Worlds, dict(vars(worlds))),
-        "Worlds.nominal": (taichi_nmm.Worlds.nominal, {"count": 1}),
-        "Worlds.stacked": (taichi_nmm.Worlds.stacked, {"worlds": [worlds]}),
-        "Worlds.take": (worlds.take, {"index": [1, 0]}),
-        "forward_dynamics": (
-            taichi_nmm.forward_dynamics,
-            {
-                "q": np.zeros((1, 9)),
-                "qdot": np.zeros((1, 9)),
-                "joint_torque": np.zeros((1, 6)),
-                "bodies": None,
-            },
-        ),
-        "load_all_gains": (taichi_nmm.load_all_gains, {"source": "published"}),
-        "load_gains": (taichi_nmm.load_gains, {"source": "published"}),
-        "simulate": (
-            taichi_nmm.simulate,
-            {
-                "gains": PUBLISHED_GAINS,
-                "duration_s": 0.002,
-                "bodies": None,
-                "terrains": terrain.flat(),
-                "terrain_index": [0],
-                "low_level_gains": None,
-                "worlds": None,
-                "settings": cpu,
-                "record": [0],
-                "record_rate_hz": 100,
-                "progress": None,
-            },
-        ),
-        "smooth_cost": (taichi_nmm.smooth_cost, {"rows": rows, "target_speed_mps": 1.3}),
-        "walking_cost": (taichi_nmm.walking_cost, {"rows": rows, "target_speed_mps": 1.3}),
-        "merge": (storage.merge, {"source": store, "target": folder / "merged.parquet"}),
-        "open_store": (storage.open_store, {"path": store, "verify": False}),
-        "Store.gains": (opened.gains, {}),
-        "Store.numpy": (opened.numpy, {"columns": ["row"]}),
-        "Store.pandas": (opened.pandas, {"columns": ["row"]}),
-        "Store.require_bounds": (opened.require_bounds, {}),
-        "Store.table": (opened.table, {"columns": ["row"]}),
-        "Store.tables": (opened.tables, {"columns": ["row"]}),
-        "DoGSampler": (tried(study.DoGSampler), {"table": table} | options),
-        "FeatureKernelSampler": (tried(study.FeatureKernelSampler), {"features": table} | options),
+        **{
+            sampler.__name__: (tried(sampler), {table_name: table} | options)
+            for sampler, table_name in (
+                (study.DoGSampler, "table"),
+                (study.FeatureKernelSampler, "features"),
+                (study.SurvivalSampler, "table"),
+            )
+        },
         "FeatureKernelSampler, no table": (
             tried(study.FeatureKernelSampler),
-            {"features": None, "space": {"x": FloatDistribution(0, 1)}, "seed": 1},
-        ),
-        "FeatureKernelSampler.worth": (sampler.worth, {"study": tried(lambda: sampler)()}),
-        "FeatureTable": (study.FeatureTable, {"rows": table.rows, "file": None}),
-        "FeatureTable.from_arrays": (
-            study.FeatureTable.from_arrays,
-            {"parameters": {"x": [0.0, 1.0]}, "features": [1, 2], "feature_names": ["f"]} | ranged,
+            {"features": None, "space": box, "seed": 1},
         ),
         "FeatureTable.from_arrays, columns": (
-            lambda **columns: study.FeatureTable.from_arrays(columns, [1, 2]),
+            lambda **columns: from_arrays(columns, [1, 2]),
             {"x": [0.0, 1.0]},
         ),
         "FeatureTable.from_arrays, bounds": (
-            lambda **bounds: study.FeatureTable.from_arrays({"x": [0, 1]}, [1, 2], bounds=bounds),
+            lambda **bounds: from_arrays({"x": [0, 1]}, [1, 2], bounds=bounds),
             {"x": (0, 1)},
         ),
         "FeatureTable.from_arrays, low": (
-            lambda low: study.FeatureTable.from_arrays(
-                {"x": [0, 1]}, [1, 2], bounds={"x": (low, 1)}
-            ),
+            lambda low: from_arrays({"x": [0, 1]}, [1, 2], bounds={"x": (low, 1)}),
             {"low": 0},
         ),
         "FeatureTable.from_arrays, space": (
-            lambda **space: study.FeatureTable.from_arrays({"x": [0, 1]}, [1, 2], space=space),
-            {"x": FloatDistribution(0, 1)},
-        ),
-        "FeatureTable.from_dataframe": (
-            study.FeatureTable.from_dataframe,
-            {"frame": frame} | named | ranged,
-        ),
-        "FeatureTable.from_parquet": (
-            study.FeatureTable.from_parquet,
-            {"path": folder / "frame.parquet"} | named | ranged,
+            lambda **space: from_arrays({"x": [0, 1]}, [1, 2], space=space),
+            box,
         ),
         "FeatureTable.from_parquet, store": (
             study.FeatureTable.from_parquet,
             {"path": store, "features": ["phi_printed"]},
         ),
-        "SurvivalSampler": (tried(study.SurvivalSampler), {"table": table} | options),
-        "covered_table": (study.covered_table, {"path": store, "grounds": ()}),
-        "survival_table": (study.survival_table, {"path": store, "families": ("up", "down")}),
-        "terrain.blocks": (
-            terrain.blocks,
-            {
-                "seed": 1,
-                "amplitude_m": 0.1,
-                "spacing_m": 1.0,
-                "riser_m": 0.1,
-                "flat_start_m": 9.0,
-                "slope": 0.0,
-            },
-        ),
-        "terrain.from_file": (terrain.from_file, {"path": hill(folder)}),
-        "terrain.ramp": (
-            terrain.ramp,
-            {"increment": 0.1, "segment_m": 20.0, "largest_slope": 0.2, "direction": "up"},
-        ),
-        "terrain.rough": (
-            terrain.rough,
-            {"seed": 1, "amplitude_m": 0.1, "spacing_m": 1.0, "flat_start_m": 9.0, "slope": 0.0},
-        ),
-        "terrain.stairs": (
-            terrain.stairs,
-            {"rise_m": 0.1, "run_m": 0.3, "flat_start_m": 9.0, "direction": "down"},
-        ),
     }
 
 
-def hill(folder: Path) -> Path:
-    (folder / "hill.csv").write_text("0,0\n1,1\n")
-    return folder / "hill.csv"
-
-
 def tried(make: Callable[..., Any]) -> Callable[..., optuna.Study]:
-    """What a sampler accepts when it is made, no trial stumbles over."""
+    """Makes a sampler and runs trials: options that pass the first must pass the second."""
 
     def run(**options: Any) -> optuna.Study:
         found = optuna.create_study(sampler=make(**options))
@@ -298,7 +246,7 @@ def test_wrong_values_end_in_one_line(
     monkeypatch.chdir(tmp_path)  # "a" may be the name of a file to write
     tried_calls, wrong = 0, []
     for name, (call, arguments) in doors.items():
-        if name not in ("SurvivalSampler", "covered_table"):  # which want another table
+        if name not in ("SurvivalSampler", "covered_table"):  # these need another table
             call(**arguments)
         for argument in arguments:
             for place, value in enumerate(wrong_values()):
@@ -308,9 +256,7 @@ def test_wrong_values_end_in_one_line(
                 except InputError as error:
                     assert str(error).isprintable()
                 except Exception as error:
-                    shown = f"{type(value).__name__} number {place}"
-                    wrong.append(
-                        f"{name}({argument}={shown}): {type(error).__name__}: {error}"[:250]
-                    )
+                    shown = f"{name}({argument}={type(value).__name__} number {place})"
+                    wrong.append(f"{shown}: {type(error).__name__}: {error}"[:250])
     assert tried_calls > 5000
     assert not wrong, f"{len(wrong)} of {tried_calls}:\n" + "\n".join(wrong)

@@ -29,7 +29,7 @@ pytestmark = pytest.mark.slow
 
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 OUTSIDE = re.compile(r"\s*(\w+:)?//")
-# What a browser loads by itself, by element and attribute.
+# Attributes of elements that a browser loads by itself.
 LOADED = {
     "script": "src", "img": "src", "iframe": "src", "source": "src", "video": "src",
     "audio": "src", "embed": "src", "object": "data", "link": "href",
@@ -37,7 +37,7 @@ LOADED = {
 
 
 class Html(HTMLParser):
-    """What a page loads, links to and can be linked at."""
+    """The addresses that a page loads and links to, and its anchors."""
 
     def __init__(self, page: Path) -> None:
         super().__init__()
@@ -59,13 +59,9 @@ class Html(HTMLParser):
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the site, which is built without a warning."""
     folder = tmp_path_factory.mktemp("site")
-    done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)],
-        cwd=ROOT,
-        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
-        capture_output=True,
-        text=True,
-    )
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert [line for line in done.stderr.splitlines() if not line.startswith("INFO ")] == []
     return folder
@@ -112,10 +108,9 @@ def test_links_lead_somewhere(site: Path, pages: dict[str, Html]) -> None:
             parts = urlsplit(link)
             if parts.scheme or parts.netloc or place == "404.html":  # which is served anywhere
                 continue
-            file = unquote(parts.path)
-            target = posixpath.normpath(posixpath.join(posixpath.dirname(place), file))
-            target = place if not file else target
-            anchor = unquote(parts.fragment)
+            file, anchor = unquote(parts.path), unquote(parts.fragment)
+            folder = posixpath.dirname(place)
+            target = posixpath.normpath(posixpath.join(folder, file)) if file else place
             found = (site / target).is_file()
             if not found or (anchor and anchor not in pages[target].anchors):
                 wrong.append(f"{place}: {link}")

@@ -28,7 +28,7 @@ from study.cli import guarded_imports, run_command
 with guarded_imports():
     import numpy as np
     import optuna
-    from optuna.distributions import FloatDistribution
+    from optuna.distributions import BaseDistribution, FloatDistribution
     from optuna.exceptions import ExperimentalWarning
     from optuna.samplers import BaseSampler, GPSampler
     from tqdm import tqdm
@@ -47,7 +47,9 @@ with guarded_imports():
 
 NAME = "sampler-timing"
 DIMENSION = 16
-NAMES = tuple(f"p{number:02d}" for number in range(DIMENSION))
+SPACE: dict[str, BaseDistribution] = {
+    f"p{number:02d}": FloatDistribution(0.0, 1.0) for number in range(DIMENSION)
+}
 SEED = 16
 NOISE = 0.3  # of the cost, in standard deviations of what the features explain
 STANDING = 0.1  # of the rows of a table like that of `best`: the others fell, and have no features
@@ -281,7 +283,7 @@ def measure_case(case: Case) -> Measured:
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     before_mib = memory_mib("VmRSS")
     study = _prepare(case)
-    spent = [_propose(study, case) for _ in range(WARM_UP + case.repeats)][WARM_UP:]
+    spent = [_propose(study, case.features) for _ in range(WARM_UP + case.repeats)][WARM_UP:]
     seconds, cpu_seconds = zip(*spent, strict=True)
     kept, most = memory_mib("VmRSS") - before_mib, memory_mib("VmHWM") - before_mib
     return Measured(case, seconds, cpu_seconds, kept, most)
@@ -297,11 +299,17 @@ def _prepare(case: Case) -> optuna.Study:
         standing = np.sort(rng.choice(standing, int(STANDING * case.rows), replace=False))
     seen = rng.choice(standing, case.observations, replace=False)
     costs = features[seen].sum(axis=1) + NOISE * rng.standard_normal(case.observations)
-    trials = [_finished(points, row, cost) for row, cost in zip(seen, costs, strict=True)]
     known = np.full_like(features, np.nan)
     known[standing] = features[standing]
     study = optuna.create_study(sampler=_sampler(case, points, known))
-    study.add_trials(trials)
+    for row, cost in zip(seen, costs, strict=True):
+        params = dict(zip(SPACE, points[row].tolist(), strict=True))
+        note = {ROW_ATTRIBUTE: int(row)}  # as in the trials that the sampler proposes
+        study.add_trial(
+            optuna.create_trial(
+                params=params, distributions=SPACE, user_attrs=note, value=float(cost)
+            )
+        )
     return study
 
 
@@ -313,44 +321,32 @@ def _features(points: Floats, k: int) -> Floats:
 
 def _sampler(case: Case, points: Floats, features: Floats) -> BaseSampler:
     """The sampler of a case, over points [n, 16] with features [n, k]."""
-    if case.sampler == "gp":
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ExperimentalWarning)
-            return GPSampler(seed=SEED)
-    space = {name: FloatDistribution(0.0, 1.0) for name in NAMES}
-    columns = dict(zip(NAMES, points.T, strict=True))
     names = [f"feature_{column}" for column in range(case.features)]
     if case.sampler == "best":
         names[0] = MEAN
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of the rows that fell
-            table = FeatureTable.from_arrays(columns, features, names, space=space)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExperimentalWarning)
+        warnings.simplefilter("ignore", UserWarning)  # of the rows without features
+        if case.sampler == "gp":
+            return GPSampler(seed=SEED)
+        columns = dict(zip(SPACE, points.T, strict=True))
+        table = FeatureTable.from_arrays(columns, features, names, space=SPACE)
+    if case.sampler == "best":
         return SurvivalSampler(table, seed=SEED)
-    table = FeatureTable.from_arrays(columns, features, names, space=space)
     kernel = "rbf" if case.sampler == "rbf" else None
     return FeatureKernelSampler(table, seed=SEED, kernel=kernel)
 
 
-def _finished(points: Floats, row: int, cost: float) -> optuna.trial.FrozenTrial:
-    """A trial of a row, with the note that the sampler leaves in those that it proposes."""
-    return optuna.create_trial(
-        params=dict(zip(NAMES, points[row].tolist(), strict=True)),
-        distributions={name: FloatDistribution(0.0, 1.0) for name in NAMES},
-        user_attrs={ROW_ATTRIBUTE: int(row)},
-        value=float(cost),
-    )
-
-
-def _propose(study: optuna.Study, case: Case) -> tuple[float, float]:
-    """Seconds and processor's seconds from asking for a trial to its last parameter.
+def _propose(study: optuna.Study, features: int) -> tuple[float, float]:
+    """Seconds, and seconds of the processor, from asking for a trial to its last parameter.
 
     Then the trial finishes.
     """
     began, cpu_began = time.perf_counter(), time.process_time()
-    trial = study.ask()
-    point = [trial.suggest_float(name, 0.0, 1.0) for name in NAMES]
+    trial = study.ask(SPACE)
     spent = (time.perf_counter() - began, time.process_time() - cpu_began)
-    study.tell(trial, float(_features(np.array([point]), case.features).sum()))
+    point = [trial.params[name] for name in SPACE]
+    study.tell(trial, float(_features(np.array([point]), features).sum()))
     return spent
 
 

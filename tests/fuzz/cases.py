@@ -12,24 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
 from study.options import parser_of
-from tests.fuzz.damage import (
-    OPTIONS,
-    as_json,
-    as_toml,
-    chance,
-    damaged_bytes,
-    damaged_columns,
-    damaged_database,
-    damaged_document,
-    damaged_footer,
-    damaged_text,
-    pick,
-)
+from tests.fuzz import damage
+from tests.fuzz.damage import OPTIONS, chance, pick
 from tests.fuzz.world import (
     COMMANDS,
     ONE,
@@ -52,49 +42,45 @@ PRECOMPUTE_NEW = ("precompute", "--config", "grid.toml", *NEW)
 PRECOMPUTE_WORLDS = ("precompute", "--config", "store-worlds.toml", "--samples", "8", *NEW)
 
 
-def text_of(rng: Generator, path: Path) -> None:
-    """A text, or its bytes."""
-    data = path.read_bytes()
-    if chance(rng, 0.3):
-        path.write_bytes(damaged_bytes(rng, data))
-    else:
-        path.write_bytes(damaged_text(rng, data.decode()))
+def in_bytes(rng: Generator, path: Path) -> None:
+    path.write_bytes(damage.damaged_bytes(rng, path.read_bytes()))
 
 
-def packed(rng: Generator, path: Path) -> None:
-    """A packed text: what is in it, or its bytes."""
+def in_text(rng: Generator, path: Path) -> None:
+    """In a text, which may be packed, or in its bytes."""
+    if chance(rng, 0.35):
+        in_bytes(rng, path)
+        return
     pack, unpack = PACKERS.get(path.suffix, bytes), UNPACKERS.get(path.suffix, bytes)
-    data = path.read_bytes()
-    if chance(rng, 0.4):
-        path.write_bytes(damaged_bytes(rng, data))
-    else:
-        path.write_bytes(pack(damaged_text(rng, unpack(data).decode())))
+    text = unpack(path.read_bytes()).decode()
+    path.write_bytes(pack(damage.damaged_text(rng, text)))
 
 
-def json_of(rng: Generator, path: Path) -> None:
-    """A JSON document, or its text."""
-    if chance(rng, 0.25):
-        text_of(rng, path)
-    else:
-        path.write_bytes(as_json(damaged_document(rng, json.loads(path.read_text()))))
+def in_document(read: Callable[[str], Any], write: Callable[[Any], bytes]) -> Damage:
+    """In a document, or in its text."""
 
+    def change(rng: Generator, path: Path) -> None:
+        if chance(rng, 0.25):
+            in_text(rng, path)
+        else:
+            path.write_bytes(write(damage.damaged_document(rng, read(path.read_text()))))
 
-def toml_of(rng: Generator, path: Path) -> None:
-    """A TOML document, or its text."""
-    if chance(rng, 0.25):
-        text_of(rng, path)
-    else:
-        path.write_bytes(as_toml(damaged_document(rng, tomllib.loads(path.read_text()))))
-
-
-def bytes_of(rng: Generator, path: Path) -> None:
-    """Any file."""
-    path.write_bytes(damaged_bytes(rng, path.read_bytes()))
+    return change
 
 
 def either(*kinds: Damage) -> Damage:
-    """One of some kinds of damage."""
     return lambda rng, path: pick(rng, kinds)(rng, path)
+
+
+in_json = in_document(json.loads, damage.as_json)
+in_toml = in_document(tomllib.loads, damage.as_toml)
+in_columns, in_footer = damage.damaged_columns, damage.damaged_footer
+in_database = either(in_bytes, *[damage.damaged_database] * 3)
+
+
+def in_folder_file(rng: Generator, path: Path) -> None:
+    """In a file of a folder that a command goes on with."""
+    (in_json if path.suffix == ".json" else either(in_bytes, in_columns, in_footer))(rng, path)
 
 
 def misplaced(rng: Generator, path: Path) -> None:
@@ -116,13 +102,13 @@ def misplaced(rng: Generator, path: Path) -> None:
 
 @dataclass(frozen=True)
 class Format:
-    """A kind of input.
+    """A kind of input: files of which one is damaged, and the commands that read it.
 
     Attributes:
         name: of it.
         share: of all cases, beside those of the others.
-        files: one of which is damaged.
-        readers: commands, one of which is run; names of `COMMANDS`, or words.
+        files: none where the words of the command are damaged.
+        readers: names of `COMMANDS`, or words.
         damage: to the file.
     """
 
@@ -130,13 +116,15 @@ class Format:
     share: int
     files: tuple[str, ...]
     readers: tuple[str | Words, ...]
-    damage: Damage
+    damage: Damage = in_bytes
 
     def prepare(self, rng: Generator, folder: Path) -> Words:
         """Damage a file of the folder; the words of the command to be run."""
-        name = pick(rng, self.files)
         reader = pick(rng, self.readers)
-        words = COMMANDS[reader] if isinstance(reader, str) else reader
+        words: Words = COMMANDS[reader] if isinstance(reader, str) else reader
+        if not self.files:
+            return damaged_words(rng, words)
+        name = pick(rng, self.files)
         path = folder / name
         if path.parent.name == "arms" and chance(rng, 0.5):  # as of an unfinished comparison
             (path.parents[1] / "trials.parquet").unlink()
@@ -144,31 +132,23 @@ class Format:
         return tuple(word.replace("{file}", name) for word in words)
 
 
-@dataclass(frozen=True)
-class Arguments:
-    """What is given to commands: `Format` without a file."""
-
-    name: str
-    share: int
-
-    def prepare(self, rng: Generator, folder: Path) -> Words:
-        """The words of a command with some replaced, added, dropped or doubled."""
-        words = list(COMMANDS[pick(rng, list(COMMANDS))])
-        options = options_of(words[0])
-        for _ in range(1 + int(rng.exponential(0.7))):
-            place = 1 + int(rng.integers(len(words)))
-            kind = int(rng.integers(10))
-            if kind < 4 and place < len(words):
-                words[place] = pick(rng, OPTIONS)
-            elif kind < 8:
-                words[place:place] = [pick(rng, options), pick(rng, OPTIONS)]
-            elif kind == 8:
-                del words[place : place + 1]
-            else:
-                words.insert(place, pick(rng, (*options, *OPTIONS)))
-        if chance(rng, 0.01):
-            words[:1] = [] if chance(rng, 0.2) else [pick(rng, OPTIONS)]
-        return tuple(words)
+def damaged_words(rng: Generator, sound: Words) -> Words:
+    """The words of a command with some replaced, added, dropped or doubled."""
+    words, options = list(sound), options_of(sound[0])
+    for _ in range(1 + int(rng.exponential(0.7))):
+        place = 1 + int(rng.integers(len(words)))
+        kind = int(rng.integers(10))
+        if kind < 4 and place < len(words):
+            words[place] = pick(rng, OPTIONS)
+        elif kind < 8:
+            words[place:place] = [pick(rng, options), pick(rng, OPTIONS)]
+        elif kind == 8:
+            del words[place : place + 1]
+        else:
+            words.insert(place, pick(rng, (*options, *OPTIONS)))
+    if chance(rng, 0.01):
+        words[:1] = [] if chance(rng, 0.2) else [pick(rng, OPTIONS)]
+    return tuple(words)
 
 
 @cache
@@ -184,58 +164,52 @@ DATABASE = ("walk of a live trial", "study", (*STUDY, "--trials", "3"),
             ("dashboard", "--storage", "sqlite:///live.db", "--port", "0"),
             (*COMPARE_NEW, "--storage", "sqlite:///live.db"))  # fmt: skip
 EXPORTED = ("compare", "dashboard", "walk of an exported trial")
+SHARD = ("store/part-00000.parquet",)
 
-FORMATS: tuple[Format | Arguments, ...] = (
-    Arguments("arguments", 20),
+FORMATS = (
+    Format("arguments", 20, (), tuple(COMMANDS)),
     Format(
         "experiment, TOML", 16, ("toy.toml",),
         ("walk", "compare", COMPARE_NEW, (*NEW_STUDY, "toy.toml", "--arm", "dog"),
          (*NEW_STUDY, "toy.toml", "--arm", "random")),
-        toml_of,
+        in_toml,
     ),
-    Format("experiment on MuJoCo, TOML", 4, ("mujoco-rough8.toml",), (WALK_SOFT,), toml_of),
-    Format("optimum's experiment, TOML", 3, ("level.toml",), ("optimum",), toml_of),
+    Format("experiment on MuJoCo, TOML", 4, ("mujoco-rough8.toml",), (WALK_SOFT,), in_toml),
+    Format("optimum's experiment, TOML", 3, ("level.toml",), ("optimum",), in_toml),
     Format("store, TOML", 8, ("grid.toml",), ("precompute", PRECOMPUTE_NEW, PRECOMPUTE_NEW),
-           toml_of),
-    Format("store of worlds, TOML", 2, ("store-worlds.toml",), (PRECOMPUTE_WORLDS,), toml_of),
+           in_toml),
+    Format("store of worlds, TOML", 2, ("store-worlds.toml",), (PRECOMPUTE_WORLDS,), in_toml),
     Format("gains, JSON", 10, ("gains.json", "best/dog-run-000-best.json"),
-           (("walk", "--gains", "{file}", *STILL),), json_of),
+           (("walk", "--gains", "{file}", *STILL),), in_json),
     Format("terrain table", 10, ("hill.csv", "hill.csv.gz", "hill.csv.bz2", "hill.csv.xz"),
-           (TERRAIN,), packed),
-    Format("store's manifest", 6, ("store/manifest.json",), STORE, json_of),
-    Format("store's shard, bytes", 6, ("store/part-00000.parquet",), STORE, bytes_of),
-    Format("store's footer", 6, ("store/part-00000.parquet",), STORE, damaged_footer),
-    Format("store's columns", 5, ("store/part-00000.parquet",), STORE, damaged_columns),
+           (TERRAIN,), in_text),
+    Format("store's manifest", 6, ("store/manifest.json",), STORE, in_json),
+    Format("store's shard, bytes", 6, SHARD, STORE, in_bytes),
+    Format("store's footer", 6, SHARD, STORE, in_footer),
+    Format("store's columns", 5, SHARD, STORE, in_columns),
     Format(
         "store that goes on", 5,
         ("grid/specification.json", "grid/manifest.json", "grid/part-00001.parquet"),
-        (PRECOMPUTE, PRECOMPUTE, (*PRECOMPUTE, "--fresh")),
-        lambda rng, path: (json_of if path.suffix == ".json" else
-                           either(bytes_of, damaged_footer, damaged_columns))(rng, path),
+        (PRECOMPUTE, PRECOMPUTE, (*PRECOMPUTE, "--fresh")), in_folder_file,
     ),
     Format("experiment.json", 6, ("compared/experiment.json",),
            ("report", "report with strips", "compare", "walk of a trial",
-            "explore of a comparison"), json_of),
-    Format("run.json", 3, ("compared/run.json",), ("report", "report", "compare"), json_of),
+            "explore of a comparison"), in_json),
+    Format("run.json", 3, ("compared/run.json",), ("report", "report", "compare"), in_json),
     Format("trials.parquet", 6, ("compared/trials.parquet",),
            ("report", "walk of a trial", "walk of a trial", "explore of a comparison"),
-           either(bytes_of, damaged_columns)),
+           either(in_bytes, in_columns)),
     Format("an arm's trials", 6, ("compared/arms/dog.parquet", "compared/arms/random.parquet"),
-           ("report", "compare", "compare"),
-           either(bytes_of, damaged_columns, damaged_columns, damaged_footer)),
+           ("report", "compare", "compare"), either(in_bytes, in_columns, in_columns, in_footer)),
     Format(
         "optimum's folder", 3,
         ("optimum/search.json", "optimum/evaluations.parquet", "optimum/dog/experiment.json",
          "optimum/dog/arms/dog.parquet"),
-        ("optimum",),
-        lambda rng, path: (json_of if path.suffix == ".json" else
-                           either(bytes_of, damaged_columns, damaged_footer))(rng, path),
+        ("optimum",), in_folder_file,
     ),
-    Format("optimum.json", 2, ("optimum/optimum.json",), ("report of two",), json_of),
-    Format("live studies, SQLite", 7, ("live.db",), DATABASE,
-           either(bytes_of, damaged_database, damaged_database, damaged_database)),
-    Format("a comparison's studies, SQLite", 3, ("compared/studies.db",), EXPORTED,
-           either(bytes_of, damaged_database, damaged_database, damaged_database)),
+    Format("optimum.json", 2, ("optimum/optimum.json",), ("report of two",), in_json),
+    Format("live studies, SQLite", 7, ("live.db",), DATABASE, in_database),
+    Format("a comparison's studies, SQLite", 3, ("compared/studies.db",), EXPORTED, in_database),
 )  # fmt: skip
 
 SHARES = np.array([each.share for each in FORMATS], dtype=float)
@@ -245,14 +219,7 @@ HERE = "here"  # of a case, where its command is run: a ".." leads no farther th
 
 @dataclass(frozen=True)
 class Case:
-    """What is run.
-
-    Attributes:
-        number: of the case.
-        name: of its format.
-        words: of the command.
-        folder: in which it is run.
-    """
+    """A numbered case: its format's name, the words of its command, and the folder to run it in."""
 
     number: int
     name: str
@@ -261,13 +228,9 @@ class Case:
 
 
 def make_case(seed: int, number: int, world: Path, place: Path) -> Case:
-    """Make the case's folder, in place of one that is there.
+    """Make the case's folder in `place`, which is for this case alone.
 
-    Args:
-        seed: of all cases.
-        number: from 0.
-        world: folder of sound files.
-        place: a folder for this case alone.
+    The seed is of all cases; `world` is the folder of sound files.
     """
     shutil.rmtree(place, ignore_errors=True)
     folder = Path(shutil.copytree(world, place / HERE))

@@ -8,7 +8,6 @@ import json
 import math
 import re
 import sqlite3
-from collections.abc import Iterator
 from contextlib import closing, suppress
 from copy import deepcopy
 from pathlib import Path
@@ -65,12 +64,10 @@ OPTIONS: tuple[str, ...] = (
 
 
 def pick(rng: Generator, values: Any) -> Any:
-    """One of a sequence."""
     return values[int(rng.integers(len(values)))]
 
 
 def chance(rng: Generator, of: float) -> bool:
-    """True in this part of all calls."""
     return bool(rng.random() < of)
 
 
@@ -89,18 +86,13 @@ def damaged_bytes(rng: Generator, data: bytes) -> bytes:
         kind = int(rng.integers(7))
         if kind == 0 and parts:
             parts[place] ^= 1 << int(rng.integers(8))
-        elif kind == 1:
-            del parts[place:end]
-        elif kind == 2:
-            parts[place:place] = parts[place:end]
-        elif kind == 3:
-            parts[place:end] = bytes([pick(rng, (0, 255, 127, 128))]) * (end - place)
-        elif kind == 4:
-            parts[place:place] = rng.bytes(end - place)
-        elif kind == 5:
-            parts[place:end] = rng.bytes(end - place)
-        elif chance(rng, 0.3):
+        elif kind == 6 and chance(rng, 0.3):
             del parts[place:]
+        elif kind < 6:
+            count = end - place
+            old, new = bytes(parts[place:end]), rng.bytes(count)
+            even = bytes([pick(rng, (0, 255, 127, 128))]) * count
+            parts[place:end] = (old, b"", old * 2, even, new + old, new)[kind]
     return b"" if chance(rng, 0.01) else bytes(parts)
 
 
@@ -129,8 +121,7 @@ def damaged_document(rng: Generator, document: Any) -> Any:
     """A value somewhere in it replaced, dropped, named otherwise, added, moved or nested deep."""
     document = json.loads(json.dumps(document))
     for _ in range(1 + int(rng.exponential(0.5))):
-        places = [(document, key) for key in keys(document)]
-        places += [(node, key) for node in nodes(document) for key in keys(node)]
+        places = places_in(document)
         if not places:
             return any_value(rng)
         node, key = pick(rng, places)
@@ -154,7 +145,7 @@ def damaged_document(rng: Generator, document: Any) -> Any:
 
 
 def any_value(rng: Generator) -> Any:
-    """One of `VALUES`, which what is done to it leaves as they are."""
+    """A copy of one of `VALUES`: later damage must not change these."""
     return deepcopy(pick(rng, VALUES))
 
 
@@ -166,24 +157,21 @@ def nudged(rng: Generator, value: Any) -> Any:
         return pick(rng, (value + " ", value.upper(), value[1:], value + "\u0000", value * 50))
     try:
         fractions = float(value), value / 3
-    except OverflowError:  # a whole number that no float is as large as
+    except OverflowError:  # a whole number above all floats
         fractions = math.inf, -math.inf
     return pick(rng, (-value, value + 1, value * 1000, fractions[0], str(value), fractions[1]))
 
 
-def nodes(document: Any) -> Iterator[Any]:
-    """All objects and lists below a document."""
-    for key in keys(document):
-        if isinstance(document[key], dict | list):
-            yield document[key]
-            yield from nodes(document[key])
-
-
 def keys(node: Any) -> list[Any]:
-    """Of an object, or places in a list."""
     if isinstance(node, dict):
         return list(node)
     return list(range(len(node))) if isinstance(node, list) else []
+
+
+def places_in(document: Any) -> list[tuple[Any, Any]]:
+    """Every value in a document, as an object or list and a key of it."""
+    own = [(document, key) for key in keys(document)]
+    return [place for node, key in own for place in ((node, key), *places_in(node[key]))]
 
 
 def as_json(document: Any) -> bytes:
@@ -192,7 +180,7 @@ def as_json(document: Any) -> bytes:
 
 
 def as_toml(document: Any) -> bytes:
-    """As TOML, tables within lines; what TOML has no word for is left to be refused."""
+    """As TOML, tables within lines; values that TOML lacks are written as in JSON."""
     if not isinstance(document, dict):
         return toml_value(document).encode(errors="replace")
     lines = [f"{json.dumps(key)} = {toml_value(value)}\n" for key, value in document.items()]
@@ -200,7 +188,6 @@ def as_toml(document: Any) -> bytes:
 
 
 def toml_value(value: Any) -> str:
-    """A value in a line."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{json.dumps(k)} = {toml_value(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list):
@@ -221,7 +208,7 @@ DEFERRED = "PRAGMA ignore_check_constraints = ON"
 def damaged_columns(rng: Generator, path: Path) -> None:
     """Write the file again: a column dropped, renamed, doubled, of another type, with other values.
 
-    Its footer stays; a digest in it is made to fit, so that a reader must look at the values.
+    Its footer stays; a digest in it is made to fit, so that readers check the values too.
     """
     table = pq.read_table(path, partitioning=None)
     footer = table.schema.metadata
@@ -238,16 +225,14 @@ def damaged_columns(rng: Generator, path: Path) -> None:
 
 def other_table(rng: Generator, table: pa.Table) -> pa.Table:
     """A table with one change."""
-    place = int(rng.integers(table.num_columns)) if table.num_columns else 0
-    rows = len(table)
-    kind = int(rng.integers(9))
+    rows, kind = len(table), int(rng.integers(9))
     if kind == 0 or not table.num_columns:
         return table.slice(int(rng.integers(rows + 1)), int(rng.integers(rows + 1)))
-    field = table.schema.field(place)
+    place = int(rng.integers(table.num_columns))
+    field, names = table.schema.field(place), list(table.column_names)
     if kind == 1:
         return table.remove_column(place)
     if kind == 2:
-        names = list(table.column_names)
         names[place] = pick(rng, ("", "a", names[0], names[-1], "\n", f" {names[place]}"))
         return table.rename_columns(names)
     if kind == 3:
@@ -256,13 +241,13 @@ def other_table(rng: Generator, table: pa.Table) -> pa.Table:
         return pa.concat_tables([table, table.slice(0, min(rows, 2))])
     if kind == 5:
         return table.take(pa.array(rng.permutation(rows)))
-    values = table.column(place).to_pylist()
+    values, other = table.column(place).to_pylist(), field.type
     if kind == 6:
-        return table.set_column(place, field.name, as_column(values, pick(rng, TYPES)))
-    for _ in range(pick(rng, (1, 1, 2, rows))):
-        if rows:
+        other = pick(rng, TYPES)
+    else:
+        for _ in range(pick(rng, (1, 1, 2, rows)) if rows else 0):
             values[int(rng.integers(rows))] = pick(rng, VALUES)
-    return table.set_column(place, field.name, as_column(values, field.type))
+    return table.set_column(place, field.name, as_column(values, other))
 
 
 def as_column(values: list[Any], kind: pa.DataType) -> pa.Array:
@@ -280,7 +265,7 @@ def as_column(values: list[Any], kind: pa.DataType) -> pa.Array:
 def damaged_footer(rng: Generator, path: Path) -> None:
     """Write the file again with a damaged document in its footer, or none, or no JSON.
 
-    Hashes in it are made to fit now and then, so that a reader must look at what is said.
+    Hashes in it are made to fit now and then, so that readers check the rest too.
     """
     table = pq.read_table(path, partitioning=None)
     document = damaged_document(rng, json.loads(table.schema.metadata[FOOTER_KEY]))
@@ -322,14 +307,11 @@ def damaged_database(rng: Generator, path: Path) -> None:
 
 def change_database(rng: Generator, connection: sqlite3.Connection) -> None:
     """One change."""
-    names = [
-        row[0]
-        for row in connection.execute(
-            "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite%'"
-            " ORDER BY name"
-        )
-    ]
-    name = pick(rng, names)
+    tables = (
+        "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite%'"
+        " ORDER BY name"
+    )
+    name = pick(rng, [row[0] for row in connection.execute(tables)])
     columns = [row[1] for row in connection.execute(f'PRAGMA table_info("{name}")')]
     column = pick(rng, columns)
     rows = connection.execute(f'SELECT rowid, "{column}" FROM "{name}" ORDER BY rowid').fetchall()
@@ -364,8 +346,5 @@ def in_cell(rng: Generator, old: Any) -> Any:
     value = pick(rng, VALUES)
     if isinstance(value, str):
         return value.encode() if chance(rng, 0.2) else value
-    if value is None or isinstance(value, float):
-        return value
-    if isinstance(value, int) and abs(value) < 2**63:
-        return value
-    return json.dumps(value)
+    fits = not isinstance(value, int) or abs(value) < 2**63
+    return value if fits and isinstance(value, float | int | None) else json.dumps(value)

@@ -9,6 +9,7 @@ import gzip
 import json
 import lzma
 import os
+import shutil
 import sqlite3
 import sys
 from collections.abc import Iterator
@@ -128,11 +129,10 @@ DAY = "2026-01-01 00:00:00.000000"
 def make_world(folder: Path) -> None:
     """Fill a new folder; some seconds."""
     folder.mkdir(parents=True)
-    texts = {"toy.toml": TOY, "level.toml": LEVEL, "grid.toml": GRID}
-    for name, text in texts.items():
-        (folder / name).write_text(text)
+    for name, text in {"toy": TOY, "level": LEVEL, "grid": GRID}.items():
+        (folder / f"{name}.toml").write_text(text)
     for name in ("store-worlds", "mujoco-rough8"):
-        (folder / f"{name}.toml").write_text((CONFIGS / f"{name}.toml").read_text())
+        shutil.copy(CONFIGS / f"{name}.toml", folder)
     for ending, pack in {"": bytes, **PACKERS}.items():
         name = f"hill.csv{ending}"
         (folder / name).write_bytes(pack(HILL.encode()))
@@ -140,18 +140,14 @@ def make_world(folder: Path) -> None:
     gains = dict(zip(taichi_nmm.GAIN_NAMES, taichi_nmm.PUBLISHED_GAINS.tolist(), strict=True))
     (folder / "gains.json").write_text(json.dumps(gains | {"theta_ref": 0.1}, indent=1))
     simulator = mock.patch.dict(vars(taichi_nmm), simulate=fake_walker.simulate)
-    with within(folder), simulator, quiet():
+    shown = StringIO()
+    with within(folder), simulator, redirect_stdout(shown), redirect_stderr(shown):
         families = {"up": {"settings": 1, "terrain": {"kind": "ramp"}}}
         fake_walker.write_store(Path("store"), robust={}, families=families)
         for words in (PRECOMPUTE, COMPARE, OPTIMUM, (*STUDY, "--trials", "2")):
-            command(words)
+            with mock.patch.object(sys, "argv", []):
+                main(words)
     settle(folder)
-
-
-def command(words: Words) -> None:
-    """A command that must succeed, in this process."""
-    with mock.patch.object(sys, "argv", []):
-        main(words)
 
 
 @contextmanager
@@ -163,13 +159,6 @@ def within(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.chdir(before)
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Nothing of a block is shown."""
-    with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-        yield
 
 
 def settle(folder: Path) -> None:
@@ -185,13 +174,12 @@ def settle(folder: Path) -> None:
         arms = [pq.read_table(arm) for arm in sorted(path.parent.glob("arms/*.parquet"))]
         footer = json.loads(pq.read_schema(path).metadata[FOOTER_KEY])
         write_table(path, in_order(arms).select(TIME_COLUMNS), footer)
-    for path in folder.rglob("run.json"):
+    for path in [*folder.rglob("run.json"), *folder.rglob("optimum.json")]:
         document = json.loads(path.read_text())
-        for session in document["sessions"]:
+        for session in document.get("sessions", ()):
             session |= {"started": f"{DAY}+00:00", "wall_s": 1.5}
-        path.write_text(json.dumps(document, indent=2))
-    for path in folder.rglob("optimum.json"):
-        document = json.loads(path.read_text()) | {"date": DAY, "wall_s": 1.5}
+        if path.stem == "optimum":
+            document |= {"date": DAY, "wall_s": 1.5}
         path.write_text(json.dumps(document, indent=2))
     for path in folder.rglob("*.db"):
         with closing(sqlite3.connect(path)) as connection:

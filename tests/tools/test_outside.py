@@ -13,6 +13,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 from taichi_nmm.errors import InputError
 from tests.tools.running import load_tool, run_tool
 from tools.benchmarks import outside, runs
+from tools.benchmarks.arms import study_costs
 from tools.benchmarks.outside import (
     ARMS,
     PROBLEMS,
@@ -102,14 +103,14 @@ def test_the_nearest_row_is_on_the_scale_of_each_parameter(
     assert made(*settings).row_nearest_to(settings) == row
 
 
-def test_the_objective_is_the_cost_of_the_nearest_row() -> None:
+def test_a_trial_costs_as_much_as_the_nearest_row() -> None:
+    sampler = optuna.samplers.RandomSampler(seed=1)
+    found = study_costs(WHOLE, sampler, 5, first=[WHOLE.settings(3)])
+    assert found[0] == WHOLE.cost[3] and len(found) == 5
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=1))
-    study.enqueue_trial(WHOLE.settings(3))
-    study.optimize(WHOLE.objective, n_trials=5)
-    assert len(study.trials) == 5 and study.trials[0].value == WHOLE.cost[3]
-    for trial in study.trials:
-        assert trial.value == WHOLE.cost[WHOLE.row_nearest_to(trial.params)]
-        assert trial.distributions == WHOLE.space
+    free = [study.ask(WHOLE.space).params for _ in range(4)]
+    expected = [WHOLE.cost[WHOLE.row_nearest_to(settings)] for settings in free]
+    assert list(found[1:]) == expected == [WHOLE.cost_at(settings) for settings in free]
 
 
 def test_the_ranking_is_the_mean_rank_from_the_good_ends() -> None:

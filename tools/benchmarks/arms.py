@@ -1,7 +1,8 @@
 """Arms of the comparisons: ways of choosing trials on a benchmark's problems.
 
-An arm is a function from a problem, a seed and a number of trials to the costs of these trials.
-`study_costs` makes one of a sampler of Optuna; another optimizer needs a function of its own.
+An arm is a function from a problem, a seed and a number of trials to the costs of these trials. A
+problem has a `space`, as Optuna has it, and `cost_at(settings)`. `study_costs` makes an arm of a
+sampler of Optuna; another optimizer needs a function of its own.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -49,7 +50,7 @@ def peer(name: str, sees: str) -> Arm:
     """The arm of a sampler of Optuna with its defaults."""
     label, make = PEERS[name]
     return Arm(label, sees, "peer", lambda problem, seed, trials: study_costs(
-        problem.objective, make(seed), trials))  # fmt: skip
+        problem, make(seed), trials))  # fmt: skip
 
 
 def ours(
@@ -57,18 +58,18 @@ def ours(
 ) -> Arm:
     """An arm of our sampler, which `make` makes for a problem and a seed."""
     return Arm(label, sees, "ours", lambda problem, seed, trials: study_costs(
-        problem.objective, make(problem, seed), trials), features)  # fmt: skip
+        problem, make(problem, seed), trials), features)  # fmt: skip
 
 
 def study_costs(
-    objective: Callable[[optuna.Trial], float],
-    sampler: BaseSampler,
-    trials: int,
-    first: Iterable[Mapping[str, Any]] = (),
+    problem: Any, sampler: BaseSampler, trials: int, first: Iterable[Mapping[str, Any]] = ()
 ) -> Floats:
     """Costs of the trials of a study in their order, [trials]; settings `first` are tried first."""
-    study = optuna.create_study(sampler=sampler)
+    study, costs = optuna.create_study(sampler=sampler), []
     for settings in first:
         study.enqueue_trial(dict(settings))
-    study.optimize(objective, n_trials=trials)
-    return np.array([trial.values[0] for trial in study.get_trials(deepcopy=False)])
+    for _ in range(trials):
+        trial = study.ask(problem.space)
+        costs.append(problem.cost_at(trial.params))
+        study.tell(trial, costs[-1])
+    return np.array(costs)

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import optuna
 from numpy.typing import ArrayLike, NDArray
 from optuna.distributions import (
     BaseDistribution,
@@ -50,11 +49,9 @@ ENQUEUED = 3  # rows that are tried before a peer's own first trial
 
 @dataclass(frozen=True)
 class Feature:
-    """A cheap number that a practitioner would have of each candidate, as it comes.
+    """A cheap number that a practitioner has of each candidate: the preferred end, and a meaning.
 
-    Attributes:
-        good: the end that practitioners prefer.
-        meaning: with its unit.
+    The meaning names the unit.
     """
 
     good: Literal["low", "high"]
@@ -68,9 +65,9 @@ class OutsideProblem:
     Attributes:
         name: one of `PROBLEMS`.
         purpose: "tuning" or "reported".
-        field: whose problem it is.
+        field: of the problem, in words.
         cost_meaning: the minimised quantity, with its unit.
-        space: of the parameters, d of them, as Optuna has it.
+        space: of the d parameters, as Optuna has it.
         columns: of the parameters, [n] each: floats, integers, or words.
         feature_meanings: of k features by name.
         features: as they came, [n, k]; infinite or NaN where the cheap run failed.
@@ -138,9 +135,8 @@ class OutsideProblem:
         point = self._coordinates({name: [settings[name]] for name in self.space})
         return int(np.argmin(((self._points - point) ** 2).sum(axis=1)))
 
-    def objective(self, trial: optuna.Trial) -> float:
-        """The cost of the candidate nearest to the suggested settings."""
-        settings = {name: _suggest(trial, name, self.space[name]) for name in self.space}
+    def cost_at(self, settings: Settings) -> float:
+        """The cost of the candidate nearest to any point of the space."""
         return float(self.cost[self.row_nearest_to(settings)])
 
     @cached_property
@@ -217,16 +213,6 @@ def read(path: Path) -> OutsideProblem:
     )
 
 
-def _suggest(trial: optuna.Trial, name: str, distribution: BaseDistribution) -> float | int | str:
-    """A parameter of the trial, suggested by its distribution."""
-    if isinstance(distribution, CategoricalDistribution):
-        return str(trial.suggest_categorical(name, distribution.choices))
-    if isinstance(distribution, IntDistribution):
-        return trial.suggest_int(name, distribution.low, distribution.high, log=distribution.log)
-    assert isinstance(distribution, FloatDistribution)
-    return trial.suggest_float(name, distribution.low, distribution.high, log=distribution.log)
-
-
 def _cube(distribution: BaseDistribution, values: ArrayLike) -> Floats:
     """A column [n] as coordinates, [n, 1] or, of a choice, [n, choices]."""
     if isinstance(distribution, CategoricalDistribution):
@@ -270,7 +256,7 @@ def _ranking_alone(problem: OutsideProblem, seed: int, trials: int) -> Floats:
 
 def _tpe_after_ranking(problem: OutsideProblem, seed: int, trials: int) -> Floats:
     first = [problem.settings(int(row)) for row in rows_by_ranking(problem, seed)[:ENQUEUED]]
-    return study_costs(problem.objective, PEERS["tpe"][1](seed), trials, first)
+    return study_costs(problem, PEERS["tpe"][1](seed), trials, first)
 
 
 _NOTHING = "nothing"

@@ -18,12 +18,11 @@ Each seed is another instance: Schwefel's is mirrored in random parameters, Rast
 and rotated at random. `ARMS` are the samplers that are compared on it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.samplers import BaseSampler
 from scipy.stats import ortho_group, qmc
@@ -92,18 +91,18 @@ class Problem:
         """Feature of points [n, 16] in the order of `NAMES`, [n, 1]."""
         return self.feature(points)[:, None]
 
-    def distributions(self) -> dict[str, BaseDistribution]:
+    @property
+    def space(self) -> dict[str, BaseDistribution]:
         """The box, as Optuna has it."""
-        return {name: FloatDistribution(-self.half_width, self.half_width) for name in NAMES}
+        return dict.fromkeys(NAMES, FloatDistribution(-self.half_width, self.half_width))
 
     def rows(self, bits: int = SOBOL_BITS) -> Floats:
         """2^bits scrambled Sobol points of the box, [2^bits, 16]: the rows of a table."""
         return _sobol(self.half_width, bits, _rng(self.seed, _Draw.TABLE))
 
-    def objective(self, trial: optuna.Trial) -> float:
-        """The cost of a trial that suggests all 16 parameters."""
-        point = [trial.suggest_float(name, -self.half_width, self.half_width) for name in NAMES]
-        return float(self.cost(np.array([point]))[0])
+    def cost_at(self, settings: Mapping[str, float]) -> float:
+        """The cost of a point of the box, by the names of its parameters."""
+        return float(self.cost(np.array([[settings[name] for name in NAMES]]))[0])
 
 
 def problem(name: str, seed: int) -> Problem:
@@ -202,7 +201,7 @@ def _table(found: Problem) -> FeatureTable:
     """The problem's rows with their feature."""
     rows = found.rows()
     columns = dict(zip(NAMES, rows.T, strict=True))
-    return FeatureTable.from_arrays(columns, found.features(rows), space=found.distributions())
+    return FeatureTable.from_arrays(columns, found.features(rows), space=found.space)
 
 
 def _over_rows(kernel: str | None = None) -> Callable[[Problem, int], BaseSampler]:
@@ -211,12 +210,10 @@ def _over_rows(kernel: str | None = None) -> Callable[[Problem, int], BaseSample
 
 
 def _euclidean(found: Problem, seed: int) -> BaseSampler:
-    """Our sampler over the whole space, a Gaussian process of the parameters."""
-    return FeatureKernelSampler(None, seed=seed, space=found.distributions())
+    return FeatureKernelSampler(None, seed=seed, space=found.space)
 
 
 def _off_grid(found: Problem, seed: int) -> BaseSampler:
-    """Our sampler over the rows, and over points near the best of them."""
     return FeatureKernelSampler(
         _table(found), seed=seed, feature_function=found.features, off_grid=OFF_GRID
     )
