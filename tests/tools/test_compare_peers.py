@@ -138,12 +138,13 @@ def test_bars_are_of_the_arms_and_trials_that_they_name() -> None:
         ("misleading", "ours"): constant(240.0, 203.5),
         ("useless", "ours"): constant(240.0, 204.5),
     }
-    bars = TOOL.Report.of(costs).bars
-    assert bars[0].what == "informative: ours after 30 / RandomSampler after 60"
-    assert [(bar.measured, bar.holds) for bar in bars] == [
-        ("1.50 (1.50 to 1.50), at most 1", False),
-        ("203.50 (203.50 to 203.50), at most 203", False),
-        ("204.50 (204.50 to 204.50), at most 205", True),
+    report = TOOL.Report.of(costs)
+    assert report.markdown().partition("| measured | holds |\n")[2].splitlines()[1:] == [
+        "| informative: ours after 30 / RandomSampler after 60 | 1.50 (1.50 to 1.50), at most 1"
+        " | **no** |",
+        "| misleading: mean regret of ours after 60 | 203.50 (203.50 to 203.50), at most 203"
+        " | **no** |",
+        "| useless: mean regret of ours after 60 | 204.50 (204.50 to 204.50), at most 205 | yes |",
     ]
     other = {("misleading", "ours"): constant(240.0, 300.0, trials=40)}
     assert TOOL.Report.of(other).bars == ()  # the bar is of 60 trials

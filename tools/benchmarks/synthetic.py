@@ -69,7 +69,6 @@ class Problem:
 
     Attributes:
         name: one of `PROBLEMS`.
-        landscape: "schwefel" or "rastrigin".
         seed: of the instance.
         half_width: every parameter lies in [-half_width, half_width].
         terms: of the cost, [n, 16] -> [n, 16], each at least 0.
@@ -77,7 +76,6 @@ class Problem:
     """
 
     name: str
-    landscape: str
     seed: int
     half_width: float
     terms: Function
@@ -113,18 +111,19 @@ def problem(name: str, seed: int) -> Problem:
     """
     if name not in PROBLEMS:
         raise InputError("problem", name, f"one of {', '.join(PROBLEMS)}")
-    landscape, rng = landscape_of(name), _rng(seed, _Draw.COST)
-    if landscape == "schwefel":
-        half_width, terms = SCHWEFEL_HALF_WIDTH, _schwefel(rng)
-    else:
-        half_width, terms = RASTRIGIN_HALF_WIDTH, _rastrigin(rng)
-    feature = _feature(name, seed, half_width, terms)
-    return Problem(name, landscape, seed, half_width, terms, feature)
+    make, half_width = LANDSCAPES[shared(name)]
+    terms = make(_rng(seed, _Draw.COST))
+    return Problem(name, seed, half_width, terms, _feature(name, seed, half_width, terms))
 
 
-def landscape_of(name: str) -> str:
-    """The cost's function of a problem."""
+def shared(name: str) -> str:
+    """The landscape, whose problems have one cost: the folder of runs without features."""
     return "schwefel" if name == "informative" else "rastrigin"
+
+
+def digest(name: str) -> str:
+    """Nothing: this file decides all numbers."""
+    return ""
 
 
 def _schwefel(rng: np.random.Generator) -> Function:
@@ -150,30 +149,29 @@ def _rastrigin(rng: np.random.Generator) -> Function:
     return terms
 
 
+LANDSCAPES = {
+    "schwefel": (_schwefel, SCHWEFEL_HALF_WIDTH),
+    "rastrigin": (_rastrigin, RASTRIGIN_HALF_WIDTH),
+}
+
+
 def _feature(name: str, seed: int, half_width: float, terms: Function) -> Function:
     """The feature of a problem, by its name."""
     rng = _rng(seed, _Draw.FEATURE)
-    if name == "useless":
-        return _wave(rng, half_width)
-    cheap = _cheap_simulation(rng, terms)
+    if name == "useless":  # a sine along a random direction, `WAVES` periods across the box
+        direction = rng.standard_normal(DIMENSION)
+        direction *= np.pi * WAVES / (half_width * np.linalg.norm(direction))
+        return lambda points: np.sin(points @ direction)
+    known = rng.permutation(DIMENSION)[TERMS_MISSED:]
+
+    def cheap(points: Floats) -> Floats:
+        return np.asarray(terms(points)[:, known].sum(axis=1))
+
     if name != "misleading":
         return cheap
     space = _sobol(half_width, SOBOL_BITS, _rng(seed, _Draw.FOLD))
     fold = float(np.quantile(cheap(space), FOLDED_SHARE))
     return lambda points: np.abs(cheap(points) - fold)
-
-
-def _cheap_simulation(rng: np.random.Generator, terms: Function) -> Function:
-    """The sum of all but a few terms."""
-    known = rng.permutation(DIMENSION)[TERMS_MISSED:]
-    return lambda points: np.asarray(terms(points)[:, known].sum(axis=1))
-
-
-def _wave(rng: np.random.Generator, half_width: float) -> Function:
-    """The sine of a random direction, `WAVES` periods across the box."""
-    direction = rng.standard_normal(DIMENSION)
-    direction *= np.pi * WAVES / (half_width * np.linalg.norm(direction))
-    return lambda points: np.sin(points @ direction)
 
 
 def _sobol(half_width: float, bits: int, rng: np.random.Generator) -> Floats:
@@ -185,16 +183,6 @@ def _sobol(half_width: float, bits: int, rng: np.random.Generator) -> Floats:
 def _rng(seed: int, draw: _Draw) -> np.random.Generator:
     """The generator of one kind of draw."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(draw),)))
-
-
-def shared(name: str) -> str:
-    """The folder of runs without features, which problems of one landscape share."""
-    return landscape_of(name)
-
-
-def digest(name: str) -> str:
-    """Nothing: this file decides all numbers."""
-    return ""
 
 
 def _table(found: Problem) -> FeatureTable:
