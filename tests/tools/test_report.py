@@ -1,6 +1,8 @@
-"""tools/report.py as its users meet it: files, unfinished folders, refusals."""
+"""`taichi-nmm report` as its users meet it: files, unfinished folders, refusals."""
 
 import json
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -34,74 +36,69 @@ def write(folder: Path, cost: str = "smooth") -> Path:
     return synthetic.write(folder, ARMS, runs=5, trials=12, cost=cost, name=folder.name)
 
 
-def test_a_report_has_its_figures_and_its_numbers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = write(tmp_path / "rough8")
-    assert report(monkeypatch, folder) == 0
-    assert {file.name for file in (folder / "report").iterdir()} >= FILES
-    summary = json.loads((folder / "report" / "summary.json").read_text())
-    assert summary["experiment"] == "rough8" and summary["complete"] is True
-    assert {arm["arm"] for arm in summary["arms"]} == set(ARMS)
-    assert (folder / "report" / "report.md").read_text().startswith("# rough8\n")
-    assert "rough8" in capsys.readouterr().out
-
-
-def test_an_unfinished_folder_is_reported_as_far_as_it_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = write(tmp_path / "begun")
-    table = pq.read_table(folder / "trials.parquet")
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished and an unfinished folder of 0.1.0, reported together; what was printed."""
+    root = tmp_path_factory.mktemp("reported")
+    write(root / "one")
+    begun = write(root / "two", "walking")
+    table = pq.read_table(begun / "trials.parquet")
     behind = pc.and_(pc.equal(table["arm"], "best"), pc.greater(table["trial"], 3))
-    (folder / "arms").mkdir()
-    pq.write_table(table.filter(pc.invert(behind)), folder / "arms" / "all.parquet")
-    (folder / "trials.parquet").unlink()
-    assert report(monkeypatch, folder) == 0
-    assert "140 of 180 trials" in capsys.readouterr().out
-    assert "Unfinished: 140 of 180" in (folder / "report" / "report.md").read_text()
+    (begun / "arms").mkdir()
+    pq.write_table(table.filter(pc.invert(behind)), begun / "arms" / "all.parquet")
+    (begun / "trials.parquet").unlink()
+    words: list[object] = [root / "one", begun, "--out", root / "all"]
+    for cost, best in (("walking", 5.0), ("smooth", 0.011)):
+        (root / f"{cost}.json").write_text(json.dumps({"cost": cost, "best_cost": best}))
+        words += ["--optimum", root / f"{cost}.json"]
+    out, err = StringIO(), StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        assert report(patch, *words) == 0
+    (root / "out.txt").write_text(out.getvalue())
+    (root / "err.txt").write_text(err.getvalue())
+    return root
 
 
-def test_several_folders_share_an_overview(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folders = [write(tmp_path / "one"), write(tmp_path / "two", "walking")]
-    assert report(monkeypatch, *folders, "--out", tmp_path / "all") == 0
-    text = (tmp_path / "all" / "overview.md").read_text()
+def test_a_report_has_its_figures_and_its_numbers(reported: Path) -> None:
+    folder = reported / "one" / "report"
+    assert {file.name for file in folder.iterdir()} == FILES
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["experiment"] == "one" and summary["complete"] is True
+    assert {arm["arm"] for arm in summary["arms"]} == set(ARMS)
+    assert (folder / "report.md").read_text().startswith("# one\n")
+    assert f"{folder}: one\n" in (reported / "out.txt").read_text()
+
+
+def test_the_optimum_of_the_same_cost_is_drawn(reported: Path) -> None:
+    for name, optimum in (("one", 0.011), ("two", 5.0)):
+        folder = reported / name / "report"
+        assert json.loads((folder / "summary.json").read_text())["optimum"] == optimum
+        assert f"estimated optimum: {optimum:g}" in (folder / "report.md").read_text()
+
+
+def test_an_unfinished_folder_is_reported_as_far_as_it_is(reported: Path) -> None:
+    assert "two (140 of 180 trials)" in (reported / "out.txt").read_text()
+    assert "Unfinished: 140 of 180" in (reported / "two" / "report" / "report.md").read_text()
+
+
+def test_several_folders_share_an_overview(reported: Path) -> None:
+    folder = reported / "all"
+    text = (folder / "overview.md").read_text()
     assert "| one |" in text and "| two |" in text
     assert "\n## one\n" in text and "\n## two\n" in text
-    assert (tmp_path / "all" / "overview.png").stat().st_size > 5_000
-    assert (tmp_path / "all" / "overview.svg").exists()
-    known = json.loads((tmp_path / "all" / "overview.json").read_text())
+    assert (folder / "overview.png").stat().st_size > 5_000
+    assert (folder / "overview.svg").exists()
+    known = json.loads((folder / "overview.json").read_text())
     assert [each["experiment"] for each in known["experiments"]] == ["one", "two"]
 
 
-def test_the_optimum_of_the_same_cost_is_drawn(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = write(tmp_path / "rough8")
-    for cost, best in (("walking", 5.0), ("smooth", 0.011)):
-        (tmp_path / f"{cost}.json").write_text(json.dumps({"cost": cost, "best_cost": best}))
-    given = [
-        word for cost in ("walking", "smooth") for word in ("--optimum", tmp_path / f"{cost}.json")
-    ]
-    assert report(monkeypatch, folder, *given) == 0
-    assert json.loads((folder / "report" / "summary.json").read_text())["optimum"] == 0.011
-    assert "estimated optimum: 0.011" in (folder / "report" / "report.md").read_text()
-
-
-def test_a_folder_that_does_not_say_its_ground_has_no_strips(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = write(tmp_path / "rough8")
-    assert report(monkeypatch, folder) == 0
-    assert capsys.readouterr().err == (
-        "rough8: no strips (the folder is of version 0.1.0 and does not name its ground)\n"
-    )
-    assert not (folder / "report" / "strips.png").exists()
-    assert report(monkeypatch, folder, "--no-strips") == 0
-    assert capsys.readouterr().err == ""
+def test_a_folder_that_does_not_say_its_ground_has_no_strips(reported: Path) -> None:
+    why = "no strips (the folder is of version 0.1.0 and does not name its ground)\n"
+    assert (reported / "err.txt").read_text() == f"one: {why}two: {why}"
 
 
 def test_what_a_folder_says_is_simulated_again_whatever_its_seed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As of a comparison with --seed, which no configuration has."""
     folder = write(tmp_path / "rough8-seed-523001")
@@ -118,12 +115,15 @@ def test_what_a_folder_says_is_simulated_again_whatever_its_seed(
         return Result(rows, (synthetic_gait.walk(0.5), synthetic_gait.walk(8.0)))
 
     monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate)
+    assert report(monkeypatch, folder, "--no-strips") == 0
+    assert not seen and not (folder / "report" / "strips.svg").exists()
     assert report(monkeypatch, folder) == 0
     assert (folder / "report" / "strips.svg").exists()
     assert "Before: best combination, trial" in (folder / "report" / "report.md").read_text()
     (terrain,) = seen[0]["terrains"]
     grounds = [read_experiment(config, seed=523001).terrain(run).height(50.0) for run in range(5)]
     assert float(terrain.height(50.0)) in [float(height) for height in grounds]
+    assert capsys.readouterr().err == ""
 
 
 def test_bad_input_is_one_line(
@@ -132,6 +132,8 @@ def test_bad_input_is_one_line(
     folder = write(tmp_path / "rough8")
     broken = tmp_path / "broken.json"
     broken.write_text(json.dumps({"best": 1}))
+    large = tmp_path / "large.json"
+    large.write_text(json.dumps({"cost": "smooth", "best_cost": 1e300}))
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("")
     strange = write(tmp_path / "strange")
@@ -144,7 +146,8 @@ def test_bad_input_is_one_line(
         ((folder, "--optimum", tmp_path / ("x" * 300)), "optimum"),
         ((tmp_path / "empty",), "folder"),
         ((folder, "--optimum", tmp_path / "none.json"), "optimum"),
-        ((folder, "--optimum", broken), "optimum"),
+        ((folder, "--optimum", broken), "optimum: broken.json: cost"),
+        ((folder, "--optimum", large), "optimum: large.json: best_cost"),
         ((folder, "--out", tmp_path / "all"), "out"),
         ((folder, folder, "--out", tmp_path / "file", "--no-strips"), "out"),
         ((folder, folder, "--out", "/", "--no-strips"), "out"),
