@@ -1,5 +1,6 @@
 """First trials, turns that are left to the parameters, and one thread of BLAS."""
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -323,24 +324,24 @@ def test_a_study_of_an_experiment_does(
     assert asked == told == [{1}]
 
 
-PROGRAM = f"""
+PROGRAM = """
 import numpy as np, optuna
-from threadpoolctl import threadpool_info, threadpool_limits
+from threadpoolctl import threadpool_info
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import acquisition
 learn = acquisition.learn
 def watched(*arguments):
-    print({{pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}})
+    print({pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"})
     return learn(*arguments)
 acquisition.learn = watched
 x = np.linspace(0.0, 1.0, 9)
-sampler = FeatureKernelSampler(FeatureTable.from_arrays({{"x": x}}, x**2), seed=1)
-with threadpool_limits({GIVEN}, user_api="blas"):
-    optuna.create_study(sampler=sampler).optimize(lambda t: t.suggest_float("x", 0.0, 1.0), 3)
+sampler = FeatureKernelSampler(FeatureTable.from_arrays({"x": x}, x**2), seed=1)
+optuna.create_study(sampler=sampler).optimize(lambda t: t.suggest_float("x", 0.0, 1.0), 3)
 """
 
 
 def test_scipys_own_library_is_limited_too() -> None:
     """It is loaded by the first proposal of a process, after NumPy's."""
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, cwd=ROOT)
+    command, two = [sys.executable, "-c", PROGRAM], {"OPENBLAS_NUM_THREADS": "2"}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=os.environ | two)
     assert done.stdout == "{1}\n", done.stderr

@@ -11,13 +11,12 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from optuna.distributions import FloatDistribution
-from optuna.samplers import RandomSampler
 from optuna.trial import TrialState, create_trial
 from scipy import stats
 
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
+from study.sampler.acquisition import Model
 from study.sampler.diagnostics import (
-    Present,
     RankCorrelation,
     Worth,
     percents,
@@ -27,6 +26,7 @@ from study.sampler.diagnostics import (
 from study.sampler.gp import condition
 from study.sampler.transforms import NormalScores, Points, Standard
 from taichi_nmm.errors import InputError
+from tests.study.sampler.studies import params_of, study_of
 
 Floats = NDArray[np.float64]
 
@@ -60,27 +60,39 @@ def good_features() -> Floats:
     return np.column_stack([error, rng.normal(size=ROWS), np.ones(ROWS)])
 
 
-def table(features: Floats | None = None, names: tuple[str, ...] = NAMES) -> FeatureTable:
+def new_table(features: Floats | None = None, names: tuple[str, ...] = NAMES) -> FeatureTable:
     made = good_features() if features is None else features
     return FeatureTable.from_arrays(columns(), made, list(names), space=SPACE)
 
 
-def drawn_rows(
-    of: FeatureTable, trials: int, rng: np.random.Generator | None = None
-) -> optuna.Study:
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", UserWarning)  # one feature is constant
+    TABLE = new_table()
+
+
+def add(study: optuna.Study, row: int, value: float) -> None:
+    """A finished trial of a row of the table."""
+    params = TABLE.rows.as_parameters(row)
+    study.add_trial(create_trial(params=params, distributions=dict(SPACE), value=value))
+
+
+def drawn_rows(trials: int, rng: np.random.Generator | None = None) -> optuna.Study:
     """Rows drawn at random; without a generator the first ones, whose order is none."""
-    study = optuna.create_study(sampler=RandomSampler(seed=0))
+    study = optuna.create_study()
     rows = np.arange(ROWS) if rng is None else rng.permutation(ROWS)
     for row in rows[:trials].tolist():
-        study.enqueue_trial(of.rows.as_parameters(row))
-    study.optimize(objective, n_trials=trials)
+        add(study, row, float(cost_of(**TABLE.rows.as_parameters(row))))
     return study
 
 
-def present(sampler: FeatureKernelSampler, study: optuna.Study) -> Present:
-    known = sampler._policy.present(study)
-    assert known is not None
-    return known
+def worth_of(study: optuna.Study, features: Any = TABLE, **options: Any) -> Worth:
+    return FeatureKernelSampler(features, seed=1, **options).worth(study)
+
+
+def model_of(study: optuna.Study, **options: Any) -> Model:
+    present = FeatureKernelSampler(TABLE, seed=1, **options)._policy.present(study)
+    assert present is not None
+    return present.model
 
 
 def weights(worth: Worth) -> tuple[float, ...]:
@@ -148,8 +160,7 @@ def test_perfect_order_of_few_trials_is_not_certainty() -> None:
 def test_leaving_out_is_that_of_refits_with_the_same_constants(
     kernel: str, prior: str | None
 ) -> None:
-    sampler = FeatureKernelSampler(table(), seed=1, kernel=kernel, prior=prior)
-    posterior = present(sampler, drawn_rows(table(), 12)).model.posterior
+    posterior = model_of(drawn_rows(12), kernel=kernel, prior=prior).posterior
     y = posterior.cost_mean + posterior.cost_sd * posterior.y
     theta = posterior.theta
     missed = []
@@ -171,8 +182,7 @@ def test_a_constant_leaves_out_too() -> None:
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("prior", [None, "error", "-nothing"])
 def test_weights_are_shares(kernel: str, prior: str | None) -> None:
-    sampler = FeatureKernelSampler(table(), seed=1, kernel=kernel, prior=prior)
-    found = weights(sampler.worth(drawn_rows(table(), 15)))
+    found = weights(worth_of(drawn_rows(15), kernel=kernel, prior=prior))
     assert sum(found) == pytest.approx(1.0)
     assert min(found) >= 0.0
     assert found[2] == 0.0  # the constant
@@ -188,16 +198,15 @@ def test_percents_sum_to_100(shares: tuple[float, ...]) -> None:
 
 def test_likeness_is_split_by_the_length_scales() -> None:
     """With the formula written out, of the model of one score a feature."""
-    sampler = FeatureKernelSampler(table(), seed=1, kernel="rbf_ard")
-    study = drawn_rows(table(), 15)
-    theta = present(sampler, study).model.posterior.theta
+    study = drawn_rows(15)
+    theta = model_of(study, kernel="rbf_ard").posterior.theta
     s2, *scales, noise = np.exp(theta)
     x = Standard.of(good_features()).standard(good_features())
     squared = ((x[:, None] - x[None]) ** 2 / np.array(scales) ** 2).sum(axis=2)
     likeness = s2 * (1 - np.exp(-squared / 2).mean())
     relative = np.array([1, 1, 0]) / np.array(scales) ** 2
     parts = np.append(likeness * relative / relative.sum(), [0.0, noise])
-    assert_allclose(weights(sampler.worth(study)), parts / parts.sum(), rtol=1e-6)
+    assert_allclose(weights(worth_of(study, kernel="rbf_ard")), parts / parts.sum(), rtol=1e-6)
 
 
 def test_owners_are_the_features_of_the_columns() -> None:
@@ -214,8 +223,7 @@ def test_owners_are_the_features_of_the_columns() -> None:
 
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_a_feature_that_tells_the_cost_is_worth_something(kernel: str) -> None:
-    sampler = FeatureKernelSampler(table(), seed=1, kernel=kernel)
-    worth = sampler.worth(drawn_rows(table(), 30))
+    worth = worth_of(drawn_rows(30), kernel=kernel)
     good, useless, constant = worth.correlations
     assert good is not None and good.low > 0.8
     assert useless is not None and useless.low < 0.0 < useless.high
@@ -235,10 +243,8 @@ def test_features_without_worth_are_rarely_praised(kernel: str) -> None:
     praised, ratios = 0, []
     for seed in range(60):
         rng = np.random.default_rng([7, seed])
-        useless = table(rng.normal(size=(ROWS, 3)), ("one", "two", "three"))
-        worth = FeatureKernelSampler(useless, seed=1, kernel=kernel).worth(
-            drawn_rows(useless, 20, rng)
-        )
+        useless = new_table(rng.normal(size=(ROWS, 3)), ("one", "two", "three"))
+        worth = worth_of(drawn_rows(20, rng), useless, kernel=kernel)
         assert worth.errors is not None
         ratios.append(worth.errors.model / (worth.errors.without or 1.0))
         praised += worth.verdict.startswith(("The features explain", "The costs follow"))
@@ -246,31 +252,27 @@ def test_features_without_worth_are_rarely_praised(kernel: str) -> None:
     assert np.median(ratios) > 0.9
 
 
-def test_a_told_feature_that_trials_contradict_loses_its_weight() -> None:
-    study = drawn_rows(table(), 40)
-    told = FeatureKernelSampler(table(), seed=1, prior="nothing")
-    assert weights(told.worth(study))[1] < 0.25
+def test_a_prior_that_trials_contradict_loses_its_weight() -> None:
+    assert weights(worth_of(drawn_rows(40), prior="nothing"))[1] < 0.25
 
 
 def test_one_constant_feature_is_worth_nothing() -> None:
-    constant = table(np.ones((ROWS, 1)), ("constant",))
-    worth = FeatureKernelSampler(constant, seed=1).worth(drawn_rows(constant, 12))
+    worth = worth_of(drawn_rows(12), new_table(np.ones((ROWS, 1)), ("constant",)))
     assert worth.correlations == (None,)
     assert weights(worth)[0] == 0.0
     assert "not (yet) worth anything" in worth.verdict
 
 
-def test_missing_and_infinite_features_are_borne() -> None:
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_missing_and_infinite_features_do_no_harm(kernel: str) -> None:
     features = good_features()
     features[::3, 1] = np.nan
     features[::5, 0] = np.inf
     features[::7, 0] = np.nan
-    gaps = table(features)
-    for kernel in KERNELS:
-        worth = FeatureKernelSampler(gaps, seed=1, kernel=kernel).worth(drawn_rows(gaps, 20))
-        assert sum(weights(worth)) == pytest.approx(1.0)
-        assert worth.errors is not None and np.isfinite(worth.errors.model)
-        assert "nan" not in str(worth)
+    worth = worth_of(drawn_rows(20), new_table(features), kernel=kernel)
+    assert sum(weights(worth)) == pytest.approx(1.0)
+    assert worth.errors is not None and np.isfinite(worth.errors.model)
+    assert "nan" not in str(worth)
 
 
 # The study, and how it is left.
@@ -279,7 +281,7 @@ def test_missing_and_infinite_features_are_borne() -> None:
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("trials", [0, 1, 3, 4])
 def test_few_trials_are_no_error(kernel: str, trials: int) -> None:
-    worth = FeatureKernelSampler(table(), seed=1, kernel=kernel).worth(drawn_rows(table(), trials))
+    worth = worth_of(drawn_rows(trials), kernel=kernel)
     assert worth.verdict == f"too few trials: {trials} of 5"
     assert worth.weights is None and worth.errors is None
     assert (worth.correlations[0] is not None) == (trials == 4)
@@ -288,23 +290,16 @@ def test_few_trials_are_no_error(kernel: str, trials: int) -> None:
 
 
 def test_trials_that_cost_the_same_say_nothing() -> None:
-    study = optuna.create_study(sampler=FeatureKernelSampler(table(), seed=1))
-
-    def level(trial: optuna.Trial) -> float:
-        return 0.0 * objective(trial)
-
-    study.optimize(level, n_trials=8)
-    worth = study.sampler.worth(study)  # type: ignore[attr-defined]
+    worth = worth_of(study_of(TABLE, lambda trial: 0.0 * objective(trial), 8))
     assert worth.verdict == "nothing is known of the features: all 8 trials cost the same"
     assert worth.correlations == (None, None, None)
 
 
-def test_infinite_costs_are_borne() -> None:
-    study = drawn_rows(table(), 10)
-    for row, value in ((50, np.inf), (51, -np.inf)):
-        params = table().rows.as_parameters(row)
-        study.add_trial(create_trial(params=params, distributions=dict(SPACE), value=value))
-    worth = FeatureKernelSampler(table(), seed=1).worth(study)
+def test_infinite_costs_do_no_harm() -> None:
+    study = drawn_rows(10)
+    add(study, 50, np.inf)
+    add(study, 51, -np.inf)
+    worth = worth_of(study)
     assert worth.trials == 12
     assert worth.errors is not None and np.isfinite(worth.errors.model)
 
@@ -314,17 +309,17 @@ def by_hand(points: Floats) -> Floats:
 
 
 FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
-    "table": lambda: FeatureKernelSampler(table(), seed=1),
-    "told": lambda: FeatureKernelSampler(table(), seed=1, prior="-error"),
-    "dog": lambda: DoGSampler(table(good_features()[:, :1], ("error",)), seed=1),
+    "table": lambda: FeatureKernelSampler(TABLE, seed=1),
+    "prior": lambda: FeatureKernelSampler(TABLE, seed=1, prior="-error"),
+    "dog": lambda: DoGSampler(new_table(good_features()[:, :1], ("error",)), seed=1),
     "off_grid": lambda: FeatureKernelSampler(
-        table(by_hand(np.column_stack(list(columns().values()))), ("error", "b")),
+        new_table(by_hand(np.column_stack(list(columns().values()))), ("error", "b")),
         seed=1,
         feature_function=by_hand,
         off_grid=20,
     ),
     "function": lambda: FeatureKernelSampler(by_hand, seed=1, space=SPACE),
-    "function, told": lambda: FeatureKernelSampler(
+    "function, prior": lambda: FeatureKernelSampler(
         by_hand, seed=1, space=SPACE, prior="-feature_0"
     ),
     "function, found": lambda: FeatureKernelSampler(by_hand, seed=1),
@@ -359,70 +354,63 @@ def test_looking_does_not_change_what_is_proposed(form: str) -> None:
             study.optimize(objective, n_trials=1)
             if study is looked:
                 study.sampler.worth(study)  # type: ignore[attr-defined]
-    assert [t.params for t in looked.trials] == [t.params for t in not_looked.trials]
+    assert params_of(looked) == params_of(not_looked)
 
 
 @pytest.mark.parametrize("trials", [0, 1, 4])
-def test_a_function_with_few_trials_is_no_error(trials: int) -> None:
-    for space in (None, SPACE):
-        sampler = FeatureKernelSampler(by_hand, seed=1, space=space)
-        study = optuna.create_study(sampler=sampler)
-        study.optimize(objective, n_trials=trials)
-        worth = sampler.worth(study)
-        assert worth.verdict == f"too few trials: {trials} of 5"
-        assert worth.names == (("feature_0", "feature_1") if trials else ())
-        assert str(worth) and worth.markdown()
+@pytest.mark.parametrize("space", [None, SPACE])
+def test_a_function_with_few_trials_is_no_error(trials: int, space: Any) -> None:
+    worth = worth_of(study_of(by_hand, objective, trials, space=space), by_hand, space=space)
+    assert worth.verdict == f"too few trials: {trials} of 5"
+    assert worth.names == (("feature_0", "feature_1") if trials else ())
+    assert str(worth) and worth.markdown()
 
 
-def test_a_function_is_asked_of_trials_without_a_note() -> None:
-    study = drawn_rows(table(), 20)
-    worth = FeatureKernelSampler(by_hand, seed=1, space=SPACE).worth(study)
-    first = worth.correlations[0]
+def test_a_function_is_called_for_trials_without_a_note() -> None:
+    first = worth_of(drawn_rows(20), by_hand, space=SPACE).correlations[0]
     assert first is not None and first.value == 1.0
 
 
 def test_a_maximised_study_is_the_same_with_the_sign_turned() -> None:
-    down, up = drawn_rows(table(), 15), optuna.create_study(direction="maximize")
+    down, up = drawn_rows(15), optuna.create_study(direction="maximize")
     for trial in down.trials:
-        value = -trial.values[0]
         up.add_trial(
-            create_trial(params=trial.params, distributions=trial.distributions, value=value)
+            create_trial(
+                params=trial.params, distributions=trial.distributions, value=-trial.values[0]
+            )
         )
-    of_down, of_up = (FeatureKernelSampler(table(), seed=1).worth(study) for study in (down, up))
+    of_down, of_up = map(worth_of, (down, up))
     assert of_up.correlations == of_down.correlations
     assert weights(of_up) == weights(of_down) and of_up.errors == of_down.errors
     assert "minus the study's value" in str(of_up) and "minus" not in str(of_down)
 
 
 def test_trials_off_the_table_are_not_counted() -> None:
-    study = drawn_rows(table(), 6)
+    study = drawn_rows(6)
     study.enqueue_trial({"a": 0.123, "b": 4.5})
     study.optimize(objective, n_trials=1)
-    assert FeatureKernelSampler(table(), seed=1).worth(study).trials == 6
+    assert worth_of(study).trials == 6
 
 
-@pytest.mark.parametrize(
-    "sampler",
-    [FeatureKernelSampler, lambda: FeatureKernelSampler(table(), kernel="euclidean")],
-)
-def test_without_features_there_is_no_worth(sampler: Callable[[], FeatureKernelSampler]) -> None:
-    with pytest.raises(InputError, match=r"^kernel: 'euclidean'.*nothing to report$") as caught:
-        sampler().worth(optuna.create_study())
-    assert "\n" not in str(caught.value)
-    assert not sampler().has_features and FORMS["table"]().has_features
+@pytest.mark.parametrize(("features", "options"), [(None, {}), (TABLE, {"kernel": "euclidean"})])
+def test_without_features_there_is_no_worth(features: Any, options: dict[str, str]) -> None:
+    sampler = FeatureKernelSampler(features, **options)
+    with pytest.raises(InputError, match=r"^kernel: 'euclidean'.*nothing to report$"):
+        sampler.worth(optuna.create_study())
+    assert not sampler.has_features and FORMS["table"]().has_features
 
 
 def test_several_objectives_are_refused() -> None:
     study = optuna.create_study(directions=["minimize", "maximize"])
     with pytest.raises(ValueError, match="multi-objective"):
-        FORMS["table"]().worth(study)
+        worth_of(study)
 
 
 # What people read.
 
 
 def test_the_table_has_a_row_a_feature() -> None:
-    worth = FORMS["table"]().worth(drawn_rows(table(), 20))
+    worth = worth_of(drawn_rows(20))
     lines = str(worth).splitlines()
     assert lines[0] == worth.verdict
     assert lines[2].split() == ["feature", "rank", "correlation", "with", "the", "cost", "weight"]
@@ -432,25 +420,20 @@ def test_the_table_has_a_row_a_feature() -> None:
 
 
 def test_the_note_is_a_table_in_markdown() -> None:
-    piped = table(names=("a|b", *NAMES[1:]))
-    note = FeatureKernelSampler(piped, seed=1).worth(drawn_rows(piped, 20)).markdown()
+    note = worth_of(drawn_rows(20), new_table(names=("a|b", *NAMES[1:]))).markdown()
     assert note.startswith("## Are the features worth anything?\n")
     assert "\n| feature | rank correlation with the cost | weight |\n|---|---|--:|\n" in note
     assert "\n| a\\|b | +" in note and "\n| constant | - | 0 % |\n" in note
 
 
 def test_turns_that_are_left_to_the_parameters_are_said() -> None:
-    study, sampler = drawn_rows(table(), 10), FORMS["table"]()
-    params = table().rows.as_parameters(100)
-    study.add_trial(create_trial(params=params, distributions=dict(SPACE), value=-99.0))
-    assert "left to the parameters" not in str(sampler.worth(study))
+    study = drawn_rows(10)
+    add(study, 100, -99.0)
+    assert "left to the parameters" not in str(worth_of(study))
     for row in (101, 102, 103):
-        params = table().rows.as_parameters(row)
-        study.add_trial(create_trial(params=params, distributions=dict(SPACE), value=9.0))
-    assert "left to the parameters" in str(sampler.worth(study))
-    assert "left to the parameters" not in str(
-        FeatureKernelSampler(table(), seed=1, kernel="rbf").worth(study)
-    )
+        add(study, row, 9.0)
+    assert "left to the parameters" in str(worth_of(study))
+    assert "left to the parameters" not in str(worth_of(study, kernel="rbf"))
 
 
 @pytest.mark.parametrize(
@@ -475,18 +458,17 @@ def test_documented_names_of_0_2_0_are_still_found_and_say_their_new_place(
 @pytest.mark.parametrize(("prior", "is_wrong"), [("-error", False), ("error", True)])
 def test_the_sign_of_a_prior_is_held_against_the_trials(prior: str, is_wrong: bool) -> None:
     """Its first rows can be read before a trial; the trials then agree or contradict."""
-    made = table()
     error = good_features()[:, 0]
     ranked = np.argsort(error)[:: -1 if is_wrong else 1][:3]
-    sampler = FeatureKernelSampler(made, prior=prior, seed=1)
-    study = optuna.create_study(sampler=sampler)
-    first = ", ".join(f"{error[row]:.4g}" for row in ranked)
-    rows = ", ".join(map(str, ranked))
-    assert f"By the prior, rows {rows} come first (error: {first})." in str(sampler.worth(study))
+    study = study_of(TABLE, prior=prior)
+    rows, first = (
+        ", ".join(words) for words in (map(str, ranked), (f"{error[r]:.4g}" for r in ranked))
+    )
+    expected = f"By the prior, rows {rows} come first (error: {first})."
+    assert expected in str(worth_of(study, prior=prior))
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         study.optimize(objective, n_trials=20)
-    warned = [str(w.message) for w in said if str(w.message).startswith("prior: ")]
-    assert len(warned) == is_wrong
-    contradicted = "The trials contradict the prior" in sampler.worth(study).markdown()
-    assert contradicted == is_wrong
+    assert sum(str(w.message).startswith("prior: ") for w in said) == is_wrong
+    note = worth_of(study, prior=prior).markdown()
+    assert ("The trials contradict the prior" in note) == is_wrong
