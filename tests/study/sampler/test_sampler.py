@@ -25,15 +25,12 @@ from storage.databases.studies import open_studies
 from study import DoGSampler, FeatureKernelSampler, FeatureTable, SurvivalSampler
 from study.sampler.acquisition import Model
 from study.sampler.gp import KERNELS
+from tests.study.sampler.studies import bowl, params_of, rows_of, study_of
 
 Floats = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[3]
 SPACE = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
-
-
-def bowl(trial: optuna.Trial) -> float:
-    return trial.suggest_float("a", -1, 1) ** 2 + 0.01 * trial.suggest_float("b", 0, 5)
 
 
 def features(params: Floats) -> Floats:
@@ -64,15 +61,10 @@ FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
 }
 
 
-def parameters_of(study: optuna.Study) -> list[dict[str, Any]]:
-    trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    return [trial.params for trial in trials]
-
-
 def run(form: str, trials: int = 9) -> list[dict[str, Any]]:
     study = optuna.create_study(sampler=FORMS[form]())
     study.optimize(bowl, n_trials=trials)
-    return parameters_of(study)
+    return params_of(study)
 
 
 def run_elsewhere(queue: "multiprocessing.Queue[dict[str, Any]]") -> None:
@@ -85,7 +77,7 @@ def test_the_same_seed_proposes_the_same_also_after_reseeding(form: str) -> None
     study = optuna.create_study(sampler=FORMS[form]())
     study.sampler.reseed_rng()
     study.optimize(bowl, n_trials=9)
-    assert parameters_of(study) == run(form)
+    assert params_of(study) == run(form)
 
 
 @pytest.mark.slow
@@ -105,7 +97,7 @@ def test_the_state_is_in_the_trials(form: str) -> None:
     for _ in range(9):  # a new sampler, pickled besides, for each trial
         pieces.sampler = pickle.loads(pickle.dumps(FORMS[form]()))
         pieces.optimize(bowl, n_trials=1)
-    assert parameters_of(pieces) == run(form)
+    assert params_of(pieces) == run(form)
 
 
 SCRIPT = """
@@ -131,7 +123,7 @@ def test_killed_between_trials_and_resumed(form: str, tmp_path: Path) -> None:
     study = optuna.load_study(study_name="s", storage=open_studies(url), sampler=FORMS[form]())
     assert len(study.trials) == 5
     study.optimize(bowl, n_trials=4)
-    assert parameters_of(study) == run(form)
+    assert params_of(study) == run(form)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -147,8 +139,7 @@ def test_every_kernel_finds_good_rows(kernel: str, prior: str | None, direction:
 
 @pytest.mark.parametrize("form", ["callable", "plain"])
 def test_points_of_a_space_become_good(form: str) -> None:
-    sampler = FeatureKernelSampler(features if form == "callable" else None, seed=0)
-    study = optuna.create_study(sampler=sampler)
+    study = study_of(features if form == "callable" else None, seed=0)
     study.optimize(bowl, n_trials=20)
     assert study.best_value < 0.01
     noted = [trial.user_attrs.get("features") for trial in study.trials[1:]]
@@ -164,9 +155,7 @@ def test_points_off_the_table_beat_its_best_row() -> None:
         calls.append(len(params))
         return features(params)
 
-    sampler = FeatureKernelSampler(table, seed=0, off_grid=100, feature_function=counted)
-    study = optuna.create_study(sampler=sampler)
-    study.optimize(bowl, n_trials=25)
+    study = study_of(table, bowl, 25, seed=0, off_grid=100, feature_function=counted)
     assert study.best_value < best_row
     assert calls == [100] * 23  # once a trial after the first two
     off = [t for t in study.trials if t.user_attrs["row"] == -1]
@@ -189,8 +178,7 @@ def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such(
         return looked_at(model, *rest)
 
     table = FeatureTable.from_arrays({"a": [0.1, 0.9, 0.2], "b": [0.0, 0.5, 1.0]}, np.eye(3)[:, :2])
-    sampler = FeatureKernelSampler(table, seed=0, off_grid=30, feature_function=function)
-    study = optuna.create_study(sampler=sampler)
+    study = study_of(table, seed=0, off_grid=30, feature_function=function)
     study.optimize(lambda t: t.suggest_float("a", 0.1, 0.9) + t.suggest_float("b", 0, 1), 8)
     off = [t.number for t in study.trials if t.user_attrs["row"] == -1 and t.params["a"] < 0.5]
     assert off
@@ -208,8 +196,7 @@ def test_a_trial_off_the_table_may_have_gaps(gaps: list[float]) -> None:
         outside = (params[:, 0] < -0.5)[:, None]
         return np.where(outside, gaps, features(params))
 
-    sampler = FeatureKernelSampler(small_table(), seed=0, feature_function=function)
-    study = optuna.create_study(sampler=sampler)
+    study = study_of(small_table(), seed=0, feature_function=function)
     study.enqueue_trial({"a": -0.77, "b": 1.0})
     study.optimize(bowl, n_trials=6)
     assert len({trial.user_attrs.get("row") for trial in study.trials}) == 6
@@ -217,8 +204,7 @@ def test_a_trial_off_the_table_may_have_gaps(gaps: list[float]) -> None:
 
 def test_points_near_a_table_of_integers_are_not_tried_twice() -> None:
     table = FeatureTable.from_arrays({"n": [1, 3, 9]}, [1.0, 3.0, 9.0])
-    sampler = FeatureKernelSampler(table, seed=0, off_grid=50, feature_function=lambda p: p)
-    study = optuna.create_study(sampler=sampler)
+    study = study_of(table, seed=0, off_grid=50, feature_function=lambda p: p)
     study.optimize(lambda trial: trial.suggest_int("n", 1, 9), n_trials=7)
     assert len({trial.params["n"] for trial in study.trials}) == 7
 
@@ -226,8 +212,7 @@ def test_points_near_a_table_of_integers_are_not_tried_twice() -> None:
 def test_a_prior_that_is_wrong_is_left() -> None:
     table = small_table()
     size = np.sort(table.rows.features[:, 0])
-    sampler = FeatureKernelSampler(table, seed=0, prior="-size")
-    study = optuna.create_study(sampler=sampler)
+    study = study_of(table, seed=0, prior="-size")
     study.optimize(lambda trial: -bowl(trial), n_trials=40)
     assert max(abs(trial.params["a"]) for trial in study.trials) >= size[-3]
 
@@ -244,27 +229,16 @@ def test_rows_left_out_change_no_choice(kernel: str) -> None:
         some = {name: column[:rows] for name, column in columns.items()}
         bounds = {"a": (-1, 1), "b": (0, 5)}
         table = FeatureTable.from_arrays(some, values[:rows], ["size", "side"], bounds=bounds)
-        sampler = FeatureKernelSampler(table, seed=3, kernel=kernel, prior="-size")
-        study = optuna.create_study(sampler=sampler)
-        study.optimize(bowl, n_trials=12)
-        return parameters_of(study)
+        study = study_of(table, bowl, 12, seed=3, kernel=kernel, prior="-size")
+        return params_of(study)
 
     assert proposed(300) == proposed(100)
-
-
-def test_enqueued_points_are_learned_from_where_their_features_are_known() -> None:
-    study = optuna.create_study(
-        sampler=FeatureKernelSampler(small_table(), seed=0, feature_function=features)
-    )
-    study.enqueue_trial({"a": 0.001, "b": 0.1})
-    study.optimize(bowl, n_trials=5)
-    assert len({trial.user_attrs.get("row") for trial in study.trials}) == 5
 
 
 def test_a_thousand_trials_are_no_trouble() -> None:
     rng = np.random.default_rng(0)
     table = FeatureTable.from_arrays({"a": rng.uniform(size=3000)}, rng.normal(size=(3000, 3)))
-    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=0))
+    study = study_of(table, seed=0)
     space = {"a": FloatDistribution(0, 1)}
     for row in range(1000):
         params = table.rows.as_parameters(row)
@@ -279,7 +253,7 @@ def test_a_million_rows_work() -> None:
     rng = np.random.default_rng(0)
     columns = {f"x{i}": rng.uniform(size=1_000_000) for i in range(2)}
     table = FeatureTable.from_arrays(columns, rng.normal(size=1_000_000))
-    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=0))
+    study = study_of(table, seed=0)
     study.optimize(lambda t: t.suggest_float("x0", 0, 1) + t.suggest_float("x1", 0, 1), n_trials=5)
     assert len({trial.user_attrs["row"] for trial in study.trials}) == 5
 
@@ -358,10 +332,7 @@ def test_where_no_row_is_left_points_off_the_table_are(kernel: str, unknown: flo
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         table = FeatureTable.from_arrays(columns, values)
-    sampler = FeatureKernelSampler(
-        table, seed=0, kernel=kernel, feature_function=three_features, off_grid=16
-    )
-    study = optuna.create_study(sampler=sampler)
+    study = study_of(table, seed=0, kernel=kernel, feature_function=three_features, off_grid=16)
     for row in range(1 if np.isnan(unknown) else 6):
         study.enqueue_trial(table.rows.as_parameters(row))
     with warnings.catch_warnings():
@@ -375,17 +346,8 @@ def test_where_no_row_is_left_points_off_the_table_are(kernel: str, unknown: flo
 # The paper's sampler.
 
 
-def rows_of(study: optuna.Study) -> list[int]:
-    return [trial.user_attrs["row"] for trial in study.get_trials(deepcopy=False)]
-
-
-def new_study(table: FeatureTable, seed: int = 1) -> optuna.Study:
-    return optuna.create_study(sampler=DoGSampler(table, seed=seed))
-
-
 def test_trials_are_rows_and_no_row_comes_twice(table: FeatureTable) -> None:
-    study = new_study(table)
-    study.optimize(bowl, n_trials=30)
+    study = study_of(table, bowl, 30, kernel="rbf")
     rows = rows_of(study)
     assert len(set(rows)) == 30
     for trial, row in zip(study.trials, rows, strict=True):
@@ -394,8 +356,7 @@ def test_trials_are_rows_and_no_row_comes_twice(table: FeatureTable) -> None:
 
 
 def test_rows_of_running_trials_are_not_proposed(table: FeatureTable) -> None:
-    study = new_study(table)
-    study.optimize(bowl, n_trials=5)
+    study = study_of(table, bowl, 5, kernel="rbf")
     for _ in range(40):
         study.ask(SPACE)
     assert len(set(rows_of(study))) == 45
@@ -404,7 +365,7 @@ def test_rows_of_running_trials_are_not_proposed(table: FeatureTable) -> None:
 @pytest.mark.parametrize("state", [TrialState.FAIL, TrialState.PRUNED])
 def test_failed_and_pruned_trials_teach_nothing(table: FeatureTable, state: TrialState) -> None:
     def rows(lose_a_trial: bool) -> list[int]:
-        study = new_study(table)
+        study = study_of(table, kernel="rbf")
         study.optimize(bowl, n_trials=6)
         if lose_a_trial:
             study.tell(study.ask(SPACE), state=state)
@@ -422,15 +383,14 @@ def test_ties_are_broken_by_the_seed(table: FeatureTable) -> None:
     tied = FeatureTable.from_arrays({"a": np.linspace(0, 1, 50), "b": np.ones(50)}, np.zeros(50))
     seen = set()
     for seed in range(12):
-        study = new_study(tied, seed=seed)
+        study = study_of(tied, seed=seed, kernel="rbf")
         study.optimize(bowl, n_trials=4)
         seen.add(rows_of(study)[3])
     assert len(seen) > 6
 
 
 def test_what_is_stored_are_plain_numbers(table: FeatureTable) -> None:
-    study = new_study(table)
-    study.optimize(bowl, n_trials=1)
+    study = study_of(table, bowl, 1, kernel="rbf")
     assert set(json.loads(json.dumps(study.trials[0].user_attrs))) == {"row", "score"}
     assert all(type(value) is float for value in study.trials[0].params.values())
 
@@ -467,7 +427,7 @@ def test_a_proposal_from_100000_rows_takes_no_half_second() -> None:
     score = np.maximum(0.0, rng.normal(-3, 8, 100_000))  # two thirds are zero
     columns = {f"x{i}": rng.uniform(size=100_000) for i in range(16)}
     big = FeatureTable.from_arrays(columns, score)
-    study = new_study(big)
+    study = study_of(big, kernel="rbf")
     space = {name: FloatDistribution(0, 1) for name in columns}
     for row in range(100):
         study.add_trial(
@@ -502,7 +462,7 @@ EXTREMES = [
 
 def extreme_study(costs: tuple[float, float], limit: float = -1.0, **options: Any) -> optuna.Study:
     table = FeatureTable.from_arrays({"x": LINE}, np.column_stack([LINE, LINE**2]))
-    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1, **options))
+    study = study_of(table, seed=1, **options)
 
     def objective(trial: optuna.Trial) -> float:
         x = trial.suggest_float("x", 0, 1)
@@ -534,7 +494,7 @@ def test_extreme_constraints_are_learned_from(limit: float) -> None:
 def test_extreme_features_tell_rows_apart(kernel: str) -> None:
     features = np.where(np.arange(30) % 2, LARGEST, -LARGEST) * LINE
     table = FeatureTable.from_arrays({"x": LINE}, features)
-    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1, kernel=kernel))
+    study = study_of(table, seed=1, kernel=kernel)
     study.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=6)
     assert len({trial.params["x"] for trial in study.trials}) == 6
 
