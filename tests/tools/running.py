@@ -1,7 +1,9 @@
-"""A command, run in this process, where tests can replace what it calls."""
+"""A command, run in this process, where tests can replace what it calls; or in one of its own."""
 
 import importlib.util
+import os
 import runpy
+import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -33,6 +35,25 @@ def run_tool(patch: pytest.MonkeyPatch, tool: str, *arguments: object) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     return 0
+
+
+def start(*words: object, shell: str = "", **accidents: object) -> subprocess.Popen[str]:
+    """A command in a process of its own with the fake simulator; accidents as in fake_command.py.
+
+    Args:
+        words: command and options.
+        shell: redirections or a limit, in Bash.
+        accidents: in small letters, such as trial_s=0.1.
+    """
+    line = [sys.executable, str(ROOT / "tests" / "tools" / "fake_command.py"), *map(str, words)]
+    return subprocess.Popen(
+        ["bash", "-c", shell, "bash", *line] if shell else line,
+        env=os.environ | {f"FAKE_{key.upper()}": str(value) for key, value in accidents.items()},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # a terminal's Ctrl-C reaches all of it
+    )
 
 
 def forget_commands() -> None:

@@ -9,7 +9,6 @@ import sqlite3
 import subprocess
 import sys
 import urllib.request
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from types import ModuleType
@@ -19,12 +18,13 @@ import pytest
 
 from storage.databases.bulk import FinishedStudy, attach, write_studies
 from storage.databases.studies import open_studies
-from tests.tools.running import load_command, run_tool
+from tests.tools.conftest import Tool
+from tests.tools.running import ROOT, load_command
 
 pytestmark = pytest.mark.slow
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-DASHBOARD = REPOSITORY / "tools" / "dashboard.py"
+DASHBOARD = ROOT / "tools" / "dashboard.py"
+TINY = "out/compare/tiny"
 PICTURE = "12345678-0000-0000-0000-000000000000"
 
 
@@ -57,19 +57,6 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def command() -> ModuleType:
     return load_command("dashboard")
-
-
-@pytest.fixture
-def refuse(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., str]:
-    def refuse(*arguments: str) -> str:
-        assert run_tool(monkeypatch, "dashboard", *arguments) == 2
-        said = capsys.readouterr().err
-        assert said.startswith("error: ") and said.count("\n") == 1
-        return said
-
-    return refuse
 
 
 def test_it_serves_studies_and_pictures_on_this_machine_only(folder: Path) -> None:
@@ -122,38 +109,44 @@ def test_the_newest_experiment_is_the_default(folder: Path, command: ModuleType)
 
 
 def test_pictures_are_found_beside_the_database(folder: Path, command: ModuleType) -> None:
-    url = f"sqlite:///{folder}/studies.db"
-    postgres = "postgresql+psycopg://me@host/walker"
+    url, postgres = f"sqlite:///{folder}/studies.db", "postgresql+psycopg://me@host/walker"
     assert command.find_database(None, url) == url
     assert command.find_database(folder, postgres) == postgres
     assert command.find_artifacts(None, url, None) == folder / "artifacts"
     assert command.find_artifacts(folder, postgres, None) == folder / "artifacts"
     assert command.find_artifacts(None, postgres, None) is None
     assert command.find_artifacts(None, postgres, folder) == folder
-
-
-def test_an_experiment_without_pictures_is_shown(folder: Path, command: ModuleType) -> None:
     shutil.rmtree(folder / "artifacts")
-    assert command.find_artifacts(None, f"sqlite:///{folder}/studies.db", None) is None
+    assert command.find_artifacts(None, url, None) is None
 
 
-def test_what_is_not_there_is_refused_and_not_made(
-    folder: Path, refuse: Callable[..., str]
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("nowhere", "folder: .*an experiment's folder"),
+        ("x" * 300, ".*255 a name"),
+        (f"{TINY} --artifacts {'x' * 300}", ".*255 a name"),
+        ("--storage sqlite:///nowhere.db", "storage: .*a database that is there"),
+        ("--storage nowhere.db", "storage: .*sqlite:///FILE or postgresql"),
+        (f"{TINY} --artifacts nowhere", "artifacts: .*a folder that is there"),
+        (f"{TINY} --port 70000", "port: .*a whole number from 0 to 65535"),
+    ],
+)
+def test_bad_input_is_refused_and_nothing_is_made(
+    words: str, message: str, folder: Path, tool: Tool
 ) -> None:
-    assert "an experiment's folder" in refuse("nowhere")
-    for words in (["x" * 300], [str(folder), "--artifacts", "x" * 300]):
-        assert "255 a name" in refuse(*words)
-    assert "a database that is there" in refuse("--storage", "sqlite:///nowhere.db")
-    assert "sqlite:///FILE or postgresql" in refuse("--storage", "nowhere.db")
-    assert "a folder that is there" in refuse(str(folder), "--artifacts", "nowhere")
+    tool.refuses(message, "dashboard", *words.split())
     assert sorted(path.name for path in Path().iterdir()) == ["out"]
+
+
+def test_no_experiment_at_all(folder: Path, tool: Tool) -> None:
     shutil.rmtree("out")
-    assert "a folder with experiments" in refuse()
+    tool.refuses("folder: .*a folder with experiments", "dashboard")
 
 
-def test_a_file_that_is_no_database(folder: Path, refuse: Callable[..., str]) -> None:
+def test_a_file_that_is_no_database(folder: Path, tool: Tool) -> None:
     (folder / "studies.db").write_text("dear diary\n" * 100)
-    assert "file is not a database" in refuse(str(folder))
+    tool.refuses("storage: .*file is not a database", "dashboard", folder)
 
 
 @pytest.mark.parametrize(
@@ -164,17 +157,16 @@ def test_a_file_that_is_no_database(folder: Path, refuse: Callable[..., str]) ->
     ],
 )
 def test_a_damaged_database_is_refused_and_left_alone(
-    folder: Path, refuse: Callable[..., str], change: str
+    folder: Path, tool: Tool, change: str
 ) -> None:
     with closing(sqlite3.connect(folder / "studies.db")) as connection, connection:
         connection.execute(change)
     before = sorted(folder.iterdir())
-    assert refuse("--storage", f"sqlite:///{folder}/studies.db", "--port", "0")
+    tool.refuses("storage: ", "dashboard", "--storage", f"sqlite:///{folder}/studies.db")
     assert sorted(folder.iterdir()) == before
 
 
-def test_ports_that_cannot_be_had(folder: Path, refuse: Callable[..., str]) -> None:
-    assert "a whole number from 0 to 65535" in refuse(str(folder), "--port", "70000")
+def test_a_port_in_use(folder: Path, tool: Tool) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        assert "a free port" in refuse(str(folder), "--port", str(port))
+        tool.refuses(f"port: {port} .*a free port", "dashboard", folder, "--port", port)

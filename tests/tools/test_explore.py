@@ -1,4 +1,4 @@
-"""taichi-nmm explore: what it refuses, in one line."""
+"""taichi-nmm explore: what it refuses, in one line, and the page without a browser."""
 
 import json
 import os
@@ -14,7 +14,8 @@ import pytest
 
 import taichi_nmm
 from tests.study import fake_walker
-from tests.tools.running import load_command, run_tool
+from tests.tools.conftest import Tool
+from tests.tools.running import load_command
 
 pytestmark = pytest.mark.slow
 
@@ -29,47 +30,42 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def refused(
-    patch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
-) -> str:
-    assert run_tool(patch, "explore", *arguments, "--no-browser") == 2
-    said = capsys.readouterr().err
-    assert said.startswith("error: ") and said.count("\n") == 1
-    return said
-
-
-def test_neither_store_nor_comparison(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("nowhere", "folder: .*the folder of a store or of a comparison"),
+        ("empty", "folder: .*the folder of a store or of a comparison"),
+        ("file", "store: "),
+        ("compared", ".*with trials"),
+        ("newer", "store: .*of format 99"),
+    ],
+)
+def test_what_cannot_be_shown(
+    name: str, message: str, store: Path, tmp_path: Path, tool: Tool
 ) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("no store")
-    for name in ("nowhere", "empty"):
-        said = refused(monkeypatch, capsys, tmp_path / name)
-        assert "the folder of a store or of a comparison" in said
-    assert "error: store: " in refused(monkeypatch, capsys, tmp_path / "file")
     (tmp_path / "compared").mkdir()
     (tmp_path / "compared" / "experiment.json").write_text("[]")
-    assert "with trials" in refused(monkeypatch, capsys, tmp_path / "compared")
-
-
-def test_a_store_of_another_version(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    copy = shutil.copytree(store, tmp_path / "copy")
-    document = json.loads((copy / "manifest.json").read_text())
-    document["format"] = 99
-    (copy / "manifest.json").write_text(json.dumps(document))
-    assert "of format 99" in refused(monkeypatch, capsys, copy)
+    manifest = shutil.copytree(store, tmp_path / "newer") / "manifest.json"
+    manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"format": 99}))
+    tool.refuses(message, "explore", tmp_path / name, "--no-browser")
 
 
 def test_without_bokeh_its_name_is_said(
-    store: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    store: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in [name for name in sys.modules if name.startswith("study.explore")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "bokeh", None)
-    said = refused(monkeypatch, capsys, store)
-    assert "package: 'bokeh' is not installed" in said
+    tool.refuses("package: 'bokeh' is not installed", "explore", store, "--no-browser")
+
+
+def test_a_port_in_use(store: Path, tool: Tool) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        message = f"port: {port} cannot be used; allowed: a free port"
+        tool.refuses(message, "explore", store, "--no-browser", "--port", port)
 
 
 def test_a_browser_of_a_terminal_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,12 +88,3 @@ def test_without_a_browser_the_address_is_enough(store: Path) -> None:
             assert answer.status == 200
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
-
-
-def test_a_port_in_use(
-    store: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        said = refused(monkeypatch, capsys, store, "--port", port)
-    assert f"error: port: {port} cannot be used; allowed: a free port" in said

@@ -1,0 +1,59 @@
+"""Commands in this process: what they print, and their refusals in one line."""
+
+import json
+import re
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+import taichi_nmm
+from tests.study import fake_walker
+from tests.tools.running import run_tool
+
+
+class Tool:
+    """Runs commands; `out` and `err` are what the last one printed."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, capture: pytest.CaptureFixture[str]) -> None:
+        self._patch, self._capture = patch, capture
+        self.out = self.err = ""
+
+    def __call__(self, name: str, *words: object) -> int:
+        """The exit code."""
+        self._capture.readouterr()
+        code = run_tool(self._patch, name, *words)
+        self.out, self.err = self._capture.readouterr()
+        return code
+
+    def json(self, name: str, *words: object) -> Any:
+        """The one object that --json prints."""
+        assert self(name, *words, "--json") == 0, self.err
+        return json.loads(self.out)
+
+    def refuses(self, message: str, name: str, *words: object) -> None:
+        """Exit code 2, and one line that begins with the message, a regular expression."""
+        assert self(name, *words) == 2, self.out
+        assert (self.out, self.err.count("\n")) == ("", 1), self.err
+        assert re.match(f"error: {message}", self.err), self.err
+
+
+@pytest.fixture
+def tool(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Tool:
+    return Tool(monkeypatch, capsys)
+
+
+Simulator = Callable[[Callable[..., Any]], None]
+
+
+@pytest.fixture
+def simulator(monkeypatch: pytest.MonkeyPatch) -> Simulator:
+    """Replaces the simulator: by the fake walker, and later by whatever is given."""
+
+    # Not setattr: it would read the old value first, which loads Taichi.
+    def replace(simulate: Callable[..., Any]) -> None:
+        monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate)
+
+    replace(fake_walker.simulate)
+    fake_walker.calls.clear()
+    return replace
