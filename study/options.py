@@ -172,7 +172,7 @@ def compare(options: Options) -> None:
     options.seed("other bodies, grounds and samplers than the configuration's, to tune on")
     options.out("out/compare/NAME or NAME-seed-N")
     options.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
-    options.path("--store", f"the scores, if the arms read one store; {FROM_CONFIG}")
+    options.path("--store", f"store of scores, if the arms read one; {FROM_CONFIG}")
     options.workers()
     options.add_argument(
         "--films", choices=("few", "all"), default="few",
@@ -185,7 +185,7 @@ def compare(options: Options) -> None:
 
 def dashboard(options: Options) -> None:
     """Options of `dashboard`."""
-    options.path("folder", "of an experiment; default: the newest in out/compare", nargs="?")
+    options.path("folder", "folder of an experiment; default: the newest in out/compare", nargs="?")
     options.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
     options.path("--artifacts", "default: DIR/artifacts")
     options.port(8080)
@@ -199,7 +199,7 @@ def draw_store(options: Options) -> None:
 
 def explore(options: Options) -> None:
     """Options of `explore`."""
-    options.path("folder", "of a store or a comparison")
+    options.path("folder", "folder of a store or a comparison")
     options.port(5006)
     options.flag("--no-browser", "only print the address")
 
@@ -237,7 +237,7 @@ def quickstart(options: Options) -> None:
 def report(options: Options) -> None:
     """Options of `report`."""
     options.path("folders", "folder of a comparison", nargs="+")
-    options.path("--out", "for the overview of several folders")
+    options.path("--out", "folder for the overview of several comparisons")
     options.path(
         "--optimum", "an optimum.json to draw as a line; once for each cost", "FILE",
         action="append", default=[],
@@ -250,15 +250,15 @@ def study(options: Options) -> None:
     options.config()
     options.add_argument(
         "--arm", required=True, metavar="ARM",
-        help="such as best, dog or random; an unknown one lists all",
+        help="best, dog, random or another one; an unknown name lists all",
     )  # fmt: skip
-    options.run("its body and ground")
+    options.run("number of the body and the ground")
     options.whole("--trials", 1, MOST_TRIALS, help=f"in total; {FROM_CONFIG}")
     options.seed()
     options.add_argument(
         "--storage", required=True, metavar="URL", help="sqlite:///FILE, or one of PostgreSQL"
     )
-    options.path("--store", f"scores that the arm reads; {FROM_CONFIG}")
+    options.path("--store", f"store of scores, if the arm reads one; {FROM_CONFIG}")
     options.out("out/NAME, for the best gains")
     options.arch()
     options.json()
@@ -285,7 +285,7 @@ def walk(options: Options) -> None:
         "--storage", metavar="URL|DIR", help="a study database, or a comparison's folder"
     )
     options.config("flat")
-    options.run("whose body and ground")
+    options.run("number of the body and the ground")
     options.seed()
     options.add_argument("--duration", type=float, metavar="S", help=f"seconds; {FROM_CONFIG}")
     options.out("out/walk/NAME, for the pictures")

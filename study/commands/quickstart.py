@@ -2,8 +2,8 @@
 
     taichi-nmm quickstart
 
-does what precompute, study and walk do, in about a minute. The same command goes on where it was
-stopped. Exit codes: 0, 2 bad input, 130 interrupted.
+does the work of precompute, study and walk, in about a minute. The same command goes on where it
+was stopped. Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
 from argparse import Namespace

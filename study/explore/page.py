@@ -86,7 +86,7 @@ def _comparison(path: Path) -> tuple[Results, Experiment]:
     results = read_results(path)
     experiment = documented_experiment(results.facts)
     if experiment is None:
-        raise InputError("folder", str(path), "a comparison whose experiment.json says its ground")
+        raise InputError("folder", str(path), "a comparison whose experiment.json names its ground")
     return results, experiment
 
 

@@ -1,4 +1,4 @@
-"""What the dashboard's pages are drawn from: its own API, over a study made by the sampler.
+"""The dashboard's answers: to whom, which files, and what its pages draw of a study of the sampler.
 
 The history page draws each trial's number and values; the parallel-coordinate page draws values and
 `param_internal_value` on axes taken from the search space; the table offers user attributes.
@@ -6,19 +6,122 @@ The history page draws each trial's number and values; the parallel-coordinate p
 
 import io
 import json
+from pathlib import Path
 from typing import Any
 from wsgiref.util import setup_testing_defaults
 from wsgiref.validate import validator
 
 import numpy as np
 import optuna
-import optuna_dashboard
 import pytest
+from optuna.storages import InMemoryStorage
 
 from storage.databases.studies import open_studies
 from study import FeatureKernelSampler, FeatureTable
+from study.commands.dashboard import guarded_dashboard
+from study.loopback import Application, guarded
 
-pytestmark = pytest.mark.slow
+
+def get(application: Application, path: str, **changes: str) -> tuple[int, dict[str, str], bytes]:
+    """Status, headers by lower-case name, and body; changes are of the environment."""
+    environment: dict[str, Any] = {"PATH_INFO": path, "SCRIPT_NAME": "", "QUERY_STRING": ""}
+    environment |= {"HTTP_HOST": "127.0.0.1:8080", "wsgi.errors": io.StringIO(), **changes}
+    setup_testing_defaults(environment)
+    found: list[tuple[str, list[tuple[str, str]]]] = []
+    answer = validator(application)(environment, lambda *given: found.append(given[:2]))
+    body = b"".join(answer)
+    answer.close()  # type: ignore[attr-defined]
+    ((status, headers),) = found
+    return int(status[:3]), {name.lower(): value for name, value in headers}, body
+
+
+HTML = b"<script>alert(1)</script>"
+PICTURE, PAGE, LINK, GONE, VECTOR = (f"{number:08d}-0000" for number in range(1, 6))
+TYPES = {PICTURE: "image/png", PAGE: "text/html", LINK: "image/png", GONE: "image/png",
+         VECTOR: "image/svg+xml"}  # fmt: skip
+PLACE = "/artifacts/0/0"  # of the files of the one trial
+
+
+@pytest.fixture
+def storage() -> InMemoryStorage:
+    """Of a study whose database names files of a folder."""
+    storage = InMemoryStorage()
+    trial = optuna.create_study(storage=storage, study_name="a").ask()
+    for name, kind in TYPES.items():
+        meta = {"artifact_id": name, "filename": "a", "mimetype": kind, "encoding": None}
+        storage.set_trial_system_attr(trial._trial_id, f"artifacts:{name}", json.dumps(meta))
+    return storage
+
+
+@pytest.fixture
+def dashboard(storage: InMemoryStorage, tmp_path: Path) -> Application:
+    artifacts = tmp_path / "artifacts"
+    artifacts.mkdir()
+    for name in (PICTURE, PAGE, VECTOR):
+        (artifacts / name).write_bytes(HTML)
+    (tmp_path / "secret").write_bytes(b"secret")
+    (artifacts / LINK).symlink_to(tmp_path / "secret")
+    return guarded_dashboard(storage, artifacts)
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [("127.0.0.1:8080", 200), ("localhost", 200), ("LOCALHOST:1", 200), ("[::1]:8080", 200),
+     ("evil.example", 403), ("evil.example:8080", 403), ("127.0.0.1.evil.example", 403),
+     ("localhost.evil.example:8080", 403), ("localhost@evil.example", 403),
+     ("localhost\n", 403), ("", 403)],
+)  # fmt: skip
+def test_only_loopback_names_are_answered(dashboard: Application, host: str, status: int) -> None:
+    for path in ("/api/studies", "/dashboard", f"{PLACE}/{PICTURE}"):
+        assert get(dashboard, path, HTTP_HOST=host)[0] == status
+
+
+@pytest.mark.parametrize(
+    ("origin", "status"),
+    [("http://127.0.0.1:8080", 200), ("http://localhost:9", 200), ("http://evil.example", 403),
+     ("null", 403), ("", 403)],
+)  # fmt: skip
+def test_no_other_pages_requests_are_answered(
+    dashboard: Application, origin: str, status: int
+) -> None:
+    assert get(dashboard, "/api/studies", HTTP_ORIGIN=origin)[0] == status
+
+
+def test_pictures_are_served_as_such_and_to_our_pages_alone(dashboard: Application) -> None:
+    status, headers, body = get(dashboard, f"{PLACE}/{PICTURE}")
+    assert (status, headers["content-type"], body) == (200, "image/png", HTML)
+    assert headers["x-content-type-options"] == "nosniff"  # however it may look
+    assert "access-control-allow-origin" not in headers
+
+
+@pytest.mark.parametrize("path", ["/api/studies", f"{PLACE}/{PICTURE}"])
+def test_no_answer_is_for_other_pages_to_read(path: str, tmp_path: Path) -> None:
+    """Whatever a version of the dashboard says of who may."""
+
+    def generous(environment: dict[str, Any], start: Any) -> list[bytes]:
+        headers = [("Access-Control-Allow-Origin", "*"), ("Content-Type", "image/png")]
+        start("200 OK", headers)
+        return [b"{}"]
+
+    (tmp_path / PICTURE).write_bytes(HTML)
+    status, headers, _ = get(guarded(generous, tmp_path), path)
+    assert status == 200
+    assert not any(name.startswith("access-control-") for name in headers)
+
+
+@pytest.mark.parametrize("end", ["", "/", "//"])
+@pytest.mark.parametrize(("name", "status"), [(PAGE, 403), (VECTOR, 403), (LINK, 404), (GONE, 404)])
+def test_nothing_else_is_served(dashboard: Application, name: str, status: int, end: str) -> None:
+    found, headers, body = get(dashboard, f"{PLACE}/{name}{end}")
+    assert (found, headers["content-type"]) == (status, "text/plain; charset=utf-8")
+    assert b"secret" not in body and HTML not in body
+
+
+def test_without_a_folder_there_are_no_files(storage: InMemoryStorage) -> None:
+    dashboard = guarded_dashboard(storage, None)
+    assert get(dashboard, f"{PLACE}/{PICTURE}")[0] == 404
+    assert get(dashboard, "/api/studies")[0] == 200
+
 
 TRIALS = 12
 BOUNDS = {"speed": (0.0, 1.0), "angle": (-5.0, 5.0)}
@@ -46,37 +149,22 @@ def distance(trial: optuna.Trial) -> float:
     return abs(speed - 0.3) + 0.01 * abs(angle)
 
 
-def get(study: optuna.Study, path: str) -> Any:
-    """One request to the dashboard's application, without a socket."""
-    return json.loads(get_bytes(study, path))
-
-
-def get_bytes(study: optuna.Study, path: str) -> bytes:
-    statuses: list[str] = []
-    environment: dict[str, Any] = {"PATH_INFO": path, "SCRIPT_NAME": "", "QUERY_STRING": ""}
-    environment["wsgi.errors"] = io.StringIO()
-    setup_testing_defaults(environment)
-    application = validator(optuna_dashboard.wsgi(study._storage))
-    answer = application(environment, lambda status, *_: statuses.append(status))
-    body = b"".join(answer)
-    answer.close()  # type: ignore[attr-defined]
-    assert statuses == ["200 OK"], body
-    return body
+def seen(study: optuna.Study, path: str) -> Any:
+    """What the dashboard's own API says."""
+    status, _, body = get(guarded_dashboard(study._storage, None), path)
+    assert status == 200
+    return json.loads(body)
 
 
 @pytest.fixture(scope="module")
 def detail(study: optuna.Study) -> Any:
-    return get(study, f"/api/studies/{study._study_id}")
+    return seen(study, f"/api/studies/{study._study_id}")
 
 
-def test_the_list_of_studies_names_it(study: optuna.Study) -> None:
-    (listed,) = get(study, "/api/studies")["study_summaries"]
-    assert listed["study_name"] == "throw/features"
-    assert listed["directions"] == ["minimize"]
-    assert listed["study_id"] == study._study_id
-
-
+@pytest.mark.slow
 def test_the_history_page_has_every_value(study: optuna.Study, detail: Any) -> None:
+    (listed,) = seen(study, "/api/studies")["study_summaries"]
+    assert (listed["study_name"], listed["directions"]) == ("throw/features", ["minimize"])
     shown = {trial["number"]: trial for trial in detail["trials"]}
     assert len(shown) == TRIALS + 2
     for trial in study.trials[:TRIALS]:
@@ -87,6 +175,7 @@ def test_the_history_page_has_every_value(study: optuna.Study, detail: Any) -> N
     assert [best["number"] for best in detail["best_trials"]] == [study.best_trial.number]
 
 
+@pytest.mark.slow
 def test_the_parallel_coordinate_page_has_every_axis(study: optuna.Study, detail: Any) -> None:
     axes = {axis["name"]: axis["distribution"] for axis in detail["union_search_space"]}
     assert {name: (axis["low"], axis["high"]) for name, axis in axes.items()} == BOUNDS
@@ -97,6 +186,7 @@ def test_the_parallel_coordinate_page_has_every_axis(study: optuna.Study, detail
         assert all(BOUNDS[name][0] <= value <= BOUNDS[name][1] for name, value in drawn.items())
 
 
+@pytest.mark.slow
 def test_the_table_page_has_the_samplers_notes(study: optuna.Study, detail: Any) -> None:
     sortable = {column["key"] for column in detail["union_user_attrs"] if column["sortable"]}
     assert "row" in sortable
@@ -104,11 +194,14 @@ def test_the_table_page_has_the_samplers_notes(study: optuna.Study, detail: Any)
     assert first["row"] == str(study.trials[0].user_attrs["row"])
 
 
+@pytest.mark.slow
 def test_importances_are_computed(study: optuna.Study) -> None:
-    (found,) = get(study, f"/api/studies/{study._study_id}/param_importances")["param_importances"]
+    (found,) = seen(study, f"/api/studies/{study._study_id}/param_importances")["param_importances"]
     importance = {item["name"]: item["importance"] for item in found}
     assert importance["speed"] > importance["angle"]
 
 
+@pytest.mark.slow
 def test_the_page_itself_is_served(study: optuna.Study) -> None:
-    assert b"<html" in get_bytes(study, f"/dashboard/studies/{study._study_id}").lower()
+    path = f"/dashboard/studies/{study._study_id}"
+    assert b"<html" in get(guarded_dashboard(study._storage, None), path)[2].lower()

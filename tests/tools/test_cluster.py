@@ -65,10 +65,12 @@ def start(folder: Path, tool: str, *words: object) -> subprocess.Popen[str]:
     )
 
 
-def run(folder: Path, tool: str, *words: object) -> None:
+def run(folder: Path, tool: str, *words: object, code: int = 0) -> str:
+    """What a command prints on standard error, which ends with this code."""
     process = start(folder, tool, *words)
     _, error = process.communicate(timeout=WAIT_S)
-    assert process.returncode == 0, error
+    assert process.returncode == code, error
+    return error
 
 
 def tables(folder: Path) -> dict[str, bytes]:
@@ -128,10 +130,8 @@ def test_a_folder_of_another_kind_is_refused_unless_it_begins_anew(folder: Path)
     words = ("precompute", "--config", "store.toml", "--out", "other", "--cluster", "local:1")
     shutil.copytree(folder / "store", folder / "other")
     (folder / "other" / "kind.json").write_text('{"canary": "abc"}')
-    process = start(folder, *words)
-    _, error = process.communicate(timeout=WAIT_S)
-    lines = error.splitlines()
-    assert process.returncode == 2 and len(lines) == 2
+    lines = run(folder, *words, code=2).splitlines()
+    assert len(lines) == 2
     assert "gets no work: canary " in lines[0] and lines[1].startswith("error: cluster: 'local:1'")
     run(folder, *words, "--fresh")
     assert tables(folder / "other") == tables(folder / "store")

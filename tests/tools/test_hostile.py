@@ -1,6 +1,6 @@
 """Commands in processes that a shell or a machine is unkind to: one line, or nothing amiss.
 
-Kills are in test_kill_commands.py, Ctrl-C and missing packages in test_guard.py.
+Kills are in kills.py, Ctrl-C and missing packages in test_guard.py.
 """
 
 import json
@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import optuna
@@ -19,11 +20,10 @@ from optuna.trial import TrialState
 
 import taichi_nmm
 from tests.study import fake_walker
-from tests.tools.running import ROOT
+from tests.tools.running import ROOT, start
 
 pytestmark = pytest.mark.slow
 
-PROGRAM = [sys.executable, str(ROOT / "tests" / "tools" / "fake_command.py")]
 STUDY = ("study", "--config", "toy.toml", "--arm", "dog", "--storage", "sqlite:///studies.db",
          "--out", "out", "--trials", 4)  # fmt: skip
 COMPARE = ("compare", "--config", "toy.toml", "--arms", "random,dog", "--runs", 1, "--trials", 2,
@@ -45,24 +45,31 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def folder(made: Path, tmp_path: Path) -> Path:
-    """A folder for one command, with the configuration."""
+def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder for one command, with the configuration; the commands run in it."""
     shutil.copy(made / "toy.toml", tmp_path)
+    monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def words(command: Iterable[object], shell: str = "") -> list[str]:
-    """A command as a process gets it; `shell` are redirections, or a limit."""
-    line = [*PROGRAM, *map(str, command)]
-    return ["bash", "-c", shell, "bash", *line] if shell else line
+@dataclass(frozen=True)
+class Done:
+    """How a command ended."""
+
+    code: int
+    out: str
+    error: str
+
+    @property
+    def lines(self) -> list[str]:
+        return self.error.splitlines()
 
 
-def run(
-    folder: Path, command: Iterable[object], shell: str = ""
-) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        words(command, shell), cwd=folder, capture_output=True, text=True, timeout=WAIT_S
-    )
+def run(command: Iterable[object], shell: str = "") -> Done:
+    """Run a command; `shell` are redirections, or a limit."""
+    process = start(*command, shell=shell)
+    out, error = process.communicate(timeout=WAIT_S)
+    return Done(process.returncode, out, error)
 
 
 def trials(folder: Path) -> list[dict[str, float]]:
@@ -75,7 +82,9 @@ def trials(folder: Path) -> list[dict[str, float]]:
 @pytest.fixture(scope="module")
 def undisturbed(made: Path) -> list[dict[str, float]]:
     """The trials of a study that nobody is unkind to."""
-    assert run(made, STUDY).returncode == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(made)
+        assert run(STUDY).code == 0
     assert len(trials(made)) == 4
     return trials(made)
 
@@ -85,48 +94,46 @@ def test_closed_files_are_as_good_as_the_null_device(
     folder: Path, closed: str, undisturbed: list[dict[str, float]]
 ) -> None:
     """What is printed does not get into the database, whose number would be that of stdout."""
-    done = run(folder, STUDY, REDIRECTED.format(closed))
-    assert done.returncode == 0 and "Traceback" not in done.stderr
+    done = run(STUDY, REDIRECTED.format(closed))
+    assert done.code == 0 and "Traceback" not in done.error
     assert trials(folder) == undisturbed
     json.loads((folder / "out" / "dog-run-000-best.json").read_text())
 
 
 def test_a_full_disk_under_what_is_printed_is_one_line(folder: Path) -> None:
-    done = run(folder, LIST, REDIRECTED.format(">/dev/full"))
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert done.stderr.startswith(FULL)
+    done = run(LIST, REDIRECTED.format(">/dev/full"))
+    assert done.code == 2 and len(done.lines) == 1
+    assert done.error.startswith(FULL)
 
 
 def test_a_full_disk_at_the_end_of_the_work_loses_none(
     folder: Path, undisturbed: list[dict[str, float]]
 ) -> None:
-    done = run(folder, STUDY, REDIRECTED.format(">/dev/full"))
-    assert done.returncode == 2 and done.stderr.splitlines()[-1].startswith(FULL)
+    done = run(STUDY, REDIRECTED.format(">/dev/full"))
+    assert done.code == 2 and done.lines[-1].startswith(FULL)
     assert trials(folder) == undisturbed
 
 
 def test_where_nothing_can_be_said_the_exit_code_says_it(folder: Path) -> None:
     bad = ("walk", "--gains", "nowhere.json")
-    done = run(folder, bad, REDIRECTED.format("2>/dev/full"))
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", "")
+    assert run(bad, REDIRECTED.format("2>/dev/full")) == Done(2, "", "")
 
 
 def test_a_reader_that_has_enough_ends_the_command_without_a_word(folder: Path) -> None:
     """As `2>&1 | head -1`, of standard output and standard error."""
-    done = run(folder, STUDY, '"$@" 2>&1 | true; exit ${PIPESTATUS[0]}')
-    assert (done.returncode, done.stdout, done.stderr) == (141, "", "")
-    assert run(folder, STUDY).returncode == 0
+    assert run(STUDY, '"$@" 2>&1 | true; exit ${PIPESTATUS[0]}') == Done(141, "", "")
+    assert run(STUDY).code == 0
 
 
 def test_few_open_files_are_enough(folder: Path) -> None:
-    assert run(folder, STUDY, 'ulimit -n 16; exec "$@"').returncode == 0
+    assert run(STUDY, 'ulimit -n 16; exec "$@"').code == 0
 
 
 def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> None:
     tool = [sys.executable, ROOT / "tools" / "study.py", *STUDY[1:]]
     done = subprocess.run(
         ["bash", "-c", 'ulimit -v 400000; exec "$@"', "bash", *map(str, tool)],
-        cwd=folder, capture_output=True, text=True, timeout=WAIT_S,
+        capture_output=True, text=True, timeout=WAIT_S,
     )  # fmt: skip
     line = "error: ulimit -v: 400000 cannot be used; allowed: 3145728 or more, or unlimited\n"
     assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
@@ -138,11 +145,11 @@ def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> N
 def test_files_that_may_not_grow_are_one_line_and_it_resumes(
     folder: Path, command: tuple[object, ...]
 ) -> None:
-    done = run(folder, command, 'ulimit -f 8; exec "$@"')
-    assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert done.stderr.splitlines()[-1].startswith("error: ")
+    done = run(command, 'ulimit -f 8; exec "$@"')
+    assert done.code == 2 and "Traceback" not in done.error
+    assert done.lines[-1].startswith("error: ")
     assert not list(folder.rglob("*.tmp*")) and not list(folder.rglob("*.parquet"))
-    assert run(folder, command).returncode == 0
+    assert run(command).code == 0
 
 
 @pytest.mark.campaign
@@ -150,72 +157,63 @@ def test_no_time_left_is_the_shells_signal_and_it_resumes(
     folder: Path, undisturbed: list[dict[str, float]]
 ) -> None:
     """A second is gone with the imports, or soon after them."""
-    done = run(folder, STUDY, 'ulimit -t 1; exec "$@"')
-    assert done.returncode in (-signal.SIGXCPU, -signal.SIGKILL)
-    assert run(folder, STUDY).returncode == 0
+    assert run(STUDY, 'ulimit -t 1; exec "$@"').code in (-signal.SIGXCPU, -signal.SIGKILL)
+    assert run(STUDY).code == 0
     assert trials(folder) == undisturbed
 
 
-def without_the_rights_of_root() -> list[str]:
-    """What makes a process obey the modes of files, whoever runs the tests."""
+def without_the_rights_of_root() -> str:
+    """The line of a shell that makes a process obey the modes of files, whoever runs the tests."""
     if os.getuid() != 0:
-        return []
+        return 'exec "$@"'
     if shutil.which("setpriv") is None:
         pytest.skip("root may write everywhere, and there is no setpriv to change that")
-    return ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]
+    return 'exec setpriv --bounding-set=-dac_override,-dac_read_search "$@"'
 
 
 @pytest.mark.parametrize("command", [STUDY, COMPARE, ("walk", "--out", "out")])
 def test_a_folder_that_may_not_be_written_is_one_line_and_nothing_is_left(
     folder: Path, command: tuple[object, ...]
 ) -> None:
-    prefix = without_the_rights_of_root()
     folder.chmod(0o555)
     try:
-        done = subprocess.run(
-            [*prefix, *words(command)], cwd=folder, capture_output=True, text=True, timeout=WAIT_S
-        )
+        done = run(command, without_the_rights_of_root())
     finally:
         folder.chmod(0o755)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert done.stderr.startswith(("error: out: ", "error: storage: "))
+    assert (done.code, done.out, len(done.lines)) == (2, "", 1)
+    assert done.error.startswith(("error: out: ", "error: storage: "))
     assert [path.name for path in folder.iterdir()] == ["toy.toml"]
 
 
 @contextmanager
-def stopped(folder: Path, command: Iterable[object]) -> Iterator["subprocess.Popen[bytes]"]:
+def stopped(command: Iterable[object]) -> Iterator[None]:
     """A command that is stopped in its second simulation; after the block it goes on to its end."""
-    environment = os.environ | {"FAKE_SIGNAL": "2:SIGSTOP"}
-    quiet = subprocess.DEVNULL
-    with subprocess.Popen(
-        words(command), cwd=folder, env=environment, stdout=quiet, stderr=quiet
-    ) as process:
+    with start(*command, signal="2:SIGSTOP") as process:
         assert os.WIFSTOPPED(os.waitpid(process.pid, os.WUNTRACED)[1])
         try:
-            yield process
+            yield
         finally:
             process.send_signal(signal.SIGCONT)
-            process.wait(WAIT_S)
+            process.communicate(timeout=WAIT_S)
+    assert process.returncode == 0
 
 
 def test_a_stopped_process_keeps_its_study_and_goes_on(
     folder: Path, undisturbed: list[dict[str, float]]
 ) -> None:
-    with stopped(folder, STUDY) as process:
-        second = run(folder, STUDY)
-    assert process.returncode == 0
-    assert second.returncode == 2 and second.stderr.count("\n") == 1
-    assert second.stderr.startswith("error: study: 'toy/dog/run-000'")
+    with stopped(STUDY):
+        second = run(STUDY)
+    assert second.code == 2 and len(second.lines) == 1
+    assert second.error.startswith("error: study: 'toy/dog/run-000'")
     assert trials(folder) == undisturbed
 
 
 @pytest.mark.campaign
 def test_a_stopped_process_keeps_its_folder_and_goes_on(folder: Path) -> None:
-    with stopped(folder, COMPARE) as process:
-        second = run(folder, COMPARE)
-    assert process.returncode == 0
-    assert second.returncode == 2 and "a folder that no other process is filling" in second.stderr
+    with stopped(COMPARE):
+        second = run(COMPARE)
+    assert second.code == 2 and "a folder that no other process is filling" in second.error
     table = (folder / "out" / "trials.parquet").read_bytes()
     shutil.rmtree(folder / "out")
-    assert run(folder, COMPARE).returncode == 0
+    assert run(COMPARE).code == 0
     assert (folder / "out" / "trials.parquet").read_bytes() == table

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,8 @@ from study.experiment.experiment import CmaesOptions, read_experiment
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 from tests.study import fake_walker
-from tests.tools.running import ROOT, run_tool
+from tests.tools.conftest import Simulator, Tool
+from tests.tools.running import ROOT
 
 pytestmark = pytest.mark.slow
 
@@ -63,33 +64,47 @@ def simulate(gains: Any, *, duration_s: float, **_: Any) -> Result:
 
 
 class Command:
-    """The command in this process, with the fake simulator."""
+    """The command in this process, with the fake simulator; `out` is where it writes by default."""
 
-    def __init__(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
-        self.folder = folder
-        self.patch = patch
+    def __init__(self, folder: Path, tool: Tool, simulator: Simulator) -> None:
+        self.folder, self.tool = folder, tool
+        self.out = folder / "out"
+        fake_walker.write_plain_store(folder / "store")
+        simulator(simulate)
 
     def config(self, generations: int = 300, duration: float = 100.0) -> Path:
-        path = self.folder / f"tiny-{generations}.toml"
-        store = self.folder / "store"
-        text = CONFIG.format(store=store, generations=generations, duration=duration)
-        path.write_text(text)
+        path, store = self.folder / f"tiny-{generations}.toml", self.folder / "store"
+        path.write_text(CONFIG.format(store=store, generations=generations, duration=duration))
         return path
 
-    def run(self, *arguments: object) -> int:
-        return run_tool(self.patch, "optimum", "--workers", 1, *arguments)
+    def words(self, config: Path, out: Path | None, more: Sequence[object]) -> list[object]:
+        return ["optimum", "--workers", 1, "--config", config, "--out", out or self.out, *more]
+
+    def run(self, config: Path, *more: object, out: Path | None = None) -> int:
+        return self.tool(*self.words(config, out, more))
+
+    def files(self, config: Path, *more: object, out: Path) -> dict[str, bytes]:
+        """What it has made when it has ended."""
+        assert self.run(config, *more, out=out) == 0
+        return files(out)
+
+    def refuses(self, message: str, config: Path, *more: object, out: Path | None = None) -> None:
+        self.tool.refuses(message, *self.words(config, out, more))
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    names = ("runs.parquet", "evaluations.parquet", "dog/trials.parquet", "search.json")
+    return {name: (folder / name).read_bytes() for name in names}
 
 
 @pytest.fixture
-def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
-    # Not setattr: it would read the old value first, which loads Taichi.
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-    fake_walker.write_plain_store(tmp_path / "store")
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate)
+def command(
+    tmp_path: Path, tool: Tool, simulator: Simulator, monkeypatch: pytest.MonkeyPatch
+) -> Command:
     # The database is the comparison's; the last test has it.
     monkeypatch.setattr(compare, "check_database", lambda *_: None)
     monkeypatch.setattr(compare, "export", lambda *_, **__: None)
-    return Command(tmp_path, monkeypatch)
+    return Command(tmp_path, tool, simulator)
 
 
 def test_a_run_converges_to_the_optimum_by_its_own_criteria() -> None:
@@ -134,17 +149,13 @@ def test_a_run_that_does_not_converge_is_cut() -> None:
     assert ended(search, 2) == ""
 
 
-def test_the_result_is_the_best_of_both_methods(
-    command: Command, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = command.folder / "out"
+def test_the_result_is_the_best_of_both_methods(command: Command) -> None:
+    out = command.out
     optuna.logging.set_verbosity(optuna.logging.INFO)
-    assert command.run("--config", command.config(), "--out", out, "--json") == 0
+    document = command.tool.json(*command.words(command.config(), None, ()))
     assert optuna.logging.get_verbosity() == optuna.logging.WARNING  # its lines are not among ours
-    printed = capsys.readouterr()
-    document = json.loads((out / "optimum.json").read_text())
-    assert json.loads(printed.out) == document
-    assert "cmaes: generation 5, 3 of 3 runs go on, 180 evaluations" in printed.err
+    assert json.loads((out / "optimum.json").read_text()) == document
+    assert "cmaes: generation 5, 3 of 3 runs go on, 180 evaluations" in command.tool.err
     runs = pq.read_table(out / "runs.parquet")
     assert runs["method"].to_pylist() == ["cmaes"] * 3 + ["dog"] * 3
     assert document["best_cost"] == min(runs["cost"].to_pylist()) < 4.01
@@ -161,11 +172,6 @@ def test_the_result_is_the_best_of_both_methods(
     assert {"date", "machine", "wall_s", "config"} <= document.keys()
 
 
-def files(folder: Path) -> dict[str, bytes]:
-    names = ("runs.parquet", "evaluations.parquet", "dog/trials.parquet", "search.json")
-    return {name: (folder / name).read_bytes() for name in names}
-
-
 def stopping_after(calls: int) -> Callable[..., Result]:
     """The simulator until somebody presses Ctrl-C."""
     left = iter(range(calls))
@@ -178,130 +184,109 @@ def stopping_after(calls: int) -> Callable[..., Result]:
     return simulate_or_stop
 
 
-def test_stopped_and_resumed_is_bit_equal(command: Command) -> None:
-    whole, parts = command.folder / "whole", command.folder / "parts"
+def test_stopped_and_resumed_is_bit_equal(command: Command, simulator: Simulator) -> None:
     config = command.config(generations=40)
-    assert command.run("--config", config, "--out", whole) == 0
+    whole = command.files(config, out=command.folder / "whole")
     for calls in (2, 9):  # in the sampler's trials, then in the generations
-        command.patch.setitem(vars(taichi_nmm), "simulate", stopping_after(calls))
-        assert command.run("--config", config, "--out", parts) == 130
-        assert not (parts / "optimum.json").exists()
-    command.patch.setitem(vars(taichi_nmm), "simulate", simulate)
-    assert command.run("--config", config, "--out", parts) == 0
-    assert files(parts) == files(whole)
+        simulator(stopping_after(calls))
+        assert command.run(config) == 130
+        assert not (command.out / "optimum.json").exists()
+    simulator(simulate)
+    assert command.files(config, out=command.out) == whole
 
 
-def test_more_runs_and_generations_can_be_asked_for_later(
-    command: Command, capsys: pytest.CaptureFixture[str]
-) -> None:
-    at_once, later = command.folder / "at-once", command.folder / "later"
-    many = command.config(generations=9)
-    assert command.run("--config", many, "--out", at_once) == 0
-    assert command.run("--config", many, "--out", later, "--runs", 1, "--max-generations", 5) == 0
-    assert "1 by max_generations" in capsys.readouterr().out
-    assert command.run("--config", many, "--out", later) == 0
-    assert files(later) == files(at_once)
+def test_more_runs_and_generations_can_be_asked_for_later(command: Command) -> None:
+    config = command.config(generations=9)
+    at_once = command.files(config, out=command.folder / "at-once")
+    assert command.run(config, "--runs", 1, "--max-generations", 5) == 0
+    assert "1 by max_generations" in command.tool.out
+    assert command.files(config, out=command.out) == at_once
 
 
 def test_results_do_not_depend_on_how_work_is_cut(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config, whole, cut = command.config(generations=9), command.folder / "a", command.folder / "b"
-    assert command.run("--config", config, "--out", whole) == 0
+    config = command.config(generations=9)
+    whole = command.files(config, out=command.folder / "whole")
     for module, name, size in (
         (optimum, "BLOCK_RUNS", 2), (optimum, "STRETCH_GENERATIONS", 2),
         (compare, "BLOCK_STUDIES", 2), (compare, "STRETCH_TRIALS", 3),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, size)
-    assert command.run("--config", config, "--out", cut) == 0
-    assert files(cut) == files(whole)
+    assert command.files(config, out=command.out) == whole
 
 
-def test_bad_input_is_one_line_and_nothing_is_made(
-    command: Command, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("field", "old", "new"),
+    [
+        ("cmaes.sigma", "tolerance = 1e-2", "sigma = 2.0"),
+        ("cmaes.population", "tolerance = 1e-2", "population = 2"),
+        ("cmaes.patience", "tolerance = 1e-2", "patience = 2"),
+        ("objective.cost", '"walking"', '"fast"'),
+        ("store", "/store", "/no-store"),
+        ("stores.flat", "flat =", "diverse ="),
+        ("terrain.kind", "[cmaes]", '[terrain]\nkind = "rough"\n[cmaes]'),
+        ("body.disturbance", "[cmaes]", "[body]\ndisturbance = 0.15\n[cmaes]"),
+        ("searched", "seed = 5", 'seed = 5\nsearched = ["theta_ref"]'),
+        ("trials", "trials = 4", "trials = 100000"),
+        ("name", '"tiny"', '"a/b"'),
+    ],
+)
+def test_a_configuration_that_cannot_be_used_makes_nothing(
+    field: str, old: str, new: str, command: Command
 ) -> None:
-    config, out = command.config(), command.folder / "out"
-    foreign = command.folder / "foreign"
+    config = command.config()
+    assert old in config.read_text()
+    config.write_text(config.read_text().replace(old, new))
+    command.refuses(f"{field}: ", config)
+    assert not command.out.exists()
+
+
+def test_options_that_cannot_be_used(command: Command) -> None:
+    config, foreign = command.config(), command.folder / "foreign"
     foreign.mkdir()
     (foreign / "thesis.tex").write_text("")
-    variants = {
-        "cmaes.sigma": ("tolerance = 1e-2", "sigma = 2.0"),
-        "cmaes.population": ("tolerance = 1e-2", "population = 2"),
-        "cmaes.patience": ("tolerance = 1e-2", "patience = 2"),
-        "objective.cost": ('"walking"', '"fast"'),
-        "store": (str(command.folder / "store"), str(command.folder / "no-store")),
-        "stores.flat": ("flat =", "diverse ="),
-        "terrain.kind": ("[cmaes]", '[terrain]\nkind = "rough"\n[cmaes]'),
-        "body.disturbance": ("[cmaes]", "[body]\ndisturbance = 0.15\n[cmaes]"),
-        "searched": ("seed = 5", 'seed = 5\nsearched = ["theta_ref"]'),
-        "trials": ("trials = 4", "trials = 100000"),
-        "name": ('"tiny"', '"a/b"'),
-    }
-    cases: list[tuple[str, tuple[object, ...]]] = [
-        ("config", ("--config", command.folder / "none.toml", "--out", out)),
-        ("runs", ("--config", config, "--out", out, "--runs", 0)),
-        ("out", ("--config", config, "--out", foreign)),
-        ("max-generations", ("--config", config, "--out", out, "--max-generations", 0)),
-    ]
-    for number, (field, (old, new)) in enumerate(variants.items()):
-        path = command.folder / f"bad-{number}.toml"
-        path.write_text(config.read_text().replace(old, new))
-        cases.append((field, ("--config", path, "--out", out)))
-    for field, arguments in cases:
-        assert command.run(*arguments) == 2, field
-        lines = capsys.readouterr().err.strip().splitlines()
-        assert len(lines) == 1, lines
-        assert lines[0].startswith(f"error: {field}: "), lines
-    assert not out.exists()
+    command.refuses("config: ", command.folder / "none.toml")
+    command.refuses("out: ", config, out=foreign)
+    command.refuses("runs: ", config, "--runs", 0)
+    command.refuses("max-generations: ", config, "--max-generations", 0)
+    assert not command.out.exists()
 
 
-def test_another_configuration_or_a_foreign_evaluation_is_refused(
-    command: Command, capsys: pytest.CaptureFixture[str]
-) -> None:
-    config, out = command.config(generations=3), command.folder / "out"
-    assert command.run("--config", config, "--out", out) == 0
-    before = files(out)
+def test_another_configuration_or_a_foreign_evaluation_is_refused(command: Command) -> None:
+    config, out = command.config(generations=3), command.out
+    before = command.files(config, out=out)
     other = command.folder / "other.toml"
     other.write_text(config.read_text().replace("seed = 5", "seed = 6"))
-    capsys.readouterr()
-    assert command.run("--config", other, "--out", out) == 2
-    assert "error: seed: 6" in capsys.readouterr().err
+    command.refuses("seed: 6", other)
     assert files(out) == before
-    table = pq.read_table(out / "evaluations.parquet")
-    moved = pc.add(table["K_GAS"], 1e-9)
-    table = table.set_column(
-        table.schema.get_field_index("K_GAS"), table.schema.field("K_GAS"), moved
-    )
-    pq.write_table(table, out / "evaluations.parquet")
-    assert command.run("--config", config, "--out", out) == 2
-    assert "does not fit the digest" in capsys.readouterr().err
+    evaluations = out / "evaluations.parquet"
+    table = pq.read_table(evaluations)
+    place = table.schema.get_field_index("K_GAS")
+    table = table.set_column(place, table.schema.field(place), pc.add(table["K_GAS"], 1e-9))
+    pq.write_table(table, evaluations)
+    command.refuses(".*does not fit the digest", config)
     document = json.loads((out / "search.json").read_text())
-    write_stamped(out / "evaluations.parquet", table.replace_schema_metadata(None), document)
-    assert command.run("--config", config, "--out", out) == 2
-    assert "run 0 in" in capsys.readouterr().err
-    (out / "evaluations.parquet").write_bytes(b"PAR1")
-    assert command.run("--config", config, "--out", out) == 2
-    assert capsys.readouterr().err.count("\n") == 1  # before the comparison says how far it is
+    write_stamped(evaluations, table.replace_schema_metadata(None), document)
+    assert command.run(config) == 2
+    assert "run 0 in" in command.tool.err
+    evaluations.write_bytes(b"PAR1")
+    command.refuses("", config)  # before the comparison says how far it is
 
 
-def test_two_processes_do_not_share_a_folder(
-    command: Command, capsys: pytest.CaptureFixture[str]
-) -> None:
-    config, out = command.config(), command.folder / "out"
-    with claimed(out, "search.json", "one of this command"):
-        assert command.run("--config", config, "--out", out) == 2
-    assert "no other process" in capsys.readouterr().err
+def test_two_processes_do_not_share_a_folder(command: Command) -> None:
+    with claimed(command.out, "search.json", "one of this command"):
+        command.refuses(".*no other process", command.config())
 
 
 def test_what_a_kill_leaves_behind_goes_on_to_the_same_end(
-    command: Command, monkeypatch: pytest.MonkeyPatch
+    command: Command, simulator: Simulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process killed in the third generation leaves the checkpoint of the second."""
     monkeypatch.setattr(compare, "CHECKPOINT_S", 0.0)
     monkeypatch.setattr(optimum, "STRETCH_GENERATIONS", 1)
     seen: list[int] = []
-    killed = command.folder / "killed"
-    config, out = command.config(generations=3), command.folder / "out"
+    config, out, killed = command.config(generations=3), command.out, command.folder / "killed"
 
     def simulate_and_look(gains: Any, **options: Any) -> Result:
         path = out / "evaluations.parquet"
@@ -311,12 +296,11 @@ def test_what_a_kill_leaves_behind_goes_on_to_the_same_end(
             (killed / ".evaluations.parquet.1.tmp").write_bytes(b"half")
         return simulate(gains, **options)
 
-    command.patch.setitem(vars(taichi_nmm), "simulate", simulate_and_look)
-    assert command.run("--config", config, "--out", out) == 0
+    simulator(simulate_and_look)
+    whole = command.files(config, out=out)
     assert seen == [0] * 4 + [0, 36, 72]  # four trials, three generations
-    command.patch.setitem(vars(taichi_nmm), "simulate", simulate)
-    assert command.run("--config", config, "--out", killed) == 0
-    assert files(killed) == files(out)
+    simulator(simulate)
+    assert command.files(config, out=killed) == whole
     assert not list(killed.glob(".*.tmp"))
 
 
@@ -329,16 +313,14 @@ def test_the_configurations_that_ship_are_read(cost: str) -> None:
     assert np.ptp(experiment.terrain(0).height_m) == 0.0
 
 
-def test_with_the_real_simulator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_the_real_simulator(
+    tmp_path: Path, tool: Tool, simulator: Simulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One generation of two short runs: what it costs is what a walk of these gains costs."""
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-    fake_walker.write_plain_store(tmp_path / "store")
+    command = Command(tmp_path, tool, simulator)
     monkeypatch.delitem(vars(taichi_nmm), "simulate")
-    command = Command(tmp_path, monkeypatch)
-    config = command.config(generations=1, duration=1.0)
-    out = tmp_path / "out"
-    assert command.run("--config", config, "--out", out, "--runs", 2) == 0
-    table = pq.read_table(out / "evaluations.parquet")
+    assert command.run(command.config(generations=1, duration=1.0), "--runs", 2) == 0
+    table = pq.read_table(command.out / "evaluations.parquet")
     gains = np.column_stack([table[name].to_numpy() for name in GAIN_NAMES])
     rows = taichi_nmm.simulate(gains, duration_s=1.0).rows
     np.testing.assert_array_equal(table["cost"].to_numpy(), taichi_nmm.walking_cost(rows))

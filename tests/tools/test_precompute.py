@@ -4,21 +4,19 @@ import json
 import os
 import random
 import signal
-import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
+from subprocess import PIPE, Popen
 from types import SimpleNamespace
 
 import pytest
 
-import taichi_nmm
 from storage import open_store
 from taichi_nmm.errors import InputError
 from taichi_nmm.settings import Settings
-from tests.study import fake_walker
-from tests.tools.running import ROOT, run_tool
+from tests.tools.conftest import Simulator, Tool
+from tests.tools.running import ROOT, start
 
 pytestmark = pytest.mark.slow
 
@@ -43,35 +41,27 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
-def start(config: Path, out: Path, *options: str, **accidents: object) -> subprocess.Popen[str]:
+def begin(config: Path, out: Path, *options: str, **accidents: object) -> "Popen[str]":
     """The command in a process of its own; the accidents are those of fake_command.py."""
-    program = [sys.executable, str(ROOT / "tests" / "tools" / "fake_command.py"), "precompute"]
-    words = ("--workers", "1", "--config", str(config), "--out", str(out), *options)
-    environment = {f"FAKE_{name.upper()}": str(value) for name, value in accidents.items()}
-    return subprocess.Popen(
-        [*program, *words],
-        env={**os.environ, **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    words = ("--workers", 1, "--config", config, "--out", out, *options)
+    return start("precompute", *words, **accidents)
 
 
-def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+def finish(process: "Popen[str]") -> tuple[int, str, str]:
     """Exit code, standard output, and the last line of standard error."""
     out, err = process.communicate(timeout=WAIT_S)
     return process.returncode, out, (err.strip().splitlines() or [""])[-1]
 
 
 def run(config: Path, out: Path, *options: str, **accidents: object) -> tuple[int, str, str]:
-    return finish(start(config, out, *options, **accidents))
+    return finish(begin(config, out, *options, **accidents))
 
 
 def shards(out: Path) -> int:
     return len(list(out.glob("part-*.parquet")))
 
 
-def wait_for_shards(process: subprocess.Popen[str], out: Path, count: int) -> None:
+def wait_for_shards(process: "Popen[str]", out: Path, count: int) -> None:
     deadline = time.monotonic() + WAIT_S
     while shards(out) < count and process.poll() is None:
         assert time.monotonic() < deadline
@@ -91,26 +81,15 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return content(folder / "store")
 
 
-Command = Callable[..., tuple[int, str, str]]
-
-
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """The command within this process: exit code, standard output, standard error."""
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        code = run_tool(monkeypatch, "precompute", "--workers", 1, *arguments)
-        return code, *capsys.readouterr()
-
-    return call
+def command(simulator: Simulator, config: Path, tmp_path: Path) -> tuple[object, ...]:
+    """The words of the command."""
+    return "precompute", "--workers", 1, "--config", config, "--out", tmp_path / "store"
 
 
-def test_json_is_one_object(config: Path, tmp_path: Path, command: Command) -> None:
+def test_json_is_one_object(tmp_path: Path, tool: Tool, command: tuple[object, ...]) -> None:
     store = tmp_path / "store"
-    code, out, _ = command("--config", config, "--out", store, "--json", "--samples", 20)
-    summary = json.loads(out)
-    assert code == 0
+    summary = tool.json(*command, "--samples", 20)
     assert (summary["points"], summary["points_computed"], summary["shards"]) == (20, 20, 3)
     assert summary["path"] == str(store)
     assert summary["walkers_per_s"] > 0
@@ -119,42 +98,38 @@ def test_json_is_one_object(config: Path, tmp_path: Path, command: Command) -> N
 
 
 def test_text_says_what_was_done_and_where(
-    config: Path, tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+    config: Path, tool: Tool, command: tuple[object, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config.write_text(CONFIG + "[robust]\nsettings = 2\n[robust.body]\ndisturbance = 0.1\n")
-    monkeypatch.chdir(tmp_path)
-    code, out, progress = command("--config", config)
-    assert code == 0
-    assert "96 in 12 shards (96 computed now)" in out
-    assert "points on its disturbed settings" in out
-    assert str(Path("out", "store")) in out  # named after the configuration
-    assert "walker/s" in progress and "96/96" in progress
-    assert (tmp_path / "out" / "store" / "manifest.json").is_file()
+    monkeypatch.chdir(config.parent)
+    assert tool(*command[:-2]) == 0
+    assert "96 in 12 shards (96 computed now)" in tool.out
+    assert "points on its disturbed settings" in tool.out
+    assert str(Path("out", "store")) in tool.out  # named after the configuration
+    assert "walker/s" in tool.err and "96/96" in tool.err
+    assert (config.parent / "out" / "store" / "manifest.json").is_file()
 
 
 def test_another_specification_is_refused_and_fresh_starts_over(
-    config: Path, tmp_path: Path, command: Command, uninterrupted: dict[str, bytes]
+    tmp_path: Path, tool: Tool, command: tuple[object, ...], uninterrupted: dict[str, bytes]
 ) -> None:
-    out = tmp_path / "store"
-    assert command("--config", config, "--out", out, "--samples", 20)[0] == 0
-    before = content(out)
-    code, _, error = command("--config", config, "--out", out)
-    assert code == 2 and error.startswith("error: samples: 96 cannot be used; allowed: 20, as ")
-    assert content(out) == before
-    assert command("--config", config, "--out", out, "--fresh")[0] == 0
-    assert content(out) == uninterrupted
+    assert tool(*command, "--samples", 20) == 0
+    before = content(tmp_path / "store")
+    tool.refuses("samples: 96 cannot be used; allowed: 20, as ", *command)
+    assert content(tmp_path / "store") == before
+    assert tool(*command, "--fresh") == 0
+    assert content(tmp_path / "store") == uninterrupted
 
 
 def test_a_missing_gpu_is_refused_before_anything_is_written(
-    config: Path, tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, tool: Tool, command: tuple[object, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(settings: Settings) -> None:
         raise InputError("simulation.arch", settings.arch, "an architecture of this machine")
 
     backend = SimpleNamespace(start=refuse)
     monkeypatch.setattr("taichi_nmm.kernel.backend", backend, raising=False)
-    code, _, error = command("--config", config, "--out", tmp_path / "store", "--arch", "cuda")
-    assert code == 2 and error.startswith("error: simulation.arch: 'cuda'")
+    tool.refuses("simulation.arch: 'cuda'", *command, "--arch", "cuda")
     assert not (tmp_path / "store").exists()
 
 
@@ -163,7 +138,7 @@ def test_kill_9_again_and_again_then_equal(
 ) -> None:
     out, dice, codes = tmp_path / "store", random.Random(1), []
     while shards(out) < SHARDS - 4:
-        process = start(config, out, trial_s=0.05)
+        process = begin(config, out, trial_s=0.05)
         wait_for_shards(process, out, shards(out) + 3)
         time.sleep(dice.uniform(0.0, 0.08))  # while simulating, while writing, in between
         process.kill()
@@ -205,7 +180,7 @@ def test_two_launchers_on_one_folder(
     config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
 ) -> None:
     out = tmp_path / "store"
-    first = start(config, out, trial_s=0.15)
+    first = begin(config, out, trial_s=0.15)
     wait_for_shards(first, out, 1)
     code, _, error = run(config, out)
     assert code == 2 and error.startswith("error: out: ") and "no other process" in error
@@ -235,20 +210,16 @@ arch = "cpu"
 REAL_SHARDS = 50
 
 
-def start_real(tmp_path: Path, name: str, workers: int) -> subprocess.Popen[str]:
+def start_real(tmp_path: Path, name: str, workers: int) -> "Popen[str]":
     """The command with the real simulator, which other processes have too."""
     config = tmp_path / "real.toml"
     config.write_text(REAL)
     options = ["--config", config, "--out", tmp_path / name, "--workers", workers]
-    return subprocess.Popen(
-        [sys.executable, str(ROOT / "tools" / "precompute.py"), *map(str, options)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    command = [sys.executable, ROOT / "tools" / "precompute.py", *map(str, options)]
+    return Popen(command, stdout=PIPE, stderr=PIPE, text=True)
 
 
-def workers_of(process: subprocess.Popen[str]) -> list[int]:
+def workers_of(process: "Popen[str]") -> list[int]:
     """Processes that a process has spawned."""
     tasks = Path(f"/proc/{process.pid}/task")
     pids = [pid for file in tasks.glob("*/children") for pid in file.read_text().split()]
@@ -270,27 +241,11 @@ def real_store(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return content(folder / "store")
 
 
-def end_by_killing_a_worker(process: subprocess.Popen[str]) -> tuple[int, str]:
-    os.kill(workers_of(process)[0], signal.SIGKILL)
-    code, _, error = finish(process)
-    return code, error
-
-
-def end_by_interrupt(process: subprocess.Popen[str]) -> tuple[int, str]:
-    process.send_signal(signal.SIGINT)
-    code, _, error = finish(process)
-    return code, error
-
-
-def end_by_killing_it(process: subprocess.Popen[str]) -> tuple[int, str]:
-    process.kill()
-    return process.wait(), ""
-
-
+# Whom which signal ends, and the exit code and the line that the command ends with.
 ENDS = (
-    (end_by_killing_a_worker, 2, "error: workers: 'one was killed' cannot be used; allowed: "),
-    (end_by_interrupt, 130, "interrupted: finished work is kept; the same command resumes"),
-    (end_by_killing_it, -signal.SIGKILL, ""),
+    ("worker", signal.SIGKILL, 2, "error: workers: 'one was killed' cannot be used; allowed: "),
+    ("it", signal.SIGINT, 130, "interrupted: finished work is kept; the same command resumes"),
+    ("it", signal.SIGKILL, -signal.SIGKILL, ""),
 )
 
 
@@ -298,13 +253,14 @@ ENDS = (
 def test_several_processes_ended_in_the_middle_again_and_again_resume_bit_equal(
     tmp_path: Path, real_store: dict[str, bytes]
 ) -> None:
-    for end, code, line in ENDS:
+    for victim, number, code, line in ENDS:
         kept = shards(tmp_path / "store") if (tmp_path / "store").is_dir() else 0
         process = start_real(tmp_path, "store", workers=2)
         wait_for_shards(process, tmp_path / "store", kept + 3)
         workers = workers_of(process)
         assert len(workers) == 2
-        ended, error = end(process)
+        os.kill(workers[0] if victim == "worker" else process.pid, number)
+        ended, _, error = finish(process)
         assert ended == code and error.startswith(line)
         assert kept + 3 <= shards(tmp_path / "store") < REAL_SHARDS
         wait_until_gone(workers)

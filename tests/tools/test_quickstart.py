@@ -16,6 +16,7 @@ from storage.databases.studies import only_run
 from study import pictures
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker
+from tests.tools.conftest import Simulator, Tool
 from tests.tools.running import ROOT, run_tool
 
 pytestmark = pytest.mark.slow
@@ -70,30 +71,22 @@ def test_the_line_for_a_film_makes_a_film(lines: list[str], tmp_path: Path) -> N
 
 
 def test_a_store_of_something_else_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, tool: Tool, simulator: Simulator
 ) -> None:
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     fake_walker.write_plain_store(tmp_path / "store", samples=20)
-    assert run_tool(monkeypatch, "quickstart", "--out", tmp_path) == 2
-    said = capfd.readouterr().err
-    assert said.startswith("error: samples: 4000 ") and said.count("\n") == 1
+    assert tool("quickstart", "--out", tmp_path) == 2
+    assert tool.err.startswith("error: samples: 4000 ") and tool.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("field", ["study", "storage"])
 def test_studies_that_cannot_go_on_are_refused_before_the_store_is_made(
-    field: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+    field: str, tmp_path: Path, tool: Tool, simulator: Simulator
 ) -> None:
     """Another process runs one of them; the database is another program's."""
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     file = tmp_path / "studies.db"
     with closing(sqlite3.connect(file)) as connection:
         connection.execute("CREATE TABLE studies (title TEXT)")
     taken = only_run(f"sqlite:///{file}", "rough8/dog/run-000")
     with taken if field == "study" else nullcontext():
-        assert run_tool(monkeypatch, "quickstart", "--out", tmp_path) == 2
-    said = capfd.readouterr().err
-    assert said.startswith(f"error: {field}: ") and said.count("\n") == 1
+        tool.refuses(f"{field}: ", "quickstart", "--out", tmp_path)
     assert not (tmp_path / "store").exists()

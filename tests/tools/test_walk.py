@@ -2,23 +2,25 @@
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import pytest
 
-import taichi_nmm
 from storage.store import open_store
 from study import pictures
 from study.experiment.experiment import read_experiment
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 from tests.study import fake_walker
-from tests.tools.running import ROOT, run_tool
+from tests.tools.conftest import Simulator, Tool
+from tests.tools.running import ROOT
 
 FLAT = ROOT / "configs" / "flat.toml"
 ROUGH8 = ROOT / "configs" / "rough8.toml"
 
+PICTURES = {"strip.png", "gait_cycle.png", "movie.mp4"}
 WALKS = dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
 FALLS = WALKS | {"K_SOL": 0.5, "K_VAS": 0.2}
 
@@ -31,11 +33,9 @@ def gains_file(folder: Path, gains: Any) -> str:
 
 @pytest.mark.slow
 def test_reference_walks_100_s_at_human_speed_and_json_is_one_object(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, tool: Tool
 ) -> None:
-    done = run_tool(monkeypatch, "walk", "--out", tmp_path, "--movie-seconds", 1, "--json")
-    assert done == 0
-    report = json.loads(capsys.readouterr().out)
+    report = tool.json("walk", "--out", tmp_path, "--movie-seconds", 1)
     assert report["end_reason"] == "completed" and report["duration_s"] == 100.0
     assert report["mean_speed_mps"] == pytest.approx(1.30, abs=0.05)
     assert report["distance_m"] == pytest.approx(100.0 * report["mean_speed_mps"])
@@ -43,34 +43,27 @@ def test_reference_walks_100_s_at_human_speed_and_json_is_one_object(
     drawn = {name: Path(path) for name, path in report["pictures"].items()}
     assert set(drawn) == {"strip", "gait_cycle", "movie"}
     assert all(path.stat().st_size > 10_000 for path in drawn.values())
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "gait_cycle.png", "movie.mp4", "strip.png",
-    ]  # fmt: skip
+    assert {path.name for path in tmp_path.iterdir()} == PICTURES
 
 
 @pytest.mark.slow
 def test_a_walker_that_falls_is_shown_too_from_another_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    arguments = ("--gains", gains_file(tmp_path, FALLS), "--config", FLAT, "--duration", 3)
-    assert run_tool(monkeypatch, "walk", *arguments, "--movie-seconds", 0.3) == 0
-    said = capsys.readouterr().out
-    assert "fell after" in said and "cost of transport" in said
+    words = ("--gains", gains_file(tmp_path, FALLS), "--config", FLAT, "--duration", 3)
+    assert tool("walk", *words, "--movie-seconds", 0.3) == 0
+    assert "fell after" in tool.out and "cost of transport" in tool.out
     folder = tmp_path / "out" / "walk" / "gains"
-    assert {path.name for path in folder.iterdir()} == {"strip.png", "gait_cycle.png", "movie.mp4"}
+    assert {path.name for path in folder.iterdir()} == PICTURES
 
 
 @pytest.mark.slow
-def test_mujoco_moves_the_body_and_opens_its_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) -> None:
     model = tmp_path / "walker.xml"
-    given = ("--gains", "published", "--config", ROUGH8, "--run", 3, "--duration", 3)
-    where = ("--out", tmp_path / "out", "--movie-seconds", 0, "--json")
-    engine = ("--engine", "mujoco", "--mjcf", model)
-    assert run_tool(monkeypatch, "walk", *given, *where, *engine) == 0
-    report = json.loads(capsys.readouterr().out)
+    words = ("walk", "--gains", "published", "--config", ROUGH8, "--run", 3, "--duration", 3,
+             "--out", tmp_path / "out", "--movie-seconds", 0)  # fmt: skip
+    report = tool.json(*words, "--engine", "mujoco", "--mjcf", model)
     assert report["duration_s"] == 3.0 and 2.0 < report["distance_m"] < 6.0
     assert set(report["pictures"]) == {"strip", "gait_cycle", "mjcf"}
     assert report["pictures"]["mjcf"] == str(model)
@@ -79,8 +72,7 @@ def test_mujoco_moves_the_body_and_opens_its_file(
     assert opened.body_mass[1:].tolist() == body.mass_kg[0].tolist()
     assert opened.nkey == 1 and opened.nu == 6
     # The other engine is another walk.
-    assert run_tool(monkeypatch, "walk", *given, *where) == 0
-    assert json.loads(capsys.readouterr().out)["distance_m"] != report["distance_m"]
+    assert tool.json(*words)["distance_m"] != report["distance_m"]
 
 
 # With the simulator and the painters replaced.
@@ -89,21 +81,11 @@ Walk = Callable[..., dict[str, Any]]
 
 
 @pytest.fixture
-def walk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Walk:
+def walk(tmp_path: Path, tool: Tool, simulator: Simulator, monkeypatch: pytest.MonkeyPatch) -> Walk:
     """Runs the command; returns what it prints with --json."""
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     for name in ("write_strip", "write_gait_cycle", "write_movie"):
         monkeypatch.setattr(pictures, name, lambda path, *_: path)
-    fake_walker.calls.clear()
-
-    def walk(*arguments: object) -> dict[str, Any]:
-        assert run_tool(monkeypatch, "walk", "--out", tmp_path / "out", "--json", *arguments) == 0
-        report: dict[str, Any] = json.loads(capsys.readouterr().out)
-        return report
-
-    return walk
+    return partial(tool.json, "walk", "--out", tmp_path / "out")
 
 
 def test_a_result_is_taken_as_gains_and_gives_the_same_numbers(walk: Walk, tmp_path: Path) -> None:

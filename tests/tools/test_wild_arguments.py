@@ -49,36 +49,24 @@ FORMS = {
 }  # fmt: skip
 
 
-class Places:
-    """A configuration with its store, a finished comparison, and files that nobody should read."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.named = {
-            "CONFIG": fake_walker.write_config(folder), "STORE": folder / "store",
-            "DONE": folder / "done",
-        }  # fmt: skip
-        for name, text in DEEP.items():
-            (folder / name).write_text(text)
-
-    def words(self, words: tuple[str, ...]) -> list[str]:
-        return [str(self.named.get(word, word)) for word in words]
-
-
 @pytest.fixture(scope="module")
-def places(tmp_path_factory: pytest.TempPathFactory) -> Places:
+def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A configuration with its store, a finished comparison, and files that nobody should read."""
     folder = tmp_path_factory.mktemp("places")
+    places = {name: folder / name for name in DEEP}
+    for name, text in DEEP.items():
+        places[name].write_text(text)
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-        places = Places(folder)
-        given = ("--config", folder / "toy.toml", "--arms", "random", "--runs", 1, "--trials", 1)
+        places["CONFIG"] = fake_walker.write_config(folder)
+        given = ("--config", places["CONFIG"], "--arms", "random", "--runs", 1, "--trials", 1)
         end = ("--no-artifacts", "--workers", 1, "--out", folder / "done")
         assert run_tool(patch, "compare", *given, *end) == 0
-    return places
+    return places | {"STORE": folder / "store", "DONE": folder / "done"}
 
 
 def tries(
-    command: str, action: Action, is_whole: bool, places: Places
+    command: str, action: Action, is_whole: bool, places: dict[str, Path]
 ) -> Iterator[tuple[str, list[str]]]:
     """What is tried with an option: what it is called, and all words of the command."""
     flag = action.option_strings[-1] if action.option_strings else ""
@@ -86,17 +74,14 @@ def tries(
     is_text = of_text and action.choices is None
     words = WORDS if is_text else {"5,000 digits": WORDS["5,000 digits"]}
     if is_text and NEW_FILE.get(command) != flag:
-        words = words | {name: str(places.folder / name) for name in DEEP}
-    complete = COMPLETE.get(command, ())
+        words = words | {name: str(places[name]) for name in DEEP}
     beside = BESIDE.get(flag, ()) if command == "walk" else ()
+    before = [str(places.get(word, word)) for word in (*COMPLETE.get(command, ()), *beside)]
     for name, word in words.items():
         for form in FORMS.get(flag, ("{}",)):
             tried = form.format(word)
             if flag:
-                yield (
-                    f"{flag} {form}: {name}",
-                    places.words((*complete, *beside, f"{flag}={tried}")),
-                )
+                yield f"{flag} {form}: {name}", [*before, f"{flag}={tried}"]
             else:
                 yield f"{action.dest}: {name}", [tried]
 
@@ -108,7 +93,7 @@ def refuse_work(*_: Any, **__: Any) -> NoReturn:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_it_is_refused_in_one_line(
     command: str,
-    places: Places,
+    places: dict[str, Path],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -122,9 +107,9 @@ def test_it_is_refused_in_one_line(
     for action in [*actions, Action(["--new\nline"], "unknown")]:
         for name, words in tries(command, action, action.dest in parser.bounds, places):
             tried += 1
-            code: object = None
             try:
                 main([command, *words])
+                code: object = None
             except SystemExit as end:
                 code = end.code
             except BaseException as error:

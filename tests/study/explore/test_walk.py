@@ -1,4 +1,4 @@
-"""A gait that walks for the page: what is drawn, why it fell, and the same bits without a page."""
+"""A gait that walks for the page: its setting, its frames, why it fell, and files to take away."""
 
 import io
 import json
@@ -11,14 +11,76 @@ import pyarrow.parquet as pq
 import pytest
 
 from storage.store import open_store
+from study.experiment.experiment import as_written, read_experiment
 from study.explore.downloads import NAMES, command_line, file_of_selection, file_of_walk
-from study.explore.walk import RATE_HZ, Walk, chosen_setting, frames_of, walk
+from study.explore.walk import (
+    DISTURBANCES,
+    GROUNDS,
+    RATE_HZ,
+    WORLDS,
+    Setting,
+    Walk,
+    chosen_setting,
+    frames_of,
+    to_toml,
+    walk,
+)
 from study.gains import gains_of_source
+from study.options import config_path
+from taichi_nmm.config import read_toml
+from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker, synthetic_gait
 from tests.tools.running import run_tool
 
-pytestmark = pytest.mark.slow
+
+def same_robot(one: Setting, other: Setting) -> None:
+    """Body, world and ground have the same bits."""
+    bodies = [each.experiment.body(each.run) for each in (one, other)]
+    np.testing.assert_array_equal(bodies[0].mass_kg, bodies[1].mass_kg)
+    worlds = [each.experiment.world(each.run) for each in (one, other)]
+    np.testing.assert_array_equal(worlds[0].strength, worlds[1].strength)
+    heights = [each.experiment.terrain(each.run).height_m for each in (one, other)]
+    np.testing.assert_array_equal(*heights)
+    conditions = one.experiment.conditions, other.experiment.conditions
+    assert conditions[0].simulation_document() == conditions[1].simulation_document()
+
+
+def reread(setting: Setting, folder: Path) -> Setting:
+    path = folder / "walk.toml"
+    path.write_text(setting.toml())
+    return Setting(read_experiment(path), setting.run)
+
+
+@pytest.mark.parametrize("ground", GROUNDS)
+def test_a_chosen_setting_is_a_configuration(ground: str, tmp_path: Path) -> None:
+    for seed, (world, disturbance) in enumerate(zip(WORLDS, [*DISTURBANCES] * 2, strict=False)):
+        engine = ("taichi", "mujoco")[seed % 2]
+        setting = chosen_setting(ground, disturbance, seed, world, engine, 12.5)
+        assert setting.experiment.conditions.settings.engine == engine
+        same_robot(setting, reread(setting, tmp_path))
+
+
+@pytest.mark.parametrize(
+    "name", ["rough8-smooth", "mujoco-rough8-soft", "outside-weak", "ramp-up-torso"]
+)
+def test_a_run_of_an_experiment_is_a_configuration(name: str, tmp_path: Path) -> None:
+    experiment = read_experiment(config_path(name))
+    setting = Setting(experiment, run=7)
+    again = reread(setting, tmp_path)
+    same_robot(setting, again)
+    assert as_written(again.experiment) == as_written(experiment)
+
+
+def test_a_seed_that_no_configuration_takes() -> None:
+    with pytest.raises(InputError, match="seed: -1"):
+        chosen_setting("flat", "nominal", -1, "nominal", "taichi", 5.0)
+
+
+def test_tables_within_tables_come_last(tmp_path: Path) -> None:
+    tables = {"a": {"b": {"c": 1.5}, "d": [1, 2]}, "e": "x\ty", "f": True}
+    (tmp_path / "t.toml").write_text(to_toml(tables))
+    assert read_toml(tmp_path / "t.toml").unread == tables
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +90,7 @@ def fallen() -> Walk:
     return walk(gains_of_source("published"), setting)
 
 
+@pytest.mark.slow
 def test_frames_are_the_poses_of_the_walk(fallen: Walk) -> None:
     frames, trajectory = fallen.frames, fallen.trajectory
     count = len(frames.time_s)
@@ -40,6 +103,7 @@ def test_frames_are_the_poses_of_the_walk(fallen: Walk) -> None:
     assert all(len(column) == 1 for column in frames.columns().values())
 
 
+@pytest.mark.slow
 def test_a_fall_says_why(fallen: Walk) -> None:
     assert fallen.ended.startswith("fell after ")
     pose = fallen.trajectory.q[-1]
@@ -59,6 +123,7 @@ def test_a_walk_that_never_was_finite_still_has_frames_or_says_so() -> None:
     assert np.isfinite(frames.near).all() and frames.time_s[-1] <= trajectory.time_s[50]
 
 
+@pytest.mark.slow
 def test_what_is_taken_walks_the_same_to_the_bit(
     fallen: Walk,
     tmp_path: Path,
@@ -81,6 +146,7 @@ def test_what_is_taken_walks_the_same_to_the_bit(
     assert title == b"published" and Path("walk.sto").read_bytes() == b"gains\n" + rest
 
 
+@pytest.mark.slow
 def test_every_file_can_be_made(fallen: Walk) -> None:
     begins = {"png": b"\x89PNG", "mp4": b"", "json": b"{", "toml": b"runs", "csv": b"time_s,",
               "mot": b"published\n", "sto": b"published\n"}  # fmt: skip
@@ -95,11 +161,10 @@ def test_a_selection_is_read_back(fake_simulator: None, tmp_path: Path) -> None:
     table = open_store(tmp_path / "store").table()
     low = float(np.median(table["mean_speed_mps"].to_numpy()))
     wanted = table.filter(table["mean_speed_mps"].to_numpy() >= low)
-    name, content = file_of_selection(
-        tmp_path / "store", {"mean_speed_mps": (low, np.inf)}, ".parquet"
-    )
+    ranges = {"mean_speed_mps": (low, np.inf)}
+    name, content = file_of_selection(tmp_path / "store", ranges, ".parquet")
     assert name == "selection.parquet" and pq.read_table(io.BytesIO(content)).equals(wanted)
-    name, content = file_of_selection(tmp_path / "store", {"mean_speed_mps": (low, np.inf)}, ".csv")
+    name, content = file_of_selection(tmp_path / "store", ranges, ".csv")
     again = pyarrow.csv.read_csv(io.BytesIO(content))
     assert again["row"].to_pylist() == wanted["row"].to_pylist()
     assert again["phi_printed"].to_pylist() == wanted["phi_printed"].to_pylist()

@@ -1,14 +1,17 @@
-"""Who is answered: loopback names, and pages of this address."""
+"""The page's server: whom it answers, calls of which the latest counts, and the message line."""
 
 import http.client
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
 
 import taichi_nmm
+from study.explore.server import OURS, Latest, Message
 from tests.study import fake_walker
 from tests.study.explore.serving import explorer
 
@@ -100,3 +103,98 @@ def test_a_socket_without_a_page_s_token_finds_nothing(address: str, errors: Pat
 )
 def test_other_sites_cannot_embed_the_page(address: str, path: str) -> None:
     assert status(address, path, {}) == 404
+
+
+class ByHand(Executor):
+    """Calls that a test ends."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[Future[Any], Any]] = []
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **_: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.calls.append((future, args[0]))
+        return future
+
+
+class Tab:
+    """What of a document is used."""
+
+    def __init__(self) -> None:
+        self.closed: list[Callable[[object], None]] = []
+
+    def on_session_destroyed(self, call: Callable[[object], None]) -> None:
+        self.closed.append(call)
+
+    def add_next_tick_callback(self, call: Callable[[], None]) -> None:
+        call()
+
+
+def start() -> tuple[Latest, ByHand, Tab, list[Any], list[BaseException]]:
+    tab, executor = Tab(), ByHand()
+    done: list[Any] = []
+    failed: list[BaseException] = []
+    return Latest(tab, executor, done.append, failed.append), executor, tab, done, failed
+
+
+def test_what_waits_gives_way_to_what_is_newer() -> None:
+    latest, executor, _, done, _ = start()
+    for number in range(5):
+        latest.ask(print, number)
+    assert [asked for _, asked in executor.calls] == [0]
+    executor.calls[0][0].set_result("zero")
+    assert [asked for _, asked in executor.calls] == [0, 4]
+    executor.calls[1][0].set_result("four")
+    assert done == ["zero", "four"]
+    latest.ask(print, 5)
+    assert len(executor.calls) == 3
+
+
+def test_an_error_is_told_and_work_goes_on() -> None:
+    latest, executor, _, done, failed = start()
+    latest.ask(print, 0)
+    latest.ask(print, 1)
+    error = ValueError("no")
+    executor.calls[0][0].set_exception(error)
+    assert failed == [error]
+    executor.calls[1][0].set_result("one")
+    assert done == ["one"]
+
+
+def test_a_closed_tab_gets_nothing() -> None:
+    latest, executor, tab, done, _ = start()
+    latest.ask(print, 0)
+    latest.ask(print, 1)
+    tab.closed[0](None)
+    executor.calls[0][0].set_result("zero")
+    assert done == [] and len(executor.calls) == 1
+
+
+LACKED = "libX11.so.6: cannot open shared object file: No such file or directory"
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (
+            ModuleNotFoundError("No module named 'mujoco'", name="mujoco"),
+            "package: 'mujoco' is not installed; allowed: an environment that has it",
+        ),
+        (
+            ImportError(LACKED, name="taichi_python", path="/lib/taichi_python.abi3.so"),
+            f"taichi_python: '{LACKED}' cannot be used; "
+            "allowed: a machine with the libraries that taichi_python needs (README.md)",
+        ),
+    ],
+)
+def test_what_the_machine_lacks_is_said(error: ImportError, said: str) -> None:
+    message = Message()
+    message.failed(error)
+    assert message.layout.text == said.replace("'", "&#x27;")
+
+
+def test_a_mistake_of_ours_is_called_so(capsys: pytest.CaptureFixture[str]) -> None:
+    message = Message()
+    message.failed(ImportError("cannot import name 'x'", name="study.view", path="/study/view.py"))
+    assert message.layout.text == OURS
+    assert "cannot import name 'x'" in capsys.readouterr().err
