@@ -1,6 +1,7 @@
 """Gains by name, from a store's row and from finished trials, with every low-level gain."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +10,11 @@ import optuna
 import pyarrow.parquet as pq
 import pytest
 
+import taichi_nmm
 from storage.databases.studies import open_studies
 from storage.store import open_store
 from study.comparison.compare import Request, compare
 from study.experiment.arms import find_arm
-from study.experiment.experiment import Experiment
 from study.experiment.live_study import run_study
 from study.gains import gains_of_row, gains_of_source, gains_of_trial
 from taichi_nmm.errors import InputError
@@ -21,29 +22,41 @@ from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, PUBLISHED_GAINS, 
 from tests.study import fake_walker
 
 DEFAULTS = [parameter.default for parameter in LOW_LEVEL_GAINS]
-TORSO = 'searched = ["theta_ref"]'
+LIVE, BESIDE, OTHER = "sqlite:///live.db", "sqlite:///out/studies.db", "sqlite:///other.db"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The toy experiment with a seventeenth parameter: its store, a comparison, a live study.
+
+    The live study has three trials, and a fourth that nobody has finished. Another database is of
+    another program's study.
+    """
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+        toy = fake_walker.experiment(folder, 'searched = ["theta_ref"]')
+        request = Request(folder / "out", arms=("dog", "random"), runs=2, trials=3, artifacts=False)
+        compare(toy, request, lambda progress: None)
+        dotted = Request(folder / "dots", arms=("random",), runs=1, trials=1, artifacts=False)
+        compare(replace(toy, name="rough-8.5_b"), dotted, lambda progress: None)
+        storage = open_studies(f"sqlite:///{folder}/live.db")
+        run_study(toy, find_arm("dog"), 1, 3, storage).ask()
+        storage.engine.dispose()
+    other = optuna.create_study(
+        study_name="other", storage=open_studies(f"sqlite:///{folder}/other.db")
+    )
+    other.optimize(lambda trial: trial.suggest_float("x", 0, 1), 1)
+    (folder / "empty").mkdir()
+    (folder / "text.db").write_text("no database, but long enough to have a header of its own")
+    return folder
 
 
 @pytest.fixture
-def torso(fake_simulator: None, tmp_path: Path) -> Experiment:
-    """The toy experiment with a seventeenth parameter."""
-    return fake_walker.experiment(tmp_path, TORSO)
-
-
-@pytest.fixture
-def database(torso: Experiment, tmp_path: Path) -> str:
-    """Of a live study of three trials, and a fourth that nobody has finished."""
-    url = f"sqlite:///{tmp_path}/studies.db"
-    run_study(torso, find_arm("dog"), 1, 3, open_studies(url)).ask()
-    return url
-
-
-@pytest.fixture
-def folder(torso: Experiment, tmp_path: Path) -> Path:
-    """Of a comparison, with its own database."""
-    request = Request(tmp_path / "out", arms=("dog", "random"), runs=2, trials=3, artifacts=False)
-    compare(torso, request, lambda progress: None)
-    return tmp_path / "out"
+def here(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder."""
+    monkeypatch.chdir(made)
+    return made
 
 
 def one_line(message: str) -> pytest.RaisesExc[InputError]:
@@ -60,9 +73,8 @@ def test_gains_by_name_and_of_a_file(tmp_path: Path) -> None:
     mine = gains_of_source(str(file))
     assert mine.name == "mine"
     assert mine.low_level.tolist() == [*DEFAULTS[:7], 0.2]
-    assert mine.as_document() == dict(zip(GAIN_NAMES, PUBLISHED_GAINS, strict=True)) | {
-        "theta_ref": 0.2
-    }
+    published = dict(zip(GAIN_NAMES, PUBLISHED_GAINS, strict=True))
+    assert mine.as_document() == published | {"theta_ref": 0.2}
     with one_line(r"gains: 'nobody'"):
         gains_of_source("nobody")
 
@@ -77,42 +89,40 @@ def test_a_row_of_a_store(store: Path) -> None:
         assert list(found.as_document()) == list(GAIN_NAMES)
 
 
-def test_a_row_of_a_store_of_seventeen_parameters(torso: Experiment) -> None:
-    found = gains_of_row(torso.stores["flat"], 7)
-    row = open_store(torso.stores["flat"]).gains()[7]
+def test_a_row_of_a_store_of_seventeen_parameters(here: Path) -> None:
+    found = gains_of_row(Path("store"), 7)
+    row = open_store("store").gains()[7]
     np.testing.assert_array_equal([*found.gains, found.low_level[7]], row)
     assert found.as_document()["theta_ref"] == row[16] != DEFAULTS[7]
 
 
-@pytest.mark.parametrize("row", [-1, 200, 10**9])
-def test_a_row_out_of_range(store: Path, row: int) -> None:
-    with one_line(rf"row: {row} .* 0 to 199, the rows of .*plain-store"):
-        gains_of_row(store, row)
+@pytest.mark.parametrize("row", [-1, 150, 10**9])
+def test_a_row_out_of_range(here: Path, row: int) -> None:
+    with one_line(rf"row: {row} .* 0 to 149, the rows of store"):
+        gains_of_row(Path("store"), row)
 
 
-def test_no_store(tmp_path: Path) -> None:
-    with one_line("nowhere"):
-        gains_of_row(tmp_path / "nowhere", 0)
-    (tmp_path / "empty").mkdir()
-    with one_line("a finished store"):
-        gains_of_row(tmp_path / "empty", 0)
+@pytest.mark.parametrize(("store", "message"), [("nowhere", "nowhere"), ("empty", "a finished")])
+def test_no_store(here: Path, store: str, message: str) -> None:
+    with one_line(message):
+        gains_of_row(Path(store), 0)
 
 
-def test_a_trial_of_a_live_study_and_of_a_comparison_are_the_same(
-    database: str, folder: Path
-) -> None:
-    """Of its table, and of its database: all 17 parameters, to the bit."""
-    row = pq.read_table(folder / "trials.parquet").to_pandas()
+def test_a_trial_of_a_live_study_and_of_a_comparison_are_the_same(here: Path) -> None:
+    """Of its table, and of its database: all 17 parameters, to the bit. The databases stay."""
+    row = pq.read_table("out/trials.parquet").to_pandas()
     row = row[(row.arm == "dog") & (row.run == 1) & (row.trial == 2)].iloc[0]
-    for where in (database, str(folder), f"sqlite:///{folder}/studies.db"):
+    before = {path: path.read_bytes() for path in here.glob("**/*.db*")}
+    for where in (LIVE, "out", BESIDE):
         found = gains_of_trial("toy/dog/run-001/2", where)
         assert found.name == "toy-dog-run-001-2"
         assert found.gains.tolist() == [row[name] for name in GAIN_NAMES]
         assert found.low_level.tolist() == [*DEFAULTS[:7], row.theta_ref]
+    assert {path: path.read_bytes() for path in here.glob("**/*.db*")} == before
 
 
-def test_what_is_found_can_be_written_and_read(folder: Path, tmp_path: Path) -> None:
-    found = gains_of_trial("toy/random/run-000/1", str(folder))
+def test_what_is_found_can_be_written_and_read(here: Path, tmp_path: Path) -> None:
+    found = gains_of_trial("toy/random/run-000/1", "out")
     file = tmp_path / "found.json"
     file.write_text(json.dumps(found.as_document()))
     gains, low_level = load_all_gains(str(file))
@@ -120,91 +130,52 @@ def test_what_is_found_can_be_written_and_read(folder: Path, tmp_path: Path) -> 
     np.testing.assert_array_equal(low_level, found.low_level)
 
 
-@pytest.mark.parametrize(
-    "trial", ["", "12", "toy/dog/run-001", "toy/dog/run-001/", "toy/dog/run-001/-1", "/3", "a/1.5"]
-)
-def test_a_malformed_trial(trial: str, tmp_path: Path) -> None:
-    with one_line(rf"trial: '{trial}' .* EXPERIMENT/ARM/run-NNN/NUMBER, such as"):
-        gains_of_trial(trial, f"sqlite:///{tmp_path}/none.db")
-    assert not (tmp_path / "none.db").exists()
-
-
-@pytest.mark.parametrize(
-    ("trial", "message"),
-    [
-        ("toy/cat/run-001/2", "a study of"),
-        ("toy/dog/run-000/2", "a study of"),
-        ("toy/dog/run-001/3", "a finished trial of"),  # which is running
-        ("toy/dog/run-001/4", "a finished trial of"),
-    ],
-)
-def test_a_trial_that_the_database_does_not_have(trial: str, message: str, database: str) -> None:
-    with one_line(rf"trial: '{trial}' .* {message}"):
-        gains_of_trial(trial, database)
-
-
-@pytest.mark.parametrize(
-    "trial",
-    ["toy/cat/run-001/2", "toy/dog/run-007/2", "toy/dog/run-001/3", "boy/dog/run-001/2",
-     "toy/dog/2", "dog/2", "toy/dog/run-x/2", "a/b/c/d/2"],
-)  # fmt: skip
-def test_a_trial_that_the_folder_does_not_have(trial: str, folder: Path) -> None:
-    with one_line(rf"trial: '{trial}' .* a finished trial of .*trials\.parquet: EXPERIMENT/ARM"):
-        gains_of_trial(trial, str(folder))
-
-
-def test_a_missing_database_is_not_made(tmp_path: Path) -> None:
-    with one_line("storage: .* a database that is there, or a comparison's folder"):
-        gains_of_trial("toy/dog/run-001/2", f"sqlite:///{tmp_path}/none.db")
-    with one_line("storage"):
-        gains_of_trial("toy/dog/run-001/2", str(tmp_path / "nowhere"))
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_without_results(torso: Experiment, tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    with one_line("storage: .* a comparison's folder, with trials.parquet"):
-        gains_of_trial("toy/dog/run-001/2", str(tmp_path / "out"))
-
-
-def test_something_else_in_place_of_a_database_or_a_table(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "text.db").write_text("no database, but long enough to have a header of its own")
-    with one_line("text.db"):
-        gains_of_trial("toy/dog/run-001/2", f"sqlite:///{tmp_path}/text.db")
-    (folder / "trials.parquet").write_text("no table")
-    with one_line(r"trials\.parquet"):
-        gains_of_trial("toy/dog/run-001/2", str(folder))
-
-
-def test_trials_of_other_studies_are_refused_by_what_they_lack(tmp_path: Path) -> None:
-    url = f"sqlite:///{tmp_path}/studies.db"
-    study = optuna.create_study(study_name="other", storage=open_studies(url))
-    study.optimize(lambda trial: trial.suggest_float("x", 0, 1), 1)
-    with one_line("K_GAS"):
-        gains_of_trial("other/0", url)
-
-
-def test_an_experiments_name_may_hold_dots(torso: Experiment, tmp_path: Path) -> None:
-    named = replace(torso, name="rough-8.5_b")
-    request = Request(tmp_path / "out", arms=("random",), runs=1, trials=1, artifacts=False)
-    compare(named, request, lambda progress: None)
-    found = gains_of_trial("rough-8.5_b/random/run-000/0", str(tmp_path / "out"))
+def test_an_experiments_name_may_hold_dots(here: Path) -> None:
+    found = gains_of_trial("rough-8.5_b/random/run-000/0", "dots")
     assert found.name == "rough-8.5_b-random-run-000-0"
 
 
-@pytest.mark.parametrize("column", ["experiment", "trial"])
-def test_a_table_without_a_column(folder: Path, column: str) -> None:
-    path = folder / "trials.parquet"
-    pq.write_table(pq.read_table(path).drop_columns([column]), path)
-    with one_line(rf"storage: .*trials\.parquet.*{column}"):
-        gains_of_trial("toy/dog/run-001/1", str(folder))
+MALFORMED = ("", "12", "toy/dog/run-001", "toy/dog/run-001/", "toy/dog/run-001/-1", "/3", "a/1.5")
+FORM = "EXPERIMENT/ARM/run-NNN/NUMBER, such as"
+TRIAL = "toy/dog/run-001/2"
+NOT_IN_THE_FOLDER = (
+    "toy/cat/run-001/2", "toy/dog/run-007/2", "toy/dog/run-001/3", "boy/dog/run-001/2",
+    "toy/dog/2", "dog/2", "toy/dog/run-x/2", "a/b/c/d/2",
+)  # fmt: skip
 
 
-def test_a_database_that_gains_come_from_stays_as_it_is(torso: Experiment, tmp_path: Path) -> None:
-    url = f"sqlite:///{tmp_path}/studies.db"
-    storage = open_studies(url)
-    run_study(torso, find_arm("random"), 0, 1, storage)
-    storage.engine.dispose()
-    before = {path.name: path.read_bytes() for path in tmp_path.glob("studies.db*")}
-    assert gains_of_trial("toy/random/run-000/0", url).name == "toy-random-run-000-0"
-    assert {path.name: path.read_bytes() for path in tmp_path.glob("studies.db*")} == before
+@pytest.mark.parametrize(
+    ("trial", "where", "message"),
+    [
+        *((trial, "sqlite:///none.db", f"trial: '{trial}' .* {FORM}") for trial in MALFORMED),
+        *(
+            (trial, "out", rf"trial: '{trial}' .* a finished trial of .*trials\.parquet: {FORM}")
+            for trial in NOT_IN_THE_FOLDER
+        ),
+        ("toy/cat/run-001/2", LIVE, "trial: 'toy/cat/run-001/2' .* a study of"),
+        ("toy/dog/run-000/2", LIVE, "trial: 'toy/dog/run-000/2' .* a study of"),
+        ("toy/dog/run-001/3", LIVE, "trial: .* a finished trial of"),  # which is running
+        ("toy/dog/run-001/4", LIVE, "trial: .* a finished trial of"),
+        ("other/0", OTHER, "K_GAS"),  # by what it lacks
+        (TRIAL, "sqlite:///none.db", "storage: .* a database that is there, or a comparison's"),
+        (TRIAL, "nowhere", "storage"),
+        (TRIAL, "empty", "storage: .* a comparison's folder, with trials.parquet"),
+        (TRIAL, "sqlite:///text.db", "text.db"),
+    ],
+)
+def test_no_such_trial(trial: str, where: str, message: str, here: Path) -> None:
+    before = sorted(here.iterdir())
+    with one_line(message):
+        gains_of_trial(trial, where)
+    assert sorted(here.iterdir()) == before
+
+
+@pytest.mark.parametrize("lacking", ["experiment", "trial", ""])
+def test_a_table_without_a_column_or_without_any(here: Path, tmp_path: Path, lacking: str) -> None:
+    path = shutil.copytree(here / "out", tmp_path / "out") / "trials.parquet"
+    if lacking:
+        pq.write_table(pq.read_table(path).drop_columns([lacking]), path)
+    else:
+        path.write_text("no table")
+    with one_line(rf".*trials\.parquet.*{lacking}"):
+        gains_of_trial("toy/dog/run-001/1", str(tmp_path / "out"))

@@ -14,10 +14,10 @@ imported the commands and has done nothing else, since an import takes longer th
 import atexit
 import hashlib
 import json
+import multiprocessing
 import os
 import random
 import re
-import select
 import shutil
 import signal
 import sys
@@ -46,6 +46,7 @@ from study.comparison.optimum import OPTIMUM_NAME
 from study.options import COMMANDS, LARGEST_SEED, Options
 from tests.study import fake_walker
 
+FORK = multiprocessing.get_context("fork")
 NAMING = ("os.rename", "os.link")  # the audit events of os.replace and its like
 DATABASE = "a transaction"  # in place of a file's name
 
@@ -123,7 +124,7 @@ class Ended:
     """How a process ended: its exit code, its commits in their order, its duration."""
 
     code: int
-    commits: tuple[str, ...]
+    commits: list[str]
     wall_s: float
 
     @property
@@ -170,29 +171,20 @@ class Watch:
 
 def in_process(work: Callable[[], None], folder: Path, log: Path, death: Death = Death()) -> Ended:
     """Do some work in a fork of this process, in a folder; what it prints goes to the log."""
-    ours, theirs = os.pipe()
-    pid = os.fork()
-    if pid == 0:
-        os.close(ours)
-        be(work, folder, log, Watch(death, theirs))
+    ours, theirs = os.pipe()  # which holds all names of commits
+    process = FORK.Process(target=be, args=(work, folder, log, Watch(death, theirs)))
+    process.start()
     os.close(theirs)
-    begun_s, words, delay_s = time.monotonic(), b"", death.delay_s
-    with os.fdopen(ours, "rb", buffering=0) as pipe:
-        while True:
-            waits = delay_s is not None and words
-            left_s = max(0.0, begun_s + (delay_s or 0.0) - time.monotonic()) if waits else None
-            if not select.select([pipe], [], [], left_s)[0]:
-                os.kill(pid, signal.SIGKILL)
-                delay_s = None
-                continue
-            word = pipe.read(4096)
-            if not word:
-                break
-            begun_s = begun_s if words else time.monotonic()  # from the end of the fork
-            words += word
-    _, status = os.waitpid(pid, 0)
-    commits = tuple(words.decode().split("\n")[1:-1])
-    return Ended(os.waitstatus_to_exitcode(status), commits, time.monotonic() - begun_s)
+    with os.fdopen(ours) as pipe:
+        pipe.readline()  # the work begins
+        begun_s = time.monotonic()
+        process.join(death.delay_s)
+        process.kill()  # if it runs still
+        process.join()
+        wall_s = time.monotonic() - begun_s
+        commits = pipe.read().splitlines()
+    assert process.exitcode is not None
+    return Ended(process.exitcode, commits, wall_s)
 
 
 def be(work: Callable[[], None], folder: Path, log: Path, watch: Watch) -> NoReturn:

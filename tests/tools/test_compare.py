@@ -19,7 +19,6 @@ import pytest
 from storage.databases import studies
 from study.comparison import compare
 from study.experiment.stores import store_digest
-from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 from tests.tools.conftest import Simulator, Tool
 from tests.tools.running import start
@@ -135,31 +134,6 @@ def test_a_session_is_noted(command: Command) -> None:
     sessions = json.loads((command.out / "run.json").read_text())["sessions"]
     assert [session["trials"] for session in sessions] == [9, 9]
     assert sessions[0]["machine"]["cores"]
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"config": "nowhere.toml"}, "config: 'nowhere.toml'"),
-        ({"arms": "dog,cat"}, "arm: 'cat'"),
-        ({"runs": 0}, "runs: 0"),
-        ({"trials": 0}, "trials: 0"),
-        ({"seed": -1}, "seed: -1"),
-        ({"storage": "oracle://host/db"}, r"storage: '\*\*\*'"),
-        ({"storage": "foo"}, "storage: "),
-        ({"arch": "cuda"}, "simulation.arch: 'cuda'"),
-    ],
-)
-def test_bad_input_is_one_line(
-    changes: dict[str, Any], message: str, command: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def require_engine(settings: Any) -> None:
-        if settings.arch == "cuda":
-            raise InputError("simulation.arch", "cuda", "an architecture of this machine")
-
-    monkeypatch.setattr("taichi_nmm.walker_simulator.require_engine", require_engine)
-    command.refuses(message, **changes)
-    assert not command.out.exists()
 
 
 @pytest.fixture

@@ -242,15 +242,11 @@ def test_a_configuration_that_cannot_be_used_makes_nothing(
     assert not command.out.exists()
 
 
-def test_options_that_cannot_be_used(command: Command) -> None:
-    config, foreign = command.config(), command.folder / "foreign"
-    foreign.mkdir()
-    (foreign / "thesis.tex").write_text("")
-    command.refuses("config: ", command.folder / "none.toml")
-    command.refuses("out: ", config, out=foreign)
-    command.refuses("runs: ", config, "--runs", 0)
-    command.refuses("max-generations: ", config, "--max-generations", 0)
-    assert not command.out.exists()
+def test_a_folder_of_somebody_else(command: Command) -> None:
+    command.out.mkdir()
+    (command.out / "thesis.tex").write_text("")
+    command.refuses("out: ", command.config())
+    assert [path.name for path in command.out.iterdir()] == ["thesis.tex"]
 
 
 def test_another_configuration_or_a_foreign_evaluation_is_refused(command: Command) -> None:

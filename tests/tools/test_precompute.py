@@ -2,19 +2,15 @@
 
 import json
 import os
-import random
 import signal
 import sys
 import time
 from pathlib import Path
 from subprocess import PIPE, Popen
-from types import SimpleNamespace
 
 import pytest
 
 from storage import open_store
-from taichi_nmm.errors import InputError
-from taichi_nmm.settings import Settings
 from tests.tools.conftest import Simulator, Tool
 from tests.tools.running import ROOT, start
 
@@ -119,35 +115,6 @@ def test_another_specification_is_refused_and_fresh_starts_over(
     assert content(tmp_path / "store") == before
     assert tool(*command, "--fresh") == 0
     assert content(tmp_path / "store") == uninterrupted
-
-
-def test_a_missing_gpu_is_refused_before_anything_is_written(
-    tmp_path: Path, tool: Tool, command: tuple[object, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(settings: Settings) -> None:
-        raise InputError("simulation.arch", settings.arch, "an architecture of this machine")
-
-    backend = SimpleNamespace(start=refuse)
-    monkeypatch.setattr("taichi_nmm.kernel.backend", backend, raising=False)
-    tool.refuses("simulation.arch: 'cuda'", *command, "--arch", "cuda")
-    assert not (tmp_path / "store").exists()
-
-
-def test_kill_9_again_and_again_then_equal(
-    config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
-) -> None:
-    out, dice, codes = tmp_path / "store", random.Random(1), []
-    while shards(out) < SHARDS - 4:
-        process = begin(config, out, trial_s=0.05)
-        wait_for_shards(process, out, shards(out) + 3)
-        time.sleep(dice.uniform(0.0, 0.08))  # while simulating, while writing, in between
-        process.kill()
-        process.communicate()
-        codes.append(process.returncode)
-    assert -signal.SIGKILL in codes
-    code, _, error = run(config, out)
-    assert code == 0, error
-    assert content(out) == uninterrupted
 
 
 def test_kill_9_between_writing_and_naming_a_file(

@@ -9,12 +9,15 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 import taichi_nmm
+from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
+from taichi_nmm.settings import Settings
 from tests.study import fake_walker
 from tests.tools.conftest import Tool
 
@@ -68,8 +71,18 @@ REFUSED: list[tuple[str, str, str]] = [
     ("compare", "--runs 1.5", f"runs: '1.5' {ONE_OF}a whole"),
     ("compare", "--rums 1", "unrecognized arguments: --rums 1"),
     ("compare of nothing", "", "the following arguments are required: --config"),
+    ("compare", "--arms dog,cat", "arm: 'cat'"),
+    ("compare", "--arms random --storage oracle://host/db", "storage: '***'"),
+    ("compare", "--arms random --storage foo", "storage: "),
+    *((name, words, line) for name in ("compare", "optimum") for words, line in [
+        ("--config nowhere.toml", "config: 'nowhere.toml'"), ("--runs 0", "runs: 0"),
+    ]),
+    *((name, words, line) for name in ("compare", "study") for words, line in [
+        ("--trials 0", "trials: 0"), ("--seed -1", "seed: -1"),
+    ]),
     ("optimum", "--runs 1000000", "runs: 1000000"),
     ("optimum", f"--max-generations {HUGE}", f"max-generations: {HUGE}"),
+    ("optimum", "--max-generations 0", "max-generations: 0"),
     ("precompute", f"--samples {FAR}", f"samples: {FAR}"),
     ("precompute", "--samples 0", "samples: 0"),
     ("precompute", "--workers 0", "workers: 0"),
@@ -80,8 +93,18 @@ REFUSED: list[tuple[str, str, str]] = [
         ("nowhere", "config: "),
     ]),
     ("study", f"--trials {HUGE}", f"trials: {HUGE}"),
-    ("study", "--seed -1", "seed: -1"),
     ("study", f"--run {HUGE}", f"run: {HUGE}"),
+    ("study", "--run 50", f"run: 50 {ONE_OF}0 to 49, the runs of rough8-smooth"),
+    ("study", "--run -1", "run: -1"),
+    ("study", "--config nowhere.toml", "config: 'nowhere.toml'"),
+    ("study", "--arm cat", f"arm: 'cat' {ONE_OF}one of random, "),
+    ("study", "--store store", "... arms that read one store; random: none"),
+    ("study", "--arm dog --store nowhere", "... nowhere"),
+    ("study", "--arm dog --store store --trials 21", f"trials: 21 {ONE_OF}at most 20"),
+    *(("study", f"--storage postgresql{url}", f"storage: '{shown}' {ONE_OF}") for url, shown in [
+        ("://host/db", "***"), ("+psycopg://me:secret@host", "postgresql+psycopg://***@host"),
+        ("+psycopg://me:secret@127.0.0.1:1/walker", "postgresql+psycopg://***@127.0.0.1:1/walker"),
+    ]),
     ("validate", f"--samples {FAR}", f"samples: {FAR}"),
     ("validate", "--samples 99", f"samples: 99 {ONE_OF}a whole number from 100"),
     ("validate", f"--draws {HUGE}", f"draws: {HUGE}"),
@@ -179,6 +202,20 @@ def test_it_is_refused_in_one_line(
 ) -> None:
     anywhere = ".*" if line.startswith("... ") else ""
     tool.refuses(anywhere + re.escape(line.removeprefix("... ")), *words_of(name, words))
+    assert "secret" not in tool.err
+
+
+def no_gpu(settings: Settings) -> None:
+    raise InputError("simulation.arch", settings.arch, "an architecture of this machine")
+
+
+@pytest.mark.parametrize("name", ["compare", "precompute", "study"])
+def test_a_machine_without_a_gpu(
+    name: str, untouched: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    backend = SimpleNamespace(start=no_gpu)
+    monkeypatch.setattr("taichi_nmm.kernel.backend", backend, raising=False)
+    tool.refuses("simulation.arch: 'cuda'", *words_of(name, "--arch cuda"))
 
 
 @pytest.mark.parametrize("words", ["--engine mujoco", "--mjcf walker.xml"])

@@ -26,10 +26,8 @@ from storage.store import open_store
 from study.experiment.arms import ARMS
 from study.experiment.experiment import read_experiment
 from study.features import FAMILIES
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS
 from taichi_nmm.result import Result
-from taichi_nmm.settings import Settings
 from tests.study import fake_walker, synthetic_gait
 from tests.tools.conftest import Simulator, Tool
 from tests.tools.running import ROOT, load_command, start
@@ -237,45 +235,6 @@ def test_a_store_of_more_than_the_gains_is_refused(command: Command, arm: str) -
     fake_walker.write_store(path, searched=["theta_ref"])
     message = ".*with theta_ref' cannot be used; allowed: a store of the 16 gains"
     command.refuses(message, arm=arm, store=path)
-
-
-def no_gpu(settings: Settings) -> None:
-    raise InputError("simulation.arch", settings.arch, "an architecture of this machine")
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"config": "nowhere.toml"}, "config: 'nowhere.toml'"),
-        ({"arm": "cat"}, "arm: 'cat' .* one of random, .*dog"),
-        ({"run": 50}, "run: 50 .* 0 to 49, the runs of rough8"),
-        ({"run": -1}, "run: -1 "),
-        ({"arm": "random"}, "store: .* arms that read one store; random: none"),
-        ({"trials": 0}, "trials: 0"),
-        ({"trials": 1000}, "trials: 1000 .* at most 200"),
-        ({"storage": "postgresql://host/db"}, r"storage: '\*\*\*' .* sqlite:///FILE"),
-        (
-            {"storage": "postgresql+psycopg://me:secret@host"},
-            r"storage: 'postgresql.psycopg://\*\*\*@host'",
-        ),
-        (  # no server answers
-            {"storage": "postgresql+psycopg://me:secret@127.0.0.1:1/walker"},
-            r"storage: 'postgresql\+psycopg://\*\*\*@127.0.0.1:1/walker'(?!.*secret)",
-        ),
-        ({"store": "nowhere"}, ".*nowhere"),
-        ({"arch": "cuda"}, "simulation.arch: 'cuda'"),
-    ],
-)
-def test_bad_input_is_one_line_and_no_file(
-    command: Command,
-    monkeypatch: pytest.MonkeyPatch,
-    changes: dict[str, str | int],
-    message: str,
-) -> None:
-    if "arch" in changes:  # a machine without a GPU
-        monkeypatch.setattr("taichi_nmm.kernel.backend.start", no_gpu)
-    command.refuses(message, **changes)
-    assert [path.name for path in command.folder.iterdir()] == ["store"]
 
 
 def test_a_store_of_other_bounds_is_refused(
