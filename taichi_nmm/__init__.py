@@ -1,7 +1,7 @@
 """taichi-nmm: thousands of neuromuscular bipeds at once.
 
-Importing the package is cheap: names are loaded when they are first used, and Taichi when a
-simulation is first asked for.
+Importing the package is cheap: names are loaded when they are first used, and Taichi with the
+first simulation.
 """
 
 import warnings
@@ -75,7 +75,7 @@ _RENAMED = {"K_T": "PUBLISHED_GAINS", "Sensed": "Observation"}  # since 0.3.0; g
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name, or one of the modules, when it is first asked for (PEP 562)."""
+    """Load a public name, or one of the modules, at its first use (PEP 562)."""
     if name in _MODULES:
         return getattr(import_module(f"taichi_nmm.{_MODULES[name]}"), name)
     if name in _PLACES:

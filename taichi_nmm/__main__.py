@@ -1,6 +1,6 @@
 """The commands: `taichi-nmm`, or `python -m taichi_nmm`.
 
-The only place where the simulator's package knows of `study`, whose commands these are.
+The only module of this package that imports `study`.
 """
 
 import sys
@@ -15,7 +15,7 @@ def main() -> None:
     except HiddenPackageError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
-    from study.cli import main as run  # not before it is known to be ours
+    from study.cli import main as run  # after the check that it is ours
 
     run()
 

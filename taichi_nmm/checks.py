@@ -21,14 +21,14 @@ Check: TypeAlias = Callable[[str, Any], Any]
 P = ParamSpec("P")
 R = TypeVar("R")
 
-# Above zero whatever a library does to the processor: Taichi's code takes smaller ones for zero.
+# The least normal number: code of Taichi treats smaller ones as zero.
 LEAST_POSITIVE = sys.float_info.min
 LARGEST_SEED = 2**128 - 1  # of those that NumPy takes from the machine
 MOST_ROWS = 10_000_000  # of a batch that is made from its size alone
 
 
 def checked(prefix: str = "", /, **checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """A function whose arguments of these names are checked, `prefix` before their names.
+    """Check arguments of these names; errors name them with `prefix` before.
 
     A default is not checked. A wrong number of arguments stays Python's own TypeError.
     """
@@ -134,7 +134,7 @@ def instance(*kinds: type) -> Check:
 
 
 def optional(check: Check) -> Check:
-    """None, or what passes the check."""
+    """None, or a value that passes the check."""
     return lambda field, value: None if value is None else check(field, value)
 
 

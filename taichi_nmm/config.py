@@ -13,7 +13,7 @@ READABLE = "a readable TOML file"
 
 
 class Table:
-    """One table of a configuration; every read names the key, and `done` refuses what is left."""
+    """One table of a configuration; every read names the key, and `done` refuses other keys."""
 
     def __init__(self, data: dict[str, Any], name: str = "", folder: Path = Path()) -> None:
         self.folder = folder  # that names of files start from
@@ -72,7 +72,7 @@ class Table:
         return tuple(values)
 
     def table(self, key: str) -> "Table":
-        """A sub-table, the same one however often it is asked for; empty where it is missing."""
+        """A sub-table, the same one at every call; empty where it is missing."""
         if key not in self._tables:
             is_table = checks.that(lambda value: isinstance(value, dict), "a table")
             value = self._read(key, {}, is_table)
@@ -91,7 +91,7 @@ class Table:
 
     @property
     def unread(self) -> dict[str, Any]:
-        """What nothing has read yet, by key, as it is written."""
+        """The values that nothing has read yet, by key, as they are written."""
         return dict(self._data)
 
     def done(self) -> None:
@@ -129,7 +129,7 @@ def read_toml(path: str | Path) -> Table:
         raise InputError("config", str(path), allowed)
     if name and name not in variants:
         if not variants:
-            toml_document("config", path, READABLE)  # which says that there is none
+            toml_document("config", path, READABLE)  # raises: no such file
         raise InputError("config", str(path), allowed)
     if name:
         data = laid_over(data, variants[name])
@@ -177,7 +177,7 @@ def _file_and_variant(path: Path) -> tuple[Path, str]:
 
 
 def _completed(data: dict[str, Any]) -> dict[str, Any]:
-    """The tables with what each takes from the one that it is `like`."""
+    """The tables, each laid over the one that it is `like`."""
     done: dict[str, Any] = {}
 
     def complete(key: str, asked_by: tuple[str, ...]) -> Any:

@@ -42,7 +42,7 @@ class Muscles:
 
     Attributes:
         activation: 0.01 to 1.
-        stimulation: what the reflexes order, 0.01 to 1.
+        stimulation: ordered by the reflexes, 0.01 to 1.
         length: of the contractile element, over its optimal length.
         force_n: of the muscle-tendon unit, N.
     """
@@ -61,8 +61,8 @@ class Controller:
 
     Args:
         gains: [n, gain] or [gain], in the order of `parameters.GAINS`.
-        bodies: what the controllers take the bodies' weights to be, one for all or n; None is the
-            nominal 80 kg. Loads are felt relative to the trunk's weight.
+        bodies: whose weights the controllers assume, one for all or n; None is the nominal 80 kg.
+            Loads are felt relative to the trunk's weight.
         low_level_gains: [n, gain] or [gain], in the order of `parameters.LOW_LEVEL_GAINS`.
         settings: precision and physics step; contact and engine are not used.
 

@@ -1,11 +1,11 @@
-"""The one exception a user of this project is meant to meet."""
+"""The one exception for everything that a user can get wrong."""
 
 LONGEST_VALUE = 400  # characters of a value that are shown; a path may have more
-LONGEST_ALLOWED = 1200  # of what is allowed: a list of all names that there are
+LONGEST_ALLOWED = 1200  # characters of `allowed`, which may list all names
 
 
 class InputError(ValueError):
-    """Input that cannot be used: one line naming the field, the value and what is allowed.
+    """Input that cannot be used: one line with the field, the value and the allowed values.
 
     Commands print the line and exit with code 2. Whatever the value is, the line is printable.
     """
@@ -14,11 +14,11 @@ class InputError(ValueError):
         self.field = field
         self.value = value
         self.allowed = allowed
-        said = f"{shortened(field)}: {_shown(value)} cannot be used; allowed: "
-        super().__init__(one_line(said + shortened(allowed, LONGEST_ALLOWED)))
+        refused = f"{shortened(field)}: {_shown(value)} cannot be used; allowed: "
+        super().__init__(one_line(refused + shortened(allowed, LONGEST_ALLOWED)))
 
     def __reduce__(self) -> tuple[type, tuple[str, object, str]]:
-        """What it is made of again, so that it can pass from one process to another."""
+        """The arguments again, so that it can pass from one process to another."""
         return type(self), (self.field, self.value, self.allowed)
 
 
@@ -26,7 +26,7 @@ def _shown(value: object) -> str:
     """A value as Python writes it, shortened."""
     try:
         text = repr(value)
-    except Exception:  # thousands of digits or brackets; or an object whose own words fail
+    except Exception:  # thousands of digits or brackets, or a `__repr__` that fails
         return f"<{type(value).__name__}>"
     return shortened(text)
 
@@ -40,5 +40,5 @@ def shortened(text: str, longest: int = LONGEST_VALUE) -> str:
 
 
 def one_line(text: str) -> str:
-    """A text with everything escaped that a terminal would not print as it is."""
+    """A text with every character escaped that a terminal cannot print."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

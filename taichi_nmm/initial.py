@@ -9,15 +9,10 @@ from numpy.typing import NDArray
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
 from taichi_nmm.kernel.layout import (
     LEGS,
-    LONG_DELAY_TICKS,
-    LONG_SIGNALS,
-    MID_DELAY_TICKS,
-    MID_SIGNALS,
     MUSCLE_COUNT,
     MUSCLES_PER_LEG,
-    SHORT_DELAY_TICKS,
+    RINGS,
     TA,
-    Delay,
     Gait,
     Muscle,
     Signal,
@@ -122,13 +117,5 @@ def first_signals(
 
 def filled_delays(signals: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows of `Delay`: rings in which every slot holds the signal of the first tick."""
-    long, mid, short = np.split(signals, [LONG_SIGNALS, LONG_SIGNALS + MID_SIGNALS])
-    rings = np.concatenate(
-        [
-            np.repeat(long, LONG_DELAY_TICKS),
-            np.repeat(mid, MID_DELAY_TICKS),
-            np.repeat(short, SHORT_DELAY_TICKS),
-        ]
-    )
-    assert len(rings) == Delay.count
-    return rings
+    rings = [np.repeat(signals[first : first + n], ticks) for first, n, ticks, _row in RINGS]
+    return np.concatenate(rings)

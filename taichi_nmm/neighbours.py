@@ -1,7 +1,7 @@
-"""The packages that are installed beside this one, which a file of a user may hide.
+"""The packages installed beside this one: a file of a user may hide them.
 
-`study` and `storage` are common names: Python takes `study.py` of the working directory in place of
-the package wherever that folder comes first on its path, and what follows then explains nothing.
+`study` and `storage` are common names: where the working directory comes first on Python's path, a
+`study.py` in it is imported in place of the package, and the error that follows explains nothing.
 """
 
 from importlib.util import find_spec
@@ -11,11 +11,11 @@ BESIDE = Path(__file__).resolve().parents[1]
 
 
 class HiddenPackageError(ImportError):
-    """A package of ours is hidden by a file or a folder of the same name: one line that says so."""
+    """A file or a folder of the same name hides a package of ours."""
 
 
 def require_neighbours(*names: str) -> None:
-    """See that these packages are those beside this one; none of them is imported.
+    """Check that these packages are those beside this one; none of them is imported.
 
     Raises:
         HiddenPackageError: a file or folder of the same name comes first on Python's path.

@@ -1,4 +1,4 @@
-"""What a body senses each physics step, for a `Controller`: arrays with units, checked."""
+"""`Observation`: the senses of bodies at a physics step, for a `Controller`; checked."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ JOINTS = 3 * LEGS
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What n bodies sense at the beginning of a physics step, left leg first.
+    """The senses of n bodies at the beginning of a physics step, left leg first.
 
     Forward is +x, up +z; a segment's angle is zero upright and positive clockwise, seen with +x to
     the right: a trunk that leans forward, a leg whose foot is behind the hip.

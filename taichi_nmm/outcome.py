@@ -1,4 +1,4 @@
-"""From the kernel's rows to what a simulation returns: result rows, and recorded trajectories."""
+"""From the kernel's rows to result rows and recorded trajectories."""
 
 from collections.abc import Iterator, Sequence
 
@@ -48,7 +48,7 @@ def result_rows(
     A quotient over nothing (no step, no distance) is zero.
     """
     rows = np.zeros(len(final), dtype=RESULT_DTYPE)
-    # A diverged walker's last numbers may be NaN; whatever was summed before is kept where finite.
+    # A diverged walker's last numbers may be NaN; finite sums are kept.
     sums = np.nan_to_num(sums, nan=0.0, posinf=0.0, neginf=0.0)
     rows["end_reason"] = final[:, State.end_reason].astype(np.uint8)
     rows["duration_s"] = np.round(final[:, State.end_tick]) * CONTROL_TICK_S
@@ -139,7 +139,7 @@ class Recorder:
                 self._rows[walker].append(rows)
 
     def trajectories(self) -> tuple[Trajectory, ...]:
-        """The trajectories, in the order in which the walkers were asked for."""
+        """The trajectories, in the order of `walkers`."""
         return tuple(self._trajectory(walker) for walker in self._walkers)
 
     def _trajectory(self, walker: int) -> Trajectory:

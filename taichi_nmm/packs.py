@@ -18,7 +18,7 @@ class Packs:
 
     Attributes:
         lanes: walkers a pack.
-        rows: [pack, row, lane], what the kernel advances.
+        rows: [pack, row, lane], advanced by the kernel.
         constants: [pack, row, lane].
         terrains: [pack, lane].
         walkers: batch row of each occupied lane, in order; the last pack's rest are idle copies.

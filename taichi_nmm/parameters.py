@@ -98,7 +98,7 @@ def searched_parameters(names: Sequence[str], field: str = "searched") -> tuple[
     """The low-level gains of these names, in the order of `LOW_LEVEL_GAINS`.
 
     Raises:
-        InputError: an unknown name, or one given twice; `field` is what the user calls the list.
+        InputError: an unknown name, or one given twice; `field` is the user's name of the list.
     """
     for name in names:
         if name not in LOW_LEVEL_NAMES:
@@ -111,7 +111,7 @@ def searched_parameters(names: Sequence[str], field: str = "searched") -> tuple[
 def split_points(
     points: NDArray[np.float64], searched: tuple[Parameter, ...]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What `taichi_nmm.simulate` takes: gains [n, 16] and low-level gains [n, 8].
+    """Points as arguments of `taichi_nmm.simulate`: gains [n, 16] and low-level gains [n, 8].
 
     Args:
         points: [n, 16 + k].
@@ -191,7 +191,7 @@ def load_gains(source: str) -> NDArray[np.float64]:
 
 @checks.checked(source=checks.path)
 def load_all_gains(source: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Gains [16] and low-level gains [8], from what `load_gains` takes.
+    """Gains [16] and low-level gains [8], from a source of `load_gains`.
 
     Here a file may name some of `LOW_LEVEL_GAINS` too; those it does not name have their defaults.
 
@@ -205,7 +205,7 @@ def load_all_gains(source: str) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 
 def _gains_by_name(source: str) -> dict[str, Any]:
-    """What a source says, unchecked: values by key."""
+    """The values of a source by name, unchecked."""
     if source in ("published", "K_T"):  # K_T: its name before 0.3.0, accepted until 0.4.0
         return dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
     shipped = {file.stem: file for file in sorted(NAMED_GAINS_DIRECTORY.glob("*.json"))}

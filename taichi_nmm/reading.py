@@ -1,8 +1,8 @@
-"""The one reader of files that a user names: whatever is wrong with one ends in one line.
+"""The one reader of files that a user names: every fault of a file is an error of one line.
 
-A file is not trusted. It may be a pipe that nobody writes to, be packed a thousandfold, be nested a
-hundred thousand deep, or hold a number of five thousand digits. Parquet files are read by others
-within `reading`: this package knows nothing of them.
+A file is not trusted. It may be a pipe without a writer, be packed a thousandfold, be nested a
+hundred thousand deep, or hold a number of five thousand digits. Other packages read Parquet files
+within `reading`.
 """
 
 import json
@@ -17,19 +17,19 @@ from typing import Any
 
 from taichi_nmm.errors import InputError
 
-MOST_BYTES = 16 << 20  # of a text, unpacked: a hundred times what any file of this project has
+MOST_BYTES = 16 << 20  # of a text, unpacked: a hundred times the longest of this project
 DEEPEST = 100  # tables and lists in each other
 PACKED_BY = {".gz": "gzip", ".bz2": "bz2", ".xz": "lzma", ".lzma": "lzma"}
 
 
 @contextmanager
 def reading(field: str, path: str | Path, allowed: str) -> Iterator[Path]:
-    """A file for the block to read; what the block raises is the file's fault, in one line.
+    """A file for the block to read; an exception of the block becomes an error of one line.
 
     Args:
         field: that named the file.
         path: of the file.
-        allowed: what such a file is: "a Parquet file that is whole".
+        allowed: a description of usable files: "a Parquet file that is whole".
 
     Raises:
         InputError: it is missing, no regular file, cannot be opened, or the block raised.
@@ -41,7 +41,7 @@ def reading(field: str, path: str | Path, allowed: str) -> Iterator[Path]:
         yield file
     except InputError:
         raise
-    except Exception as error:  # parsers raise whatever they meet, down to RecursionError
+    except Exception as error:  # parsers raise anything, down to RecursionError
         raise InputError(field, str(path), f"{allowed} ({_reason(error)})") from None
 
 
@@ -83,7 +83,7 @@ def toml_document(field: str, path: str | Path, allowed: str) -> dict[str, Any]:
 
 
 def parse_json(text: str | bytes) -> dict[str, Any]:
-    """The JSON object of a text, for whoever has no file; whatever it raises is the text's fault.
+    """The JSON object of a text that is in no file.
 
     Raises:
         ValueError, RecursionError: no JSON object, a key twice, or nested deeper than `DEEPEST`.
@@ -105,7 +105,7 @@ def is_file(path: str | Path) -> bool:
 
 
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON: of two values of a key, nobody knows which is meant."""
+    """An object of JSON, unless a key comes twice: either value may be the intended one."""
     found: dict[str, Any] = {}
     for key, value in pairs:
         if key in found:
@@ -115,7 +115,7 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _shallow(document: dict[str, Any]) -> dict[str, Any]:
-    """The document, unless it is nested so deep that whoever walks through it may fail."""
+    """The document, unless it is nested so deep that recursion through it may fail."""
     level: list[Any] = [document]
     for _ in range(DEEPEST):
         level = [child for node in level for child in _children(node)]
@@ -131,7 +131,7 @@ def _children(node: Any) -> list[Any]:
 
 
 def _reason(error: Exception) -> str:
-    """What an error says, in one line."""
+    """The message of an error, in one line."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return (str(error).splitlines() or [type(error).__name__])[0]

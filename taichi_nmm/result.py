@@ -10,7 +10,7 @@ from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
 END_REASONS = ("completed", "fell", "diverged")
-"""How a walk ends: `"completed"`, `"fell"`, or `"diverged"` beyond all sense."""
+"""How a walk ends: `"completed"`, `"fell"`, or `"diverged"` (to NaN, or beyond 10^6)."""
 
 COMPLETED, FELL, DIVERGED = range(len(END_REASONS))
 
@@ -98,7 +98,7 @@ class Result:
     Attributes:
         rows: one row a walker in the order given, `RESULT_DTYPE`, [n].
         trajectories: one of each walker in `simulate(record=...)`, in that order.
-        metadata: engine, version, architecture, precision, step: what produced the rows.
+        metadata: engine, version, architecture, precision and step that produced the rows.
     """
 
     rows: NDArray[np.void]
@@ -135,7 +135,7 @@ NEEDED = (
 
 
 def _rows(field: str, value: Any) -> Any:
-    """Result rows: a structured array with the columns that a cost is made of."""
+    """Result rows: a structured array with the columns of the costs."""
     names = getattr(getattr(value, "dtype", None), "names", None) or ()
     for name in NEEDED:
         if name not in names or value.dtype[name].kind not in "fiu":

@@ -1,8 +1,8 @@
 """`simulate`: a batch of walkers from gains, bodies and terrains to results.
 
 The host's loop: launch a chunk of control ticks, drain the sums, drop the walkers that have ended,
-report, repeat. Between chunks a run can be interrupted; no result depends on who else is in the
-batch, on its order, on the chunks or on the number of threads.
+report, repeat. Between chunks a run can be interrupted; no result depends on the other walkers
+of the batch, on its order, on the chunks or on the number of threads.
 """
 
 from collections.abc import Callable, Sequence
@@ -68,7 +68,7 @@ def simulate(
         low_level_gains: [n, gain] or [gain], in the order of `parameters.LOW_LEVEL_GAINS`.
         worlds: one for all or n of them; None is the nominal world.
         settings: precision, step, contact, machine; None is `Settings()`.
-        record: rows of the walkers whose `Trajectory` is wanted.
+        record: rows of the walkers that get a `Trajectory`.
         record_rate_hz: samples a second of the trajectories; a divisor of 1000.
         progress: called between chunks with the simulated time in s and the walkers still up.
 
@@ -99,7 +99,7 @@ def simulate(
 
 
 def _start(batch: Batch, settings: Settings) -> tuple[Launch, Packs, Callable[[], dict[str, Any]]]:
-    """What advances the walkers, the walkers at the start, and what describes the engine."""
+    """The function that advances packs, the walkers at the start, and the engine's metadata."""
     if settings.engine == OWN_ENGINE:
         backend.start(settings)
         return launcher(batch, settings), start_packs(batch, settings), backend.metadata

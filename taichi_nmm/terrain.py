@@ -2,8 +2,8 @@
 
 The kernel reads the table alone; outside it the ground is level.
 
-A kind of terrain is a function here and a line of `KINDS`. A configuration's table [terrain] takes
-its options, their defaults and what they may be from the function's signature.
+A kind of terrain is a function here and a line of `KINDS`. Its signature gives the options of a
+configuration's table [terrain], with their ranges and defaults.
 """
 
 import math
@@ -12,7 +12,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from inspect import Parameter, signature
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    ParamSpec,
+    TypeAlias,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 from zlib import crc32
 
 import numpy as np
@@ -31,11 +40,13 @@ GRID_X_M: NDArray[np.float64] = GRID_START_M + GRID_SPACING_M * np.arange(
     GRID_NODES, dtype=np.float64
 )
 
+P = ParamSpec("P")
+
 TABLE = "a readable table of x_m,height_m"
 HEADERS = (("x_m", "height_m"), ("x", "height"))  # of a file's columns: metres, in this order
 
 # Above any ground that a configuration can make (stairs: 2.9 km). Up to here float32 tells heights
-# of 0.5 mm apart, a twentieth of what a body at rest sinks in; not much beyond.
+# of 0.5 mm apart, a twentieth of the depth of a foot at rest; not much beyond.
 HIGHEST_M = 5000.0
 SHORTEST_SPACING_M = 0.001
 
@@ -43,22 +54,40 @@ FLAT_START_M = 9.0  # every walker gets some steps to settle
 
 
 @dataclass(frozen=True)
-class Range:
-    """The values of an option that a configuration may set, ends included.
+class Option:
+    """An option of a kind of terrain: the range in a configuration, and the check of callers.
 
-    Callers from Python may go beyond it, as far as the ground can still be made.
+    Callers from Python may go beyond the range, as far as the ground can still be made.
     """
 
     low: float
     high: float
+    check: checks.Check
 
 
-Amplitude: TypeAlias = Annotated[float, Range(0.0, 1.0)]
-Spacing: TypeAlias = Annotated[float, Range(0.1, 100.0)]
-FlatStart: TypeAlias = Annotated[float, Range(0.0, 100.0)]
-Slope: TypeAlias = Annotated[float, Range(0.001, 1.0)]
-Rise: TypeAlias = Annotated[float, Range(-1.0, 1.0)]
+_POSITIVE = checks.number(checks.LEAST_POSITIVE, allowed="a positive, finite number")
+_FROM_SHORTEST = checks.number(SHORTEST_SPACING_M, allowed=f"a number from {SHORTEST_SPACING_M}")
+_WITHIN_GRID = checks.number(
+    GRID_START_M, math.nextafter(GRID_END_M, 0.0), f"{GRID_START_M:g} to below {GRID_END_M:g}"
+)
+
+Amplitude: TypeAlias = Annotated[float, Option(0.0, 1.0, checks.number(0.0, HIGHEST_M))]
+Spacing: TypeAlias = Annotated[float, Option(0.1, 100.0, _FROM_SHORTEST)]
+FlatStart: TypeAlias = Annotated[float, Option(0.0, 100.0, _WITHIN_GRID)]
+Slope: TypeAlias = Annotated[float, Option(0.001, 1.0, _POSITIVE)]
+Rise: TypeAlias = Annotated[float, Option(-1.0, 1.0, checks.number())]
 Direction: TypeAlias = Literal["up", "down"]
+
+
+def _checked(make: Callable[P, "Terrain"]) -> Callable[P, "Terrain"]:
+    """Check the arguments of a kind of terrain, by the annotations of its options."""
+    known: dict[str, checks.Check] = {"seed": checks.seed, "path": checks.path}
+    for name, hint in get_type_hints(make, include_extras=True).items():
+        if get_origin(hint) is Annotated:
+            known[name] = get_args(hint)[1].check
+        elif get_origin(hint) is Literal:
+            known[name] = checks.word(*get_args(hint))
+    return checks.checked("terrain.", **known)(make)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,26 +118,6 @@ class Terrain:
         return np.interp(checks.numbers("x_m", x_m), GRID_X_M, self.height_m)
 
 
-_POSITIVE = checks.number(checks.LEAST_POSITIVE, allowed="a positive, finite number")
-_WITHIN_GRID = checks.number(
-    GRID_START_M, math.nextafter(GRID_END_M, 0.0), f"{GRID_START_M:g} to below {GRID_END_M:g}"
-)
-_checked = checks.checked(
-    "terrain.",
-    seed=checks.seed,
-    amplitude_m=checks.number(0.0, HIGHEST_M),
-    spacing_m=checks.number(SHORTEST_SPACING_M, allowed=f"a number from {SHORTEST_SPACING_M}"),
-    flat_start_m=_WITHIN_GRID,
-    slope=checks.number(),
-    direction=checks.word("up", "down"),
-    path=checks.path,
-    **dict.fromkeys(
-        ("riser_m", "increment", "segment_m", "largest_slope", "rise_m", "run_m"), _POSITIVE
-    ),
-)
-"""Checks of the functions below: they take anything that a ground can be made with."""
-
-
 def flat() -> Terrain:
     """Level ground."""
     return Terrain("flat", np.zeros(GRID_NODES))
@@ -136,7 +145,7 @@ def blocks(
     seed: int | np.random.SeedSequence,
     amplitude_m: Amplitude = 0.08,
     spacing_m: Spacing = 1.0,
-    riser_m: Annotated[float, Range(GRID_SPACING_M, 100.0)] = 0.10,
+    riser_m: Annotated[float, Option(GRID_SPACING_M, 100.0, _POSITIVE)] = 0.10,
     flat_start_m: FlatStart = FLAT_START_M,
     slope: Rise = 0.0,
 ) -> Terrain:
@@ -157,7 +166,7 @@ def blocks(
 @_checked
 def ramp(
     increment: Slope = 0.04,
-    segment_m: Annotated[float, Range(0.1, 300.0)] = 20.0,
+    segment_m: Annotated[float, Option(0.1, 300.0, _POSITIVE)] = 20.0,
     largest_slope: Slope = 0.20,
     direction: Direction = "up",
 ) -> Terrain:
@@ -170,8 +179,8 @@ def ramp(
 
 @_checked
 def stairs(
-    rise_m: Annotated[float, Range(0.001, 1.0)] = 0.10,
-    run_m: Annotated[float, Range(0.1, 100.0)] = 0.30,
+    rise_m: Annotated[float, Option(0.001, 1.0, _POSITIVE)] = 0.10,
+    run_m: Annotated[float, Option(0.1, 100.0, _POSITIVE)] = 0.30,
     flat_start_m: FlatStart = FLAT_START_M,
     direction: Direction = "up",
 ) -> Terrain:
@@ -188,8 +197,8 @@ def from_file(path: str | Path) -> Terrain:
     """A height table of a text file, a row of two columns x_m and height_m a line.
 
     x increases; the ground is linear in between, and level before the first row and after the last.
-    Commas or blanks part the columns. Empty lines, what follows a #, and a first line of names
-    (x_m,height_m or x,height) are skipped. A file that ends in .gz, .bz2 or .xz is unpacked.
+    Commas or blanks part the columns. Empty lines, comments after a #, and a first line of
+    names (x_m,height_m or x,height) are skipped. A file that ends in .gz, .bz2 or .xz is unpacked.
 
     Raises:
         InputError: no such file, or no such table; a height beyond +-`HIGHEST_M`.

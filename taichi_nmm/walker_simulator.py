@@ -38,7 +38,7 @@ from taichi_nmm.world import WorldRanges, Worlds, read_world
 # By the purpose of a world's seed: the purposes of the streams that draw its body, its ground, and
 # its contact, muscles and nerves.
 STREAMS = {101: (101, 102, 105), 103: (103, 104, 106)}
-DIGEST_DECIMALS = 9  # nanometres: below what another machine's last bit can change
+DIGEST_DECIMALS = 9  # nanometres: more than the last bits that differ between machines
 
 # Columns that tell gaits apart, with the ranges that a search covers: speed, length of steps, and
 # how much feet are lifted.
@@ -207,7 +207,7 @@ class Walker:
         return walked_s.mean(axis=1) / horizon_s, measures
 
     def canary(self) -> NDArray[np.void]:
-        """Sixteen disturbed walkers on rough ground for a second, whatever is searched."""
+        """Sixteen disturbed walkers on rough ground for a second, the same for all stores."""
         from scipy.stats import qmc  # it takes long to import
 
         stream = np.random.SeedSequence(CANARY_SEED, spawn_key=(100, 0))  # as a store's points have

@@ -53,7 +53,7 @@ def check_batch(
     low_level_gains: ArrayLike | None = None,
     worlds: Worlds | None = None,
 ) -> Batch:
-    """A `Batch` from what `simulate` takes; see there for defaults.
+    """A `Batch` from the arguments of `simulate`; see there for defaults.
 
     Raises:
         InputError: a shape, a value or an index that cannot be used.
@@ -161,5 +161,5 @@ def leg_coefficients(
 
 
 def blends(step_s: float) -> tuple[float, float]:
-    """What a physics step takes of the way to a new activation, and of the loads' low pass."""
+    """Blends of a physics step: to a new activation, and of the low pass of the loads."""
     return 1.0 - np.exp(-step_s / ACTIVATION_TIME_S), 1.0 - np.exp(-step_s / LOAD_FILTER_S)

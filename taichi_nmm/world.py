@@ -88,7 +88,7 @@ class Worlds:
     @staticmethod
     @checks.checked(count=checks.whole(0, checks.MOST_ROWS))
     def nominal(count: int = 1) -> "Worlds":
-        """`count` times the published walker's."""
+        """`count` worlds of the published walker."""
         one, zero, strength = np.ones(count), np.zeros(count), np.ones((count, MUSCLE_COUNT))
         return Worlds(one, one, FRICTION_COEFFICIENT * one, strength, zero, zero, zero)
 
@@ -104,7 +104,7 @@ class Worlds:
 
 @dataclass(frozen=True)
 class WorldRanges:
-    """What worlds are drawn from: lowest and highest value of each of their numbers.
+    """The ranges that worlds are drawn from: lowest and highest value of each number.
 
     Contact stiffness and relaxation speed are drawn log-uniformly, the others uniformly, each from
     a stream of its own, and so is the seed of the noise. A muscle is `overall_strength`, which all
@@ -146,7 +146,7 @@ class WorldRanges:
         return Worlds(**drawn, noise_seed=np.array(noise_seeds, dtype=np.float64))
 
     def document(self) -> dict[str, list[float]]:
-        """The table [world] that reads as this one: only what is not nominal."""
+        """The table [world] of these ranges: only those that are not nominal."""
         return {
             each.name: list(getattr(self, each.name))
             for each in fields(self)
@@ -161,7 +161,7 @@ NOT_OURS = "1 with the engine mujoco, whose contact is a setting of its own"
 
 
 def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
-    """The table [world]: a pair of numbers, lowest and highest, for what is not nominal.
+    """The table [world]: pairs of numbers, lowest and highest; a missing one is nominal.
 
     Reads every key.
 

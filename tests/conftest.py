@@ -1,13 +1,19 @@
-"""Shared by all tests: what they need of the machine, whoever starts them.
+"""Shared by all tests: the environment, and kernels compiled once for all processes.
 
-Taichi's cache of compiled kernels lives in the project, not in the home. A shell ignores Ctrl-C for
-what it starts in the background, and children inherit that: commands under test must hear it. Where
-workers fill the cores, threads of linear algebra only wait for one another.
+Taichi's cache of compiled kernels lies in the project, not in the home. A shell lets processes in
+the background ignore Ctrl-C, and children inherit that: here they do not. Where workers fill the
+cores, threads of linear algebra only wait for one another.
+
+Taichi writes compiled kernels when a process ends. So on a fresh machine each worker of a parallel
+run, and each command that a test starts, would compile the same kernel, half a minute at a time.
 """
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +21,35 @@ import pytest
 
 from tests.browser import opened_page
 
-CACHE = Path(__file__).resolve().parent.parent / ".pytest_cache" / "taichi"
-os.environ.setdefault("TI_OFFLINE_CACHE_FILE_PATH", str(CACHE))
+ROOT = Path(__file__).resolve().parent.parent
+CACHE_VARIABLE = "TI_OFFLINE_CACHE_FILE_PATH"
+os.environ.setdefault(CACHE_VARIABLE, str(ROOT / ".pytest_cache" / "taichi"))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def pytest_sessionstart(session: pytest.Session) -> None:
-    """Before the workers of a parallel run are started, in the process that starts them."""
-    if session.config.getoption("numprocesses", None):
-        from tests.kernels import compile_kernels
+SIMULATE = (
+    "from taichi_nmm import PUBLISHED_GAINS, Settings, simulate; "
+    "simulate(PUBLISHED_GAINS, duration_s=0.1, settings=Settings(arch='cpu', {}))"
+)
+MOST_TESTS = (
+    "", "threads=1", "precision='float64'", "engine='mujoco'", "engine='mujoco', threads=1",
+)  # fmt: skip
 
-        compile_kernels()
+
+def compile_kernel(settings: str) -> None:
+    """In a process of its own, which writes it to the cache; a test will show what is wrong."""
+    words = [sys.executable, "-c", SIMULATE.format(settings)]
+    subprocess.run(words, cwd=ROOT, capture_output=True, check=False)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile kernels before the workers of a parallel run are started, unless some are there."""
+    cache = Path(os.environ[CACHE_VARIABLE])
+    cached = cache.is_dir() and any(cache.iterdir())
+    if session.config.getoption("numprocesses", None) and not cached:
+        with ThreadPoolExecutor(os.cpu_count()) as threads:
+            list(threads.map(compile_kernel, MOST_TESTS))
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,7 @@
-"""The controller of a body that somebody else simulates: senses in, joint torques out.
+"""The controller of a body that another simulator moves: senses in, joint torques out.
 
-Muscles, delays, reflexes and swing-leg placement are the walker's own functions; only what they
-sense comes from outside. `actuate` is what the host launches.
+Muscles, delays, reflexes and swing-leg placement are the walker's own functions; only their senses
+come from outside. The host launches `actuate`.
 """
 
 from taichi_nmm.kernel import joints, kinematics, walker
@@ -43,9 +43,9 @@ def step(tick, commands, activation_blend, load_blend,
 
 @ti.func
 def take_in(lane, senses: Rows, state: Rows, work: Rows):
-    """Put what is sensed where the walker's own functions look for it.
+    """Put the senses into the rows that the walker's own functions read.
 
-    They ask how far the centre of mass is ahead of an ankle: here it lies at zero.
+    These use the distance of the centre of mass from an ankle: here its position is zero.
     """
     for i in ti.static(range(SEGMENT_COUNT)):
         state[State.q + 2 + i, lane] = senses[Sense.angle + i, lane]

@@ -1,6 +1,4 @@
-"""The one place that imports and initialises Taichi.
-
-Every other module takes `ti` from here, so a switch of engine is a change of this file alone.
+"""The one place that imports and initialises Taichi; every other module takes `ti` from here.
 
 How a CPU is kept busy: the state of LANES walkers lies side by side in small local arrays, and each
 phase of the step is an innermost loop over them. LLVM's loop vectoriser turns that loop into SIMD
@@ -60,7 +58,7 @@ _running: Settings | None = None
 _arch = "cpu"
 _compiled: set[str] = set()
 _process = 0  # number of the process that initialised Taichi
-_session = 0  # how often Taichi was initialised; what was bound in an earlier one is gone
+_session = 0  # how often Taichi was initialised; kernels bound in an earlier session are gone
 
 
 def start(settings: Settings) -> None:
@@ -78,12 +76,13 @@ def start(settings: Settings) -> None:
             "one started by multiprocessing.get_context('spawn'), not forked after a simulation"
         )
         raise InputError("process", os.getpid(), allowed)
-    if _running is not None and _same_engine(_running, settings):
+    engine = (settings.precision, settings.arch, settings.threads)
+    if _running and engine == (_running.precision, _running.arch, _running.threads):
         return
     _require_main_thread()
     _compiled.clear()
     _session += 1
-    for arch in _candidates(settings.arch):
+    for arch in ("cuda", "cpu") if settings.arch == "auto" else (settings.arch,):
         if _initialise(arch, settings):
             _running = settings
             _arch = arch
@@ -108,7 +107,7 @@ def launch(kernel: Callable[..., None], *arguments: Any) -> None:
     except RuntimeError as error:
         if _arch == "cpu":  # there is no driver: the error is ours
             raise
-        # A driver says only at the first launch that it cannot take a kernel, in several lines.
+        # A driver refuses a kernel at the first launch only, in several lines.
         allowed = f"a device that runs the kernel ({' '.join(str(error).split())})"
         raise InputError("simulation.arch", _arch, allowed) from error
     _compiled.add(kernel.__name__)
@@ -199,7 +198,7 @@ def real_dtype() -> type[np.floating[Any]]:
 
 
 def metadata() -> dict[str, Any]:
-    """What produced a result: engine, version, machine and numerics."""
+    """Engine, version, machine and numerics of a result."""
     return {
         "engine": "taichi",
         "engine_version": ".".join(str(part) for part in ti.__version__),
@@ -207,14 +206,6 @@ def metadata() -> dict[str, Any]:
         "precision": _running.precision if _running else "",
         "fast_math": FAST_MATH,
     }
-
-
-def _same_engine(a: Settings, b: Settings) -> bool:
-    return (a.precision, a.arch, a.threads) == (b.precision, b.arch, b.threads)
-
-
-def _candidates(name: str) -> tuple[str, ...]:
-    return ("cuda", "cpu") if name == "auto" else (name,)
 
 
 def _initialise(arch: str, settings: Settings) -> bool:
@@ -238,7 +229,10 @@ def _initialise(arch: str, settings: Settings) -> bool:
                 log_level=ti.ERROR,
                 **threads,
             )
-        return arch == "cpu" or _computes()
+        values = np.ones(4, dtype=np.float32)
+        if arch != "cpu":  # stores of a driver without a device do not arrive
+            _double(values)
+        return arch == "cpu" or bool(np.all(values == 2.0))
     except RuntimeError:
         return False
 
@@ -249,21 +243,10 @@ def _double(values: Array):
         values[i] = 2.0 * values[i]
 
 
-def _computes() -> bool:
-    """Whether a kernel's stores arrive: a driver can be there without a device."""
-    values = np.ones(4, dtype=np.float32)
-    _double(values)
-    return bool(np.all(values == 2.0))
+def _short_position(context: Any, node: Any) -> str:
+    """Name a source line instead of drawing it, which takes half of a warm start."""
+    line = node.lineno + context.lineno_offset
+    return f'File "{context.file}", line {line}, in {context.func.func.__name__}:\n'
 
 
-def _word_positions_briefly() -> None:
-    """Name source lines instead of drawing them, which takes half of a warm start."""
-
-    def position(context: Any, node: Any) -> str:
-        line = node.lineno + context.lineno_offset
-        return f'File "{context.file}", line {line}, in {context.func.func.__name__}:\n'
-
-    ASTTransformerContext.get_pos_info = position
-
-
-_word_positions_briefly()
+ASTTransformerContext.get_pos_info = _short_position

@@ -1,4 +1,4 @@
-"""Walkers whose bodies another engine moves: what this simulator does before and after its step.
+"""Walkers whose bodies another engine moves: the phases before and after that engine's step.
 
 The same functions as in `walker.step`, less dynamics, contacts and joint stops. `drive` gives the
 torques of a physics step, `follow` takes in where the bodies are after it.
@@ -81,7 +81,7 @@ def drive(
     commands: int,
     activation_blend: float,
 ):
-    """What drives the bodies of all packs during a physics step: `drives` [p, Drive.count, lanes].
+    """Torques on the bodies of all packs for a physics step: `drives` [p, Drive.count, lanes].
 
     packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], terrains [p, lanes] (rows of
     `heights` [terrain, node]), muscles [7, TABLE_COLUMNS].

@@ -319,7 +319,7 @@ def revise_contacts(lane, const: Rows, work: Rows):
     """One complementarity pass: drop contacts that pull, let slip what exceeds the cone.
 
     Without the drop the linearised damper would glue the foot to the ground. A slipping point's
-    friction follows its normal force from pass to pass: it asks for more until that rests.
+    friction follows its normal force from pass to pass, until that no longer changes.
     """
     changed = 0.0
     for c in ti.static(range(CONTACTS)):

@@ -4,7 +4,7 @@ A pack's rows live in NumPy arrays [pack, row, lane] between launches and in loc
 one, since only local arrays let the compiler vectorise (`backend`).
 """
 
-from taichi_nmm.kernel import dynamics, kinematics, nerves, walker
+from taichi_nmm.kernel import dynamics, kinematics, walker
 from taichi_nmm.kernel.backend import Array, Rows, ti
 from taichi_nmm.kernel.layout import (
     COORDINATES,
@@ -13,11 +13,11 @@ from taichi_nmm.kernel.layout import (
     FIRST_FIBRE,
     FIRST_SUM,
     MUSCLES_PER_LEG,
+    RINGS,
     Const,
     Delay,
     Gait,
     Muscle,
-    Signal,
     State,
     Sums,
     Work,
@@ -45,20 +45,22 @@ def save(packs: Rows, p, first: Rows, count: Rows, lanes: Rows, source: Rows):
 
 @ti.func
 def load_slots(packs: Rows, p, tick, lanes: Rows, delay: Rows):
-    """Copy what a tick exchanges of a pack's delay rings into a local array: a slot of each."""
+    """Copy the slots of a pack's delay rings that a tick exchanges into a local array."""
     for lane in range(lanes):
-        for ring in ti.static(range(Signal.count)):
-            row = nerves.slot_row(ring, tick)
-            delay[row, lane] = packs[p, FIRST_DELAY + row, lane]
+        for _signal, count, ticks, first in ti.static(RINGS):
+            for i in ti.static(range(count)):
+                row = first + i * ticks + ti.raw_mod(tick, ticks)
+                delay[row, lane] = packs[p, FIRST_DELAY + row, lane]
 
 
 @ti.func
 def save_slots(packs: Rows, p, tick, lanes: Rows, delay: Rows):
-    """Copy it back."""
+    """Copy them back."""
     for lane in range(lanes):
-        for ring in ti.static(range(Signal.count)):
-            row = nerves.slot_row(ring, tick)
-            packs[p, FIRST_DELAY + row, lane] = delay[row, lane]
+        for _signal, count, ticks, first in ti.static(RINGS):
+            for i in ti.static(range(count)):
+                row = first + i * ticks + ti.raw_mod(tick, ticks)
+                packs[p, FIRST_DELAY + row, lane] = delay[row, lane]
 
 
 @ti.kernel

@@ -102,7 +102,7 @@ def observe_leg(
 def follow_contact(
     lane, leg: Rows, tick, down, com, state: Rows, const: Rows, gait: Rows, work: Rows
 ):
-    """What a foot on the ground leaves behind: the latest values and the stance's peaks."""
+    """While a foot is on the ground: keep the latest values and the peaks of the stance."""
     latch(gait, Gait.com_last + leg, lane, down, com)
     latch(gait, Gait.hip_x_last + leg, lane, down, state[State.q + 0, lane])
     latch(gait, Gait.tick_last + leg, lane, down, tick)

@@ -37,7 +37,7 @@ Signal = blocks(
     force_ham=LEGS, force_glu=LEGS, load=LEGS, trunk=1, trunk_rate=1,  # 5 ms
 )  # fmt: skip
 
-# What the walker carries from step to step.
+# The state of a walker, from step to step.
 State = blocks(
     q=COORDINATES,  # hip x, z; segment angles, clockwise positive
     qdot=COORDINATES,
@@ -70,8 +70,8 @@ Muscle = blocks(
     force=MUSCLE_COUNT,  # over the nominal Fmax
 )
 
-# Never written by a step: each gain by its name (`Const.K_SOL`), what follows from the body, and
-# the world.
+# Never written by a step: each gain by its name (`Const.K_SOL`), coefficients of the body, and the
+# world.
 # A_i and B_ij multiply the directions of the links in the mass matrix: see `dynamics`.
 Const = blocks(
     **dict.fromkeys((*GAIN_NAMES, *LOW_LEVEL_NAMES), 1),
@@ -153,17 +153,17 @@ Work = blocks(
     changed=1,
 )
 
-LONG_DELAY_TICKS, MID_DELAY_TICKS, SHORT_DELAY_TICKS = 20, 10, 5
-LONG_SIGNALS = Signal.force_vas
-MID_SIGNALS = Signal.force_ham - Signal.force_vas
-SHORT_SIGNALS = Signal.count - Signal.force_ham
-Delay = blocks(
-    long=LONG_SIGNALS * LONG_DELAY_TICKS,
-    mid=MID_SIGNALS * MID_DELAY_TICKS,
-    short=SHORT_SIGNALS * SHORT_DELAY_TICKS,
+LONG, MID = Signal.force_vas, Signal.force_ham - Signal.force_vas  # how many signals
+SHORT = Signal.count - LONG - MID
+Delay = blocks(long=20 * LONG, mid=10 * MID, short=5 * SHORT)  # a slot a tick of each signal
+# Each kind of ring: its first signal, number of signals, ticks of delay, first row.
+RINGS = (
+    (0, LONG, 20, Delay.long),
+    (LONG, MID, 10, Delay.mid),
+    (LONG + MID, SHORT, 5, Delay.short),
 )
 
-# What a controller senses of a body that is not this simulator's (`kernel.actuation`).
+# Observation of a body that another simulator moves (`kernel.actuation`).
 Sense = blocks(
     angle=SEGMENT_COUNT,
     rate=SEGMENT_COUNT,
@@ -175,7 +175,7 @@ Sense = blocks(
     com_speed=1,
 )
 
-# What this simulator hands to another engine for a physics step, and what comes back (`carried`).
+# Input of another engine for a physics step, and its output (`carried`).
 Drive = blocks(
     joint_torque=3 * LEGS,
     metabolic_power=1,  # W
@@ -188,7 +188,7 @@ Motion = blocks(
     ground_force=2 * LEGS,
 )
 
-# Gait events: what a leg remembers of its step (`Gait`), and sums that the host drains (`Sums`).
+# Gait: the memory of a leg's step (`Gait`), and sums that the host drains (`Sums`).
 Gait = blocks(
     in_stance=LEGS,
     struck=LEGS,  # this stance ended a swing seen from its take-off on, so its step is scored

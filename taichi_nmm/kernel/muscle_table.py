@@ -1,7 +1,7 @@
 """The seven muscles of a leg, and the tables of their constants that the kernel takes.
 
-Source: Geyer & Herr 2010, as in the walker T. What the kernel would multiply or divide at every
-step from constants alone is multiplied out here.
+Source: Geyer & Herr 2010, as in the walker T. Products and quotients of constants are computed
+here, not at every step.
 """
 
 from dataclasses import dataclass

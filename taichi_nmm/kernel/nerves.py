@@ -1,8 +1,8 @@
-"""Nerves: what the controller feels is 20, 10 or 5 ms old; it may lag and have noise.
+"""Nerves: the controller feels signals that are 20, 10 or 5 ms old, with lag and noise.
 
 Delays are ring buffers at the control tick. A slot is read before it is overwritten, so a ring of n
 slots delays by n ticks. Lag and noise are ours. Noise is a hash of tick, walker and signal, so that
-it is the same whoever else is in the batch, and costs no memory.
+it does not depend on the batch, and costs no memory.
 """
 
 from taichi_nmm.kernel.backend import Rows, ti
@@ -13,18 +13,12 @@ from taichi_nmm.kernel.layout import (
     GLU,
     HAM,
     LEGS,
-    LONG_DELAY_TICKS,
-    LONG_SIGNALS,
-    MID_DELAY_TICKS,
-    MID_SIGNALS,
     MUSCLES_PER_LEG,
-    SHORT_DELAY_TICKS,
-    SHORT_SIGNALS,
+    RINGS,
     SOL,
     TA,
     VAS,
     Const,
-    Delay,
     Muscle,
     Signal,
     State,
@@ -57,48 +51,14 @@ def sense(lane, state: Rows, muscle: Rows, work: Rows):
 
 
 @ti.func
-def slot_row(signal: Rows, tick):
-    """The row of a signal's ring that a tick exchanges."""
-    row = 0
-    if ti.static(signal < LONG_SIGNALS):
-        row = Delay.long + signal * LONG_DELAY_TICKS + ti.raw_mod(tick, LONG_DELAY_TICKS)
-    elif ti.static(signal < LONG_SIGNALS + MID_SIGNALS):
-        ring = ti.static(signal - LONG_SIGNALS)
-        row = Delay.mid + ring * MID_DELAY_TICKS + ti.raw_mod(tick, MID_DELAY_TICKS)
-    else:
-        ring = ti.static(signal - LONG_SIGNALS - MID_SIGNALS)
-        row = Delay.short + ring * SHORT_DELAY_TICKS + ti.raw_mod(tick, SHORT_DELAY_TICKS)
-    return row
-
-
-@ti.func
-def exchange_long(lane, slot, delay: Rows, work: Rows):
-    """Put the present signals of 20 ms into their rings and take the delayed ones out, in place."""
-    for i in ti.static(range(LONG_SIGNALS)):
-        exchange(lane, i, Delay.long + i * LONG_DELAY_TICKS + slot, delay, work)
-
-
-@ti.func
-def exchange_mid(lane, slot, delay: Rows, work: Rows):
-    """Those of 10 ms."""
-    for i in ti.static(range(MID_SIGNALS)):
-        exchange(lane, LONG_SIGNALS + i, Delay.mid + i * MID_DELAY_TICKS + slot, delay, work)
-
-
-@ti.func
-def exchange_short(lane, slot, delay: Rows, work: Rows):
-    """Those of 5 ms."""
-    first = ti.static(LONG_SIGNALS + MID_SIGNALS)
-    for i in ti.static(range(SHORT_SIGNALS)):
-        exchange(lane, first + i, Delay.short + i * SHORT_DELAY_TICKS + slot, delay, work)
-
-
-@ti.func
-def exchange(lane, signal: Rows, row, delay: Rows, work: Rows):
-    """One signal and one slot of its ring."""
-    old = delay[row, lane]
-    delay[row, lane] = work[Work.sensed + signal, lane]
-    work[Work.sensed + signal, lane] = old
+def exchange(lane, ring: Rows, slot, delay: Rows, work: Rows):
+    """Put the present signals of a kind of ring into a slot, and take the delayed ones out."""
+    first_signal, count, ticks, first_row = ti.static(RINGS[ring])
+    for i in ti.static(range(count)):
+        row = first_row + i * ticks + slot
+        old = delay[row, lane]
+        delay[row, lane] = work[Work.sensed + first_signal + i, lane]
+        work[Work.sensed + first_signal + i, lane] = old
 
 
 RATE_SCALE_RADPS = 10.0  # noise of angular rates over that of angles

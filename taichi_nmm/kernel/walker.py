@@ -23,10 +23,8 @@ from taichi_nmm.kernel.elementary import larger
 from taichi_nmm.kernel.layout import (
     COORDINATES,
     LEGS,
-    LONG_DELAY_TICKS,
-    MID_DELAY_TICKS,
     MUSCLES_PER_LEG,
-    SHORT_DELAY_TICKS,
+    RINGS,
     Const,
     State,
     Work,
@@ -95,7 +93,7 @@ def locate(lanes: Rows, terrain: Rows, heights: Rows, state: Rows, work: Rows):
 @ti.func
 def control(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
             const: Rows, work: Rows):  # fmt: skip
-    """What happens once a tick: events of the gait are noted, and the muscles get their orders."""
+    """Once a tick: note events of the gait, and give the muscles their orders."""
     time = ti.cast(tick, float)
     for lane in range(lanes):
         kinematics.centre_of_mass(lane, state, const, work)
@@ -113,15 +111,10 @@ def command(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, const: Ro
         nerves.sense(lane, state, fibres, work)
     # A ring length a loop, and a remainder that LLVM knows the range of: else it cannot tell that
     # the rows of different rings lie apart, and takes one lane after the other.
-    slot_long = ti.raw_mod(tick, LONG_DELAY_TICKS)
-    slot_mid = ti.raw_mod(tick, MID_DELAY_TICKS)
-    slot_short = ti.raw_mod(tick, SHORT_DELAY_TICKS)
-    for lane in range(lanes):
-        nerves.exchange_long(lane, slot_long, delay, work)
-    for lane in range(lanes):
-        nerves.exchange_mid(lane, slot_mid, delay, work)
-    for lane in range(lanes):
-        nerves.exchange_short(lane, slot_short, delay, work)
+    for ring in ti.static(range(len(RINGS))):
+        slot = ti.raw_mod(tick, ti.static(RINGS[ring][2]))
+        for lane in range(lanes):
+            nerves.exchange(lane, ring, slot, delay, work)
     if nerves_vary(lanes, const):
         for lane in range(lanes):
             nerves.feel(lane, tick, state, const, work)

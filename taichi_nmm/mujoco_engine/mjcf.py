@@ -1,8 +1,8 @@
 """The walker as a MuJoCo model: links, feet, joint limits, motors, sensors and ground.
 
 Feet are two spheres each, their soles on the line from heel to ball. Contacts are elliptic cones
-with the walker's friction; a motor turns each joint; a sensor of each foot says whether it touches,
-and the force. The ground of a walk is planes that are laid anew at every step; of a file, boxes.
+with the walker's friction; a motor turns each joint; a sensor of each foot gives contact and
+force. The ground of a walk is planes that are laid anew at every step; of a file, boxes.
 
 **Links.** The same seven, with the map between the two sets of coordinates.
 MuJoCo's hinges are relative (child minus parent) about +y, which turns z towards x: clockwise with
@@ -18,7 +18,7 @@ Computation, "Constraint model")
 
     (1 - d) T = d (b w + K d D) / A .
 
-Equal damping asks for d/(1 - d) = D/rho with rho = w_max b/(k A). MuJoCo's impedance with its
+Equal damping needs d/(1 - d) = D/rho with rho = w_max b/(k A). MuJoCo's impedance with its
 midpoint at the limit is d_max (1 - (1 - D/width)^p): d_max is right at the width, and p comes
 nearest below it. The time constant t is the shortest that MuJoCo lets a step have: b = 2/(d_max t)
 is then the largest, and stable.
@@ -140,7 +140,7 @@ def limit(stop: Stop, inverse_inertia: float, step_s: float) -> tuple[Array, Arr
     largest = 1.0 - slow / width  # = width/(width + rho), with rho = slow/largest
     power = _nearest_power(largest, largest * width / slow)
     damping = 2.0 / (largest * time_constant_s)  # b
-    # K: d^2 K/(1 - d) = k A at the width, and less below; the damper is what stops.
+    # K: d^2 K/(1 - d) = k A at the width, and less below; the damper does the stopping.
     spring = stiffness * inverse_inertia * (1.0 - largest) / largest**2
     return (
         np.array([time_constant_s, damping / (2.0 * math.sqrt(spring))]),

@@ -13,8 +13,7 @@ import argparse
 import json
 import os
 import time
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
+from xml.etree.ElementTree import Element, SubElement
 
 import mujoco
 import numpy as np
@@ -45,14 +44,28 @@ RANGE_RAD = {
 def muscular_walker() -> mujoco.MjModel:
     """The nominal body on a plane, with its joint limits and muscles."""
     root = linkage(Bodies.nominal())
-    _find(root, "option", None).set("timestep", repr(STEP_S))
-    _add_contacts(root)
-    _limit_joints(root)
-    tendons = ElementTree.SubElement(root, "tendon")
-    actuators = ElementTree.SubElement(root, "actuator")
+    named = {element.get("name"): element for element in root.iter("joint")}
+    bodies = {element.get("name"): element for element in root.iter("body")}
+    next(root.iter("option")).set("timestep", repr(STEP_S))
+    friction = f"{FRICTION} 0.005 0.0001"
+    SubElement(
+        next(root.iter("worldbody")), "geom",
+        type="plane", size="1 1 1", contype="0", conaffinity="1", friction=friction,
+    )  # fmt: skip
+    tendons, actuators = SubElement(root, "tendon"), SubElement(root, "actuator")
     for side in ("l", "r"):
+        for x in (HEEL_OFFSET_M, BALL_OFFSET_M):  # spheres that meet the plane only
+            SubElement(
+                bodies[f"foot_{side}"], "geom",
+                type="sphere", size=repr(RADIUS_M), pos=f"{x} 0 {RADIUS_M}",
+                contype="1", conaffinity="0", friction=friction,
+            )  # fmt: skip
+        for joint, segment in SEGMENT_OF_JOINT.items():
+            low, high = RANGE_RAD[joint]
+            hinge = named[f"{segment}_{side}"]
+            hinge.attrib |= {"limited": "true", "range": f"{low!r} {high!r}"}
         for name, data in MUSCLE_DATA.items():
-            _add_muscle(tendons, actuators, name, data, side)
+            _add_muscle(tendons, actuators, f"{name}_{side}", data, side)
     return compile_model(root)
 
 
@@ -95,63 +108,26 @@ def main() -> None:
     print(json.dumps(measured))
 
 
-def _find(root: ElementTree.Element, tag: str, name: str | None) -> ElementTree.Element:
-    return next(e for e in root.iter(tag) if name is None or e.get("name") == name)
-
-
-def _add_contacts(root: ElementTree.Element) -> None:
-    """A plane, and spheres that meet it only; bits keep them from meeting each other."""
-    friction = f"{FRICTION} 0.005 0.0001"
-    ElementTree.SubElement(
-        _find(root, "worldbody", None), "geom",
-        type="plane", size="1 1 1", contype="0", conaffinity="1", friction=friction,
-    )  # fmt: skip
-    for side in ("l", "r"):
-        for x in (HEEL_OFFSET_M, BALL_OFFSET_M):
-            ElementTree.SubElement(
-                _find(root, "body", f"foot_{side}"), "geom",
-                type="sphere", size=repr(RADIUS_M), pos=f"{x} 0 {RADIUS_M}",
-                contype="1", conaffinity="0", friction=friction,
-            )  # fmt: skip
-
-
-def _limit_joints(root: ElementTree.Element) -> None:
-    for joint, segment in SEGMENT_OF_JOINT.items():
-        for side in ("l", "r"):
-            hinge = _find(root, "joint", f"{segment}_{side}")
-            low, high = RANGE_RAD[joint]
-            hinge.set("limited", "true")
-            hinge.set("range", f"{low!r} {high!r}")
-
-
 def _add_muscle(
-    tendons: ElementTree.Element,
-    actuators: ElementTree.Element,
-    name: str,
-    data: MuscleData,
-    side: str,
+    tendons: Element, actuators: Element, label: str, data: MuscleData, side: str
 ) -> None:
-    """A tendon whose length is linear in its joints, and the muscle that pulls it."""
-    label = f"{name}_{side}"
-    tendon = ElementTree.SubElement(tendons, "fixed", name=label)
+    """A tendon whose length is linear in its joints, and the muscle that pulls it.
+
+    The length falls by sign * arm with an angle: a pull of F makes the torque sign * arm * F.
+    """
+    tendon = SubElement(tendons, "fixed", name=label)
     shortest = longest = 0.0
-    for joint, coefficient in _tendon_coefficients(data):
-        hinge = f"{SEGMENT_OF_JOINT[joint]}_{side}"
-        ElementTree.SubElement(tendon, "joint", joint=hinge, coef=repr(coefficient))
-        ends = [coefficient * angle for angle in RANGE_RAD[joint]]
-        shortest, longest = shortest + min(ends), longest + max(ends)
-    ElementTree.SubElement(
+    for joint, segment in SEGMENT_OF_JOINT.items():
+        attachment = getattr(data, joint)
+        if attachment is not None:
+            slope = -attachment.sign * attachment.arm_m
+            SubElement(tendon, "joint", joint=f"{segment}_{side}", coef=repr(slope))
+            ends = [slope * angle for angle in RANGE_RAD[joint]]
+            shortest, longest = shortest + min(ends), longest + max(ends)
+    SubElement(
         actuators, "muscle", name=label, tendon=label,
         force=repr(float(data.fmax_n)), lengthrange=f"{shortest!r} {longest!r}",
     )  # fmt: skip
-
-
-def _tendon_coefficients(data: MuscleData) -> Iterator[tuple[str, float]]:
-    """d(length)/d(angle) at each joint it spans; a pull of F makes the torque sign * arm * F."""
-    for joint in SEGMENT_OF_JOINT:
-        attachment = getattr(data, joint)
-        if attachment is not None:
-            yield joint, -attachment.sign * attachment.arm_m
 
 
 if __name__ == "__main__":

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import taichi_nmm
-from taichi_nmm import terrain
+from taichi_nmm import simulator, terrain
 from taichi_nmm.body import Bodies
+from taichi_nmm.kernel import backend
+from taichi_nmm.kernel.actuation import actuate
+from taichi_nmm.kernel.carried import drive, follow
 from taichi_nmm.kernel.layout import (
     COORDINATES,
     FIRST_DELAY,
@@ -52,9 +54,6 @@ class Both:
     """The same walkers in packs, for a compiled kernel, and as NumPy's blocks of rows."""
 
     def __init__(self, step_s: float) -> None:
-        from taichi_nmm import simulator
-        from taichi_nmm.kernel import backend
-
         rng = np.random.default_rng(4)
         gains = rng.uniform(lower_bounds(), upper_bounds(), (WALKERS, 16))
         gains[0] = PUBLISHED_GAINS
@@ -86,8 +85,6 @@ class Both:
         self.lanes = AllLanes(WALKERS)
 
     def launch(self, kernel: Any, *arguments: Any) -> None:
-        from taichi_nmm.kernel import backend
-
         packs = self.packs
         backend.launch(kernel, packs.lanes, packs.rows, packs.constants, *arguments)
 
@@ -152,8 +149,6 @@ def random_senses(rng: np.random.Generator) -> Array:
 
 @STEPS_S
 def test_actuation(step_s: float) -> None:
-    from taichi_nmm.kernel.actuation import actuate
-
     (actuation,) = interpreted("actuation")
     both, rng = Both(step_s), np.random.default_rng(9)
     torques, largest = both.output(3 * LEGS), 0.0
@@ -190,8 +185,6 @@ def random_motion(rng: np.random.Generator, start: Array) -> Array:
 @STEPS_S
 def test_bodies_that_another_engine_moves(step_s: float) -> None:
     """Both kernels, before and after the other engine's step; some walkers fall."""
-    from taichi_nmm.kernel.carried import drive, follow
-
     (carried,) = interpreted("carried")
     both, rng = Both(step_s), np.random.default_rng(10)
     start, drives = both.rows()[:, State.q : State.q + COORDINATES], both.output(Drive.count)
@@ -227,5 +220,4 @@ def test_modules_are_put_back() -> None:
     from taichi_nmm.kernel import backend, walker
 
     assert hasattr(backend.ti, "kernel")
-    assert taichi_nmm.simulate is not None
     assert walker.step is not interpreted_walker().step

@@ -1,5 +1,6 @@
 """The same bits whatever the threads, the order, the batch's size or the process."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -76,13 +77,6 @@ def test_new_process(whole: NDArray[np.void], tmp_path: Path) -> None:
     )
     file = tmp_path / "rows.npy"
     root = Path(__file__).resolve().parents[2]
-    subprocess.run(
-        [sys.executable, str(script), str(file)], check=True, cwd=root, env={**_environment(root)}
-    )
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    subprocess.run([sys.executable, script, file], check=True, cwd=root, env=environment)
     assert np.load(file).tobytes() == whole[:64].tobytes()
-
-
-def _environment(root: Path) -> dict[str, str]:
-    import os
-
-    return {**os.environ, "PYTHONPATH": str(root)}

@@ -13,6 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from storage.points import sobol_points
+from taichi_nmm import terrain
+from taichi_nmm.initial import initial_rows
+from taichi_nmm.kernel.layout import FIRST_DELAY, FIRST_EVENT, FIRST_FIBRE, State, Sums, Work
+from taichi_nmm.kernel.muscle_table import muscle_table
+from taichi_nmm.parameters import GAINS as PARAMETERS
+from taichi_nmm.settings import Settings
+from taichi_nmm.walkers import blends, check_batch, constant_rows
 from tests.parity.interpreter import AllLanes, interpreted_walker
 
 GAINS = 256
@@ -39,19 +47,8 @@ METHODS: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
 
 def walk(walker: Any, ticks: int) -> Iterator[Array]:
     """State rows of the interpreted walkers after each tick of 1 ms on flat ground."""
-    from storage.points import sobol_points
-    from taichi_nmm import terrain
-    from taichi_nmm.initial import initial_rows
-    from taichi_nmm.kernel.layout import FIRST_DELAY, FIRST_EVENT, FIRST_FIBRE, Sums, Work
-    from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
-    from taichi_nmm.kernel.muscle_table import muscle_table
-    from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
-    from taichi_nmm.parameters import GAINS as PARAMETERS
-    from taichi_nmm.settings import Settings
-    from taichi_nmm.walkers import check_batch, constant_rows
-
     flat, step_s = terrain.flat(), 1e-3
-    batch = check_batch(sobol_points(SEED, 0, GAINS, PARAMETERS), None, flat, None, None)
+    batch = check_batch(sobol_points(SEED, 0, GAINS, PARAMETERS))
     start = np.tile(initial_rows(flat)[:, None], GAINS)
     blocks = np.split(start, [FIRST_FIBRE, FIRST_DELAY, FIRST_EVENT])
     const = constant_rows(batch, Settings()).T
@@ -59,18 +56,14 @@ def walk(walker: Any, ticks: int) -> Iterator[Array]:
     for tick in range(ticks):
         with np.errstate(all="ignore"):
             walker.step(
-                tick, 1, step_s,
-                1.0 - np.exp(-step_s / ACTIVATION_TIME_S), 1.0 - np.exp(-step_s / LOAD_FILTER_S),
-                AllLanes(GAINS), batch.terrain_index, flat.height_m[None, :], muscle_table(step_s),
-                *blocks, sums, const, work,
+                tick, 1, step_s, *blends(step_s), AllLanes(GAINS), batch.terrain_index,
+                flat.height_m[None, :], muscle_table(step_s), *blocks, sums, const, work,
             )  # fmt: skip
         yield blocks[0]
 
 
 def walking_states(ticks: int) -> Problem:
     """Arguments of `speed_range` met in `ticks` of walking, of all muscles that are up."""
-    from taichi_nmm.kernel.layout import State
-
     walker = interpreted_walker()
     muscle = walker.muscle
     muscle.ITERATIONS = CONVERGED
@@ -145,8 +138,6 @@ def errors(problem: Problem, iterations: int, method: str | None = None) -> Arra
 
 def place_after_1_s(iterations: int, method: str | None = None) -> Array:
     """Where the hips are after a second, m; NaN where a walker fell."""
-    from taichi_nmm.kernel.layout import State
-
     walker = interpreted_walker()
     walker.muscle.ITERATIONS = iterations
     if method is not None:

@@ -5,6 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taichi_nmm.kernel import backend
+from taichi_nmm.kernel.elementary import arctangent2, sine_cosine, two_to
+from taichi_nmm.settings import Settings
 from tests.parity.interpreter import interpreted_walker
 
 ANGLES = np.concatenate([np.linspace(-60.0, 60.0, 20001), np.arange(-8, 9) * np.pi / 4])
@@ -43,10 +46,6 @@ def test_larger_and_smaller_keep_the_first_where_the_second_is_nan(elementary: A
 
 
 def test_compiled_in_float32() -> None:
-    from taichi_nmm.kernel import backend
-    from taichi_nmm.kernel.elementary import arctangent2, sine_cosine, two_to
-    from taichi_nmm.settings import Settings
-
     ti = backend.ti
     backend.start(Settings(precision="float32", arch="cpu"))
 

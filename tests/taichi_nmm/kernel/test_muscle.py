@@ -8,6 +8,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Const, Muscle, Work
+from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, muscle_table, unit_lengths
 from taichi_nmm.result import MUSCLES
 from tests.parity.interpreter import interpreted_walker
 from tests.taichi_nmm.kernel import convergence
@@ -62,9 +64,6 @@ def test_force_velocity_is_the_published_curve_and_joins(muscle: Any) -> None:
 @cache
 def isometric(m: int) -> Any:
     """Contract muscle m at fixed joint angles until it rests: walkers of ACTIVATIONS together."""
-    from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Const, Muscle
-    from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, muscle_table, unit_lengths
-
     walker, lanes, angles = interpreted_walker(), np.arange(len(ACTIVATIONS)), RESTING_RAD
     muscle = walker.muscle
     fibres, work = (np.repeat(rows, len(lanes), axis=1) for rows in interpreted_rows(angles))
@@ -90,8 +89,6 @@ def isometric(m: int) -> Any:
 
 def interpreted_rows(angles: NDArray[np.float64]) -> tuple[Any, Any]:
     """Rows of muscles, and of `Work` with both legs at these joint angles; one walker."""
-    from taichi_nmm.kernel.layout import Muscle, Work
-
     fibres, work = np.zeros((Muscle.count, 1)), np.zeros((Work.count, 1))
     work[Work.joint : Work.joint + 6, 0] = np.tile(angles, 2)
     work[Work.sine_joint : Work.sine_joint + 4, 0] = np.tile(np.sin(angles[1:]), 2)
@@ -149,12 +146,10 @@ def test_tension_and_its_derivatives(muscle: Any) -> None:
 @pytest.mark.slow
 def test_fibre_speed_converges_on_walking_states() -> None:
     """Within 1e-6 of the balance as published, but for a few muscles that were just slack."""
-    from taichi_nmm.kernel.muscle import ITERATIONS
-
     problem = convergence.walking_states(300)
     assert len(problem[0]) > 40_000
     assert np.isclose(convergence.exact_speed(problem), 0.0).mean() < 0.01  # they move
-    error = convergence.errors(problem, ITERATIONS)
+    error = convergence.errors(problem, interpreted_walker().muscle.ITERATIONS)
     assert np.mean(error > convergence.TOLERANCE) < 1e-4
     assert error.max() < 0.05
     assert convergence.errors(problem, convergence.CONVERGED).max() < convergence.TOLERANCE
@@ -163,9 +158,6 @@ def test_fibre_speed_converges_on_walking_states() -> None:
 @pytest.mark.parametrize("joint", range(3), ids=["hip", "knee", "ankle"])
 def test_torques_do_the_work_of_the_lengths(joint: int) -> None:
     """A torque is minus the length's slope times Fmax over rho (rho scales length only)."""
-    from taichi_nmm.kernel.layout import Muscle, Work
-    from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, unit_lengths
-
     joints, step = interpreted_walker().joints, 1e-6
     angles = np.deg2rad([-10.0, 25.0, 5.0])
     turn = step * np.eye(3)[joint]
@@ -184,9 +176,6 @@ def test_torques_do_the_work_of_the_lengths(joint: int) -> None:
 
 def test_strains_follow_the_lengths() -> None:
     """Of each tendon over its reference, at fibre length 0."""
-    from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Work
-    from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, unit_lengths
-
     angles = np.deg2rad([-10.0, 25.0, 5.0])
     _fibres, work = interpreted_rows(angles)
     interpreted_walker().joints.stretch_tendons(np.arange(1), work)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taichi_nmm.kernel.layout import Const, Signal, State, Work
 from tests.parity.interpreter import interpreted
 
 TICKS, WALKERS = 2000, 50
@@ -17,8 +18,6 @@ def nerves() -> Any:
 
 def felt(nerves: Any, signals: Any, blend: Any, amplitude: Any, seeds: Any) -> Any:
     """What is felt of signals that stay the same, [t, signal, n]."""
-    from taichi_nmm.kernel.layout import Const, Signal, State, Work
-
     lanes = np.arange(len(seeds))
     const = np.zeros((Const.count, len(seeds)))
     const[Const.nerve_blend], const[Const.sensing_noise] = blend, amplitude
@@ -34,8 +33,6 @@ def felt(nerves: Any, signals: Any, blend: Any, amplitude: Any, seeds: Any) -> A
 
 
 def test_a_lag_is_of_first_order_and_flags_have_none(nerves: Any) -> None:
-    from taichi_nmm.kernel.layout import Signal
-
     lag_s = 0.05
     heard = felt(nerves, 1.0, 1.0 - np.exp(-1e-3 / lag_s), 0.0, np.zeros(1))[:, :, 0]
     expected = 1.0 - np.exp(-np.arange(1, TICKS + 1) * 1e-3 / lag_s)
@@ -45,16 +42,12 @@ def test_a_lag_is_of_first_order_and_flags_have_none(nerves: Any) -> None:
 
 
 def test_without_lag_and_noise_nothing_changes(nerves: Any) -> None:
-    from taichi_nmm.kernel.layout import Signal
-
     signals = np.random.default_rng(3).normal(size=(Signal.count, 4))
     heard = felt(nerves, signals, 1.0, 0.0, np.arange(4.0))
     assert np.array_equal(heard, np.broadcast_to(signals, heard.shape))
 
 
 def test_noise_is_uniform_white_and_each_its_own(nerves: Any) -> None:
-    from taichi_nmm.kernel.layout import Signal
-
     amplitude = 0.02
     seeds = np.random.default_rng(0).integers(2**24, size=WALKERS).astype(float)
     noise = felt(nerves, 0.0, 1.0, amplitude, seeds)
