@@ -1,7 +1,7 @@
-"""A hook of mkdocs: notebooks are run when the site is built, and what comes out is a page of it.
+"""A hook of mkdocs: each notebook runs when the site is built, and becomes a page with its outputs.
 
 A notebook becomes Markdown, so that its links are checked and its code looks like any other page's.
-An error in a cell is an error of the build, and what it writes to standard error is a warning.
+An error in a cell is an error of the build; its output on standard error is a warning.
 """
 
 import base64
@@ -20,8 +20,8 @@ from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError
 
 LONGEST_CELL_S = 300
-# What is said of this machine and not of the notebook: that tqdm finds no widgets, and that the
-# kernel talks to this process in plain text.
+# Two warnings are about this machine, not the notebook: tqdm finds no widgets, and the kernel talks
+# to this process in plain text.
 ENVIRONMENT = {"PYTHONWARNINGS": "ignore:IProgress not found"}
 ERRORS_ONLY = ["--log-level=40"]
 
@@ -29,10 +29,10 @@ log = get_plugin_logger("notebooks")
 
 
 class Page(File):
-    """A file that is a page though its name is not that of Markdown."""
+    """A page whose name does not end as those of Markdown."""
 
     def is_documentation_page(self) -> bool:
-        """Yes."""
+        """Whether it is a page: yes."""
         return True
 
 
@@ -89,7 +89,7 @@ def markdown(
 
 
 def alternative(output: Any) -> str:
-    """What a picture shows, in words: `display(..., metadata={"image/png": {"alt": ...}})`."""
+    """The description of a picture: `display(..., metadata={"image/png": {"alt": ...}})`."""
     return str(output.metadata.get("image/png", {}).get("alt", "what the code drew"))
 
 

@@ -109,7 +109,7 @@ class OutsideReport:
 
     @property
     def seeds(self) -> int:
-        """Of each arm."""
+        """Number of seeds of each arm."""
         return len(next(iter(self.best.values())))
 
     @property

@@ -94,7 +94,7 @@ class Report:
 
     @property
     def seeds(self) -> int:
-        """Of each arm."""
+        """Number of seeds of each arm."""
         return len(next(iter(self.regret.values())))
 
     def statistics(self, problem: str, arm: str, trial: int) -> tuple[Interval, Interval]:

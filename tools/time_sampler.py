@@ -55,18 +55,15 @@ NOISE = 0.3  # of the cost, in standard deviations of what the features explain
 STANDING = 0.1  # of the rows of a table like that of `best`: the others fell, and have no features
 WARM_UP = 1  # proposals that are not counted: the first one loads libraries
 
-# Of a sampler and a number of features: the label, and the bar in milliseconds of the processor.
-PROPOSALS = {
-    ("ours", 1): ("ours", 10.0),
-    ("ours", 5): ("ours", 45.0),
-    ("rbf", 1): ("ours, the paper's kernel", 10.0),
-    ("best", 6): ("`SurvivalSampler`, a tenth of the rows are candidates", 10.0),
-}
 MOST_FEATURES = 5
 MOST_ROWS = 10_000_000
-LONG_BAR_MS = 1000.0  # at the largest number of observations
 GP_RATIO_BAR = 5.0  # GPSampler's time over ours with one feature
-MEMORY_BAR_MIB = 200e6 / 2**20  # 200 MB, for the largest number of features
+LABELS = {
+    "ours": "ours",
+    "rbf": "ours, the paper's kernel",
+    "best": "`SurvivalSampler`, a tenth of the rows are candidates",
+    "gp": "GPSampler",
+}
 
 
 @dataclass(frozen=True)
@@ -81,6 +78,7 @@ class Case:
         features: of a row.
         observations: finished trials before the first proposal.
         repeats: proposals, after one that is not counted.
+        bars: the most that is allowed, by the measured property and its unit.
     """
 
     sampler: str
@@ -88,11 +86,12 @@ class Case:
     features: int
     observations: int
     repeats: int
+    bars: tuple[tuple[str, float, str], ...] = ()
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What one case took.
+    """Times and memory of one case.
 
     Attributes:
         case: that was measured.
@@ -118,47 +117,31 @@ class Measured:
         """Median processor time of a proposal, milliseconds."""
         return 1e3 * statistics.median(self.cpu_seconds)
 
-    def as_dict(self) -> dict[str, Any]:
-        """The case, all times and their medians as plain values."""
-        medians = {"median_ms": self.median_ms, "median_cpu_ms": self.median_cpu_ms}
-        return {**asdict(self), **medians}
+    def verdicts(self) -> list[str]:
+        """The bars of the case, and whether each holds."""
+        return [
+            f"at most {most:.0f} {unit}: {holds(getattr(self, name) <= most)}"
+            for name, most, unit in self.case.bars
+        ]
 
-    def row(self, label: str, bar: str) -> str:
-        """A row of the document's table."""
-        case = self.case
-        times_ms = (self.median_ms, 1e3 * min(self.seconds), 1e3 * max(self.seconds))
-        times = " | ".join(f"{time_ms:.0f} ms" for time_ms in (*times_ms, self.median_cpu_ms))
-        memory = f"{self.grown_mib:,.0f} MiB | {self.peak_grown_mib:,.0f} MiB"
-        counts = f"{case.rows:,} | {case.features} | {case.observations:,} | {case.repeats}"
-        return f"| {label} | {counts} | {times} | {memory} | {bar} |"
+
+def holds(enough: bool) -> str:
+    return "holds" if enough else "**missed**"
 
 
 @dataclass(frozen=True)
 class Timings:
-    """All that was measured.
+    """All that was measured; the first is of our sampler with one feature."""
 
-    Attributes:
-        proposals: as `PROPOSALS`.
-        sweep: by observations.
-        large: of the largest table.
-        peer: GPSampler, where PyTorch is installed.
-    """
-
-    proposals: list[Measured]
-    sweep: list[Measured]
-    large: Measured
-    peer: Measured | None
+    cases: list[Measured]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for programs."""
-        return {
-            "machine": machine(),
-            "versions": versions(),
-            "proposals": [measured.as_dict() for measured in self.proposals],
-            "sweep": [measured.as_dict() for measured in self.sweep],
-            "large": self.large.as_dict(),
-            "gp_sampler": self.peer and self.peer.as_dict(),
-        }
+        cases = [
+            {**asdict(each), "median_ms": each.median_ms, "median_cpu_ms": each.median_cpu_ms}
+            for each in self.cases
+        ]
+        return {"machine": machine(), "versions": versions(), "cases": cases}
 
     def markdown(self) -> str:
         """The document: a row for each case, with its bars."""
@@ -167,7 +150,7 @@ class Timings:
             "",
             made_by(),
             "One thread; medians of proposals in studies of 16 parameters. Ours with its defaults"
-            " unless stated otherwise. Bars of proposals hold for the processor's time.",
+            " unless stated otherwise.",
             "",
             f"![Time of a proposal against finished trials]({NAME}.png)",
             "",
@@ -175,23 +158,23 @@ class Timings:
             " | processor, median | memory kept | at the peak | bar |",
             "|---|" + "--:|" * 10 + "---|",
         ]
-        for measured in self.proposals:
-            label, bar_ms = PROPOSALS[measured.case.sampler, measured.case.features]
-            bar = verdict(measured.median_cpu_ms, bar_ms, "ms")
-            if measured.case.features == MOST_FEATURES:
-                bar += "; " + verdict(measured.peak_grown_mib, MEMORY_BAR_MIB, "MiB")
-            lines.append(measured.row(label, bar))
-        long = verdict(self.sweep[-1].median_ms, LONG_BAR_MS, "ms")
-        for measured in self.sweep:
-            lines.append(measured.row("ours", long if measured is self.sweep[-1] else ""))
-        lines.append(self.large.row("ours", ""))
-        if self.peer is None:
+        for each in self.cases:
+            case, verdicts = each.case, each.verdicts()
+            if case.sampler == "gp":
+                ratio = each.median_ms / self.cases[0].median_ms
+                enough = holds(ratio >= GP_RATIO_BAR)
+                verdicts.append(f"at least {GP_RATIO_BAR:g} x ours: {ratio:.1f} x, {enough}")
+            times_ms = (each.median_ms, 1e3 * min(each.seconds), 1e3 * max(each.seconds))
+            cells = [
+                LABELS[case.sampler], f"{case.rows:,}", f"{case.features}",
+                f"{case.observations:,}", f"{case.repeats}",
+                *(f"{time_ms:.0f} ms" for time_ms in (*times_ms, each.median_cpu_ms)),
+                f"{each.grown_mib:,.0f} MiB", f"{each.peak_grown_mib:,.0f} MiB",
+                "; ".join(verdicts),
+            ]  # fmt: skip
+            lines.append(f"| {' | '.join(cells)} |")
+        if all(each.case.sampler != "gp" for each in self.cases):
             lines.append("| GPSampler" + " | " * 11 + "not measured: no PyTorch |")
-        else:
-            ratio = self.peer.median_ms / self.proposals[0].median_ms
-            holds = "holds" if ratio >= GP_RATIO_BAR else "**missed**"
-            bar = f"at least {GP_RATIO_BAR:g} x ours: {ratio:.1f} x, {holds}"
-            lines.append(self.peer.row("GPSampler", bar))
         return "\n".join(lines) + "\n"
 
     def plot(self, path: Path) -> None:
@@ -201,22 +184,23 @@ class Timings:
         figure = style.new_figure(5.0, 3.4)
         axes = figure.add_subplot()
         style.tidy(axes)
-        observations = [measured.case.observations for measured in self.sweep]
-        times_ms = [measured.median_ms for measured in self.sweep]
-        axes.loglog(observations, times_ms, color=style.MODEL, marker="o", label="ours, 1 feature")
-        if (peer := self.peer) is not None:
-            at = peer.case.observations
-            axes.plot(at, peer.median_ms, "s", color=style.INK, label="GPSampler")
+        first = self.cases[0].case
+        for name, label, colour, marker in (
+            ("ours", "ours, 1 feature", style.MODEL, "o-"),
+            ("gp", "GPSampler", style.INK, "s"),
+        ):
+            points = sorted(
+                (each.case.observations, each.median_ms)
+                for each in self.cases
+                if (each.case.sampler, each.case.rows, each.case.features) == (name, first.rows, 1)
+            )
+            if points:
+                axes.loglog(*zip(*points, strict=True), marker, color=colour, label=label)
         axes.set_xlabel("finished trials", fontsize=style.TEXT_PT)
         axes.set_ylabel("median time of a proposal (ms)", fontsize=style.TEXT_PT)
         axes.legend(fontsize=style.SMALL_PT, frameon=False)
         figure.tight_layout()
         style.save_png(figure, path)
-
-
-def verdict(value: float, bar: float, unit: str) -> str:
-    """A bar, and whether the value is within it."""
-    return f"at most {bar:.0f} {unit}: {'holds' if value <= bar else '**missed**'}"
 
 
 def main() -> None:
@@ -257,18 +241,23 @@ def counts(field: str, listed: str) -> list[int]:
 def measure(options: Namespace) -> Timings:
     """Every case in a process of its own, one after the other."""
     base = Case("ours", options.rows, 1, options.observations, options.repeats)
-    proposals = [replace(base, sampler=sampler, features=k) for sampler, k in PROPOSALS]
-    sweep = [replace(base, observations=n) for n in options.sweep]
-    large = replace(base, rows=options.large_rows, features=MOST_FEATURES, repeats=1)
-    peer = [replace(base, sampler="gp")] if runs.torch_is_installed() else []
-    cases = dict.fromkeys([*proposals, *sweep, large, *peer])  # each once
-    done = {case: fresh(case) for case in tqdm(cases, unit="case")}
-    return Timings(
-        proposals=[done[case] for case in proposals],
-        sweep=[done[case] for case in sweep],
-        large=done[large],
-        peer=done[peer[0]] if peer else None,
-    )
+
+    def on_processor(most_ms: float) -> tuple[str, float, str]:
+        return "median_cpu_ms", most_ms, "ms of the processor"
+
+    memory = ("peak_grown_mib", 200e6 / 2**20, "MiB")  # 200 MB
+    cases = [
+        replace(base, bars=(on_processor(10.0),)),
+        replace(base, features=MOST_FEATURES, bars=(on_processor(45.0), memory)),
+        replace(base, sampler="rbf", bars=(on_processor(10.0),)),
+        replace(base, sampler="best", features=6, bars=(on_processor(10.0),)),
+        *(replace(base, observations=n) for n in options.sweep[:-1]),
+        replace(base, observations=options.sweep[-1], bars=(("median_ms", 1000.0, "ms"),)),
+        replace(base, rows=options.large_rows, features=MOST_FEATURES, repeats=1),
+    ]
+    if runs.torch_is_installed():
+        cases.append(replace(base, sampler="gp"))
+    return Timings([fresh(case) for case in tqdm(cases, unit="case")])
 
 
 def fresh(case: Case) -> Measured:

@@ -47,7 +47,7 @@ from tests.fuzz.world import Words, make_world, within
 ACCEPTED, REFUSED = 0, EXIT_BAD_INPUT
 LINE = re.compile(r"error: \S.*: .*\S", re.DOTALL)
 OF_ARGPARSE = re.compile(r"error: (unrecognized arguments|the following arguments are required): ")
-# Of optimum and compare, of which the end of the work looks at what the beginning could not.
+# The progress of optimum and compare, whose work has checks of input at its end too.
 PROGRESS = re.compile(r"^(dog: \d+ of \d+ trials|(\r[^\r\n]*trial/s[^\r\n]*)+)\n")
 LIMIT_S = 60.0  # of a case; the longest takes two seconds of a processor
 LONGEST_LINE = 2000  # characters; a path may have hundreds
@@ -196,7 +196,7 @@ def files_for_output(folder: Path) -> None:
 
 
 def take_output() -> str:
-    """What stands on standard error; both are emptied."""
+    """The content of standard error; both outputs are emptied."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     said = os.pread(2, 1 << 20, 0).decode(errors="replace")

@@ -23,7 +23,7 @@ from storage.tables import DIGEST_KEY, FOOTER_KEY, table_digest
 HUGE = 10**400
 SURROGATE = "\udcff"  # of a name that is not UTF-8, as Python has it
 
-# Of JSON, TOML, Parquet and SQLite.
+# Values for JSON, TOML, Parquet and SQLite.
 VALUES: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 2, 3, 7, 2**31, 2**63 - 1, 2**63, -(2**63), 10**30, HUGE, 0.0,
     -0.0, 0.5, -1.5, 1e-320, 1e-9, 1e16, 1e308, -1e308, float("nan"), float("inf"), float("-inf"),
@@ -34,7 +34,7 @@ VALUES: tuple[Any, ...] = (
     [0] * 2000,
 )  # fmt: skip
 
-# Of text files, in place of a word or between two.
+# For text files, in place of a word or between two.
 WORDS: tuple[str, ...] = (
     "", "nan", "inf", "-inf", "1e400", "-1", "0", "-0.0", "1e-320", "9" * 5000, "0x10", "1_000",
     "\u0663", "true", "null", "None", "\"a\"", "'", '"', "[" * 200, "{", "}", "]", ",", ":", "=",
@@ -42,8 +42,8 @@ WORDS: tuple[str, ...] = (
     "/*", "//", "[a]", "[[a]]", "a.b = 1", "\n\n", ";", "1,2,3", "1 2", "1;2", "1,5",
 )  # fmt: skip
 
-# Of options. Some are names of files and folders of the world. None is an absolute path that can be
-# written: whoever runs this may be root.
+# Values for options. Some are names of files and folders of the world. None is an absolute path that
+# can be written: whoever runs this may be root.
 OPTIONS: tuple[str, ...] = (
     "", " ", "-", "--", "-1", "0", "1", "2", "00", "+1", "1.5", "1e3", "nan", "inf", "-inf",
     "1e400", "9" * 30, "9" * 5000, "\u0663", "\u00b2", "1_0", "0x1", " 1 ", "1\n", "a", "dog",

@@ -25,8 +25,7 @@ from tools.benchmarks.outside import (
     rows_by_ranking,
 )
 
-# Of names, parameters, features and cost. Other numbers are another problem: figures made with the
-# old ones must be made again.
+# Digests of names, parameters, features and cost. After a change, figures must be made again.
 DIGESTS = {
     "digits-network": "919632c690f2a73b",
     "transport-solver": "6d51af5a2bb14237",
@@ -239,7 +238,7 @@ def test_our_arms_get_the_pool_as_it_is() -> None:
 
 
 def report(ours: list[float], tpe: list[float], ranking: list[float]) -> Any:
-    """Of twelve seeds: least cost after 5 and after 10 trials, a little more for each seed."""
+    """Twelve seeds: least cost after 5 and after 10 trials, a little more for each seed."""
     seeds = 1.0 + 0.001 * np.arange(12)[:, None]
     after = {"ours": ours, "tpe": tpe, "ranking": ranking}
     return REPORT.of(

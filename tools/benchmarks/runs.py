@@ -106,7 +106,7 @@ def code(name: str, problem: str, arm: str) -> str:
     ours = module.ARMS[arm].kind == "ours"
     digest = hashlib.sha256(module.digest(problem).encode())
     for file in (module.__file__, arms.__file__, *(OUR_SOURCES if ours else ())):
-        # Of the syntax tree: neither layout nor comments decide a run.
+        # The syntax tree leaves out layout and comments, which do not decide a run.
         digest.update(ast.dump(ast.parse(Path(str(file)).read_text(encoding="utf-8"))).encode())
     for package in OUR_PACKAGES if ours else PEER_PACKAGES:
         digest.update(f"{package} {installed(package) or 'none'}\n".encode())
