@@ -42,8 +42,8 @@ WORDS: tuple[str, ...] = (
     "/*", "//", "[a]", "[[a]]", "a.b = 1", "\n\n", ";", "1,2,3", "1 2", "1;2", "1,5",
 )  # fmt: skip
 
-# Values for options. Some are names of files and folders of the world. None is an absolute path that
-# can be written: whoever runs this may be root.
+# Values for options, some of them names of files and folders of the world. None is an absolute path
+# that can be written: the tests may run as root.
 OPTIONS: tuple[str, ...] = (
     "", " ", "-", "--", "-1", "0", "1", "2", "00", "+1", "1.5", "1e3", "nan", "inf", "-inf",
     "1e400", "9" * 30, "9" * 5000, "\u0663", "\u00b2", "1_0", "0x1", " 1 ", "1\n", "a", "dog",
