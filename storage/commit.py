@@ -1,8 +1,8 @@
 """The commit protocol: a file appears under its name whole and checked, or not at all.
 
-Writing straight to the destination leaves an unreadable file under the final name when the process
-is killed. So: a temporary sibling, closed and re-opened to be checked, on the disk before it takes
-its name; and the folder on the disk before anyone is told.
+A process that is killed while it writes straight to the destination leaves an unreadable file under
+the final name. So a temporary sibling is written, closed, re-opened to be checked, and put on the
+disk before it takes its name; then the folder is put on the disk.
 """
 
 import errno
@@ -23,16 +23,15 @@ UNHELD = "a folder that no other process is filling at this moment"
 
 def commit(
     path: Path,
-    write: Callable[[Path], None],
-    check: Callable[[Path], None],
+    write: Callable[[Path], object],
+    check: Callable[[Path], object],
     field: str = "out",
 ) -> None:
     """Make the file `path`: `write` fills a temporary sibling, `check` re-opens it and may raise.
 
-    What cannot be written is named as `field`.
-
     Raises:
-        InputError: the folder cannot be written or the disk is full; nothing is left behind.
+        InputError: naming the path as `field`: the folder cannot be written or the disk is full;
+            nothing is left behind.
     """
     with writable(path, field):
         if not path.name:
@@ -49,7 +48,7 @@ def commit(
 def temporary_sibling(path: Path) -> Iterator[Path]:
     """An empty file beside `path` that is to take its name; it is gone at the end if it has not.
 
-    It is locked while this process lives. Those of processes that were killed are not, and go.
+    It is locked while this process lives. Siblings that killed processes left are removed.
     """
     remove_orphans(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
@@ -61,7 +60,7 @@ def temporary_sibling(path: Path) -> Iterator[Path]:
 
 
 def _locked_new(path: Path) -> BinaryIO:
-    """A file that is made and locked: whoever takes it for a leftover in between removes it."""
+    """A new file that is locked; it is made again if another process removes it before the lock."""
     while True:
         held = path.open("ab")
         fcntl.flock(held, fcntl.LOCK_EX)
@@ -74,14 +73,11 @@ def _locked_new(path: Path) -> BinaryIO:
 def commit_text(path: Path, text: str) -> None:
     """Make a text file."""
 
-    def write(temporary: Path) -> None:
-        temporary.write_text(text, encoding="utf-8")
-
     def check(temporary: Path) -> None:
         if temporary.read_text(encoding="utf-8") != text:
             raise OSError("what was read back differs from what was written")
 
-    commit(path, write, check)
+    commit(path, lambda temporary: temporary.write_text(text, encoding="utf-8"), check)
 
 
 def commit_json(path: Path, document: dict[str, Any]) -> None:
@@ -149,14 +145,11 @@ def _locked_folder(new: Path, folder: Path) -> Iterator[None]:
 
 
 def lock_now(held: int, path: Path, field: str = "out") -> None:
-    """Lock an open file or folder for this process, as long as it is open.
-
-    Args:
-        held: its descriptor.
-        path: what the lock stands for, for the message, as `field`.
+    """Lock an open file or folder, of descriptor `held`, as long as it is open.
 
     Raises:
-        InputError: another process holds it, or the file system has no locks.
+        InputError: naming `path` as `field`: another process holds the lock, or the file system has
+            no locks.
     """
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -213,16 +206,12 @@ def remove_orphans(path: Path) -> None:
     for file in path.parent.iterdir():
         if file.name.startswith(f".{path.name}.") and file.name.endswith(TEMPORARY_SUFFIX):
             with suppress(OSError):  # locked, gone, or another user's
-                _remove_unheld(file)
-
-
-def _remove_unheld(file: Path) -> None:
-    if file.stat().st_nlink > 1:  # it has its name; to close a database would end SQLite's locks
-        file.unlink()
-        return
-    with file.open("ab") as orphan:
-        fcntl.flock(orphan, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        file.unlink()
+                if file.stat().st_nlink > 1:  # it has its name; closing it would end SQLite's locks
+                    file.unlink()
+                    continue
+                with file.open("ab") as orphan:
+                    fcntl.flock(orphan, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    file.unlink()
 
 
 def sync(path: Path) -> None:

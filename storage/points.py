@@ -13,8 +13,8 @@ from storage.simulator import Parameter
 
 LARGEST_SEQUENCE = 2**30  # SciPy's default of 30 bits a coordinate
 
-# Purposes of random streams. From 100 on, so that no study's ground or body is one that a store was
-# computed on. A rule may draw parts of its worlds from the purposes in between.
+# Purposes of random streams. They begin at 100, so that no study has a ground or body of a store. A
+# rule may draw parts of its worlds from the purposes in between.
 SOBOL, BASE_WORLD, FAMILY_WORLD, TRIAL_WORLDS, EVOLUTION = 100, 101, 103, 107, 108
 
 

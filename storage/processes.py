@@ -1,11 +1,11 @@
 """Spawned processes as an executor: a killed one is noticed, and none outlives this process.
 
-Why not `concurrent.futures.ProcessPoolExecutor`: its processes share two queues, so one that is
-killed in the middle of a result blocks all for ever (before Python 3.11.5, also one killed while
-the next call is being written; CPython issue 94777), and it offers no way to end a process in the
-middle of a call before Python 3.14, while Taichi compiles for half a minute without listening.
-Here every process has a pair of sockets of its own; and no pipe of `multiprocessing`'s, which reads
-a table in dozens of small pieces, waits for Python's lock after each, and copies them.
+Why not `concurrent.futures.ProcessPoolExecutor`? Its processes share two queues, so a process that
+is killed in the middle of a result blocks all for ever (before Python 3.11.5, also one killed while
+the next call is being written; CPython issue 94777). And before Python 3.14 it cannot end a process
+in the middle of a call, while Taichi compiles for half a minute without listening. Here every
+process has a pair of sockets of its own. A pipe of `multiprocessing` would read a table in dozens
+of small pieces, wait for the lock of Python after each, and copy them.
 """
 
 import multiprocessing
@@ -36,10 +36,7 @@ class Processes(Executor):
     """Processes of this machine, each started when a call finds no other idle.
 
     They leave Ctrl-C to this process, use one thread for linear algebra, and end when this process
-    is gone, in the middle of a call if need be.
-
-    Args:
-        most: processes at a time.
+    is gone, even in the middle of a call. `most` of them run at a time.
     """
 
     def __init__(self, most: int) -> None:
@@ -59,9 +56,9 @@ class Processes(Executor):
         return self._threads.submit(self._call, (fn, args, kwargs))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Kill the processes that are at something, and let the idle ones end by themselves.
+        """Kill the busy processes, and let the idle ones end by themselves.
 
-        Only so does Taichi keep what it has compiled.
+        A process that ends by itself keeps the kernels that Taichi has compiled.
         """
         with self._lock:
             self._over = True
@@ -121,13 +118,13 @@ def _serve(pipe: socket.socket) -> None:
     with suppress(OSError):
         while call := calls.get():
             _send(pipe, *_answer(call[0]))
-    # A parent that ends first, as a worker of a cluster does, terminates its processes; but what
-    # Taichi has compiled is written at the very end of this one.
+    # A parent that ends first, as a worker of a cluster does, terminates its processes; but Taichi
+    # writes compiled kernels at the very end of this one.
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
 def _answer(words: memoryview) -> list[bytes | memoryview]:
-    """Result and error of a call, one of them None; what arrays and tables hold is not copied."""
+    """Result and error of a call, one of them None; the data of arrays and tables is not copied."""
     held: list[pickle.PickleBuffer] = []
     try:
         function, args, kwargs = pickle.loads(words)

@@ -10,12 +10,12 @@ from storage.simulator import Simulator
 
 SCORE_UNITS = ("mps",)  # units that end the name of a score
 
-ORIGIN = "origin"  # column of a store with a repertoire: where a row's point comes from
+ORIGIN = "origin"  # column of a store with a repertoire: the origin of a row's point
 SOBOL_ROW, EVOLVED_ROW = "sobol", "evolved"
 
 
 def evaluated_name(family: str) -> str:
-    """Column that says whether a point was run in the worlds of a family."""
+    """Column of flags: was a point run in the worlds of a family?"""
     return f"{family}_evaluated"
 
 
@@ -33,20 +33,12 @@ def family_names(family: str, score: str) -> tuple[str, str]:
 def arrow_schema(
     simulator: Simulator, families: Iterable[str] = (), origin: bool = False
 ) -> pa.Schema:
-    """The schema of a shard.
-
-    Args:
-        simulator: of the store.
-        families: names of the families of worlds.
-        origin: whether rows say where their points come from.
-    """
+    """The schema of a shard; with `origin`, rows name the origin of their points."""
     fields = [("row", pa.int64())]
     fields += [(parameter.name, pa.float64()) for parameter in simulator.parameters]
     for name in simulator.columns.names or ():
-        kind = (
-            pa.string() if name in simulator.words else pa.from_numpy_dtype(simulator.columns[name])
-        )
-        fields.append((name, kind))
+        kind = pa.from_numpy_dtype(simulator.columns[name])
+        fields.append((name, pa.string() if name in simulator.words else kind))
     for family in families:
         fields.append((evaluated_name(family), pa.bool_()))
         for score in simulator.scores:
@@ -75,11 +67,11 @@ def shard_table(
     Args:
         schema: of the store.
         simulator: of the store.
-        first_row: number of its first point in the whole store.
+        first_row: number of the first point in the whole store.
         points: [n, p].
         rows: of the base setting, [n].
         families: the columns of all families by name, [n] each.
-        origin: where the points come from.
+        origin: of the points.
     """
     columns: dict[str, NDArray[np.generic]] = {
         "row": np.arange(first_row, first_row + len(points)),

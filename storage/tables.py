@@ -1,6 +1,6 @@
-"""Parquet files whose footers say what they are part of: written whole, checked when read.
+"""Parquet files with a footer of ours: written whole, checked when read.
 
-A *stamped* table also carries the document of its folder and a digest of its content. Both are
+The footer of a *stamped* table has the document of its folder and a digest of its content. Both are
 checked when the table is read again, so that a file of another folder, or one that was edited, is
 refused. They find mistakes, not malice: anybody who edits a table can make its digest too.
 """
@@ -53,7 +53,7 @@ def write_table(path: Path, table: pa.Table, footer: dict[str, Any]) -> None:
 
 
 def footer_of(file: pq.ParquetFile) -> dict[str, Any] | None:
-    """What the footer says; None in a Parquet file of somebody else."""
+    """The footer; None in a Parquet file of somebody else."""
     try:
         return parse_json((file.schema_arrow.metadata or {})[FOOTER_KEY])
     except (KeyError, ValueError, RecursionError):
@@ -123,12 +123,12 @@ def write_stamped(path: Path, table: pa.Table, document: dict[str, Any]) -> None
 
 
 def read_stamped(path: Path, document: dict[str, Any], growing: tuple[str, ...] = ()) -> pa.Table:
-    """The table, found to be of this folder and as it was written.
+    """The table of a file of this folder that is as it was written.
 
     Args:
         path: of the file.
         document: of the folder.
-        growing: dictionaries of the document to which calls add; the table may have fewer entries.
+        growing: dictionaries of the document to which calls add; the file may have fewer entries.
 
     Raises:
         InputError: damaged, without a document, of another one, or with other content.
@@ -137,18 +137,16 @@ def read_stamped(path: Path, document: dict[str, Any], growing: tuple[str, ...] 
     with pq.ParquetFile(path) as file:
         footer = footer_of(file)
     digest = None if footer is None else footer.pop(DIGEST_KEY, None)
-    try:
-        found = (
-            ("document", "", "missing") if footer is None else differs(document, footer, growing)
-        )
-    except (AttributeError, TypeError):  # of other types than a document's
-        found = ("document", "", "damaged")
+    found: tuple[str, Any, Any] | None = ("document", "", "missing")
+    if footer is not None:
+        try:
+            found = differs(document, footer, growing)
+        except (AttributeError, TypeError):  # of other types than a document's
+            found = ("document", "", "damaged")
     if found:
         name, ours, theirs = found
-        allowed = (
-            f"a file of this folder, whose {name} is {ours!r}; in the file's footer: {theirs!r}"
-        )
-        raise InputError("out", str(path), allowed)
+        allowed = f"a file of this folder, whose {name} is {ours!r}; in the file's footer: "
+        raise InputError("out", str(path), f"{allowed}{theirs!r}")
     with reading("out", path, "columns of strings, numbers and flags, none missing"):
         own = table_digest(table)
     if digest not in (None, own):
