@@ -25,8 +25,9 @@ from study.explore.stage import SCRIPTS
 from study.explore.walk import Setting
 from study.gains import NamedGains, gains_of_trial
 from study.pictures import style
-from study.report.axes import by_rank, looks
+from study.report.axes import looks
 from study.report.figures import TrialScale, piles
+from study.report.numbers import by_rank
 from study.report.runs import ArmRuns, Results
 from taichi_nmm.body import Bodies
 from taichi_nmm.errors import InputError

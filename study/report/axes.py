@@ -4,7 +4,7 @@ Colour shows the kind of an arm, marker and dash the arm; three arms stand in fr
 width and dash show the lines in front, and the label at its end names every line.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from storage.commit import commit
-from study.experiment.arms import ARMS, BEST_ARM, PAPER_ARM, Kind
+from study.experiment.arms import BEST_ARM, PAPER_ARM
 from study.palette import BACK, BACK_DASH, BACK_TEXT, FRONT, FRONT_DASH
 from study.pictures import style
+from study.report.numbers import best_peer, kind_of, label_of
 from study.report.runs import ArmRuns
 
 MARKERS = "osD^vPX<>ph*dH8"
@@ -57,22 +58,6 @@ class Look:
         }
 
 
-def label_of(arm: str) -> str:
-    """The name of an arm for readers; for an arm that was removed, its own name."""
-    return ARMS[arm].label if arm in ARMS else arm
-
-
-def kind_of(arm: str) -> Kind:
-    """The kind of an arm; an arm that was removed was ours."""
-    return ARMS[arm].kind if arm in ARMS else "ours"
-
-
-def best_peer(arms: Iterable[ArmRuns]) -> str | None:
-    """The peer with most runs with a walker; of equals the earliest, then the cheapest."""
-    peers = [arm for arm in arms if kind_of(arm.arm) == "peer"]
-    return min(peers, key=_rank).arm if peers else None
-
-
 def looks(arms: Mapping[str, ArmRuns]) -> dict[str, Look]:
     """The look of each arm, in the order given."""
     front = {PAPER_ARM: "paper", BEST_ARM: "best", best_peer(arms.values()): "peer"}
@@ -88,16 +73,6 @@ def looks(arms: Mapping[str, ArmRuns]) -> dict[str, Look]:
         found[arm] = Look(label_of(arm), *drawn, marker, front=role is not None)
         members[kind] += 1
     return found
-
-
-def by_rank(arms: Mapping[str, ArmRuns]) -> list[str]:
-    """The arms, best first: runs with a walker, then when, then at what cost."""
-    return sorted(arms, key=lambda arm: _rank(arms[arm]))
-
-
-def _rank(arm: ArmRuns) -> tuple[float, float, float]:
-    share = arm.walkers / len(arm.runs)
-    return -share, float(np.median(arm.first_walker)), float(np.median(arm.best[:, -1]))
 
 
 LABEL_PT = 8.0

@@ -20,7 +20,8 @@ from study.palette import BLUE, VERMILION
 from study.pictures import style
 from study.pictures.stick_figure import activation_bar, draw_profile
 from study.pictures.strip import Stretch, last_stretch
-from study.report.axes import by_rank, label_of, save
+from study.report.axes import save
+from study.report.numbers import by_rank, label_of
 from study.report.runs import Results, read_trials, table_files
 from taichi_nmm.result import COMPLETED, Trajectory
 from taichi_nmm.terrain import Terrain

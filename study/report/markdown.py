@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from study.experiment.arms import ARMS, BEST_ARM, PAPER_ARM, Kind, saw
-from study.report.axes import kind_of, label_of
 from study.report.numbers import (
     COMPARED_AFTER,
     RESAMPLES,
@@ -18,6 +17,8 @@ from study.report.numbers import (
     Interval,
     Numbers,
     PairedTest,
+    kind_of,
+    label_of,
     plain,
 )
 from study.report.runs import Results

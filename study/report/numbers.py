@@ -5,7 +5,7 @@ alone seeds the resampling: a report made twice is the same, and arms with as ma
 resampled alike.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from typing import Any, Literal
@@ -14,8 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from study.experiment.arms import PAPER_ARM, Kind
-from study.report.axes import best_peer, by_rank, kind_of
+from study.experiment.arms import ARMS, PAPER_ARM, Kind
 from study.report.runs import ArmRuns, Results
 
 Floats = NDArray[np.float64]
@@ -126,6 +125,32 @@ def holm(p_values: Sequence[float]) -> list[float]:
     result = np.empty(count)
     result[order] = adjusted
     return [float(p) for p in result]
+
+
+def label_of(arm: str) -> str:
+    """The name of an arm for readers; for an arm that was removed, its own name."""
+    return ARMS[arm].label if arm in ARMS else arm
+
+
+def kind_of(arm: str) -> Kind:
+    """The kind of an arm; an arm that was removed was ours."""
+    return ARMS[arm].kind if arm in ARMS else "ours"
+
+
+def best_peer(arms: Iterable[ArmRuns]) -> str | None:
+    """The peer with most runs with a walker; of equals the earliest, then the cheapest."""
+    peers = [arm for arm in arms if kind_of(arm.arm) == "peer"]
+    return min(peers, key=_rank).arm if peers else None
+
+
+def by_rank(arms: Mapping[str, ArmRuns]) -> list[str]:
+    """The arms, best first: runs with a walker, then when, then at what cost."""
+    return sorted(arms, key=lambda arm: _rank(arms[arm]))
+
+
+def _rank(arm: ArmRuns) -> tuple[float, float, float]:
+    share = arm.walkers / len(arm.runs)
+    return -share, float(np.median(arm.first_walker)), float(np.median(arm.best[:, -1]))
 
 
 WITHIN = (1, 3, 10, 30, 60, 100)  # trials

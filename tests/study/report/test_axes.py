@@ -1,4 +1,4 @@
-"""How arms are called, drawn and ranked; labels that do not overlap."""
+"""How arms are drawn; labels that do not overlap."""
 
 import numpy as np
 import pytest
@@ -10,33 +10,13 @@ from study.report.axes import (
     LABEL_SPACING_PT,
     End,
     Look,
-    best_peer,
-    by_rank,
-    kind_of,
     label_ends,
-    label_of,
     looks,
     spread_out,
     trial_axis,
 )
 from study.report.runs import Results
 from tests.study.report.synthetic import arm
-
-
-def test_the_best_peer_has_most_walkers_then_the_earliest() -> None:
-    few, late, early = arm("tpe", [1, np.inf]), arm("random", [9, 9]), arm("cmaes-warm", [4, 4])
-    ours = arm("best", [1, 1])
-    assert best_peer([few, late, early, ours]) == "cmaes-warm"
-    assert by_rank({each.arm: each for each in (few, late, early, ours)}) == [
-        "best", "cmaes-warm", "random", "tpe",
-    ]  # fmt: skip
-    assert best_peer([ours]) is None
-
-
-def test_an_arm_that_was_removed_has_its_name_and_is_ours() -> None:
-    assert (kind_of("tpe"), label_of("tpe")) == ("peer", "TPE")
-    assert (kind_of("score-first-old"), label_of("score-first-old")) == ("ours", "score-first-old")
-    assert best_peer([arm("score-first-old", [1])]) is None
 
 
 def test_looks_tell_arms_apart_and_three_stand_in_front(results: Results) -> None:

@@ -44,7 +44,9 @@ def test_the_document_has_what_was_counted_and_how(results: Results) -> None:
         "30", f"{against.difference.value:+.3g}",
         f"{against.difference.low:+.3g} to {against.difference.high:+.3g}", "50",
     ]  # fmt: skip
-    assert row[5] == "50" and row[8] == "50"  # no p without its n
+    for first, test in ((4, against.cost), (8, against.walkers)):  # no p without its n
+        assert row[first : first + 2] == [str(test.pairs), str(test.unequal)]
+        assert row[first + 3] == ("< 1e-4" if test.p < 1e-4 else f"{test.p:.2g}")
     assert "bootstrap" in text and "Wilson" in text and "Holm" in text and "SeedSequence" in text
     assert "estimated optimum: 0.01" in text
     assert "Best of the peers (most runs with a walker, then the earliest): cmaes-warm" in text

@@ -5,8 +5,12 @@ import pytest
 from scipy import stats
 
 from study.report.numbers import (
+    best_peer,
+    by_rank,
     curve,
     holm,
+    kind_of,
+    label_of,
     mcnemar,
     median,
     numbers,
@@ -15,6 +19,22 @@ from study.report.numbers import (
     wilson,
 )
 from tests.study.report.synthetic import arm, counted
+
+
+def test_the_best_peer_has_most_walkers_then_the_earliest() -> None:
+    few, late, early = arm("tpe", [1, np.inf]), arm("random", [9, 9]), arm("cmaes-warm", [4, 4])
+    ours = arm("best", [1, 1])
+    assert best_peer([few, late, early, ours]) == "cmaes-warm"
+    assert by_rank({each.arm: each for each in (few, late, early, ours)}) == [
+        "best", "cmaes-warm", "random", "tpe",
+    ]  # fmt: skip
+    assert best_peer([ours]) is None
+
+
+def test_an_arm_that_was_removed_has_its_name_and_is_ours() -> None:
+    assert (kind_of("tpe"), label_of("tpe")) == ("peer", "TPE")
+    assert (kind_of("score-first-old"), label_of("score-first-old")) == ("ours", "score-first-old")
+    assert best_peer([arm("score-first-old", [1])]) is None
 
 
 def test_walkers_are_counted() -> None:
