@@ -7,9 +7,10 @@ several arms share their files. A file that is there is whole, and is not made a
 import json
 import uuid
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import optuna
@@ -20,8 +21,9 @@ from optuna.storages import RDBStorage
 from storage.commit import TEMPORARY_SUFFIX, writable
 from storage.databases.bulk import attach
 from storage.databases.studies import open_studies, read_errors, storage_errors
+from storage.folder import remove
 from storage.pool import IN_PROCESS, Pool
-from study.comparison.folder import ARTIFACTS_NAME, gains_of, live_artifacts
+from study.comparison.folder import ARTIFACTS_NAME, gains_of, in_order, live_artifacts
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.identity import fingerprint
 from study.experiment.trials import outcome_text, simulate_trials
@@ -58,7 +60,7 @@ class Drawing:
 
 
 def draw(drawing: Drawing) -> bool:
-    """Draw what is not there yet.
+    """Draw the files that are missing.
 
     Returns:
         Whether there was anything to draw: a walk that diverged before its first sample has none.
@@ -83,16 +85,32 @@ class Walk:
     Attributes:
         run: whose body and ground.
         gains: the searched parameters, [16 + k].
-        title: what became of it.
+        title: how the walk ended.
         trials: name of the study and number of the trial, of each.
-        kinds: of files that it gets.
+        files: names of its files by their kind; the same walk has the same ones in all calls.
     """
 
     run: int
     gains: NDArray[np.float64]
     title: str
     trials: tuple[tuple[str, int], ...]
-    kinds: tuple[str, ...]
+    files: dict[str, str]
+
+    @staticmethod
+    def of(
+        experiment: Experiment,
+        run: int,
+        gains: NDArray[np.float64],
+        trials: tuple[tuple[str, int], ...],
+        outcome: Mapping[str, Any],
+        film: bool,
+    ) -> "Walk":
+        """The walk of trials of an experiment, with the outcome that they share."""
+        walk = f"{fingerprint(experiment)}/{run}/{gains.tobytes().hex()}"
+        kinds = (STRIP, FILM) if film else (STRIP,)
+        files = {kind: str(uuid.uuid5(NAMESPACE, f"{walk}/{kind}")) for kind in kinds}
+        title = f"{experiment.name}, run {run}: {outcome_text(outcome)}"
+        return Walk(run, gains, title, trials, files)
 
 
 def make_artifacts(
@@ -137,8 +155,8 @@ def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, o
     """
     best = study.best_trial
     gains = np.array([best.params[name] for name in experiment.names])
-    title = f"{experiment.name}, run {run}: {outcome_text(best.user_attrs)}"
-    walk = Walk(run, gains, title, ((study.study_name, best.number),), (STRIP,))
+    trials = ((study.study_name, best.number),)
+    walk = Walk.of(experiment, run, gains, trials, best.user_attrs, film=False)
     draw_walks(experiment, [walk], url, live_artifacts(url, out))
 
 
@@ -163,18 +181,13 @@ def draw_walks(
     Raises:
         InputError: as `make_artifacts`.
     """
-    program = find_ffmpeg() if any(FILM in walk.kinds for walk in walks) else ""
+    program = find_ffmpeg() if any(FILM in walk.files for walk in walks) else ""
     with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        for leftover in folder.glob(f".*{TEMPORARY_SUFFIX}"):
-            leftover.unlink()
-    done = [
-        walk
-        for walk in walks
-        if all(path.exists() for path in _paths(experiment, walk, folder).values())
-    ]
-    _attach(experiment, done, url)
+    remove(folder, f".*{TEMPORARY_SUFFIX}")
+    done = [w for w in walks if all((folder / name).exists() for name in w.files.values())]
     missing = [walk for walk in walks if walk not in done]
+    _attach(done, url)
     finished = len(done)
     tell = drawn or (lambda finished, of: None)
     tell(finished, len(walks))
@@ -183,39 +196,25 @@ def draw_walks(
         drawings = _drawings(experiment, batch, folder, program)
         found = {}
         for drawing, is_drawn in pool.results(draw, deque(drawings)):
-            found[drawing.strip] = is_drawn
+            found[drawing.strip.name] = is_drawn
             finished += 1
             tell(finished, len(walks))
-        _attach(experiment, [w for w in batch if found[_paths(experiment, w, folder)[STRIP]]], url)
+        _attach([walk for walk in batch if found[walk.files[STRIP]]], url)
 
 
 def best_walks(experiment: Experiment, trials: pa.Table, film_runs: int = FILM_RUNS) -> list[Walk]:
     """The best trial of each study, the first of equals; equal ones of several arms once."""
-    order = [(name, "ascending") for name in ("arm", "run", "cost", "trial")]
-    table = trials.sort_by(order)
-    arm, run = table["arm"].to_pylist(), table["run"].to_pylist()
-    first = [n for n in range(len(table)) if n == 0 or (arm[n], run[n]) != (arm[n - 1], run[n - 1])]
-    best = table.take(first)
+    table = in_order([trials], ("arm", "run", "cost", "trial"))
+    studies = list(zip(table["arm"].to_pylist(), table["run"].to_pylist(), strict=True))
+    best = table.take([n for n in range(len(table)) if n == 0 or studies[n] != studies[n - 1]])
     found: dict[tuple[int, bytes], Walk] = {}
     for gains, row in zip(gains_of(experiment, best), best.to_pylist(), strict=True):
-        trial = (study_name(experiment.name, row["arm"], row["run"]), row["trial"])
-        key = (row["run"], gains.tobytes())
-        others = found[key].trials if key in found else ()
-        title = f"{experiment.name}, run {row['run']}: {outcome_text(row)}"
-        kinds = (STRIP, FILM) if row["run"] < film_runs else (STRIP,)
-        found[key] = Walk(row["run"], gains, title, (*others, trial), kinds)
+        run = row["run"]
+        trial = (study_name(experiment.name, row["arm"], run), row["trial"])
+        key = (run, gains.tobytes())
+        same = (*found[key].trials, trial) if key in found else (trial,)
+        found[key] = Walk.of(experiment, run, gains, same, row, film=run < film_runs)
     return list(found.values())
-
-
-def _artifact_id(experiment: Experiment, walk: Walk, kind: str) -> str:
-    """The same walk has the same files, whichever call makes them."""
-    name = f"{fingerprint(experiment)}/{walk.run}/{walk.gains.tobytes().hex()}/{kind}"
-    return str(uuid.uuid5(NAMESPACE, name))
-
-
-def _paths(experiment: Experiment, walk: Walk, folder: Path) -> dict[str, Path]:
-    """Of a walk's files, by kind."""
-    return {kind: folder / _artifact_id(experiment, walk, kind) for kind in walk.kinds}
 
 
 def _drawings(
@@ -231,24 +230,17 @@ def _drawings(
         record_rate_hz=RECORD_RATE_HZ,
     )
     for walk, trajectory in zip(walks, result.trajectories, strict=True):
-        paths = _paths(experiment, walk, folder)
-        yield Drawing(
-            trajectory,
-            experiment.terrain(walk.run),
-            walk.title,
-            paths[STRIP],
-            paths.get(FILM),
-            program,
-        )
+        film = folder / walk.files[FILM] if FILM in walk.files else None
+        ground = experiment.terrain(walk.run)
+        yield Drawing(trajectory, ground, walk.title, folder / walk.files[STRIP], film, program)
 
 
-def _attach(experiment: Experiment, walks: Sequence[Walk], url: str) -> None:
+def _attach(walks: Sequence[Walk], url: str) -> None:
     """Register the files with the trials, as `optuna.artifacts.upload_artifact` would."""
     attributes = []
     for walk in walks:
-        for kind in walk.kinds:
+        for kind, identity in walk.files.items():
             filename, mimetype = KINDS[kind]
-            identity = _artifact_id(experiment, walk, kind)
             meta = {"artifact_id": identity, "filename": filename, "mimetype": mimetype}
             value = json.dumps(meta | {"encoding": None})
             attributes += [(*trial, f"artifacts:{identity}", value) for trial in walk.trials]
@@ -259,9 +251,8 @@ def _attach(experiment: Experiment, walks: Sequence[Walk], url: str) -> None:
         with storage_errors(url), read_errors(url):
             attach(storage, attributes)
             for walk in walks:
-                strip = _artifact_id(experiment, walk, STRIP)
                 for trial in walk.trials:  # all: one that was killed may have attached files alone
-                    _note(storage, *trial, walk.title, strip)
+                    _note(storage, *trial, walk.title, walk.files[STRIP])
     finally:
         storage.engine.dispose()
 
