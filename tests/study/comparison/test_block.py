@@ -1,4 +1,4 @@
-"""The unit of work: it depends on what it is given, goes on from there, and passes errors on."""
+"""The unit of work: it goes on from where its studies are, and tries a walk once."""
 
 import pickle
 from collections import deque
@@ -16,6 +16,7 @@ from study.experiment.arms import ARMS
 from study.experiment.experiment import Experiment
 from study.experiment.trials import KEPT
 from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import COMPLETED
 from tests.study import fake_walker
 
@@ -59,14 +60,9 @@ def test_only_what_is_missing_is_tried(toy: Experiment) -> None:
     rest = advance(Block(toy, STUDIES, known, 6)).table
     assert [len(first), len(more), len(rest)] == [8, 4, 12]
     assert sorted_rows(first, more, rest) == sorted_rows(whole)
+    for _, rows in in_order([whole]).to_pandas().groupby(["arm", "run"]):
+        np.testing.assert_array_equal(rows.best_cost, rows.cost.cummin())
     assert len(advance(Block(toy, STUDIES, known, 2)).table) == 0
-
-
-def test_the_best_cost_goes_on_from_what_is_known(toy: Experiment) -> None:
-    first = advance(Block(toy, STUDIES, NOTHING, 3)).table
-    rest = advance(Block(toy, STUDIES, first, 6)).table
-    for rows in in_order([first, rest]).to_pandas().groupby(["arm", "run"]):
-        np.testing.assert_array_equal(rows[1].best_cost, rows[1].cost.cummin())
 
 
 def test_a_table_holds_what_the_simulator_said(toy: Experiment) -> None:
@@ -118,13 +114,6 @@ def test_an_error_in_a_process_is_one_line_here(toy: Experiment) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_an_input_error_passes_between_processes_whole() -> None:
-    error = InputError("trials", 0, "1 or more")
-    copy = pickle.loads(pickle.dumps(error))
-    assert (copy.field, copy.value, copy.allowed) == ("trials", 0, "1 or more")
-    assert str(copy) == str(error)
-
-
 @pytest.mark.slow
 def test_a_block_that_is_handed_on_travels_and_goes_on(toy: Experiment) -> None:
     """All arms: what a library keeps in its trials comes along, what does not pickle stays."""
@@ -135,3 +124,52 @@ def test_a_block_that_is_handed_on_travels_and_goes_on(toy: Experiment) -> None:
     handed_on = pickle.loads(pickle.dumps(first.studies))
     rest = advance(Block(toy, studies, NOTHING, 6, handed_on)).table
     assert sorted_rows(pa.concat_tables([first.table, rest])) == sorted_rows(whole)
+
+
+# Walks that several arms try on one robot.
+
+SHARING = tuple(
+    (arm, run)
+    for run in range(2)
+    for arm in ("best", "score-first-diverse", "best-worlds", "score-first-worlds", "random")
+)
+
+
+def different(table: pa.Table) -> int:
+    """How many walks of a table have another robot or other gains."""
+    return len({tuple(row.values()) for row in table.select(["run", *GAIN_NAMES]).to_pylist()})
+
+
+def simulated() -> int:
+    return sum(len(call["gains"]) for call in fake_walker.calls)
+
+
+def test_what_several_arms_try_is_simulated_once(toy: Experiment) -> None:
+    fake_walker.calls.clear()
+    table = advance(Block(toy, SHARING, NOTHING, 8)).table
+    assert simulated() == different(table) < len(table) == 8 * len(SHARING)
+    alone = [advance(Block(toy, (study,), NOTHING, 8)).table for study in SHARING]
+    assert sorted_rows(table) == sorted_rows(*alone)
+
+
+@pytest.mark.parametrize("handed_on", [True, False], ids=["next stretch", "next session"])
+def test_walks_of_before_are_known(toy: Experiment, handed_on: bool) -> None:
+    whole = advance(Block(toy, SHARING, NOTHING, 8)).table
+    fake_walker.calls.clear()
+    first = advance(Block(toy, SHARING, NOTHING, 3))
+    if handed_on:
+        block = Block(toy, SHARING, NOTHING, 8, first.studies, first.walks)
+    else:
+        block = Block(toy, SHARING, first.table, 8)
+    rest = advance(block).table
+    assert sorted_rows(first.table, rest) == sorted_rows(whole)
+    assert simulated() == different(whole)
+
+
+def test_another_robot_is_another_walk(toy: Experiment) -> None:
+    fake_walker.calls.clear()
+    table = advance(
+        Block(toy, (("score-first-diverse", 0), ("score-first-diverse", 1)), NOTHING, 1)
+    ).table
+    assert table["row"][0] == table["row"][1] and simulated() == 2
+    assert table["distance_m"][0] != table["distance_m"][1]

@@ -1,0 +1,107 @@
+"""Trials as a batch on the body and ground of their run, and their outcome in numbers and words."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import taichi_nmm
+from study.draws import Purpose, stream
+from study.experiment.experiment import Experiment
+from study.experiment.trials import (
+    attributes,
+    costs,
+    fell,
+    finite,
+    outcome_text,
+    simulate_trials,
+    walked,
+)
+from taichi_nmm import terrain as terrains
+from taichi_nmm.body import Bodies
+from taichi_nmm.parameters import LOW_LEVEL_GAINS, PUBLISHED_GAINS
+from taichi_nmm.result import COMPLETED, DIVERGED, FELL, RESULT_DTYPE
+from tests.study import fake_walker
+
+
+def test_a_walker_that_stands_or_falls_has_not_walked() -> None:
+    rows = np.zeros(4, RESULT_DTYPE)
+    rows["end_reason"] = COMPLETED, COMPLETED, FELL, DIVERGED
+    rows["mean_speed_mps"] = 0.3, 0.29, 1.3, 1.3
+    assert walked(rows).tolist() == [True, False, False, False]
+    assert fell(rows).tolist() == [False, False, True, True]
+
+
+def test_a_walker_that_diverged_has_a_finite_cost() -> None:
+    rows = np.zeros(2, RESULT_DTYPE)
+    rows["end_reason"] = DIVERGED
+    rows["duration_s"] = 1.0
+    rows["distance_m"] = rows["mean_speed_mps"] = np.nan, np.inf
+    clean = finite(rows)
+    assert np.isnan(rows["distance_m"][0])  # the caller's rows are as they were
+    for cost in ("smooth", "walking"):
+        values = costs(clean, cost)
+        assert np.isfinite(values).all()
+        assert values[0] == values[1]
+
+
+def test_the_cost_is_the_configured_one() -> None:
+    rows = fake_walker.simulate(PUBLISHED_GAINS).rows
+    np.testing.assert_array_equal(costs(rows, "smooth"), taichi_nmm.smooth_cost(rows))
+    np.testing.assert_array_equal(costs(rows, "walking"), taichi_nmm.walking_cost(rows))
+    assert costs(rows, "smooth") != costs(rows, "walking")
+
+
+def test_attributes_are_plain_values_and_make_a_sentence() -> None:
+    rows = fake_walker.simulate(PUBLISHED_GAINS, duration_s=8.0).rows
+    found = attributes(rows)
+    assert {name: type(value) for name, value in found.items()} == {
+        "duration_s": float, "distance_m": float, "mean_speed_mps": float, "end_reason": str,
+        "walked": bool, "phi_printed": float, "phi_corrected": float, "survived_fraction": float,
+    }  # fmt: skip
+    assert found["distance_m"] == pytest.approx(found["duration_s"] * found["mean_speed_mps"])
+    known = {"duration_s": 8.0, "distance_m": 10.0, "mean_speed_mps": 1.25}
+    assert outcome_text(known | {"end_reason": "completed"}) == "walked 8.0 s, 10.0 m at 1.25 m/s"
+    assert outcome_text(known | {"end_reason": "fell"}) == "fell after 8.0 s, 10.0 m at 1.25 m/s"
+
+
+def test_a_trial_is_on_the_body_and_the_ground_of_its_run(toy: Experiment) -> None:
+    fake_walker.calls.clear()
+    runs = [7, 0, 7]
+    result = simulate_trials(toy, runs, np.tile(PUBLISHED_GAINS, (3, 1)))
+    (call,) = fake_walker.calls
+    for place, run in enumerate(runs):
+        body = Bodies.disturbed([stream(5, Purpose.BODY, run)], 0.15)
+        np.testing.assert_array_equal(call["bodies"].mass_kg[place], body.mass_kg[0])
+        np.testing.assert_array_equal(call["bodies"].com_m[place], body.com_m[0])
+        ground = terrains.rough(stream(5, Purpose.TERRAIN, run))
+        chosen = call["terrains"][call["terrain_index"][place]]
+        np.testing.assert_array_equal(chosen.height_m, ground.height_m)
+    assert len(call["terrains"]) == 2
+    assert call["duration_s"] == 20.0
+    assert call["record"] == ()
+    assert call["low_level_gains"] is None
+    assert result.rows[0] == result.rows[2] != result.rows[1]
+
+
+def test_recording_all_or_some_for_a_shorter_time(toy: Experiment) -> None:
+    fake_walker.calls.clear()
+    gains = np.tile(PUBLISHED_GAINS, (3, 1))
+    assert len(simulate_trials(toy, [0, 1, 2], gains, True).trajectories) == 3
+    made = simulate_trials(toy, [0, 1, 2], gains, [1], duration_s=4.0)
+    assert len(made.trajectories) == 1
+    assert [call["duration_s"] for call in fake_walker.calls] == [20.0, 4.0]
+
+
+def test_searched_low_level_gains_replace_their_defaults(
+    fake_simulator: None, tmp_path: Path
+) -> None:
+    experiment = fake_walker.experiment(tmp_path, 'searched = ["theta_ref"]')
+    assert experiment.names[-1] == "theta_ref"
+    fake_walker.calls.clear()
+    simulate_trials(
+        experiment, [0, 1], np.column_stack([np.tile(PUBLISHED_GAINS, (2, 1)), [0.1, 0.2]])
+    )
+    low_level = fake_walker.calls[0]["low_level_gains"]
+    np.testing.assert_array_equal(low_level[:, 7], [0.1, 0.2])
+    np.testing.assert_array_equal(low_level[0, :7], [p.default for p in LOW_LEVEL_GAINS[:7]])
