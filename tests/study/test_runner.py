@@ -92,10 +92,8 @@ def test_trials_say_what_happened(toy: Experiment, arm: str) -> None:
 
 
 def test_the_cost_is_that_of_the_run_and_the_configured_one(toy: Experiment) -> None:
-    for cost, function in (
-        ("smooth", taichi_nmm.smooth_cost),
-        ("walking", taichi_nmm.walking_cost),
-    ):
+    costs = {"smooth": taichi_nmm.smooth_cost, "walking": taichi_nmm.walking_cost}
+    for cost, function in costs.items():
         experiment = replace(toy, cost=cost)
         (trial,) = run(experiment, "random", 1, InMemoryStorage(), 2)
         gains = fake_walker.gain_rows(list(trial.params.values()))
@@ -176,9 +174,9 @@ def test_seventeen_parameters_are_the_same_live(
 def test_a_study_in_pieces_is_the_same_study(toy: Experiment, arm: str, tmp_path: Path) -> None:
     whole = run(toy, arm, TRIALS, InMemoryStorage())
     url = f"sqlite:///{tmp_path}/studies.db"
-    for trials in (1, 4, 13, TRIALS):
+    for trials in (1, 4, 13, TRIALS, 3):  # the last: a finished study is left alone
         pieces = run(toy, arm, trials, open_studies(url))
-        assert len(pieces) == trials
+        assert len(pieces) == (TRIALS if trials == 3 else trials)
     assert facts(pieces) == facts(whole)
 
 
@@ -217,9 +215,10 @@ class Marks:
 @pytest.mark.parametrize("arm", [arm.name for arm in ARMS.values() if arm.replayed])
 def test_nothing_of_a_database_is_unpickled(toy: Experiment, arm: str, tmp_path: Path) -> None:
     """Optuna's CMA-ES looks for its state in the latest trial that has one."""
-    whole = run(toy, arm, 5, InMemoryStorage())
+    whole = run(toy, arm, 14, InMemoryStorage())  # beyond a generation
+    assert all(not trial.system_attrs for trial in whole)  # nothing for others to unpickle
     storage = open_studies(f"sqlite:///{tmp_path}/studies.db")
-    run(toy, arm, 3, storage)
+    run(toy, arm, 12, storage)
     state = pickle.dumps(Marks(tmp_path / "unpickled")).hex()
     study = open_study(toy, find_arm(arm), 0, storage)
     storage.engine.dispose()
@@ -228,7 +227,8 @@ def test_nothing_of_a_database_is_unpickled(toy: Experiment, arm: str, tmp_path:
             "INSERT INTO trial_system_attributes (trial_id, key, value_json) VALUES (?, ?, ?)",
             [(trial._trial_id, "cma:optimizer:0", json.dumps(state)) for trial in study.trials],
         )
-    assert facts(run(toy, arm, 5, open_studies(f"sqlite:///{tmp_path}/studies.db"))) == facts(whole)
+    again = open_studies(f"sqlite:///{tmp_path}/studies.db")
+    assert facts(run(toy, arm, 14, again)) == facts(whole)
     assert not (tmp_path / "unpickled").exists()
 
 
@@ -254,11 +254,6 @@ def test_gains_that_were_not_proposed_are_refused(toy: Experiment) -> None:
         assert "\n" not in str(caught.value)
 
 
-def test_no_state_is_left_in_a_database_for_others_to_unpickle(toy: Experiment) -> None:
-    trials = run(toy, "cmaes-cold", 14, InMemoryStorage())  # beyond a generation
-    assert all(not trial.system_attrs for trial in trials)
-
-
 def test_a_repetition_queued_before_the_kill_is_not_queued_twice(
     toy: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -273,11 +268,6 @@ def test_a_repetition_queued_before_the_kill_is_not_queued_twice(
     run(toy, "random", 3, storage)
     states = [trial.state for trial in study.trials]
     assert states == [TrialState.FAIL] + [TrialState.COMPLETE] * 3
-
-
-def test_a_finished_study_is_left_alone(toy: Experiment) -> None:
-    storage = InMemoryStorage()
-    assert run(toy, "dog", 5, storage) == run(toy, "dog", 3, storage)
 
 
 def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: Experiment) -> None:
@@ -350,23 +340,23 @@ def test_what_does_not_decide_trials_may_change(toy: Experiment) -> None:
     assert len(run(other, "dog", 4, storage)) == 4
 
 
-def test_a_study_of_an_earlier_version_is_refused(toy: Experiment) -> None:
+@pytest.mark.parametrize(
+    ("there", "message"),
+    [
+        ("toy/dog", r"study: 'toy/dog' .* of an earlier version, and is now toy/dog/run-001"),
+        ("toy/dog/run-001", r"study: 'toy/dog/run-001' .* of another program"),
+    ],
+)
+def test_a_study_of_an_earlier_version_or_another_program_is_refused(
+    toy: Experiment, there: str, message: str
+) -> None:
     storage = InMemoryStorage()
-    old = optuna.create_study(storage=storage, study_name="toy/dog")
-    old.ask()
-    message = r"study: 'toy/dog' .* of an earlier version, and is now toy/dog/run-001"
+    optuna.create_study(storage=storage, study_name=there).ask()
     with pytest.raises(InputError, match=message) as caught:
         run(toy, "dog", 2, storage, 1)
     assert "\n" not in str(caught.value)
-    assert optuna.get_all_study_names(storage) == ["toy/dog"]
+    assert optuna.get_all_study_names(storage) == [there]
     assert len(run(toy, "random", 1, storage, 1)) == 1
-
-
-def test_another_programs_study_is_refused(toy: Experiment) -> None:
-    storage = InMemoryStorage()
-    optuna.create_study(storage=storage, study_name="toy/dog/run-000").ask()
-    with pytest.raises(InputError, match=r"study: 'toy/dog/run-000' .* of another program"):
-        run(toy, "dog", 2, storage)
 
 
 def test_a_study_that_was_made_and_killed_at_once_is_taken(toy: Experiment) -> None:
@@ -405,14 +395,11 @@ def test_studies_start_apart(toy: Experiment) -> None:
 
 def test_what_a_study_says(toy: Experiment) -> None:
     lines = []
-    study = run_study(
-        toy,
-        find_arm("dog"),
-        2,
-        6,
-        InMemoryStorage(),
-        lambda study, trial: lines.append(progress_line(study, trial, 6)),
-    )
+
+    def report(study: optuna.Study, trial: FrozenTrial) -> None:
+        lines.append(progress_line(study, trial, 6))
+
+    study = run_study(toy, find_arm("dog"), 2, 6, InMemoryStorage(), report)
     assert len(lines) == 6
     assert lines[5].startswith("toy/dog/run-002  6/6  cost ")
     commands = {"film": "film it", "dashboard": "show it"}
