@@ -20,9 +20,10 @@ from optuna.storages import RDBStorage
 
 from storage.commit import TEMPORARY_SUFFIX, writable
 from storage.databases.bulk import attach
-from storage.databases.studies import open_studies, read_errors, storage_errors
+from storage.databases.studies import read_errors
 from storage.folder import remove
 from storage.pool import IN_PROCESS, Pool
+from study.comparison.database import opened
 from study.comparison.folder import ARTIFACTS_NAME, gains_of, in_order, live_artifacts
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.identity import fingerprint
@@ -137,18 +138,13 @@ def make_artifacts(
         InputError: no ffmpeg that works (before anything is drawn), or no place to write.
     """
     walks = best_walks(experiment, trials, film_runs)
-    draw_walks(experiment, walks, url, out / ARTIFACTS_NAME, pool, drawn)
+    _draw_walks(experiment, walks, url, out / ARTIFACTS_NAME, pool, drawn)
 
 
 def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, out: Path) -> None:
-    """Draw the best trial of a live study, a picture alone, and attach it.
+    """Draw the best trial of a live study of the database, a picture alone, and attach it.
 
-    Args:
-        experiment: of the study.
-        run: whose body and ground it is about.
-        study: with a finished trial, in the database.
-        url: of the study database.
-        out: folder of the study; what is of a file's studies goes beside the file.
+    The picture goes to `live_artifacts`; `out` is the folder of the study.
 
     Raises:
         InputError: no place to write.
@@ -157,10 +153,10 @@ def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, o
     gains = np.array([best.params[name] for name in experiment.names])
     trials = ((study.study_name, best.number),)
     walk = Walk.of(experiment, run, gains, trials, best.user_attrs, film=False)
-    draw_walks(experiment, [walk], url, live_artifacts(url, out))
+    _draw_walks(experiment, [walk], url, live_artifacts(url, out))
 
 
-def draw_walks(
+def _draw_walks(
     experiment: Experiment,
     walks: Sequence[Walk],
     url: str,
@@ -168,19 +164,7 @@ def draw_walks(
     pool: Pool = IN_PROCESS,
     drawn: Drawn | None = None,
 ) -> None:
-    """Draw walks that are not drawn yet, and attach them to their trials.
-
-    Args:
-        experiment: of the walks.
-        walks: with trials of the database.
-        url: of the study database.
-        folder: of the files.
-        pool: that draws.
-        drawn: as of `make_artifacts`.
-
-    Raises:
-        InputError: as `make_artifacts`.
-    """
+    """Draw walks that are not drawn yet, and attach them to their trials."""
     program = find_ffmpeg() if any(FILM in walk.files for walk in walks) else ""
     with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -246,15 +230,11 @@ def _attach(walks: Sequence[Walk], url: str) -> None:
             attributes += [(*trial, f"artifacts:{identity}", value) for trial in walk.trials]
     if not attributes:
         return
-    storage = open_studies(url)
-    try:
-        with storage_errors(url), read_errors(url):
-            attach(storage, attributes)
-            for walk in walks:
-                for trial in walk.trials:  # all: one that was killed may have attached files alone
-                    _note(storage, *trial, walk.title, walk.files[STRIP])
-    finally:
-        storage.engine.dispose()
+    with opened(url) as storage, read_errors(url):
+        attach(storage, attributes)
+        for walk in walks:
+            for trial in walk.trials:  # all: one that was killed may have attached files alone
+                _note(storage, *trial, walk.title, walk.files[STRIP])
 
 
 def _note(storage: RDBStorage, study_name: str, number: int, title: str, strip: str) -> None:

@@ -58,13 +58,7 @@ class Walks:
     ) -> tuple[Rows, Floats]:
         """Rows of the simulator, finite, and costs of n trials, [n]; new ones are simulated.
 
-        Args:
-            experiment: of the trials.
-            runs: of each, [n].
-            gains: the searched parameters of each, [n, 16 + k].
-
-        Raises:
-            InputError: what the simulator refuses.
+        Of runs [n] and their searched parameters [n, 16 + k].
         """
         keys = [(run, tried.tobytes()) for run, tried in zip(runs, gains, strict=True)]
         first = {key: place for place, key in reversed(list(enumerate(keys)))}

@@ -4,15 +4,15 @@ The database gets all trials, a study that compares the arms, and notes on the f
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
 import optuna
 import pyarrow as pa
-from optuna.distributions import FloatDistribution
 from optuna.storages import RDBStorage
-from optuna.trial import FrozenTrial, create_trial
+from optuna.trial import create_trial
 
 from storage.databases.bulk import (
     FinishedStudy,
@@ -46,7 +46,7 @@ FIGURE_ID = "best-cost"
 
 @dataclass(frozen=True)
 class Summary:
-    """What the summary study of an experiment shows in the dashboard.
+    """The content of an experiment's summary study in the dashboard.
 
     Attributes:
         note: in Markdown.
@@ -65,28 +65,34 @@ the dashboard's addresses have for studies, by name."""
 def export(
     experiment: Experiment, trials: pa.Table, url: str, summarise: Summarise | None, final: bool
 ) -> None:
-    """Add what is new in the results to the study database, and renew the experiment's summary.
+    """Add new results to the study database, and renew the experiment's summary.
 
     Args:
         experiment: whose results.
         trials: rows of the results table, every study from its trial 0 on without a gap.
         url: of the database.
-        summarise: makes what the summary study shows; None: there is no such study.
+        summarise: makes the content of the summary study; None: there is no such study.
         final: whether these are all.
 
     Raises:
         InputError: the database cannot be used, or has the experiment with another configuration.
     """
+    with opened(url) as storage:
+        _check(experiment, storage, url)
+        write_studies(storage, _new_studies(experiment, trials, trial_counts(storage)))
+        if summarise is not None:
+            shown = as_if_gone_on(trials) if experiment.until_walker else trials
+            summary = summarise(experiment.name, shown, final, study_ids(storage))
+            _show(experiment, storage, url, summary)
+
+
+@contextmanager
+def opened(url: str) -> Iterator[RDBStorage]:
+    """The study database, closed at the end; an error of it is one line."""
     storage = open_studies(url)
     try:
         with storage_errors(url):
-            _check(experiment, storage, url)
-            counts = trial_counts(storage)
-            write_studies(storage, _new_studies(experiment, trials, counts))
-            if summarise is not None:
-                shown = as_if_gone_on(trials) if experiment.until_walker else trials
-                summary = summarise(experiment.name, shown, final, study_ids(storage))
-                _show(experiment, storage, url, summary)
+            yield storage
     finally:
         storage.engine.dispose()
 
@@ -132,34 +138,28 @@ def _new_studies(
     experiment: Experiment, trials: pa.Table, counts: Mapping[str, int]
 ) -> Iterator[FinishedStudy]:
     """Each study of the table, with those of its trials that the database does not have."""
-    config = fingerprint(experiment)
-    columns = ["arm", "run", "trial", *experiment.space, "cost", ROW_ATTRIBUTE, *ATTRIBUTES]
+    attributes = (ROW_ATTRIBUTE, *ATTRIBUTES)
+    columns = ["arm", "run", "trial", *experiment.space, "cost", *attributes]
     for arm, run, rows in by_study(trials.select(columns)):
         name = study_name(experiment.name, arm, run)
         first = counts.get(name, 0)
-        new = rows.slice(first).to_pylist()
-        yield FinishedStudy(
-            name,
-            [_trial(experiment.space, row) for row in new],
-            first=min(first, len(rows)),
-            user_attrs={
-                "experiment": experiment.name, "arm": arm, "run": run, CONFIG_ATTRIBUTE: config,
-            },
-            metric=metric_name(experiment.cost),
-        )  # fmt: skip
-
-
-def _trial(space: Mapping[str, FloatDistribution], row: Mapping[str, Any]) -> FrozenTrial:
-    return create_trial(
-        params={name: row[name] for name in space},
-        distributions=dict(space),
-        value=row["cost"],
-        user_attrs={name: row[name] for name in (ROW_ATTRIBUTE, *ATTRIBUTES)},
-    )
+        new = [
+            create_trial(
+                params={name: row[name] for name in experiment.space},
+                distributions=dict(experiment.space),
+                value=row["cost"],
+                user_attrs={name: row[name] for name in attributes},
+            )
+            for row in rows.slice(first).to_pylist()
+        ]
+        user_attrs = {"experiment": experiment.name, "arm": arm, "run": run}
+        user_attrs[CONFIG_ATTRIBUTE] = fingerprint(experiment)
+        first, metric = min(first, len(rows)), metric_name(experiment.cost)
+        yield FinishedStudy(name, new, first=first, user_attrs=user_attrs, metric=metric)
 
 
 def _show(experiment: Experiment, storage: RDBStorage, url: str, summary: Summary) -> None:
-    """The study that says how the arms compare: a note with a table, and a figure."""
+    """Write the summary study, which compares the arms: a note with a table, and a figure."""
     from optuna_dashboard import save_note, save_plotly_graph_object  # a second, once a minute
 
     with read_errors(url):
@@ -171,21 +171,16 @@ def _show(experiment: Experiment, storage: RDBStorage, url: str, summary: Summar
     if CONFIG_ATTRIBUTE not in known:
         study.set_user_attr(CONFIG_ATTRIBUTE, fingerprint(experiment))
     save_note(study, summary.note)
-    # The dashboard asks of a figure only that it turns into JSON: plotly itself is not needed.
+    # Of a figure the dashboard needs `to_json` alone: plotly itself is not needed.
     save_plotly_graph_object(study, summary.figure, graph_object_id=FIGURE_ID)
 
 
 def note_worths(
     experiment: Experiment, arms: Sequence[Arm], runs: Sequence[int], url: str, renew: bool
 ) -> None:
-    """Write or renew the notes; arms without features have none.
+    """Write or renew the notes of exported studies; arms without features have none.
 
-    Args:
-        experiment: whose studies.
-        arms: of the experiment, whose stores are there.
-        runs: of each arm.
-        url: of the study database, to which the trials were exported before.
-        renew: whether there may be new trials; if not, a study that has a note keeps it.
+    If not `renew`, there are no new trials, and a study that has a note keeps it.
 
     Raises:
         InputError: the database cannot be used.
@@ -194,15 +189,11 @@ def note_worths(
         return
     from optuna_dashboard import get_note  # a second
 
-    storage = open_studies(url)
-    try:
-        with storage_errors(url):
-            for arm, run, name in _noted(storage, experiment, arms, runs):
-                if not renew and get_note(optuna.load_study(study_name=name, storage=storage)):
-                    continue  # without a look at its trials, which take far longer
-                note_worth(experiment, arm, run, _checked(storage, name, experiment, url))
-    finally:
-        storage.engine.dispose()
+    with opened(url) as storage:
+        for arm, run, name in _noted(storage, experiment, arms, runs):
+            if not renew and get_note(optuna.load_study(study_name=name, storage=storage)):
+                continue  # without a look at its trials, which take far longer
+            note_worth(experiment, arm, run, _checked(storage, name, experiment, url))
 
 
 def _noted(

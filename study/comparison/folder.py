@@ -98,11 +98,7 @@ def state_table(
 ) -> pa.Table:
     """Finished trials as a table of `STATE_SCHEMA`.
 
-    Args:
-        experiment: of the trials.
-        columns: arm, run, trial, row, cost, best_cost, proposal_s, notes (dictionaries), each [n].
-        gains: the searched parameters, [n, 16 + k].
-        rows: the simulator's results, [n].
+    Of gains [n, 16 + k], the simulator's rows [n], and the other columns, notes as dictionaries.
     """
     return table_of(
         STATE_SCHEMA,

@@ -198,21 +198,13 @@ def run_cmaes(
     pool: Pool,
     report: Callable[[str], None],
 ) -> tuple[pa.Table, list[str]]:
-    """Go on until every run has stopped.
-
-    Args:
-        experiment: of the runs.
-        runs: how many.
-        folder: of the estimate, held by this process.
-        pool: that does the work.
-        report: called with a line whenever a stretch of generations is finished.
+    """Go on until every run has stopped; each finished stretch is reported, and kept.
 
     Returns:
         The evaluations by run, generation, member; and why each run has ended.
 
     Raises:
-        InputError: as `evolve`, or a folder that is full.
-        KeyboardInterrupt: finished stretches are kept.
+        InputError: as `evolve`, or a disk that is full.
     """
     experiment = experiment.on_one_thread() if pool.shares_machine else experiment
     tried = folder.evaluations()

@@ -126,11 +126,7 @@ def _ordered_arm(
     name: str, label: str, summary: str, store: str, features: tuple[Feature, ...]
 ) -> Arm:
     """The rows of a store in the order of its features: the first, ties by the second, then row."""
-    return Arm(name, label, "control", summary, _ranked, store, features)
-
-
-def _ranked(task: Task) -> BaseSampler:
-    return samplers.RankedSampler(task.table)
+    return Arm(name, label, "control", summary, samplers.RankedSampler, store, features)
 
 
 _ALL = (
@@ -144,7 +140,7 @@ _ALL = (
     ),
     Arm(
         "cmaes-warm", "CMA-ES, warm", "peer", "CMA-ES from one of the 100 best rows",
-        samplers.cmaes_warm, "flat", PRINTED,
+        samplers.WarmCmaEsSampler, "flat", PRINTED,
         options={"sigma": samplers.SIGMA_WARM, "rows": samplers.START_ROWS},
     ),
     Arm(

@@ -149,17 +149,10 @@ def open_study(experiment: Experiment, arm: Arm, run: int, storage: BaseStorage)
 
 
 def check_study(experiment: Experiment, arm: Arm, run: int, url: str, out: Path) -> None:
-    """Refuse a study that cannot go on, before anything is written.
-
-    Args:
-        experiment: of the study.
-        arm: that proposes.
-        run: whose body and ground it is about.
-        url: of the database, which need not be there.
-        out: folder for the best gains and their picture.
+    """Refuse a study that cannot go on, before anything is written; the database may be missing.
 
     Raises:
-        InputError: as `open_study`, or a file that cannot be read or written.
+        InputError: as `open_study`, or a file that cannot be read or written, in `out` as well.
     """
     experiment.require_run(run)
     require_folder(out)

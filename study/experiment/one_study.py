@@ -165,12 +165,6 @@ class LiveStudy(OneStudy):
     sampler of such a library never sees a study of a database. It proposes in a twin, a study in
     memory that this process has made and told the same trials, and its proposal is suggested here.
 
-    Args:
-        experiment: of the study.
-        arm: that proposes its trials.
-        run: whose body and ground it is about.
-        study: where its trials are kept.
-
     Raises:
         InputError: trials of an arm that is replayed are not those that it proposes.
     """

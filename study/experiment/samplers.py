@@ -64,10 +64,10 @@ class Task:
 class RowSampler(ReproducibleRandomSampler):
     """Proposes all parameters of a table at once; parameters that are not in it are uniform."""
 
-    def __init__(self, table: FeatureTable, seed: int = 0) -> None:
+    def __init__(self, task: Task) -> None:
         """Nothing is computed."""
-        super().__init__(seed=seed)
-        self._table = table
+        super().__init__(seed=task.seed)
+        self._table = task.table
 
     def infer_relative_search_space(
         self, study: optuna.Study, trial: FrozenTrial
@@ -212,30 +212,19 @@ def _source_trials(table: FeatureTable) -> list[FrozenTrial]:
     ]
 
 
-def cmaes_warm(task: Task) -> BaseSampler:
-    """pycma from one of the best rows, drawn for the run."""
-    best = score_order(task.table)[:START_ROWS]
-    row = int(generator(task.seed, Purpose.STARTUP_ROW).choice(best))
-    return WarmCmaEsSampler(task.table, row, SIGMA_WARM, task.seed)
-
-
 class WarmCmaEsSampler(RowSampler):
-    """pycma in the unit cube: trial 0 is the start point, the generations follow.
+    """pycma in the unit cube: trial 0 is one of the best rows, the generations follow.
 
     The state is that of pycma's object. A new sampler rebuilds it from the study's trials, so a
     resumed study goes on as it would have.
-
-    Args:
-        table: of candidates.
-        row: that is the start.
-        sigma: of each range.
-        seed: of all draws.
     """
 
-    def __init__(self, table: FeatureTable, row: int, sigma: float, seed: int) -> None:
-        """The start; pycma is loaded when it is first needed."""
-        super().__init__(table, seed)
-        self._row, self._sigma, self._draws = row, sigma, generator(seed, Purpose.CMAES)
+    def __init__(self, task: Task) -> None:
+        """Draw the start of the run; pycma is loaded when it is first needed."""
+        super().__init__(task)
+        best = score_order(self._table)[:START_ROWS]
+        self._row = int(generator(task.seed, Purpose.STARTUP_ROW).choice(best))
+        self._draws = generator(task.seed, Purpose.CMAES)
         self._search: CmaEs | None = None
 
     def sample_relative(
@@ -252,7 +241,7 @@ class WarmCmaEsSampler(RowSampler):
         rows, tried = self._table.rows, finished[1:]  # the start is of no generation
         if self._search is None:
             start = rows.space.fractions(rows.parameters[self._row : self._row + 1])[0]
-            self._search = CmaEs(start, self._sigma, self._draws)
+            self._search = CmaEs(start, SIGMA_WARM, self._draws)
         search = self._search
         while len(tried) >= search.population * (search.generation + 1):
             first = search.population * search.generation
