@@ -75,6 +75,7 @@ def test_trajectory_agrees_with_the_result(walk: Result) -> None:
     weight = 80.0 * 9.81  # kg, m/s2
     vertical = walker.ground_force_n[:, [1, 3]].sum(axis=1)
     assert vertical[400:].mean() == pytest.approx(weight, rel=0.02)
+    assert vertical.mean() == pytest.approx(walk["grf_vertical_mean_bw"][0] * weight, rel=1e-4)
     airborne = ~walker.stance.any(axis=1)
     assert np.abs(vertical[airborne]).max(initial=0.0) < 0.5 * weight
     assert walker.muscle_force_n.min() >= 0 and walker.activation.min() > 0

@@ -30,9 +30,6 @@ def test_grid_covers_a_hundred_seconds_of_the_fastest_gait() -> None:
     assert GRID_X_M[0] == -5.0
     assert GRID_X_M[-1] == pytest.approx(300.0)
     assert np.allclose(np.diff(GRID_X_M), CELL_M)
-
-
-def test_flat_is_level() -> None:
     assert not np.any(terrain.flat().height_m)
 
 
@@ -71,14 +68,11 @@ def test_blocks_are_level_but_for_their_risers() -> None:
     assert np.all(np.diff(on_block) != 0.0)
 
 
-def test_a_riser_rises_over_its_length_to_the_next_block() -> None:
+def test_a_riser_rises_over_its_length_and_may_be_as_long_as_its_block() -> None:
     ground = terrain.blocks(5, riser_m=0.50)
     low, middle, high = ground.height([FLAT_START_M + 0.5, FLAT_START_M + 0.75, FLAT_START_M + 1.0])
     assert low == pytest.approx(0.0, abs=1e-9)
     assert middle == pytest.approx(0.5 * high)
-
-
-def test_blocks_with_risers_as_long_as_blocks_are_the_rough_ground() -> None:
     longest = terrain.blocks(5, riser_m=1.0)
     np.testing.assert_allclose(longest.height_m, terrain.rough(5).height_m, atol=1e-9)
 
@@ -95,10 +89,7 @@ def test_a_seed_makes_one_ground_and_no_amplitude_is_flat(make: Callable[..., Te
 
 @pytest.mark.parametrize("slope", [0.04, -0.1])
 def test_rough_ground_may_rise_as_a_whole(slope: float) -> None:
-    level, rising = (
-        terrain.rough(5, flat_start_m=3.0),
-        terrain.rough(5, flat_start_m=3.0, slope=slope),
-    )
+    level, rising = (terrain.rough(5, flat_start_m=3.0, slope=rise) for rise in (0.0, slope))
     rise = slope * np.maximum(GRID_X_M - 3.0, 0.0)
     np.testing.assert_allclose(rising.height_m - level.height_m, rise, atol=1e-12)
 
@@ -337,6 +328,8 @@ def test_grounds_are_alike_when_their_contents_are() -> None:
     assert hash(one) == hash(same)
     assert one != Ground("blocks", one.options)
     assert pickle.loads(pickle.dumps(one)) == one
+    with pytest.raises(InputError, match=r"terrain\.kind: 'lava'"):
+        Ground("lava")
 
 
 def test_a_ground_keeps_its_options_when_the_callers_change() -> None:
@@ -344,11 +337,6 @@ def test_a_ground_keeps_its_options_when_the_callers_change() -> None:
     ground = Ground("rough", options)
     options["amplitude_m"] = 0.5
     np.testing.assert_array_equal(ground.draw(1).height_m, terrain.rough(1, 0.03).height_m)
-
-
-def test_a_ground_of_an_unknown_kind_is_refused() -> None:
-    with pytest.raises(InputError, match=r"terrain\.kind: 'lava'"):
-        Ground("lava")
 
 
 def test_each_ground_draws_an_option_that_is_a_pair() -> None:
@@ -375,3 +363,7 @@ def test_a_drawn_option_changes_no_other_draw() -> None:
     both = Ground("rough", {"slope": [0.0, 0.1], "spacing_m": [1.0, 2.0]}).draw(3)
     one = Ground("rough", {"slope": [0.0, 0.1]}).draw(3)
     assert both.name.rpartition(", ")[2] == one.name.rpartition(", ")[2]  # the slope
+    rise, run = (
+        Ground("stairs", {"rise_m": [0.1, 0.9], "run_m": [0.1, 0.9]}).draw(3).name.split()[2::3]
+    )
+    assert rise != run  # each option has a stream of its own

@@ -27,23 +27,14 @@ LONG_S = 30.0
 @pytest.fixture(scope="module")
 def long_walk() -> Result:
     """The published gains and the reference on level ground."""
-    return taichi_nmm.simulate(
-        [PUBLISHED_GAINS, load_gains("reference")],
-        duration_s=LONG_S,
-        settings=MUJOCO,
-        record=[0, 1],
-        record_rate_hz=100.0,
-    )
+    gains = [PUBLISHED_GAINS, load_gains("reference")]
+    return taichi_nmm.simulate(gains, duration_s=LONG_S, settings=MUJOCO, record=[0, 1])
 
 
-def test_gaits_walk_at_their_speeds(long_walk: Result) -> None:
+def test_gaits_walk_at_their_speeds_and_the_ground_carries_them(long_walk: Result) -> None:
     assert long_walk.end_reason.tolist() == ["completed"] * 2
     assert long_walk["mean_speed_mps"][0] == pytest.approx(1.40, abs=0.03)
     assert long_walk["mean_speed_mps"][1] == pytest.approx(1.27, abs=0.04)
-
-
-def test_the_ground_carries_the_body(long_walk: Result) -> None:
-    """Over a long walk the mean vertical force is the weight."""
     np.testing.assert_allclose(long_walk["grf_vertical_mean_bw"], 1.0, rtol=0, atol=0.002)
 
 
@@ -106,15 +97,11 @@ def test_nobody_feels_the_others(together: Result) -> None:
         assert some(rows).rows.tobytes() == together.rows[rows].tobytes()
 
 
-def test_recording_changes_nothing(together: Result) -> None:
-    recorded = some(record=[1, 7], record_rate_hz=500.0, progress=lambda *_: None)
-    assert recorded.rows.tobytes() == together.rows.tobytes()
-
-
-def test_another_simulation_changes_nothing(together: Result) -> None:
+def test_recording_and_another_simulation_change_nothing(together: Result) -> None:
     other = Settings(precision="float64", arch="cpu")
     taichi_nmm.simulate(PUBLISHED_GAINS, duration_s=0.01, settings=other)
-    assert some().rows.tobytes() == together.rows.tobytes()
+    recorded = some(record=[1, 7], record_rate_hz=500.0, progress=lambda *_: None)
+    assert recorded.rows.tobytes() == together.rows.tobytes()
 
 
 def test_settings_matter(together: Result) -> None:
