@@ -108,13 +108,8 @@ def published_gait() -> Iterator[Figure]:
     row = taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=LONG_S).rows[0]
     yield Figure("published gains, flat: walked", row["duration_s"], LONG_S, LONG_S, "s")
     yield Figure("published gains, flat: mean speed", row["mean_speed_mps"], 1.365, 1.425, "m/s")
-    yield Figure(
-        "published gains: mean vertical ground reaction",
-        row["grf_vertical_mean_bw"],
-        0.99,
-        1.01,
-        "BW",
-    )
+    force = row["grf_vertical_mean_bw"]
+    yield Figure("published gains: mean vertical ground reaction", force, 0.99, 1.01, "BW")
 
 
 def rough_ground(
@@ -125,12 +120,8 @@ def rough_ground(
     everyone, top = [], []
     for draw in range(draws):
         body, ground = np.random.SeedSequence(seed, spawn_key=(draw,)).spawn(2)
-        rows = taichi_nmm.simulate(
-            gains,
-            duration_s=LONG_S,
-            bodies=Bodies.disturbed([body]),
-            terrains=terrain.rough(ground),
-        ).rows
+        bodies, rough = Bodies.disturbed([body]), terrain.rough(ground)
+        rows = taichi_nmm.simulate(gains, duration_s=LONG_S, bodies=bodies, terrains=rough).rows
         walks = rows["end_reason"] == COMPLETED
         everyone.append(100 * walks.mean())
         top.append(100 * walks[best].mean())

@@ -222,21 +222,6 @@ def test_the_best_samplers_study_keeps_to_its_store(command: Command, families: 
     command.refuses(message, arm="best", store=command.folder / "other", trials=4)
 
 
-def test_the_best_sampler_needs_families(command: Command, families: Path) -> None:
-    command.refuses(".*a store with the column rough_survived_fraction_mean", arm="best")
-    walked = int(open_store(families).table()["rough_evaluated"].to_numpy().sum())
-    message = f".*at most {walked}, the rows that best may take of the store"
-    command.refuses(message, arm="best", store=families, trials=walked + 1)
-
-
-@pytest.mark.parametrize("arm", ["dog", "best"])
-def test_a_store_of_more_than_the_gains_is_refused(command: Command, arm: str) -> None:
-    path = command.folder / "torso"
-    fake_walker.write_store(path, searched=["theta_ref"])
-    message = ".*with theta_ref' cannot be used; allowed: a store of the 16 gains"
-    command.refuses(message, arm=arm, store=path)
-
-
 def test_a_store_of_other_bounds_is_refused(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,25 +11,15 @@ from tests.tools.running import ROOT
 
 
 @contextmanager
-def explorer_process(
-    folder: Path, errors: IO[str] | None = None
-) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """The process, and the address of its page; errors takes what it prints of errors."""
-    command = [
-        sys.executable, "-m", "taichi_nmm", "explore", folder, "--port", "0", "--no-browser",
-    ]  # fmt: skip
+def explorer(folder: Path, errors: IO[str] | None = None) -> Iterator[str]:
+    """The address of its page; `errors` takes what it prints of errors."""
+    words = ["explore", folder, "--port", "0", "--no-browser"]
+    command = [sys.executable, "-m", "taichi_nmm", *words]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=errors, text=True, cwd=ROOT
     ) as process:
         assert process.stdout is not None
         try:
-            yield process, process.stdout.readline().split()[1]
+            yield process.stdout.readline().split()[1]
         finally:
             process.terminate()
-
-
-@contextmanager
-def explorer(folder: Path, errors: IO[str] | None = None) -> Iterator[str]:
-    """The address alone."""
-    with explorer_process(folder, errors) as (_, address):
-        yield address
