@@ -61,9 +61,9 @@ def checked_columns(
         for name in given:
             if name not in parameters:
                 raise InputError(field, name, f"one of {', '.join(sorted(parameters))}")
-    for name in bounds.keys() & space.keys():
-        allowed = "none beside space=, which has the name"
-        raise InputError(f"table.bounds.{name}", bounds[name], allowed)
+    for name, ends in bounds.items():
+        if name in space:
+            raise InputError(f"table.bounds.{name}", ends, "none beside space=, which has the name")
     matrix = feature_matrix(features, feature_names)
     names = tuple(feature_names or (f"feature_{i}" for i in range(matrix.shape[1])))
     raw = new_matrix(len(matrix), len(parameters))

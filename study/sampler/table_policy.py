@@ -84,7 +84,6 @@ class TablePolicy(Policy):
 
     Attributes:
         function: features of points off the table; None: there are none.
-        own_rows: the content of the table, on its own scales; read once a process.
         prior_mean: of the option `prior`.
     """
 
@@ -99,16 +98,13 @@ class TablePolicy(Policy):
         super().__init__(options, seed, independent)
         self._table = table
         self.function = function
-        self._own_rows: Rows | None = None
         self._suggested: Rows | None = None
         self.prior_mean = PriorMean.of(options.prior, self.own_rows.feature_names)
 
     @property
     def own_rows(self) -> Rows:
-        """See the class."""
-        if self._own_rows is None:
-            self._own_rows = self._table.rows
-        return self._own_rows
+        """The content of the table, on its own scales."""
+        return self._table.rows
 
     @property
     def rows(self) -> Rows:
@@ -116,8 +112,8 @@ class TablePolicy(Policy):
         return self.own_rows if self._suggested is None else self._suggested
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what follows from the table and the study."""
-        return super().__getstate__() | {"_own_rows": None, "_suggested": None}
+        """Without the rows on other scales, which follow from the table and the study."""
+        return super().__getstate__() | {"_suggested": None}
 
     def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
         """The table's parameters."""
@@ -126,15 +122,25 @@ class TablePolicy(Policy):
     def propose(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
-        """Refuse what does not fit; values are given by `propose_one`."""
+        """Refuse what does not fit; values are given by `propose_one`.
+
+        Where the table must fit (strict), only what this trial suggests is refused, not what others
+        did: those of an earlier study, or of an objective that was mended since.
+        """
         fixed, names = values_of(trial), self.own_rows.names
         if all(name in fixed for name in names):
             return {}  # nothing of the table is left to choose
         suggested = suggested_so_far(names, study)
         self._adopt(suggested)
+        misfit = None
         if not self.options.strict:
             self._warn_of_foreign(study)
-        misfit = self._misfit(study, search_space, suggested)
+            misfit = shown_misfit(self.own_rows, suggested, study)
+        for name in names:
+            if name not in search_space:
+                allowed = "a parameter left free: rows are proposed whole"
+                misfit = InputError(name, "fixed", allowed)
+                break
         if misfit is not None:
             self._refuse(study, trial, misfit)
         if isinstance(search_space, Inferred):
@@ -169,23 +175,6 @@ class TablePolicy(Policy):
         rows = as_suggested_rows(self.own_rows, suggested)
         if rows.space.distributions != self.rows.space.distributions:
             self._suggested = rows
-
-    def _misfit(
-        self,
-        study: optuna.Study,
-        search_space: dict[str, BaseDistribution],
-        suggested: dict[str, BaseDistribution],
-    ) -> InputError | None:
-        """What is wrong before anything is chosen.
-
-        Something is fixed elsewhere; or, where the table need not fit, trials have shown that it
-        does not. Where it must, what this trial suggests is an error by itself, and what others
-        did (of an earlier study, of an objective that was mended since) is none.
-        """
-        for name in self.rows.names:
-            if name not in search_space:
-                return InputError(name, "fixed", "a parameter left free: rows are proposed whole")
-        return None if self.options.strict else shown_misfit(self.own_rows, suggested, study)
 
     def _refuse(self, study: optuna.Study, trial: FrozenTrial, error: InputError) -> None:
         """Propose nothing of the table for this trial; an error, or a warning (not strict)."""

@@ -18,6 +18,7 @@ from optuna.trial import TrialState
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.table_policy import TableExhaustedError
 from taichi_nmm.errors import InputError
+from tests.study.sampler.studies import bowl, rows_of, study_of
 
 Floats = np.ndarray
 PAGE = Path(__file__).parents[3] / "docs" / "sampler.md"
@@ -58,23 +59,17 @@ def run_two_objectives() -> None:
 
 
 def run_after_a_point_off_the_table() -> None:
-    study = optuna.create_study(sampler=sampler())
-    study.enqueue_trial({"a": 0.33, "b": 2.0})
-    study.optimize(both, n_trials=3)
+    study_of(new_table(), both, 3, enqueued=[{"a": 0.33, "b": 2.0}])
 
 
 def run_enqueued(**fixed: float) -> None:
-    study = optuna.create_study(sampler=sampler())
-    study.enqueue_trial(fixed)
-    study.enqueue_trial(fixed)
-    study.optimize(both, n_trials=2)
+    study_of(new_table(), both, 2, enqueued=[fixed, fixed])
 
 
 def run_against_the_prior() -> None:
     values = np.linspace(0, 1, 20)
     many = FeatureTable.from_arrays({"a": values}, values)
-    study = optuna.create_study(sampler=sampler(many, prior="feature_0"))
-    study.optimize(lambda trial: trial.suggest_float("a", 0, 1), n_trials=8)
+    study_of(many, lambda trial: trial.suggest_float("a", 0, 1), 8, prior="feature_0")
 
 
 def run_points_as_choices() -> None:
@@ -216,23 +211,18 @@ def test_a_table_of_one_row_has_one_trial() -> None:
 BOX = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
 
 
-def bowl(trial: optuna.Trial) -> float:
-    return trial.suggest_float("a", -1, 1) ** 2 + 0.01 * trial.suggest_float("b", 0, 5)
-
-
-def rows_of(study: optuna.Study) -> list[int]:
-    return [trial.user_attrs["row"] for trial in study.trials]
-
-
-def test_names_that_the_table_has_not_are_one_warning_where_it_need_not_fit(table):
-    for objective in (
-        lambda trial: trial.suggest_float("A", -1, 1) + trial.suggest_float("B", 0, 5),
-        lambda trial: trial.suggest_float("a", -1, 1),
-    ):
-        with pytest.warns(UserWarning, match="independent sampler takes over") as said:
-            study = run(FeatureKernelSampler(table, seed=0, strict=False), objective)
-        assert [trial.state for trial in study.trials] == [TrialState.COMPLETE] * 5
-        assert len(said) == 1
+@pytest.mark.parametrize(
+    ("objective", "message"),
+    [
+        (lambda trial: trial.suggest_float("A", -1, 1), "none of the table's parameters: a, b"),
+        (lambda trial: trial.suggest_float("a", -1, 1), "b: 'not suggested in trial 0'"),
+    ],
+)
+def test_other_names_are_one_warning_where_the_table_need_not_fit(table, objective, message):
+    with pytest.warns(UserWarning, match=f"{message}.* independent sampler takes over") as said:
+        study = run(FeatureKernelSampler(table, seed=0, strict=False), objective)
+    assert [trial.state for trial in study.trials] == [TrialState.COMPLETE] * 5
+    assert len(said) == 1
 
 
 def test_a_table_that_fits_is_used_without_strictness_too(table):
@@ -247,7 +237,7 @@ def test_a_range_that_shrinks_is_an_error_where_it_leaves_the_row_out(table):
     def shrunk(trial: optuna.Trial) -> float:
         return trial.suggest_float("a", -0.999, 1) + trial.suggest_float("b", 0, 1e-9)
 
-    study = run(FeatureKernelSampler(table, seed=0), bowl, trials=2)
+    study = study_of(table, bowl, 2)
     study.enqueue_trial(table.rows.as_parameters(3))
     study.optimize(shrunk, n_trials=1)
     study.optimize(bowl, n_trials=1)  # what another trial suggested is no fault of this one
@@ -286,12 +276,12 @@ def test_extra_parameters_come_after_the_tables_or_are_named(table):
 
 def test_an_exhausted_table():
     small = FeatureTable.from_arrays({"a": [0.0, 0.5], "b": [0.0, 1.0]}, [1, 2])
-    study = run(FeatureKernelSampler(small, seed=0), bowl, trials=2)
+    study = study_of(small, bowl, 2)
     with pytest.raises(TableExhaustedError, match="all 2 rows"):
         study.optimize(bowl, n_trials=1)
     assert [trial.state for trial in study.trials] == [TrialState.COMPLETE] * 2 + [TrialState.FAIL]
     with pytest.warns(UserWarning) as said:
-        study = run(FeatureKernelSampler(small, seed=0, strict=False), bowl)
+        study = study_of(small, bowl, 5, strict=False)
     assert sum("all 2 rows of the table have been tried" in str(w.message) for w in said) == 1
     assert len(study.trials) == 5
 
@@ -300,9 +290,8 @@ def test_rows_without_features_or_repeated_are_never_proposed():
     a = [0.0, 0.1, 0.2, 0.3, 0.1]
     with pytest.warns(UserWarning, match="1 rows that lack .* 1 rows repeat"):
         table = FeatureTable.from_arrays({"a": a}, [1.0, 2.0, np.nan, 4.0, 5.0])
-    sampler = FeatureKernelSampler(table, seed=0)
-    study = run(sampler, lambda t: t.suggest_float("a", 0, 1), trials=3)
-    assert {trial.user_attrs["row"] for trial in study.trials} == {0, 1, 3}
+    study = study_of(table, lambda t: t.suggest_float("a", 0, 1), 3)
+    assert set(rows_of(study)) == {0, 1, 3}
     with pytest.raises(TableExhaustedError):
         study.optimize(lambda t: t.suggest_float("a", 0, 1), n_trials=1)
 
@@ -311,7 +300,7 @@ def test_rows_without_features_or_repeated_are_never_proposed():
 def test_a_trial_without_a_cost_fails_and_teaches_nothing(
     table: FeatureTable, value: float | None
 ) -> None:
-    study = run(FeatureKernelSampler(table, seed=0), bowl, trials=4)
+    study = study_of(table, bowl, 4)
 
     def broken(trial: optuna.Trial) -> float:
         bowl(trial)
@@ -361,18 +350,10 @@ def test_a_broken_function_of_a_table_too(table: FeatureTable) -> None:
         run(FeatureKernelSampler(table, strict=False, **options), bowl)
 
 
-def test_a_table_of_other_names_is_one_warning_where_it_need_not_fit() -> None:
-    study = optuna.create_study(sampler=FeatureKernelSampler(new_table(), seed=1, strict=False))
-    with pytest.warns(UserWarning, match="none of the table's parameters: a, b") as caught:
-        study.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=5)
-    assert len(caught) == 1
-
-
 def test_a_declared_parameter_that_is_never_suggested_is_an_error() -> None:
     space = {"x": FloatDistribution(0, 1), "unused": FloatDistribution(0, 1)}
-    study = optuna.create_study(sampler=FeatureKernelSampler(seed=1, space=space))
     with pytest.raises(InputError, match="unused: 'not suggested in trial 0'"):
-        study.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=3)
+        study_of(None, lambda trial: trial.suggest_float("x", 0, 1), 3, space=space)
 
 
 @pytest.mark.filterwarnings("ignore:PartialFixedSampler is experimental")
@@ -412,8 +393,7 @@ def test_options_that_cannot_be_used(features: Any, options: dict[str, Any], mes
 
 def test_a_trial_that_could_not_be_asked_for_is_ended_as_documented(table: FeatureTable) -> None:
     """Optuna keeps the trial of an `ask` that raises RUNNING, whichever sampler raised."""
-    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=0))
-    study.enqueue_trial({"a": 0.123})
+    study = study_of(table, enqueued=[{"a": 0.123}])
     with pytest.raises(InputError, match=r"a: 0\.123"):
         study.ask(BOX)
     study.tell(study.trials[-1].number, state=TrialState.FAIL)
