@@ -15,7 +15,7 @@ from optuna.trial import FrozenTrial
 
 
 class Purpose(IntEnum):
-    """What a draw is for: the first word of its spawn key. Numbers are never reused."""
+    """The purpose of a draw: the first word of its spawn key. Numbers are never reused."""
 
     BODY = 0
     TERRAIN = 1

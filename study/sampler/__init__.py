@@ -1,4 +1,4 @@
-"""The feature-kernel sampler: for any study, nothing in it knows what a leg is.
+"""The feature-kernel sampler, for any study: it contains nothing about legs.
 
 `sampler` is the contract with Optuna, `table` the rows to choose from; `table_policy` and
 `space_policy` make proposals, `policy` is what they have in common; `history` reads the study; `gp`
@@ -21,7 +21,7 @@ MOVED = {
 
 
 class _Moved(ModuleType):
-    """A module of 0.2.0 that says the new place of its one public name."""
+    """A module of 0.2.0 whose one public name is found in its new place, with a warning."""
 
     def __getattr__(self, name: str) -> Any:
         old, module, new = MOVED[self.__name__.rpartition(".")[2]]

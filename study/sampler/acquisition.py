@@ -67,7 +67,7 @@ class Model:
         return np.asarray(~(self.limits > 0).any(axis=1))
 
     def utility(self, points: Points, offered: Mask, rng: np.random.Generator) -> Floats:
-        """How good each of m candidates is, [m]; minus infinity where not offered or not looked at.
+        """How good each of m candidates is, [m]; minus infinity where not offered or not examined.
 
         The log of the expected improvement times the probability that all limits are kept.
 
@@ -84,7 +84,7 @@ class Model:
 
     @cached_property
     def posterior(self) -> Posterior:
-        """Of the cost less the prior mean, running trials taken to show what is expected."""
+        """Of the cost less the prior mean; running trials count with their expected costs."""
 
         def y(some: slice) -> Floats:
             cost = self.cost(some)
@@ -142,7 +142,7 @@ class Model:
         return self.known[key]
 
     def _visible(self, points: Points) -> Points:
-        """The columns that the kernel looks at."""
+        """Points with the columns that the kernel uses."""
         return points.only(features=self.kernel.of_features, coordinates=self.kernel.of_parameters)
 
     def _looked_at(
@@ -151,7 +151,7 @@ class Model:
         """Numbers of the candidates whose posterior is computed.
 
         Where they are too many, half of them are those that a straight line through the trials
-        (`_merit`) thinks best, the others are drawn.
+        (`_merit`) ranks first, the others are drawn.
         """
         if self.one_dimensional:
             return np.arange(len(points))
@@ -306,8 +306,8 @@ def argmax_random_tie(values: Floats, rng: np.random.Generator) -> int:
 def log_kept(mean: Floats, variance: Floats) -> Floats:
     """log P(limit <= 0) of a limit ~ N(mean, variance), [m].
 
-    Gelbart, Snoek, Adams 2014, section 3. Of a mere failed / did not fail, told as 1 / -1, it is
-    the least-squares classifier (Rasmussen, Williams 2006, section 6.5).
+    Gelbart, Snoek, Adams 2014, section 3. Of limits that are 1 (failed) or -1, it is the
+    least-squares classifier (Rasmussen, Williams 2006, section 6.5).
     """
     sd = np.sqrt(np.maximum(variance, 1e-24))
     return np.asarray(scipy.special.log_ndtr(-mean / sd))

@@ -139,7 +139,7 @@ def _finite(name: str, column: NDArray[Any]) -> Floats:
     bad = np.flatnonzero(~np.isfinite(numbers))
     if len(bad):
         raise InputError(f"table.{name}[{bad[0]}]", float(numbers[bad[0]]), "a finite number")
-    return numbers + 0.0  # no negative zero: rows are told apart by their bits
+    return numbers + 0.0  # no negative zero: rows are compared by their bits
 
 
 def _choices(
@@ -229,7 +229,7 @@ class FileColumns:
         return checked_columns(columns, features, self.features, self.bounds, self.space)
 
     def _of_store(self) -> Content:
-        """A store knows its parameters and their bounds."""
+        """The columns of a store, with its parameters and their bounds."""
         from storage.store import open_store  # PyArrow is slow to load
 
         store = open_store(self.path)

@@ -1,4 +1,4 @@
-"""Whether the features of a study are worth anything: figures, a verdict and a small table."""
+"""The importance of features (worth): figures, a verdict and a small table."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -69,7 +69,7 @@ class RankCorrelation:
 
     @classmethod
     def of(cls, feature: Floats, cost: Floats) -> "RankCorrelation | None":
-        """Of n trials, [n] each; those without the feature (NaN) are left out.
+        """The correlation in n trials, [n] each; those without the feature (NaN) are left out.
 
         None: too few trials are left, or all have the same feature or the same cost.
         """
@@ -122,7 +122,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Worth:
-    """What features were worth to a sampler in the finished trials of a study.
+    """The importance of features to a sampler, by the finished trials of a study.
 
     Attributes:
         trials: that could be learned from.
@@ -192,7 +192,7 @@ class Worth:
         return "\n".join([self.verdict, "", *(lines if self.names else ()), *self._remarks()])
 
     def markdown(self) -> str:
-        """The same for a note in the dashboard."""
+        """The table in Markdown, for a note in the dashboard."""
         head = [f"| {' | '.join(HEAD)} |", "|---|---|--:|"]
         escaped = [[cell.replace("|", "\\|") for cell in row] for row in self._rows()]
         rows = [f"| {' | '.join(row)} |" for row in escaped]
@@ -200,7 +200,7 @@ class Worth:
         return "\n".join([f"## {TITLE}", "", self.verdict, "", *table, *self._remarks()]).rstrip()
 
     def _rows(self) -> Iterator[tuple[str, str, str]]:
-        """Of the table: features, and what they leave to others."""
+        """Rows of the table: features, then parameters and noise."""
         weights = [UNKNOWN] * len(self.names)
         others: list[tuple[str, str, str]] = []
         if self.weights is not None:
@@ -296,7 +296,7 @@ def _of_prior(present: Present) -> Iterator[str]:
 
 
 def _errors(model: Model) -> Errors | None:
-    """Of the model, as a share of the constant's; None where all trials cost the same.
+    """Errors of the model, as shares of the constant's; None where all trials cost the same.
 
     The model without features is the same learned where all trials have the same features. The
     sampler's own model over the parameters alone learns no mean, and would fall behind also where
@@ -417,7 +417,7 @@ def residuals(posterior: Posterior) -> Floats:
 
 
 def residuals_of_constant(cost: Floats) -> Floats:
-    """The same where the mean of the others is expected, [n]."""
+    """Costs less the mean of the other costs, [n]."""
     n = len(cost)
     if n < 2:
         return np.full(n, np.nan)

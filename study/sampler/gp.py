@@ -89,7 +89,7 @@ LARGEST_RATIO = 5e2  # of prior variance to noise, for which 32 bits keep within
 
 @dataclass(frozen=True)
 class Kernel:
-    """What a kernel's name stands for.
+    """The meaning of a kernel's name.
 
     Attributes:
         slopes: whether the cost has a part that is linear in the features.
@@ -412,7 +412,7 @@ def _informative(y: Floats) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """What is known of the cost, in its own unit, after some trials.
+    """The distribution of the cost, in its own unit, after some trials.
 
     The fast path computes the mean as (L^-1 k)^T (L^-1 y), whose factors are of the size of the
     costs; those of k^T K^-1 y would cancel in 32 bits.
@@ -482,14 +482,14 @@ class Posterior:
         return self.cost_mean + self.cost_sd * mean
 
     def believing(self, points: Points) -> "Posterior":
-        """The same after further trials that showed what is expected; constants are kept."""
+        """The posterior after further trials with their expected costs; constants are kept."""
         y = (self.mean(points) - self.cost_mean) / self.cost_sd
         x = np.vstack([self.x, points.matrix()])
         return replace(self, x=x, y=np.concatenate([self.y, y]))
 
     @property
     def _precision(self) -> type[np.floating[Any]]:
-        """Of everything that is [n, m]."""
+        """The precision of all that is [n, m]."""
         return np.float32 if self.fast_is_right else np.float64
 
     @cached_property

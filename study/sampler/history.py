@@ -1,4 +1,4 @@
-"""What a study's trials say to a sampler: where they were, which rows they took, what they cost.
+"""The trials of a study as a sampler sees them: parameters, rows and costs.
 
 A trial is a row of a table if its parameters are that row's. Its number, and its features, are left
 in the trial as user attributes, to be read and sorted by. The study may suggest a parameter in
@@ -68,7 +68,7 @@ class History:
 
     @property
     def finished(self) -> "History":
-        """The same as if no trial were running."""
+        """This history without the running trials."""
         return replace(self, running=self.running[:0], running_rows=self.running_rows[:0])
 
 
@@ -136,7 +136,7 @@ def read_history(
 
 
 def values_of(trial: FrozenTrial) -> dict[str, Any]:
-    """What a trial has, or is sure to have: its parameters and, until it ends, the user's."""
+    """The parameters of a trial and, until it ends, those that the user has fixed."""
     if trial.state.is_finished():
         return trial.params
     fixed = trial.system_attrs.get(FIXED_ATTRIBUTE)
@@ -185,7 +185,7 @@ def notes_of(row: int, features: Floats) -> dict[str, Any]:
 
 
 def read_limits(trials: Sequence[FrozenTrial]) -> Floats:
-    """The constraints of trials, [n, c]: what `trial.set_constraint` said."""
+    """The constraints of trials, [n, c], set by `trial.set_constraint`; NaN where unknown."""
     keys = sorted({key for trial in trials for key in trial.constraints})
     limits = [[trial.constraints.get(key, np.nan) for key in keys] for trial in trials]
     columns = np.array(limits, dtype=np.float64).reshape(len(trials), len(keys)).T
@@ -238,7 +238,7 @@ def as_suggested_rows(rows: Rows, suggested: Mapping[str, BaseDistribution]) -> 
 def shown_misfit(
     rows: Rows, suggested: Mapping[str, BaseDistribution], study: optuna.Study
 ) -> InputError | None:
-    """What trials have shown against a table that need not fit; None if nothing.
+    """The misfit of a table that earlier trials have shown; None without any.
 
     Args:
         rows: of the table.
@@ -296,7 +296,7 @@ def distribution_misfit(rows: Rows, column: int, suggested: BaseDistribution) ->
 
 
 def no_row_has(rows: Rows, fixed: Mapping[str, Any]) -> InputError:
-    """What is wrong with values, at least one, that no row has which could be proposed."""
+    """The error of fixed values, at least one, that no row has which could be proposed."""
     name, values = ", ".join(fixed), tuple(fixed.values())
     what = "values that a row of the table has together"
     if rows.having(fixed).any():

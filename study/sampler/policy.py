@@ -1,4 +1,4 @@
-"""What proposals from a table and from a space have in common.
+"""The common part of proposals from a table and from a space.
 
 The first trials come before there is a model: they try both ends of the features, or follow the
 end that the user names.
@@ -47,7 +47,7 @@ Features = Callable[[Floats], Floats]
 RANKED = 3
 ENDS = 2
 RANDOM = 3
-REMEMBERED = 1024  # trials; those that are never told would else pile up
+REMEMBERED = 1024  # trials; some never end
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Proposal:
-    """What was proposed for a trial that runs in this process, and what was noted in it.
+    """The proposal for a trial that runs in this process, with its notes.
 
     Attributes:
         values: by parameter; none where the independent sampler gives them.
@@ -87,14 +87,14 @@ NOTHING = Proposal({}, {})
 class Policy:
     """A maker of proposals for the trials of any study: the common part of the two.
 
-    Nothing is decided by what it remembers that the trials do not say: another process has none.
+    Proposals follow from the trials alone: another process, without these memories, makes the same.
 
     Attributes:
         options: of the sampler.
         seed: of the sampler.
         independent: sampler for what is not proposed here.
         learns_trust: whether features are trusted as far as trials confirm them.
-        first_trials: how many trials are to finish before the model is asked.
+        first_trials: how many trials have to finish before there is a model.
         known: constants that were learned in this process.
     """
 
@@ -110,7 +110,7 @@ class Policy:
         self._said: set[str] = set()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what another process computes again, and what runs here."""
+        """Without constants, which another process computes again, and trials of this process."""
         return self.__dict__ | {"known": {}, "_proposals": {}}
 
     def remember(self, trial: FrozenTrial, proposal: Proposal) -> None:
@@ -120,11 +120,11 @@ class Policy:
             self._proposals.pop(next(iter(self._proposals)), None)
 
     def remembered(self, trial: FrozenTrial) -> Proposal | None:
-        """What was proposed for a trial; None where this process has proposed nothing."""
+        """The proposal for a trial; None where this process has made none."""
         return self._proposals.get((trial.number, trial.datetime_start))
 
     def forget(self, trial: FrozenTrial) -> Proposal | None:
-        """The same, which is forgotten."""
+        """The proposal for a trial, which is forgotten."""
         return self._proposals.pop((trial.number, trial.datetime_start), None)
 
     def merit(self, prior_mean: PriorMean | None, features: Floats, turn: int) -> Floats:

@@ -74,9 +74,9 @@ class FeatureKernelSampler(BaseSampler):
         features: see above. A function gets its columns in the order of `space` or, without it, of
             the names; logarithmic parameters as they are, categorical ones as indices of choices.
         seed: of all draws; None takes one from the machine's entropy.
-        prior: a feature whose high values are thought good; with a minus before its name, its low
-            ones. The first three trials are the best rows of that ranking, in its order; then the
-            cost is expected to follow it, as far as trials confirm that
+        prior: a feature whose high values are expected to be good; with a minus before its name,
+            its low ones. The first three trials are the best rows of that ranking, in its order;
+            then the cost is expected to follow it, as far as trials confirm that
             (`study.sampler.transforms.PriorMean`).
         kernel: None: the model above with features, "euclidean" without. "additive": the model
             above. "rbf": f alone, of features as they are (standardised), one length scale for all
@@ -87,7 +87,7 @@ class FeatureKernelSampler(BaseSampler):
         off_grid: with such a function, the number of points near the best ones that are added to
             the candidates of each trial.
         space: what the study suggests: distributions by name. None takes those that all finished
-            trials share, the first trial being random. A table knows its own.
+            trials share, the first trial being random. A table has its own.
         strict: True: what does not fit is an error before the objective has its parameters; False:
             the independent sampler takes over, with one warning.
         extra_parameters: names that the study suggests before or between those of the table, and

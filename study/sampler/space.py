@@ -80,7 +80,7 @@ class Space:
             return None
 
     def pinned(self, values: Mapping[str, Any]) -> "Space":
-        """The same space, new points of which have these values of some of its parameters."""
+        """The space, with these values of some parameters in all new points."""
         columns = [c for c, name in enumerate(self.names) if name in values]
         numbers = [self.number(c, values[self.names[c]]) for c in columns]
         pins = zip(columns, numbers, strict=True)

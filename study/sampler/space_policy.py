@@ -52,7 +52,7 @@ class SpacePolicy(Policy):
         self.function = function
 
     def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
-        """What was declared, or what all finished trials share."""
+        """The declared space, or the parameters that all finished trials share."""
         space = self.options.space
         if space is None:
             space = intersection_search_space(study.get_trials(deepcopy=False))
@@ -93,7 +93,7 @@ class SpacePolicy(Policy):
         return self.independent.sample_independent(study, trial, name, distribution)
 
     def present(self, study: optuna.Study) -> Present | None:
-        """With the candidates that the next trial would have."""
+        """See `Present`; candidates are those of the next trial. None: there is nothing to show."""
         trial = next_trial(study)
         known = self.search_space(study, trial)
         if not known or self.function is None:
@@ -204,7 +204,7 @@ class SpacePolicy(Policy):
         return np.vstack([anywhere(space, CANDIDATES, rng), nearby(space, incumbents, local, rng)])
 
     def _features(self, points: Floats, history: History) -> tuple[Floats, Floats, Floats]:
-        """Of candidates, of finished trials (noted in them, or computed), of running ones."""
+        """Features of candidates, finished trials (noted in them, or computed) and running ones."""
         m, n, r = len(points), len(history.trials), len(history.running)
         if self.function is None:
             return np.empty((m, 0)), np.empty((n, 0)), np.empty((r, 0))
@@ -224,11 +224,11 @@ class SpacePolicy(Policy):
         return features[:m], known, features[m : m + r]
 
     def _scale(self, features: Floats) -> Scale:
-        """Of features [m, k] of points anywhere, as the kernel takes them."""
+        """The scale of features [m, k] of points anywhere."""
         return scale_of(features, by_order=self.options.kernel.by_order)
 
     def _prior_mean(self, features: Floats) -> PriorMean | None:
-        """By one of the features [m, k]."""
+        """The prior mean by one of the features [m, k]."""
         return PriorMean.of(self.options.prior, _names(features))
 
 
@@ -238,5 +238,5 @@ def _placed(scale: Scale, features: Floats, space: Space, parameters: Floats) ->
 
 
 def _names(features: Floats) -> list[str]:
-    """Of features [m, k], which a function does not name."""
+    """Names of features [m, k] of a function, which gives none."""
     return [f"feature_{column}" for column in range(features.shape[1])]

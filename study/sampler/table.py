@@ -1,9 +1,8 @@
 """Tables of candidates: rows of parameters, and the features that say which rows are alike.
 
-A table is all that a sampler knows of a problem before its first trial: n parameter sets, and for
-each k numbers computed beforehand (by a simulator, a model, an expert). Nothing here knows what the
-parameters or the features mean. `FeatureTable` is what users make; `Rows` is its content, and what
-is derived from it; `columns` reads and checks.
+A table describes a problem before its first trial: n parameter sets, and k numbers for each,
+computed beforehand (by a simulator, a model, an expert). Their meaning does not matter here. Users
+make a `FeatureTable`; `Rows` is its content, with derived arrays; `columns` reads and checks.
 """
 
 import hashlib
@@ -84,7 +83,7 @@ class Rows:
         return NormalScores.of(self._chosen(self.features))
 
     def scale(self, *, by_order: bool) -> Scale:
-        """One of the two."""
+        """`scores` or `standard`."""
         return self.scores if by_order else self.standard
 
     @cached_property
@@ -99,12 +98,12 @@ class Rows:
 
     @cached_property
     def chosen_unit(self) -> Floats:
-        """The same of rows that may be proposed, [m, e]."""
+        """`unit` of rows that may be proposed, [m, e]."""
         return self._chosen(self.unit)
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
-        """Of the rows that may be proposed, ascending, [m]."""
+        """Numbers of the rows that may be proposed, ascending, [m]."""
         return np.flatnonzero(self.offered)
 
     def points(self, *, by_order: bool, coordinates: bool) -> Points:
@@ -198,7 +197,7 @@ class Rows:
         return self._once(parameters.tobytes(), lambda: self._measured(parameters))
 
     def _measured(self, parameters: Floats) -> tuple[int, float]:
-        """The same, computed."""
+        """`nearest`, computed."""
         if not len(self.numbers):
             return 0, np.inf
         point = self.space.unit(parameters[None], beyond=True)[0]
@@ -214,7 +213,7 @@ class Rows:
         return {}
 
     def _once(self, key: Any, made: Callable[[], T]) -> T:
-        """What is needed in each proposal, computed in the first one."""
+        """A result that each proposal needs, computed in the first one."""
         if key not in self._kept:
             self._kept[key] = made()
         kept: T = self._kept[key]
@@ -281,7 +280,7 @@ class FeatureTable:
 
     - infinity is a value, the largest or the least; NaN is a gap;
     - a row that lacks more than half of its features is kept out of the proposals;
-    - a feature without a finite value, or with one value only, says nothing and weighs nothing;
+    - a feature without a finite value, or with one value only, has no weight;
     - of rows with equal parameters, the first counts.
 
     A table read from a file keeps the path and a SHA-256: pickled, it carries these alone, and
@@ -358,8 +357,8 @@ class FeatureTable:
         Args:
             parameters: columns without gaps (None among words or flags is a choice). A study may
                 suggest each in its own way, on a logarithmic scale or as choices, if that holds all
-                rows; where none has said otherwise, floats are taken for such, integers for
-                integers, and anything else for choices.
+                rows. Before a trial has suggested it, and without `space`, floats are floats,
+                integers are integers, and anything else is a choice.
             features: higher or lower, better or worse, of any scale: their order counts.
             feature_names: k names; by default feature_0, feature_1, ...
             bounds: (low, high) of numeric parameters; by default those of the columns.

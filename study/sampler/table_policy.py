@@ -7,6 +7,7 @@ write before either reads, both do. Nobody waits.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -101,19 +102,20 @@ class TablePolicy(Policy):
         self._suggested: Rows | None = None
         self.prior_mean = PriorMean.of(options.prior, self.own_rows.feature_names)
 
-    @property
+    @cached_property
     def own_rows(self) -> Rows:
         """The content of the table, on its own scales."""
         return self._table.rows
 
     @property
     def rows(self) -> Rows:
-        """The same, on the scales on which the study suggests it."""
+        """The content of the table, on the scales on which the study suggests it."""
         return self.own_rows if self._suggested is None else self._suggested
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the rows on other scales, which follow from the table and the study."""
-        return super().__getstate__() | {"_suggested": None}
+        """Without rows, which follow from the table and the study."""
+        state = super().__getstate__() | {"_suggested": None}
+        return {name: value for name, value in state.items() if name != "own_rows"}
 
     def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
         """The table's parameters."""
@@ -153,7 +155,7 @@ class TablePolicy(Policy):
     def propose_one(
         self, study: optuna.Study, trial: FrozenTrial, name: str, distribution: BaseDistribution
     ) -> Any:
-        """Of the table: its row's value, where all rows fit. Of others: independent."""
+        """The value of the trial's row, where all rows fit; other parameters are independent."""
         if name not in self.rows.names:
             self._require_table_first(study, trial, name)
             return self.independent.sample_independent(study, trial, name, distribution)
@@ -270,7 +272,7 @@ class TablePolicy(Policy):
             return None
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
-        """What a trial is proposed from."""
+        """The history that a trial is proposed from."""
         rows, nearest = self.rows, self.options.nearest
 
         def lend(other: FrozenTrial, parameters: Floats) -> int | None:
@@ -285,7 +287,7 @@ class TablePolicy(Policy):
 
     @property
     def _places_all(self) -> bool:
-        """Whether any point has features, or none are looked at."""
+        """Whether any point has features, or none are needed."""
         looked_at = self.options.kernel.of_features or self.options.prior is not None
         return self.function is not None or not looked_at
 
@@ -360,11 +362,11 @@ class TablePolicy(Policy):
 
     @property
     def _scale(self) -> Scale:
-        """Of the features, as the kernel takes them."""
+        """The scale of the features, as the kernel takes them."""
         return self.rows.scale(by_order=self.options.kernel.by_order)
 
     def _points(self) -> Points:
-        """Rows that may be proposed, with coordinates only where the kernel looks at them."""
+        """Rows that may be proposed, with coordinates only where the kernel uses them."""
         kernel = self.options.kernel
         return self.rows.points(by_order=kernel.by_order, coordinates=kernel.of_parameters)
 
@@ -445,7 +447,7 @@ class TablePolicy(Policy):
             )
 
     def present(self, study: optuna.Study) -> Present:
-        """With all rows that may be proposed, tried or not."""
+        """See `Present`; candidates are all rows that may be proposed, tried or not."""
         self._adopt(suggested_so_far(self.own_rows.names, study))
         history = self._history(study, next_trial(study)).finished
         shown, first = self._shown(history), {}
@@ -495,7 +497,7 @@ class TablePolicy(Policy):
             self.misfit(self._not_as_proposed(trial, other, proposal))
 
     def _not_as_proposed(self, trial: FrozenTrial, name: str, proposal: Proposal) -> InputError:
-        """Of a parameter that had another value: no sampler is asked of a range of one value."""
+        """The error of another value; Optuna calls no sampler where a range has one value."""
         column, suggested = self.own_rows.names.index(name), trial.distributions[name]
         allowed = f"{proposal.values[name]!r}, as was proposed"
         own = InputError(name, trial.params[name], allowed)

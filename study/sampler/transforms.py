@@ -67,7 +67,7 @@ class Points:
 
     @cached_property
     def distinct(self) -> tuple[Floats, NDArray[np.int64]]:
-        """Of a single feature: its values in ascending order, and the place of each row, [m]."""
+        """The values of a single feature, ascending, and the place of each row among them, [m]."""
         values, place = np.unique(self.features[:, 0], return_inverse=True)
         return values, place
 
@@ -76,7 +76,7 @@ class Points:
         return Points(self.features[index], rows_of(self.coordinates, index))
 
     def only(self, *, features: bool, coordinates: bool) -> "Points":
-        """With the columns that a kernel uses."""
+        """Points with the columns that a kernel uses."""
         if (features or not self.features.size) and (coordinates or not self.coordinates.size):
             return self
         return Points(
@@ -141,7 +141,7 @@ class Standard:
 
     @property
     def owners(self) -> tuple[int, ...]:
-        """Of each of these columns, the number of its feature: its own."""
+        """The number of the feature of each of these columns."""
         return tuple(range(len(self.mean)))
 
 
@@ -190,7 +190,7 @@ class NormalScores:
 
     @property
     def owners(self) -> tuple[int, ...]:
-        """Of each of these columns, the number of its feature."""
+        """The number of the feature of each of these columns."""
         return (*range(len(self.known)), *(column for column, _ in self.gaps))
 
 
@@ -308,7 +308,7 @@ def new_matrix(rows: int, columns: int) -> Floats:
 
 
 def by_blocks(function: Callable[[Floats], Floats], matrix: Floats) -> Floats:
-    """What a function makes of the rows of a matrix, [n, e]; of a large one some at a time."""
+    """A function of the rows of a matrix, [n, e]; of a large one, block by block."""
     if matrix.size <= MOST_IN_MEMORY:
         return function(matrix)
     made = new_matrix(len(matrix), function(matrix[:1]).shape[1])
