@@ -1,0 +1,165 @@
+"""Small faults in the product, one at a time: do the tests notice them?
+
+    python -m tests.faults --count 80 --seed 1
+
+draws places of the product's source (an operator, a constant, a condition), changes one in a copy
+of the checkout, and runs the tests there until one fails: first those of the same folder, then all.
+Pictures, messages, command lines and annotations are left out. A run of the tests that takes longer
+than LONGEST_S counts as noticed. What was found is kept in out/faults-SEED.jsonl: the same command
+goes on where it was stopped, with any number of --workers.
+"""
+
+import argparse
+import ast
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("taichi_nmm", "storage", "study")
+LEFT_OUT = ("study/pictures", "study/explore", "study/hub", "study/options.py", "study/palette.py")
+LONGEST_S = 1200.0
+OTHER = {
+    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or,
+    ast.Or: ast.And, ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult, ast.BitAnd: ast.BitOr,
+    ast.BitOr: ast.BitAnd,
+}  # fmt: skip
+
+
+def places(tree: ast.AST) -> Iterator[ast.expr]:
+    """Expressions in which one operator, constant or condition can be changed."""
+    for field, value in ast.iter_fields(tree):
+        if field in ("annotation", "returns"):
+            continue
+        for node in value if isinstance(value, list) else [value]:
+            if isinstance(node, ast.AST) and not isinstance(node, (ast.Raise, ast.JoinedStr)):
+                if isinstance(node, ast.expr) and faulty(node) is not None:
+                    yield node
+                yield from places(node)
+
+
+def faulty(node: ast.expr) -> ast.expr | None:
+    """The expression with its fault, or None for one that is left as it is."""
+    if isinstance(node, ast.Compare) and len(node.ops) == 1 and type(node.ops[0]) in OTHER:
+        return ast.Compare(node.left, [OTHER[type(node.ops[0])]()], node.comparators)
+    if isinstance(node, ast.BinOp) and type(node.op) in OTHER:
+        return ast.BinOp(node.left, OTHER[type(node.op)](), node.right)
+    if isinstance(node, ast.BoolOp):
+        return ast.BoolOp(OTHER[type(node.op)](), node.values)
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.Not, ast.USub)):
+        return node.operand
+    if isinstance(node, ast.IfExp):
+        return ast.IfExp(ast.UnaryOp(ast.Not(), node.test), node.body, node.orelse)
+    if isinstance(node, ast.Constant) and isinstance(node.value, bool):
+        return ast.Constant(not node.value)
+    if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
+        return ast.Constant(node.value * 2 if node.value else 1)
+    return None
+
+
+def drawn(count: int, seed: int) -> list[tuple[str, int]]:
+    """Files, and numbers of places in them; every place of the product is as likely."""
+    files = [
+        file.relative_to(ROOT).as_posix()
+        for package in PACKAGES
+        for file in sorted((ROOT / package).rglob("*.py"))
+    ]
+    every = [
+        (file, number)
+        for file in files
+        if not file.startswith(LEFT_OUT)
+        for number, _ in enumerate(places(ast.parse((ROOT / file).read_text())))
+    ]
+    chosen = np.random.default_rng(seed).permutation(len(every))[:count]
+    return [every[index] for index in chosen]
+
+
+def changed(source: str, number: int) -> tuple[str, str]:
+    """The source with the fault at a place, and the fault in words; all other bytes are kept."""
+    node = list(places(ast.parse(source)))[number]
+    new = faulty(node)
+    assert new is not None and node.end_lineno is not None and node.end_col_offset is not None
+    lines = source.encode().splitlines(keepends=True)
+    first, last = node.lineno - 1, node.end_lineno - 1
+    before, after = lines[first][: node.col_offset], lines[last][node.end_col_offset :]
+    text = f"({ast.unparse(ast.fix_missing_locations(new))})"
+    lines[first : last + 1] = [before + text.encode() + after]
+    return b"".join(lines).decode(), f"line {node.lineno}: {ast.unparse(node)} -> {text}"
+
+
+def tests_of(file: str) -> list[list[str]]:
+    """The tests to run one after another: those of the file's folder, and all."""
+    folder = Path("tests", file).parent
+    near = folder if (ROOT / folder).is_dir() else folder.parent
+    return [[near.as_posix()], ["tests"]]
+
+
+def tried(file: str, number: int, copy: Path, near_only: bool) -> dict[str, Any]:
+    """Whether the tests notice a fault, in a copy of the checkout."""
+    source = (ROOT / file).read_text()
+    text, words = changed(source, number)
+    noticed = None
+    (copy / file).write_text(text)
+    try:
+        for paths in tests_of(file)[: 1 if near_only else 2]:
+            command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", *paths]
+            done = subprocess.run(
+                command, cwd=copy, capture_output=True, text=True, timeout=LONGEST_S
+            )
+            if done.returncode not in (0, 5):  # 5: the folder has no tests of this kind
+                noticed = done.stdout.strip().splitlines()[-2:-1] or ["?"]
+                break
+    except subprocess.TimeoutExpired:
+        noticed = [f"no end after {LONGEST_S:.0f} s"]
+    finally:
+        (copy / file).write_text(source)
+    return {"file": file, "number": number, "fault": words, "noticed": noticed}
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("--count", type=int, default=80)
+    options.add_argument("--seed", type=int, default=1)
+    options.add_argument("--workers", type=int, default=2)
+    options.add_argument("--near-only", action="store_true", help="only tests of the same folder")
+    args = options.parse_args()
+    kept = ROOT / "out" / f"faults-{args.seed}.jsonl"
+    kept.parent.mkdir(exist_ok=True)
+    known = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+    done = {(row["file"], row["number"]) for row in known}
+    open_places = [place for place in drawn(args.count, args.seed) if place not in done]
+    bar = tqdm(total=args.count, initial=len(known))
+
+    def work(worker: int) -> None:
+        copy = ROOT / "out" / f"faults-copy-{worker}"
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns("out", ".git", ".venv"))
+        while open_places:
+            row = tried(*open_places.pop(), copy, args.near_only)
+            with kept.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+            known.append(row)
+            bar.update()
+        shutil.rmtree(copy)
+
+    with ThreadPoolExecutor(args.workers) as pool:
+        list(pool.map(work, range(args.workers)))
+    bar.close()
+    for row in known:
+        if row["noticed"] is None:
+            print(f"not noticed: {row['file']}, {row['fault']}")
+    print(f"{sum(row['noticed'] is not None for row in known)} of {len(known)} noticed")
+
+
+if __name__ == "__main__":
+    main()
