@@ -37,7 +37,7 @@ EXIT_NO_READER = 141  # 128 + SIGPIPE
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 OURS = ("study", "storage", "taichi_nmm")
 
-LEAST_ADDRESSES_B = 3 << 30  # a walk on two cores takes 2.3e9; OpenBLAS waits for ever for 0.4e9
+LEAST_ADDRESSES_B = 4 << 30  # `study` on two cores takes 3.6e9; OpenBLAS waits for ever for 0.4e9
 
 # Errors by which a machine may refuse resources at any place, and the remedy.
 SPACE = "space for files and for what is printed"

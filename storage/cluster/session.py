@@ -297,19 +297,22 @@ def _scheduler(asked: Cluster) -> Iterator[tuple[str, Security]]:
         return
     with _failures(asked):
         security = Security.temporary()
-    with (
-        dask.config.set({"distributed.scheduler.allowed-failures": MOST_DEATHS}),
-        LocalCluster(
-            n_workers=asked.local_processes,
-            threads_per_worker=1,
-            host=LOOPBACK,
-            dashboard_address=f"{LOOPBACK}:0",
-            scheduler_kwargs={"dashboard": False},
-            security=security,
-            silence_logs=logging.CRITICAL,
-            preload="storage.cluster.worker",
-        ) as cluster,
-    ):
+    with dask.config.set({"distributed.scheduler.allowed-failures": MOST_DEATHS}):
+        try:
+            cluster = LocalCluster(
+                n_workers=asked.local_processes,
+                threads_per_worker=1,
+                host=LOOPBACK,
+                dashboard_address=f"{LOOPBACK}:0",
+                scheduler_kwargs={"dashboard": False},
+                security=security,
+                silence_logs=logging.CRITICAL,
+                preload="storage.cluster.worker",
+            )
+        except RuntimeError as error:  # Dask's processes meet by semaphores
+            allowed = "a machine with shared memory (/dev/shm) that can be written; or --workers"
+            raise InputError("cluster", asked.address, f"{allowed} ({_first(error)})") from None
+    with cluster:
         yield cluster.scheduler_address, security
 
 
@@ -344,5 +347,12 @@ def _failures(asked: Cluster) -> Iterator[None]:
         raise InputError("cluster", asked.address, allowed) from None
 
 
-def _in_a_line(error: Exception) -> str:
+def _first(error: BaseException) -> str:
+    """The error that others followed, in a line."""
+    while cause := error.__cause__ or error.__context__:
+        error = cause
+    return _in_a_line(error)
+
+
+def _in_a_line(error: BaseException) -> str:
     return one_line(shortened(f"{type(error).__name__}: {error}"))

@@ -135,7 +135,7 @@ def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> N
         ["bash", "-c", 'ulimit -v 400000; exec "$@"', "bash", *map(str, tool)],
         capture_output=True, text=True, timeout=WAIT_S,
     )  # fmt: skip
-    line = "error: ulimit -v: 400000 cannot be used; allowed: 3145728 or more, or unlimited\n"
+    line = "error: ulimit -v: 400000 cannot be used; allowed: 4194304 or more, or unlimited\n"
     assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
     assert [path.name for path in folder.iterdir()] == ["toy.toml"]
 
@@ -217,3 +217,55 @@ def test_a_stopped_process_keeps_its_folder_and_goes_on(folder: Path) -> None:
     shutil.rmtree(folder / "out")
     assert run(COMPARE).code == 0
     assert (folder / "out" / "trials.parquet").read_bytes() == table
+
+
+def test_a_umask_decides_who_may_read(folder: Path, undisturbed: list[dict[str, float]]) -> None:
+    assert run(STUDY, 'umask 077; exec "$@"').code == 0
+    assert trials(folder) == undisturbed
+    made = [path for path in folder.rglob("*") if path.name != "toy.toml"]
+    assert made and not any(path.stat().st_mode & 0o077 for path in made)
+
+
+def test_a_folder_copied_while_it_is_filled_goes_on_as_the_first(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with stopped(COMPARE):
+        shutil.copytree(folder, folder / "copy")
+    monkeypatch.chdir(folder / "copy")
+    assert run(COMPARE).code == 0
+    first, second = (place / "out" / "trials.parquet" for place in (folder, folder / "copy"))
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_a_clock_that_was_set_back_changes_no_trial(
+    folder: Path, undisturbed: list[dict[str, float]]
+) -> None:
+    if shutil.which("faketime") is None:
+        pytest.skip("no faketime here: apt-get install faketime")
+    assert run((*STUDY[:-1], 2)).code == 0
+    assert run(STUDY, 'exec faketime -f -400d "$@"').code == 0
+    assert trials(folder) == undisturbed
+
+
+WITHOUT_SHARED_MEMORY = (
+    'exec unshare --mount bash -c \'mount -t tmpfs -o ro none /dev/shm && exec "$@"\' bash "$@"'
+)
+
+
+@pytest.mark.parametrize(
+    ("work", "line"),
+    [
+        (("--workers", 2), None),
+        (("--cluster", "local:1"), "error: cluster: 'local:1' cannot be used; allowed: a machine "
+                                   "with shared memory (/dev/shm) that can be written"),
+    ],
+)  # fmt: skip
+def test_without_shared_memory(folder: Path, work: tuple[object, ...], line: str | None) -> None:
+    """As in some containers. Our own processes need none; those of Dask do."""
+    if subprocess.run(["unshare", "--mount", "true"], capture_output=True).returncode != 0:
+        pytest.skip("mounting needs root's rights")
+    done = run((*COMPARE[:-4], *work, "--out", "out"), WITHOUT_SHARED_MEMORY)
+    assert "Traceback" not in done.error
+    assert done.code == (0 if line is None else 2)
+    if line is not None:
+        assert done.lines[-1].startswith(line)
