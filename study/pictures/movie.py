@@ -95,7 +95,7 @@ def _encode(program: str, pictures: Iterator[bytes], path: Path, film: Film) -> 
 
 
 def _feed(pipe: IO[bytes], pictures: Iterator[bytes]) -> None:
-    """Send the frames; an ffmpeg that has gone away is noticed by its exit code."""
+    """Send the frames; if ffmpeg has ended, its exit code will tell."""
     try:
         with pipe:
             for picture in pictures:

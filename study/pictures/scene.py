@@ -44,7 +44,7 @@ FONT = "fonts/ttf/DejaVuSans.ttf"
 
 
 class Canvas:
-    """A picture of a part of the plane; first the shapes, then `finish`, then the text.
+    """A picture of a part of the plane: draw the shapes, call `finish`, write the text.
 
     Attributes:
         picture: at its size, once finished.
@@ -112,7 +112,7 @@ def capsule(start_m: Array, end_m: Array, width_m: float) -> Array:
 
 @cache
 def font(size_px: int) -> ImageFont.FreeTypeFont:
-    """Matplotlib's own font, so that a film looks as the pictures do."""
+    """Matplotlib's own font, so that films look like the pictures."""
     return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / FONT), size_px)
 
 
@@ -137,9 +137,9 @@ class Film:
     Attributes:
         size_px: of a frame; even numbers: yuv420p halves both.
         rate_hz: frames a second.
-        effort: of the encoder, a preset of x264.
-        quality: of the encoder, its constant rate factor; lower is better.
-        threads: of the encoder; 0 is what it likes.
+        effort: of the encoder: a preset of x264.
+        quality: of the encoder: its constant rate factor; lower is better.
+        threads: of the encoder; 0 leaves the number to it.
     """
 
     size_px: tuple[int, int]
@@ -158,7 +158,7 @@ SMALL = Film((640, 320), 20, "veryfast", 26, threads=1)
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What the frames show, [frames, ...]: time, pose, activations, forces, the camera's ground."""
+    """A walk at the times of the frames, [frames, ...]; `level_m` is the camera's ground."""
 
     time_s: Array
     q: Array
@@ -168,13 +168,9 @@ class Motion:
 
 
 def frames(
-    trajectory: Trajectory,
-    terrain: Terrain,
-    seconds: float,
-    title: str,
-    film: Film = LARGE,
+    trajectory: Trajectory, terrain: Terrain, seconds: float, title: str, film: Film = LARGE
 ) -> Iterator[bytes]:
-    """RGB frames of the last `seconds` in real time."""
+    """RGB frames of the last `seconds`, as bytes."""
     motion = motion_of(finite(trajectory), terrain, seconds, film.rate_hz)
     scene = Scene(motion, terrain, title, film.size_px)
     for number in range(len(motion.time_s)):
@@ -303,7 +299,7 @@ def _draw_bones(canvas: Canvas, joints: Leg, colour: str) -> None:
 
 
 def pressure_point(q: Array, side: int) -> Array:
-    """Where the ground pushes, for the eye: at the lower end of the foot, amid a flat one.
+    """A place to draw the ground's force: the lower end of a tilted foot, the middle of a flat one.
 
     Args:
         q: poses, [..., 9].

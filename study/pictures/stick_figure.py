@@ -1,4 +1,4 @@
-"""A walker as a stick figure with muscles, over its ground, at some of its times.
+"""A walker as a stick figure with muscles, its ground, and the part of a walk that is shown.
 
 All angles clockwise positive, as in the simulator: a thigh or shank points along
 D(th) = (-sin th, -cos th), a foot along F(th) = (cos th, -sin th), the trunk along -D(th).

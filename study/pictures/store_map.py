@@ -1,4 +1,4 @@
-"""A picture of a store: what survives which family, at which speed, from the grid or evolved."""
+"""A picture of a store: survival of each family over speed, of grid rows and evolved rows."""
 
 from collections.abc import Iterator
 
