@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_nmm import checks
 from taichi_nmm.body import Bodies
 from taichi_nmm.errors import InputError
-from taichi_nmm.initial import filled_delays, first_signals, relaxed_fibres
+from taichi_nmm.initial import muscles_and_nerves
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.actuation import actuate
 from taichi_nmm.kernel.layout import (
@@ -162,12 +162,10 @@ def _first_rows(observation: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
         observation[name].reshape(-1, LEGS, 3) for name in ("joint_rad", "joint_rate_radps")
     )
     for n, row in enumerate(rows):
-        fibres = relaxed_fibres(joints[n])
-        signals = first_signals(fibres, joints[n, :, 1], observation["contact"][n])
-        signals[Signal.knee_rate : Signal.knee_rate + LEGS] = rates[n, :, 1]
-        signals[Signal.trunk] = observation["trunk_rad"][n]
-        signals[Signal.trunk_rate] = observation["trunk_rate_radps"][n]
-        row[State.felt : State.felt + Signal.count] = signals
+        trunk = observation["trunk_rad"][n], observation["trunk_rate_radps"][n]
+        contact, knee_rates = observation["contact"][n], rates[n, :, 1]
+        fibres, felt, delay = muscles_and_nerves(joints[n], contact, knee_rates, trunk)
         row[FIRST_FIBRE:FIRST_DELAY] = fibres
-        row[FIRST_DELAY:FIRST_EVENT] = filled_delays(signals)
+        row[State.felt : State.felt + Signal.count] = felt
+        row[FIRST_DELAY:FIRST_EVENT] = delay
     return rows

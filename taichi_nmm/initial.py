@@ -33,11 +33,9 @@ JOINTS_RAD = np.deg2rad([[-5.0, 5.0, -5.0], [-30.0, 5.0, 0.0]])  # hip, knee, an
 def initial_rows(terrain: Terrain) -> NDArray[np.float64]:
     """State, muscles, delays, gait memory and (empty) sums of a walker on this terrain, [rows]."""
     state = _state(terrain)
-    fibres = relaxed_fibres(JOINTS_RAD)
     stance = state[State.stance_before : State.stance_before + LEGS]
-    signals = first_signals(fibres, JOINTS_RAD[:, 1], stance)
-    state[State.felt : State.felt + Signal.count] = signals
-    delay = filled_delays(signals)
+    fibres, felt, delay = muscles_and_nerves(JOINTS_RAD, stance)
+    state[State.felt : State.felt + Signal.count] = felt
     events = np.zeros(Gait.count)
     events[Gait.in_stance] = 1.0
     events[Gait.last_strike_tick] = -1.0
@@ -86,36 +84,35 @@ def _state(terrain: Terrain) -> NDArray[np.float64]:
     return state
 
 
-def relaxed_fibres(joints_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows of `Muscle` of relaxed muscles: the fibre takes the unit's length less the slack.
+def muscles_and_nerves(
+    joints_rad: NDArray[np.float64],
+    stance: NDArray[np.float64],
+    knee_rates_radps: NDArray[np.float64] | float = 0.0,
+    trunk: tuple[float, float] = (0.0, 0.0),
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Rows of `Muscle` of relaxed muscles, and of `Signal` and `Delay` that feel this moment alone.
 
-    Hip, knee and ankle of both legs, [2, 3].
+    Args:
+        joints_rad: hip, knee and ankle of both legs, [2, 3].
+        stance: 1 for a leg on the ground, else 0, [2].
+        knee_rates_radps: [2].
+        trunk: lean in rad, and its rate.
     """
     fibres = np.zeros(Muscle.count)
     fibres[Muscle.activation : Muscle.activation + MUSCLE_COUNT] = ACTIVATION_FLOOR
     fibres[Muscle.stimulation : Muscle.stimulation + MUSCLE_COUNT] = ACTIVATION_FLOOR
     slack_m = np.array([data.slack_length_m for data in MUSCLE_DATA.values()])
     optimal_m = np.array([data.optimal_length_m for data in MUSCLE_DATA.values()])
-    for leg, angles_rad in enumerate(joints_rad):
-        first = Muscle.length + MUSCLES_PER_LEG * leg
-        fibres[first : first + MUSCLES_PER_LEG] = (unit_lengths(*angles_rad) - slack_m) / optimal_m
-    return fibres
-
-
-def first_signals(
-    fibres: NDArray[np.float64], knees_rad: NDArray[np.float64], stance: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Rows of `Signal` at rest: fibres, knee angles [2] and stance flags [2]; the others zero."""
     signals = np.zeros(Signal.count)
-    for leg in range(LEGS):
-        length_ta = fibres[Muscle.length + MUSCLES_PER_LEG * leg + TA]
-        signals[Signal.length_ta + leg] = max(length_ta - TA_LENGTH_OFFSET, 0.0)
-    signals[Signal.knee : Signal.knee + LEGS] = knees_rad
+    for leg, angles_rad in enumerate(joints_rad):
+        # The fibre of a relaxed muscle takes the unit's length less the tendon's slack.
+        lengths = (unit_lengths(*angles_rad) - slack_m) / optimal_m
+        first = Muscle.length + MUSCLES_PER_LEG * leg
+        fibres[first : first + MUSCLES_PER_LEG] = lengths
+        signals[Signal.length_ta + leg] = max(lengths[TA] - TA_LENGTH_OFFSET, 0.0)
+    signals[Signal.knee : Signal.knee + LEGS] = joints_rad[:, 1]
+    signals[Signal.knee_rate : Signal.knee_rate + LEGS] = knee_rates_radps
     signals[Signal.stance : Signal.stance + LEGS] = stance
-    return signals
-
-
-def filled_delays(signals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows of `Delay`: rings in which every slot holds the signal of the first tick."""
+    signals[[Signal.trunk, Signal.trunk_rate]] = trunk
     rings = [np.repeat(signals[first : first + n], ticks) for first, n, ticks, _row in RINGS]
-    return np.concatenate(rings)
+    return fibres, signals, np.concatenate(rings)

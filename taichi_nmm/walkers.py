@@ -67,11 +67,10 @@ def check_batch(
         size = len(LOW_LEVEL_GAINS)
         raise InputError("low_level_gains.shape", low_level.shape, f"[{count}, {size}] or [{size}]")
     bodies = checks.instance(Bodies)("bodies", Bodies.nominal() if bodies is None else bodies)
-    if len(bodies) not in (1, count):
-        raise InputError("bodies", len(bodies), f"one body, or {count}: one a walker")
     worlds = checks.instance(Worlds)("worlds", Worlds.nominal() if worlds is None else worlds)
-    if len(worlds) not in (1, count):
-        raise InputError("worlds", len(worlds), f"one world, or {count}: one a walker")
+    for field, one, length in (("bodies", "body", len(bodies)), ("worlds", "world", len(worlds))):
+        if length not in (1, count):
+            raise InputError(field, length, f"one {one}, or {count}: one a walker")
     grounds, index = _check_terrains(terrains, terrain_index, count)
     everyone = np.arange(count)
     return Batch(

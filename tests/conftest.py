@@ -38,7 +38,7 @@ MOST_TESTS = (
 
 
 def compile_kernel(settings: str) -> None:
-    """In a process of its own, which writes it to the cache; a test will show what is wrong."""
+    """In a process of its own, which writes to the cache; errors show in the tests."""
     words = [sys.executable, "-c", SIMULATE.format(settings)]
     subprocess.run(words, cwd=ROOT, capture_output=True, check=False)
 

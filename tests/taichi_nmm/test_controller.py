@@ -1,4 +1,4 @@
-"""`Controller`: what it refuses, and that nothing but its own senses decides its torques."""
+"""`Controller`: refusals, and torques that depend on its own senses alone."""
 
 from dataclasses import fields, replace
 from itertools import pairwise
@@ -157,7 +157,7 @@ def test_rows_that_are_not_there(rows: Any) -> None:
 def test_another_controller_and_another_simulation_in_between_change_nothing(
     undisturbed: np.ndarray,
 ) -> None:
-    """One with other settings starts Taichi again: what was bound to it is gone."""
+    """A simulation with other settings starts Taichi again: bound kernels are gone."""
     (controller, other_one), found = (Controller(gains(), settings=FLOAT32) for _ in range(2)), []
     for number, state in enumerate(states()):
         found.append(controller.step(state))

@@ -1,4 +1,4 @@
-"""The same bits whatever the threads, the order, the batch's size or the process."""
+"""Bits do not depend on threads, order, size of the batch or process."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""The one line of an error, whatever it is about."""
+"""The one line of an error."""
 
 import pickle
 
@@ -12,7 +12,7 @@ class Unspeakable:
         raise RuntimeError
 
 
-def test_it_says_field_value_and_what_is_allowed() -> None:
+def test_it_has_field_value_and_allowed_values() -> None:
     error = InputError("field", 3, "4 or more")
     assert str(error) == "field: 3 cannot be used; allowed: 4 or more"
     again = pickle.loads(pickle.dumps(error))
@@ -30,7 +30,7 @@ def test_it_is_one_printable_line_of_bounded_length() -> None:
         assert len(line) < 600
 
 
-def test_a_long_field_and_a_long_list_of_what_is_allowed_are_shortened() -> None:
+def test_a_long_field_and_a_long_list_of_allowed_values_are_shortened() -> None:
     line = str(InputError("x" * 5000, 1, "y" * 5000))
     assert len(line) < 2000 and "xx: 1 cannot be used; allowed: yy" in line
 

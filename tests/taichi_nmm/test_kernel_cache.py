@@ -1,4 +1,4 @@
-"""The environment of Taichi: what it would abort on, or be changed by, is one line or no matter."""
+"""Environments that would abort or change Taichi: an error of one line, or no difference."""
 
 import os
 import subprocess
@@ -90,6 +90,6 @@ def test_a_walk_is_the_same_in_an_odd_environment_and_without_docstrings(tmp_pat
 
 
 @pytest.mark.slow
-def test_nothing_is_said_where_standard_output_is_a_notebooks() -> None:
+def test_nothing_is_printed_where_standard_output_is_a_notebooks() -> None:
     done = python("-c", NOTEBOOK)
     assert (done.returncode, done.stderr) == (0, "")

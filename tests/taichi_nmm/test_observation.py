@@ -1,4 +1,4 @@
-"""What bodies sense: an array that cannot be used is named, in one line."""
+"""Observations: an array that cannot be used is named, in one line."""
 
 from dataclasses import replace
 

@@ -153,7 +153,7 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
         load_gains("nobody")
 
 
-def test_gains_may_lie_in_what_a_command_printed(tmp_path: Path) -> None:
+def test_gains_may_lie_in_the_output_of_a_command(tmp_path: Path) -> None:
     path = tmp_path / "walk.json"
     path.write_text(json.dumps({"end_reason": "fell", "gains": json.loads(gains_text(C_d=0.25))}))
     loaded = load_gains(str(path))

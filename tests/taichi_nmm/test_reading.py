@@ -91,7 +91,7 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, door: str) -> None:
         b"",
     ],
 )
-def test_content_that_no_parser_bears(tmp_path: Path, door: str, content: bytes) -> None:
+def test_content_that_breaks_parsers(tmp_path: Path, door: str, content: bytes) -> None:
     path = tmp_path / "file"
     path.write_bytes(content)
     if door == "toml" and content == b"":
@@ -167,7 +167,7 @@ def test_a_mark_at_the_beginning_is_no_fault(tmp_path: Path) -> None:
     assert read_toml(path).integer("a") == 1
 
 
-def test_shapes_that_are_not_asked_for(tmp_path: Path) -> None:
+def test_json_of_another_shape(tmp_path: Path) -> None:
     for content in ("5", "[]", "null", '"K_GAS"', '{"gains": []}', '{"gains": 5}', "true", "NaN"):
         (tmp_path / "gains.json").write_text(content)
         refused(DOORS["gains"], tmp_path / "gains.json")

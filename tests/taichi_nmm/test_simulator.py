@@ -1,4 +1,4 @@
-"""`simulate`: what it returns, what it refuses, and that a broken walker stays alone."""
+"""`simulate`: results, refusals, and walkers that diverge without touching others."""
 
 import subprocess
 import sys
@@ -211,7 +211,7 @@ def test_settings_change_the_walk() -> None:
         ),
     ],
 )
-def test_bad_input_names_field_value_and_what_is_allowed(
+def test_bad_input_names_field_value_and_allowed_values(
     arguments: dict[str, object], message: str
 ) -> None:
     full: dict[str, Any] = {"gains": [PUBLISHED_GAINS] * 2, "settings": CPU, **arguments}

@@ -1,4 +1,4 @@
-"""Grounds against their closed forms, their seeds, and what a user can get wrong."""
+"""Grounds: closed forms, seeds, and mistakes of a user."""
 
 import pickle
 from collections.abc import Callable
@@ -260,7 +260,7 @@ def test_each_kind_of_terrain_is_read(
 
 
 def test_a_file_lies_beside_the_configuration_and_is_kept_in_the_ground(tmp_path: Path) -> None:
-    """So that a result tells its ground wherever it is moved, and whatever becomes of the file."""
+    """A result keeps its ground when it is moved, or when the file is gone."""
     (tmp_path / "hill.csv").write_text("x_m,height_m\n0,0\n1,0.5\n")
     (tmp_path / "walk.toml").write_text('[terrain]\nkind = "file"\nfile = "hill.csv"\n')
     ground = read_ground(read_toml(tmp_path / "walk.toml").table("terrain"))
@@ -294,7 +294,7 @@ def test_a_file_lies_beside_the_configuration_and_is_kept_in_the_ground(tmp_path
         ),
     ],
 )
-def test_a_bad_terrain_is_named_with_what_is_allowed(
+def test_a_bad_terrain_is_named_with_the_allowed_values(
     kind: str, options: dict[str, object], message: str
 ) -> None:
     with pytest.raises(InputError, match=rf"^terrain\.{message}") as caught:
@@ -303,7 +303,7 @@ def test_a_bad_terrain_is_named_with_what_is_allowed(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_defaults_are_what_a_configuration_may_say(kind: str) -> None:
+def test_a_configuration_may_contain_the_defaults(kind: str) -> None:
     parameters = signature(KINDS[kind]).parameters.values()
     defaults = {p.name: p.default for p in parameters if p.default is not Parameter.empty}
     if kind != "file":  # which has no default

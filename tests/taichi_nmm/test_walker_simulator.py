@@ -19,7 +19,7 @@ from taichi_nmm.walker_simulator import MEASURES, Walker, array_digest
 def test_a_process_a_core_where_no_gpu_computes(
     settings: Settings, processes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """MuJoCo computes on the processor, whatever else the machine has."""
+    """MuJoCo computes on the processor, even beside a GPU."""
     monkeypatch.setattr(walker_simulator, "find_library", lambda name: "libcuda.so")
     monkeypatch.setattr(walker_simulator, "started_arch", lambda settings: "cuda")
     assert Walker(settings).processes(7) == processes
@@ -37,7 +37,7 @@ def test_points_are_split_into_gains_and_low_level_gains() -> None:
     assert np.array_equal(low_level, [defaults, defaults])
 
 
-def test_parameters_are_the_gains_and_those_asked_for() -> None:
+def test_parameters_are_the_gains_and_the_named_low_level_gains() -> None:
     assert Walker(Settings()).parameters == Walker.parameters_of(["K_GAS"]) == GAINS
     theta_ref = LOW_LEVEL_GAINS[-1]
     assert Walker.parameters_of(["theta_ref", "nothing"]) == (*GAINS, theta_ref)
@@ -52,7 +52,7 @@ def test_contact_of_our_own_engine_is_refused_with_mujoco() -> None:
     assert Walker(Settings()).read_worlds(Table(tables)).ranges.contact_stiffness == (0.5, 2.0)
 
 
-def test_a_search_breeds_for_what_is_walked_and_not_for_standing() -> None:
+def test_a_search_selects_for_distance_walked_and_not_for_standing() -> None:
     rows = np.zeros((3, 2), RESULT_DTYPE)
     rows["duration_s"] = [[8.0, 4.0], [8.0, 8.0], [8.0, 2.0]]
     rows["distance_m"] = [[8.0, 4.0], [0.4, 0.4], [8.0, 1e9]]  # walks, stands, diverges

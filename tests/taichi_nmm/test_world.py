@@ -1,4 +1,4 @@
-"""Worlds: what they are drawn from, what is refused, and that each walker walks in its own."""
+"""Worlds: draws, refusals, and a world of its own for each walker."""
 
 import pickle
 from dataclasses import replace
@@ -163,7 +163,7 @@ def test_every_number_reaches_the_walker(name: str) -> None:
 
 
 def one_of(**changes: Any) -> Worlds:
-    """A world that is nominal but for what is said."""
+    """A world that is nominal but for these changes."""
     return Worlds(**(vars(Worlds.nominal()) | {k: np.array([v]) for k, v in changes.items()}))
 
 

@@ -32,7 +32,7 @@ SLOWEST, FASTEST = -1.0, 3.0
 N, K = 1.5, 5.0  # Geyer & Herr 2010
 
 Array = NDArray[np.float64]
-Problem = list[Array]  # what `muscle.speed_range` takes
+Problem = list[Array]  # arguments of `muscle.speed_range`
 
 # Other steps from a speed: from excess tension e, half its fall h, half its curvature q, and that
 # half with the tendon's tangent in the tendon's place.

@@ -1,4 +1,4 @@
-"""Launching a kernel: what is a driver's refusal, and what is an error of ours."""
+"""Launching a kernel: refusals of a driver, and errors of ours."""
 
 from collections.abc import Callable
 

@@ -54,7 +54,7 @@ def test_a_trajectory_is_recorded(long_walk: Result) -> None:
         assert np.abs(path.joint_rad).max() < 2.0
 
 
-def test_it_says_what_made_it(long_walk: Result) -> None:
+def test_metadata_names_engines_and_numerics(long_walk: Result) -> None:
     metadata = long_walk.metadata
     assert metadata["engine"] == "mujoco" and metadata["engine_version"] == mujoco.__version__
     assert metadata["mujoco"] == {"time_constant_s": 0.02, "damping_ratio": 1.0, "limits": "stops"}
@@ -126,7 +126,7 @@ def assert_only_this_one(found: Result, together: Result, walker: int) -> None:
 def test_a_walker_that_becomes_no_number(
     together: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
 ) -> None:
-    """It is coded, is heard of nowhere else, and touches nobody."""
+    """It gets a code, nothing is printed, and no other walker changes."""
     monkeypatch.chdir(tmp_path)
     mass_kg, step = bodies().mass_kg[2, 0], Simulations.step
 

@@ -107,14 +107,14 @@ def places(ground: Terrain, rng: np.random.Generator) -> Array:
 
 
 def assert_near(distances: Array, seen: Array) -> None:
-    """Equal but for what lies between the points that are looked at."""
+    """Equal but for the ground between the sampled points."""
     assert len(distances) == len(seen)
     between = np.hypot(distances, 0.5 * STEEPEST * SPACING_M) - distances
     assert (np.abs(distances - seen) <= between + 1e-9).all(), (distances, seen)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_soles_touch_what_is_nearest(kind: str, model: mujoco.MjModel, tmp_path: Path) -> None:
+def test_soles_touch_the_nearest_points(kind: str, model: mujoco.MjModel, tmp_path: Path) -> None:
     """Above the ground a plane is as far as the nearest point, a second one as the next valley."""
     rng = np.random.default_rng(3)
     hollows = 0
@@ -165,7 +165,7 @@ def contacts(model: mujoco.MjModel, ground: Terrain, qpos: Array) -> tuple[Array
 def test_a_foot_in_soft_ground_does_not_catch_where_two_pieces_meet(
     model: mujoco.MjModel, past_m: float
 ) -> None:
-    """All but level: what pushes a sole out of it is all but vertical, wherever it lies."""
+    """The ground is almost level, so contact normals are almost vertical everywhere."""
     ground = terrain.rough(1, amplitude_m=0.0005, flat_start_m=0.0)
     for knot_m in range(3, 8):
         qpos = posed(model, ground, 0, knot_m + past_m, SOLE_RADIUS_M - 0.004, np.zeros(7))

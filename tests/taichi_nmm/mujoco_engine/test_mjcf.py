@@ -39,7 +39,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_path(str(path))
 
 
-def test_the_body_is_the_one_asked_for(model: mujoco.MjModel) -> None:
+def test_the_model_has_the_body(model: mujoco.MjModel) -> None:
     assert [model.body(n).name for n in range(1, 8)] == list(SEGMENT_NAMES)
     np.testing.assert_array_equal(model.body_mass[1:], BODY.mass_kg[0])
     np.testing.assert_array_equal(model.body_inertia[1:, 1], BODY.inertia_kgm2[0])
@@ -65,7 +65,7 @@ def test_joints_are_limited_where_the_walkers_are(model: mujoco.MjModel) -> None
         assert model.joint(name).range.tolist() == [stop.low_rad, stop.high_rad]
 
 
-def test_contacts_are_as_asked(model: mujoco.MjModel) -> None:
+def test_contacts_follow_the_settings(model: mujoco.MjModel) -> None:
     assert model.opt.timestep == SETTINGS.physics_step_s
     assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
     np.testing.assert_array_equal(model.geom_solref, np.tile([0.005, 0.7], (model.ngeom, 1)))
