@@ -1,6 +1,5 @@
 """Stores over families of settings: their columns, numbers, names and what they leave as it was."""
 
-import tomllib
 from itertools import pairwise
 from pathlib import Path
 
@@ -272,39 +271,3 @@ def test_shipped_ramps_go_up_and_down() -> None:
     for name, sign in (("down", -1), ("up", 1)):
         slopes = np.diff(ramps[name].worlds.terrains[0].height_m) / 0.05 * sign
         assert slopes.max() == pytest.approx(0.20) and slopes.min() == 0.0
-
-
-@pytest.mark.parametrize(
-    ("text", "field"),
-    [
-        ("[families]\nup = 3", "families.up"),
-        ("[families.up]\nhorizon_s = 3.0", "families.up.settings"),
-        ("[families.up]\nsettings = 0", "families.up.settings"),
-        ("[families.up]\nsettings = 2\nslope = 1", "families.up.slope"),
-        ("[families.up]\nsettings = 2\nmin_survival_s = 6", "families.up.min_survival_s"),
-        ("[families.up]\nsettings = 2\nterrain = {kind = 'r'}", "families.up.terrain.kind"),
-        ("[families.Up]\nsettings = 2", "families"),
-        ("[families.2up]\nsettings = 2", "families"),
-        ("[families.'up-hill']\nsettings = 2", "families"),
-        ("[families.'']\nsettings = 2", "families"),
-        ("[families.\"up\\n\"]\nsettings = 2", "families"),
-        ("[families.robust]\nsettings = 2", "families"),
-        ("[families.m1]\nsettings = 2", "families"),
-        ("[families.row]\nsettings = 2", "families"),
-        ("searched = ['theta_ref']\n[families.theta]\nsettings = 2", "families"),
-        ("families = 3", "families"),
-        (f"[families.up]\n{LATER_TEXT}", "families.up.after"),
-        (f"[families.up]\n{LATER_TEXT}\n[families.down]\n{LATER_TEXT}", "families.down.after"),
-        ("[families.up]\nsettings = 2\nafter = 3", "families.up.after"),
-        ("[robust]\nsettings = 2\nafter = 'up'", "robust.after"),
-        ("[families.up]\nsettings = 2\nmin_survived_fraction = 0.5", MIN_SURVIVED),
-        ("[families.up]\nsettings = 2\nafter = 'robust'", MIN_SURVIVED),
-        ("[families.up]\nsettings = 2\nworld = {friction = 0.5}", "families.up.world.friction"),
-        ("[families.up]\nsettings = 2\nworld = {grip = [0, 1]}", "families.up.world.grip"),
-        ("world = {strength = [1, 0.5]}", "world.strength"),
-    ],
-)  # fmt: skip
-def test_bad_families_name_the_field(text: str, field: str) -> None:
-    with pytest.raises(InputError) as caught:
-        read_specification(Table(tomllib.loads(f"samples = 5\n{text}")))
-    assert caught.value.field == field and "\n" not in str(caught.value)

@@ -1,7 +1,6 @@
 """Stores with candidates beyond the grid: the search, its files, its rows, and what it refuses."""
 
 import shutil
-import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -216,34 +215,6 @@ def test_the_search_is_longest_where_the_grid_survives_least() -> None:
 def test_points_beyond_the_cube_are_reflected() -> None:
     points = np.array([-0.1, 0.0, 0.3, 1.0, 1.2, 2.1])
     assert folded(points) == pytest.approx([0.1, 0.0, 0.3, 1.0, 0.8, 0.1])
-
-
-@pytest.mark.parametrize(
-    ("text", "field"),
-    [
-        ("[repertoire]\nseed = 1", "repertoire"),
-        ("[families.up]\nsettings = 2\n[repertoire]\nevaluations = 10", "repertoire.evaluations"),
-        ("[families.up]\nsettings = 2\n[repertoire]\nevaluations = 0", "repertoire.evaluations"),
-        ("[families.up]\nsettings = 2\n[repertoire]\ncandidates = 0", "repertoire.candidates"),
-        ("[families.up]\nsettings = 2\n[repertoire]\ncandidates = 1e3", "repertoire.candidates"),
-        (
-            "[families.a]\nsettings = 2\n[families.b]\nsettings = 2\n[repertoire]\ncandidates = 1",
-            "repertoire.candidates",
-        ),
-        ("[families.up]\nsettings = 2\n[repertoire]\nsettings = 65", "repertoire.settings"),
-        ("[families.up]\nsettings = 2\n[repertoire]\nfamilies = ['u']", "repertoire.families"),
-        ("[families.up]\nsettings = 2\n[repertoire]\nfamilies = 'up'", "repertoire.families"),
-        ("[families.up]\nsettings = 2\n[repertoire]\nseed = -1", "repertoire.seed"),
-        ("[families.up]\nsettings = 2\n[repertoire]\nseed = 1\nsigma = 1", "repertoire.sigma"),
-        ("[families.origin]\nsettings = 2\n[repertoire]\nseed = 1", "families"),
-        ("repertoire = 3", "repertoire"),
-    ],
-)
-def test_bad_repertoires_name_the_field(text: str, field: str) -> None:
-    data = tomllib.loads(f"samples = 5\n{text}")
-    with pytest.raises(InputError) as caught:
-        read_specification(Table(data))
-    assert caught.value.field == field and "\n" not in str(caught.value)
 
 
 def test_a_grid_without_survivors_is_refused_by_name(tmp_path: Path) -> None:

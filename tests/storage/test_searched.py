@@ -10,9 +10,7 @@ from storage import merge, open_store
 from storage.document import difference
 from storage.points import sobol_points
 from storage.precompute import precompute, score_shard
-from storage.specification import read_specification
 from taichi_nmm import walker_simulator
-from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
     GAIN_NAMES,
@@ -47,14 +45,6 @@ def test_points_have_a_column_more(folder: Path) -> None:
     assert THETA_REF.low <= angles.min() < 0 < np.deg2rad(25) < angles.max() <= THETA_REF.high
     merged = merge(folder, folder.with_name("merged.parquet"))
     assert np.array_equal(merged.gains(), points)
-
-
-def test_seventeen_dimensions_are_filled_evenly() -> None:
-    group = (*GAINS, THETA_REF)
-    points = sobol_points(3, 0, 256, group)
-    unit = (points[:, 16] - THETA_REF.low) / (THETA_REF.high - THETA_REF.low)
-    assert np.histogram(unit, bins=16, range=(0, 1))[0].tolist() == [16] * 16
-    assert np.array_equal(sobol_points(3, 100, 7, group), points[100:107])
 
 
 def test_points_of_plain_stores_are_what_they_were() -> None:
@@ -104,13 +94,3 @@ def test_other_bounds_of_a_searched_parameter_are_refused(
     with pytest.raises(InputError) as caught:
         store.require_bounds()
     assert caught.value.field == "store.gains.theta_ref"
-
-
-@pytest.mark.parametrize(
-    "searched",
-    [["theta"], ["K_GAS"], ["theta_ref", "theta_ref"], "theta_ref", [3], [["theta_ref"]], 1],
-)
-def test_bad_lists_of_parameters(searched: object) -> None:
-    with pytest.raises(InputError) as caught:
-        read_specification(Table({"samples": 5, "searched": searched}))
-    assert caught.value.field == "searched" and "\n" not in str(caught.value)

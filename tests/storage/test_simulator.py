@@ -15,7 +15,7 @@ import pytest
 
 from storage import merge, open_store
 from storage.points import sobol_points
-from storage.pool import local_pool, own_kind
+from storage.pool import own_kind
 from storage.precompute import precompute
 from storage.simulator import (
     SIMULATORS,
@@ -140,13 +140,6 @@ def test_a_repertoire_of_another_simulator(
     assert len(list((tmp_path / "store").glob("search-gale-*"))) == 2
     precompute(asked, tmp_path / "store")
     assert content(tmp_path / "store") == content(tmp_path / "whole")
-
-
-def test_processes_compute_the_same_bytes(tmp_path: Path) -> None:
-    precompute(specification(), tmp_path / "one")
-    with local_pool(2) as pool:
-        precompute(specification(), tmp_path / "two", pool=pool)
-    assert content(tmp_path / "one") == content(tmp_path / "two")
 
 
 def test_a_simulators_own_tables_are_checked() -> None:

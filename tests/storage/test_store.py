@@ -1,9 +1,14 @@
+"""Stores are read: whole, a shard, merged, unfinished, damaged, edited, or of an old version."""
+
 import json
 import pickle
+import random
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -11,9 +16,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from storage import merge, open_store
+from storage.document import document_hash
 from storage.points import sobol_points
 from storage.precompute import precompute
+from storage.specification import read_specification
+from storage.tables import FOOTER_KEY
+from study import FeatureTable, covered_table, survival_table
 from taichi_nmm import walker_simulator
+from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS
 from tests.storage import fake
@@ -247,3 +257,171 @@ def test_reading_loads_no_simulator(folder: Path) -> None:
 def test_footers_are_json_that_others_can_read(folder: Path) -> None:
     metadata = pq.read_metadata(folder / "part-00000.parquet").metadata
     assert json.loads(metadata[b"taichi_nmm"])["specification"]["gains"]["K_GAS"]["high"] == 8.0
+
+
+OLD_STORE = Path(__file__).parents[1] / "assets" / "store-v1"
+COMPLETED_POINTS = 2
+PHI_PRINTED_SUM = 88.49891221523285
+
+
+def test_the_old_folder_opens_and_is_undamaged() -> None:
+    store = open_store(OLD_STORE, verify=True)
+    rows = store.numpy()
+    assert rows["row"].tolist() == list(range(20))
+    assert store.specification["code_version"] == "0.1.0"
+    assert [footer["rows"] for footer in store.footers] == [12, 8]
+    assert {footer["engine"] for footer in store.footers} == {"taichi"}
+
+
+def test_the_old_numbers_are_what_they_were() -> None:
+    rows = open_store(OLD_STORE).numpy()
+    assert rows["end_reason"].tolist().count("completed") == COMPLETED_POINTS
+    assert rows["phi_printed"].sum() == pytest.approx(PHI_PRINTED_SUM, rel=1e-12)
+    bounds = open_store(OLD_STORE).specification["gains"]
+    for name, bound in bounds.items():
+        assert np.all((bound["low"] <= rows[name]) & (rows[name] <= bound["high"]))
+
+
+def test_an_old_shard_and_a_merged_file_of_it_open(tmp_path: Path) -> None:
+    assert len(open_store(OLD_STORE / "part-00001.parquet", verify=True)) == 8
+    merged = merge(OLD_STORE, tmp_path / "merged.parquet")
+    assert merged.table().equals(open_store(OLD_STORE).table().combine_chunks())
+
+
+def test_a_store_of_another_version_is_not_resumed(tmp_path: Path) -> None:
+    """It is still read, but the numbers of two simulators do not mix."""
+    folder = shutil.copytree(OLD_STORE, tmp_path / "store")
+    request = read_specification(Table({"samples": 20, "shard_rows": 12, "seed": 1}))
+    with pytest.raises(InputError, match=r"code_version.*0\.1\.0") as caught:
+        precompute(request, folder, fresh=False)
+    assert "\n" not in str(caught.value)
+    assert open_store(folder).table().equals(open_store(OLD_STORE).table())
+
+
+Document = dict[str, Any]
+WRONG: tuple[Any, ...] = (
+    None, True, "a", "", "../outside.parquet", -1, 99, 1.5, 10**400, [], [None], {}, {"a": {}},
+)  # fmt: skip
+
+
+def edits(document: Any) -> Iterator[Any]:
+    """The document with each of its values, however deep, replaced by each of `WRONG`, or gone."""
+    for key in document if isinstance(document, dict) else range(min(len(document), 2)):
+        value = document[key]
+        for wrong in WRONG:
+            yield _with(document, key, wrong)
+        yield (
+            {name: other for name, other in document.items() if name != key}
+            if isinstance(document, dict)
+            else document[:key] + document[key + 1 :]
+        )
+        if isinstance(value, dict | list):
+            yield from (_with(document, key, changed) for changed in edits(value))
+
+
+def _with(document: Any, key: Any, value: Any) -> Any:
+    copied = document.copy()
+    copied[key] = value
+    return copied
+
+
+def look_at(path: Path) -> None:
+    """All that is done with a store."""
+    store = open_store(path, verify=True)
+    assert len(store) == len(store.table()) == len(store.gains())
+    assert isinstance(store.families, tuple)
+    store.require_bounds()
+    FeatureTable.from_parquet(path, features=["phi_printed"])
+
+
+def write_manifest(folder: Path, document: Document) -> None:
+    (folder / "manifest.json").write_text(json.dumps(document))
+
+
+def test_every_edit_of_a_manifest(folder: Path) -> None:
+    whole = json.loads((folder / "manifest.json").read_text())
+    small = whole | {"specification": "whole"}  # what is in it is the next test's
+    count = refused = 0
+    for document in edits(small):
+        if document.get("specification") == "whole":
+            document["specification"] = whole["specification"]
+        write_manifest(folder, document)
+        count += 1
+        try:
+            look_at(folder)
+        except InputError as error:
+            refused += 1
+            assert str(error).isprintable()
+            assert "manifest" in str(error) or "part-0000" in str(error) or "rows" in str(error)
+    assert count > 100
+    assert refused >= count - 1  # true counts as the format 1
+
+
+def test_every_edit_of_a_footer(folder: Path) -> None:
+    shard = folder / "part-00000.parquet"
+    table = pq.read_table(shard, partitioning=None)
+    footer = json.loads(table.schema.metadata[FOOTER_KEY])
+    footer["specification"]["gains"] = dict(list(footer["specification"]["gains"].items())[-1:])
+    path = folder / "edited.parquet"
+    every = list(edits(footer))
+    refused = 0
+    for document in random.Random(1).sample(every, 150):
+        specification = document.get("specification")
+        if document.get("specification_hash") == footer["specification_hash"]:
+            document = document | {"specification_hash": document_hash(specification)}
+        pq.write_table(table.replace_schema_metadata({FOOTER_KEY: json.dumps(document)}), path)
+        try:
+            look_at(path)
+        except InputError as error:
+            refused += 1
+            assert str(error).isprintable()
+    assert refused > 100
+    for read in (survival_table, covered_table):
+        with pytest.raises(InputError):
+            read(path)
+
+
+def test_a_column_with_a_gap_is_refused(folder: Path) -> None:
+    shard = folder / "part-00000.parquet"
+    table = pq.read_table(shard, partitioning=None)
+    place, flags = table.column_names.index("robust_evaluated"), table["robust_evaluated"]
+    gap = pa.array([None, *flags.to_pylist()[1:]], flags.type)
+    path = folder / "edited.parquet"
+    pq.write_table(table.set_column(place, pa.field("robust_evaluated", flags.type), gap), path)
+    with pytest.raises(InputError, match=r"edited\.parquet.*robust_evaluated has no gaps"):
+        open_store(path).table()
+
+
+def test_shards_lie_in_their_folder(folder: Path) -> None:
+    shutil.copy(folder / "part-00001.parquet", folder.parent / "outside.parquet")
+    text = (folder / "manifest.json").read_text()
+    places = ("../outside.parquet", str(folder.parent / "outside.parquet"), "./part-00001.parquet")
+    for place in places:
+        (folder / "manifest.json").write_text(text.replace("part-00001.parquet", place))
+        with pytest.raises(InputError, match="in the same folder"):
+            open_store(folder)
+
+
+def test_another_format_is_refused(folder: Path) -> None:
+    path = folder / "manifest.json"
+    path.write_text(path.read_text().replace('"format": 1', '"format": 99', 1))
+    with pytest.raises(InputError, match="of format 99, not 1"):
+        open_store(folder)
+    shard = folder / "part-00000.parquet"
+    table = pq.read_table(shard, partitioning=None)
+    footer = table.schema.metadata[FOOTER_KEY].replace(b'"format": 1', b'"format": 99', 1)
+    pq.write_table(table.replace_schema_metadata({FOOTER_KEY: footer}), shard)
+    with pytest.raises(InputError, match="format 1, not 99"):
+        open_store(shard)
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "x" * 300, "nul\0", "\ud800", "missing/file", "file.txt/x"]
+)
+def test_merging_into_no_file(folder: Path, name: str) -> None:
+    (folder / "file.txt").write_text("")
+    before = sorted(folder.iterdir())
+    with pytest.raises(InputError) as caught:
+        merge(folder, folder / name if name else Path())
+    assert str(caught.value).isprintable()
+    assert sorted(folder.iterdir()) == before

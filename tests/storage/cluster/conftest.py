@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -67,17 +67,33 @@ class Cluster:
         return process
 
 
+@contextmanager
+def running(folder: Path) -> Iterator[Cluster]:
+    """A scheduler and two workers."""
+    pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
+    made = Cluster(folder)
+    made.folder.mkdir()
+    try:
+        made.start_scheduler()
+        for _ in range(2):
+            made.start_worker()
+        yield made
+    finally:
+        made.close()
+
+
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    """A scheduler and two workers; a test may kill any of them."""
-    pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
-    made = Cluster(tmp_path / "cluster")
-    made.folder.mkdir()
-    made.start_scheduler()
-    for _ in range(2):
-        made.start_worker()
-    yield made
-    made.close()
+    """A cluster of one test, which may kill any of its processes."""
+    with running(tmp_path / "cluster") as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def shared_cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A cluster whose processes no test kills, stops or adds to."""
+    with running(tmp_path_factory.mktemp("shared") / "cluster") as made:
+        yield made
 
 
 def children(pid: int) -> list[int]:

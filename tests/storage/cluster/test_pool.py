@@ -10,6 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,26 +34,40 @@ Open = Callable[..., AbstractContextManager[Pool]]
 
 
 @pytest.fixture
-def opened(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Open:
-    """A pool of the cluster's two workers, which say at once what kind they are of."""
+def opens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Cluster], Open]:
+    """A pool of a cluster's two workers, which send at once of what kind they are."""
     monkeypatch.setattr("storage.cluster.session.own_kind", units.own_kind)
 
     @contextmanager
-    def open_it(mixed: bool = False, stores: tuple[Path, ...] = ()) -> Iterator[Pool]:
+    def open_it(
+        cluster: Cluster, mixed: bool = False, stores: tuple[Path, ...] = ()
+    ) -> Iterator[Pool]:
         asked = Asked(cluster.address, mixed)
         with open_pool(1, asked, tmp_path / "out", WALKER, stores=stores) as pool:
             until(lambda: pool.room() == 4)  # a unit a worker, and one that waits there
             yield pool
 
-    return open_it
+    return lambda cluster: partial(open_it, cluster)
+
+
+@pytest.fixture
+def opened(opens: Callable[[Cluster], Open], cluster: Cluster) -> Open:
+    """A pool of a cluster that is this test's own."""
+    return opens(cluster)
+
+
+@pytest.fixture
+def lent(opens: Callable[[Cluster], Open], shared_cluster: Cluster) -> Open:
+    """A pool of a cluster that other tests use, too."""
+    return opens(shared_cluster)
 
 
 def results(pool: Pool, function: Callable[[Any], Any], asked: list[Any]) -> dict[Any, Any]:
     return dict(pool.results(function, deque(asked)))
 
 
-def test_calls_are_made_on_workers_and_what_fails_is_one_line(opened: Open, tmp_path: Path) -> None:
-    with opened() as pool:
+def test_calls_are_made_on_workers_and_what_fails_is_one_line(lent: Open, tmp_path: Path) -> None:
+    with lent() as pool:
         assert results(pool, units.square, list(range(20))) == {n: n**2 for n in range(20)}
         assert not pool.in_process and pool.shares_machine
         for function, line in (
@@ -99,13 +114,13 @@ def test_a_scheduler_that_dies_is_one_line(
             kill(cluster.scheduler.pid)
 
 
-def test_a_connection_that_breaks_under_an_answer_is_the_schedulers(opened: Open) -> None:
+def test_a_connection_that_breaks_under_an_answer_is_the_schedulers(lent: Open) -> None:
     comm = pytest.importorskip("distributed.comm")
 
     async def broken() -> None:
         raise comm.CommClosedError("Connection reset by peer")
 
-    with opened() as pool:
+    with lent() as pool:
         executor: Any = pool.executor
         future = executor.submit(units.asleep, 60.0)
         executor._client.loop.add_callback(executor._follow, broken(), future)
@@ -173,11 +188,11 @@ def test_what_stalls_and_goes_on_loses_nothing(
 
 
 def test_calls_may_take_longer_than_a_cluster_may_be_without_workers(
-    opened: Open, monkeypatch: pytest.MonkeyPatch
+    lent: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("storage.cluster.session.WORKERLESS_S", 1.0)
     monkeypatch.setattr("storage.cluster.session.WATCH_S", 0.2)
-    with opened() as pool:
+    with lent() as pool:
         assert results(pool, units.asleep, [4.0]) == {4.0: "awake"}
 
 
@@ -210,7 +225,7 @@ def test_a_killed_clients_calls_are_dropped(cluster: Cluster, opened: Open, tmp_
 
 
 def test_workers_of_another_kind_get_no_work(
-    opened: Open, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    lent: Open, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "out"
     folder.mkdir()
@@ -218,38 +233,34 @@ def test_workers_of_another_kind_get_no_work(
     (folder / "kind.json").write_text(json.dumps(other))
     reason = "canary 000000000000, not 111111111111"
     line = f"workers like the folder's .{reason}.; or --mixed"
-    with pytest.raises(InputError, match=line), opened():
+    with pytest.raises(InputError, match=line), lent():
         pass
     assert f"gets no work: {reason}" in capfd.readouterr().err
-    with opened(mixed=True) as pool:
+    with lent(mixed=True) as pool:
         pool.agree(folder)
         assert pool.kinds == [units.KIND] and pool.mixed
         assert results(pool, units.square, [2]) == {2: 4}
     assert json.loads((folder / "kind.json").read_text()) == other
 
 
-def test_a_new_folder_is_of_the_first_workers_kind(opened: Open, tmp_path: Path) -> None:
+def test_a_new_folder_is_of_the_first_workers_kind(lent: Open, tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    with opened() as pool:
+    with lent() as pool:
         folder.mkdir()
         pool.agree(folder)
         pool.agree(folder)
     assert json.loads((folder / "kind.json").read_text()) == units.KIND
-    with opened() as pool:
+    with lent() as pool:
         pool.agree(folder)
 
 
-def test_stores_travel(opened: Open, small_store: Path, tmp_path: Path) -> None:
-    with opened(stores=(small_store,)) as pool:
-        place = pool.there(small_store)
+def test_stores_travel(lent: Open, tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    precompute(fake.specification(), store)
+    with lent(stores=(store,)) as pool:
+        place = pool.there(store)
         assert results(pool, units.rows_of, [place]) == {place: (50, False)}
         assert pool.there(tmp_path) == tmp_path
-
-
-@pytest.fixture
-def small_store(tmp_path: Path) -> Path:
-    precompute(fake.specification(), tmp_path / "store")
-    return tmp_path / "store"
 
 
 def test_nobody_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

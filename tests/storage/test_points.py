@@ -4,7 +4,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from storage.points import sobol_points
-from taichi_nmm.parameters import GAINS, lower_bounds, upper_bounds
+from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, lower_bounds, upper_bounds
 
 
 def test_a_part_alone_equals_one_long_run() -> None:
@@ -30,3 +30,12 @@ def test_no_warning_about_a_length_that_is_no_power_of_two() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert sobol_points(0, 0, 5, GAINS).shape == (5, 16)
+
+
+def test_seventeen_dimensions_are_filled_evenly() -> None:
+    theta_ref = LOW_LEVEL_GAINS[-1]
+    group = (*GAINS, theta_ref)
+    points = sobol_points(3, 0, 256, group)
+    unit = (points[:, 16] - theta_ref.low) / (theta_ref.high - theta_ref.low)
+    assert np.histogram(unit, bins=16, range=(0, 1))[0].tolist() == [16] * 16
+    assert np.array_equal(sobol_points(3, 100, 7, group), points[100:107])
