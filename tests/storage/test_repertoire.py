@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
-from storage import merge, open_store
+from storage import open_store
 from storage.points import sobol_points
 from storage.pool import Pool
 from storage.precompute import Summary, precompute
@@ -169,12 +169,6 @@ def test_fresh_starts_over(tmp_path: Path) -> None:
     interrupted(path, 7 * 3 + 3)
     precompute(fake.specification(), path, fresh=True)
     assert not [name for name in content(path) if "search" in name or "repertoire" in name]
-
-
-def test_a_store_with_candidates_merges(finished: tuple[Path, Summary], tmp_path: Path) -> None:
-    merged = merge(finished[0], tmp_path / "merged.parquet")
-    assert merged.table().equals(open_store(finished[0]).table().combine_chunks())
-    assert merged.columns[-1] == "origin"
 
 
 def test_candidates_are_tried_on_settings_of_their_own() -> None:

@@ -17,7 +17,6 @@ import pytest
 
 from storage import merge, open_store
 from storage.document import document_hash
-from storage.points import sobol_points
 from storage.precompute import precompute
 from storage.specification import read_specification
 from storage.tables import FOOTER_KEY
@@ -50,10 +49,6 @@ def test_columns_come_as_asked(folder: Path) -> None:
     assert list(store.pandas(names)) == list(names)
     with pytest.raises(InputError, match="column: 'phi'"):
         store.table(["phi"])
-
-
-def test_gains_are_the_sobol_points(folder: Path) -> None:
-    assert np.array_equal(open_store(folder).gains(), sobol_points(7, 0, 50, GAINS))
 
 
 def test_one_shard_opens_alone(folder: Path, tmp_path: Path) -> None:
@@ -252,11 +247,6 @@ def test_reading_loads_no_simulator(folder: Path) -> None:
         [sys.executable, "-c", code, str(folder)], cwd=repository, capture_output=True, text=True
     )
     assert (run.stdout.strip(), run.returncode) == ("[]", 0), run.stderr
-
-
-def test_footers_are_json_that_others_can_read(folder: Path) -> None:
-    metadata = pq.read_metadata(folder / "part-00000.parquet").metadata
-    assert json.loads(metadata[b"taichi_nmm"])["specification"]["gains"]["K_GAS"]["high"] == 8.0
 
 
 OLD_STORE = Path(__file__).parents[1] / "assets" / "store-v1"

@@ -57,8 +57,16 @@ STUDY = FinishedStudy("e/dog/run-000", TRIALS, user_attrs={"arm": "dog", "run": 
 
 
 @pytest.fixture
-def storage(tmp_path: Path) -> optuna.storages.RDBStorage:
+def sqlite(tmp_path: Path) -> optuna.storages.RDBStorage:
     return open_studies(f"sqlite:///{tmp_path}/studies.db")
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.slow)])
+def storage(request: pytest.FixtureRequest) -> optuna.storages.RDBStorage:
+    """A database of each kind; on PostgreSQL, keys are drawn from sequences of the server."""
+    if request.param == "sqlite":
+        return request.getfixturevalue("sqlite")
+    return open_studies(request.getfixturevalue("url"))
 
 
 def load(storage: optuna.storages.RDBStorage, name: str) -> optuna.Study:
@@ -159,22 +167,22 @@ def test_a_finished_trial_gets_attributes_once(storage) -> None:
         attach(storage, [(STUDY.name, 99, "artifacts:1", "{}")])
 
 
-def test_another_schema_is_refused_in_one_line(tmp_path: Path, storage) -> None:
-    write_studies(storage, [STUDY])
+def test_another_schema_is_refused_in_one_line(tmp_path: Path, sqlite) -> None:
+    write_studies(sqlite, [STUDY])
     with closing(sqlite3.connect(tmp_path / "studies.db")) as connection:
         connection.execute("UPDATE version_info SET schema_version = 11")
         connection.commit()
-    for call in (lambda: write_studies(storage, [STUDY]), lambda: trial_counts(storage)):
+    for call in (lambda: write_studies(sqlite, [STUDY]), lambda: trial_counts(sqlite)):
         with pytest.raises(InputError, match="'schema 11' cannot be used") as caught:
             call()
         assert "\n" not in str(caught.value)
 
 
-def test_a_missing_table_is_refused(tmp_path: Path, storage) -> None:
+def test_a_missing_table_is_refused(tmp_path: Path, sqlite) -> None:
     with closing(sqlite3.connect(tmp_path / "studies.db")) as connection:
         connection.execute("DROP TABLE trial_params")
     with pytest.raises(InputError, match="an unknown schema"):
-        write_studies(storage, [STUDY])
+        write_studies(sqlite, [STUDY])
 
 
 KILLED = """
@@ -219,9 +227,9 @@ def test_a_kill_leaves_no_trial_half_written(tmp_path: Path, delay_s: float) -> 
     assert write_studies(storage, [replace(STUDY, name="e/dog/run-999x")]) == 5
 
 
-def test_a_trial_costs_less_than_half_a_millisecond(storage) -> None:
+def test_a_trial_costs_less_than_half_a_millisecond(sqlite) -> None:
     """0.2 ms on one core of 2026 (56 ms in Optuna's own way); a busy machine is allowed ten."""
     studies = [FinishedStudy(f"e/dog/run-{run:03d}", TRIALS * 20) for run in range(10)]
     before = time.process_time()
-    assert write_studies(storage, studies) == 1000
+    assert write_studies(sqlite, studies) == 1000
     assert (time.process_time() - before) / 1000 < 0.002

@@ -9,63 +9,17 @@ import pytest
 import sqlalchemy as sql
 
 import taichi_nmm
-from storage.databases.bulk import FinishedStudy, attach, trial_counts, write_studies
+from storage.databases.bulk import trial_counts, write_studies
 from storage.databases.studies import only_run, open_studies, storage_errors
 from taichi_nmm.errors import InputError
 from tests.storage.databases.conftest import Server
-from tests.storage.databases.test_bulk import STUDY, TRIALS
+from tests.storage.databases.test_bulk import STUDY
 from tests.study import fake_walker
 from tests.tools.running import run_tool
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[3]
-
-
-def load(storage: optuna.storages.RDBStorage, name: str) -> optuna.Study:
-    return optuna.load_study(study_name=name, storage=storage)
-
-
-def test_trials_in_bulk_equal_optunas_own(url: str) -> None:
-    storage = open_studies(url)
-    theirs = optuna.create_study(storage=storage, study_name="theirs")
-    for trial in TRIALS:
-        theirs.add_trial(trial)
-    assert write_studies(storage, [STUDY]) == len(TRIALS)
-    assert write_studies(storage, [STUDY]) == 0
-    for mine, other in zip(load(storage, STUDY.name).trials, theirs.trials, strict=True):
-        other._trial_id = mine._trial_id
-        assert mine == other
-
-
-def test_studies_and_trials_go_on_in_optunas_way(url: str) -> None:
-    """The server's sequences of keys have moved on with the rows."""
-    storage = open_studies(url)
-    write_studies(storage, [STUDY])
-    study = load(open_studies(url), STUDY.name)
-    study.optimize(lambda trial: trial.suggest_float("gain", 0.1, 8.0), n_trials=2)
-    study.set_user_attr("seen", True)
-    other = optuna.create_study(storage=storage, study_name="other")
-    other.tell(other.ask({"gain": TRIALS[0].distributions["gain"]}), 1.0)
-    assert write_studies(storage, [replace(STUDY, trials=TRIALS[:1], first=7)]) == 1
-    assert trial_counts(storage) == {STUDY.name: 8, "other": 1}
-    assert [trial.number for trial in load(storage, STUDY.name).trials] == list(range(8))
-
-
-def test_finished_trials_get_attributes(url: str) -> None:
-    storage = open_studies(url)
-    write_studies(storage, [STUDY])
-    assert attach(storage, [(STUDY.name, 3, "artifacts:1", "{}")]) == {(STUDY.name, 3)}
-    assert attach(storage, [(STUDY.name, 3, "artifacts:1", "{}")]) == set()
-    assert load(storage, STUDY.name).trials[3].system_attrs["artifacts:1"] == "{}"
-
-
-def test_a_failure_leaves_nothing_half_written(url: str) -> None:
-    storage = open_studies(url)
-    gap = FinishedStudy("gap", TRIALS, first=9)
-    with pytest.raises(ValueError, match="none can be number 9"):
-        write_studies(storage, [STUDY, gap])
-    assert trial_counts(storage) == {}
 
 
 def test_what_the_server_refuses_is_told_in_one_line(url: str) -> None:
@@ -101,11 +55,8 @@ def test_the_command_of_one_study_runs_and_resumes(
         said = capsys.readouterr()
         assert json.loads(said.out)["trials"] == trials
         assert "secret" not in said.out + said.err and "***" in said.out
-    assert [trial.number for trial in load(open_studies(url), "rough8/random/run-000").trials] == [
-        0,
-        1,
-        2,
-    ]
+    study = optuna.load_study(study_name="rough8/random/run-000", storage=open_studies(url))
+    assert [trial.number for trial in study.trials] == [0, 1, 2]
 
 
 def refusal(url: str) -> str:
