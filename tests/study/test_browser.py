@@ -123,7 +123,7 @@ def test_the_summary_shows_table_and_figure(
     page.goto(f"{address}/dashboard/studies/{studies['tiny/summary']}/note")
     row = page.locator("tr", has_text="dog").first
     row.wait_for()
-    assert row.inner_text().split("\t") == ["dog", "2", "1 (50 %)", "> 3", "185"]
+    assert row.inner_text().split("\t") == ["dog", "2", "1", "50", "> 3", "185"]
     save(page, "note")
     page.get_by_role("link", name="90", exact=True).click()  # the best of run 0 of dog
     page.get_by_text("tiny/dog/run-000").first.wait_for()

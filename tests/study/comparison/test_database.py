@@ -108,8 +108,8 @@ def test_the_summary_compares_the_arms(url: str) -> None:
     assert "12 trials (all trials)" in note
     for name in SIX:
         assert f"(/dashboard/studies/{load(url, name)._study_id})" in note
-    assert "| dog | 2 | 1 (50 %) | > 3 | 185 |" in note
-    assert "| random | 2 | 0 (0 %) | > 3 | 280 |" in note
+    assert "| dog | 2 | 1 | 50 | > 3 | 185 |" in note
+    assert "| random | 2 | 0 | 0 | > 3 | 280 |" in note
     attributes = summary._storage.get_study_system_attrs(summary._study_id)
     traces = json.loads(get_plotly_graph_objects(attributes)["best-cost"])["data"]
     assert [trace["name"] for trace in traces] == ["dog", "random"]
