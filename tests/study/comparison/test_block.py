@@ -85,23 +85,6 @@ def test_a_block_and_its_table_pass_between_processes(toy: Experiment) -> None:
     )
 
 
-@pytest.mark.parametrize("arm", [name for name in ARMS if "best" in name][:3])
-def test_what_is_written_in_the_store_is_read_once_a_process(
-    toy: Experiment, arm: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from study.experiment import stores
-
-    read: list[object] = []
-    table = stores.feature_table
-    stores._read.cache_clear()
-    monkeypatch.setattr(
-        stores, "feature_table", lambda *a, **o: (read.append(a), table(*a, **o))[1]
-    )
-    for trials in (1, 2):
-        advance(Block(toy, ((arm, 0), (arm, 1)), NOTHING, trials))
-    assert len(read) == 1
-
-
 @pytest.mark.slow
 def test_an_error_in_a_process_is_one_line_here(toy: Experiment) -> None:
     experiment = replace(toy, stores={})

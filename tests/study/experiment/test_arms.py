@@ -86,13 +86,6 @@ def test_warm_cmaes_moves_towards_better_costs(comparisons: Comparisons) -> None
     assert frame.cost[frame.trial >= 85].mean() < early
 
 
-def test_arms_whose_library_keeps_a_state_are_made_anew_or_replayed() -> None:
-    assert {name for name, arm in ARMS.items() if arm.fresh} == {
-        "cmaes-cold", "cmaes-source", "tpe",
-    }  # fmt: skip
-    assert {name for name, arm in ARMS.items() if arm.replayed} == {"cmaes-cold", "cmaes-source"}
-
-
 def test_every_arm_is_found_by_its_name_and_says_what_it_is() -> None:
     for name, arm in ARMS.items():
         assert find_arm(name) is arm and arm.name == name
