@@ -3,6 +3,7 @@
 import importlib
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -273,6 +274,18 @@ def test_missing_and_infinite_features_do_no_harm(kernel: str) -> None:
     assert sum(weights(worth)) == pytest.approx(1.0)
     assert worth.errors is not None and np.isfinite(worth.errors.model)
     assert "nan" not in str(worth)
+
+
+def test_the_gain_is_over_the_parameters_where_they_are_better_than_a_constant() -> None:
+    study = drawn_rows(0)
+    for row in range(20):
+        add(study, row, TABLE.rows.as_parameters(row)["a"] ** 2)
+    errors, model = worth_of(study).errors, model_of(study)
+    assert errors is not None and errors.without is not None and errors.without < 1.0
+    alike = Points(np.zeros_like(model.trials.features), model.trials.coordinates)
+    blind = residuals(replace(model, trials=alike).posterior)
+    less = np.abs(blind) - np.abs(residuals(model.posterior))
+    assert errors.gain == pytest.approx(less.mean() / stats.sem(less))
 
 
 # The study, and how it is left.

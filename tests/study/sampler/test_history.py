@@ -133,9 +133,6 @@ OTHERWISE: dict[str, tuple[str, Suggest]] = {
 }
 
 
-LOG_RATE = OTHERWISE["a float on a logarithmic scale"]
-
-
 def objective(name: str, suggest: Suggest) -> Callable[[optuna.Trial], float]:
     """With one parameter suggested first, and otherwise than the table has it."""
 
@@ -219,14 +216,23 @@ def test_what_does_not_hold_them_is_one_line_before_the_objective_or_one_warning
     assert all(row in (None, -1) for row in rows_of(study))
 
 
-def test_a_logarithmic_scale_is_the_kernels_too() -> None:
+@pytest.mark.parametrize(
+    ("how", "distribution"),
+    [
+        ("a float on a logarithmic scale", FloatDistribution(1e-4, 1, log=True)),
+        ("an integer on a logarithmic scale", IntDistribution(16, 128, log=True)),
+    ],
+)
+def test_a_logarithmic_scale_is_the_kernels_too(how: str, distribution: Any) -> None:
     """As if the table had been given it."""
-    given = new_table(space={"rate": FloatDistribution(1e-4, 1, log=True)})
+    name, suggest = OTHERWISE[how]
+    given = new_table(space={name: distribution})
     found, expected = (
-        study_of(table, objective(*LOG_RATE), 8, kernel="euclidean") for table in (TABLE, given)
+        study_of(table, objective(name, suggest), 8, kernel="euclidean", seed=2)
+        for table in (TABLE, given)
     )
     assert params_of(found) == params_of(expected)
-    plain = study_of(TABLE, objective("rate", AS_THE_TABLE["rate"]), 8, kernel="euclidean")
+    plain = study_of(TABLE, objective(name, AS_THE_TABLE[name]), 8, kernel="euclidean", seed=2)
     assert params_of(plain) != params_of(found)
 
 
