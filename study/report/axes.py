@@ -111,7 +111,7 @@ def trial_axis(axes: Axes, trials: int) -> None:
 
 
 def headline(figure: Figure, left_in: float, title: str, remark: str) -> None:
-    """A title and a line below it that says how to read the figure."""
+    """A title, and below it a line on how to read the figure."""
     wide, high = figure.get_figwidth(), figure.get_figheight()
     for text, down_in, size in ((title, 0.24, style.TITLE_PT), (remark, 0.45, style.SMALL_PT)):
         figure.text(
@@ -136,12 +136,11 @@ def label_ends(axes: Axes, ends: Sequence[End], x: float) -> None:
     assert figure is not None
     figure.canvas.draw()
     point = figure.dpi / POINTS_AN_INCH
-    order = sorted(range(len(ends)), key=lambda index: (ends[index].y, ends[index].rank))
-    pixels = np.array([axes.transData.transform((x, ends[index].y))[1] for index in order])
+    ends = sorted(ends, key=lambda end: (end.y, end.rank))
+    pixels = np.array([axes.transData.transform((x, end.y))[1] for end in ends])
     low, high = axes.get_window_extent().y0, axes.get_window_extent().y1
     places = spread_out(np.clip(pixels, low, high), LABEL_SPACING_PT * point, low, high)
-    for index, own, place in zip(order, pixels, places, strict=True):
-        end = ends[index]
+    for end, own, place in zip(ends, pixels, places, strict=True):
         axes.annotate(
             end.text,
             xy=(x, end.y),

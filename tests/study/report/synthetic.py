@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from study.report.runs import ArmRuns, Results
 from taichi_nmm.parameters import GAINS
-from taichi_nmm.result import SCORE_FIELDS
 
 # Of each arm: how likely a trial walks at first, and how much likelier with every trial.
 ARMS = {
@@ -35,7 +34,7 @@ ARMS = {
 def columns(
     arms: dict[str, tuple[float, float]], runs: int, trials: int, cost: str, seed: int = 0
 ) -> dict[str, NDArray[Any]]:
-    """The columns of trials.parquet, sorted by arm, run, trial."""
+    """The columns of trials.parquet that a report reads, sorted by arm, run, trial."""
     rng = np.random.default_rng(seed)
     n = len(arms) * runs * trials
     arm = np.repeat(sorted(arms), runs * trials)
@@ -54,26 +53,15 @@ def columns(
     value = smooth if cost == "smooth" else walking
     best = np.minimum.accumulate(value.reshape(-1, trials), axis=1).ravel()
     gains = {gain.name: rng.uniform(gain.low, gain.high, n) for gain in GAINS}
-    scores = {
-        name: np.zeros(n, np.int32 if dtype == "i4" else np.float64) for name, dtype in SCORE_FIELDS
-    }
     return {
         "experiment": np.full(n, "made-up"),
         "arm": arm,
         "run": run,
         "trial": trial,
         **gains,
-        "theta_ref": np.full(n, 0.1),
-        "row": np.full(n, -1, np.int64),
         "cost": value,
         "best_cost": best,
         "walked": completed,
-        "duration_s": duration,
-        "distance_m": distance,
-        "mean_speed_mps": speed,
-        "cost_of_transport_jpkgpm": transport,
-        "end_reason": np.where(completed, "completed", "fell"),
-        **scores,
     }
 
 
