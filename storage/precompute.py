@@ -31,7 +31,7 @@ The runs of a search count as points.
 """
 
 ScoredShard = tuple[pa.Table, dict[str, Any]]
-"""A shard's table, and what computed it."""
+"""A shard's table, and names and versions of the software that computed it."""
 
 Unit = tuple[Specification, int, NDArray[np.float64] | None, bool]
 """A store, a shard's number, its points if they are no Sobol points; and whether to name the kind

@@ -1,4 +1,4 @@
-"""What a store holds: everything that decides its numbers, and nothing else.
+"""The specification of a store: everything that decides its numbers, and nothing else.
 
 Points of a simulator's parameters are run in one world, the *base setting*. Those that last are run
 in the worlds of *families*; a *repertoire* adds candidates that a search bred for families.
@@ -95,7 +95,7 @@ class Family:
 
     @property
     def document(self) -> dict[str, Any]:
-        """All of it but the name as JSON values."""
+        """The family without its name, as JSON values."""
         stage = {"after": self.after, "min_survived_fraction": self.min_survived_fraction}
         own = {
             "settings": self.settings,
@@ -109,7 +109,7 @@ class Family:
 
 @dataclass(frozen=True, eq=False)
 class Repertoire:
-    """A search around what survives in the grid, and how much of what it finds the store keeps.
+    """A search that begins at survivors of the grid, and the candidates that a store keeps of it.
 
     Attributes:
         evaluations: runs of the whole search: so many candidates times `settings`.
@@ -155,7 +155,7 @@ class Repertoire:
 
     @property
     def document(self) -> dict[str, Any]:
-        """All of it as JSON values."""
+        """The repertoire as JSON values."""
         return {
             "evaluations": self.evaluations,
             "candidates": self.candidates,
@@ -252,7 +252,7 @@ class Specification:
 
     @property
     def walkers(self) -> int:
-        """All work, as progress counts it: rows, and runs of the search."""
+        """The work that progress counts: rows, and runs of the search."""
         return self.layout.rows + (self.repertoire.walks if self.repertoire else 0)
 
     def on_one_thread(self) -> "Specification":
@@ -261,7 +261,7 @@ class Specification:
 
     @cached_property
     def document(self) -> dict[str, Any]:
-        """All of it as JSON values, which specification.json and the footers hold.
+        """The specification as JSON values, for specification.json and the footers.
 
         Its hash depends on the order of keys. Keys that are newer than many stores appear only
         where they are needed, so that these stores can be finished.

@@ -1,4 +1,4 @@
-"""A store: its manifest and its shards as files, and reading them: whole, one shard, or merged."""
+"""Reading a store: its manifest and its shards, one shard alone, or a merged file."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -181,7 +181,7 @@ def open_store(path: str | Path, verify: bool = False, unfinished: bool = False)
         path: the folder or the file.
         verify: also compare every file with its SHA-256 in the manifest beside it. Whenever
             columns are read, pages are compared with their checksums; a merged file, or a shard
-            that was taken out of its folder, has only these.
+            out of its folder, has only these.
         unfinished: of a folder that is still being filled, take the shards that are there.
 
     Raises:

@@ -20,15 +20,15 @@ def open_pool(
     packages: Sequence[str] = (),
     stores: Sequence[Path] = (),
 ) -> AbstractContextManager[Pool]:
-    """The pool that a command works with: processes of this machine, unless a cluster is asked for.
+    """The pool of a command: processes of this machine, or a cluster's workers.
 
     Args:
-        workers: processes.
-        cluster: in their place.
-        folder: that is to be filled; None: one that is begun anew.
+        workers: number of processes.
+        cluster: used in their place.
+        folder: that is to be filled; None: a new one.
         simulator: that units use, on one thread.
         packages: beside the simulator's, that decide results.
-        stores: that units read.
+        stores: that units read, at the path that `Pool.there` returns.
 
     Raises:
         InputError: as `local_pool` and `cluster_pool`.

@@ -133,13 +133,13 @@ class Session(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Drop what is not over."""
+        """Drop the calls that are not over."""
         pending, self._pending = list(self._pending.values()), {}
         if pending and self._client.status == "running":
             self._client.cancel(pending, force=True)
 
     async def _look(self) -> None:
-        """Ask the scheduler which workers there are."""
+        """Read the list of workers from the scheduler."""
         self._there = dict(await self._client.scheduler.ncores())
 
     async def _follow(self, remote: Remote, future: Future[Any]) -> None:
@@ -167,7 +167,7 @@ class Session(Executor):
             except TimeoutError:
                 self._give_up(f"a scheduler that answers within {ANSWER_S:.0f} s")
             except OSError:
-                pass  # Dask connects again, or cancels what is under way
+                pass  # Dask connects again, or cancels the calls
             if self.places() or not self._pending:
                 seen_s = time.monotonic()
             elif time.monotonic() - seen_s > WORKERLESS_S:
@@ -342,7 +342,7 @@ def _failures(asked: Cluster) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except Exception as error:  # of sockets, TLS, or what a worker made of the plugin
+    except Exception as error:  # of sockets, TLS, or a worker that cannot set up the plugin
         allowed = f"a scheduler that answers, and workers with this project ({_in_a_line(error)})"
         raise InputError("cluster", asked.address, allowed) from None
 

@@ -20,7 +20,7 @@ from taichi_nmm.errors import InputError
 
 BEAT_S = 5.0
 GRACE_S = 30.0  # without a beat: six of them lost, or a stall that long
-JOIN_S = 10  # for whoever finds the study to itself, and tidies it
+JOIN_S = 10  # that a process alone with the study may take to tidy it
 KEY = "hashtextextended(:study, 0)"
 TURN_KEY = "hashtextextended(:study || '/turn', 0)"
 NOW = "(now() AT TIME ZONE 'utc')"  # the server's clock, whatever zone a client is in
