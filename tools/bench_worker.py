@@ -8,16 +8,20 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+Simulate = Callable[..., Any]  # taichi_nmm.simulate with its settings
+
 SEED = 2016
-TICK_S = 1e-3
+TICK_S = 1e-3  # a step, by default
 STEADY, SOBOL = "steady", "Sobol"  # what `--turns` measures
 STEADY_WALKERS, STEADY_S, STEADY_SPREAD = 512, 3.0, 0.02
 FEW_WALKERS, FEW_S, FEW_REPEATS = 400, 10.0, 5  # a round of a comparison
@@ -28,17 +32,25 @@ RUN_S = 5.0  # of the run of many samples
 def main() -> None:
     options = parse()
     sys.path.insert(0, options.root)
+    began_s = time.perf_counter()
+    from taichi_nmm import PUBLISHED_GAINS, Settings, simulate
+
+    if options.lanes is not None:
+        from taichi_nmm.kernel import backend
+
+        backend.LANES_CPU = options.lanes
+    threads = 1 if options.turns else options.threads
+    arch = "cpu" if threads else options.arch
+    run = partial(simulate, settings=Settings(arch=arch, threads=threads))
+    run(PUBLISHED_GAINS, duration_s=TICK_S)  # compiles
+    start_s = time.perf_counter() - began_s
     if options.turns:
-        take_turns()
-        return
-    if options.threads:
-        print(json.dumps({"threads": options.threads, "run_s": few_walkers_s(options.threads)}))
-        return
-    began = time.perf_counter()
-    start_up(options)
-    ready = time.perf_counter()
-    measured = run(options) if options.samples else {}
-    print(json.dumps({"start_s": ready - began, **measured, "peak_rss_mib": peak_rss_mib()}))
+        take_turns(run)
+    elif threads:
+        print(json.dumps({"threads": threads, "run_s": few_walkers_s(run)}))
+    else:
+        measured = many_walkers(run, options.samples) if options.samples else {}
+        print(json.dumps({"start_s": start_s, **measured, "peak_rss_mib": peak_rss_mib()}))
 
 
 def parse() -> argparse.Namespace:
@@ -52,54 +64,38 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def start_up(options: argparse.Namespace) -> None:
-    """Import, start the engine, compile: one tick of one walker."""
-    from taichi_nmm import PUBLISHED_GAINS, Settings, simulate
-    from taichi_nmm.kernel import backend
-
-    if options.lanes is not None:
-        backend.LANES_CPU = options.lanes
-    simulate(PUBLISHED_GAINS, duration_s=TICK_S, settings=Settings(arch=options.arch))
-
-
-def run(options: argparse.Namespace) -> dict[str, object]:
+def many_walkers(run: Simulate, samples: int) -> dict[str, object]:
     """Sobol points over the bounds, on flat ground, from gains to results."""
-    from taichi_nmm import Settings, simulate
     from taichi_nmm.kernel import backend
     from taichi_nmm.result import COMPLETED
 
-    settings = Settings(arch=options.arch)
-    gains = sobol_gains(options.samples)
-    began = time.perf_counter()
-    result = simulate(gains, duration_s=RUN_S, settings=settings)
-    run_s = time.perf_counter() - began
+    gains = sobol_gains(samples)
+    began_s = time.perf_counter()
+    result = run(gains, duration_s=RUN_S)
+    run_s = time.perf_counter() - began_s
     return {
-        "samples": options.samples,
+        "samples": samples,
         "duration_s": RUN_S,
         "run_s": run_s,
-        "walkers_per_s": options.samples / run_s,
-        "walker_steps_per_s": float(result["duration_s"].sum()) / settings.physics_step_s / run_s,
+        "walkers_per_s": samples / run_s,
+        "walker_steps_per_s": float(result["duration_s"].sum()) / TICK_S / run_s,
         "alive": int((result["end_reason"] == COMPLETED).sum()),
         "lanes": backend.lanes(),
         **result.metadata,
     }
 
 
-def take_turns() -> None:
-    """For each line of the input, `STEADY` or `SOBOL`, print CPU ns a walker-step, one thread."""
-    from taichi_nmm import PUBLISHED_GAINS, Settings, simulate
-
+def take_turns(run: Simulate) -> None:
+    """For each line of the input, `STEADY` or `SOBOL`, print CPU ns a walker-step."""
     batches = {
         STEADY: (near_reference(STEADY_WALKERS), STEADY_S),
         SOBOL: (sobol_gains(SOBOL_POINTS), SOBOL_S),
     }
-    settings = Settings(arch="cpu", threads=1)
-    simulate(PUBLISHED_GAINS, duration_s=TICK_S, settings=settings)
     print(flush=True)
     for line in sys.stdin:
         gains, duration_s = batches[line.strip()]
         began_s = time.process_time()
-        result = simulate(gains, duration_s=duration_s, settings=settings)
+        result = run(gains, duration_s=duration_s)
         spent_s = time.process_time() - began_s
         print(1e9 * spent_s * TICK_S / result["duration_s"].sum(), flush=True)
 
@@ -127,16 +123,12 @@ def near_reference(walkers: int) -> "NDArray[np.float64]":
     return PUBLISHED_GAINS * (1.0 + spread)
 
 
-def few_walkers_s(threads: int) -> float:
-    """Seconds of `FEW_WALKERS` walkers on the CPU, median of some runs."""
-    from taichi_nmm import PUBLISHED_GAINS, Settings, simulate
-
-    settings = Settings(arch="cpu", threads=threads)
-    simulate(PUBLISHED_GAINS, duration_s=TICK_S, settings=settings)
+def few_walkers_s(run: Simulate) -> float:
+    """Seconds of `FEW_WALKERS` walkers, median of some runs."""
     gains, spent_s = near_reference(FEW_WALKERS), []
     for _ in range(FEW_REPEATS):
         began_s = time.perf_counter()
-        simulate(gains, duration_s=FEW_S, settings=settings)
+        run(gains, duration_s=FEW_S)
         spent_s.append(time.perf_counter() - began_s)
     return median(spent_s)
 
