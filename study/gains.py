@@ -37,7 +37,7 @@ TRIAL_FORM = "EXPERIMENT/ARM/run-NNN/NUMBER, such as rough8-smooth/dog/run-007/1
 
 @dataclass(frozen=True, eq=False)
 class NamedGains:
-    """All gains of a controller, and what they are called.
+    """All gains of a controller, and their name.
 
     Attributes:
         name: for titles and file names.

@@ -34,11 +34,11 @@ class Figure:
     """A measured number beside its bar.
 
     Attributes:
-        what: was measured.
+        what: name of the quantity.
         value: the measured number.
         low: the least that is allowed; None: no lower bound.
         high: the most that is allowed; with both None, the number is only reported.
-        unit: of the three.
+        unit: of the number and its bar.
     """
 
     what: str

@@ -180,7 +180,7 @@ def robot_table(setting: Setting) -> str:
 
 
 def _dots_of(arm: ArmRuns, scale: TrialScale, place: int) -> dict[str, Any]:
-    """Where the dots of an arm are, and the trial of each: its first walker, or else its best."""
+    """Places of an arm's dots, and the trial of each: the first walker, or else the best."""
     first = arm.first_walker
     walks = np.isfinite(first)
     order = np.argsort(np.where(walks, first, np.inf), kind="stable")

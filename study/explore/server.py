@@ -34,9 +34,9 @@ SOCKET = "/ws"
 
 
 class TokenMatches(Matcher):  # type: ignore[misc]  # Tornado may lack types
-    """Whether a socket is asked for with a token of a page, as Bokeh's own script does.
+    """Whether a request for a socket has a page's token, as that of Bokeh's own script has.
 
-    Bokeh prints a traceback for any other: such a request finds nothing instead.
+    Bokeh would print a traceback for any other request; here such a request finds nothing.
     """
 
     def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
@@ -49,7 +49,7 @@ class TokenMatches(Matcher):  # type: ignore[misc]  # Tornado may lack types
             expiry_s = get_token_payload(words[1].strip())["session_expiry"]
             return {} if time.time() < expiry_s else None
         except (ValueError, LookupError, TypeError, AttributeError, zlib.error, RecursionError):
-            return None  # whatever base64, JSON and zlib make of words that are no token
+            return None  # errors of base64, JSON and zlib on words that are no token
 
 
 def serve(page: Callable[[Document], None], port: int) -> tuple[IOLoop, str]:

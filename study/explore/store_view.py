@@ -94,7 +94,7 @@ BESIDES = "#D8DCE0"  # of bars
 
 
 def cloud() -> tuple[Any, ColumnDataSource]:
-    """A figure that is brushed by a box, and the one image in it, whose pixels are painted."""
+    """A figure to drag a box over, and its one image, whose pixels the script paints."""
     plot = figure(
         name="cloud", width=WIDTH_PX, frame_width=CLOUD_PX[0], frame_height=CLOUD_PX[1],
         tools=[PanTool(), WheelZoomTool(), ResetTool()],
@@ -156,7 +156,7 @@ def parallel() -> tuple[Any, ColumnDataSource]:
 
 
 def table(source: ColumnDataSource, names: list[str]) -> DataTable:
-    """The rows that the script lists. For other columns it is made anew: it keeps old titles."""
+    """The listed rows. A DataTable keeps its first titles, so other columns need a new one."""
     numbers = NumberFormatter(format="0.[0000]")
     columns = [TableColumn(field="row", title="row", width=60),
                TableColumn(field="bred", title="", width=40)]  # fmt: skip
@@ -184,7 +184,7 @@ def numeric_columns(store: Store) -> list[str]:
 
 
 def first_columns(store: Store) -> list[str]:
-    """The five that a page begins with: the colour is what the first family survives, if any."""
+    """The first five columns of a page; the colour is the survival of the first family, if any."""
     survived = [name for name in store.columns if name.endswith(COLUMN_END)]
     return [*FIRST[:2], *(survived[:1] or FIRST[2:3]), *FIRST[3:]]
 

@@ -81,7 +81,7 @@ class Setting:
 def chosen_setting(
     ground: str, disturbance: str, seed: int, world: str, engine: str, duration_s: float
 ) -> Setting:
-    """What was chosen on the page, by the names above.
+    """The setting of the page's choices, by the names above.
 
     Raises:
         InputError: a seed out of its bounds.
@@ -108,7 +108,7 @@ def to_toml(tables: dict[str, Any], name: str = "") -> str:
 Array = NDArray[np.float32]
 
 RATE_HZ = 30
-BEFORE_M, BEYOND_M = 4.0, 6.0  # ground that is drawn besides where the hip was
+BEFORE_M, BEYOND_M = 4.0, 6.0  # of ground, drawn beyond the hip's first and last place
 COLOURS = [
     matplotlib.colors.to_hex(matplotlib.colormaps[style.ACTIVATION_MAP](level))
     for level in range(256)
@@ -151,7 +151,7 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
     """All of a walk, as far as its poses are finite.
 
     Raises:
-        InputError: not one is.
+        InputError: no pose is finite.
     """
     shown = finite(trajectory)
     motion = motion_of(shown, terrain, float(shown.time_s[-1]), RATE_HZ)
@@ -223,7 +223,7 @@ def walk(gains: NamedGains, setting: Setting, rate_hz: float = SEEN_RATE_HZ) -> 
 
 
 def _why(row: np.void, trajectory: Trajectory, terrain: Terrain) -> str:
-    """What ended a walk that was not completed: which bound of a fall its last pose is beyond."""
+    """Why a walk was not completed: the bound of a fall that its last pose exceeds."""
     if row["end_reason"] == COMPLETED:
         return ""
     if row["end_reason"] == DIVERGED:

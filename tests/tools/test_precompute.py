@@ -234,35 +234,3 @@ def test_several_processes_ended_in_the_middle_again_and_again_resume_bit_equal(
     code, _, error = finish(start_real(tmp_path, "store", workers=2))
     assert code == 0, error
     assert content(tmp_path / "store") == real_store
-
-
-BRED = """
-samples = 64
-shard_rows = 32
-seed = 7
-[families.up]
-settings = 2
-terrain = {kind = "ramp"}
-[repertoire]
-evaluations = 800
-settings = 2
-candidates = 10
-"""
-RENAMES_OF_THE_GRID = 3  # the specification and two shards
-
-
-@pytest.mark.campaign
-def test_a_killed_search_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
-    pytest.importorskip("ribs")
-    config = tmp_path / "store.toml"
-    config.write_text(BRED)
-    code, text, _ = run(config, tmp_path / "whole", "--json")
-    walks = json.loads(text)["walks_searched"]
-    assert code == 0 and len(open_store(tmp_path / "whole", verify=True)) == 74
-    last = RENAMES_OF_THE_GRID + 3
-    killed, *_ = run(config, tmp_path / "killed", "--json", death=last)
-    assert killed == -signal.SIGKILL
-    assert len(list((tmp_path / "killed").glob("search-up-*.parquet"))) == 2
-    code, text, _ = run(config, tmp_path / "killed", "--json")
-    assert code == 0 and 0 < json.loads(text)["walks_searched"] < walks
-    assert content(tmp_path / "killed") == content(tmp_path / "whole")
