@@ -5,6 +5,7 @@ import os
 import runpy
 import subprocess
 import sys
+from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -37,15 +38,21 @@ def run_tool(patch: pytest.MonkeyPatch, tool: str, *arguments: object) -> int:
     return 0
 
 
-def start(*words: object, shell: str = "", **accidents: object) -> subprocess.Popen[str]:
-    """A command in a process of its own with the fake simulator; accidents as in fake_command.py.
+FAKE = (ROOT / "tests" / "tools" / "fake_command.py",)
+
+
+def start(
+    *words: object, program: Iterable[object] = FAKE, shell: str = "", **accidents: object
+) -> subprocess.Popen[str]:
+    """A command in a process of its own; accidents are those of fake_command.py.
 
     Args:
         words: command and options.
+        program: for Python; by default taichi-nmm with the fake simulator.
         shell: redirections or a limit, in Bash.
         accidents: in small letters, such as trial_s=0.1.
     """
-    line = [sys.executable, str(ROOT / "tests" / "tools" / "fake_command.py"), *map(str, words)]
+    line = [sys.executable, *map(str, (*program, *words))]
     return subprocess.Popen(
         ["bash", "-c", shell, "bash", *line] if shell else line,
         env=os.environ | {f"FAKE_{key.upper()}": str(value) for key, value in accidents.items()},

@@ -3,14 +3,13 @@
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
+from subprocess import Popen
 
 import pytest
 
-from tests.tools.running import ROOT
+from tests.tools.running import ROOT, start
 
 pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
 pytestmark = pytest.mark.slow
@@ -53,21 +52,16 @@ HERE = ("--workers", "1")
 THERE = ("--cluster", "local:2")
 
 
-def start(folder: Path, tool: str, *words: object) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "taichi_nmm", tool, *map(str, words)],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,  # a terminal's Ctrl-C reaches all of it
-    )
+def begin(folder: Path, *words: object) -> "Popen[str]":
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setenv("PYTHONPATH", str(ROOT))
+        return start(*words, program=("-m", "taichi_nmm"))
 
 
-def run(folder: Path, tool: str, *words: object, code: int = 0) -> str:
+def run(folder: Path, *words: object, code: int = 0) -> str:
     """What a command prints on standard error, which ends with this code."""
-    process = start(folder, tool, *words)
+    process = begin(folder, *words)
     _, error = process.communicate(timeout=WAIT_S)
     assert process.returncode == code, error
     return error
@@ -140,7 +134,7 @@ def test_a_folder_of_another_kind_is_refused_unless_it_begins_anew(folder: Path)
 
 def test_ctrl_c_is_one_line_and_what_is_done_is_kept(folder: Path) -> None:
     words = ("precompute", "--config", "some.toml", "--out", "stopped", *THERE)
-    process = start(folder, *words)
+    process = begin(folder, *words)
     deadline_s = time.monotonic() + WAIT_S
     while len(list((folder / "stopped").glob("part-*"))) < 3:
         assert process.poll() is None and time.monotonic() < deadline_s

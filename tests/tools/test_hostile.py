@@ -7,12 +7,11 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import optuna
 import pytest
@@ -65,9 +64,9 @@ class Done:
         return self.error.splitlines()
 
 
-def run(command: Iterable[object], shell: str = "") -> Done:
+def run(command: Iterable[object], shell: str = "", **options: Any) -> Done:
     """Run a command; `shell` are redirections, or a limit."""
-    process = start(*command, shell=shell)
+    process = start(*command, shell=shell, **options)
     out, error = process.communicate(timeout=WAIT_S)
     return Done(process.returncode, out, error)
 
@@ -130,13 +129,10 @@ def test_few_open_files_are_enough(folder: Path) -> None:
 
 
 def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> None:
-    tool = [sys.executable, ROOT / "tools" / "study.py", *STUDY[1:]]
-    done = subprocess.run(
-        ["bash", "-c", 'ulimit -v 400000; exec "$@"', "bash", *map(str, tool)],
-        capture_output=True, text=True, timeout=WAIT_S,
-    )  # fmt: skip
+    tool = ROOT / "tools" / "study.py"
+    done = run(STUDY[1:], 'ulimit -v 400000; exec "$@"', program=[tool])
     line = "error: ulimit -v: 400000 cannot be used; allowed: 4194304 or more, or unlimited\n"
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
+    assert done == Done(2, "", line)
     assert [path.name for path in folder.iterdir()] == ["toy.toml"]
 
 

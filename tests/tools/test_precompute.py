@@ -3,10 +3,9 @@
 import json
 import os
 import signal
-import sys
 import time
 from pathlib import Path
-from subprocess import PIPE, Popen
+from subprocess import Popen
 
 import pytest
 
@@ -182,8 +181,7 @@ def start_real(tmp_path: Path, name: str, workers: int) -> "Popen[str]":
     config = tmp_path / "real.toml"
     config.write_text(REAL)
     options = ["--config", config, "--out", tmp_path / name, "--workers", workers]
-    command = [sys.executable, ROOT / "tools" / "precompute.py", *map(str, options)]
-    return Popen(command, stdout=PIPE, stderr=PIPE, text=True)
+    return start(*options, program=[ROOT / "tools" / "precompute.py"])
 
 
 def workers_of(process: "Popen[str]") -> list[int]:
