@@ -190,8 +190,10 @@ def test_a_share_holds_the_best_of_cells_and_of_all() -> None:
         return Generation(rng.random((count, 16)), rng.random(count), spread)
 
     found = {name: [generation(10), generation(60)] for name in ("a", "b", "c")}
+    found["c"][1].objective[0] = 2.0  # of the first point after the grid's
     chosen = choose(found, {"a": 10, "b": 31, "c": 1}, evolving().simulator)
     assert [len(numbers) for numbers in chosen.values()] == [10, 31, 1]
+    assert chosen["c"].tolist() == [10]
     for name, numbers in chosen.items():
         objective = np.concatenate([one.objective for one in found[name]])
         assert numbers.min() >= 10 and len(set(numbers)) == len(numbers)
