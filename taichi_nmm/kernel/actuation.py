@@ -5,7 +5,7 @@ come from outside. The host launches `actuate`.
 """
 
 from taichi_nmm.kernel import joints, kinematics, walker
-from taichi_nmm.kernel.backend import Array, Rows, ti
+from taichi_nmm.kernel.backend import Array, Rows, local_rows, ti
 from taichi_nmm.kernel.entry_points import load, load_slots, save, save_slots
 from taichi_nmm.kernel.layout import (
     FIRST_FIBRE,
@@ -80,13 +80,13 @@ def actuate(
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for p in range(packs.shape[0]):
-        state = ti.Matrix.zero(float, State.count, lanes)
-        fibres = ti.Matrix.zero(float, Muscle.count, lanes)
-        delay = ti.Matrix.zero(float, Delay.count, lanes)
-        const = ti.Matrix.zero(float, Const.count, lanes)
-        work = ti.Matrix.zero(float, Work.count, lanes)
-        senses = ti.Matrix.zero(float, Sense.count, lanes)
-        table = ti.Matrix.zero(float, MUSCLES_PER_LEG, TABLE_COLUMNS)
+        state = local_rows(State.count, lanes)
+        fibres = local_rows(Muscle.count, lanes)
+        delay = local_rows(Delay.count, lanes)
+        const = local_rows(Const.count, lanes)
+        work = local_rows(Work.count, lanes)
+        senses = local_rows(Sense.count, lanes)
+        table = local_rows(MUSCLES_PER_LEG, TABLE_COLUMNS)
         for m in ti.static(range(MUSCLES_PER_LEG)):
             for c in ti.static(range(TABLE_COLUMNS)):
                 table[m, c] = muscles[m, c]

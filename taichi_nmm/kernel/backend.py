@@ -237,6 +237,33 @@ def _initialise(arch: str, settings: Settings) -> bool:
         return False
 
 
+@ti.data_oriented  # Taichi leaves an object of such a class as it is
+class LocalRows:
+    """A local array [row, lane] of a kernel, which Taichi holds as one column.
+
+    While Taichi compiles, it walks through the whole kernel for each constant that it folds.
+    `array[3, lane]` has three such constants in two dimensions and one in a column: a kernel
+    compiles in a quarter of the time, to the same bits.
+    """
+
+    def __init__(self, rows: int, lanes: int) -> None:
+        self._lanes = lanes
+        self._column = ti.lang.impl.expr_init(ti.lang.matrix.make_matrix([0.0] * (rows * lanes)))
+
+    def __getitem__(self, index: tuple[Any, Any]) -> Any:
+        row, lane = index
+        builder = ti.lang.impl.get_runtime().compiling_callable.ast_builder()
+        return ti.lang.impl.subscript(builder, self._column, row * self._lanes + lane)
+
+
+def local_rows(rows: int, lanes: int) -> Any:
+    """Zeros [rows, lanes]; to be called in a kernel."""
+    return LocalRows(rows, lanes)
+
+
+local_rows._is_taichi_function = False  # type: ignore[attr-defined]  # known to Taichi: no warning
+
+
 @ti.kernel
 def _double(values: Array):
     for i in range(values.shape[0]):

@@ -5,7 +5,7 @@ torques of a physics step, `follow` takes in where the bodies are after it.
 """
 
 from taichi_nmm.kernel import contact, gait, joints, walker
-from taichi_nmm.kernel.backend import Array, Rows, ti
+from taichi_nmm.kernel.backend import Array, Rows, local_rows, ti
 from taichi_nmm.kernel.entry_points import load, load_slots, save, save_slots
 from taichi_nmm.kernel.layout import (
     COORDINATES,
@@ -88,14 +88,14 @@ def drive(
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for p in range(packs.shape[0]):
-        state = ti.Matrix.zero(float, State.count, lanes)
-        fibres = ti.Matrix.zero(float, Muscle.count, lanes)
-        delay = ti.Matrix.zero(float, Delay.count, lanes)
-        events = ti.Matrix.zero(float, Gait.count, lanes)
-        sums = ti.Matrix.zero(float, Sums.count, lanes)
-        const = ti.Matrix.zero(float, Const.count, lanes)
-        work = ti.Matrix.zero(float, Work.count, lanes)
-        table = ti.Matrix.zero(float, MUSCLES_PER_LEG, TABLE_COLUMNS)
+        state = local_rows(State.count, lanes)
+        fibres = local_rows(Muscle.count, lanes)
+        delay = local_rows(Delay.count, lanes)
+        events = local_rows(Gait.count, lanes)
+        sums = local_rows(Sums.count, lanes)
+        const = local_rows(Const.count, lanes)
+        work = local_rows(Work.count, lanes)
+        table = local_rows(MUSCLES_PER_LEG, TABLE_COLUMNS)
         for m in ti.static(range(MUSCLES_PER_LEG)):
             for c in ti.static(range(TABLE_COLUMNS)):
                 table[m, c] = muscles[m, c]
@@ -146,12 +146,12 @@ def follow(
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for p in range(packs.shape[0]):
-        state = ti.Matrix.zero(float, State.count, lanes)
-        sums = ti.Matrix.zero(float, Sums.count, lanes)
-        const = ti.Matrix.zero(float, Const.count, lanes)
-        work = ti.Matrix.zero(float, Work.count, lanes)
-        drive_rows = ti.Matrix.zero(float, Drive.count, lanes)
-        motion = ti.Matrix.zero(float, Motion.count, lanes)
+        state = local_rows(State.count, lanes)
+        sums = local_rows(Sums.count, lanes)
+        const = local_rows(Const.count, lanes)
+        work = local_rows(Work.count, lanes)
+        drive_rows = local_rows(Drive.count, lanes)
+        motion = local_rows(Motion.count, lanes)
         load(packs, p, 0, State.count, lanes, state)
         load(packs, p, FIRST_SUM, Sums.count, lanes, sums)
         load(constants, p, 0, Const.count, lanes, const)

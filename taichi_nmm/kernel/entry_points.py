@@ -5,7 +5,7 @@ one, since only local arrays let the compiler vectorise (`backend`).
 """
 
 from taichi_nmm.kernel import dynamics, kinematics, walker
-from taichi_nmm.kernel.backend import Array, Rows, ti
+from taichi_nmm.kernel.backend import Array, Rows, local_rows, ti
 from taichi_nmm.kernel.layout import (
     COORDINATES,
     FIRST_DELAY,
@@ -85,14 +85,14 @@ def advance(
     """
     ti.loop_config(block_dim=PACKS_PER_TASK)
     for p in range(packs.shape[0]):
-        state = ti.Matrix.zero(float, State.count, lanes)
-        fibres = ti.Matrix.zero(float, Muscle.count, lanes)
-        delay = ti.Matrix.zero(float, Delay.count, lanes)
-        events = ti.Matrix.zero(float, Gait.count, lanes)
-        sums = ti.Matrix.zero(float, Sums.count, lanes)
-        const = ti.Matrix.zero(float, Const.count, lanes)
-        work = ti.Matrix.zero(float, Work.count, lanes)
-        table = ti.Matrix.zero(float, MUSCLES_PER_LEG, TABLE_COLUMNS)
+        state = local_rows(State.count, lanes)
+        fibres = local_rows(Muscle.count, lanes)
+        delay = local_rows(Delay.count, lanes)
+        events = local_rows(Gait.count, lanes)
+        sums = local_rows(Sums.count, lanes)
+        const = local_rows(Const.count, lanes)
+        work = local_rows(Work.count, lanes)
+        table = local_rows(MUSCLES_PER_LEG, TABLE_COLUMNS)
         for m in ti.static(range(MUSCLES_PER_LEG)):
             for c in ti.static(range(TABLE_COLUMNS)):
                 table[m, c] = muscles[m, c]
@@ -132,9 +132,9 @@ def accelerate(
     """
     ti.loop_config(block_dim=PACKS_PER_TASK)
     for p in range(states.shape[0]):
-        state = ti.Matrix.zero(float, State.count, lanes)
-        const = ti.Matrix.zero(float, Const.count, lanes)
-        work = ti.Matrix.zero(float, Work.count, lanes)
+        state = local_rows(State.count, lanes)
+        const = local_rows(Const.count, lanes)
+        work = local_rows(Work.count, lanes)
         load(states, p, 0, 2 * COORDINATES, lanes, state)
         load(constants, p, 0, Const.count, lanes, const)
         for lane in range(lanes):

@@ -77,6 +77,7 @@ def interpreted(*names: str, double: bool = True) -> tuple[Any, ...]:
     """
     shim: Any = ModuleType("taichi_nmm.kernel.backend")
     shim.ti, shim.Rows, shim.Array, shim.is_double = NUMPY_TAICHI, Any, Any, lambda: double
+    shim.local_rows = None  # used in kernels, which are not interpreted
     replaced = ("backend", *INTERPRETED)
     real = {name: sys.modules.pop(f"{kernel.__name__}.{name}", None) for name in replaced}
     for name in replaced:
