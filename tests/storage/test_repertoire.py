@@ -236,6 +236,14 @@ def test_a_grid_without_survivors_is_refused_by_name(tmp_path: Path) -> None:
     assert caught.value.field == "samples"
 
 
+def test_a_generation_a_family_is_the_shortest_search() -> None:
+    least = 2 * (STARTS + GENERATION) * 2  # two families, two settings
+    shortest = evolving(repertoire={"evaluations": least}).repertoire
+    assert shortest is not None and shortest.generations == 2
+    with pytest.raises(InputError, match=f"at least {least} for 20 candidates"):
+        evolving(repertoire={"evaluations": least - 1})
+
+
 def test_a_missing_library_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("storage.specification.LIBRARY", "no_such_library")
     with pytest.raises(InputError, match="pip install"):
