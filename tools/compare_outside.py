@@ -204,30 +204,44 @@ class OutsideReport:
         lines = [
             "# Samplers on problems from outside",
             "",
+            "Do features help on tuning problems of other fields? This page has the tables, for"
+            " looking up; [the benchmarks](sampler-benchmarks.md#problems-from-outside) have the"
+            " conclusions. To repeat a small part:",
+            "",
+            "```sh",
+            "python tools/compare_outside.py --seeds 3 --arms ours,tpe --problems transport-solver"
+            " --out out/outside",
+            "```",
+            "",
             made_by(),
             "",
-            "These problems were not invented here. The costly objective of each was computed once"
-            " for every candidate of a pool (`tools/benchmarks/data`, one Parquet file each). Every"
-            f" arm has {self.seeds} seeds and its default options. A seed draws half of the pool,"
-            " which is then the problem of every arm.",
+            "## How to read the tables",
             "",
-            "- *Ours* proposes rows of the pool. Its peers propose any point and get the cost of"
-            " the nearest row: Euclidean distance in the unit cube, logarithmic parameters by their"
-            " logarithm, a choice as one coordinate an option, 0 or 1.",
-            "- `CmaEsSampler` draws choices at random, as everywhere in Optuna.",
-            "- The *ranking* is the mean rank of the features, each counted from the end that users"
-            f' consider good. "{ARMS["ours-prior"].label}" has the ranking as one more feature and'
-            " as `prior=`.",
+            "Each problem has a costly objective, whose cost was computed once for every candidate"
+            " of a pool (`tools/benchmarks/data`, one Parquet file each). A seed draws half of the"
+            " pool, which is then the problem of every sampler. Every sampler has"
+            f" {self.seeds} seeds and its default options.",
+            "",
+            "*Ours* proposes candidates of the pool. Optuna's samplers propose any point, and get"
+            " the cost of the nearest candidate: Euclidean distance in the unit cube, logarithmic"
+            " parameters by their logarithm, a choice as one coordinate an option, 0 or 1."
+            " `CmaEsSampler` draws choices at random, as everywhere in Optuna. The *ranking* is"
+            " the mean rank of the features, each counted from the end that users consider good."
+            f' "{ARMS["ours-prior"].label}" has the ranking as one more feature and as `prior=`.',
+            "",
+            "The first table of a problem has its features; a Spearman correlation near 1 means"
+            " that the good end of the feature has low costs. The second table has the median over"
+            " seeds of the best cost. *Information* is the input of a sampler besides its trials,"
+            " *different runs* counts the seeds whose runs differ. The other tables compare ours"
+            " with each sampler: *won* and *lost* count seeds, and a bold p means that ours is"
+            " behind (p < 0.05). The tests are Wilcoxon's signed ranks, two-sided, paired by seed,"
+            " not corrected for their number. Two halves of a pool share rows, so the tests hold"
+            " for this pool, not for all possible candidates.",
             "",
             f"![Rank of the best row found against trials]({NAME}.png)",
             "",
             "The figure shows the median over seeds of the number of rows that are as good as the"
             " best row found.",
-            "",
-            "Tests are Wilcoxon's signed ranks, two-sided, paired by seed, not corrected for their"
-            " number. *Won* and *lost* count seeds. A bold p says that ours is behind (p < 0.05)."
-            " Two halves of a pool share rows, so the tests hold for this pool, not for all"
-            " possible candidates.",
             *Bar.table(self.bars, "fails in (problem, against, trials, seeds won : lost)"),
         ]
         for problem in self.problems:
@@ -246,14 +260,14 @@ class OutsideReport:
             f" {len(problem.space)} parameters ({', '.join(problem.space)}). Best possible"
             f" {problem.best:.4g}, best 1 % below {best:.4g}, half below {half:.4g}.",
             "",
-            "| feature | good | what | Spearman with the cost, from the good end |",
+            "| feature | good end | meaning | Spearman with the cost, from the good end |",
             "|---|---|---|---|",
         ]
         for feature, said in problem.feature_meanings.items():
             lines.append(f"| {feature} | {said.good} | {said.meaning} | {worths[feature]:.2f} |")
-        lines.append(f"| ranking | low | mean rank of these | {worths['ranking']:.2f} |")
+        lines.append(f"| ranking | low | mean rank of these features | {worths['ranking']:.2f} |")
         head = " | ".join(f"after {trial}" for trial in at)
-        lines += ["", f"| median of the best | told | different runs | {head} |",
+        lines += ["", f"| median of the best | information | different runs | {head} |",
                   "|---|---|---|" + "---|" * len(at)]  # fmt: skip
         for arm in self.arms():
             cells = " | ".join(f"{self.median(name, arm, trial):.4g}" for trial in at)
