@@ -34,6 +34,9 @@ with guarded_imports():
     from tools.benchmarks.runs import Costs
 
 NAME = "sampler-outside"
+EXAMPLE = """python tools/compare_outside.py --seeds 3 --arms ours,tpe \\
+    --problems transport-solver --out out/outside
+"""
 GROUPS = {"tuning": outside.TUNING, "reported": outside.REPORTED, "all": outside.PROBLEMS}
 CHECKPOINTS = (5, 10, 20, 40)  # trials
 OUR_ARMS = tuple(name for name, arm in ARMS.items() if arm.kind == "ours")
@@ -209,8 +212,7 @@ class OutsideReport:
             " conclusions. To repeat a small part:",
             "",
             "```sh",
-            "python tools/compare_outside.py --seeds 3 --arms ours,tpe --problems transport-solver"
-            " --out out/outside",
+            EXAMPLE.rstrip(),
             "```",
             "",
             made_by(),
