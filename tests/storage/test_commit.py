@@ -132,10 +132,7 @@ def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path: Path) -> None:
     with together(folder) as new:
         (new / "file").write_text("first")
         done = subprocess.run(
-            [sys.executable, "-c", TOGETHER, str(folder)],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
+            [sys.executable, "-c", TOGETHER, str(folder)], cwd=ROOT, capture_output=True, text=True
         )
         assert "allowed: a folder that no other process is filling at this moment" in done.stderr
     assert [file.name for file in tmp_path.rglob("*")] == ["report", "file"]

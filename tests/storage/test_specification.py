@@ -114,10 +114,7 @@ BAD: dict[str, list[str]] = {
     "seed": ["seed = -1"],
     "colour": ["colour = 1"],
     "simulation": ["simulation = 3"],
-    "simulation.duration_s": [
-        "[simulation]\nduration_s = nan",
-        "[simulation]\nduration_s = 0",
-    ],
+    "simulation.duration_s": ["[simulation]\nduration_s = nan", "[simulation]\nduration_s = 0"],
     "simulation.threads": ["[simulation]\nthreads = 2"],
     "simulation.precision": ["[simulation]\nprecision = 'float16'"],
     "terrain.kind": ["[terrain]\nkind = 'moon'"],
@@ -130,10 +127,7 @@ BAD: dict[str, list[str]] = {
     "robust.terrain.slope": ["[robust]\nsettings = 6\n[robust.terrain]\nkind = 'rough'\nslope = 2"],
     "robust.body.disturbance": ["[robust]\nsettings = 6\n[robust.body]\ndisturbance = -1"],
     "families.up": ["[families]\nup = 3"],
-    "families.up.settings": [
-        "[families.up]\nhorizon_s = 3.0",
-        "[families.up]\nsettings = 0",
-    ],
+    "families.up.settings": ["[families.up]\nhorizon_s = 3.0", "[families.up]\nsettings = 0"],
     "families.up.slope": ["[families.up]\nsettings = 2\nslope = 1"],
     "families.up.min_survival_s": ["[families.up]\nsettings = 2\nmin_survival_s = 6"],
     "families.up.terrain.kind": ["[families.up]\nsettings = 2\nterrain = {kind = 'r'}"],
@@ -150,10 +144,7 @@ BAD: dict[str, list[str]] = {
         "families = 3",
         "[families.origin]\nsettings = 2\n[repertoire]\nseed = 1",
     ],
-    "families.up.after": [
-        f"[families.up]\n{LATER}",
-        "[families.up]\nsettings = 2\nafter = 3",
-    ],
+    "families.up.after": [f"[families.up]\n{LATER}", "[families.up]\nsettings = 2\nafter = 3"],
     "families.down.after": [f"[families.up]\n{LATER}\n[families.down]\n{LATER}"],
     "robust.after": ["[robust]\nsettings = 2\nafter = 'up'"],
     "families.up.min_survived_fraction": [
@@ -163,10 +154,7 @@ BAD: dict[str, list[str]] = {
     "families.up.world.friction": ["[families.up]\nsettings = 2\nworld = {friction = 0.5}"],
     "families.up.world.grip": ["[families.up]\nsettings = 2\nworld = {grip = [0, 1]}"],
     "world.strength": ["world = {strength = [1, 0.5]}"],
-    "repertoire": [
-        "[repertoire]\nseed = 1",
-        "repertoire = 3",
-    ],
+    "repertoire": ["[repertoire]\nseed = 1", "repertoire = 3"],
     "repertoire.evaluations": [
         "[families.up]\nsettings = 2\n[repertoire]\nevaluations = 10",
         "[families.up]\nsettings = 2\n[repertoire]\nevaluations = 0",

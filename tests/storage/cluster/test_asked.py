@@ -54,8 +54,7 @@ def test_no_password_is_shown() -> None:
 def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
     find = importlib.util.find_spec
     monkeypatch.setattr(
-        "storage.pool.find_spec",
-        lambda name: None if name == "distributed" else find(name),
+        "storage.pool.find_spec", lambda name: None if name == "distributed" else find(name)
     )
     with pytest.raises(InputError, match=r"pip install 'taichi-nmm\[cluster\]'"):
         Cluster("local:2")

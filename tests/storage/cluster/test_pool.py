@@ -156,10 +156,7 @@ def stall() -> Iterator[Callable[[int], None]]:
 
 
 def test_a_scheduler_that_stalls_is_one_line(
-    cluster: Cluster,
-    opened: Open,
-    stall: Callable[[int], None],
-    monkeypatch: pytest.MonkeyPatch,
+    cluster: Cluster, opened: Open, stall: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("storage.cluster.session.ANSWER_S", 2.0)
     monkeypatch.setattr("storage.cluster.session.CLOSE_S", 1.0)

@@ -6,15 +6,7 @@ from matplotlib.text import Annotation
 
 from study.experiment.arms import ARMS
 from study.pictures import style
-from study.report.axes import (
-    LABEL_SPACING_PT,
-    End,
-    Look,
-    label_ends,
-    looks,
-    spread_out,
-    trial_axis,
-)
+from study.report.axes import LABEL_SPACING_PT, End, Look, label_ends, looks, spread_out, trial_axis
 from study.report.runs import Results
 from tests.study.report.synthetic import arm
 
