@@ -6,7 +6,7 @@ import random
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,28 +27,30 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS
 from tests.storage import fake
 
+SHARD = "part-00003.parquet"
 
-def test_arrow_numpy_and_pandas_agree(folder: Path) -> None:
+
+def test_arrow_numpy_and_pandas_agree(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = open_store(folder, verify=True)
     table, rows, frame = store.table(), store.numpy(), store.pandas()
     assert len(store) == len(table) == len(rows) == len(frame) == 50
     assert list(store.columns) == table.column_names == list(rows.dtype.names) == list(frame)
+    assert pickle.loads(pickle.dumps(store)).table() == table
     for name in store.columns:
         assert table[name].to_pylist() == rows[name].tolist() == frame[name].tolist()
     assert rows["row"].tolist() == list(range(50))
     assert rows["end_reason"].dtype.kind == "U"
     assert rows["step_count"].dtype == np.int32
     assert rows["robust_evaluated"].dtype == np.bool_
-
-
-def test_columns_come_as_asked(folder: Path) -> None:
-    store = open_store(folder)
     names = ("phi_printed", "row")
     assert store.table(names).column_names == list(names)
     assert store.numpy(names).dtype.names == names
     assert list(store.pandas(names)) == list(names)
     with pytest.raises(InputError, match="column: 'phi'"):
         store.table(["phi"])
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match="pandas"):
+        open_store(folder).pandas()
 
 
 def test_one_shard_opens_alone(folder: Path, tmp_path: Path) -> None:
@@ -58,9 +60,6 @@ def test_one_shard_opens_alone(folder: Path, tmp_path: Path) -> None:
         store = open_store(path, verify=True)
         assert store.numpy(["row"])["row"].tolist() == list(range(8, 16))
         assert store.specification == fake.specification(robust=True).document
-
-
-def test_a_folder_named_like_a_hive_partition_adds_no_column(folder: Path) -> None:
     renamed = folder.rename(folder.with_name("seed=3"))
     assert "seed" not in open_store(renamed).table().column_names
 
@@ -75,19 +74,6 @@ def test_merged_file_holds_the_same_rows(folder: Path, tmp_path: Path) -> None:
     merge(folder, tmp_path / "again.parquet")
     files = [tmp_path / name for name in ("merged.parquet", "again.parquet")]
     assert files[0].read_bytes() == files[1].read_bytes()
-
-
-def test_missing_paths(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file"):
-        open_store(tmp_path / "nothing")
-    with pytest.raises(InputError, match="a finished store"):
-        open_store(tmp_path)
-
-
-def test_an_unfinished_store_is_refused(folder: Path) -> None:
-    (folder / "manifest.json").unlink()
-    with pytest.raises(InputError, match="a finished store"):
-        open_store(folder)
 
 
 def test_the_shards_of_an_unfinished_store_are_taken_where_wanted(
@@ -112,6 +98,47 @@ def test_the_shards_of_an_unfinished_store_are_taken_where_wanted(
         open_store(folder, unfinished=True)
 
 
+def manifest(old: str, new: str) -> Callable[[Path], object]:
+    """An edit of a store's manifest, beside which lies a shard that is no part of it."""
+
+    def edit(folder: Path) -> None:
+        path, outside = folder / "manifest.json", folder.parent / "outside.parquet"
+        shutil.copy(folder / "part-00001.parquet", outside)
+        path.write_text(path.read_text().replace(old, new.replace("OUTSIDE", str(outside)), 1))
+
+    return edit
+
+
+def without_a_column(folder: Path) -> None:
+    table = pq.read_table(folder / SHARD, partitioning=None)
+    pq.write_table(table.drop_columns(["phi_printed"]), folder / SHARD)
+
+
+REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
+    "no folder": (shutil.rmtree, "No such file"),
+    "no manifest": (lambda folder: (folder / "manifest.json").unlink(), "a finished store"),
+    "an edited specification": (manifest('"seed": 7', '"seed": 9'), "an undamaged manifest"),
+    "another format": (manifest('"format": 1', '"format": 99'), "of format 99, not 1"),
+    "a missing shard": (lambda folder: (folder / SHARD).unlink(), r"part-00003\.parquet"),
+    "a missing column": (without_a_column, "columns of its specification"),
+    "a shard in another's place": (
+        lambda folder: shutil.copy(folder / "part-00002.parquet", folder / SHARD),
+        "shard 3 of this store",
+    ),
+} | {
+    place: (manifest("part-00001.parquet", place), "in the same folder")
+    for place in ("../outside.parquet", "OUTSIDE", "./part-00001.parquet")
+}
+
+
+@pytest.mark.parametrize("fault", REFUSED)
+def test_a_folder_that_is_no_whole_store_is_refused(folder: Path, fault: str) -> None:
+    damage, allowed = REFUSED[fault]
+    damage(folder)
+    with pytest.raises(InputError, match=allowed):
+        open_store(folder)
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"shards": [1]}'])
 def test_a_damaged_manifest(folder: Path, text: str) -> None:
     (folder / "manifest.json").write_text(text)
@@ -119,22 +146,9 @@ def test_a_damaged_manifest(folder: Path, text: str) -> None:
         open_store(folder)
 
 
-def test_a_manifest_whose_specification_was_edited(folder: Path) -> None:
-    path = folder / "manifest.json"
-    path.write_text(path.read_text().replace('"seed": 7', '"seed": 9'))
-    with pytest.raises(InputError, match="an undamaged manifest"):
-        open_store(folder)
-
-
-def test_a_missing_shard(folder: Path) -> None:
-    (folder / "part-00003.parquet").unlink()
-    with pytest.raises(InputError, match=r"part-00003\.parquet"):
-        open_store(folder)
-
-
 @pytest.mark.parametrize("length", [0, 3, 1000])
 def test_a_truncated_shard(folder: Path, length: int) -> None:
-    shard = folder / "part-00003.parquet"
+    shard = folder / SHARD
     shard.write_bytes(shard.read_bytes()[:length])
     for path in (folder, shard):
         with pytest.raises(InputError, match=r"part-00003\.parquet.* whole") as caught:
@@ -142,9 +156,15 @@ def test_a_truncated_shard(folder: Path, length: int) -> None:
         assert "\n" not in str(caught.value)
 
 
-def test_a_foreign_file(tmp_path: Path) -> None:
-    path = tmp_path / "foreign.parquet"
-    pq.write_table(pa.table({"phi_printed": [1.0]}), path)
+@pytest.mark.parametrize(
+    "footer", [None, "3", "{", '{"rows": 1}', '{"rows": 1, "specification": 4}']
+)
+def test_a_foreign_file_even_with_a_footer_under_our_key(
+    tmp_path: Path, footer: str | None
+) -> None:
+    path, table = tmp_path / "foreign.parquet", pa.table({"phi_printed": [1.0]})
+    footers = {} if footer is None else {"taichi_nmm": footer}
+    pq.write_table(table.replace_schema_metadata(footers), path)
     with pytest.raises(InputError, match="footer"):
         open_store(path)
     path.write_text("row,phi_printed\n0,1\n")
@@ -152,29 +172,8 @@ def test_a_foreign_file(tmp_path: Path) -> None:
         open_store(path)
 
 
-@pytest.mark.parametrize("footer", ["3", "{", '{"rows": 1}', '{"rows": 1, "specification": 4}'])
-def test_a_footer_of_somebody_else_under_our_key(tmp_path: Path, footer: str) -> None:
-    path = tmp_path / "foreign.parquet"
-    pq.write_table(pa.table({"a": [1.0]}).replace_schema_metadata({"taichi_nmm": footer}), path)
-    with pytest.raises(InputError, match="footer"):
-        open_store(path)
-
-
-def test_columns_that_are_not_those_of_the_specification(folder: Path) -> None:
-    shard = folder / "part-00003.parquet"
-    pq.write_table(pq.read_table(shard, partitioning=None).drop_columns(["phi_printed"]), shard)
-    with pytest.raises(InputError, match="columns of its specification"):
-        open_store(folder)
-
-
-def test_shards_in_the_wrong_place(folder: Path) -> None:
-    shutil.copy(folder / "part-00002.parquet", folder / "part-00003.parquet")
-    with pytest.raises(InputError, match="shard 3 of this store"):
-        open_store(folder)
-
-
 def test_a_wrong_hash_is_found_when_verified(folder: Path) -> None:
-    shard = folder / "part-00003.parquet"
+    shard = folder / SHARD
     pq.write_table(pq.read_table(shard, partitioning=None), shard, compression="snappy")
     assert len(open_store(folder)) == 50
     for path in (folder, shard):
@@ -200,12 +199,7 @@ def test_a_flipped_bit_changes_no_value(folder: Path, tmp_path: Path) -> None:
         with pytest.raises(InputError):
             open_store(flipped, verify=True)
     assert 0 < refused < 60
-
-
-def test_a_flipped_bit_is_found_in_a_shard_without_its_manifest(
-    folder: Path, tmp_path: Path
-) -> None:
-    path = Path(shutil.copy(folder / "part-00003.parquet", tmp_path / "flipped.parquet"))
+    path = Path(shutil.copy(folder / SHARD, tmp_path / "flipped.parquet"))
     fake.flip_a_bit(path)
     for verify in (False, True):
         with pytest.raises(InputError, match="undamaged"):
@@ -219,22 +213,6 @@ def test_a_store_of_other_bounds_is_refused(folder: Path, monkeypatch: pytest.Mo
     with pytest.raises(InputError) as caught:
         store.require_bounds()
     assert caught.value.field == f"store.gains.{GAIN_NAMES[-1]}"
-
-
-def test_pandas_is_optional(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match="pandas"):
-        open_store(folder).pandas()
-
-
-def test_a_store_pickles(folder: Path) -> None:
-    store = pickle.loads(pickle.dumps(open_store(folder)))
-    assert store.table() == open_store(folder).table()
-
-
-def test_merging_into_a_place_that_cannot_be_written(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="a place that can be written"):
-        merge(folder, tmp_path / "missing" / "merged.parquet")
 
 
 def test_reading_loads_no_simulator(folder: Path) -> None:
@@ -254,28 +232,21 @@ COMPLETED_POINTS = 2
 PHI_PRINTED_SUM = 88.49891221523285
 
 
-def test_the_old_folder_opens_and_is_undamaged() -> None:
+def test_the_old_folder_opens_and_is_undamaged(tmp_path: Path) -> None:
     store = open_store(OLD_STORE, verify=True)
     rows = store.numpy()
     assert rows["row"].tolist() == list(range(20))
     assert store.specification["code_version"] == "0.1.0"
     assert [footer["rows"] for footer in store.footers] == [12, 8]
     assert {footer["engine"] for footer in store.footers} == {"taichi"}
-
-
-def test_the_old_numbers_are_what_they_were() -> None:
-    rows = open_store(OLD_STORE).numpy()
     assert rows["end_reason"].tolist().count("completed") == COMPLETED_POINTS
     assert rows["phi_printed"].sum() == pytest.approx(PHI_PRINTED_SUM, rel=1e-12)
-    bounds = open_store(OLD_STORE).specification["gains"]
-    for name, bound in bounds.items():
+    assert len(store.specification["gains"]) == 16
+    for name, bound in store.specification["gains"].items():
         assert np.all((bound["low"] <= rows[name]) & (rows[name] <= bound["high"]))
-
-
-def test_an_old_shard_and_a_merged_file_of_it_open(tmp_path: Path) -> None:
     assert len(open_store(OLD_STORE / "part-00001.parquet", verify=True)) == 8
     merged = merge(OLD_STORE, tmp_path / "merged.parquet")
-    assert merged.table().equals(open_store(OLD_STORE).table().combine_chunks())
+    assert merged.table().equals(store.table().combine_chunks())
 
 
 def test_a_store_of_another_version_is_not_resumed(tmp_path: Path) -> None:
@@ -288,7 +259,6 @@ def test_a_store_of_another_version_is_not_resumed(tmp_path: Path) -> None:
     assert open_store(folder).table().equals(open_store(OLD_STORE).table())
 
 
-Document = dict[str, Any]
 WRONG: tuple[Any, ...] = (
     None, True, "a", "", "../outside.parquet", -1, 99, 1.5, 10**400, [], [None], {}, {"a": {}},
 )  # fmt: skip
@@ -324,10 +294,6 @@ def look_at(path: Path) -> None:
     FeatureTable.from_parquet(path, features=["phi_printed"])
 
 
-def write_manifest(folder: Path, document: Document) -> None:
-    (folder / "manifest.json").write_text(json.dumps(document))
-
-
 def test_every_edit_of_a_manifest(folder: Path) -> None:
     whole = json.loads((folder / "manifest.json").read_text())
     small = whole | {"specification": "whole"}  # what is in it is the next test's
@@ -335,7 +301,7 @@ def test_every_edit_of_a_manifest(folder: Path) -> None:
     for document in edits(small):
         if document.get("specification") == "whole":
             document["specification"] = whole["specification"]
-        write_manifest(folder, document)
+        (folder / "manifest.json").write_text(json.dumps(document))
         count += 1
         try:
             look_at(folder)
@@ -382,21 +348,7 @@ def test_a_column_with_a_gap_is_refused(folder: Path) -> None:
         open_store(path).table()
 
 
-def test_shards_lie_in_their_folder(folder: Path) -> None:
-    shutil.copy(folder / "part-00001.parquet", folder.parent / "outside.parquet")
-    text = (folder / "manifest.json").read_text()
-    places = ("../outside.parquet", str(folder.parent / "outside.parquet"), "./part-00001.parquet")
-    for place in places:
-        (folder / "manifest.json").write_text(text.replace("part-00001.parquet", place))
-        with pytest.raises(InputError, match="in the same folder"):
-            open_store(folder)
-
-
-def test_another_format_is_refused(folder: Path) -> None:
-    path = folder / "manifest.json"
-    path.write_text(path.read_text().replace('"format": 1', '"format": 99', 1))
-    with pytest.raises(InputError, match="of format 99, not 1"):
-        open_store(folder)
+def test_a_shard_of_another_format_is_refused(folder: Path) -> None:
     shard = folder / "part-00000.parquet"
     table = pq.read_table(shard, partitioning=None)
     footer = table.schema.metadata[FOOTER_KEY].replace(b'"format": 1', b'"format": 99', 1)
@@ -413,5 +365,6 @@ def test_merging_into_no_file(folder: Path, name: str) -> None:
     before = sorted(folder.iterdir())
     with pytest.raises(InputError) as caught:
         merge(folder, folder / name if name else Path())
+    assert name != "missing/file" or "a place that can be written" in str(caught.value)
     assert str(caught.value).isprintable()
     assert sorted(folder.iterdir()) == before
