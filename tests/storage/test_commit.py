@@ -16,27 +16,23 @@ from storage.tables import read_columns, write_table
 from taichi_nmm.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMIT = "import sys; from pathlib import Path; from storage.commit import commit_json; "
-COMMIT += "commit_json(Path(sys.argv[1]), {})"
-TOGETHER = "import sys; from pathlib import Path; from storage.commit import together\n"
-TOGETHER += "with together(Path(sys.argv[1])): pass"
+IMPORTS = "import sys; from pathlib import Path; from storage.commit import commit_json, together\n"
 TABLE = pa.table({"row": [0, 1], "score": [0.5, 0.25]})
 FOOTER = {"format": 1, "rows": 2, "shard": 0, "specification": {}, "specification_hash": ""}
 
 
-def test_a_file_appears_whole_with_its_footer(tmp_path: Path) -> None:
+def test_a_file_appears_whole_with_its_footer_which_counts_its_rows(tmp_path: Path) -> None:
     path = tmp_path / "part.parquet"
     write_table(path, TABLE, FOOTER)
     footer, schema = read_footer(path)
     assert footer == FOOTER and schema == TABLE.schema
     assert read_columns(path, ["score"])["score"].to_pylist() == [0.5, 0.25]
     assert [file.name for file in tmp_path.iterdir()] == ["part.parquet"]
-
-
-def test_same_table_same_bytes(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        write_table(tmp_path / name, TABLE, FOOTER)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    write_table(tmp_path / "again", TABLE, FOOTER)
+    assert (tmp_path / "again").read_bytes() == path.read_bytes()
+    write_table(path, TABLE, FOOTER | {"rows": 3})
+    with pytest.raises(InputError, match="a file of 3 rows"):
+        read_footer(path)
 
 
 def test_disk_full_leaves_the_old_file_and_no_temporary(
@@ -57,33 +53,22 @@ def test_disk_full_leaves_the_old_file_and_no_temporary(
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_reads_back_differently_never_gets_the_name(tmp_path: Path) -> None:
-    def write_half(temporary: Path) -> None:
-        temporary.write_bytes(b"PAR1 and then the power failed")
-
+def test_what_reads_back_differently_or_is_interrupted_never_gets_the_name(tmp_path: Path) -> None:
     def check(temporary: Path) -> None:
         raise OSError("what was read back differs from what was written")
 
-    with pytest.raises(InputError, match="differs"):
-        commit(tmp_path / "part.parquet", write_half, check)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_footer_that_lies_about_its_rows_is_not_committed(tmp_path: Path) -> None:
-    path = tmp_path / "part.parquet"
-    write_table(path, TABLE, FOOTER | {"rows": 3})
-    with pytest.raises(InputError, match="a file of 3 rows"):
-        read_footer(path)
-
-
-def test_interrupt_while_writing_leaves_nothing(tmp_path: Path) -> None:
-    def write(temporary: Path) -> None:
+    def interrupted(temporary: Path) -> None:
         temporary.write_text("half")
         raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        commit(tmp_path / "file", write, lambda temporary: None)
+    with pytest.raises(InputError, match="differs"):
+        commit(tmp_path / "part.parquet", lambda temporary: temporary.write_text("half"), check)
     assert not list(tmp_path.iterdir())
+    with pytest.raises(KeyboardInterrupt):
+        commit(tmp_path / "file", interrupted, lambda temporary: None)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(InputError, match="No such file or directory"):
+        commit_json(tmp_path / "missing" / "file.json", {})
 
 
 def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(tmp_path: Path) -> None:
@@ -117,13 +102,16 @@ def test_a_file_that_is_removed_before_it_is_locked_is_made_again(
     assert calls == [fcntl.LOCK_EX] * 2 and not list(tmp_path.iterdir())
 
 
+def errors_of(code: str, path: Path) -> str:
+    """Of another process that runs the code."""
+    words = [sys.executable, "-c", IMPORTS + code, str(path)]
+    return subprocess.run(words, cwd=ROOT, capture_output=True, text=True).stderr
+
+
 def test_what_is_being_written_is_not_taken_for_a_leftover(tmp_path: Path) -> None:
     path = tmp_path / "file.json"
     with temporary_sibling(path) as temporary:
-        done = subprocess.run(
-            [sys.executable, "-c", COMMIT, str(path)], cwd=ROOT, capture_output=True, text=True
-        )
-        assert done.stderr == "" and temporary.exists()
+        assert errors_of("commit_json(Path(sys.argv[1]), {})", path) == "" and temporary.exists()
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -131,10 +119,8 @@ def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path: Path) -> None:
     folder = tmp_path / "report"
     with together(folder) as new:
         (new / "file").write_text("first")
-        done = subprocess.run(
-            [sys.executable, "-c", TOGETHER, str(folder)], cwd=ROOT, capture_output=True, text=True
-        )
-        assert "allowed: a folder that no other process is filling at this moment" in done.stderr
+        errors = errors_of("with together(Path(sys.argv[1])): pass", folder)
+        assert "allowed: a folder that no other process is filling at this moment" in errors
     assert [file.name for file in tmp_path.rglob("*")] == ["report", "file"]
 
 
@@ -146,16 +132,10 @@ def test_a_file_system_without_locks_is_named(
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(fcntl, "flock", fails)
-    allowed = re.escape(
-        f"a place on a file system with locks, such as a local disk ({os.strerror(number)})"
-    )
-    with pytest.raises(InputError, match=allowed), together(tmp_path / "report"):
+    allowed = f"a place on a file system with locks, such as a local disk ({os.strerror(number)})"
+    refused = pytest.raises(InputError, match=re.escape(allowed))
+    with refused, together(tmp_path / "report"):
         pass
-
-
-def test_no_folder_to_write_in(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file or directory"):
-        commit_json(tmp_path / "missing" / "file.json", {})
 
 
 def test_files_move_together_into_a_folder_that_has_a_name(
@@ -168,9 +148,7 @@ def test_files_move_together_into_a_folder_that_has_a_name(
             (new / "file").touch()
         assert (folder / "file").exists()
         (folder / "file").unlink()
-    with (
-        pytest.raises(InputError, match=r"^out: '/' .* a folder that has a name"),
-        together(Path("/")),
-    ):
+    refused = pytest.raises(InputError, match=r"^out: '/' .* a folder that has a name")
+    with refused, together(Path("/")):
         pass
     assert [file.name for file in tmp_path.iterdir()] == ["a"] and not list(Path().iterdir())

@@ -1,16 +1,17 @@
-import warnings
-
 import numpy as np
+import pytest
 from scipy.stats import qmc
 
 from storage.points import sobol_points
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, lower_bounds, upper_bounds
 
 
-def test_a_part_alone_equals_one_long_run() -> None:
+@pytest.mark.filterwarnings("error")
+def test_a_part_alone_equals_one_long_run_and_warns_of_no_length() -> None:
     whole = sobol_points(3, 0, 512, GAINS)
     for first, count in ((0, 100), (100, 7), (107, 405), (511, 1)):
         assert np.array_equal(sobol_points(3, first, count, GAINS), whole[first : first + count])
+    assert sobol_points(0, 0, 5, GAINS).shape == (5, 16)
 
 
 def test_points_fill_the_bounds_evenly() -> None:
@@ -20,19 +21,7 @@ def test_points_fill_the_bounds_evenly() -> None:
     counts = [np.histogram(column, bins=16, range=(0, 1))[0] for column in unit.T]
     assert np.all(np.array(counts) == 64)  # a Sobol sequence's promise, not a random one's
     assert qmc.discrepancy(unit[:, :4]) < 1e-3
-
-
-def test_seeds_give_different_points() -> None:
     assert not np.any(sobol_points(3, 0, 8, GAINS) == sobol_points(4, 0, 8, GAINS))
-
-
-def test_no_warning_about_a_length_that_is_no_power_of_two() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert sobol_points(0, 0, 5, GAINS).shape == (5, 16)
-
-
-def test_seventeen_dimensions_are_filled_evenly() -> None:
     theta_ref = LOW_LEVEL_GAINS[-1]
     group = (*GAINS, theta_ref)
     points = sobol_points(3, 0, 256, group)

@@ -31,10 +31,6 @@ def square(number: int) -> int:
     return number**2
 
 
-def large(number: int) -> bytes:
-    return bytes(number)
-
-
 def halves(number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     whole = np.arange(float(number))
     return whole[: number // 2], whole[::2]  # one of which lies in one piece
@@ -98,7 +94,13 @@ def test_every_unit_is_done_once(workers: int) -> None:
         assert (pool.in_process, pool.shares_machine) == (workers == 1, workers > 1)
         assert sorted(pool.results(square, deque(range(20)))) == [(n, n**2) for n in range(20)]
         assert list(pool.results(square, deque())) == []
-        assert dict(pool.results(large, deque([3_000_000]))) == {3_000_000: bytes(3_000_000)}
+        assert dict(pool.results(bytes, deque([3_000_000]))) == {3_000_000: bytes(3_000_000)}
+        units, seen = deque([1, 10]), []
+        for number, _ in pool.results(square, units):
+            seen.append(number)
+            if number % 10 < 4:
+                units.append(number + 1)  # on the way
+        assert sorted(seen) == [1, 2, 3, 4, 10, 11, 12, 13, 14]
 
 
 @pytest.mark.parametrize("number", [0, 2_000_000])
@@ -108,23 +110,6 @@ def test_arrays_may_be_written_to(number: int) -> None:
     np.testing.assert_array_equal(first, np.arange(number // 2))
     np.testing.assert_array_equal(even, 2 * np.arange(number // 2))
     assert first.flags.writeable and even.flags.writeable
-
-
-def test_any_executor_will_do() -> None:
-    with ThreadPoolExecutor(3) as executor:
-        results = dict(Pool(executor, 3).results(square, deque(range(9))))
-    assert results == {number: number**2 for number in range(9)}
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_units_may_be_appended_on_the_way(workers: int) -> None:
-    units, seen = deque([1, 10]), []
-    with local_pool(workers) as pool:
-        for number, _ in pool.results(square, units):
-            seen.append(number)
-            if number % 10 < 4:
-                units.append(number + 1)
-    assert sorted(seen) == [1, 2, 3, 4, 10, 11, 12, 13, 14]
 
 
 def test_processes_are_quiet_and_no_more_than_units() -> None:
@@ -137,6 +122,9 @@ def test_processes_are_quiet_and_no_more_than_units() -> None:
     assert dict(os.environ) == before
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
     assert not any(map(alive, pids))
+    with ThreadPoolExecutor(3) as executor:
+        results = dict(Pool(executor, 3).results(square, deque(range(9))))
+    assert results == {number: number**2 for number in range(9)}
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -199,9 +187,6 @@ def test_no_process_outlives_a_killed_parent(tmp_path: Path) -> None:
 def test_no_processes_are_refused(workers: int) -> None:
     with pytest.raises(InputError, match=f"workers: {workers} "), local_pool(workers):
         pytest.fail("there is no such pool")
-
-
-def test_cores_are_at_least_one() -> None:
     assert 1 <= cores() <= (os.cpu_count() or 1)
     assert not IN_PROCESS.shares_machine
 
@@ -214,6 +199,5 @@ def test_idle_processes_end_by_themselves(tmp_path: Path) -> None:
     """Taichi writes what it has compiled at the end of a process: a killed one compiles in vain."""
     notes = [tmp_path / "one", tmp_path / "two"]
     with local_pool(2) as pool:
-        for _ in pool.results(leave_a_note_at_the_end, deque(notes)):
-            pass
+        list(pool.results(leave_a_note_at_the_end, deque(notes)))
     assert [note.read_text() for note in notes] == ["ended by itself"] * 2

@@ -36,12 +36,8 @@ FAMILIES = {
 GENERATIONS = 3
 STARTERS = 35  # points of the grid that live long enough to be run on the families
 WALKS = 2 * 2 * (STARTERS + GENERATIONS * GENERATION)  # two families, two settings
-REPERTOIRE = {
-    "evaluations": 2 * 2 * (STARTS + GENERATIONS * GENERATION),
-    "settings": 2,
-    "candidates": 20,
-    "seed": 5,
-}
+EVALUATIONS = 2 * 2 * (STARTS + GENERATIONS * GENERATION)
+REPERTOIRE = {"evaluations": EVALUATIONS, "settings": 2, "candidates": 20, "seed": 5}
 
 
 def evolving(**changes: Any) -> Specification:
@@ -49,8 +45,11 @@ def evolving(**changes: Any) -> Specification:
     return fake.specification(families=FAMILIES, repertoire=repertoire, **changes)
 
 
+Finished = tuple[Path, Summary]
+
+
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     path = tmp_path_factory.mktemp("evolved") / "store"
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
@@ -65,7 +64,7 @@ def interrupted(path: Path, after: int) -> None:
             precompute(evolving(), path)
 
 
-def test_candidates_are_rows_after_the_grid(finished: tuple[Path, Summary]) -> None:
+def test_candidates_are_rows_after_the_grid(finished: Finished) -> None:
     path, summary = finished
     store = open_store(path, verify=True)
     rows = store.numpy()
@@ -81,9 +80,7 @@ def test_candidates_are_rows_after_the_grid(finished: tuple[Path, Summary]) -> N
         assert np.all((rows[f"{family}_phi_printed_mean"] > 0) == rows[f"{family}_evaluated"])
 
 
-def test_the_grid_is_that_of_a_store_without_candidates(
-    finished: tuple[Path, Summary], tmp_path: Path
-) -> None:
+def test_the_grid_is_that_of_a_store_without_candidates(finished: Finished, tmp_path: Path) -> None:
     precompute(fake.specification(families=FAMILIES), tmp_path / "plain")
     plain, evolved = open_store(tmp_path / "plain"), open_store(finished[0])
     assert plain.columns == tuple(name for name in evolved.columns if name != "origin")
@@ -96,7 +93,7 @@ def test_the_grid_is_that_of_a_store_without_candidates(
 
 
 def test_the_repertoire_says_what_was_tried_and_where_a_row_comes_from(
-    finished: tuple[Path, Summary],
+    finished: Finished,
 ) -> None:
     path, summary = finished
     tried = pq.read_table(path / "repertoire.parquet").to_pydict()
@@ -113,9 +110,7 @@ def test_the_repertoire_says_what_was_tried_and_where_a_row_comes_from(
     assert sorted(file.name for file in path.iterdir() if "search" in file.name) == []
 
 
-def test_two_runs_on_any_executor_are_the_same_bytes(
-    finished: tuple[Path, Summary], tmp_path: Path
-) -> None:
+def test_two_runs_on_any_executor_are_the_same_bytes(finished: Finished, tmp_path: Path) -> None:
     seen: list[float] = []
     with ThreadPoolExecutor(3) as executor:  # where the fake simulator is seen
         precompute(evolving(), tmp_path / "b", progress=seen.append, pool=Pool(executor, 3))
@@ -126,7 +121,7 @@ def test_two_runs_on_any_executor_are_the_same_bytes(
 
 @pytest.mark.parametrize("after", [7 * 3 - 1, 7 * 3 + 1, 7 * 3 + 6, 7 * 3 + 8, 7 * 3 + 8 + 4])
 def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(
-    finished: tuple[Path, Summary], tmp_path: Path, after: int
+    finished: Finished, tmp_path: Path, after: int
 ) -> None:
     """In the grid's last shard, in the search, and in the candidates' shards."""
     path = tmp_path / "store"
@@ -137,7 +132,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(
     assert summary.walks_searched == WALKS - 2 * sum(sizes[: max(0, after - 7 * 3)])
 
 
-def test_a_finished_store_is_left_alone(finished: tuple[Path, Summary]) -> None:
+def test_a_finished_store_is_left_alone(finished: Finished) -> None:
     before = content(finished[0])
     seen: list[float] = []
     summary = precompute(evolving(), finished[0], progress=seen.append)
@@ -146,9 +141,7 @@ def test_a_finished_store_is_left_alone(finished: tuple[Path, Summary]) -> None:
 
 
 @pytest.mark.parametrize("damaged", ["repertoire.parquet", "part-00008.parquet"])
-def test_damage_is_found_and_mended(
-    finished: tuple[Path, Summary], tmp_path: Path, damaged: str
-) -> None:
+def test_damage_is_found_and_mended(finished: Finished, tmp_path: Path, damaged: str) -> None:
     path = Path(shutil.copytree(finished[0], tmp_path / "store"))
     fake.flip_a_bit(path / damaged)
     summary = precompute(evolving(), path)
@@ -167,7 +160,7 @@ def other_points(file: Path) -> None:
 
 @pytest.mark.parametrize("damage", [fake.flip_a_bit, other_points])
 def test_a_generation_that_is_damaged_or_of_other_points_is_tried_again(
-    finished: tuple[Path, Summary], tmp_path: Path, damage: Callable[[Path], None]
+    finished: Finished, tmp_path: Path, damage: Callable[[Path], None]
 ) -> None:
     path = tmp_path / "store"
     interrupted(path, 7 * 3 + 6)
@@ -215,36 +208,29 @@ def test_a_share_holds_the_best_of_cells_and_of_all() -> None:
         assert numbers[0] == 10 + np.argmax(objective[10:])
 
 
-def test_the_search_is_longest_where_the_grid_survives_least() -> None:
+def test_the_search_is_longest_where_the_grid_survives_least_and_points_stay_in_the_cube() -> None:
     assert shares(10, {"a": 0.0, "b": 0.0}) == {"a": 5, "b": 5}
     assert shares(12, {"a": 0.01, "b": 0.9, "c": 0.45}) == {"a": 1, "b": 7, "c": 4}
     assert sum(shares(101, {"a": 0.3, "b": 0.3, "c": 0.7}).values()) == 101
     assert shares(2, {"a": 0.0, "b": 1.0}) == {"a": 1, "b": 1}
-
-
-def test_points_beyond_the_cube_are_reflected() -> None:
     points = np.array([-0.1, 0.0, 0.3, 1.0, 1.2, 2.1])
     assert folded(points) == pytest.approx([0.1, 0.0, 0.3, 1.0, 0.8, 0.1])
 
 
-def test_a_grid_without_survivors_is_refused_by_name(tmp_path: Path) -> None:
+def test_what_makes_no_repertoire_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     weak = {"up": FAMILIES["up"] | {"min_survival_s": 5.0}}
     falls = fake.configuration(samples=1, seed=10, families=weak, repertoire=REPERTOIRE)
     store = read_specification(Table(falls))
     with pytest.raises(InputError, match="family up") as caught:
         precompute(store, tmp_path / "store")
     assert caught.value.field == "samples"
-
-
-def test_a_generation_a_family_is_the_shortest_search() -> None:
     least = 2 * (STARTS + GENERATION) * 2  # two families, two settings
     shortest = evolving(repertoire={"evaluations": least}).repertoire
     assert shortest is not None and shortest.generations == 2
     with pytest.raises(InputError, match=f"at least {least} for 20 candidates"):
         evolving(repertoire={"evaluations": least - 1})
-
-
-def test_a_missing_library_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("storage.specification.LIBRARY", "no_such_library")
     with pytest.raises(InputError, match="pip install"):
         _ = evolving().document

@@ -17,14 +17,7 @@ from storage import merge, open_store
 from storage.points import sobol_points
 from storage.pool import own_kind
 from storage.precompute import precompute
-from storage.simulator import (
-    SIMULATORS,
-    Simulator,
-    Uniform,
-    find_simulator,
-    judge_rows,
-    known_simulator,
-)  # fmt: skip
+from storage.simulator import SIMULATORS, Uniform, find_simulator, judge_rows, known_simulator
 from storage.specification import GENERATION, STARTS, Specification, read_specification
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
@@ -53,24 +46,19 @@ def specification(**changes: Any) -> Specification:
     return read_specification(Table(CONFIGURATION | changes))
 
 
-@pytest.fixture
-def stopped_in_run(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, Specification, Path], None]:
+def stop(number: int, asked: Specification, path: Path) -> None:
     """A store of which a call of the simulator is interrupted."""
+    before, run = len(toy.runs), toy.Cart.run
 
-    def stop(number: int, asked: Specification, path: Path) -> None:
-        before, run = len(toy.runs), toy.Cart.run
+    def stopping(self: toy.Cart, *args: Any) -> Any:
+        if len(toy.runs) - before == number:
+            raise KeyboardInterrupt
+        return run(self, *args)
 
-        def stopping(self: toy.Cart, *args: Any) -> Any:
-            if len(toy.runs) - before == number:
-                raise KeyboardInterrupt
-            return run(self, *args)
-
-        with monkeypatch.context() as patch:
-            patch.setattr(toy.Cart, "run", stopping)
-            with pytest.raises(KeyboardInterrupt):
-                precompute(asked, path)
-
-    return stop
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(toy.Cart, "run", stopping)
+        with pytest.raises(KeyboardInterrupt):
+            precompute(asked, path)
 
 
 def test_a_store_of_another_simulator_is_filled_and_read(tmp_path: Path) -> None:
@@ -93,11 +81,8 @@ def test_a_store_of_another_simulator_is_filled_and_read(tmp_path: Path) -> None
     np.testing.assert_allclose(rows["gale_way_mean"][gale], survived.mean(axis=1))
     np.testing.assert_allclose(rows["gale_way_sd"][gale], survived.std(axis=1))
     assert {footer["engine"] for footer in store.footers} == {"cart"}
-    assert (
-        merge(tmp_path / "store", tmp_path / "merged.parquet")
-        .table()
-        .equals(store.table().combine_chunks())
-    )
+    merged = merge(tmp_path / "store", tmp_path / "merged.parquet")
+    assert merged.table().equals(store.table().combine_chunks())
 
 
 def test_the_document_names_the_simulator_and_its_worlds() -> None:
@@ -111,20 +96,16 @@ def test_the_document_names_the_simulator_and_its_worlds() -> None:
 
 
 @pytest.mark.parametrize("number", [0, 5, 9])
-def test_a_store_that_was_stopped_goes_on_to_the_same_bytes(
-    number: int, tmp_path: Path, stopped_in_run: Callable[[int, Specification, Path], None]
-) -> None:
+def test_a_store_that_was_stopped_goes_on_to_the_same_bytes(number: int, tmp_path: Path) -> None:
     precompute(specification(), tmp_path / "whole")
-    stopped_in_run(number, specification(), tmp_path / "store")
+    stop(number, specification(), tmp_path / "store")
     before = len(toy.runs)
     precompute(specification(), tmp_path / "store")
     assert len(toy.runs) - before < 12 + (number == 0)  # four shards, on three settings each
     assert content(tmp_path / "store") == content(tmp_path / "whole")
 
 
-def test_a_repertoire_of_another_simulator(
-    tmp_path: Path, stopped_in_run: Callable[[int, Specification, Path], None]
-) -> None:
+def test_a_repertoire_of_another_simulator(tmp_path: Path) -> None:
     pytest.importorskip("ribs")
     families = {"gale": CONFIGURATION["families"]["gale"]}
     asked = specification(samples=300, shard_rows=300, families=families, repertoire=REPERTOIRE)
@@ -136,7 +117,7 @@ def test_a_repertoire_of_another_simulator(
     assert speed[generation == 2].max() > speed[generation == 0].max() > 0.0
     objective = np.array(tried["objective"])
     assert objective[np.array(tried["row"]) >= 0].min() > np.median(objective)
-    stopped_in_run(4, asked, tmp_path / "store")
+    stop(4, asked, tmp_path / "store")
     assert len(list((tmp_path / "store").glob("search-gale-*"))) == 2
     precompute(asked, tmp_path / "store")
     assert content(tmp_path / "store") == content(tmp_path / "whole")
@@ -197,10 +178,6 @@ def test_a_simulator_that_makes_no_store_is_refused(
     assert (caught.value.field, caught.value.value) == ("simulator", CART)
 
 
-def returned(rows: Any) -> Callable[..., tuple[Any, dict[str, Any]]]:
-    return lambda *_: (rows, {})
-
-
 def changed(name: str, value: float) -> Callable[..., tuple[Any, dict[str, Any]]]:
     run = toy.Cart.run
 
@@ -212,21 +189,21 @@ def changed(name: str, value: float) -> Callable[..., tuple[Any, dict[str, Any]]
     return faulty
 
 
-FAULTY_RUNS: dict[str, tuple[Callable[..., Any], str]] = {
-    "no array": (returned([1.0]), "not <class 'list'>"),
+ROWS = toy.Cart.columns
+FAULTY_RUNS: dict[str, tuple[Any, str]] = {  # what is returned, or the method
+    "no array": ([1.0], "not <class 'list'>"),
     "other columns": (
-        returned(np.zeros((16, 1), [("way", "f8")])), "columns way, end_reason, speed of their"
+        np.zeros((16, 1), [("way", "f8")]),
+        "columns way, end_reason, speed of their",
     ),
-    "other types": (returned(np.zeros((16, 1))), "of their types, not float64"),
-    "too few rows": (
-        returned(np.zeros((15, 1), toy.Cart.columns)), "[16 points, 1 worlds], not [15, 1]"
-    ),
-    "no worlds": (returned(np.zeros(16, toy.Cart.columns)), "1 worlds], not [16]"),
+    "other types": (np.zeros((16, 1)), "of their types, not float64"),
+    "too few rows": (np.zeros((15, 1), ROWS), "[16 points, 1 worlds], not [15, 1]"),
+    "no worlds": (np.zeros(16, ROWS), "1 worlds], not [16]"),
     "a score of NaN": (changed("speed", np.nan), "finite speed, not NaN or infinity"),
     "further than the end": (changed("way", 1.25), "way from 0 to 1, not 1.25"),
     "backwards": (changed("way", -1.0), "way from 0 to 1, not -1"),
     "an unknown word": (changed("end_reason", 2), "end_reason from 0 to 1, not 2"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("fault", FAULTY_RUNS)
@@ -234,7 +211,7 @@ def test_a_faulty_run_is_refused_in_a_line(
     fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, allowed = FAULTY_RUNS[fault]
-    monkeypatch.setattr(toy.Cart, "run", run)
+    monkeypatch.setattr(toy.Cart, "run", run if callable(run) else lambda *_: (run, {}))
     with pytest.raises(InputError, match=re.escape(allowed)) as caught:
         precompute(specification(), tmp_path / "store")
     assert (caught.value.field, caught.value.value) == ("simulator", CART)
@@ -242,15 +219,10 @@ def test_a_faulty_run_is_refused_in_a_line(
     assert not list((tmp_path / "store").glob("part-*"))
 
 
-@pytest.mark.parametrize(
-    ("objective", "measures"),
-    [
-        (np.zeros(4), np.zeros((4, 2))),
-        (np.zeros(3), np.zeros((4, 1))),
-        (np.full(4, np.nan), np.zeros((4, 1))),
-        (np.zeros(4), np.full((4, 1), np.inf)),
-    ],
-)
+@pytest.mark.parametrize(("objective", "measures"), [
+    (np.zeros(4), np.zeros((4, 2))), (np.zeros(3), np.zeros((4, 1))),
+    (np.full(4, np.nan), np.zeros((4, 1))), (np.zeros(4), np.full((4, 1), np.inf)),
+])  # fmt: skip
 def test_a_faulty_judgement_is_refused_in_a_line(
     objective: Any, measures: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -259,24 +231,19 @@ def test_a_faulty_judgement_is_refused_in_a_line(
         judge_rows(toy.Cart(), np.zeros((4, 2), toy.Cart.columns), 5.0)
 
 
-@pytest.mark.parametrize(
-    ("holder", "document", "match"),
-    [
-        (toy.Cart, {"seed": 1}, "simulator: 'seed' .* without .*shard_rows"),
-        (toy.Winds, {"columns": 1}, "simulator: 'columns' .* without .*families"),
-        (toy.Winds, {"settings": 1}, "simulator: 'settings' .* without "),
-        (toy.Winds, {"horizon_s": 1}, "simulator: 'horizon_s' .* without .*min_survival_s"),
-        (toy.Cart, {"mass": np.float32(1.0)}, "JSON values .*float32"),
-        (toy.Cart, {"mass": np.nan}, "JSON values"),
-    ],
-)
+@pytest.mark.parametrize(("holder", "document", "match"), [
+    (toy.Cart, {"seed": 1}, "simulator: 'seed' .* without .*shard_rows"),
+    (toy.Winds, {"columns": 1}, "simulator: 'columns' .* without .*families"),
+    (toy.Winds, {"settings": 1}, "simulator: 'settings' .* without "),
+    (toy.Winds, {"horizon_s": 1}, "simulator: 'horizon_s' .* without .*min_survival_s"),
+    (toy.Cart, {"mass": np.float32(1.0)}, "JSON values .*float32"),
+    (toy.Cart, {"mass": np.nan}, "JSON values"),
+])  # fmt: skip
 def test_documents_keep_to_their_own_keys_and_to_json(
     holder: Any, document: dict[str, Any], match: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if holder is toy.Winds:
-        monkeypatch.setattr(holder, "document", lambda *_: dict(document))
-    else:
-        monkeypatch.setattr(holder, "document", lambda self: {"settings": 0} | document)
+    whole = document if holder is toy.Winds else {"settings": 0} | document
+    monkeypatch.setattr(holder, "document", lambda *_: dict(whole))
     with pytest.raises(InputError, match=match):
         specification().document  # noqa: B018
 
@@ -298,8 +265,7 @@ def test_no_code_is_imported_that_a_file_names(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", SIMULATORS)
 def test_simulators_of_this_project_are_found_by_name(name: str) -> None:
-    found: type[Simulator] = find_simulator(name)
-    assert found.name == name
+    assert find_simulator(name).name == name
     assert known_simulator({}) is find_simulator("walker")
 
 
@@ -318,10 +284,7 @@ samples = 40
 shard_rows = 8
 seed = 4
 wind = [0.5, 1.5]
-
-[simulator]
-name = "my_robot:Cart"
-mass_kg = 2.0
+simulator = {name = "my_robot:Cart", mass_kg = 2.0}
 """
 
 
