@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import optuna
@@ -24,7 +23,6 @@ from study.features import (
     PLAINEST,
     RELIABILITY,
     Coverage,
-    Feature,
     Survival,
     SurvivalSampler,
     chances,
@@ -38,7 +36,6 @@ from study.features import (
 )
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
-from tests.study.conftest import Comparisons
 from tests.study.fake_walker import WORLDS
 
 # A third of the fake's points falls sooner.
@@ -50,9 +47,7 @@ def write(folder: Path, families: tuple[str, ...]) -> Store:
     return open_store(folder)
 
 
-def test_survival_is_the_mean_over_the_families_of_a_store(
-    fake_simulator: None, tmp_path: Path
-) -> None:
+def test_survival_is_the_mean_over_the_families_of_a_store(fake_simulator, tmp_path):
     store = write(tmp_path / "store", ("up", "down"))
     up, down = (
         store.table()[f"{name}_survived_fraction_mean"].to_numpy() for name in ("up", "down")
@@ -61,7 +56,7 @@ def test_survival_is_the_mean_over_the_families_of_a_store(
     assert_array_equal(feature_values(Survival(("up",)), store), up)
 
 
-def test_coverage_is_of_the_survival_of_each_ground(fake_simulator: None, tmp_path: Path) -> None:
+def test_coverage_is_of_the_survival_of_each_ground(fake_simulator, tmp_path):
     store = write(tmp_path / "store", ("rough", "up", "down"))
     plainest, up, down = (Survival((name,), name) for name in ("rough", "up", "down"))
     plainest = replace(plainest, survivors=True)
@@ -71,7 +66,7 @@ def test_coverage_is_of_the_survival_of_each_ground(fake_simulator: None, tmp_pa
     assert np.isnan(covered).any()
 
 
-def test_rows_that_a_search_bred_can_be_left_out(fake_simulator: None, tmp_path: Path) -> None:
+def test_rows_that_a_search_bred_can_be_left_out(fake_simulator, tmp_path):
     bred = {"evaluations": 2304, "candidates": 12, "seed": 3}
     families = {"up": STRICT | {"min_survival_s": 1.0}}
     fake_walker.write_store(tmp_path / "store", robust={}, families=families, repertoire=bred)
@@ -86,9 +81,7 @@ def test_rows_that_a_search_bred_can_be_left_out(fake_simulator: None, tmp_path:
     assert_array_equal(np.isnan(of_grid), ~is_of_grid)
 
 
-def test_of_a_store_without_a_search_all_rows_are_of_the_grid(
-    fake_simulator: None, tmp_path: Path
-) -> None:
+def test_of_a_store_without_a_search_all_rows_are_of_the_grid(fake_simulator, tmp_path):
     store = write(tmp_path / "store", ("up",))
     everyone = Survival(("up",))
     of_grid = feature_values(replace(everyone, grid_only=True), store)
@@ -96,7 +89,7 @@ def test_of_a_store_without_a_search_all_rows_are_of_the_grid(
 
 
 @pytest.mark.filterwarnings("error:FeatureTable")
-def test_rows_that_no_family_ran_are_left_out(comparisons: Comparisons) -> None:
+def test_rows_that_no_family_ran_are_left_out(comparisons):
     store = write(comparisons.folder / "strict", FAMILIES)
     ran = store.table()["rough_evaluated"].to_numpy()
     assert 30 < ran.sum() < len(store) - 30
@@ -122,9 +115,7 @@ def test_rows_that_no_family_ran_are_left_out(comparisons: Comparisons) -> None:
         ("phi_reprinted", "phi_reprinted"),
     ],
 )
-def test_a_store_without_what_a_feature_needs(
-    feature: Feature, column: str, fake_simulator: None, tmp_path: Path
-) -> None:
+def test_a_store_without_what_a_feature_needs(feature, column, fake_simulator, tmp_path):
     store = write(tmp_path / "store", () if feature == Survival() else ("up",))
     check_feature("mean_speed_mps", store)
     assert feature_values("mean_speed_mps", store).shape == (len(store),)
@@ -137,31 +128,29 @@ def test_a_store_without_what_a_feature_needs(
 # The order that covers, against its rule and against Bayes's.
 
 
-def test_the_first_row_is_the_best_on_the_plainest_ground() -> None:
+def test_the_first_row_is_the_best_on_the_plainest_ground():
     plainest = np.array([0.8, 0.9, 0.9, np.nan])
     survival = np.array([[0.9, 0.9], [0.1, 0.2], [0.1, 0.3], [1.0, 1.0]])
     assert covering_order(plainest, survival).tolist() == [1, 0, 2, 3]
 
 
-def test_a_row_for_what_the_first_one_does_not_survive_comes_before_a_better_one() -> None:
+def test_a_row_for_what_the_first_one_does_not_survive_comes_before_a_better_one():
     everywhere_but_up, its_like, up = [0.9, 0.9, 0.1], [0.9, 0.8, 0.1], [0.0, 0.0, 0.9]
     survival = np.array([its_like, up, everywhere_but_up])
     assert covering_order(np.array([0.8, 0.0, 0.9]), survival).tolist() == [2, 1, 0]
 
 
-def test_a_chance_is_relative_to_the_best_on_that_ground() -> None:
+def test_a_chance_is_relative_to_the_best_on_that_ground():
     survival = np.array([[1.0, 0.2, 0.0], [0.5, 0.4, 0.0]])
     one, eighth = RELIABILITY, RELIABILITY / 8
     assert_allclose(chances(survival), [[one, eighth, 0.0], [eighth, one, 0.0]])
 
 
-def test_equal_rows_come_in_their_order() -> None:
+def test_equal_rows_come_in_their_order():
     assert covering_order(np.ones(5), np.full((5, 2), 0.5)).tolist() == [0, 1, 2, 3, 4]
 
 
-def test_rows_beyond_those_that_cover_follow_by_their_mean(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_rows_beyond_those_that_cover_follow_by_their_mean(monkeypatch):
     monkeypatch.setattr(features, "COVERING", 3)
     survival = np.random.default_rng(1).uniform(size=(20, 4))
     order = covering_order(np.ones(20), survival)
@@ -170,7 +159,7 @@ def test_rows_beyond_those_that_cover_follow_by_their_mean(
     assert (np.diff(rest) <= 0).all()
 
 
-def test_the_next_row_is_the_likeliest_to_walk_after_so_many_falls() -> None:
+def test_the_next_row_is_the_likeliest_to_walk_after_so_many_falls():
     survival = np.random.default_rng(2).uniform(size=(30, 4)) ** 2
     plainest = np.random.default_rng(3).uniform(size=30)
     order, belief = covering_order(plainest, survival), np.full(4, 0.25)
@@ -182,7 +171,7 @@ def test_the_next_row_is_the_likeliest_to_walk_after_so_many_falls() -> None:
         belief /= belief.sum()
 
 
-def test_rows_that_are_not_to_be_tried_have_no_place() -> None:
+def test_rows_that_are_not_to_be_tried_have_no_place():
     plainest, survival = np.array([0.2, np.nan, 0.9]), np.array([[0.2], [1.0], [0.9]])
     assert_array_equal(earliness(plainest, survival), [2.0, np.nan, 3.0])
     assert np.isnan(earliness(np.full(3, np.nan), survival)).all()
@@ -191,7 +180,7 @@ def test_rows_that_are_not_to_be_tried_have_no_place() -> None:
 # The arms of the comparisons.
 
 
-def test_the_best_arm_is_what_its_definition_says() -> None:
+def test_the_best_arm_is_what_its_definition_says():
     definition = ARMS["best"].definition
     assert definition["options"] == OPTIONS
     assert definition["features"] == [
@@ -201,7 +190,7 @@ def test_the_best_arm_is_what_its_definition_says() -> None:
     ]
 
 
-def test_the_best_arm_of_worlds_takes_each_ground_by_its_few_and_its_long_walks() -> None:
+def test_the_best_arm_of_worlds_takes_each_ground_by_its_few_and_its_long_walks():
     each = [[name, name, f"{name}{LONGER}", "survivors only"] for name in WORLDS]
     both = [family for name in PLAINEST for family in (name, f"{name}{LONGER}")]
     plainest = ["plainest", *both, "survivors only"]
@@ -212,7 +201,7 @@ def test_the_best_arm_of_worlds_takes_each_ground_by_its_few_and_its_long_walks(
     assert ARMS["best-worlds"].definition["features"][1:-1] == each
 
 
-def test_its_control_differs_in_the_rows_that_are_proposed_only() -> None:
+def test_its_control_differs_in_the_rows_that_are_proposed_only():
     ours, control = ARMS["best-worlds"], ARMS["best-worlds-grid"]
     assert (control.store, control.options) == (ours.store, ours.options)
     for own, plain in zip(control.features[1:-1], ours.features[1:-1], strict=True):
@@ -221,7 +210,7 @@ def test_its_control_differs_in_the_rows_that_are_proposed_only() -> None:
     assert control.definition["features"][1][-1] == "grid only"
 
 
-def test_the_arm_of_stairs_reads_nothing_else() -> None:
+def test_the_arm_of_stairs_reads_nothing_else():
     read = {name for each in survivals(ARMS["best-stairs"].features) for name in each.families}
     assert read == {"stairs", f"stairs{LONGER}"}
 
@@ -230,7 +219,7 @@ def test_the_arm_of_stairs_reads_nothing_else() -> None:
 
 
 @pytest.fixture
-def stores(fake_simulator: None, tmp_path: Path) -> Path:
+def stores(fake_simulator, tmp_path):
     fake_walker.write_store(tmp_path / "store")
     return tmp_path / "store"
 
@@ -239,7 +228,7 @@ def proposals(sampler: optuna.samplers.BaseSampler, count: int) -> list[int]:
     """Rows that it proposes, when the cost of a trial is a formula of its gains."""
     made = optuna.create_study(sampler=sampler)
     for _ in range(count):
-        trial = made.ask(fixed_distributions=sampler.infer_relative_search_space(made, None))  # type: ignore[arg-type]
+        trial = made.ask(fixed_distributions=sampler.infer_relative_search_space(made, None))
         gains = np.array([list(trial.params.values())])
         made.tell(trial, float(1.0 - fake_walker.quality(gains[:, :16])[0]))
     return [trial.user_attrs["row"] for trial in made.trials]
@@ -249,9 +238,7 @@ def proposals(sampler: optuna.samplers.BaseSampler, count: int) -> list[int]:
     ("name", "table", "options"),
     [("best", survival_table, OPTIONS), ("best-worlds", covered_table, COVERED_OPTIONS)],
 )
-def test_it_proposes_what_the_arm_of_the_comparisons_does(
-    name: str, table: Any, options: dict[str, Any], tmp_path: Path, stores: Path
-) -> None:
+def test_it_proposes_what_the_arm_of_the_comparisons_does(name, table, options, tmp_path, stores):
     experiment = fake_walker.experiment(tmp_path)
     arm = ARMS[name]
     task = Task(experiment, 11, 0, arm.store, arm.features)
@@ -260,7 +247,7 @@ def test_it_proposes_what_the_arm_of_the_comparisons_does(
     assert arm.definition["options"] == options
 
 
-def test_rows_and_features_are_the_stores(stores: Path) -> None:
+def test_rows_and_features_are_the_stores(stores):
     table, rows = survival_table(stores), open_store(stores).table()
     means = [rows[f"{name}_survived_fraction_mean"].to_numpy() for name in FAMILIES]
     ran = rows["rough_evaluated"].to_numpy()
@@ -269,17 +256,17 @@ def test_rows_and_features_are_the_stores(stores: Path) -> None:
     assert_array_equal(table.rows.offered, ran)
 
 
-def test_options_may_differ(stores: Path) -> None:
+def test_options_may_differ(stores):
     table = survival_table(stores, ("up", "down"))
     assert len(proposals(SurvivalSampler(table, seed=1, kernel="rbf"), 3)) == 3
 
 
-def test_a_store_without_families_is_one_line(stores: Path, tmp_path: Path) -> None:
+def test_a_store_without_families_is_one_line(stores, tmp_path):
     fake_walker.write_store(tmp_path / "plain", families={})
     with pytest.raises(InputError, match="a store with the column rough_survived_fraction_mean"):
         survival_table(tmp_path / "plain")
 
 
-def test_it_is_public() -> None:
+def test_it_is_public():
     assert study.SurvivalSampler is SurvivalSampler
     assert study.survival_table is survival_table

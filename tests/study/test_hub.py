@@ -21,7 +21,7 @@ PACKAGE = REGISTRY / "samplers" / "feature_kernel"
 
 
 @pytest.fixture(scope="module")
-def optunahub() -> ModuleType:
+def optunahub():
     os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")  # nothing is cloned: git may be missing
     return importlib.import_module("optunahub")
 
@@ -32,16 +32,14 @@ def load(optunahub: ModuleType) -> ModuleType:
     return module
 
 
-def test_it_loads_the_one_sampler_there_is(optunahub: ModuleType) -> None:
+def test_it_loads_the_one_sampler_there_is(optunahub):
     module = load(optunahub)
     assert module.__name__ == "optunahub_registry.package.samplers.feature_kernel"
     for name in module.__all__:
         assert getattr(module, name) is getattr(study, name)
 
 
-def test_its_example_finds_a_good_throw(
-    optunahub: ModuleType, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_its_example_finds_a_good_throw(optunahub, capsys):
     runpy.run_path(str(PACKAGE / "example.py"), run_name="__main__")
     line = capsys.readouterr().out
     miss = re.match(r"best miss (\d+\.\d\d) m with \{'pull_m': .*, 'angle_deg': .*\}", line)
@@ -49,9 +47,7 @@ def test_its_example_finds_a_good_throw(
     assert float(miss[1]) < 0.5  # 30 throws of a catapult that reaches 60 m
 
 
-def test_the_readmes_example_runs(
-    optunahub: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_readmes_example_runs(optunahub, monkeypatch, capsys):
     """With the local registry in the place of the one on the net."""
     (code,) = re.findall(r"```python\n(.*?)```", (PACKAGE / "README.md").read_text(), re.DOTALL)
     monkeypatch.setattr(optunahub, "load_module", lambda name: load(optunahub))
@@ -64,9 +60,7 @@ def test_the_readmes_example_runs(
     assert capsys.readouterr().out.startswith("{'x': ")
 
 
-def test_a_sampler_of_the_package_unpickles_where_the_hub_was_never_loaded(
-    optunahub: ModuleType,
-) -> None:
+def test_a_sampler_of_the_package_unpickles_where_the_hub_was_never_loaded(optunahub):
     module = load(optunahub)
     table = module.FeatureTable.from_arrays({"x": [0.0, 1.0, 2.0]}, [[0.0], [1.0], [4.0]])
     data = pickle.dumps(module.FeatureKernelSampler(table, seed=1))
@@ -74,15 +68,13 @@ def test_a_sampler_of_the_package_unpickles_where_the_hub_was_never_loaded(
     assert type(pickle.loads(data)) is study.FeatureKernelSampler
 
 
-def test_without_taichi_nmm_the_error_says_what_to_install(
-    optunahub: ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_taichi_nmm_the_error_says_what_to_install(optunahub, monkeypatch):
     monkeypatch.setitem(sys.modules, "study", None)  # as if it were not there
     with pytest.raises(ImportError, match=r"needs taichi-nmm: install it as its README says"):
         load(optunahub)
 
 
-def test_the_front_matter_is_what_the_registry_asks_for() -> None:
+def test_the_front_matter_is_what_the_registry_asks_for():
     _, header, _ = (PACKAGE / "README.md").read_text().split("---\n", maxsplit=2)
     front = yaml.load(header, Loader=yaml.BaseLoader)  # every value must be a string
     assert set(front) == {"author", "title", "description", "tags", "optuna_versions", "license"}
@@ -91,13 +83,13 @@ def test_the_front_matter_is_what_the_registry_asks_for() -> None:
     assert front["license"] == "MIT License"
 
 
-def test_the_package_has_the_registrys_files_and_no_data() -> None:
+def test_the_package_has_the_registrys_files_and_no_data():
     files = {path.name for path in PACKAGE.iterdir() if path.name != "__pycache__"}
     assert files == {"README.md", "LICENSE", "__init__.py", "example.py"}
     assert (PACKAGE / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
 
 
-def test_the_readme_writes_no_names_that_do_not_exist(optunahub: ModuleType) -> None:
+def test_the_readme_writes_no_names_that_do_not_exist(optunahub):
     text = (PACKAGE / "README.md").read_text()
     module = load(optunahub)
     for owner, method in re.findall(r"`(FeatureTable)\.(\w+)", text):

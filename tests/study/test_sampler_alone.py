@@ -2,7 +2,6 @@
 
 import re
 import tomllib
-from pathlib import Path
 
 import pytest
 
@@ -54,9 +53,7 @@ def packages_of_the_line() -> set[str]:
     return {word for word in words.split() if re.fullmatch(r"[a-z][a-z-]*", word)}
 
 
-def test_a_study_without_simulator_pictures_and_dashboard(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_without_simulator_pictures_and_dashboard(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
         fake_walker.write_store(tmp_path / "store")

@@ -1,7 +1,6 @@
 """The worth of features as the note of live studies, of a comparison's, and of anybody's."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
@@ -16,7 +15,7 @@ from storage.databases.studies import load_whole, open_studies
 from study import FeatureKernelSampler, FeatureTable
 from study.comparison.compare import Request, compare
 from study.experiment.arms import ARMS, find_arm
-from study.experiment.experiment import Experiment, study_name
+from study.experiment.experiment import study_name
 from study.experiment.live_study import run_study
 from study.experiment.one_study import worth_of_study
 
@@ -25,7 +24,7 @@ NOTED = ("dog", "best-stairs", "best")  # of the live ones below, those whose sa
 
 
 @pytest.mark.parametrize("arm", [*NOTED, "random", "bo-euclidean", "score-first-diverse"])
-def test_a_live_study_has_it_at_its_end(toy: Experiment, arm: str) -> None:
+def test_a_live_study_has_it_at_its_end(toy, arm):
     study = run_study(toy, find_arm(arm), 0, 6, InMemoryStorage())
     note = get_note(study)
     assert note.startswith(TITLE) == (arm in NOTED)
@@ -37,7 +36,7 @@ def test_a_live_study_has_it_at_its_end(toy: Experiment, arm: str) -> None:
         assert note == ""
 
 
-def test_it_is_renewed_and_a_note_of_the_users_stays(toy: Experiment) -> None:
+def test_it_is_renewed_and_a_note_of_the_users_stays(toy):
     storage = InMemoryStorage()
     study = run_study(toy, find_arm("dog"), 0, 3, storage)
     assert "too few trials: 3 of 5" in get_note(study)
@@ -49,7 +48,7 @@ def test_it_is_renewed_and_a_note_of_the_users_stays(toy: Experiment) -> None:
     assert get_note(run_study(toy, find_arm("dog"), 0, 7, storage)) == "mine"
 
 
-def test_trials_are_what_they_were(toy: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_trials_are_what_they_were(toy, monkeypatch):
     noted = run_study(toy, find_arm("best"), 0, 6, InMemoryStorage())
     monkeypatch.setattr("study.experiment.live_study.note_worth", lambda *_: None)
     bare = run_study(toy, find_arm("best"), 0, 6, InMemoryStorage())
@@ -58,7 +57,7 @@ def test_trials_are_what_they_were(toy: Experiment, monkeypatch: pytest.MonkeyPa
     assert noted.user_attrs == bare.user_attrs
 
 
-def test_every_arm_over_features_can_tell(toy: Experiment) -> None:
+def test_every_arm_over_features_can_tell(toy):
     for arm in ARMS.values():
         study = run_study(toy, find_arm("random"), 0, 1, InMemoryStorage())
         worth = worth_of_study(toy, arm, 0, study)
@@ -75,7 +74,7 @@ class TestComparison:
     """One whole comparison on SQLite, pictures apart."""
 
     @pytest.fixture
-    def outcome(self, toy: Experiment, tmp_path: Path) -> Any:
+    def outcome(self, toy, tmp_path):
         return lambda **changes: compare(
             toy,
             Request(tmp_path / "out", **{"artifacts": False, "runs": 2, "trials": 6} | changes),
@@ -89,13 +88,7 @@ class TestComparison:
             for name in trial_counts(storage)
         }
 
-    def test_each_study_over_features_has_its_own(
-        self,
-        toy: Experiment,
-        outcome: Any,
-        tmp_path: Path,
-        monkeypatch: pytest.MonkeyPatch,
-    ) -> None:
+    def test_each_study_over_features_has_its_own(self, toy, outcome, tmp_path, monkeypatch):
         url = outcome(arms=("dog", "random")).storage
         notes = self.notes(url)
         dogs = [notes[study_name("toy", "dog", run)] for run in range(2)]
@@ -115,7 +108,7 @@ class TestComparison:
         outcome(arms=("dog",), trials=7)
         assert "7 trials." in self.notes(url)[study_name("toy", "dog", 0)]
 
-    def test_arms_of_earlier_sessions_need_no_store(self, toy: Experiment, tmp_path: Path) -> None:
+    def test_arms_of_earlier_sessions_need_no_store(self, toy, tmp_path):
         request = Request(tmp_path / "out", artifacts=False, runs=1, trials=3, arms=("dog",))
         compare(toy, request, lambda progress: None)
         without = replace(toy, stores={})
@@ -123,7 +116,7 @@ class TestComparison:
         assert TITLE in self.notes(outcome.storage)[study_name("toy", "dog", 0)]
 
 
-def test_anybodys_study_shows_it_by_one_line(tmp_path: Path) -> None:
+def test_anybodys_study_shows_it_by_one_line(tmp_path):
     rng = np.random.default_rng(0)
     x = rng.uniform(0, 1, 50)
     names = ["a-feature-with-a-long-name-" * 8 + str(number) for number in range(30)]

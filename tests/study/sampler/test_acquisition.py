@@ -33,7 +33,7 @@ def expected_improvement(mean: np.ndarray, sd: np.ndarray, best: float) -> np.nd
 
 @pytest.mark.parametrize("mean", [-2.0, 0.0, 1.3, 4.0])
 @pytest.mark.parametrize("sd", [0.5, 1.0, 3.0])
-def test_expected_improvement_is_its_integral(mean: float, sd: float) -> None:
+def test_expected_improvement_is_its_integral(mean, sd):
     best = 0.5
     expected, _ = quad(
         lambda cost: (best - cost) * norm.pdf(cost, mean, sd), mean - 12 * sd, best, epsabs=1e-15
@@ -42,12 +42,12 @@ def test_expected_improvement_is_its_integral(mean: float, sd: float) -> None:
     assert_allclose(found, expected, rtol=1e-6, atol=1e-13)
 
 
-def test_the_largest_value_wins() -> None:
+def test_the_largest_value_wins():
     assert argmax_random_tie(np.array([0.1, 0.5, 0.3]), np.random.default_rng(0)) == 1
 
 
 @pytest.mark.parametrize("value", [2.0, 0.0])
-def test_equal_values_are_drawn_evenly(value: float) -> None:
+def test_equal_values_are_drawn_evenly(value):
     values = np.array([value, -1.0, value * (1 + 1e-12), value])
     rng = np.random.default_rng(0)
     counts = np.bincount([argmax_random_tie(values, rng) for _ in range(3000)], minlength=4)
@@ -56,7 +56,7 @@ def test_equal_values_are_drawn_evenly(value: float) -> None:
 
 
 @pytest.mark.parametrize("sd", [0.1, 1.0, 3.0])
-def test_log_improvement_is_the_logarithm(sd: float) -> None:
+def test_log_improvement_is_the_logarithm(sd):
     mean = np.linspace(-3.0, 3.0, 61) * sd * 5
     spread = np.full_like(mean, sd)
     improvement = expected_improvement(mean, spread, 0.5)
@@ -66,7 +66,7 @@ def test_log_improvement_is_the_logarithm(sd: float) -> None:
     assert_allclose(found[clear], np.log(improvement[clear]), rtol=1e-6, atol=1e-6)
 
 
-def test_log_improvement_is_finite_and_falls_where_the_plain_one_underflows() -> None:
+def test_log_improvement_is_finite_and_falls_where_the_plain_one_underflows():
     mean = np.concatenate([np.linspace(0, 50, 400), np.logspace(1.71, 9, 400)])
     found = log_expected_improvement(mean, np.ones_like(mean), best=0.0)
     assert np.isfinite(found).all()
@@ -74,14 +74,14 @@ def test_log_improvement_is_finite_and_falls_where_the_plain_one_underflows() ->
     assert expected_improvement(mean[-1:], np.ones(1), best=0.0)[0] == 0.0
 
 
-def test_log_improvement_between_nodes_is_what_it_is_at_them() -> None:
+def test_log_improvement_between_nodes_is_what_it_is_at_them():
     z = np.random.default_rng(0).uniform(-50.0, 20.0, 100_000)
     found = log_expected_improvement(-z, np.ones_like(z), best=0.0)
     assert_allclose(found, _exact_log_h(z), rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("z", [-1.5, -8.0, -30.0, -900.0, -1100.0, -2e6])
-def test_log_improvement_has_the_tail_of_its_series(z: float) -> None:
+def test_log_improvement_has_the_tail_of_its_series(z):
     found = log_expected_improvement(np.array([-z]), np.ones(1), best=0.0)[0]
     if z > -30:
         exact, _ = quad(lambda t: (z - t) * norm.pdf(t), z - 12, z, epsabs=0, epsrel=1e-12)
@@ -90,13 +90,13 @@ def test_log_improvement_has_the_tail_of_its_series(z: float) -> None:
         assert_allclose(found, norm.logpdf(z) - 2 * np.log(-z) + np.log1p(-3 / z**2), rtol=1e-7)
 
 
-def test_without_doubt_the_log_improvement_is_that_of_the_gain() -> None:
+def test_without_doubt_the_log_improvement_is_that_of_the_gain():
     with np.errstate(all="raise"):
         found = log_expected_improvement(np.array([1.0, 3.0]), np.zeros(2), best=2.0)
     assert found.tolist() == [0.0, -np.inf]
 
 
-def test_infinite_values_can_win_or_lose() -> None:
+def test_infinite_values_can_win_or_lose():
     rng = np.random.default_rng(0)
     assert argmax_random_tie(np.array([-np.inf, 3.0]), rng) == 1
     assert {argmax_random_tie(np.full(3, -np.inf), rng) for _ in range(40)} == {0, 1, 2}
@@ -111,7 +111,7 @@ NAMES = ("score", "error", "-odd")
     ("prior", "column_and_sign"),
     [("score", (0, 1.0)), ("-error", (1, -1.0)), ("-odd", (2, 1.0)), ("--odd", (2, -1.0))],
 )
-def test_a_minus_stands_for_low_values(prior: str, column_and_sign: tuple[int, float]) -> None:
+def test_a_minus_stands_for_low_values(prior, column_and_sign):
     found = PriorMean.of(prior, NAMES)
     assert found is not None and (found.column, found.sign) == column_and_sign
     column, sign = column_and_sign
@@ -120,7 +120,7 @@ def test_a_minus_stands_for_low_values(prior: str, column_and_sign: tuple[int, f
 
 
 @pytest.mark.parametrize("prior", ["", "-", "speed", "-speed", "+score"])
-def test_what_is_no_feature_is_refused(prior: str) -> None:
+def test_what_is_no_feature_is_refused(prior):
     with pytest.raises(InputError, match=r"prior: .* one of score, error, -odd, or one with a mi"):
         PriorMean.of(prior, NAMES)
 
@@ -163,9 +163,7 @@ def model_of(seen: Points, cost: Any, kernel: str = "additive", sign: float = 1.
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_candidates(
-    kernel: str,
-) -> None:
+def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_candidates(kernel):
     """Costs at random. Over features alone, the next of alike candidates may be that much better.
 
     Where parameters are looked at, candidates that are alike are the same, and what one shows by
@@ -182,9 +180,7 @@ def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_c
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_where_nothing_is_left_to_explain_the_cost_falls_by_the_slope(
-    kernel: str, sign: float
-) -> None:
+def test_where_nothing_is_left_to_explain_the_cost_falls_by_the_slope(kernel, sign):
     """Costs that follow the prior mean exactly: their scale alone is left to learn.
 
     The scores of the trials have unit variance, so that the costs' own spread is their slope.
@@ -205,7 +201,7 @@ def test_where_nothing_is_left_to_explain_the_cost_falls_by_the_slope(
 
 
 @pytest.mark.parametrize("cost", [0.0, 1e9])
-def test_after_one_trial_the_ranking_is_the_order_of_the_utility(cost: float) -> None:
+def test_after_one_trial_the_ranking_is_the_order_of_the_utility(cost):
     """One cost has no spread, which is taken to be one: candidates differ by the prior mean."""
     model = model_of(points(np.zeros(1), 0), np.array([cost]))
     features = np.column_stack([np.zeros(5), [0.0, 0.1, 0.2, 0.3, 0.4]])
@@ -215,14 +211,14 @@ def test_after_one_trial_the_ranking_is_the_order_of_the_utility(cost: float) ->
     assert np.all(np.diff(utility) > 0)
 
 
-def test_a_prior_that_trials_contradict_is_turned() -> None:
+def test_a_prior_that_trials_contradict_is_turned():
     scores = np.linspace(-2, 2, 15)
     model = model_of(points(scores, 0), np.exp(scores))
     bad, good = predicted(model, points(np.array([-1.8, 1.8]), 1))
     assert bad < good
 
 
-def test_of_many_candidates_those_that_the_prior_ranks_first_are_looked_at() -> None:
+def test_of_many_candidates_those_that_the_prior_ranks_first_are_looked_at():
     """Costs follow it but for a hundredth, which another feature explains."""
     scores = np.linspace(-2, 2, 12)
     seen = points(scores / scores.std(), 0)
@@ -240,12 +236,12 @@ def test_of_many_candidates_those_that_the_prior_ranks_first_are_looked_at() -> 
 # Constraints.
 
 
-def test_the_probability_is_the_normal_one() -> None:
+def test_the_probability_is_the_normal_one():
     mean, sd = np.array([-1.0, 0.0, 2.0, 60.0]), np.array([0.5, 1.0, 4.0, 1.0])
     assert_allclose(log_kept(mean, sd**2), norm.logcdf(-mean / sd))
 
 
-def test_limits_are_the_constraints_that_trials_have() -> None:
+def test_limits_are_the_constraints_that_trials_have():
     one = optuna.create_trial(value=0.0, constraints={"x": 1.0, "y": -np.inf})
     other = optuna.create_trial(value=0.0, constraints={"y": -2.0})
     assert_allclose(read_limits([one, other]), [[1.0, -2.0], [np.nan, -2.0]])
@@ -255,7 +251,7 @@ def test_limits_are_the_constraints_that_trials_have() -> None:
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("told", ["how far", "whether"])
-def test_a_sampler_that_knows_breaks_limits_less_often(kernel: str, told: str) -> None:
+def test_a_sampler_that_knows_breaks_limits_less_often(kernel, told):
     """The cost falls towards a region that is forbidden, and a little into it.
 
     Told how far it was, by 4 trials or more of 20; told only whether, less often: a smooth process
@@ -264,8 +260,8 @@ def test_a_sampler_that_knows_breaks_limits_less_often(kernel: str, told: str) -
     a, side = np.random.default_rng(0).uniform(size=(2, 300))
     table = FeatureTable.from_arrays({"a": a, "side": side}, a)
 
-    def broken(knows: bool) -> int:
-        def objective(trial: optuna.Trial) -> float:
+    def broken(knows):
+        def objective(trial):
             value = trial.suggest_float("a", 0, 1)
             if knows:
                 over = value - 0.6
@@ -282,12 +278,12 @@ def test_a_sampler_that_knows_breaks_limits_less_often(kernel: str, told: str) -
     assert broken(knows=True) < broken(knows=False) - (3 if told == "how far" else 0)
 
 
-def test_before_any_candidate_holds_the_likeliest_is_sought() -> None:
+def test_before_any_candidate_holds_the_likeliest_is_sought():
     a = np.linspace(0, 1, 200)
     table = FeatureTable.from_arrays({"a": a}, a)
     study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=0))
 
-    def objective(trial: optuna.Trial) -> float:
+    def objective(trial):
         value = trial.suggest_float("a", 0, 1)
         trial.set_constraint("far", value - 0.02)
         return value
@@ -298,12 +294,12 @@ def test_before_any_candidate_holds_the_likeliest_is_sought() -> None:
     assert min(trial.params["a"] for trial in study.trials) <= 0.02
 
 
-def test_limits_of_pruned_and_failed_trials_do_no_harm() -> None:
+def test_limits_of_pruned_and_failed_trials_do_no_harm():
     a = np.linspace(0, 1, 60)
     table = FeatureTable.from_arrays({"a": a}, a)
     study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
 
-    def told(trial: optuna.Trial) -> float:
+    def told(trial):
         value = trial.suggest_float("a", 0, 1)
         for key, limit in enumerate((value - 0.6, -1.0)):
             trial.set_constraint(str(key), limit)

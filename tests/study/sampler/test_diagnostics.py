@@ -105,7 +105,7 @@ def weights(worth: Worth) -> tuple[float, ...]:
 
 
 @pytest.mark.parametrize("n", [4, 7, 40])
-def test_the_correlation_is_spearmans_with_its_interval(n: int) -> None:
+def test_the_correlation_is_spearmans_with_its_interval(n):
     rng = np.random.default_rng(n)
     feature, cost = rng.integers(0, 6, n).astype(float), rng.normal(size=n)
     found = RankCorrelation.of(feature, cost)
@@ -119,7 +119,7 @@ def test_the_correlation_is_spearmans_with_its_interval(n: int) -> None:
 
 
 @pytest.mark.slow
-def test_the_interval_holds_the_correlation_as_often_as_it_says() -> None:
+def test_the_interval_holds_the_correlation_as_often_as_it_says():
     rng = np.random.default_rng(0)
     for rho in (0.0, 0.7):
         spearman = 6 / np.pi * np.arcsin(rho / 2)  # of a normal pair
@@ -129,7 +129,7 @@ def test_the_interval_holds_the_correlation_as_often_as_it_says() -> None:
         assert 0.93 < held < 0.97
 
 
-def test_infinite_features_are_extreme_and_missing_ones_left_out() -> None:
+def test_infinite_features_are_extreme_and_missing_ones_left_out():
     feature = np.array([1.0, np.inf, 2.0, np.nan, -np.inf, 3.0])
     cost = np.array([1.0, 4.0, 2.0, -9.0, 0.0, 3.0])
     found = RankCorrelation.of(feature, cost)
@@ -145,11 +145,11 @@ def test_infinite_features_are_extreme_and_missing_ones_left_out() -> None:
         (np.array([1.0, 2, 3, np.nan, np.nan]), np.arange(5.0)),
     ],
 )
-def test_without_enough_there_is_no_correlation(feature: Floats, cost: Floats) -> None:
+def test_without_enough_there_is_no_correlation(feature, cost):
     assert RankCorrelation.of(feature, cost) is None
 
 
-def test_perfect_order_of_few_trials_is_not_certainty() -> None:
+def test_perfect_order_of_few_trials_is_not_certainty():
     few, many = (RankCorrelation.of(np.arange(n), -np.arange(n)) for n in (4.0, 40.0))
     assert few is not None and many is not None
     assert few.value == many.value == few.low == many.low == -1.0
@@ -158,9 +158,7 @@ def test_perfect_order_of_few_trials_is_not_certainty() -> None:
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("prior", [None, "-error"])
-def test_leaving_out_is_that_of_refits_with_the_same_constants(
-    kernel: str, prior: str | None
-) -> None:
+def test_leaving_out_is_that_of_refits_with_the_same_constants(kernel, prior):
     posterior = model_of(drawn_rows(12), kernel=kernel, prior=prior).posterior
     y = posterior.cost_mean + posterior.cost_sd * posterior.y
     theta = posterior.theta
@@ -175,14 +173,14 @@ def test_leaving_out_is_that_of_refits_with_the_same_constants(
     assert_allclose(residuals(posterior), missed, rtol=1e-6, atol=1e-9)
 
 
-def test_a_constant_leaves_out_too() -> None:
+def test_a_constant_leaves_out_too():
     cost = np.array([1.0, 2.0, 6.0])
     assert_allclose(residuals_of_constant(cost), [1 - 4, 2 - 3.5, 6 - 1.5])
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("prior", [None, "error", "-nothing"])
-def test_weights_are_shares(kernel: str, prior: str | None) -> None:
+def test_weights_are_shares(kernel, prior):
     found = weights(worth_of(drawn_rows(15), kernel=kernel, prior=prior))
     assert sum(found) == pytest.approx(1.0)
     assert min(found) >= 0.0
@@ -191,13 +189,13 @@ def test_weights_are_shares(kernel: str, prior: str | None) -> None:
 
 
 @pytest.mark.parametrize("shares", [(1.0,), (0.5, 0.5), (1 / 3,) * 3, (0.005,) * 100 + (0.5,)])
-def test_percents_sum_to_100(shares: tuple[float, ...]) -> None:
+def test_percents_sum_to_100(shares):
     found = percents(shares)
     assert sum(found) == 100
     assert np.abs(np.array(found) - 100 * np.array(shares)).max() < 1
 
 
-def test_likeness_is_split_by_the_length_scales() -> None:
+def test_likeness_is_split_by_the_length_scales():
     """With the formula written out, of the model of one score a feature."""
     study = drawn_rows(15)
     theta = model_of(study, kernel="rbf_ard").posterior.theta
@@ -210,7 +208,7 @@ def test_likeness_is_split_by_the_length_scales() -> None:
     assert_allclose(weights(worth_of(study, kernel="rbf_ard")), parts / parts.sum(), rtol=1e-6)
 
 
-def test_owners_are_the_features_of_the_columns() -> None:
+def test_owners_are_the_features_of_the_columns():
     features = np.column_stack([np.arange(10.0), np.arange(10.0), np.ones(10)])
     features[:4, 1] = np.nan
     scale = NormalScores.of(features)
@@ -223,7 +221,7 @@ def test_owners_are_the_features_of_the_columns() -> None:
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_a_feature_that_tells_the_cost_is_worth_something(kernel: str) -> None:
+def test_a_feature_that_tells_the_cost_is_worth_something(kernel):
     worth = worth_of(drawn_rows(30), kernel=kernel)
     good, useless, constant = worth.correlations
     assert good is not None and good.low > 0.8
@@ -239,7 +237,7 @@ def test_a_feature_that_tells_the_cost_is_worth_something(kernel: str) -> None:
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_features_without_worth_are_rarely_praised(kernel: str) -> None:
+def test_features_without_worth_are_rarely_praised(kernel):
     """One in ten may be mistaken: 5 % by their correlations, as many by the model."""
     praised, ratios = 0, []
     for seed in range(60):
@@ -253,11 +251,11 @@ def test_features_without_worth_are_rarely_praised(kernel: str) -> None:
     assert np.median(ratios) > 0.9
 
 
-def test_a_prior_that_trials_contradict_loses_its_weight() -> None:
+def test_a_prior_that_trials_contradict_loses_its_weight():
     assert weights(worth_of(drawn_rows(40), prior="nothing"))[1] < 0.25
 
 
-def test_one_constant_feature_is_worth_nothing() -> None:
+def test_one_constant_feature_is_worth_nothing():
     worth = worth_of(drawn_rows(12), new_table(np.ones((ROWS, 1)), ("constant",)))
     assert worth.correlations == (None,)
     assert weights(worth)[0] == 0.0
@@ -265,7 +263,7 @@ def test_one_constant_feature_is_worth_nothing() -> None:
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_missing_and_infinite_features_do_no_harm(kernel: str) -> None:
+def test_missing_and_infinite_features_do_no_harm(kernel):
     features = good_features()
     features[::3, 1] = np.nan
     features[::5, 0] = np.inf
@@ -276,7 +274,7 @@ def test_missing_and_infinite_features_do_no_harm(kernel: str) -> None:
     assert "nan" not in str(worth)
 
 
-def test_the_gain_is_over_the_parameters_where_they_are_better_than_a_constant() -> None:
+def test_the_gain_is_over_the_parameters_where_they_are_better_than_a_constant():
     study = drawn_rows(0)
     for row in range(20):
         add(study, row, TABLE.rows.as_parameters(row)["a"] ** 2)
@@ -293,7 +291,7 @@ def test_the_gain_is_over_the_parameters_where_they_are_better_than_a_constant()
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("trials", [0, 1, 3, 4])
-def test_few_trials_are_no_error(kernel: str, trials: int) -> None:
+def test_few_trials_are_no_error(kernel, trials):
     worth = worth_of(drawn_rows(trials), kernel=kernel)
     assert worth.verdict == f"too few trials: {trials} of 5"
     assert worth.weights is None and worth.errors is None
@@ -302,13 +300,13 @@ def test_few_trials_are_no_error(kernel: str, trials: int) -> None:
     assert str(worth).startswith(worth.verdict) and worth.verdict in worth.markdown()
 
 
-def test_trials_that_cost_the_same_say_nothing() -> None:
+def test_trials_that_cost_the_same_say_nothing():
     worth = worth_of(study_of(TABLE, lambda trial: 0.0 * objective(trial), 8))
     assert worth.verdict == "nothing is known of the features: all 8 trials cost the same"
     assert worth.correlations == (None, None, None)
 
 
-def test_infinite_costs_do_no_harm() -> None:
+def test_infinite_costs_do_no_harm():
     study = drawn_rows(10)
     add(study, 50, np.inf)
     add(study, 51, -np.inf)
@@ -341,7 +339,7 @@ FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_every_form_tells_the_same_twice_and_leaves_the_study(form: str) -> None:
+def test_every_form_tells_the_same_twice_and_leaves_the_study(form):
     sampler = FORMS[form]()
     study = optuna.create_study(sampler=sampler)
     study.optimize(objective, n_trials=9)
@@ -360,31 +358,31 @@ def test_every_form_tells_the_same_twice_and_leaves_the_study(form: str) -> None
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_looking_does_not_change_what_is_proposed(form: str) -> None:
+def test_looking_does_not_change_what_is_proposed(form):
     looked, not_looked = (optuna.create_study(sampler=FORMS[form]()) for _ in range(2))
     for study in (looked, not_looked):
         for _ in range(8):
             study.optimize(objective, n_trials=1)
             if study is looked:
-                study.sampler.worth(study)  # type: ignore[attr-defined]
+                study.sampler.worth(study)
     assert params_of(looked) == params_of(not_looked)
 
 
 @pytest.mark.parametrize("trials", [0, 1, 4])
 @pytest.mark.parametrize("space", [None, SPACE])
-def test_a_function_with_few_trials_is_no_error(trials: int, space: Any) -> None:
+def test_a_function_with_few_trials_is_no_error(trials, space):
     worth = worth_of(study_of(by_hand, objective, trials, space=space), by_hand, space=space)
     assert worth.verdict == f"too few trials: {trials} of 5"
     assert worth.names == (("feature_0", "feature_1") if trials else ())
     assert str(worth) and worth.markdown()
 
 
-def test_a_function_is_called_for_trials_without_a_note() -> None:
+def test_a_function_is_called_for_trials_without_a_note():
     first = worth_of(drawn_rows(20), by_hand, space=SPACE).correlations[0]
     assert first is not None and first.value == 1.0
 
 
-def test_a_maximised_study_is_the_same_with_the_sign_turned() -> None:
+def test_a_maximised_study_is_the_same_with_the_sign_turned():
     down, up = drawn_rows(15), optuna.create_study(direction="maximize")
     for trial in down.trials:
         up.add_trial(
@@ -398,7 +396,7 @@ def test_a_maximised_study_is_the_same_with_the_sign_turned() -> None:
     assert "minus the study's value" in str(of_up) and "minus" not in str(of_down)
 
 
-def test_trials_off_the_table_are_not_counted() -> None:
+def test_trials_off_the_table_are_not_counted():
     study = drawn_rows(6)
     study.enqueue_trial({"a": 0.123, "b": 4.5})
     study.optimize(objective, n_trials=1)
@@ -406,14 +404,14 @@ def test_trials_off_the_table_are_not_counted() -> None:
 
 
 @pytest.mark.parametrize(("features", "options"), [(None, {}), (TABLE, {"kernel": "euclidean"})])
-def test_without_features_there_is_no_worth(features: Any, options: dict[str, str]) -> None:
+def test_without_features_there_is_no_worth(features, options):
     sampler = FeatureKernelSampler(features, **options)
     with pytest.raises(InputError, match=r"^kernel: 'euclidean'.*nothing to report$"):
         sampler.worth(optuna.create_study())
     assert not sampler.has_features and FORMS["table"]().has_features
 
 
-def test_several_objectives_are_refused() -> None:
+def test_several_objectives_are_refused():
     study = optuna.create_study(directions=["minimize", "maximize"])
     with pytest.raises(ValueError, match="multi-objective"):
         worth_of(study)
@@ -422,7 +420,7 @@ def test_several_objectives_are_refused() -> None:
 # What people read.
 
 
-def test_the_table_has_a_row_a_feature() -> None:
+def test_the_table_has_a_row_a_feature():
     worth = worth_of(drawn_rows(20))
     lines = str(worth).splitlines()
     assert lines[0] == worth.verdict
@@ -432,14 +430,14 @@ def test_the_table_has_a_row_a_feature() -> None:
     assert "20 trials" in lines[8] and "biased towards zero" in lines[8]
 
 
-def test_the_note_is_a_table_in_markdown() -> None:
+def test_the_note_is_a_table_in_markdown():
     note = worth_of(drawn_rows(20), new_table(names=("a|b", *NAMES[1:]))).markdown()
     assert note.startswith("## Are the features worth anything?\n")
     assert "\n| feature | rank correlation with the cost | weight |\n|---|---|--:|\n" in note
     assert "\n| a\\|b | +" in note and "\n| constant | - | 0 % |\n" in note
 
 
-def test_turns_that_are_left_to_the_parameters_are_said() -> None:
+def test_turns_that_are_left_to_the_parameters_are_said():
     study = drawn_rows(10)
     add(study, 100, -99.0)
     assert "left to the parameters" not in str(worth_of(study))
@@ -457,10 +455,8 @@ def test_turns_that_are_left_to_the_parameters_are_said() -> None:
         ("table_source.TableExhaustedError", "table_policy.TableExhaustedError"),
     ],
 )
-def test_documented_names_of_0_2_0_are_still_found_and_say_their_new_place(
-    old: str, new: str
-) -> None:
-    def found(place: str) -> object:
+def test_documented_names_of_0_2_0_are_still_found_and_say_their_new_place(old, new):
+    def found(place):
         module, name = place.split(".")
         return getattr(importlib.import_module(f"study.sampler.{module}"), name)
 
@@ -469,7 +465,7 @@ def test_documented_names_of_0_2_0_are_still_found_and_say_their_new_place(
 
 
 @pytest.mark.parametrize(("prior", "is_wrong"), [("-error", False), ("error", True)])
-def test_the_sign_of_a_prior_is_held_against_the_trials(prior: str, is_wrong: bool) -> None:
+def test_the_sign_of_a_prior_is_held_against_the_trials(prior, is_wrong):
     """Its first rows can be read before a trial; the trials then agree or contradict."""
     error = good_features()[:, 0]
     ranked = np.argsort(error)[:: -1 if is_wrong else 1][:3]

@@ -58,7 +58,7 @@ def between(covariance: Covariance, theta: np.ndarray, a: np.ndarray, b: np.ndar
 
 
 @pytest.mark.parametrize("form", reference.FORMS)
-def test_kernels_are_scikit_learns(form: str) -> None:
+def test_kernels_are_scikit_learns(form):
     ours = covariance_of(form)
     theta = ours.start + np.linspace(-1.0, 1.0, len(ours.start))
     theirs = reference.of_covariance(ours, theta)
@@ -74,11 +74,11 @@ def test_kernels_are_scikit_learns(form: str) -> None:
 
 
 @pytest.mark.parametrize("form", reference.FORMS)
-def test_a_pull_weighs_the_derivatives_of_all_entries(form: str) -> None:
+def test_a_pull_weighs_the_derivatives_of_all_entries(form):
     ours = covariance_of(form)
     weights = np.random.default_rng(1).standard_normal((12, 12))
 
-    def weighed(theta: np.ndarray) -> float:
+    def weighed(theta):
         return float(np.sum(weights * ours.gram(theta, X)[0]))
 
     _, pull = ours.gram(ours.start, X)
@@ -90,15 +90,9 @@ def test_a_pull_weighs_the_derivatives_of_all_entries(form: str) -> None:
 
 @pytest.mark.parametrize(
     ("form", "same_features", "same_parameters"),
-    [
-        ("rbf", 1, 0),
-        ("rbf_ard", 1, 0),
-        ("euclidean", 0, 1),
-        ("nearness", 0, 1),
-        ("additive", 1, 1),
-    ],
+    [("rbf", 1, 0), ("rbf_ard", 1, 0), ("euclidean", 0, 1), ("nearness", 0, 1), ("additive", 1, 1)],
 )
-def test_kernels_see_their_columns(form: str, same_features: int, same_parameters: int) -> None:
+def test_kernels_see_their_columns(form, same_features, same_parameters):
     built = covariance_of(form)
     a, far = np.zeros((1, 7)), 1e3
     other_parameters, other_features = a.copy(), a.copy()
@@ -107,7 +101,7 @@ def test_kernels_see_their_columns(form: str, same_features: int, same_parameter
     assert_allclose(between(built, built.start, a, other_features), same_parameters, atol=1e-9)
 
 
-def test_the_additive_one_is_its_formula() -> None:
+def test_the_additive_one_is_its_formula():
     """v phi^T phi' + s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) + t^2 exp(-|u - u'|^2 / 2L^2)."""
     v, s2, l1, l2, l3, t2, nearness = constants = np.array([0.2, 1.3, 0.7, 2.0, 1.1, 0.4, 0.9])
     theta = np.append(np.log(constants), 0.0)
@@ -119,12 +113,12 @@ def test_the_additive_one_is_its_formula() -> None:
     assert_allclose(covariance_of("additive").gram(theta, X)[0], expected, rtol=1e-10)
 
 
-def test_a_shared_length_scale_and_one_a_feature() -> None:
+def test_a_shared_length_scale_and_one_a_feature():
     counts = {"rbf": 3, "rbf_ard": 5, "euclidean": 6, "nearness": 3, "additive": 8}
     assert {form: len(covariance_of(form).start) for form in counts} == counts
 
 
-def test_parameters_have_the_dimension_scaled_prior() -> None:
+def test_parameters_have_the_dimension_scaled_prior():
     for d in (1, 16, 100):
         mu, sigma = np.sqrt(2) + np.log(d) / 2, np.sqrt(3)  # Hvarfner et al. 2024
         for form, place in (("euclidean", 1), ("nearness", 1), ("additive", 4)):
@@ -143,7 +137,7 @@ def anywhere(covariance: Covariance, seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("form", reference.FORMS)
-def test_the_misfit_and_its_gradient_are_scikit_learns(form: str) -> None:
+def test_the_misfit_and_its_gradient_are_scikit_learns(form):
     covariance = covariance_of(form)
     for seed, count in enumerate((1, 2, 9, 40, 120)):
         x, y = trials(count, seed)
@@ -156,7 +150,7 @@ def test_the_misfit_and_its_gradient_are_scikit_learns(form: str) -> None:
 
 
 @pytest.mark.parametrize("form", reference.FORMS)
-def test_the_gradient_is_that_of_the_misfit(form: str) -> None:
+def test_the_gradient_is_that_of_the_misfit(form):
     covariance = covariance_of(form)
     x, y = trials(25, 0)
     theta = covariance.start
@@ -166,13 +160,13 @@ def test_the_gradient_is_that_of_the_misfit(form: str) -> None:
 
 @pytest.mark.parametrize("count", [2, 8, 30, 31, LIKELIHOOD_TRIALS])
 @pytest.mark.parametrize("form", reference.FORMS)
-def test_the_constants_are_those_that_scikit_learn_finds(form: str, count: int) -> None:
+def test_the_constants_are_those_that_scikit_learn_finds(form, count):
     covariance = covariance_of(form)
     x, y = trials(count, seed=count)
     assert_allclose(learn(covariance, x, y), reference.learned(covariance, x, y), atol=1e-6)
 
 
-def test_without_a_cholesky_factor_the_misfit_is_infinite() -> None:
+def test_without_a_cholesky_factor_the_misfit_is_infinite():
     covariance = Covariance((Term(0, 1, SLOPE, ()),), FEATURE_NOISE)
     x = np.array([[1.0], [1.0], [3.0]]) * 1e12
     theta = np.array([0.0, np.log(1e-4)])
@@ -181,7 +175,7 @@ def test_without_a_cholesky_factor_the_misfit_is_infinite() -> None:
     assert_allclose(gradient, 0.0)
 
 
-def test_the_posterior_density_is_maximised() -> None:
+def test_the_posterior_density_is_maximised():
     """No constant can be moved either way for a better likelihood times prior."""
     covariance = covariance_of("rbf_ard")
     x, y = trials(12, 0)
@@ -195,14 +189,14 @@ def test_the_posterior_density_is_maximised() -> None:
             assert there >= misfit(covariance, x, y, theta)[0] - 1e-3
 
 
-def test_the_prior_decides_where_there_is_one_trial() -> None:
+def test_the_prior_decides_where_there_is_one_trial():
     covariance = covariance_of("euclidean")
     theta = learn(covariance, X[:1], np.array([2.0]))
     for found, prior in zip(theta[1:5], covariance.constants[1:5], strict=True):
         assert_allclose(found, prior.mode, atol=1e-3)
 
 
-def test_constants_are_learned_from_a_part_of_many_trials() -> None:
+def test_constants_are_learned_from_a_part_of_many_trials():
     points = some_points(2 * LIKELIHOOD_TRIALS, seed=1)
     x, y = points.matrix(), costs(points)
     covariance = covariance_of("rbf")
@@ -244,7 +238,7 @@ def assert_near(
 
 
 @pytest.mark.parametrize("form", reference.FORMS)
-def test_the_exact_posterior_is_scikit_learns(form: str) -> None:
+def test_the_exact_posterior_is_scikit_learns(form):
     posterior = fitted(covariance_of(form), 40, fast=False)
     candidates = some_points(2 * BLOCK + 17, seed=2)
     expected = oracle(posterior, candidates)
@@ -253,14 +247,14 @@ def test_the_exact_posterior_is_scikit_learns(form: str) -> None:
 
 
 @pytest.mark.parametrize("form", reference.FORMS)
-def test_the_fast_posterior_is_nearly_scikit_learns(form: str) -> None:
+def test_the_fast_posterior_is_nearly_scikit_learns(form):
     posterior = fitted(covariance_of(form), 100, fast=True)
     candidates = some_points(2 * BLOCK + 17, seed=2)
     assert_near(posterior, candidates, posterior.predict(candidates), FAST)
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 1000])
-def test_any_number_of_trials_will_do(count: int) -> None:
+def test_any_number_of_trials_will_do(count):
     posterior = fitted(covariance_of("euclidean"), count, fast=False)
     candidates = some_points(50, seed=2)
     assert_allclose(posterior.predict(candidates), oracle(posterior, candidates), rtol=EXACT)
@@ -268,7 +262,7 @@ def test_any_number_of_trials_will_do(count: int) -> None:
 
 @pytest.mark.parametrize(("fast", "tolerance"), [(False, EXACT), (True, FAST)])
 @pytest.mark.parametrize("values", [30, 20_000])
-def test_along_one_feature(fast: bool, tolerance: float, values: int) -> None:
+def test_along_one_feature(fast, tolerance, values):
     rng = np.random.default_rng(0)
     x = rng.uniform(-1, 4, (60, 1))
     y = 5.0 + 2.0 * np.sin(x[:, 0]) + 0.3 * rng.standard_normal(60)
@@ -276,13 +270,13 @@ def test_along_one_feature(fast: bool, tolerance: float, values: int) -> None:
     feature = np.random.default_rng(1).choice(np.linspace(-3, 8, values), 20_000)[:, None]
     candidates = Points(feature, np.empty((len(feature), 0)))
 
-    def along(which: int) -> np.ndarray:
+    def along(which):
         return along_feature(posterior, candidates, lambda points: posterior.predict(points)[which])
 
     assert_near(posterior, candidates, (along(0), along(1)), tolerance)
 
 
-def test_believing_adds_trials_and_keeps_constants() -> None:
+def test_believing_adds_trials_and_keeps_constants():
     posterior = fitted(covariance_of("rbf"), 20, fast=False)
     more = some_points(3, seed=5)
     believed = posterior.believing(more)
@@ -294,7 +288,7 @@ def test_believing_adds_trials_and_keeps_constants() -> None:
     assert believed.predict(more)[1].sum() < posterior.predict(more)[1].sum()
 
 
-def test_the_spread_of_equal_features_is_learned_as_noise() -> None:
+def test_the_spread_of_equal_features_is_learned_as_noise():
     x = np.repeat([[0.0], [1.0], [2.0]], 30, axis=0)
     y = 10.0 * x[:, 0] + 1.5 * np.random.default_rng(2).standard_normal(90)
     posterior = learned(covariance_of("rbf", (1, 0, 1)), x, y)
@@ -303,7 +297,7 @@ def test_the_spread_of_equal_features_is_learned_as_noise() -> None:
     assert_allclose(np.sqrt(variance), 1.5, rtol=0.25)
 
 
-def test_equal_costs_are_no_accident() -> None:
+def test_equal_costs_are_no_accident():
     points = some_points(2, seed=0)
     posterior = learned(covariance_of("additive"), points.matrix(), np.full(2, 3.0), fast=True)
     mean, variance = posterior.predict(points)
@@ -311,7 +305,7 @@ def test_equal_costs_are_no_accident() -> None:
     assert np.isfinite(variance).all()
 
 
-def test_the_unit_of_cost_does_not_matter() -> None:
+def test_the_unit_of_cost_does_not_matter():
     points, candidates = some_points(20, seed=1), some_points(50, seed=2)
     x, y = points.matrix(), costs(points)
     ours, scaled = (
@@ -322,11 +316,11 @@ def test_the_unit_of_cost_does_not_matter() -> None:
     assert_allclose(scaled[1], 1e12 * ours[1], rtol=1e-2)
 
 
-def test_slopes_carry_beyond_the_trials() -> None:
+def test_slopes_carry_beyond_the_trials():
     x = np.hstack([np.linspace(-1, 1, 25)[:, None], np.full((25, 1), 0.5)])
     beyond = Points(np.array([[6.0]]), np.array([[0.5]]))
 
-    def predicted(form: str) -> float:
+    def predicted(form):
         posterior = learned(covariance_of(form, (1, 1, 1)), x, 3.0 * x[:, 0])
         return float(posterior.predict(beyond)[0][0])
 

@@ -25,7 +25,7 @@ from tests.study.sampler.studies import (
 )
 
 
-def test_turns_are_counted_as_if_nothing_had_been_killed() -> None:
+def test_turns_are_counted_as_if_nothing_had_been_killed():
     study = optuna.create_study()
     turns = []
     for killed in (False, True, True, False, False, True, False, False):
@@ -38,8 +38,8 @@ def test_turns_are_counted_as_if_nothing_had_been_killed() -> None:
     assert turns == [0, 1, 1, 1, 2, 3, 3, 4]
 
 
-def test_random_search_repeats_what_was_killed() -> None:
-    def parameters(killed: set[int]) -> list[dict[str, float]]:
+def test_random_search_repeats_what_was_killed():
+    def parameters(killed):
         study = optuna.create_study(sampler=ReproducibleRandomSampler(seed=4))
         while len(study.get_trials(states=(TrialState.COMPLETE,))) < 4:
             trial = study.ask()
@@ -57,14 +57,14 @@ def test_random_search_repeats_what_was_killed() -> None:
 
 
 @pytest.mark.parametrize("purpose", [Purpose.BODY, Purpose.TIE_BREAK])
-def test_draws_depend_on_purpose_and_key_alone(purpose: Purpose) -> None:
+def test_draws_depend_on_purpose_and_key_alone(purpose):
     first = generator(1, purpose, 5).random()
     assert generator(1, purpose, 5).random() == first
     others = [generator(1, purpose, 6), generator(2, purpose, 5), generator(1, Purpose.TERRAIN, 5)]
     assert all(other.random() != first for other in others)
 
 
-def test_history_takes_finished_trials_and_counts_all_rows(table: FeatureTable) -> None:
+def test_history_takes_finished_trials_and_counts_all_rows(table):
     study = optuna.create_study(direction="maximize")
     for row, state in enumerate((TrialState.COMPLETE, TrialState.FAIL, TrialState.PRUNED)):
         study.enqueue_trial(table.rows.as_parameters(row))
@@ -146,7 +146,7 @@ def objective(name: str, suggest: Suggest) -> Callable[[optuna.Trial], float]:
 
 @pytest.mark.parametrize("strict", [True, False])
 @pytest.mark.parametrize("how", OTHERWISE)
-def test_what_holds_the_rows_works_also_where_it_is_resumed(how: str, strict: bool) -> None:
+def test_what_holds_the_rows_works_also_where_it_is_resumed(how, strict):
     name, suggest = OTHERWISE[how]
     study = study_of(TABLE, strict=strict)
     without_warnings(study, objective(name, suggest), 12)
@@ -201,7 +201,7 @@ MISFITS: dict[str, tuple[str, Suggest, str]] = {
 
 
 @pytest.mark.parametrize("how", MISFITS)
-def test_what_does_not_hold_them_is_one_line_before_the_objective_or_one_warning(how: str) -> None:
+def test_what_does_not_hold_them_is_one_line_before_the_objective_or_one_warning(how):
     name, suggest, message = MISFITS[how]
     done: list[float] = []
     cost = objective(name, suggest)
@@ -223,7 +223,7 @@ def test_what_does_not_hold_them_is_one_line_before_the_objective_or_one_warning
         ("an integer on a logarithmic scale", IntDistribution(16, 128, log=True)),
     ],
 )
-def test_a_logarithmic_scale_is_the_kernels_too(how: str, distribution: Any) -> None:
+def test_a_logarithmic_scale_is_the_kernels_too(how, distribution):
     """As if the table had been given it."""
     name, suggest = OTHERWISE[how]
     given = new_table(space={name: distribution})
@@ -236,7 +236,7 @@ def test_a_logarithmic_scale_is_the_kernels_too(how: str, distribution: Any) -> 
     assert params_of(plain) != params_of(found)
 
 
-def test_points_near_the_table_are_on_the_logarithmic_scale_and_within_the_range() -> None:
+def test_points_near_the_table_are_on_the_logarithmic_scale_and_within_the_range():
     rate = np.geomspace(1e-4, 1.0, 30)
     study = study_of(
         FeatureTable.from_arrays({"rate": rate}, np.log(rate)),
@@ -249,7 +249,7 @@ def test_points_near_the_table_are_on_the_logarithmic_scale_and_within_the_range
     assert study.best_value < 0.1
 
 
-def test_trials_off_the_table_are_learned_from_whatever_they_are_suggested_as() -> None:
+def test_trials_off_the_table_are_learned_from_whatever_they_are_suggested_as():
     own = {"rate": 0.002, "units": 64, "kind": "relu", "depth": 2.0}
     study = study_of(TABLE, enqueued=[own], feature_function=lambda params: params[:, :2])
     without_warnings(study, objective(*OTHERWISE["integers as choices"]), 5)

@@ -187,22 +187,22 @@ def said_by(case: Callable[[], object]) -> list[str]:
     return ours + error
 
 
-def test_every_explained_message_has_a_case() -> None:
+def test_every_explained_message_has_a_case():
     assert list(CASES) == EXPLAINED
 
 
 @pytest.mark.parametrize("message", CASES)
-def test_it_is_said(message: str) -> None:
+def test_it_is_said(message):
     pattern = re.escape(message).replace("…", ".+")
     said = said_by(CASES[message])
     assert any(re.search(pattern, line) for line in said), said
 
 
-def test_nothing_is_said_of_what_fits() -> None:
+def test_nothing_is_said_of_what_fits():
     assert said_by(lambda: run(sampler(), trials=3)) == []
 
 
-def test_a_table_of_one_row_has_one_trial() -> None:
+def test_a_table_of_one_row_has_one_trial():
     one = FeatureTable.from_arrays({"a": [0.5], "b": [1.0]}, [[2.0]])
     run(sampler(one), trials=1)
     assert said_by(lambda: run(sampler(one), trials=2))[-1].startswith("all 1 rows")
@@ -234,7 +234,7 @@ def test_a_table_that_fits_is_used_without_strictness_too(table):
 
 @pytest.mark.filterwarnings("ignore:Fixed parameter")
 def test_a_range_that_shrinks_is_an_error_where_it_leaves_the_row_out(table):
-    def shrunk(trial: optuna.Trial) -> float:
+    def shrunk(trial):
         return trial.suggest_float("a", -0.999, 1) + trial.suggest_float("b", 0, 1e-9)
 
     study = study_of(table, bowl, 2)
@@ -257,10 +257,10 @@ def test_several_objectives_are_refused(table, features):
 
 
 def test_extra_parameters_come_after_the_tables_or_are_named(table):
-    def first(trial: optuna.Trial) -> float:
+    def first(trial):
         return trial.suggest_int("n", 1, 9) + bowl(trial)
 
-    def last(trial: optuna.Trial) -> float:
+    def last(trial):
         return bowl(trial) + (trial.suggest_categorical("kind", ["x", "y"]) == "x")
 
     with pytest.raises(InputError, match=r"extra_parameters=\['n'\]"):
@@ -297,14 +297,12 @@ def test_rows_without_features_or_repeated_are_never_proposed():
 
 
 @pytest.mark.parametrize("value", [float("nan"), None])
-def test_a_trial_without_a_cost_fails_and_teaches_nothing(
-    table: FeatureTable, value: float | None
-) -> None:
+def test_a_trial_without_a_cost_fails_and_teaches_nothing(table, value):
     study = study_of(table, bowl, 4)
 
-    def broken(trial: optuna.Trial) -> float:
+    def broken(trial):
         bowl(trial)
-        return value  # type: ignore[return-value]
+        return value
 
     study.optimize(broken, n_trials=2)
     study.optimize(bowl, n_trials=2)
@@ -328,9 +326,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("function", "message"), BROKEN)
-def test_a_broken_function_is_an_error_before_a_trial_is_lost(
-    function: Callable[[Floats], Floats], message: str
-) -> None:
+def test_a_broken_function_is_an_error_before_a_trial_is_lost(function, message):
     with pytest.raises(InputError, match=message):
         run(FeatureKernelSampler(function, seed=0, space=BOX), bowl)
     lenient = FeatureKernelSampler(function, seed=0, space=BOX, strict=False)
@@ -339,8 +335,8 @@ def test_a_broken_function_is_an_error_before_a_trial_is_lost(
     assert len(said) == 1
 
 
-def test_a_broken_function_of_a_table_too(table: FeatureTable) -> None:
-    def wide(params: Floats) -> Floats:
+def test_a_broken_function_of_a_table_too(table):
+    def wide(params):
         return np.hstack([params, params])
 
     options = {"seed": 0, "off_grid": 20, "feature_function": wide}
@@ -350,14 +346,14 @@ def test_a_broken_function_of_a_table_too(table: FeatureTable) -> None:
         run(FeatureKernelSampler(table, strict=False, **options), bowl)
 
 
-def test_a_declared_parameter_that_is_never_suggested_is_an_error() -> None:
+def test_a_declared_parameter_that_is_never_suggested_is_an_error():
     space = {"x": FloatDistribution(0, 1), "unused": FloatDistribution(0, 1)}
     with pytest.raises(InputError, match="unused: 'not suggested in trial 0'"):
         study_of(None, lambda trial: trial.suggest_float("x", 0, 1), 3, space=space)
 
 
 @pytest.mark.filterwarnings("ignore:PartialFixedSampler is experimental")
-def test_a_fixed_parameter() -> None:
+def test_a_fixed_parameter():
     table = FeatureTable.from_arrays({"a": [0.0, 0.5, 1.0], "b": [0.0, 1.0, 2.0]}, [1, 2, 3])
     for features in (table, lambda params: params):
         space = None if features is table else BOX
@@ -386,12 +382,12 @@ def test_a_fixed_parameter() -> None:
         (3, {}, "features: 'int'"),
     ],
 )
-def test_options_that_cannot_be_used(features: Any, options: dict[str, Any], message: str):
+def test_options_that_cannot_be_used(features, options, message):
     with pytest.raises(InputError, match=message):
         FeatureKernelSampler(new_table() if features is FEATURES else features, **options)
 
 
-def test_a_trial_that_could_not_be_asked_for_is_ended_as_documented(table: FeatureTable) -> None:
+def test_a_trial_that_could_not_be_asked_for_is_ended_as_documented(table):
     """Optuna keeps the trial of an `ask` that raises RUNNING, whichever sampler raised."""
     study = study_of(table, enqueued=[{"a": 0.123}])
     with pytest.raises(InputError, match=r"a: 0\.123"):

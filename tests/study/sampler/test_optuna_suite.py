@@ -37,7 +37,7 @@ class TestTable(Suite):
     options: ClassVar[dict[str, Any]] = {}
 
     @pytest.fixture
-    def sampler(self) -> Factory:
+    def sampler(self):
         column = np.linspace(0.1, 0.2, 8)
         table = FeatureTable.from_arrays({"x": column, "y": column[::-1]}, column)
         return lambda: FeatureKernelSampler(table, seed=0, strict=False, **self.options)
@@ -65,7 +65,7 @@ class TestOffGrid(TestTable):
 @pytest.mark.filterwarnings("ignore:trials whose parameters are no row")
 class TestTableOfOtherNames(Suite):
     @pytest.fixture
-    def sampler(self) -> Factory:
+    def sampler(self):
         table = FeatureTable.from_arrays({"p": [0.0, 0.5, 1.0]}, [1.0, 2.0, 3.0])
         return lambda: FeatureKernelSampler(table, seed=0, strict=False)
 
@@ -76,17 +76,17 @@ def features(params: NDArray[np.float64]) -> NDArray[np.float64]:
 
 class TestCallable(Suite):
     @pytest.fixture
-    def sampler(self) -> Factory:
+    def sampler(self):
         return lambda: FeatureKernelSampler(features, seed=0)
 
 
 class TestPlain(Suite):
     @pytest.fixture
-    def sampler(self) -> Factory:
+    def sampler(self):
         return lambda: FeatureKernelSampler(seed=0)
 
 
-def test_the_suite_needs_no_warning_to_be_silenced_without_a_table() -> None:
+def test_the_suite_needs_no_warning_to_be_silenced_without_a_table():
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         FeatureKernelSampler(features), FeatureKernelSampler()

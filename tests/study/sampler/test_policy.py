@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from study import FeatureKernelSampler, FeatureTable
 from study.experiment.arms import find_arm
-from study.experiment.experiment import Experiment
 from study.experiment.one_study import OneStudy
 from study.experiment.trials import simulate_trials
 from study.sampler import acquisition
@@ -63,9 +61,7 @@ def first_rows(features: Floats, trials: int, *, seed: int = 0, **options: Any) 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("sign", ["", "-"])
 @pytest.mark.parametrize("column", range(3))
-def test_with_a_prior_they_are_the_first_three_of_the_ranking(
-    kernel: str, sign: str, column: int
-) -> None:
+def test_with_a_prior_they_are_the_first_three_of_the_ranking(kernel, sign, column):
     for seed in range(3):
         features = drawn(seed)
         best_first = np.argsort(features[:, column] if sign else -features[:, column])
@@ -73,7 +69,7 @@ def test_with_a_prior_they_are_the_first_three_of_the_ranking(
         assert rows == best_first[:3].tolist()
 
 
-def test_an_infinite_score_is_the_best_or_the_worst() -> None:
+def test_an_infinite_score_is_the_best_or_the_worst():
     features = drawn(0)
     features[[5, 6], 0] = np.inf, -np.inf
     assert first_rows(features, 1, prior="feature_0") == [5]
@@ -81,7 +77,7 @@ def test_an_infinite_score_is_the_best_or_the_worst() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_without_one_they_are_the_ends_of_the_first_principal_component(seed: int) -> None:
+def test_without_one_they_are_the_ends_of_the_first_principal_component(seed):
     features = drawn(seed)
     scores = table_of(features).rows.scores.standard(features)
     centred = scores - scores.mean(axis=0)
@@ -92,19 +88,19 @@ def test_without_one_they_are_the_ends_of_the_first_principal_component(seed: in
     assert scores[rows[0]].sum() > scores[rows[1]].sum()  # more of most features first
 
 
-def test_one_feature_alone_is_tried_at_its_ends() -> None:
+def test_one_feature_alone_is_tried_at_its_ends():
     feature = drawn(1)[:, 0]
     assert first_rows(feature, 2) == [int(np.argmax(feature)), int(np.argmin(feature))]
 
 
-def test_other_kernels_begin_at_random() -> None:
+def test_other_kernels_begin_at_random():
     for kernel in ("rbf", "rbf_ard", "euclidean"):
         first = {tuple(first_rows(drawn(0), 3, seed=seed, kernel=kernel)) for seed in range(6)}
         assert len(first) == 6
 
 
 @pytest.mark.parametrize("prior", [None, "feature_0"])
-def test_trials_that_can_be_learned_from_count_among_them(prior: str | None) -> None:
+def test_trials_that_can_be_learned_from_count_among_them(prior):
     """Two finished rows, enqueued: the third trial is the model's, or still the ranking's."""
     features = drawn(2)
     table = table_of(features)
@@ -112,7 +108,7 @@ def test_trials_that_can_be_learned_from_count_among_them(prior: str | None) -> 
         table.rows.as_parameters(row) for row in np.argsort(features[:, 0])[[30, 40]].tolist()
     ]
     study = study_of(table, only_x, 3, enqueued=middle, prior=prior)
-    constants = study.sampler._policy.known  # type: ignore[attr-defined]
+    constants = study.sampler._policy.known
     assert bool(constants) is (prior is None)
     assert prior is None or rows_of(study)[2] == features[:, 0].argmax()
 
@@ -124,9 +120,7 @@ def ends_first(params: Floats) -> Floats:
 @pytest.mark.parametrize(
     ("prior", "low", "high"), [(None, [0.99, 0.0], [1.0, 0.01]), ("-feature_1", [0.0], [0.01])]
 )
-def test_of_a_space_they_are_the_ends_too(
-    prior: str | None, low: list[float], high: list[float]
-) -> None:
+def test_of_a_space_they_are_the_ends_too(prior, low, high):
     """Of 2,048 points anywhere, the last lies within a hundredth of an end: 1 - 1e-9 are sure."""
     space = {"x": FloatDistribution(0, 1)}
     study = study_of(ends_first, only_x, len(low), seed=3, prior=prior, space=space)
@@ -145,9 +139,7 @@ def costs_after(age: int) -> Floats:
 @pytest.mark.parametrize(
     ("has_prior", "patience"), [(False, PATIENCE), (True, PATIENCE_WITH_PRIOR)]
 )
-def test_every_other_trial_is_doubtful_once_patience_is_over(
-    has_prior: bool, patience: int
-) -> None:
+def test_every_other_trial_is_doubtful_once_patience_is_over(has_prior, patience):
     assert (PATIENCE, PATIENCE_WITH_PRIOR) == (3, 20)
     for turn in range(6):
         assert not is_doubtful(costs_after(0), turn, has_prior)
@@ -190,7 +182,7 @@ def kernels_asked(study: optuna.Study, objective: Any, trials: int) -> dict[int,
 @pytest.mark.parametrize(
     ("prior", "first"), [(None, 5), ("feature_0", 23)]  # 3, or 20, trials after number 1; then odd
 )  # fmt: skip
-def test_a_doubtful_trial_looks_at_parameters_alone(prior: str | None, first: int) -> None:
+def test_a_doubtful_trial_looks_at_parameters_alone(prior, first):
     asked = kernels_asked(study_of(xy_table(FEATURES), prior=prior), without_success, first + 5)
     for turn, (kernel, prior_mean) in asked.items():
         doubtful = turn >= first and turn % 2 == 1
@@ -199,10 +191,10 @@ def test_a_doubtful_trial_looks_at_parameters_alone(prior: str | None, first: in
     assert sum(kernel is NEARNESS for kernel, _ in asked.values()) == 3
 
 
-def test_trials_that_broke_their_limits_are_neither_success_nor_failure() -> None:
+def test_trials_that_broke_their_limits_are_neither_success_nor_failure():
     """They cost less and less; of those that kept them, number 1 is the best."""
 
-    def objective(trial: optuna.Trial) -> float:
+    def objective(trial):
         broken = trial.number % 3 == 2
         trial.set_constraint("limit", 1.0 if broken else -1.0)
         return without_success(trial) - (100.0 * trial.number if broken else 0.0)
@@ -213,7 +205,7 @@ def test_trials_that_broke_their_limits_are_neither_success_nor_failure() -> Non
 
 
 @pytest.mark.parametrize("number", [5, 6])
-def test_it_proposes_the_same_whatever_the_features_are(number: int) -> None:
+def test_it_proposes_the_same_whatever_the_features_are(number):
     """Of the same finished trials, trial 5 is doubtful, trial 6 is not."""
     enqueued = [{"x": X[row], "y": Y[row]} for row in (3, 8, 20, 31, 44, 50)[:number]]
     chosen = set()
@@ -243,9 +235,7 @@ def misleading(unit: Floats, rng: np.random.Generator) -> Floats:
 
 
 @pytest.mark.parametrize("feature", [useless, misleading])
-def test_features_that_are_worth_nothing_leave_the_parameters_to_learn_from(
-    feature: Callable[[Floats, np.random.Generator], Floats],
-) -> None:
+def test_features_that_are_worth_nothing_leave_the_parameters_to_learn_from(feature):
     """Regret against the best of 400 rows: at most half of that of rows drawn at random.
 
     24 of 400 rows at random are expected to hold the best 4 % of them. At the worst every other
@@ -282,14 +272,14 @@ def blas_threads() -> set[int]:
 
 
 @pytest.fixture
-def watch(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any, str], list[set[int]]]:
+def watch(monkeypatch):
     """Has a function note the threads that BLAS has where it is called."""
 
-    def watch(owner: Any, name: str) -> list[set[int]]:
+    def watch(owner, name):
         seen: list[set[int]] = []
         function = getattr(owner, name)
 
-        def watched(*arguments: Any, **options: Any) -> Any:
+        def watched(*arguments, **options):
             seen.append(blas_threads())
             return function(*arguments, **options)
 
@@ -300,9 +290,7 @@ def watch(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any, str], list[set[int]
 
 
 @pytest.mark.parametrize("tabled", [True, False])
-def test_a_sampler_computes_on_one_thread_of_blas(
-    tabled: bool, table: FeatureTable, watch: Callable[[Any, str], list[set[int]]]
-) -> None:
+def test_a_sampler_computes_on_one_thread_of_blas(tabled, table, watch):
     seen = watch(acquisition, "learn")
     sampler = FeatureKernelSampler(table, seed=1) if tabled else FeatureKernelSampler(seed=1)
     with threadpool_limits(GIVEN, user_api="blas"):
@@ -311,9 +299,7 @@ def test_a_sampler_computes_on_one_thread_of_blas(
     assert seen and all(threads == {1} for threads in seen)
 
 
-def test_a_study_of_an_experiment_does(
-    toy: Experiment, watch: Callable[[Any, str], list[set[int]]]
-) -> None:
+def test_a_study_of_an_experiment_does(toy, watch):
     """Also where another library proposes."""
     asked, told = watch(optuna.Study, "ask"), watch(optuna.Study, "tell")
     with threadpool_limits(GIVEN, user_api="blas"):
@@ -340,7 +326,7 @@ optuna.create_study(sampler=sampler).optimize(lambda t: t.suggest_float("x", 0.0
 """
 
 
-def test_scipys_own_library_is_limited_too() -> None:
+def test_scipys_own_library_is_limited_too():
     """It is loaded by the first proposal of a process, after NumPy's."""
     command, two = [sys.executable, "-c", PROGRAM], {"OPENBLAS_NUM_THREADS": "2"}
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=os.environ | two)

@@ -73,7 +73,7 @@ def run_elsewhere(queue: "multiprocessing.Queue[dict[str, Any]]") -> None:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_the_same_seed_proposes_the_same_also_after_reseeding(form: str) -> None:
+def test_the_same_seed_proposes_the_same_also_after_reseeding(form):
     study = optuna.create_study(sampler=FORMS[form]())
     study.sampler.reseed_rng()
     study.optimize(bowl, n_trials=9)
@@ -81,7 +81,7 @@ def test_the_same_seed_proposes_the_same_also_after_reseeding(form: str) -> None
 
 
 @pytest.mark.slow
-def test_a_spawned_process_proposes_the_same() -> None:
+def test_a_spawned_process_proposes_the_same():
     context = multiprocessing.get_context("spawn")
     queue = context.Queue()
     process = context.Process(target=run_elsewhere, args=(queue,))
@@ -92,7 +92,7 @@ def test_a_spawned_process_proposes_the_same() -> None:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_the_state_is_in_the_trials(form: str) -> None:
+def test_the_state_is_in_the_trials(form):
     pieces = optuna.create_study()
     for _ in range(9):  # a new sampler, pickled besides, for each trial
         pieces.sampler = pickle.loads(pickle.dumps(FORMS[form]()))
@@ -116,7 +116,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["table", "ranked", "off_grid"])
-def test_killed_between_trials_and_resumed(form: str, tmp_path: Path) -> None:
+def test_killed_between_trials_and_resumed(form, tmp_path):
     url = f"sqlite:///{tmp_path / 'studies.db'}"
     killed = subprocess.run([sys.executable, "-c", SCRIPT, url, form], cwd=ROOT)
     assert killed.returncode == -signal.SIGKILL
@@ -129,7 +129,7 @@ def test_killed_between_trials_and_resumed(form: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("prior", [None, "-size"])
 @pytest.mark.parametrize("direction", ["minimize", "maximize"])
-def test_every_kernel_finds_good_rows(kernel: str, prior: str | None, direction: str) -> None:
+def test_every_kernel_finds_good_rows(kernel, prior, direction):
     sampler = FeatureKernelSampler(small_table(), seed=3, kernel=kernel, prior=prior)
     study = optuna.create_study(sampler=sampler, direction=direction)
     sign = 1.0 if direction == "minimize" else -1.0
@@ -138,7 +138,7 @@ def test_every_kernel_finds_good_rows(kernel: str, prior: str | None, direction:
 
 
 @pytest.mark.parametrize("form", ["callable", "plain"])
-def test_points_of_a_space_become_good(form: str) -> None:
+def test_points_of_a_space_become_good(form):
     study = study_of(features if form == "callable" else None, seed=0)
     study.optimize(bowl, n_trials=20)
     assert study.best_value < 0.01
@@ -146,12 +146,12 @@ def test_points_of_a_space_become_good(form: str) -> None:
     assert all((values is not None) == (form == "callable") for values in noted)
 
 
-def test_points_off_the_table_beat_its_best_row() -> None:
+def test_points_off_the_table_beat_its_best_row():
     table = small_table()
     best_row = (table.rows.parameters[:, 0] ** 2 + 0.01 * table.rows.parameters[:, 1]).min()
     calls: list[int] = []
 
-    def counted(params: Floats) -> Floats:
+    def counted(params):
         calls.append(len(params))
         return features(params)
 
@@ -162,18 +162,16 @@ def test_points_off_the_table_beat_its_best_row() -> None:
     assert off and all(len(trial.user_attrs["features"]) == 2 for trial in off)
 
 
-def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such(monkeypatch):
     """What is noted in trials has no infinity."""
 
-    def function(params: Floats) -> Floats:
+    def function(params):
         return np.column_stack([np.where(params[:, 0] < 0.5, -np.inf, 1.0), params[:, 1]])
 
     learned: list[Any] = []
     looked_at = Model._looked_at
 
-    def spied(model: Model, *rest: Any) -> Any:
+    def spied(model, *rest):
         learned.append(model.trials.features)
         return looked_at(model, *rest)
 
@@ -189,10 +187,10 @@ def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such(
 
 
 @pytest.mark.parametrize("gaps", [[np.nan, 1.0], [np.nan, np.nan]])
-def test_a_trial_off_the_table_may_have_gaps(gaps: list[float]) -> None:
+def test_a_trial_off_the_table_may_have_gaps(gaps):
     """As a function may return for a point that it cannot do, here one that a user enqueued."""
 
-    def function(params: Floats) -> Floats:
+    def function(params):
         outside = (params[:, 0] < -0.5)[:, None]
         return np.where(outside, gaps, features(params))
 
@@ -202,14 +200,14 @@ def test_a_trial_off_the_table_may_have_gaps(gaps: list[float]) -> None:
     assert len({trial.user_attrs.get("row") for trial in study.trials}) == 6
 
 
-def test_points_near_a_table_of_integers_are_not_tried_twice() -> None:
+def test_points_near_a_table_of_integers_are_not_tried_twice():
     table = FeatureTable.from_arrays({"n": [1, 3, 9]}, [1.0, 3.0, 9.0])
     study = study_of(table, seed=0, off_grid=50, feature_function=lambda p: p)
     study.optimize(lambda trial: trial.suggest_int("n", 1, 9), n_trials=7)
     assert len({trial.params["n"] for trial in study.trials}) == 7
 
 
-def test_a_prior_that_is_wrong_is_left() -> None:
+def test_a_prior_that_is_wrong_is_left():
     table = small_table()
     size = np.sort(table.rows.features[:, 0])
     study = study_of(table, seed=0, prior="-size")
@@ -219,13 +217,13 @@ def test_a_prior_that_is_wrong_is_left() -> None:
 
 @pytest.mark.filterwarnings("ignore:FeatureTable")
 @pytest.mark.parametrize("kernel", ["additive", "rbf_ard"])
-def test_rows_left_out_change_no_choice(kernel: str) -> None:
+def test_rows_left_out_change_no_choice(kernel):
     rng = np.random.default_rng(0)
     columns = {"a": rng.uniform(-1, 1, 300), "b": rng.uniform(0, 5, 300)}
     values = features(np.column_stack(list(columns.values())))
     values[100:] = np.nan
 
-    def proposed(rows: int) -> list[dict[str, Any]]:
+    def proposed(rows):
         some = {name: column[:rows] for name, column in columns.items()}
         bounds = {"a": (-1, 1), "b": (0, 5)}
         table = FeatureTable.from_arrays(some, values[:rows], ["size", "side"], bounds=bounds)
@@ -235,7 +233,7 @@ def test_rows_left_out_change_no_choice(kernel: str) -> None:
     assert proposed(300) == proposed(100)
 
 
-def test_a_thousand_trials_are_no_trouble() -> None:
+def test_a_thousand_trials_are_no_trouble():
     rng = np.random.default_rng(0)
     table = FeatureTable.from_arrays({"a": rng.uniform(size=3000)}, rng.normal(size=(3000, 3)))
     study = study_of(table, seed=0)
@@ -249,7 +247,7 @@ def test_a_thousand_trials_are_no_trouble() -> None:
     assert time.perf_counter() - start < 5.0  # a second on an idle machine
 
 
-def test_a_million_rows_work() -> None:
+def test_a_million_rows_work():
     rng = np.random.default_rng(0)
     columns = {f"x{i}": rng.uniform(size=1_000_000) for i in range(2)}
     table = FeatureTable.from_arrays(columns, rng.normal(size=1_000_000))
@@ -280,14 +278,14 @@ print(peak() - before)
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc on this system")
-def test_a_hundred_thousand_rows_take_little_memory() -> None:
+def test_a_hundred_thousand_rows_take_little_memory():
     command = [sys.executable, "-c", MEMORY]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
     assert float(done.stdout) < 200.0
 
 
 @pytest.mark.slow
-def test_importing_the_package_is_light() -> None:
+def test_importing_the_package_is_light():
     code = (
         "import sys, study; print({'taichi', 'matplotlib', 'torch', 'sklearn', 'optuna'} "
         "& set(sys.modules)); study.FeatureTable; study.FeatureKernelSampler; "
@@ -298,7 +296,7 @@ def test_importing_the_package_is_light() -> None:
     assert "DoGSampler" in done.stdout
 
 
-def test_it_works_where_there_is_no_posix() -> None:
+def test_it_works_where_there_is_no_posix():
     """As on Windows: stores and commands lock files, the sampler does not."""
     code = """
 import sys
@@ -315,7 +313,7 @@ print(study.best_value)
     assert done.stdout == "0.0\n", done.stderr
 
 
-def test_the_package_has_no_other_names() -> None:
+def test_the_package_has_no_other_names():
     import study
 
     with pytest.raises(AttributeError, match="no attribute 'Sampler'"):
@@ -324,7 +322,7 @@ def test_the_package_has_no_other_names() -> None:
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("unknown", [np.nan, 0.5])
-def test_where_no_row_is_left_points_off_the_table_are(kernel: str, unknown: float) -> None:
+def test_where_no_row_is_left_points_off_the_table_are(kernel, unknown):
     """All rows tried, or one tried and none with half of its features."""
     values = np.full((6, 3), unknown)
     values[np.arange(6), np.arange(6) % 3] = np.linspace(0.1, 0.4, 6)
@@ -346,7 +344,7 @@ def test_where_no_row_is_left_points_off_the_table_are(kernel: str, unknown: flo
 # The paper's sampler.
 
 
-def test_trials_are_rows_and_no_row_comes_twice(table: FeatureTable) -> None:
+def test_trials_are_rows_and_no_row_comes_twice(table):
     study = study_of(table, bowl, 30, kernel="rbf")
     rows = rows_of(study)
     assert len(set(rows)) == 30
@@ -355,7 +353,7 @@ def test_trials_are_rows_and_no_row_comes_twice(table: FeatureTable) -> None:
         assert trial.user_attrs["score"] == table.rows.features[row, 0]
 
 
-def test_rows_of_running_trials_are_not_proposed(table: FeatureTable) -> None:
+def test_rows_of_running_trials_are_not_proposed(table):
     study = study_of(table, bowl, 5, kernel="rbf")
     for _ in range(40):
         study.ask(SPACE)
@@ -363,8 +361,8 @@ def test_rows_of_running_trials_are_not_proposed(table: FeatureTable) -> None:
 
 
 @pytest.mark.parametrize("state", [TrialState.FAIL, TrialState.PRUNED])
-def test_failed_and_pruned_trials_teach_nothing(table: FeatureTable, state: TrialState) -> None:
-    def rows(lose_a_trial: bool) -> list[int]:
+def test_failed_and_pruned_trials_teach_nothing(table, state):
+    def rows(lose_a_trial):
         study = study_of(table, kernel="rbf")
         study.optimize(bowl, n_trials=6)
         if lose_a_trial:
@@ -379,7 +377,7 @@ def test_failed_and_pruned_trials_teach_nothing(table: FeatureTable, state: Tria
     assert abs(score[lost[7]] - score[clean[6]]) < 0.2
 
 
-def test_ties_are_broken_by_the_seed(table: FeatureTable) -> None:
+def test_ties_are_broken_by_the_seed(table):
     tied = FeatureTable.from_arrays({"a": np.linspace(0, 1, 50), "b": np.ones(50)}, np.zeros(50))
     seen = set()
     for seed in range(12):
@@ -389,13 +387,13 @@ def test_ties_are_broken_by_the_seed(table: FeatureTable) -> None:
     assert len(seen) > 6
 
 
-def test_what_is_stored_are_plain_numbers(table: FeatureTable) -> None:
+def test_what_is_stored_are_plain_numbers(table):
     study = study_of(table, bowl, 1, kernel="rbf")
     assert set(json.loads(json.dumps(study.trials[0].user_attrs))) == {"row", "score"}
     assert all(type(value) is float for value in study.trials[0].params.values())
 
 
-def test_an_informative_score_beats_random_search() -> None:
+def test_an_informative_score_beats_random_search():
     rng = np.random.default_rng(5)
     unit = rng.uniform(size=(3000, 8))
     depth = ((unit - 0.6) ** 2).sum(axis=1)
@@ -404,11 +402,11 @@ def test_an_informative_score_beats_random_search() -> None:
     columns = {f"x{i}": unit[:, i] for i in range(8)}
     table = FeatureTable.from_arrays(columns, score, bounds=dict.fromkeys(columns, (0.0, 1.0)))
 
-    def objective(trial: optuna.Trial) -> float:
+    def objective(trial):
         x = np.array([trial.suggest_float(name, 0, 1) for name in columns])
         return float(1.0 - np.exp(-8.0 * ((x - 0.6) ** 2).sum()))
 
-    def mean_best(samplers: list[optuna.samplers.BaseSampler]) -> float:
+    def mean_best(samplers):
         best = []
         for sampler in samplers:
             study = optuna.create_study(sampler=sampler)
@@ -422,7 +420,7 @@ def test_an_informative_score_beats_random_search() -> None:
     assert dog < np.quantile(cost, 0.01)
 
 
-def test_a_proposal_from_100000_rows_takes_no_half_second() -> None:
+def test_a_proposal_from_100000_rows_takes_no_half_second():
     rng = np.random.default_rng(0)
     score = np.maximum(0.0, rng.normal(-3, 8, 100_000))  # two thirds are zero
     columns = {f"x{i}": rng.uniform(size=100_000) for i in range(16)}
@@ -476,22 +474,22 @@ def extreme_study(costs: tuple[float, float], limit: float = -1.0, **options: An
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("kernel", ["additive", "rbf", "rbf_ard", "euclidean"])
 @pytest.mark.parametrize("costs", EXTREMES)
-def test_extreme_costs_are_learned_from(costs: tuple[float, float], kernel: str) -> None:
+def test_extreme_costs_are_learned_from(costs, kernel):
     study = extreme_study(costs, kernel=kernel)
     assert len({trial.params["x"] for trial in study.trials}) == 9
     if kernel != "euclidean":
-        study.sampler.worth(study).markdown()  # type: ignore[attr-defined]
+        study.sampler.worth(study).markdown()
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("limit", [LARGEST, -LARGEST, 1e200])
-def test_extreme_constraints_are_learned_from(limit: float) -> None:
+def test_extreme_constraints_are_learned_from(limit):
     assert len(extreme_study((1.0, 2.0), limit).trials) == 9
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("kernel", ["additive", "rbf", "rbf_ard"])
-def test_extreme_features_tell_rows_apart(kernel: str) -> None:
+def test_extreme_features_tell_rows_apart(kernel):
     features = np.where(np.arange(30) % 2, LARGEST, -LARGEST) * LINE
     table = FeatureTable.from_arrays({"x": LINE}, features)
     study = study_of(table, seed=1, kernel=kernel)
@@ -540,17 +538,17 @@ TABLE = "FeatureTable(600 rows, 16 parameters, 6 features: a, b, c, ...)"
         ),
     ],
 )
-def test_a_sampler_shows_its_seed_and_what_was_chosen(sampler, shown: str) -> None:
+def test_a_sampler_shows_its_seed_and_what_was_chosen(sampler, shown):
     assert repr(sampler()) == shown
 
 
-def test_a_seed_that_was_drawn_is_shown() -> None:
+def test_a_seed_that_was_drawn_is_shown():
     shown = repr(FeatureKernelSampler())
     found = re.fullmatch(r"FeatureKernelSampler\(seed=(\d+)\)", shown)
     assert found and int(found[1]) > 0
 
 
-def test_presets_go_by_their_own_names() -> None:
+def test_presets_go_by_their_own_names():
     assert repr(DoGSampler(shown_table(), seed=1)).startswith(f"DoGSampler({TABLE}, seed=1")
     survival = shown_table().rows.features
     columns = {"x": np.linspace(0, 1, 600)}
@@ -558,6 +556,6 @@ def test_presets_go_by_their_own_names() -> None:
     assert repr(SurvivalSampler(good, seed=1)).startswith("SurvivalSampler(FeatureTable(600 rows")
 
 
-def test_a_sampler_that_travelled_shows_the_same() -> None:
+def test_a_sampler_that_travelled_shows_the_same():
     sampler = FeatureKernelSampler(shown_table(), seed=3, kernel="rbf")
     assert repr(pickle.loads(pickle.dumps(sampler))) == repr(sampler)

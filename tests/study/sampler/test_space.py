@@ -34,7 +34,7 @@ def inside(points: np.ndarray) -> bool:
     )
 
 
-def test_points_anywhere_are_values_of_their_distributions() -> None:
+def test_points_anywhere_are_values_of_their_distributions():
     points = anywhere(SPACE, 500, np.random.default_rng(0))
     assert inside(points)
     assert_allclose(np.median(points[:, 1]), 1e-2, rtol=0.5)  # evenly over decades
@@ -42,7 +42,7 @@ def test_points_anywhere_are_values_of_their_distributions() -> None:
     assert_allclose(np.bincount(points[:, 6].astype(int)) / 500, 1 / 3, atol=0.07)
 
 
-def test_points_near_others_are_near_and_inside() -> None:
+def test_points_near_others_are_near_and_inside():
     rng = np.random.default_rng(0)
     centre = anywhere(SPACE, 1, rng)
     points = nearby(SPACE, centre, 800, rng)
@@ -55,19 +55,19 @@ def test_points_near_others_are_near_and_inside() -> None:
     assert 0.0 <= unmoved < 1.0
 
 
-def test_values_are_of_pythons_own_types() -> None:
+def test_values_are_of_pythons_own_types():
     values = SPACE.values(anywhere(SPACE, 1, np.random.default_rng(0))[0])
     expected = [float, float, float, int, int, int, str, float]
     assert [type(value) for value in values.values()] == expected
 
 
-def test_rows_and_values_are_each_others_inverse() -> None:
+def test_rows_and_values_are_each_others_inverse():
     points = anywhere(SPACE, 50, np.random.default_rng(1))
     assert_allclose([SPACE.row(SPACE.values(point)) for point in points], points)
     assert_allclose(SPACE.from_fractions(SPACE.fractions(points)), points, rtol=1e-9)
 
 
-def test_the_unit_cube_has_ranges_of_one_and_choices_one_apart() -> None:
+def test_the_unit_cube_has_ranges_of_one_and_choices_one_apart():
     low = {"plain": -2.0, "log": 1e-5, "choice": "x"}
     high = {"plain": 3.0, "log": 10.0, "choice": "z"}
     space = Space.of({name: DISTRIBUTIONS[name] for name in low})
@@ -78,7 +78,7 @@ def test_the_unit_cube_has_ranges_of_one_and_choices_one_apart() -> None:
     assert_allclose(outside[0, 0], 1.0)
 
 
-def test_taken_points_are_left_out_unless_nothing_is_left() -> None:
+def test_taken_points_are_left_out_unless_nothing_is_left():
     points = np.array([[0.0, 1.0], [2.0, 3.0]])
     assert not_among(points, points[:1]).tolist() == [False, True]
     assert not_among(points, points).tolist() == [True, True]
@@ -104,10 +104,8 @@ def test_taken_points_are_left_out_unless_nothing_is_left() -> None:
         (CategoricalDistribution([True, False]), 1, True),
     ],
 )
-def test_values_become_what_another_distribution_has(
-    distribution: BaseDistribution, value: object, expected: object
-) -> None:
-    own = CategoricalDistribution([value])  # type: ignore[list-item]
+def test_values_become_what_another_distribution_has(distribution, value, expected):
+    own = CategoricalDistribution([value])
     assert first_not_taken(own, np.zeros(2), distribution) == (0 if expected is None else None)
     if isinstance(value, int | float):
         numeric, numbers = FloatDistribution(-9, 9), np.array([float(value)])
@@ -122,7 +120,7 @@ def test_values_become_what_another_distribution_has(
     assert found == expected and type(found) is type(expected)
 
 
-def test_the_first_row_that_does_not_fit_is_found() -> None:
+def test_the_first_row_that_does_not_fit_is_found():
     kinds = CategoricalDistribution(["x", "y", "z"])
     values = np.array([2.0, 0.0, 2.0, 1.0, 1.0])
     assert first_not_taken(kinds, values, CategoricalDistribution(["z", "x"])) == 3
@@ -132,14 +130,14 @@ def test_the_first_row_that_does_not_fit_is_found() -> None:
 @pytest.mark.parametrize(
     "values", [{}, {"plain": "0"}, {"plain": True}, {"plain": None}, {"choice": "q"}, {"log": -1.0}]
 )
-def test_what_a_space_has_no_number_for_is_no_row(values: dict[str, object]) -> None:
+def test_what_a_space_has_no_number_for_is_no_row(values):
     whole = SPACE.values(anywhere(SPACE, 1, np.random.default_rng(0))[0])
     assert SPACE.row(whole) is not None
     broken = {name: v for name, v in whole.items() if name != "int"} if not values else whole
     assert SPACE.row(broken | values) is None
 
 
-def test_pinned_values_are_those_of_all_new_points() -> None:
+def test_pinned_values_are_those_of_all_new_points():
     rng = np.random.default_rng(0)
     pinned = SPACE.pinned({"plain": 7.0, "choice": "y", "int": "no number", "other": 1})
     points = anywhere(pinned, 50, rng)
@@ -149,7 +147,7 @@ def test_pinned_values_are_those_of_all_new_points() -> None:
         assert len(set(new[:, 3])) > 3
 
 
-def test_outside_the_ranges_the_cube_has_edges_or_goes_on() -> None:
+def test_outside_the_ranges_the_cube_has_edges_or_goes_on():
     space = Space.of({name: DISTRIBUTIONS[name] for name in ("plain", "log", "int", "single")})
     rows = np.array([[5.5, 1e3, 9.0, 4.0], [0.5, 1e-2, 12.0, 5.0]])
     edges = [[1.0, 1.0, 6.5 / 7, 0.0], [0.5, 0.5, 6.5 / 7, 0.0]]

@@ -2,8 +2,6 @@
 
 import pickle
 import warnings
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import optuna
@@ -26,7 +24,7 @@ TWO = {"a": [0.0, 1.0], "b": [5.0, 6.0]}
 MIXED = {"rate": [0.1, 0.01, 1.0], "units": [3, 1, 2], "kind": ["relu", "tanh", "relu"]}
 
 
-def test_arrays_make_rows_of_native_values() -> None:
+def test_arrays_make_rows_of_native_values():
     rows = FeatureTable.from_arrays(MIXED, np.arange(6.0).reshape(3, 2), ["p", "q"]).rows
     assert rows.as_parameters(1) == {"rate": 0.01, "units": 1, "kind": "tanh"}
     assert [type(v) for v in rows.as_parameters(1).values()] == [float, int, str]
@@ -42,20 +40,20 @@ def test_arrays_make_rows_of_native_values() -> None:
         assert_allclose(standard.std(axis=0), 1.0)
 
 
-def test_one_feature_may_be_a_column() -> None:
+def test_one_feature_may_be_a_column():
     rows = FeatureTable.from_arrays(TWO, [1, 3]).rows
     assert rows.feature_names == ("feature_0",)
     assert rows.standard.standard(rows.features).tolist() == [[-1.0], [1.0]]
 
 
-def test_a_space_says_what_columns_cannot() -> None:
+def test_a_space_says_what_columns_cannot():
     given = {"rate": FloatDistribution(1e-3, 1.0, log=True), "units": FloatDistribution(0.0, 4.0)}
     rows = FeatureTable.from_arrays(MIXED, [1, 2, 3], space=given).rows
     assert rows.space.distributions[:2] == tuple(given.values())
     assert type(rows.as_parameters(0)["units"]) is float
 
 
-def test_rows_are_found_by_exact_values() -> None:
+def test_rows_are_found_by_exact_values():
     rows = FeatureTable.from_arrays(MIXED, [1, 3, 4]).rows
     assert rows.find({"rate": 1.0, "units": 2, "kind": "relu", "other": 2}) == 2
     assert rows.find({"rate": np.nextafter(1.0, 2.0), "units": 2, "kind": "relu"}) is None
@@ -63,7 +61,7 @@ def test_rows_are_found_by_exact_values() -> None:
     assert rows.find({"rate": 1.0}) is None
 
 
-def test_a_data_frame_gives_named_columns() -> None:
+def test_a_data_frame_gives_named_columns():
     frame = pd.DataFrame(MIXED | {"p": [1, 2, 4], "q": [0.5, np.nan, 1.5]})
     table = FeatureTable.from_dataframe(frame, parameters=list(MIXED), features=["p", "q"])
     assert table.rows.feature_names == ("p", "q")
@@ -72,7 +70,7 @@ def test_a_data_frame_gives_named_columns() -> None:
         FeatureTable.from_dataframe(frame, parameters=["rate"], features=["z"])
 
 
-def test_any_parquet_file_or_folder_will_do(tmp_path: Path) -> None:
+def test_any_parquet_file_or_folder_will_do(tmp_path):
     frame = pd.DataFrame(MIXED | {"p": [1.0, 2.0, 4.0]})
     for part in range(2):
         frame.assign(units=frame.units + 3 * part).to_parquet(tmp_path / f"part-{part}.parquet")
@@ -94,16 +92,14 @@ def test_any_parquet_file_or_folder_will_do(tmp_path: Path) -> None:
         ("good.parquet", ["speed"], "column: 'speed' .*rate"),
     ],
 )
-def test_bad_parquet_is_refused(
-    tmp_path: Path, file: str, parameters: list[str], message: str
-) -> None:
+def test_bad_parquet_is_refused(tmp_path, file, parameters, message):
     (tmp_path / "text.parquet").write_text("no")
     pd.DataFrame(MIXED | {"p": [1.0, 2.0, 4.0]}).to_parquet(tmp_path / "good.parquet")
     with pytest.raises(InputError, match=message):
         FeatureTable.from_parquet(tmp_path / file, features=["p"], parameters=parameters)
 
 
-def test_a_table_of_arrays_pickles_with_its_arrays_alone() -> None:
+def test_a_table_of_arrays_pickles_with_its_arrays_alone():
     column = np.arange(500.0)
     table = FeatureTable.from_arrays({"a": column, "b": column}, column)
     before = len(pickle.dumps(table))
@@ -113,7 +109,7 @@ def test_a_table_of_arrays_pickles_with_its_arrays_alone() -> None:
     assert pickle.loads(pickle.dumps(table)).rows.find({"a": 3.0, "b": 3.0}) == 3
 
 
-def test_a_feature_without_information_weighs_nothing() -> None:
+def test_a_feature_without_information_weighs_nothing():
     features = np.column_stack([[1.0, 2.0, 3.0], [7.0] * 3, [np.nan] * 3])
     with pytest.warns(UserWarning, match="without information are ignored: feature_1, feature_2"):
         rows = FeatureTable.from_arrays(MIXED, features).rows
@@ -122,7 +118,7 @@ def test_a_feature_without_information_weighs_nothing() -> None:
     assert rows.offered.all()
 
 
-def test_a_row_is_offered_with_half_of_its_informative_features() -> None:
+def test_a_row_is_offered_with_half_of_its_informative_features():
     nan, inf = np.nan, np.inf
     features = [[nan, 1.0, 7.0], [2.0, nan, 7.0], [nan, nan, 7.0], [inf, -inf, nan]]
     with pytest.warns(UserWarning, match="1 rows that lack more than half .* ignored: feature_2"):
@@ -130,7 +126,7 @@ def test_a_row_is_offered_with_half_of_its_informative_features() -> None:
     assert table.rows.offered.tolist() == [True, True, False, True]
 
 
-def test_infinity_is_a_value_and_no_gap() -> None:
+def test_infinity_is_a_value_and_no_gap():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         rows = FeatureTable.from_arrays({"a": np.arange(3.0)}, [np.inf, 0.0, -np.inf]).rows
@@ -138,21 +134,21 @@ def test_infinity_is_a_value_and_no_gap() -> None:
     assert np.argsort(rows.scores.standard(rows.features)[:, 0]).tolist() == [2, 1, 0]
 
 
-def test_repeated_rows_count_once() -> None:
+def test_repeated_rows_count_once():
     with pytest.warns(UserWarning, match="2 rows repeat the parameters of another"):
         table = FeatureTable.from_arrays({"a": [0.0, 1.0, 0.0, -0.0]}, [1, 2, 3, 4])
     assert table.rows.offered.tolist() == [True, True, False, False]
     assert table.rows.find({"a": 0.0}) == 0
 
 
-def test_a_sound_table_makes_no_noise() -> None:
+def test_a_sound_table_makes_no_noise():
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         FeatureTable.from_arrays(MIXED, [1, 2, 3])
     assert not said
 
 
-def test_features_of_any_scale() -> None:
+def test_features_of_any_scale():
     tiny = FeatureTable.from_arrays(TWO, [1e-30, 3e-30]).rows
     huge = FeatureTable.from_arrays(TWO, [1e30, 3e30]).rows
     for by_order in (False, True):
@@ -194,19 +190,17 @@ def test_features_of_any_scale() -> None:
         (TWO, [1, 3], {"feature_names": ["p", "q"]}, "table.feature_names"),
     ],
 )
-def test_bad_arrays_are_refused(
-    parameters: dict[str, Any], features: Any, options: dict[str, Any], message: str
-) -> None:
+def test_bad_arrays_are_refused(parameters, features, options, message):
     with pytest.raises(InputError, match=message):
         FeatureTable.from_arrays(parameters, features, **options)
 
 
-def test_rows_on_their_steps_are_taken() -> None:
+def test_rows_on_their_steps_are_taken():
     space = {"a": FloatDistribution(0, 1, step=0.25)}
     assert len(FeatureTable.from_arrays({"a": [0.25, 0.75]}, [1, 2], space=space)) == 2
 
 
-def test_a_file_that_changed_since_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_changed_since_is_refused(tmp_path):
     path = tmp_path / "table.parquet"
     frame = pd.DataFrame(MIXED | {"p": [1.0, 2.0, 4.0]})
     frame.to_parquet(path)
@@ -227,7 +221,7 @@ def test_a_file_that_changed_since_is_refused(tmp_path: Path) -> None:
         (["scale", 0.1, 1], [0.1, 1, "scale"]),
     ],
 )
-def test_none_and_numbers_among_words_are_choices(values: list[Any], choices: list[Any]) -> None:
+def test_none_and_numbers_among_words_are_choices(values, choices):
     table = FeatureTable.from_arrays({"kind": values}, [1.0, 2.0, 4.0])
     study = study_of(table, lambda trial: trial.suggest_categorical("kind", choices) is None, 3)
     assert {trial.params["kind"] for trial in study.trials} == set(values)
@@ -235,13 +229,13 @@ def test_none_and_numbers_among_words_are_choices(values: list[Any], choices: li
 
 
 @pytest.mark.parametrize("values", [[3, None, 5], [None, None], ["x", float("nan")]])
-def test_what_may_be_a_gap_names_the_way_to_make_it_a_choice(values: list[Any]) -> None:
+def test_what_may_be_a_gap_names_the_way_to_make_it_a_choice(values):
     with pytest.raises(InputError, match=r"table.depth\[\d\]: .* None .*space=\{'depth': "):
         FeatureTable.from_arrays({"depth": values}, np.arange(float(len(values))))
 
 
 @pytest.mark.parametrize("values", [[3, None, 5], [3.0, float("nan"), 5.0], ["x", None, "y"]])
-def test_given_as_a_choice_a_gap_is_none(values: list[Any]) -> None:
+def test_given_as_a_choice_a_gap_is_none(values):
     choices = [None if value is None or value != value else value for value in values]
     frame = pd.DataFrame({"depth": values, "feature": [1.0, 2.0, 3.0]})
     space = {"depth": CategoricalDistribution(choices)}
@@ -254,7 +248,7 @@ def test_given_as_a_choice_a_gap_is_none(values: list[Any]) -> None:
 # Stores.
 
 
-def test_a_store_gives_its_parameters_and_bounds(store: Path) -> None:
+def test_a_store_gives_its_parameters_and_bounds(store):
     table = FeatureTable.from_parquet(store, features=["phi_corrected", "mean_speed_mps"])
     rows = table.rows
     assert len(table) == 200
@@ -264,9 +258,7 @@ def test_a_store_gives_its_parameters_and_bounds(store: Path) -> None:
     assert rows.space.distributions == tuple(FloatDistribution(g.low, g.high) for g in GAINS)
 
 
-def test_a_store_of_more_parameters_gives_them_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_store_of_more_parameters_gives_them_all(tmp_path, monkeypatch):
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
     up = fake.family(settings=2, kind="ramp")
     precompute(fake.specification(searched=["theta_ref"], families={"up": up}), tmp_path / "store")
@@ -284,14 +276,14 @@ def test_a_store_of_more_parameters_gives_them_all(
         FeatureTable.from_parquet(tmp_path / "store", features=["theta_ref"])
 
 
-def test_a_stored_table_pickles_without_its_rows(store: Path) -> None:
+def test_a_stored_table_pickles_without_its_rows(store):
     table = FeatureTable.from_parquet(store, features=["phi_printed"])
     pickled = pickle.dumps(table)
     assert len(pickled) < 2000
     assert_array_equal(pickle.loads(pickled).rows.parameters, table.rows.parameters)
 
 
-def test_a_store_that_changed_since_is_refused(store: Path, tmp_path: Path) -> None:
+def test_a_store_that_changed_since_is_refused(store, tmp_path):
     pickled = pickle.dumps(FeatureTable.from_parquet(store, features=["phi_printed"]))
     store.rename(tmp_path / "old")
     fake_walker.write_plain_store(store, samples=100)
@@ -300,18 +292,18 @@ def test_a_store_that_changed_since_is_refused(store: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("feature", ["phi", "K_GAS", "end_reason"])
-def test_columns_that_are_no_feature_are_refused(store: Path, feature: str) -> None:
+def test_columns_that_are_no_feature_are_refused(store, feature):
     with pytest.raises(InputError, match=feature):
         FeatureTable.from_parquet(store, features=[feature])
 
 
 @pytest.mark.parametrize("parameters", [None, ["K_GAS"]])
-def test_a_table_of_no_features_is_refused(store: Path, parameters: list[str] | None) -> None:
+def test_a_table_of_no_features_is_refused(store, parameters):
     with pytest.raises(InputError, match="features: 'none'"):
         FeatureTable.from_parquet(store, features=[], parameters=parameters)
 
 
-def test_a_sampler_over_a_store_pickles_small(store: Path) -> None:
+def test_a_sampler_over_a_store_pickles_small(store):
     sampler = DoGSampler(FeatureTable.from_parquet(store, features=["phi_printed"]), seed=1)
     optuna.create_study(sampler=sampler).ask()
     assert len(pickle.dumps(sampler)) < 6000
@@ -327,7 +319,7 @@ def test_a_sampler_over_a_store_pickles_small(store: Path) -> None:
         (2, 3, "600 rows, 2 parameters, 3 features: a, b, c"),
     ],
 )
-def test_a_table_shows_its_size_and_features(parameters: int, features: int, shown: str) -> None:
+def test_a_table_shows_its_size_and_features(parameters, features, shown):
     columns = {f"x{i}": np.linspace(0, 1, 600) for i in range(parameters)}
     values = np.random.default_rng(0).random((600, features))
     made = FeatureTable.from_arrays(columns, values, list("abcdef"[:features]))
@@ -335,12 +327,12 @@ def test_a_table_shows_its_size_and_features(parameters: int, features: int, sho
 
 
 @pytest.mark.filterwarnings("ignore:FeatureTable")
-def test_one_of_a_thing_is_shown_as_one() -> None:
+def test_one_of_a_thing_is_shown_as_one():
     shown = repr(FeatureTable.from_arrays({"x": [0.0]}, [[1.0, 2.0]]))
     assert shown == "FeatureTable(1 row, 1 parameter, 2 features: feature_0, feature_1)"
 
 
-def test_a_table_that_travelled_is_not_read_again_to_be_shown(tmp_path: Path) -> None:
+def test_a_table_that_travelled_is_not_read_again_to_be_shown(tmp_path):
     path = tmp_path / "table.parquet"
     pd.DataFrame({"x": [0.0, 1.0], "f": [1.0, 2.0]}).to_parquet(path)
     made = pickle.dumps(FeatureTable.from_parquet(path, features=["f"], parameters=["x"]))

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -90,7 +89,7 @@ def features_learned(study: optuna.Study) -> Floats:
 
 
 @pytest.mark.parametrize("finished", [0, 6])
-def test_a_partly_enqueued_trial_is_a_row_that_has_the_fixed_values(finished: int) -> None:
+def test_a_partly_enqueued_trial_is_a_row_that_has_the_fixed_values(finished):
     study = study_of(TABLE, both, finished)
     for _ in range(3):
         study.enqueue_trial({"a": 1.0})
@@ -100,13 +99,13 @@ def test_a_partly_enqueued_trial_is_a_row_that_has_the_fixed_values(finished: in
     assert_rows_were_run(study)
 
 
-def test_of_the_rows_that_have_it_the_model_chooses_the_best() -> None:
+def test_of_the_rows_that_have_it_the_model_chooses_the_best():
     enqueued = [*map(row, (0, 1, 3, 6, 8, 11)), {"a": 1.0}]
     study = study_of(TABLE, lambda trial: 10.0 * both(trial), 7, enqueued=enqueued)
     assert study.trials[-1].params == {"a": 1.0, "b": 0.0}
 
 
-def test_where_no_row_has_the_fixed_values_it_is_an_error_before_the_objective() -> None:
+def test_where_no_row_has_the_fixed_values_it_is_an_error_before_the_objective():
     study = study_of(TABLE, enqueued=[{"a": 0.3}])
     done: list[float] = []
     with pytest.raises(InputError, match=r"^a: 0.3 cannot be used; allowed: .* row .* 0.5; or"):
@@ -124,16 +123,14 @@ def test_where_no_row_has_the_fixed_values_it_is_an_error_before_the_objective()
         ([{"a": 1.0}, {"a": 1.0}], r"^a: 1.0 .* not been tried"),
     ],
 )
-def test_no_row_has_all_of_them_or_those_that_have_are_tried(
-    enqueued: list[dict[str, float]], message: str
-) -> None:
+def test_no_row_has_all_of_them_or_those_that_have_are_tried(enqueued, message):
     columns = {"a": [0.0, 1.0], "b": [0.0, 5.0], "c": [1.0, 2.0]}
     study = study_of(FeatureTable.from_arrays(columns, [1, 2]), enqueued=enqueued)
     with pytest.raises(InputError, match=message):
         study.optimize(lambda trial: both(trial) + trial.suggest_float("c", 0, 5), n_trials=2)
 
 
-def test_where_the_table_need_not_fit_the_rest_is_drawn_and_not_learned() -> None:
+def test_where_the_table_need_not_fit_the_rest_is_drawn_and_not_learned():
     study = study_of(TABLE, both, 4, strict=False)
     study.enqueue_trial({"a": 0.25})
     with pytest.warns(UserWarning, match=r"a: 0.25 .* independent sampler takes over") as said:
@@ -146,7 +143,7 @@ def test_where_the_table_need_not_fit_the_rest_is_drawn_and_not_learned() -> Non
     assert len(features_learned(study)) == 7
 
 
-def test_with_a_function_it_is_learned_with_its_own_features() -> None:
+def test_with_a_function_it_is_learned_with_its_own_features():
     study = study_of(TABLE, enqueued=[{"a": 0.25}], feature_function=compute)
     with pytest.warns(UserWarning, match="a: 0.25"):
         study.optimize(both, n_trials=1)
@@ -156,7 +153,7 @@ def test_with_a_function_it_is_learned_with_its_own_features() -> None:
 
 
 @pytest.mark.parametrize(("value", "tried"), [(0.25, 5), (0.5, 18)])  # some rows, or all
-def test_points_near_the_table_keep_the_fixed_value(value: float, tried: int) -> None:
+def test_points_near_the_table_keep_the_fixed_value(value, tried):
     enqueued = [*map(row, range(tried)), {"a": value}]
     options = {"feature_function": compute, "off_grid": 40}
     last = study_of(TABLE, both, tried + 1, enqueued=enqueued, **options).trials[-1]
@@ -168,7 +165,7 @@ def test_points_near_the_table_keep_the_fixed_value(value: float, tried: int) ->
 
 @pytest.mark.parametrize("space", [None, SPACE])
 @pytest.mark.parametrize("function", [None, compute])
-def test_without_a_table_a_fixed_value_stays(space: Any, function: Any) -> None:
+def test_without_a_table_a_fixed_value_stays(space, function):
     study = study_of(function, both, 4, space=space)
     study.enqueue_trial({"b": 1.25})
     study.optimize(both, n_trials=1)
@@ -179,7 +176,7 @@ def test_without_a_table_a_fixed_value_stays(space: Any, function: Any) -> None:
         assert last.user_attrs["features"] == pytest.approx(own)
 
 
-def test_features_of_a_point_that_was_not_run_are_taken_back() -> None:
+def test_features_of_a_point_that_was_not_run_are_taken_back():
     """The range shrinks in one trial: one parameter is drawn independently."""
     study = study_of(compute, both, 4, space=SPACE, strict=False)
     with pytest.warns(UserWarning, match="b: .* the independent sampler takes over"):
@@ -191,7 +188,7 @@ def test_features_of_a_point_that_was_not_run_are_taken_back() -> None:
 # Trials that are enqueued whole.
 
 
-def test_an_enqueued_row_is_noted_from_its_start() -> None:
+def test_an_enqueued_row_is_noted_from_its_start():
     study = study_of(TABLE, enqueued=[row(7), row(9) | {"other": 3}])
     trial = study.ask()
     assert study.trials[0].user_attrs == {"row": 7, "features": [1.5, -0.5]}
@@ -203,7 +200,7 @@ def test_an_enqueued_row_is_noted_from_its_start() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:FeatureTable")
-def test_notes_have_a_score_or_features_of_which_unknown_ones_are_none() -> None:
+def test_notes_have_a_score_or_features_of_which_unknown_ones_are_none():
     gap = FeatureTable.from_arrays({"a": A, "b": B}, np.where(FEATURES == 1.5, np.nan, FEATURES))
     cases = (ONE, {"row": 7, "score": 1.5}), (gap, {"row": 7, "features": [None, -0.5]})
     for table, expected in cases:
@@ -211,7 +208,7 @@ def test_notes_have_a_score_or_features_of_which_unknown_ones_are_none() -> None
         assert study.trials[0].user_attrs == expected
 
 
-def test_a_row_that_waits_is_not_proposed_to_another_worker() -> None:
+def test_a_row_that_waits_is_not_proposed_to_another_worker():
     study = study_of(TABLE, enqueued=[row(0)])  # waits until the end
     for _ in range(17):
         trial = study._storage.get_trial(study._storage.create_new_trial(study._study_id))
@@ -221,8 +218,8 @@ def test_a_row_that_waits_is_not_proposed_to_another_worker() -> None:
     assert sorted(rows_of(study)[1:]) == list(range(1, 18))
 
 
-def test_a_row_enqueued_by_another_process_is_taken(tmp_path: Path) -> None:
-    def opened() -> optuna.Study:
+def test_a_row_enqueued_by_another_process_is_taken(tmp_path):
+    def opened():
         storage = JournalStorage(JournalFileBackend(str(tmp_path / "journal.log")))
         sampler = FeatureKernelSampler(TABLE, seed=1)
         return optuna.create_study(
@@ -237,7 +234,7 @@ def test_a_row_enqueued_by_another_process_is_taken(tmp_path: Path) -> None:
     assert rows == set(range(18)) - {7}
 
 
-def test_resumed_is_uninterrupted_with_enqueued_trials() -> None:
+def test_resumed_is_uninterrupted_with_enqueued_trials():
     enqueued = (row(4), {"a": 0.5}, {"b": 2.0})
     whole = study_of(TABLE, both, 9, enqueued=enqueued)
     pieces = resumed(
@@ -248,7 +245,7 @@ def test_resumed_is_uninterrupted_with_enqueued_trials() -> None:
     assert_rows_were_run(whole)
 
 
-def test_a_killed_trial_that_was_partly_enqueued_is_run_again() -> None:
+def test_a_killed_trial_that_was_partly_enqueued_is_run_again():
     study = study_of(TABLE, enqueued=[{"a": 0.5}])
     both(study.ask())
     kill(study, 0)
@@ -260,7 +257,7 @@ def test_a_killed_trial_that_was_partly_enqueued_is_run_again() -> None:
 # Notes that are not true, and what was run in place of a proposal.
 
 
-def test_a_row_noted_by_an_earlier_version_counts_only_if_it_was_run() -> None:
+def test_a_row_noted_by_an_earlier_version_counts_only_if_it_was_run():
     """Two trials that say row 3 and did something else: they teach nothing, and row 3 is free."""
     study = study_of(TABLE)
     for params in ({"a": 0.25, "b": 3.0}, {"a": 0.0}):
@@ -278,10 +275,10 @@ def test_a_row_noted_by_an_earlier_version_counts_only_if_it_was_run() -> None:
     assert sorted(rows_of(study)[2:]) == list(range(18))
 
 
-def test_a_value_that_was_not_left_to_the_sampler_takes_the_note_back() -> None:
+def test_a_value_that_was_not_left_to_the_sampler_takes_the_note_back():
     """A range of one value: Optuna asks no sampler."""
 
-    def pinned(value: float) -> Callable[[optuna.Trial], float]:
+    def pinned(value):
         return lambda trial: trial.suggest_float("b", 0, 5) + trial.suggest_float("a", value, value)
 
     study = study_of(TABLE)
@@ -294,8 +291,8 @@ def test_a_value_that_was_not_left_to_the_sampler_takes_the_note_back() -> None:
     assert_rows_were_run(study)
 
 
-def test_a_range_of_one_value_that_comes_first_is_as_if_it_were_fixed() -> None:
-    def half(trial: optuna.Trial) -> float:
+def test_a_range_of_one_value_that_comes_first_is_as_if_it_were_fixed():
+    def half(trial):
         return trial.suggest_float("a", 0.5, 0.5) + trial.suggest_float("b", 0, 5)
 
     study = study_of(TABLE, half, 6)
@@ -304,7 +301,7 @@ def test_a_range_of_one_value_that_comes_first_is_as_if_it_were_fixed() -> None:
         study.optimize(half, n_trials=1)
 
 
-def test_a_row_of_another_table_that_came_with_an_enqueued_trial_is_put_right() -> None:
+def test_a_row_of_another_table_that_came_with_an_enqueued_trial_is_put_right():
     study = study_of(TABLE)
     study.enqueue_trial({"a": 0.5, "b": 3.0}, user_attrs={"row": 2, "mood": "good"})
     study.enqueue_trial({"a": 0.25, "b": 3.0}, user_attrs={"row": 2})
@@ -314,7 +311,7 @@ def test_a_row_of_another_table_that_came_with_an_enqueued_trial_is_put_right() 
     assert study.trials[1].user_attrs["row"] == -1
 
 
-def test_features_of_a_refused_point_near_the_table_are_taken_back() -> None:
+def test_features_of_a_refused_point_near_the_table_are_taken_back():
     options = {"feature_function": lambda params: params.sum(axis=1), "off_grid": 50}
     enqueued = map(row, range(18))
     study = study_of(ONE, both, 18, enqueued=enqueued, strict=False, **options)
@@ -326,7 +323,7 @@ def test_features_of_a_refused_point_near_the_table_are_taken_back() -> None:
     assert study.trials[-1].user_attrs == {"row": -1, "score": None, "features": None}
 
 
-def test_a_trial_that_is_refused_keeps_no_row() -> None:
+def test_a_trial_that_is_refused_keeps_no_row():
     study = study_of(TABLE)
     with pytest.raises(InputError):
         study.optimize(lambda trial: trial.suggest_float("a", 0, 1e-9), n_trials=1)
@@ -335,7 +332,7 @@ def test_a_trial_that_is_refused_keeps_no_row() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:PartialFixedSampler is experimental")
-def test_a_fixed_parameter_where_the_table_need_not_fit_is_no_row() -> None:
+def test_a_fixed_parameter_where_the_table_need_not_fit_is_no_row():
     sampler = FeatureKernelSampler(TABLE, seed=1, strict=False)
     study = optuna.create_study(sampler=PartialFixedSampler({"a": 0.25}, sampler))
     run_quietly(study, 5)
@@ -352,9 +349,7 @@ def b_at_times(trial: optuna.Trial) -> float:
 
 @pytest.mark.parametrize("objective", [only_a, b_at_times])
 @pytest.mark.parametrize("enqueued", [[], [row(3)]])
-def test_it_is_an_error_of_the_very_trial(
-    objective: Callable[[optuna.Trial], float], enqueued: list[Any]
-) -> None:
+def test_it_is_an_error_of_the_very_trial(objective, enqueued):
     study = study_of(ONE, enqueued=enqueued)
     with pytest.raises(InputError, match=r"b: 'not suggested in trial 0' .* all of a, b"):
         study.optimize(objective, n_trials=1)
@@ -364,7 +359,7 @@ def test_it_is_an_error_of_the_very_trial(
     assert len(set(rows_of(study)[1:])) == 2
 
 
-def test_asked_and_told_too_also_where_nothing_of_the_table_was_suggested() -> None:
+def test_asked_and_told_too_also_where_nothing_of_the_table_was_suggested():
     study = study_of(ONE, extra_parameters=["n"])
     trial = study.ask()
     value = only_a(trial)
@@ -376,7 +371,7 @@ def test_asked_and_told_too_also_where_nothing_of_the_table_was_suggested() -> N
         study.tell(study.ask(), 1.0)
 
 
-def test_where_the_table_need_not_fit_it_is_one_warning_and_no_row() -> None:
+def test_where_the_table_need_not_fit_it_is_one_warning_and_no_row():
     study = study_of(ONE, strict=False)
     with pytest.warns(UserWarning, match="b: 'not suggested in trial 0'") as said:
         study.optimize(only_a, n_trials=4)
@@ -385,8 +380,8 @@ def test_where_the_table_need_not_fit_it_is_one_warning_and_no_row() -> None:
 
 
 @pytest.mark.parametrize("error", [optuna.TrialPruned, RuntimeError])
-def test_a_trial_that_ends_early_says_nothing(error: type[Exception]) -> None:
-    def ends(trial: optuna.Trial) -> float:
+def test_a_trial_that_ends_early_says_nothing(error):
+    def ends(trial):
         only_a(trial)
         raise error
 
@@ -421,7 +416,7 @@ def after_an_earlier_study(**options: Any) -> optuna.Study:
     return study
 
 
-def test_trials_of_an_earlier_study_start_the_model() -> None:
+def test_trials_of_an_earlier_study_start_the_model():
     study = after_an_earlier_study(nearest=0.5)
     without_warnings(study, cost, 2)
     assert min(trial.values[0] for trial in study.trials[15:]) < 0.01
@@ -437,7 +432,7 @@ def beside_row_20() -> dict[str, float]:
     return near | {"a": near["a"] + 0.01}
 
 
-def test_an_enqueued_trial_near_a_row_is_learned_from_and_is_no_row() -> None:
+def test_an_enqueued_trial_near_a_row_is_learned_from_and_is_no_row():
     study = study_of(LINES, enqueued=[beside_row_20()], nearest=0.05)
     without_warnings(study, cost, 1)
     assert study.trials[0].user_attrs == {}
@@ -446,7 +441,7 @@ def test_an_enqueued_trial_near_a_row_is_learned_from_and_is_no_row() -> None:
 
 
 @pytest.mark.parametrize("nearest", [None, 0.001])
-def test_the_warning_names_both_ways_and_how_far_the_nearest_row_is(nearest: float | None) -> None:
+def test_the_warning_names_both_ways_and_how_far_the_nearest_row_is(nearest):
     study = study_of(LINES, enqueued=[beside_row_20()], nearest=nearest)
     with pytest.warns(UserWarning) as said:
         study.optimize(cost, n_trials=4)
@@ -468,9 +463,7 @@ def test_the_warning_names_both_ways_and_how_far_the_nearest_row_is(nearest: flo
         ((1.0, 1000.0, "y"), 1, 0.25),
     ],
 )
-def test_distances_are_root_mean_squares_of_shares_of_the_ranges(
-    point: tuple[Any, ...], nearest: int, distance: float
-) -> None:
+def test_distances_are_root_mean_squares_of_shares_of_the_ranges(point, nearest, distance):
     columns = {"a": [0.0, 1.0], "b": [0.01, 100.0], "kind": ["x", "y"]}
     space = NEAR | {"kind": CategoricalDistribution(["x", "y", "z"])}
     rows = FeatureTable.from_arrays(columns, [1, 2], space=space).rows
@@ -480,7 +473,7 @@ def test_distances_are_root_mean_squares_of_shares_of_the_ranges(
 
 
 @pytest.mark.filterwarnings("ignore:FeatureTable")
-def test_a_constant_parameter_is_near_only_where_it_is_equal_and_gaps_lend_nothing() -> None:
+def test_a_constant_parameter_is_near_only_where_it_is_equal_and_gaps_lend_nothing():
     rows = FeatureTable.from_arrays({"a": LINE, "c": np.full(40, 2.0)}, LINE).rows
     assert rows.nearest(np.array([0.0, 2.0])) == (0, 0.0)
     assert rows.nearest(np.array([0.0, 2.5]))[1] == np.inf
@@ -499,14 +492,12 @@ def test_a_constant_parameter_is_near_only_where_it_is_equal_and_gaps_lend_nothi
         (compute, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
     ],
 )
-def test_how_near_is_a_number_and_for_tables_without_a_function(
-    features: Any, options: dict[str, Any], message: str
-) -> None:
+def test_how_near_is_a_number_and_for_tables_without_a_function(features, options, message):
     with pytest.raises(InputError, match=message):
         FeatureKernelSampler(features, **options)
 
 
-def test_an_earlier_study_may_have_suggested_otherwise() -> None:
+def test_an_earlier_study_may_have_suggested_otherwise():
     """Another scale and narrower ranges: Optuna's own samplers fail on the first."""
     rate = np.geomspace(1e-3, 1, 30)
     given = FeatureTable.from_arrays({"rate": rate}, np.log(rate))

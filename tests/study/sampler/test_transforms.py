@@ -5,7 +5,6 @@ import mmap
 import os
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -40,28 +39,28 @@ Floats = NDArray[np.float64]
 CLIFF = np.array([-1.0, 0.0, 2.0, 1e6, 2.0])
 
 
-def test_the_cost_is_the_logarithm_of_the_excess_in_typical_units() -> None:
+def test_the_cost_is_the_logarithm_of_the_excess_in_typical_units():
     expected = np.log1p((CLIFF + 1.0) / 3.0)  # 3: the median of 1, 3, 3, 1e6
     assert_allclose(log_excess(CLIFF), expected)
     assert_allclose(log_excess(1e3 * CLIFF - 7.0), expected)  # whatever its unit
     assert_allclose(log_excess(np.full(4, 3.0)), 0.0)
 
 
-def test_the_order_of_large_costs_is_kept() -> None:
+def test_the_order_of_large_costs_is_kept():
     cost = np.array([-1e307, 4e307, 3e307, 1.0, LARGEST, -LARGEST])
     found = log_excess(cost)
     assert np.isfinite(found).all()
     assert np.argsort(found).tolist() == np.argsort(cost).tolist()
 
 
-def test_costs_below_a_quarter_of_the_largest_are_as_before() -> None:
+def test_costs_below_a_quarter_of_the_largest_are_as_before():
     cost = np.array([3.0, 1.0, 1e150, -2.0, 7.0])
     excess = cost - cost.min()
     before = np.log1p(excess / np.median(excess[excess > 0]))
     assert log_excess(cost).tobytes() == before.tobytes()
 
 
-def test_infinities_become_the_extremes() -> None:
+def test_infinities_become_the_extremes():
     values = np.array([np.inf, 1.0, -np.inf, 3.0])
     assert clip_infinities(values).tolist() == [3.0, 1.0, 1.0, 3.0]
     assert clip_infinities(np.array([np.inf, -np.inf])).tolist() == [0.0, 0.0]
@@ -95,7 +94,7 @@ def drawn(seed: int) -> Floats:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_normal_scores_are_scipys(seed: int) -> None:
+def test_normal_scores_are_scipys(seed):
     rows = drawn(seed)
     scores = NormalScores.of(rows[:, None])
     others = np.concatenate([drawn(seed + 100), rows, [-1e9, 1e9]])  # on the rows, between, beyond
@@ -104,7 +103,7 @@ def test_normal_scores_are_scipys(seed: int) -> None:
     assert_allclose(own[~np.isnan(rows)].std(), 1.0)
 
 
-def test_columns_are_scored_one_by_one() -> None:
+def test_columns_are_scored_one_by_one():
     features = np.column_stack([drawn(seed) for seed in range(3)])
     together = NormalScores.of(features).standard(features)
     for column in range(3):
@@ -113,18 +112,18 @@ def test_columns_are_scored_one_by_one() -> None:
 
 
 @pytest.mark.parametrize("value", [7.0, INF, -INF])
-def test_a_constant_is_zero_wherever_it_is_asked(value: float) -> None:
+def test_a_constant_is_zero_wherever_it_is_asked(value):
     rows = np.array([[value], [value], [NAN]])
     standard = NormalScores.of(rows).standard(np.array([[value], [1e9], [-1e9], [NAN]]))
     assert not standard[:, 0].any()
     assert_allclose(standard[:, 1], [-np.sqrt(0.5)] * 3 + [np.sqrt(2.0)])  # a third has a gap
 
 
-def test_without_rows_all_are_alike() -> None:
+def test_without_rows_all_are_alike():
     assert_array_equal(NormalScores.of(np.empty((0, 2))).standard(np.array([[1.0, NAN]])), [[0, 0]])
 
 
-def test_a_feature_with_gaps_has_a_column_that_says_so_each_pattern_once() -> None:
+def test_a_feature_with_gaps_has_a_column_that_says_so_each_pattern_once():
     rows = np.random.default_rng(0).normal(size=(100, 4))
     rows[:30, 1] = rows[:30, 2] = NAN  # one pattern
     rows[90:, 3] = NAN
@@ -137,14 +136,14 @@ def test_a_feature_with_gaps_has_a_column_that_says_so_each_pattern_once() -> No
 
 
 @pytest.mark.parametrize(("missing", "columns"), [(0, 1), (2, 1), (3, 2), (97, 2), (98, 1)])
-def test_hardly_any_gaps_or_hardly_any_values_are_no_column(missing: int, columns: int) -> None:
+def test_hardly_any_gaps_or_hardly_any_values_are_no_column(missing, columns):
     rows = np.arange(100.0)[:, None]
     rows[:missing] = NAN
     assert LEAST_GAPS == 0.02
     assert NormalScores.of(rows).standard(rows).shape == (100, columns)
 
 
-def test_the_affine_scale_is_numpys_and_takes_infinities_for_gaps() -> None:
+def test_the_affine_scale_is_numpys_and_takes_infinities_for_gaps():
     rows = np.column_stack([drawn(3), np.full(60, 5.0)])
     known = rows[np.isfinite(rows[:, 0]), 0]
     expected = np.where(np.isfinite(rows[:, 0]), (rows[:, 0] - known.mean()) / known.std(), 0.0)
@@ -192,9 +191,7 @@ CHANGES: dict[str, Callable[[Floats], Floats]] = {
 @pytest.mark.parametrize("prior", [None, "-feature_0"])
 @pytest.mark.parametrize("columns", [[0], [1], [2], [0, 1, 2]])
 @pytest.mark.parametrize("change", CHANGES)
-def test_an_increasing_change_of_a_feature_changes_no_proposal(
-    change: str, columns: list[int], prior: str | None
-) -> None:
+def test_an_increasing_change_of_a_feature_changes_no_proposal(change, columns, prior):
     changed = FEATURES.copy()
     for column in columns:
         changed[:, column] = CHANGES[change](FEATURES[:, column])
@@ -209,7 +206,7 @@ LARGE = 300
 
 
 @pytest.fixture
-def tiny_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def tiny_memory(monkeypatch):
     monkeypatch.setattr(transforms, "MOST_IN_MEMORY", 100)
     monkeypatch.setattr(transforms, "BLOCK", 64)
 
@@ -220,7 +217,7 @@ def in_a_file(matrix: Any) -> bool:
     return isinstance(matrix.obj if isinstance(matrix, memoryview) else matrix, mmap.mmap)
 
 
-def test_matrices_in_files_are_matrices(tiny_memory: None) -> None:
+def test_matrices_in_files_are_matrices(tiny_memory):
     rng = np.random.default_rng(1)
     values, more = rng.uniform(size=(LARGE, 3)), rng.uniform(size=(LARGE, 2))
     matrix, other = new_matrix(LARGE, 3), new_matrix(LARGE, 2)
@@ -253,9 +250,7 @@ def make() -> FeatureTable:
 
 
 @pytest.mark.parametrize("kernel", ["additive", "rbf"])
-def test_a_large_table_is_proposed_from_like_a_small_one(
-    kernel: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_large_table_is_proposed_from_like_a_small_one(kernel, monkeypatch):
     small = make()
     expected, digest = proposals(small, kernel), small.rows.digest()
     monkeypatch.setattr(transforms, "MOST_IN_MEMORY", 100)
@@ -266,11 +261,11 @@ def test_a_large_table_is_proposed_from_like_a_small_one(
     assert table.rows.find(expected[3]) == small.rows.find(expected[3]) is not None
 
 
-def test_a_store_is_read_file_by_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_store_is_read_file_by_file(tmp_path, monkeypatch):
     monkeypatch.setitem(vars(__import__("taichi_nmm")), "simulate", fake.simulate)
     precompute(fake.specification(), tmp_path / "store")
 
-    def rows() -> Any:
+    def rows():
         read = FeatureTable.from_parquet(tmp_path / "store", features=["phi_printed", "m1_mean"])
         return read.rows
 
@@ -279,8 +274,8 @@ def test_a_store_is_read_file_by_file(tmp_path: Path, monkeypatch: pytest.Monkey
     assert in_a_file(rows().parameters) and rows().digest() == small.digest()
 
 
-def test_no_space_for_a_large_table(tiny_memory: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
+def test_no_space_for_a_large_table(tiny_memory, monkeypatch):
+    def full(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "posix_fallocate", full)

@@ -49,7 +49,7 @@ def work(kind: str, folder: Path, trials: int) -> None:
     ("kind", "workers"),
     [("journal", 4), ("sqlite", 2), pytest.param("sqlite", 4, marks=pytest.mark.campaign)],
 )
-def test_no_row_is_proposed_twice(kind: str, workers: int, tmp_path: Path) -> None:
+def test_no_row_is_proposed_twice(kind, workers, tmp_path):
     trials = TRIALS if workers == 4 and kind == "sqlite" else TRIALS // 2
     optuna.create_study(study_name="s", storage=open_storage(kind, tmp_path))
     context = multiprocessing.get_context("spawn")
@@ -70,22 +70,22 @@ def test_no_row_is_proposed_twice(kind: str, workers: int, tmp_path: Path) -> No
     assert all(t.params == table.as_parameters(t.user_attrs["row"]) for t in study.trials)
 
 
-def test_of_two_that_want_one_row_the_later_gives_way() -> None:
+def test_of_two_that_want_one_row_the_later_gives_way():
     table = small_table()
     study = optuna.create_study(sampler=DoGSampler(table, seed=0))
     first, second = study.ask(), study.ask()
     first.set_user_attr("row", 7)
-    is_own = study.sampler._policy._is_own  # type: ignore[attr-defined]
+    is_own = study.sampler._policy._is_own
     assert is_own(study, study.trials[first.number], 7)
     second.set_user_attr("row", 7)
     assert not is_own(study, study.trials[second.number], 7)
 
 
-def test_threads_share_a_sampler() -> None:
+def test_threads_share_a_sampler():
     table = small_table()
     study = optuna.create_study(sampler=DoGSampler(table, seed=0))
 
-    def slow(trial: optuna.Trial) -> float:
+    def slow(trial):
         time.sleep(0.002)
         return cost(trial)
 
@@ -96,9 +96,7 @@ def test_threads_share_a_sampler() -> None:
 
 @pytest.mark.parametrize("kernel", ["additive", "rbf"])
 @pytest.mark.parametrize("conditioned", [True, False])
-def test_running_trials_are_conditioned_on(
-    conditioned: bool, kernel: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_running_trials_are_conditioned_on(conditioned, kernel, monkeypatch):
     """With nothing learned from those that run, all workers crowd around one score."""
     if not conditioned:
         monkeypatch.setattr(Posterior, "believing", lambda posterior, points: posterior)
