@@ -104,17 +104,14 @@ def test_rows_that_no_family_ran_are_left_out(comparisons):
     assert ran[comparisons.table("out")["row"].to_numpy()].all()
 
 
-@pytest.mark.parametrize(
-    ("feature", "column"),
-    [
-        (Survival(), "robust_survived_fraction_mean"),
-        (Survival(("up", "rough")), "rough_survived_fraction_mean"),
-        (Survival(("rough",), survivors=True), "rough_survived_fraction_mean"),
-        (Coverage(Survival(("down",)), (Survival(("up",)),)), "down_survived_fraction_mean"),
-        (Coverage(Survival(("up",)), (Survival(("down",)),)), "down_survived_fraction_mean"),
-        ("phi_reprinted", "phi_reprinted"),
-    ],
-)
+@pytest.mark.parametrize(("feature", "column"), [
+    (Survival(), "robust_survived_fraction_mean"),
+    (Survival(("up", "rough")), "rough_survived_fraction_mean"),
+    (Survival(("rough",), survivors=True), "rough_survived_fraction_mean"),
+    (Coverage(Survival(("down",)), (Survival(("up",)),)), "down_survived_fraction_mean"),
+    (Coverage(Survival(("up",)), (Survival(("down",)),)), "down_survived_fraction_mean"),
+    ("phi_reprinted", "phi_reprinted"),
+])  # fmt: skip
 def test_a_store_without_what_a_feature_needs(feature, column, fake_simulator, tmp_path):
     store = write(tmp_path / "store", () if feature == Survival() else ("up",))
     check_feature("mean_speed_mps", store)

@@ -106,31 +106,21 @@ AS_THE_TABLE: dict[str, Suggest] = {
 
 
 OTHERWISE: dict[str, tuple[str, Suggest]] = {
-    "a float on a logarithmic scale": (
-        "rate",
-        lambda trial: trial.suggest_float("rate", 1e-5, 1, log=True),
-    ),
-    "an integer on a logarithmic scale": (
-        "units",
-        lambda trial: trial.suggest_int("units", 1, 512, log=True),
-    ),
-    "integers as choices": (
-        "units",
-        lambda trial: trial.suggest_categorical("units", [8, 16, 32, 64, 128]),
-    ),
+    "a float on a logarithmic scale":
+        ("rate", lambda trial: trial.suggest_float("rate", 1e-5, 1, log=True)),
+    "an integer on a logarithmic scale":
+        ("units", lambda trial: trial.suggest_int("units", 1, 512, log=True)),
+    "integers as choices":
+        ("units", lambda trial: trial.suggest_categorical("units", [8, 16, 32, 64, 128])),
     "integers as floats": ("units", lambda trial: trial.suggest_float("units", 16, 128)),
     "floats as integers": ("depth", lambda trial: trial.suggest_int("depth", 1, 8)),
     "floats as choices": ("depth", lambda trial: trial.suggest_categorical("depth", [8, 4, 2])),
-    "another order of choices": (
-        "kind",
-        lambda trial: trial.suggest_categorical("kind", ["gelu", "relu", "tanh"]),
-    ),
-    "more choices": (
-        "kind",
-        lambda trial: trial.suggest_categorical("kind", ["elu", "gelu", "relu", "tanh", None]),
-    ),
+    "another order of choices":
+        ("kind", lambda trial: trial.suggest_categorical("kind", ["gelu", "relu", "tanh"])),
+    "more choices": ("kind",
+         lambda trial: trial.suggest_categorical("kind", ["elu", "gelu", "relu", "tanh", None])),
     "a step": ("depth", lambda trial: trial.suggest_float("depth", 0, 8, step=0.5)),
-}
+}  # fmt: skip
 
 
 def objective(name: str, suggest: Suggest) -> Callable[[optuna.Trial], float]:
@@ -162,42 +152,22 @@ def test_what_holds_the_rows_works_also_where_it_is_resumed(how, strict):
 
 
 MISFITS: dict[str, tuple[str, Suggest, str]] = {
-    "too narrow, logarithmic": (
-        "rate",
-        lambda trial: trial.suggest_float("rate", 0.01, 1, log=True),
-        r"rate: .*log=True.* a range that holds all rows: row 0 has 0.0001 .*space=",
-    ),
-    "floats as integers": (
-        "rate",
-        lambda trial: trial.suggest_int("rate", 0, 1),
-        r"rate: 'IntDistribution.* a range that holds all rows: row 0 has 0.0001 .*space=",
-    ),
-    "too few choices": (
-        "kind",
-        lambda trial: trial.suggest_categorical("kind", ["gelu", "relu"]),
-        r"kind: .* choices that hold all rows: row 1 has 'tanh' .*space=",
-    ),
-    "too few integers": (
-        "units",
-        lambda trial: trial.suggest_categorical("units", [16, 32, 64]),
-        r"units: .* choices that hold all rows: row 3 has 128 .*space=",
-    ),
-    "words as numbers": (
-        "kind",
-        lambda trial: trial.suggest_int("kind", 0, 2),
-        r"kind: .* row 0 has 'relu' .*space=",
-    ),
-    "a step between": (
-        "depth",
-        lambda trial: trial.suggest_float("depth", 0, 9, step=3),
-        r"depth: .* row 0 has 2.0 .*space=",
-    ),
-    "too narrow, as the table": (
-        "rate",
-        lambda trial: trial.suggest_float("rate", 0, 0.5),
-        r"rate: .* a range that holds all rows: row 11 has 1.0",
-    ),
-}
+    "too narrow, logarithmic": ("rate",
+         lambda trial: trial.suggest_float("rate", 0.01, 1, log=True),
+         r"rate: .*log=True.* a range that holds all rows: row 0 has 0.0001 .*space="),
+    "floats as integers": ("rate", lambda trial: trial.suggest_int("rate", 0, 1),
+         r"rate: 'IntDistribution.* a range that holds all rows: row 0 has 0.0001 .*space="),
+    "too few choices": ("kind", lambda trial: trial.suggest_categorical("kind", ["gelu", "relu"]),
+         r"kind: .* choices that hold all rows: row 1 has 'tanh' .*space="),
+    "too few integers": ("units", lambda trial: trial.suggest_categorical("units", [16, 32, 64]),
+         r"units: .* choices that hold all rows: row 3 has 128 .*space="),
+    "words as numbers": ("kind", lambda trial: trial.suggest_int("kind", 0, 2),
+         r"kind: .* row 0 has 'relu' .*space="),
+    "a step between": ("depth", lambda trial: trial.suggest_float("depth", 0, 9, step=3),
+         r"depth: .* row 0 has 2.0 .*space="),
+    "too narrow, as the table": ("rate", lambda trial: trial.suggest_float("rate", 0, 0.5),
+         r"rate: .* a range that holds all rows: row 11 has 1.0"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("how", MISFITS)
@@ -216,13 +186,10 @@ def test_what_does_not_hold_them_is_one_line_before_the_objective_or_one_warning
     assert all(row in (None, -1) for row in rows_of(study))
 
 
-@pytest.mark.parametrize(
-    ("how", "distribution"),
-    [
-        ("a float on a logarithmic scale", FloatDistribution(1e-4, 1, log=True)),
-        ("an integer on a logarithmic scale", IntDistribution(16, 128, log=True)),
-    ],
-)
+@pytest.mark.parametrize(("how", "distribution"), [
+    ("a float on a logarithmic scale", FloatDistribution(1e-4, 1, log=True)),
+    ("an integer on a logarithmic scale", IntDistribution(16, 128, log=True)),
+])  # fmt: skip
 def test_a_logarithmic_scale_is_the_kernels_too(how, distribution):
     """As if the table had been given it."""
     name, suggest = OTHERWISE[how]

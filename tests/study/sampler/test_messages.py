@@ -211,13 +211,10 @@ def test_a_table_of_one_row_has_one_trial():
 BOX = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
 
 
-@pytest.mark.parametrize(
-    ("objective", "message"),
-    [
-        (lambda trial: trial.suggest_float("A", -1, 1), "none of the table's parameters: a, b"),
-        (lambda trial: trial.suggest_float("a", -1, 1), "b: 'not suggested in trial 0'"),
-    ],
-)
+@pytest.mark.parametrize(("objective", "message"), [
+    (lambda trial: trial.suggest_float("A", -1, 1), "none of the table's parameters: a, b"),
+    (lambda trial: trial.suggest_float("a", -1, 1), "b: 'not suggested in trial 0'"),
+])  # fmt: skip
 def test_other_names_are_one_warning_where_the_table_need_not_fit(table, objective, message):
     with pytest.warns(UserWarning, match=f"{message}.* independent sampler takes over") as said:
         study = run(FeatureKernelSampler(table, seed=0, strict=False), objective)
@@ -364,24 +361,21 @@ def test_a_fixed_parameter():
     assert {trial.params["a"] for trial in run(plain, bowl).trials} == {0.5}
 
 
-@pytest.mark.parametrize(
-    ("features", "options", "message"),
-    [
-        (FEATURES, {"kernel": "cubic"}, "kernel: 'cubic' .*rbf_ard"),
-        (FEATURES, {"kernel": "nearness"}, "kernel: 'nearness' .*additive"),
-        (FEATURES, {"prior": "speed"}, "prior: 'speed' .*feature_0"),
-        (FEATURES, {"prior": "-speed"}, "prior: '-speed' .*feature_0, or one with a minus"),
-        (FEATURES, {"off_grid": -1}, "off_grid: -1 .* from 0 to 1000000"),
-        (FEATURES, {"off_grid": 5}, "off_grid: 5 .* feature_function"),
-        (FEATURES, {"space": {"x": CategoricalDistribution([1])}}, "space"),
-        (None, {"kernel": "rbf"}, "kernel: 'rbf' .*no features"),
-        (None, {"kernel": "additive"}, "kernel: 'additive' .*no features"),
-        (None, {"prior": "p"}, "prior"),
-        (None, {"off_grid": 3}, "off_grid"),
-        (None, {"feature_function": len}, "feature_function"),
-        (3, {}, "features: 'int'"),
-    ],
-)
+@pytest.mark.parametrize(("features", "options", "message"), [
+    (FEATURES, {"kernel": "cubic"}, "kernel: 'cubic' .*rbf_ard"),
+    (FEATURES, {"kernel": "nearness"}, "kernel: 'nearness' .*additive"),
+    (FEATURES, {"prior": "speed"}, "prior: 'speed' .*feature_0"),
+    (FEATURES, {"prior": "-speed"}, "prior: '-speed' .*feature_0, or one with a minus"),
+    (FEATURES, {"off_grid": -1}, "off_grid: -1 .* from 0 to 1000000"),
+    (FEATURES, {"off_grid": 5}, "off_grid: 5 .* feature_function"),
+    (FEATURES, {"space": {"x": CategoricalDistribution([1])}}, "space"),
+    (None, {"kernel": "rbf"}, "kernel: 'rbf' .*no features"),
+    (None, {"kernel": "additive"}, "kernel: 'additive' .*no features"),
+    (None, {"prior": "p"}, "prior"),
+    (None, {"off_grid": 3}, "off_grid"),
+    (None, {"feature_function": len}, "feature_function"),
+    (3, {}, "features: 'int'"),
+])  # fmt: skip
 def test_options_that_cannot_be_used(features, options, message):
     with pytest.raises(InputError, match=message):
         FeatureKernelSampler(new_table() if features is FEATURES else features, **options)

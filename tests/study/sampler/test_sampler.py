@@ -51,14 +51,13 @@ def small_table() -> FeatureTable:
 
 FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
     "table": lambda: FeatureKernelSampler(small_table(), seed=1),
-    "off_grid": lambda: FeatureKernelSampler(
-        small_table(), seed=1, off_grid=30, feature_function=features
-    ),
+    "off_grid":
+        lambda: FeatureKernelSampler(small_table(), seed=1, off_grid=30, feature_function=features),
     "ranked": lambda: FeatureKernelSampler(small_table(), seed=1, prior="-size"),
     "paper": lambda: FeatureKernelSampler(small_table(), seed=1, kernel="rbf"),
     "callable": lambda: FeatureKernelSampler(features, seed=1),
     "plain": lambda: FeatureKernelSampler(seed=1),
-}
+}  # fmt: skip
 
 
 def run(form: str, trials: int = 9) -> list[dict[str, Any]]:

@@ -84,14 +84,11 @@ def test_any_parquet_file_or_folder_will_do(tmp_path):
     assert pickle.loads(pickle.dumps(whole)).rows.as_parameters(4)["kind"] == "tanh"
 
 
-@pytest.mark.parametrize(
-    ("file", "parameters", "message"),
-    [
-        ("missing.parquet", ["rate"], "store: .*missing.parquet"),
-        ("text.parquet", ["rate"], "store: .*a Parquet file"),
-        ("good.parquet", ["speed"], "column: 'speed' .*rate"),
-    ],
-)
+@pytest.mark.parametrize(("file", "parameters", "message"), [
+    ("missing.parquet", ["rate"], "store: .*missing.parquet"),
+    ("text.parquet", ["rate"], "store: .*a Parquet file"),
+    ("good.parquet", ["speed"], "column: 'speed' .*rate"),
+])  # fmt: skip
 def test_bad_parquet_is_refused(tmp_path, file, parameters, message):
     (tmp_path / "text.parquet").write_text("no")
     pd.DataFrame(MIXED | {"p": [1.0, 2.0, 4.0]}).to_parquet(tmp_path / "good.parquet")
@@ -156,40 +153,27 @@ def test_features_of_any_scale():
         assert_allclose(scales[0].standard(tiny.features), scales[1].standard(huge.features))
 
 
-@pytest.mark.parametrize(
-    ("parameters", "features", "options", "message"),
-    [
-        ({}, [1.0], {}, "table.parameters"),
-        ({"a": [0.0]}, [1.0, 2.0], {}, "table.a.shape"),
-        ({"a": [[0.0]]}, [1.0], {}, "table.a.shape"),
-        ({"a": []}, [1.0], {}, "table.a.shape"),
-        ({"a": [float("nan")]}, [1.0], {}, r"table.a\[0\]"),
-        ({"a": [0.0, None]}, [1.0, 2.0], {}, r"table.a\[1\]"),
-        ({"a": [0.0]}, [], {}, "table.features.shape"),
-        ({"a": [0.0]}, [[[1.0]]], {}, "table.features.shape"),
-        ({"a": [0.0]}, ["x"], {}, "table.features"),
-        (TWO, [1, 3], {"bounds": {"a": (0, 1), "b": (0, 5.5)}}, r"table.b\[1\]: 6.0 .* 0 to 5.5"),
-        (TWO, [1, 3], {"bounds": {"c": (0, 1)}}, "table.bounds: 'c'"),
-        (TWO, [1, 3], {"bounds": {"a": (1, 0)}}, "table.bounds.a"),
-        (MIXED, [1, 2, 3], {"bounds": {"kind": (1, 2)}}, "table.bounds.kind: .* categorical"),
-        (TWO, [1, 3], {"space": {"c": FloatDistribution(0, 1)}}, "table.space: 'c'"),
-        (
-            TWO,
-            [1, 3],
-            {"space": {"a": FloatDistribution(0.5, 1)}},
-            r"table.a\[0\]: 0.0 .* 0.5 to 1",
-        ),
-        (TWO, [1, 3], {"space": {"a": FloatDistribution(0, 0.9, step=0.3)}}, r"table.a\[1\]: 1.0"),
-        (
-            TWO,
-            [1, 3],
-            {"space": {"a": FloatDistribution(0, 2, step=0.4)}},
-            r"a\[1\]: .* a value of",
-        ),
-        (TWO, [1, 3], {"space": {"a": CategoricalDistribution([0.0, 2.0])}}, r"table.a\[1\]: 1.0"),
-        (TWO, [1, 3], {"feature_names": ["p", "q"]}, "table.feature_names"),
-    ],
-)
+@pytest.mark.parametrize(("parameters", "features", "options", "message"), [
+    ({}, [1.0], {}, "table.parameters"),
+    ({"a": [0.0]}, [1.0, 2.0], {}, "table.a.shape"),
+    ({"a": [[0.0]]}, [1.0], {}, "table.a.shape"),
+    ({"a": []}, [1.0], {}, "table.a.shape"),
+    ({"a": [float("nan")]}, [1.0], {}, r"table.a\[0\]"),
+    ({"a": [0.0, None]}, [1.0, 2.0], {}, r"table.a\[1\]"),
+    ({"a": [0.0]}, [], {}, "table.features.shape"),
+    ({"a": [0.0]}, [[[1.0]]], {}, "table.features.shape"),
+    ({"a": [0.0]}, ["x"], {}, "table.features"),
+    (TWO, [1, 3], {"bounds": {"a": (0, 1), "b": (0, 5.5)}}, r"table.b\[1\]: 6.0 .* 0 to 5.5"),
+    (TWO, [1, 3], {"bounds": {"c": (0, 1)}}, "table.bounds: 'c'"),
+    (TWO, [1, 3], {"bounds": {"a": (1, 0)}}, "table.bounds.a"),
+    (MIXED, [1, 2, 3], {"bounds": {"kind": (1, 2)}}, "table.bounds.kind: .* categorical"),
+    (TWO, [1, 3], {"space": {"c": FloatDistribution(0, 1)}}, "table.space: 'c'"),
+    (TWO, [1, 3], {"space": {"a": FloatDistribution(0.5, 1)}}, r"table.a\[0\]: 0.0 .* 0.5 to 1"),
+    (TWO, [1, 3], {"space": {"a": FloatDistribution(0, 0.9, step=0.3)}}, r"table.a\[1\]: 1.0"),
+    (TWO, [1, 3], {"space": {"a": FloatDistribution(0, 2, step=0.4)}}, r"a\[1\]: .* a value of"),
+    (TWO, [1, 3], {"space": {"a": CategoricalDistribution([0.0, 2.0])}}, r"table.a\[1\]: 1.0"),
+    (TWO, [1, 3], {"feature_names": ["p", "q"]}, "table.feature_names"),
+])  # fmt: skip
 def test_bad_arrays_are_refused(parameters, features, options, message):
     with pytest.raises(InputError, match=message):
         FeatureTable.from_arrays(parameters, features, **options)
@@ -213,14 +197,11 @@ def test_a_file_that_changed_since_is_refused(tmp_path):
 # Choices and gaps.
 
 
-@pytest.mark.parametrize(
-    ("values", "choices"),
-    [
-        (["sqrt", None, "log2"], [None, "sqrt", "log2"]),
-        ([True, None, False], [None, True, False]),
-        (["scale", 0.1, 1], [0.1, 1, "scale"]),
-    ],
-)
+@pytest.mark.parametrize(("values", "choices"), [
+    (["sqrt", None, "log2"], [None, "sqrt", "log2"]),
+    ([True, None, False], [None, True, False]),
+    (["scale", 0.1, 1], [0.1, 1, "scale"]),
+])  # fmt: skip
 def test_none_and_numbers_among_words_are_choices(values, choices):
     table = FeatureTable.from_arrays({"kind": values}, [1.0, 2.0, 4.0])
     study = study_of(table, lambda trial: trial.suggest_categorical("kind", choices) is None, 3)
@@ -312,13 +293,10 @@ def test_a_sampler_over_a_store_pickles_small(store):
 # What a table looks like at a prompt.
 
 
-@pytest.mark.parametrize(
-    ("parameters", "features", "shown"),
-    [
-        (16, 6, "600 rows, 16 parameters, 6 features: a, b, c, ..."),
-        (2, 3, "600 rows, 2 parameters, 3 features: a, b, c"),
-    ],
-)
+@pytest.mark.parametrize(("parameters", "features", "shown"), [
+    (16, 6, "600 rows, 16 parameters, 6 features: a, b, c, ..."),
+    (2, 3, "600 rows, 2 parameters, 3 features: a, b, c"),
+])  # fmt: skip
 def test_a_table_shows_its_size_and_features(parameters, features, shown):
     columns = {f"x{i}": np.linspace(0, 1, 600) for i in range(parameters)}
     values = np.random.default_rng(0).random((600, features))

@@ -116,13 +116,10 @@ def test_where_no_row_has_the_fixed_values_it_is_an_error_before_the_objective()
     assert_rows_were_run(study)
 
 
-@pytest.mark.parametrize(
-    ("enqueued", "message"),
-    [
-        ([{"a": 0.0, "b": 5.0}], r"^a, b: \(0.0, 5.0\) cannot be used"),
-        ([{"a": 1.0}, {"a": 1.0}], r"^a: 1.0 .* not been tried"),
-    ],
-)
+@pytest.mark.parametrize(("enqueued", "message"), [
+    ([{"a": 0.0, "b": 5.0}], r"^a, b: \(0.0, 5.0\) cannot be used"),
+    ([{"a": 1.0}, {"a": 1.0}], r"^a: 1.0 .* not been tried"),
+])  # fmt: skip
 def test_no_row_has_all_of_them_or_those_that_have_are_tried(enqueued, message):
     columns = {"a": [0.0, 1.0], "b": [0.0, 5.0], "c": [1.0, 2.0]}
     study = study_of(FeatureTable.from_arrays(columns, [1, 2]), enqueued=enqueued)
@@ -482,16 +479,13 @@ def test_a_constant_parameter_is_near_only_where_it_is_equal_and_gaps_lend_nothi
     assert rows.nearest(rows.parameters[20])[0] in (19, 21)
 
 
-@pytest.mark.parametrize(
-    ("features", "options", "message"),
-    [
-        (LINES, {"nearest": -0.1}, r"nearest: .* a finite number from 0"),
-        (LINES, {"nearest": float("nan")}, r"nearest: .* a finite number from 0"),
-        (LINES, {"nearest": 0.1, "feature_function": compute}, r"nearest: 0.1 .*feature_function"),
-        (None, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
-        (compute, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
-    ],
-)
+@pytest.mark.parametrize(("features", "options", "message"), [
+    (LINES, {"nearest": -0.1}, r"nearest: .* a finite number from 0"),
+    (LINES, {"nearest": float("nan")}, r"nearest: .* a finite number from 0"),
+    (LINES, {"nearest": 0.1, "feature_function": compute}, r"nearest: 0.1 .*feature_function"),
+    (None, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
+    (compute, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
+])  # fmt: skip
 def test_how_near_is_a_number_and_for_tables_without_a_function(features, options, message):
     with pytest.raises(InputError, match=message):
         FeatureKernelSampler(features, **options)
