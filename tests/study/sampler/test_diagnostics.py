@@ -129,11 +129,14 @@ def test_the_interval_holds_the_correlation_as_often_as_it_says():
         assert 0.93 < held < 0.97
 
 
-def test_infinite_features_are_extreme_and_missing_ones_left_out():
+def test_infinite_features_are_extreme_missing_ones_left_out_and_few_trials_not_certain():
     feature = np.array([1.0, np.inf, 2.0, np.nan, -np.inf, 3.0])
-    cost = np.array([1.0, 4.0, 2.0, -9.0, 0.0, 3.0])
-    found = RankCorrelation.of(feature, cost)
+    found = RankCorrelation.of(feature, np.array([1.0, 4.0, 2.0, -9.0, 0.0, 3.0]))
     assert found is not None and found.value == 1.0
+    few, many = (RankCorrelation.of(np.arange(n), -np.arange(n)) for n in (4.0, 40.0))
+    assert few is not None and many is not None
+    assert few.value == many.value == few.low == many.low == -1.0
+    assert few.high > 0.5 and many.high < -0.95
 
 
 @pytest.mark.parametrize(("feature", "cost"), [
@@ -146,33 +149,19 @@ def test_without_enough_there_is_no_correlation(feature, cost):
     assert RankCorrelation.of(feature, cost) is None
 
 
-def test_perfect_order_of_few_trials_is_not_certainty():
-    few, many = (RankCorrelation.of(np.arange(n), -np.arange(n)) for n in (4.0, 40.0))
-    assert few is not None and many is not None
-    assert few.value == many.value == few.low == many.low == -1.0
-    assert few.high > 0.5 and many.high < -0.95
-
-
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("prior", [None, "-error"])
 def test_leaving_out_is_that_of_refits_with_the_same_constants(kernel, prior):
     posterior = model_of(drawn_rows(12), kernel=kernel, prior=prior).posterior
     y = posterior.cost_mean + posterior.cost_sd * posterior.y
-    theta = posterior.theta
     missed = []
     for left in range(len(y)):
-        others = np.arange(len(y)) != left
-        refit = condition(
-            posterior.covariance, theta, posterior.x[others], y[others], noisy=False, fast=False
-        )
-        out = posterior.x[[left]]
-        missed.append(y[left] - refit.mean(Points(out, out[:, :0]))[0])
+        x, others = posterior.x, np.arange(len(y)) != left
+        kept = posterior.covariance, posterior.theta, x[others], y[others]
+        refit = condition(*kept, noisy=False, fast=False)
+        missed.append(y[left] - refit.mean(Points(x[[left]], x[[left], :0]))[0])
     assert_allclose(residuals(posterior), missed, rtol=1e-6, atol=1e-9)
-
-
-def test_a_constant_leaves_out_too():
-    cost = np.array([1.0, 2.0, 6.0])
-    assert_allclose(residuals_of_constant(cost), [1 - 4, 2 - 3.5, 6 - 1.5])
+    assert_allclose(residuals_of_constant(np.array([1.0, 2.0, 6.0])), [1 - 4, 2 - 3.5, 6 - 1.5])
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -248,11 +237,8 @@ def test_features_without_worth_are_rarely_praised(kernel):
     assert np.median(ratios) > 0.9
 
 
-def test_a_prior_that_trials_contradict_loses_its_weight():
+def test_a_contradicted_prior_loses_its_weight_and_a_constant_feature_has_none():
     assert weights(worth_of(drawn_rows(40), prior="nothing"))[1] < 0.25
-
-
-def test_one_constant_feature_is_worth_nothing():
     worth = worth_of(drawn_rows(12), new_table(np.ones((ROWS, 1)), ("constant",)))
     assert worth.correlations == (None,)
     assert weights(worth)[0] == 0.0
@@ -303,28 +289,17 @@ def test_trials_that_cost_the_same_say_nothing():
     assert worth.correlations == (None, None, None)
 
 
-def test_infinite_costs_do_no_harm():
-    study = drawn_rows(10)
-    add(study, 50, np.inf)
-    add(study, 51, -np.inf)
-    worth = worth_of(study)
-    assert worth.trials == 12
-    assert worth.errors is not None and np.isfinite(worth.errors.model)
-
-
 def by_hand(points: Floats) -> Floats:
     return np.column_stack([cost_of(*points.T), points[:, 1] % 0.3])
 
 
+BY_HAND = new_table(by_hand(np.column_stack(list(columns().values()))), ("error", "b"))
 FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
     "table": lambda: FeatureKernelSampler(TABLE, seed=1),
     "prior": lambda: FeatureKernelSampler(TABLE, seed=1, prior="-error"),
     "dog": lambda: DoGSampler(new_table(good_features()[:, :1], ("error",)), seed=1),
     "off_grid": lambda: FeatureKernelSampler(
-        new_table(by_hand(np.column_stack(list(columns().values()))), ("error", "b")),
-        seed=1,
-        feature_function=by_hand,
-        off_grid=20,
+        BY_HAND, seed=1, feature_function=by_hand, off_grid=20
     ),
     "function": lambda: FeatureKernelSampler(by_hand, seed=1, space=SPACE),
     "function, prior": lambda: FeatureKernelSampler(
@@ -336,10 +311,14 @@ FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_every_form_tells_the_same_twice_and_leaves_the_study(form):
-    sampler = FORMS[form]()
-    study = optuna.create_study(sampler=sampler)
-    study.optimize(objective, n_trials=9)
+def test_every_form_tells_the_same_twice_and_leaves_the_study_and_what_is_proposed(form):
+    study, not_looked = (optuna.create_study(sampler=FORMS[form]()) for _ in range(2))
+    sampler = study.sampler
+    for _ in range(9):
+        study.optimize(objective, n_trials=1)
+        sampler.worth(study)
+        not_looked.optimize(objective, n_trials=1)
+    assert params_of(study) == params_of(not_looked)
     study.tell(study.ask(), state=TrialState.FAIL)
     before = study.get_trials()
     worth = sampler.worth(study)
@@ -354,17 +333,6 @@ def test_every_form_tells_the_same_twice_and_leaves_the_study(form):
     assert sampler.worth(study).trials == 9
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_looking_does_not_change_what_is_proposed(form):
-    looked, not_looked = (optuna.create_study(sampler=FORMS[form]()) for _ in range(2))
-    for study in (looked, not_looked):
-        for _ in range(8):
-            study.optimize(objective, n_trials=1)
-            if study is looked:
-                study.sampler.worth(study)
-    assert params_of(looked) == params_of(not_looked)
-
-
 @pytest.mark.parametrize("trials", [0, 1, 4])
 @pytest.mark.parametrize("space", [None, SPACE])
 def test_a_function_with_few_trials_is_no_error(trials, space):
@@ -374,50 +342,46 @@ def test_a_function_with_few_trials_is_no_error(trials, space):
     assert str(worth) and worth.markdown()
 
 
-def test_a_function_is_called_for_trials_without_a_note():
-    first = worth_of(drawn_rows(20), by_hand, space=SPACE).correlations[0]
-    assert first is not None and first.value == 1.0
-
-
 def test_a_maximised_study_is_the_same_with_the_sign_turned():
     down, up = drawn_rows(15), optuna.create_study(direction="maximize")
     for trial in down.trials:
-        up.add_trial(
-            create_trial(
-                params=trial.params, distributions=trial.distributions, value=-trial.values[0]
-            )
-        )
+        given = {"params": trial.params, "distributions": trial.distributions}
+        up.add_trial(create_trial(value=-trial.values[0], **given))
     of_down, of_up = map(worth_of, (down, up))
     assert of_up.correlations == of_down.correlations
     assert weights(of_up) == weights(of_down) and of_up.errors == of_down.errors
     assert "minus the study's value" in str(of_up) and "minus" not in str(of_down)
 
 
-def test_trials_off_the_table_are_not_counted():
+def test_trials_off_the_table_are_not_counted_and_infinite_costs_are():
     study = drawn_rows(6)
     study.enqueue_trial({"a": 0.123, "b": 4.5})
     study.optimize(objective, n_trials=1)
     assert worth_of(study).trials == 6
+    first = worth_of(drawn_rows(20), by_hand, space=SPACE).correlations[0]
+    assert first is not None and first.value == 1.0  # without a note, the function is called
+    study = drawn_rows(10)
+    add(study, 50, np.inf)
+    add(study, 51, -np.inf)
+    worth = worth_of(study)
+    assert worth.trials == 12
+    assert worth.errors is not None and np.isfinite(worth.errors.model)
 
 
 @pytest.mark.parametrize(("features", "options"), [(None, {}), (TABLE, {"kernel": "euclidean"})])
-def test_without_features_there_is_no_worth(features, options):
+def test_without_features_or_with_several_objectives_there_is_no_worth(features, options):
     sampler = FeatureKernelSampler(features, **options)
     with pytest.raises(InputError, match=r"^kernel: 'euclidean'.*nothing to report$"):
         sampler.worth(optuna.create_study())
     assert not sampler.has_features and FORMS["table"]().has_features
-
-
-def test_several_objectives_are_refused():
-    study = optuna.create_study(directions=["minimize", "maximize"])
     with pytest.raises(ValueError, match="multi-objective"):
-        worth_of(study)
+        worth_of(optuna.create_study(directions=["minimize", "maximize"]))
 
 
 # What people read.
 
 
-def test_the_table_has_a_row_a_feature():
+def test_the_table_and_the_note_have_a_row_a_feature():
     worth = worth_of(drawn_rows(20))
     lines = str(worth).splitlines()
     assert lines[0] == worth.verdict
@@ -425,9 +389,6 @@ def test_the_table_has_a_row_a_feature():
     assert [line.split()[0] for line in lines[3:8]] == [*NAMES, "(parameters)", "(noise)"]
     assert sum(int(line.split()[-2]) for line in lines[3:8]) == 100
     assert "20 trials" in lines[8] and "biased towards zero" in lines[8]
-
-
-def test_the_note_is_a_table_in_markdown():
     note = worth_of(drawn_rows(20), new_table(names=("a|b", *NAMES[1:]))).markdown()
     assert note.startswith("## Are the features worth anything?\n")
     assert "\n| feature | rank correlation with the cost | weight |\n|---|---|--:|\n" in note
