@@ -1,5 +1,8 @@
 """Studies of a sampler that tests share."""
 
+import os
+import subprocess
+import sys
 import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -10,6 +13,7 @@ from optuna.storages import RetryHeartbeatStaleTrialCallback
 from optuna.trial import TrialState
 
 from study import FeatureKernelSampler
+from tests.tools.running import ROOT
 
 Objective = Callable[[optuna.Trial], Any]
 
@@ -42,6 +46,12 @@ def rows_of(study: optuna.Study) -> list[int | None]:
 def params_of(study: optuna.Study) -> list[dict[str, Any]]:
     """Of the complete trials."""
     return [trial.params for trial in study.get_trials(states=(TrialState.COMPLETE,))]
+
+
+def run_code(code: str, *words: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A program in a process of its own."""
+    command, env = [sys.executable, "-c", code, *words], os.environ | environment
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=env)
 
 
 def without_warnings(study: optuna.Study, objective: Objective, trials: int) -> None:

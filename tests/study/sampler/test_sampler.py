@@ -5,8 +5,6 @@ import multiprocessing
 import pickle
 import re
 import signal
-import subprocess
-import sys
 import time
 import warnings
 from collections.abc import Callable
@@ -21,15 +19,15 @@ from optuna.distributions import FloatDistribution
 from optuna.samplers import RandomSampler
 from optuna.trial import TrialState
 
+import study
 from storage.databases.studies import open_studies
 from study import DoGSampler, FeatureKernelSampler, FeatureTable, SurvivalSampler
 from study.sampler.acquisition import Model
 from study.sampler.gp import KERNELS
-from tests.study.sampler.studies import bowl, params_of, rows_of, study_of
+from tests.study.sampler.studies import bowl, params_of, resumed, rows_of, run_code, study_of
 
 Floats = NDArray[np.float64]
 
-ROOT = Path(__file__).parents[3]
 SPACE = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
 
 
@@ -43,10 +41,10 @@ def three_features(params: Floats) -> Floats:
 
 def small_table() -> FeatureTable:
     rng = np.random.default_rng(0)
-    params = np.column_stack([rng.uniform(-1, 1, 80), rng.uniform(0, 5, 80)])
-    columns = {"a": params[:, 0], "b": params[:, 1]}
+    columns = {"a": rng.uniform(-1, 1, 80), "b": rng.uniform(0, 5, 80)}
+    values = features(np.column_stack(list(columns.values())))
     bounds = {"a": (-1, 1), "b": (0, 5)}
-    return FeatureTable.from_arrays(columns, features(params), ["size", "side"], bounds=bounds)
+    return FeatureTable.from_arrays(columns, values, ["size", "side"], bounds=bounds)
 
 
 FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
@@ -72,11 +70,12 @@ def run_elsewhere(queue: "multiprocessing.Queue[dict[str, Any]]") -> None:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_the_same_seed_proposes_the_same_also_after_reseeding(form):
-    study = optuna.create_study(sampler=FORMS[form]())
+def test_the_state_is_in_the_trials_also_after_reseeding(form):
+    study, pieces = optuna.create_study(sampler=FORMS[form]()), optuna.create_study()
     study.sampler.reseed_rng()
     study.optimize(bowl, n_trials=9)
-    assert params_of(study) == run(form)
+    resumed(lambda: pickle.loads(pickle.dumps(FORMS[form]())), bowl, 9, pieces)
+    assert params_of(study) == params_of(pieces) == run(form)
 
 
 @pytest.mark.slow
@@ -88,15 +87,6 @@ def test_a_spawned_process_proposes_the_same():
     there = queue.get(timeout=100)
     process.join()
     assert there == {form: run(form) for form in FORMS}
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_the_state_is_in_the_trials(form):
-    pieces = optuna.create_study()
-    for _ in range(9):  # a new sampler, pickled besides, for each trial
-        pieces.sampler = pickle.loads(pickle.dumps(FORMS[form]()))
-        pieces.optimize(bowl, n_trials=1)
-    assert params_of(pieces) == run(form)
 
 
 SCRIPT = """
@@ -117,8 +107,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 @pytest.mark.parametrize("form", ["table", "ranked", "off_grid"])
 def test_killed_between_trials_and_resumed(form, tmp_path):
     url = f"sqlite:///{tmp_path / 'studies.db'}"
-    killed = subprocess.run([sys.executable, "-c", SCRIPT, url, form], cwd=ROOT)
-    assert killed.returncode == -signal.SIGKILL
+    assert run_code(SCRIPT, url, form).returncode == -signal.SIGKILL
     study = optuna.load_study(study_name="s", storage=open_studies(url), sampler=FORMS[form]())
     assert len(study.trials) == 5
     study.optimize(bowl, n_trials=4)
@@ -127,22 +116,19 @@ def test_killed_between_trials_and_resumed(form, tmp_path):
 
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("prior", [None, "-size"])
-@pytest.mark.parametrize("direction", ["minimize", "maximize"])
-def test_every_kernel_finds_good_rows(kernel, prior, direction):
-    sampler = FeatureKernelSampler(small_table(), seed=3, kernel=kernel, prior=prior)
-    study = optuna.create_study(sampler=sampler, direction=direction)
-    sign = 1.0 if direction == "minimize" else -1.0
-    study.optimize(lambda trial: sign * bowl(trial), n_trials=16)
+@pytest.mark.parametrize(("direction", "sign"), [("minimize", 1.0), ("maximize", -1.0)])
+def test_every_kernel_finds_good_rows(kernel, prior, direction, sign):
+    options = {"seed": 3, "kernel": kernel, "prior": prior, "direction": direction}
+    study = study_of(small_table(), lambda trial: sign * bowl(trial), 16, **options)
     assert sign * study.best_value < 0.04
 
 
-@pytest.mark.parametrize("form", ["callable", "plain"])
-def test_points_of_a_space_become_good(form):
-    study = study_of(features if form == "callable" else None, seed=0)
-    study.optimize(bowl, n_trials=20)
+@pytest.mark.parametrize("given", [features, None])
+def test_points_of_a_space_become_good(given):
+    study = study_of(given, bowl, 20, seed=0)
     assert study.best_value < 0.01
     noted = [trial.user_attrs.get("features") for trial in study.trials[1:]]
-    assert all((values is not None) == (form == "callable") for values in noted)
+    assert [values is not None for values in noted] == [given is features] * 19
 
 
 def test_points_off_the_table_beat_its_best_row():
@@ -201,16 +187,15 @@ def test_a_trial_off_the_table_may_have_gaps(gaps):
 
 def test_points_near_a_table_of_integers_are_not_tried_twice():
     table = FeatureTable.from_arrays({"n": [1, 3, 9]}, [1.0, 3.0, 9.0])
-    study = study_of(table, seed=0, off_grid=50, feature_function=lambda p: p)
-    study.optimize(lambda trial: trial.suggest_int("n", 1, 9), n_trials=7)
+    options = {"seed": 0, "off_grid": 50, "feature_function": lambda p: p}
+    study = study_of(table, lambda trial: trial.suggest_int("n", 1, 9), 7, **options)
     assert len({trial.params["n"] for trial in study.trials}) == 7
 
 
 def test_a_prior_that_is_wrong_is_left():
     table = small_table()
     size = np.sort(table.rows.features[:, 0])
-    study = study_of(table, seed=0, prior="-size")
-    study.optimize(lambda trial: -bowl(trial), n_trials=40)
+    study = study_of(table, lambda trial: -bowl(trial), 40, seed=0, prior="-size")
     assert max(abs(trial.params["a"]) for trial in study.trials) >= size[-3]
 
 
@@ -250,8 +235,7 @@ def test_a_million_rows_work():
     rng = np.random.default_rng(0)
     columns = {f"x{i}": rng.uniform(size=1_000_000) for i in range(2)}
     table = FeatureTable.from_arrays(columns, rng.normal(size=1_000_000))
-    study = study_of(table, seed=0)
-    study.optimize(lambda t: t.suggest_float("x0", 0, 1) + t.suggest_float("x1", 0, 1), n_trials=5)
+    study = study_of(table, lambda t: sum(t.suggest_float(x, 0, 1) for x in columns), 5, seed=0)
     assert len({trial.user_attrs["row"] for trial in study.trials}) == 5
 
 
@@ -278,26 +262,24 @@ print(peak() - before)
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc on this system")
 def test_a_hundred_thousand_rows_take_little_memory():
-    command = [sys.executable, "-c", MEMORY]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
-    assert float(done.stdout) < 200.0
+    done = run_code(MEMORY)
+    assert float(done.stdout) < 200.0, done.stderr
 
 
 @pytest.mark.slow
 def test_importing_the_package_is_light():
-    code = (
+    done = run_code(
         "import sys, study; print({'taichi', 'matplotlib', 'torch', 'sklearn', 'optuna'} "
         "& set(sys.modules)); study.FeatureTable; study.FeatureKernelSampler; "
         "print({'taichi', 'matplotlib', 'torch'} & set(sys.modules)); print(sorted(dir(study))[:3])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.stdout.splitlines()[:2] == ["set()", "set()"]
     assert "DoGSampler" in done.stdout
+    with pytest.raises(AttributeError, match="no attribute 'Sampler'"):
+        _ = study.Sampler
 
 
-def test_it_works_where_there_is_no_posix():
-    """As on Windows: stores and commands lock files, the sampler does not."""
-    code = """
+NO_POSIX = """
 import sys
 sys.modules.update(dict.fromkeys(("fcntl", "resource", "termios", "pwd", "grp")))
 import numpy, optuna
@@ -308,15 +290,12 @@ study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
 study.optimize(lambda trial: trial.suggest_float("x", 0.0, 1.0), n_trials=9)
 print(study.best_value)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+
+
+def test_it_works_where_there_is_no_posix():
+    """As on Windows: stores and commands lock files, the sampler does not."""
+    done = run_code(NO_POSIX)
     assert done.stdout == "0.0\n", done.stderr
-
-
-def test_the_package_has_no_other_names():
-    import study
-
-    with pytest.raises(AttributeError, match="no attribute 'Sampler'"):
-        _ = study.Sampler
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -343,20 +322,16 @@ def test_where_no_row_is_left_points_off_the_table_are(kernel, unknown):
 # The paper's sampler.
 
 
-def test_trials_are_rows_and_no_row_comes_twice(table):
+def test_trials_are_rows_with_plain_notes_and_no_row_comes_twice_running_or_not(table):
     study = study_of(table, bowl, 30, kernel="rbf")
-    rows = rows_of(study)
-    assert len(set(rows)) == 30
-    for trial, row in zip(study.trials, rows, strict=True):
+    for trial, row in zip(study.trials, rows_of(study), strict=True):
         assert trial.params == table.rows.as_parameters(row)
         assert trial.user_attrs["score"] == table.rows.features[row, 0]
-
-
-def test_rows_of_running_trials_are_not_proposed(table):
-    study = study_of(table, bowl, 5, kernel="rbf")
-    for _ in range(40):
+        assert set(json.loads(json.dumps(trial.user_attrs))) == {"row", "score"}
+        assert all(type(value) is float for value in trial.params.values())
+    for _ in range(20):
         study.ask(SPACE)
-    assert len(set(rows_of(study))) == 45
+    assert len(set(rows_of(study))) == 50
 
 
 @pytest.mark.parametrize("state", [TrialState.FAIL, TrialState.PRUNED])
@@ -376,20 +351,10 @@ def test_failed_and_pruned_trials_teach_nothing(table, state):
     assert abs(score[lost[7]] - score[clean[6]]) < 0.2
 
 
-def test_ties_are_broken_by_the_seed(table):
+def test_ties_are_broken_by_the_seed():
     tied = FeatureTable.from_arrays({"a": np.linspace(0, 1, 50), "b": np.ones(50)}, np.zeros(50))
-    seen = set()
-    for seed in range(12):
-        study = study_of(tied, seed=seed, kernel="rbf")
-        study.optimize(bowl, n_trials=4)
-        seen.add(rows_of(study)[3])
+    seen = {rows_of(study_of(tied, bowl, 4, seed=seed, kernel="rbf"))[3] for seed in range(12)}
     assert len(seen) > 6
-
-
-def test_what_is_stored_are_plain_numbers(table):
-    study = study_of(table, bowl, 1, kernel="rbf")
-    assert set(json.loads(json.dumps(study.trials[0].user_attrs))) == {"row", "score"}
-    assert all(type(value) is float for value in study.trials[0].params.values())
 
 
 def test_an_informative_score_beats_random_search():
@@ -427,13 +392,10 @@ def test_a_proposal_from_100000_rows_takes_no_half_second():
     study = study_of(big, kernel="rbf")
     space = {name: FloatDistribution(0, 1) for name in columns}
     for row in range(100):
+        noted = {"distributions": space, "user_attrs": {"row": row}}
+        value = float(np.exp(-score[row] / 10) + 0.1 * rng.normal())
         study.add_trial(
-            optuna.create_trial(
-                params=big.rows.as_parameters(row),
-                distributions=space,
-                user_attrs={"row": row},
-                value=float(np.exp(-score[row] / 10) + 0.1 * rng.normal()),
-            )
+            optuna.create_trial(params=big.rows.as_parameters(row), value=value, **noted)
         )
     times = []
     for _ in range(3):
@@ -448,42 +410,26 @@ def test_a_proposal_from_100000_rows_takes_no_half_second():
 LARGEST = np.finfo(np.float64).max
 LINE = np.linspace(0.0, 1.0, 30)
 EXTREMES = [
-    (5e307, -5e307),
-    (LARGEST, -LARGEST),
-    (LARGEST, LARGEST),
-    (-LARGEST, 0.0),
-    (1e155, 1.0),
-    (np.inf, -LARGEST),
-]
-
-
-def extreme_study(costs: tuple[float, float], limit: float = -1.0, **options: Any) -> optuna.Study:
-    table = FeatureTable.from_arrays({"x": LINE}, np.column_stack([LINE, LINE**2]))
-    study = study_of(table, seed=1, **options)
-
-    def objective(trial: optuna.Trial) -> float:
-        x = trial.suggest_float("x", 0, 1)
-        trial.set_constraint("limit", limit * x)
-        return costs[trial.number] if trial.number < 2 else x
-
-    study.optimize(objective, n_trials=9)
-    return study
+    ((5e307, -5e307), -1.0), ((LARGEST, -LARGEST), -1.0), ((LARGEST, LARGEST), -1.0),
+    ((-LARGEST, 0.0), -1.0), ((1e155, 1.0), -1.0), ((np.inf, -LARGEST), -1.0),
+    ((1.0, 2.0), LARGEST), ((1.0, 2.0), -LARGEST), ((1.0, 2.0), 1e200),
+]  # fmt: skip
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("kernel", ["additive", "rbf", "rbf_ard", "euclidean"])
-@pytest.mark.parametrize("costs", EXTREMES)
-def test_extreme_costs_are_learned_from(costs, kernel):
-    study = extreme_study(costs, kernel=kernel)
+@pytest.mark.parametrize(("costs", "limit"), EXTREMES)
+def test_extreme_costs_and_constraints_are_learned_from(costs, limit, kernel):
+    def objective(trial):
+        x = trial.suggest_float("x", 0, 1)
+        trial.set_constraint("limit", limit * x)
+        return costs[trial.number] if trial.number < 2 else x
+
+    table = FeatureTable.from_arrays({"x": LINE}, np.column_stack([LINE, LINE**2]))
+    study = study_of(table, objective, 9, seed=1, kernel=kernel)
     assert len({trial.params["x"] for trial in study.trials}) == 9
     if kernel != "euclidean":
         study.sampler.worth(study).markdown()
-
-
-@pytest.mark.filterwarnings("error::RuntimeWarning")
-@pytest.mark.parametrize("limit", [LARGEST, -LARGEST, 1e200])
-def test_extreme_constraints_are_learned_from(limit):
-    assert len(extreme_study((1.0, 2.0), limit).trials) == 9
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
@@ -499,62 +445,35 @@ def test_extreme_features_tell_rows_apart(kernel):
 # What a sampler looks like at a prompt.
 
 
-def shown_table(features: int = 6, parameters: int = 16) -> FeatureTable:
-    columns = {f"x{i}": np.linspace(0, 1, 600) for i in range(parameters)}
-    names = [chr(ord("a") + i) for i in range(features)]
-    return FeatureTable.from_arrays(
-        columns, np.random.default_rng(0).random((600, features)), names
-    )
-
-
-TABLE = "FeatureTable(600 rows, 16 parameters, 6 features: a, b, c, ...)"
-
-
-@pytest.mark.parametrize(
-    ("sampler", "shown"),
-    [
-        (
-            lambda: FeatureKernelSampler(shown_table(), seed=3),
-            f"FeatureKernelSampler({TABLE}, seed=3)",
-        ),
-        (
-            lambda: FeatureKernelSampler(
-                shown_table(), kernel="rbf", off_grid=0, nearest=0.1, seed=3
-            ),
-            f"FeatureKernelSampler({TABLE}, seed=3, kernel='rbf', nearest=0.1)",
-        ),
-        (
-            lambda: FeatureKernelSampler(
-                features, seed=3, independent_sampler=RandomSampler(), extra_parameters=["n"]
-            ),
-            "FeatureKernelSampler(features, seed=3, extra_parameters=('n',), "
-            "independent_sampler=RandomSampler)",
-        ),
-        (
-            lambda: FeatureKernelSampler(seed=0, space={"x": FloatDistribution(0, 1)}),
-            "FeatureKernelSampler(seed=0, space={'x': FloatDistribution("
-            "high=1.0, log=False, low=0.0, step=None)})",
-        ),
-    ],
+SHOWN = FeatureTable.from_arrays(
+    {f"x{i}": np.linspace(0, 1, 600) for i in range(16)},
+    np.random.default_rng(0).random((600, 6)),
+    ["survival", *"bcdef"],
 )
-def test_a_sampler_shows_its_seed_and_what_was_chosen(sampler, shown):
-    assert repr(sampler()) == shown
 
 
-def test_a_seed_that_was_drawn_is_shown():
-    shown = repr(FeatureKernelSampler())
-    found = re.fullmatch(r"FeatureKernelSampler\(seed=(\d+)\)", shown)
+TABLE = "FeatureTable(600 rows, 16 parameters, 6 features: survival, b, c, ...)"
+
+
+@pytest.mark.parametrize(("made", "shown"), [
+    (lambda: FeatureKernelSampler(SHOWN, seed=3), f"FeatureKernelSampler({TABLE}, seed=3)"),
+    (lambda: FeatureKernelSampler(SHOWN, kernel="rbf", off_grid=0, nearest=0.1, seed=3),
+     f"FeatureKernelSampler({TABLE}, seed=3, kernel='rbf', nearest=0.1)"),
+    (lambda: FeatureKernelSampler(
+        features, seed=3, independent_sampler=RandomSampler(), extra_parameters=["n"]),
+     "FeatureKernelSampler(features, seed=3, extra_parameters=('n',), "
+     "independent_sampler=RandomSampler)"),
+    (lambda: FeatureKernelSampler(seed=0, space={"x": FloatDistribution(0, 1)}),
+     "FeatureKernelSampler(seed=0, space={'x': FloatDistribution("
+     "high=1.0, log=False, low=0.0, step=None)})"),
+])  # fmt: skip
+def test_a_sampler_shows_its_seed_and_what_was_chosen_wherever_it_travels(made, shown):
+    sampler = made()
+    assert repr(sampler) == shown == repr(pickle.loads(pickle.dumps(sampler)))
+
+
+def test_presets_go_by_their_own_names_and_a_seed_that_was_drawn_is_shown():
+    assert repr(DoGSampler(SHOWN, seed=1)).startswith(f"DoGSampler({TABLE}, seed=1")
+    assert repr(SurvivalSampler(SHOWN, seed=1)).startswith(f"SurvivalSampler({TABLE}, seed=1")
+    found = re.fullmatch(r"FeatureKernelSampler\(seed=(\d+)\)", repr(FeatureKernelSampler()))
     assert found and int(found[1]) > 0
-
-
-def test_presets_go_by_their_own_names():
-    assert repr(DoGSampler(shown_table(), seed=1)).startswith(f"DoGSampler({TABLE}, seed=1")
-    survival = shown_table().rows.features
-    columns = {"x": np.linspace(0, 1, 600)}
-    good = FeatureTable.from_arrays(columns, survival[:, :1], ["survival"])
-    assert repr(SurvivalSampler(good, seed=1)).startswith("SurvivalSampler(FeatureTable(600 rows")
-
-
-def test_a_sampler_that_travelled_shows_the_same():
-    sampler = FeatureKernelSampler(shown_table(), seed=3, kernel="rbf")
-    assert repr(pickle.loads(pickle.dumps(sampler))) == repr(sampler)
