@@ -1,7 +1,6 @@
 """Trials that a user fixes or adds: no row is noted, or learned, that was not run."""
 
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -53,7 +52,7 @@ def only_a(trial: optuna.Trial) -> float:
     return trial.suggest_float("a", 0, 1)
 
 
-def run_quietly(study: optuna.Study, trials: int, objective: Callable[..., float] = both) -> None:
+def run_quietly(study: optuna.Study, trials: int, objective: Any = both) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         study.optimize(objective, n_trials=trials)
@@ -127,7 +126,7 @@ def test_no_row_has_all_of_them_or_those_that_have_are_tried(enqueued, message):
         study.optimize(lambda trial: both(trial) + trial.suggest_float("c", 0, 5), n_trials=2)
 
 
-def test_where_the_table_need_not_fit_the_rest_is_drawn_and_not_learned():
+def test_where_the_table_need_not_fit_the_rest_is_drawn_and_learned_by_a_function_only():
     study = study_of(TABLE, both, 4, strict=False)
     study.enqueue_trial({"a": 0.25})
     with pytest.warns(UserWarning, match=r"a: 0.25 .* independent sampler takes over") as said:
@@ -138,9 +137,6 @@ def test_where_the_table_need_not_fit_the_rest_is_drawn_and_not_learned():
     run_quietly(study, 3)
     assert_rows_were_run(study)
     assert len(features_learned(study)) == 7
-
-
-def test_with_a_function_it_is_learned_with_its_own_features():
     study = study_of(TABLE, enqueued=[{"a": 0.25}], feature_function=compute)
     with pytest.warns(UserWarning, match="a: 0.25"):
         study.optimize(both, n_trials=1)
@@ -171,15 +167,6 @@ def test_without_a_table_a_fixed_value_stays(space, function):
     if function is not None:
         own = compute(np.array([[last.params["a"], 1.25]]))[0]
         assert last.user_attrs["features"] == pytest.approx(own)
-
-
-def test_features_of_a_point_that_was_not_run_are_taken_back():
-    """The range shrinks in one trial: one parameter is drawn independently."""
-    study = study_of(compute, both, 4, space=SPACE, strict=False)
-    with pytest.warns(UserWarning, match="b: .* the independent sampler takes over"):
-        study.optimize(lambda trial: only_a(trial) + trial.suggest_float("b", 4.99, 5), n_trials=1)
-    assert study.trials[-1].user_attrs["features"] is None
-    study.optimize(both, n_trials=2)
 
 
 # Trials that are enqueued whole.
@@ -218,10 +205,8 @@ def test_a_row_that_waits_is_not_proposed_to_another_worker():
 def test_a_row_enqueued_by_another_process_is_taken(tmp_path):
     def opened():
         storage = JournalStorage(JournalFileBackend(str(tmp_path / "journal.log")))
-        sampler = FeatureKernelSampler(TABLE, seed=1)
-        return optuna.create_study(
-            study_name="s", storage=storage, sampler=sampler, load_if_exists=True
-        )
+        named = {"study_name": "s", "storage": storage, "load_if_exists": True}
+        return optuna.create_study(sampler=FeatureKernelSampler(TABLE, seed=1), **named)
 
     first, second = opened(), opened()
     first.enqueue_trial(row(7))
@@ -231,24 +216,19 @@ def test_a_row_enqueued_by_another_process_is_taken(tmp_path):
     assert rows == set(range(18)) - {7}
 
 
-def test_resumed_is_uninterrupted_with_enqueued_trials():
+def test_resumed_is_uninterrupted_with_enqueued_trials_and_killed_ones_are_run_again():
     enqueued = (row(4), {"a": 0.5}, {"b": 2.0})
-    whole = study_of(TABLE, both, 9, enqueued=enqueued)
-    pieces = resumed(
-        lambda: FeatureKernelSampler(TABLE, seed=1), both, 9, study_of(TABLE, enqueued=enqueued)
-    )
+    whole, pieces = study_of(TABLE, both, 9, enqueued=enqueued), study_of(TABLE, enqueued=enqueued)
+    resumed(lambda: FeatureKernelSampler(TABLE, seed=1), both, 9, pieces)
     told = [(trial.params, trial.user_attrs) for trial in whole.trials]
     assert told == [(trial.params, trial.user_attrs) for trial in pieces.trials]
-    assert_rows_were_run(whole)
-
-
-def test_a_killed_trial_that_was_partly_enqueued_is_run_again():
     study = study_of(TABLE, enqueued=[{"a": 0.5}])
     both(study.ask())
     kill(study, 0)
     study.optimize(both, n_trials=1)
     assert study.trials[1].params == study.trials[0].params
-    assert_rows_were_run(study)
+    for made in (whole, study):
+        assert_rows_were_run(made)
 
 
 # Notes that are not true, and what was run in place of a proposal.
@@ -257,14 +237,10 @@ def test_a_killed_trial_that_was_partly_enqueued_is_run_again():
 def test_a_row_noted_by_an_earlier_version_counts_only_if_it_was_run():
     """Two trials that say row 3 and did something else: they teach nothing, and row 3 is free."""
     study = study_of(TABLE)
+    noted = {"value": 1.0, "user_attrs": {"row": 3, "features": FEATURES[3].tolist()}}
     for params in ({"a": 0.25, "b": 3.0}, {"a": 0.0}):
         distributions = {name: SPACE[name] for name in params}
-        notes = {"row": 3, "features": FEATURES[3].tolist()}
-        study.add_trial(
-            optuna.create_trial(
-                params=params, distributions=distributions, value=1.0, user_attrs=notes
-            )
-        )
+        study.add_trial(optuna.create_trial(params=params, distributions=distributions, **noted))
     assert [row_of(ROWS, trial) for trial in study.trials] == [None, None]
     assert not read_history(study, study.trials[0], ROWS.space, ROWS).tried.any()
     with pytest.warns(UserWarning, match="no row of the table are ignored"):
@@ -308,24 +284,20 @@ def test_a_row_of_another_table_that_came_with_an_enqueued_trial_is_put_right():
     assert study.trials[1].user_attrs["row"] == -1
 
 
-def test_features_of_a_refused_point_near_the_table_are_taken_back():
+def test_features_of_a_point_that_was_not_run_are_taken_back():
+    """The range shrinks in one trial: one parameter is drawn independently."""
     options = {"feature_function": lambda params: params.sum(axis=1), "off_grid": 50}
-    enqueued = map(row, range(18))
-    study = study_of(ONE, both, 18, enqueued=enqueued, strict=False, **options)
+    study = study_of(ONE, both, 18, enqueued=map(row, range(18)), strict=False, **options)
     with pytest.warns(UserWarning, match="a: .* a range that holds all rows"):
         study.optimize(
-            lambda trial: trial.suggest_float("b", 0, 5) + trial.suggest_float("a", 2, 3),
-            n_trials=1,
+            lambda trial: trial.suggest_float("b", 0, 5) + trial.suggest_float("a", 2, 3), 1
         )
     assert study.trials[-1].user_attrs == {"row": -1, "score": None, "features": None}
-
-
-def test_a_trial_that_is_refused_keeps_no_row():
-    study = study_of(TABLE)
-    with pytest.raises(InputError):
-        study.optimize(lambda trial: trial.suggest_float("a", 0, 1e-9), n_trials=1)
-    study.optimize(both, n_trials=18)
-    assert set(rows_of(study)[1:]) == set(range(18))
+    study = study_of(compute, both, 4, space=SPACE, strict=False)
+    with pytest.warns(UserWarning, match="b: .* the independent sampler takes over"):
+        study.optimize(lambda trial: only_a(trial) + trial.suggest_float("b", 4.99, 5), 1)
+    assert study.trials[-1].user_attrs["features"] is None
+    study.optimize(both, n_trials=2)
 
 
 @pytest.mark.filterwarnings("ignore:PartialFixedSampler is experimental")
@@ -346,7 +318,7 @@ def b_at_times(trial: optuna.Trial) -> float:
 
 @pytest.mark.parametrize("objective", [only_a, b_at_times])
 @pytest.mark.parametrize("enqueued", [[], [row(3)]])
-def test_it_is_an_error_of_the_very_trial(objective, enqueued):
+def test_it_is_an_error_of_the_very_trial_or_one_warning_and_no_row(objective, enqueued):
     study = study_of(ONE, enqueued=enqueued)
     with pytest.raises(InputError, match=r"b: 'not suggested in trial 0' .* all of a, b"):
         study.optimize(objective, n_trials=1)
@@ -354,6 +326,10 @@ def test_it_is_an_error_of_the_very_trial(objective, enqueued):
     assert study.trials[0].user_attrs == {"row": -1, "score": None}
     run_quietly(study, 2)  # the objective was mended
     assert len(set(rows_of(study)[1:])) == 2
+    with pytest.warns(UserWarning, match="b: 'not suggested in trial 0'") as said:
+        study = study_of(ONE, only_a, 4, enqueued=enqueued, strict=False)
+    assert len(said) == 1
+    assert all(number in (None, -1) for number in rows_of(study))
 
 
 def test_asked_and_told_too_also_where_nothing_of_the_table_was_suggested():
@@ -368,16 +344,8 @@ def test_asked_and_told_too_also_where_nothing_of_the_table_was_suggested():
         study.tell(study.ask(), 1.0)
 
 
-def test_where_the_table_need_not_fit_it_is_one_warning_and_no_row():
-    study = study_of(ONE, strict=False)
-    with pytest.warns(UserWarning, match="b: 'not suggested in trial 0'") as said:
-        study.optimize(only_a, n_trials=4)
-    assert len(said) == 1
-    assert all(number in (None, -1) for number in rows_of(study))
-
-
 @pytest.mark.parametrize("error", [optuna.TrialPruned, RuntimeError])
-def test_a_trial_that_ends_early_says_nothing(error):
+def test_a_trial_that_ends_early_says_nothing_and_one_that_is_refused_keeps_no_row(error):
     def ends(trial):
         only_a(trial)
         raise error
@@ -387,6 +355,11 @@ def test_a_trial_that_ends_early_says_nothing(error):
         warnings.simplefilter("error", UserWarning)
         study.optimize(ends, n_trials=2, catch=RuntimeError)
     assert len(set(rows_of(study))) == 2
+    study = study_of(TABLE)
+    with pytest.raises(InputError):
+        study.optimize(lambda trial: trial.suggest_float("a", 0, 1e-9), n_trials=1)
+    study.optimize(both, n_trials=18)
+    assert set(rows_of(study)[1:]) == set(range(18))
 
 
 # Trials off the table, of this study or an earlier one, that the nearest row lends its features.
@@ -405,21 +378,16 @@ def cost(trial: optuna.Trial) -> float:
     return (trial.suggest_float("a", 0, 1) - 0.7) ** 2 + 0 * b
 
 
-def after_an_earlier_study(**options: Any) -> optuna.Study:
+def test_trials_of_an_earlier_study_start_the_model():
     earlier = optuna.create_study(sampler=RandomSampler(seed=5))
     earlier.optimize(cost, n_trials=15)
-    study = study_of(LINES, **options)
-    study.add_trials(earlier.get_trials())
-    return study
-
-
-def test_trials_of_an_earlier_study_start_the_model():
-    study = after_an_earlier_study(nearest=0.5)
+    study, pieces = study_of(LINES, nearest=0.5), study_of(LINES)
+    for made in (study, pieces):
+        made.add_trials(earlier.get_trials())
     without_warnings(study, cost, 2)
     assert min(trial.values[0] for trial in study.trials[15:]) < 0.01
     assert all(number >= 0 for number in rows_of(study)[15:])
     study.optimize(cost, n_trials=4)
-    pieces = after_an_earlier_study()
     resumed(lambda: FeatureKernelSampler(LINES, seed=1, nearest=0.5), cost, 6, pieces)
     assert params_of(study) == params_of(pieces)
 
@@ -477,18 +445,6 @@ def test_a_constant_parameter_is_near_only_where_it_is_equal_and_gaps_lend_nothi
     features = np.where(np.arange(40) == 20, np.nan, LINE)
     rows = FeatureTable.from_arrays({"a": LINE}, features).rows
     assert rows.nearest(rows.parameters[20])[0] in (19, 21)
-
-
-@pytest.mark.parametrize(("features", "options", "message"), [
-    (LINES, {"nearest": -0.1}, r"nearest: .* a finite number from 0"),
-    (LINES, {"nearest": float("nan")}, r"nearest: .* a finite number from 0"),
-    (LINES, {"nearest": 0.1, "feature_function": compute}, r"nearest: 0.1 .*feature_function"),
-    (None, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
-    (compute, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
-])  # fmt: skip
-def test_how_near_is_a_number_and_for_tables_without_a_function(features, options, message):
-    with pytest.raises(InputError, match=message):
-        FeatureKernelSampler(features, **options)
 
 
 def test_an_earlier_study_may_have_suggested_otherwise():
