@@ -298,16 +298,14 @@ FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
     "table": lambda: FeatureKernelSampler(TABLE, seed=1),
     "prior": lambda: FeatureKernelSampler(TABLE, seed=1, prior="-error"),
     "dog": lambda: DoGSampler(new_table(good_features()[:, :1], ("error",)), seed=1),
-    "off_grid": lambda: FeatureKernelSampler(
-        BY_HAND, seed=1, feature_function=by_hand, off_grid=20
-    ),
+    "off_grid":
+        lambda: FeatureKernelSampler(BY_HAND, seed=1, feature_function=by_hand, off_grid=20),
     "function": lambda: FeatureKernelSampler(by_hand, seed=1, space=SPACE),
-    "function, prior": lambda: FeatureKernelSampler(
-        by_hand, seed=1, space=SPACE, prior="-feature_0"
-    ),
+    "function, prior":
+        lambda: FeatureKernelSampler(by_hand, seed=1, space=SPACE, prior="-feature_0"),
     "function, found": lambda: FeatureKernelSampler(by_hand, seed=1),
     "function, rbf": lambda: FeatureKernelSampler(by_hand, seed=1, kernel="rbf_ard"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -86,37 +86,29 @@ CASES: dict[str, Callable[[], object]] = {
     "table.features: … allowed: numbers, [n, k]": lambda: new_table(["x", "y", "z"]),
     "table.feature_names: … allowed: … names": lambda: new_table(feature_names=["f", "g"]),
     "table.…: … allowed: … to …": lambda: new_table(bounds={"a": (0, 0.5)}),
-    "table.bounds.…: … allowed: none beside space=, …": lambda: new_table(
-        bounds={"a": (0, 1)}, space=SPACE
-    ),
-    "table.…: … allowed: a value of …": lambda: new_table(
-        space={"a": FloatDistribution(0, 1, step=0.25)}
-    ),
+    "table.bounds.…: … allowed: none beside space=, …":
+        lambda: new_table(bounds={"a": (0, 1)}, space=SPACE),
+    "table.…: … allowed: a value of …":
+        lambda: new_table(space={"a": FloatDistribution(0, 1, step=0.25)}),
     "table.…: … allowed: a value; or None as a choice: space=…": lambda: arrays([1, None, 3]),
-    "table.…: … allowed: one of (…)": lambda: arrays(
-        ["x", "y", "z"], space={"a": CategoricalDistribution(["x", "y"])}
-    ),
+    "table.…: … allowed: one of (…)":
+        lambda: arrays(["x", "y", "z"], space={"a": CategoricalDistribution(["x", "y"])}),
     "column: … allowed: one of …": from_frame,
     "…: … allowed: a Parquet file, or a folder of them, that exists": from_file,
-    "… rows that lack more than half of their features are not proposed": lambda: new_table(
-        [[0.0], [1.0], [np.nan]]
-    ),
+    "… rows that lack more than half of their features are not proposed":
+        lambda: new_table([[0.0], [1.0], [np.nan]]),
     "… rows repeat the parameters of another and are not proposed": lambda: arrays([1.0, 1.0, 2.0]),
     "features without information are ignored: …": lambda: new_table([[0, 1], [1, 1], [4, 1]]),
     "kernel: … allowed: one of …": lambda: sampler(kernel="gauss"),
-    "kernel: … allowed: euclidean: there are no features": lambda: FeatureKernelSampler(
-        kernel="rbf"
-    ),
-    "kernel: … allowed: one that uses features, or there is nothing to report": lambda: (
-        FeatureKernelSampler().worth(optuna.create_study())
-    ),
+    "kernel: … allowed: euclidean: there are no features":
+        lambda: FeatureKernelSampler(kernel="rbf"),
+    "kernel: … allowed: one that uses features, or there is nothing to report":
+        lambda: (FeatureKernelSampler().worth(optuna.create_study())),
     "prior: … allowed: one of …, or one with a minus": lambda: sampler(prior="phi"),
-    "nearest: … allowed: none with a feature_function, …": lambda: sampler(
-        nearest=0.1, feature_function=len
-    ),
-    "constraints_func: … allowed: None: call trial.set_constraint(key, value) in the objective": (
-        lambda: sampler(constraints_func=3)
-    ),
+    "nearest: … allowed: none with a feature_function, …":
+        lambda: sampler(nearest=0.1, feature_function=len),
+    "constraints_func: … allowed: None: call trial.set_constraint(key, value) in the objective":
+        lambda: sampler(constraints_func=3),
     "off_grid: … allowed: 0 without a feature_function": lambda: sampler(off_grid=9),
     "space: … allowed: none: a table knows its own": lambda: sampler(space=SPACE),
     "features: … allowed: a FeatureTable, a function, or None": lambda: sampler(FEATURES),
@@ -124,40 +116,31 @@ CASES: dict[str, Callable[[], object]] = {
         optuna.create_study(sampler=sampler(), directions=["minimize", "maximize"]).ask(SPACE)
     ),
     "…: … allowed: a range that holds all rows: …": lambda: run(sampler(), a_within(0, 0.7)),
-    "…: … allowed: choices that hold all rows: …": lambda: run(
-        sampler(), lambda trial: trial.suggest_categorical("a", [0.1, 0.5])
-    ),
+    "…: … allowed: choices that hold all rows: …":
+        lambda: run(sampler(), lambda trial: trial.suggest_categorical("a", [0.1, 0.5])),
     "…: … allowed: what has …, a point off the table …": run_points_as_choices,
-    "…: … allowed: a value that a row of the table has…; or all parameters, in enqueue_trial": (
-        lambda: run_enqueued(a=0.2)
-    ),
+    "…: … allowed: a value that a row of the table has…; or all parameters, in enqueue_trial":
+        lambda: run_enqueued(a=0.2),
     "…: … allowed: values of a row that has not been tried; …": lambda: run_enqueued(a=0.1),
-    "…: 'suggested, and not in the table' …": lambda: run(
-        sampler(), lambda trial: trial.suggest_float("A", 0, 1)
-    ),
+    "…: 'suggested, and not in the table' …":
+        lambda: run(sampler(), lambda trial: trial.suggest_float("A", 0, 1)),
     "…: 'not suggested in trial …' …": lambda: run(sampler(), only_a),
     "…: 'fixed' cannot be used; …": lambda: run(PartialFixedSampler({"a": 0.5}, sampler())),
     "all … rows of the table have been tried": lambda: run(sampler()),
-    "…: … allowed: the range declared in …": lambda: run(
-        FeatureKernelSampler(space=SPACE, seed=1), a_within(0, 0.001)
-    ),
-    "features(params): … allowed: features [n, k], no exception": lambda: run(
-        sampler(lambda params: 1 / 0, space=SPACE)
-    ),
-    "features(params).shape: … allowed: …": lambda: run(
-        sampler(lambda params: np.ones((7, 2)), space=SPACE)
-    ),
-    "features(params): 'no row without NaN' …": lambda: run(
-        sampler(lambda params: params * np.nan, space=SPACE)
-    ),
-    "prior: … cost more than the median of the trials; …": lambda: study_of(
-        FeatureTable.from_arrays({"a": LINE}, LINE), only_a, 8, prior="feature_0"
-    ),
+    "…: … allowed: the range declared in …":
+        lambda: run(FeatureKernelSampler(space=SPACE, seed=1), a_within(0, 0.001)),
+    "features(params): … allowed: features [n, k], no exception":
+        lambda: run(sampler(lambda params: 1 / 0, space=SPACE)),
+    "features(params).shape: … allowed: …":
+        lambda: run(sampler(lambda params: np.ones((7, 2)), space=SPACE)),
+    "features(params): 'no row without NaN' …":
+        lambda: run(sampler(lambda params: params * np.nan, space=SPACE)),
+    "prior: … cost more than the median of the trials; …":
+        lambda: study_of(FeatureTable.from_arrays({"a": LINE}, LINE), only_a, 8, prior="feature_0"),
     "… the independent sampler takes over": lambda: run(sampler(strict=False)),
-    "trials whose parameters are no row of the table are ignored: …": lambda: study_of(
-        new_table(), both, 3, enqueued=[{"a": 0.33, "b": 2.0}]
-    ),
-}
+    "trials whose parameters are no row of the table are ignored: …":
+        lambda: study_of(new_table(), both, 3, enqueued=[{"a": 0.33, "b": 2.0}]),
+}  # fmt: skip
 
 
 def said_by(case: Callable[[], object]) -> list[str]:
