@@ -191,10 +191,12 @@ def numbers(field: str, values: Any) -> NDArray[np.float64]:
 
 
 def unmasked(values: Any) -> Any:
-    """A masked array of numbers with NaN under its mask; anything else as it is.
+    """Masked numbers as NaN: of an array, or of the arrays in a list; anything else as it is.
 
     `np.asarray` would show the values that the mask hides.
     """
+    if isinstance(values, list | tuple) and any(np.ma.is_masked(each) for each in values):
+        return [unmasked(each) for each in values]
     if not np.ma.is_masked(values):
         return values
     return values.astype(np.float64).filled(np.nan)

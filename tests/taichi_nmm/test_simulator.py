@@ -205,6 +205,7 @@ def test_settings_change_the_walk() -> None:
         ({"record": [2]}, "record: 2"),
         ({"record": [0], "record_rate_hz": 300.0}, "record_rate_hz: 300"),
         ({"gains": MASKED}, "gains.*nan"),
+        ({"gains": [PUBLISHED_GAINS, MASKED]}, r"gains\[1\].*nan"),
         (
             {"terrains": [terrain.flat()], "terrain_index": np.ma.masked_array([0, 0], [0, 1])},
             "terrain_index.*whole numbers",
