@@ -1,5 +1,7 @@
 """A fake simulator, stores made with it, a table of synthetic rows, and toy comparisons."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,18 @@ from study import FeatureTable
 from study.comparison import compare as comparing
 from study.comparison.compare import Outcome, Request, compare
 from study.experiment.experiment import Experiment
+from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
+
+
+@contextmanager
+def refused(message: str) -> Iterator[pytest.ExceptionInfo[InputError]]:
+    """As an error of the user's, in one line."""
+    with pytest.raises(InputError, match=message) as caught:
+        yield caught
+    assert "\n" not in str(caught.value)
 
 
 @pytest.fixture
@@ -70,11 +81,12 @@ class Comparisons:
 
 
 @pytest.fixture
-def comparisons(
-    fake_simulator: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Comparisons:
-    """The database has tests of its own; here it would take most of the time."""
-    monkeypatch.setattr(comparing, "check_database", lambda *_: None)
-    monkeypatch.setattr(comparing, "export", lambda *_, **__: None)
-    monkeypatch.setattr(comparing, "note_worths", lambda *_, **__: None)
+def no_database(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has tests of its own; with comparisons it would take most of the time."""
+    for name in ("check_database", "export", "note_worths"):
+        monkeypatch.setattr(comparing, name, lambda *_, **__: None)
+
+
+@pytest.fixture
+def comparisons(fake_simulator: None, no_database: None, tmp_path: Path) -> Comparisons:
     return Comparisons(tmp_path)

@@ -8,7 +8,8 @@ milliseconds.
 import os
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -46,32 +47,23 @@ def quality(gains: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def simulate(
-    gains: ArrayLike,
-    *,
-    duration_s: float = 5.0,
-    bodies: Bodies | None = None,
-    terrains: Terrain | Sequence[Terrain] | None = None,
-    terrain_index: ArrayLike | None = None,
-    worlds: Worlds | None = None,
-    low_level_gains: ArrayLike | None = None,
-    settings: Settings | None = None,
-    record: Sequence[int] = (),
-    progress: Callable[[float, int], None] | None = None,
-    **options: Any,
-) -> Result:
+    gains: ArrayLike, *, duration_s: float = 5.0, bodies: Bodies | None = None,
+    terrains: Terrain | Sequence[Terrain] | None = None, terrain_index: ArrayLike | None = None,
+    worlds: Worlds | None = None, low_level_gains: ArrayLike | None = None,
+    settings: Settings | None = None, record: Sequence[int] = (),
+    progress: Callable[[float, int], None] | None = None, **options: Any,
+) -> Result:  # fmt: skip
     """What `taichi_nmm.simulate` promises, with empty trajectories."""
     time.sleep(TRIAL_S)
     number, _, name = SIGNAL.partition(":")
     if number == str(len(calls) + 1):
         signal.raise_signal(signal.Signals[name])
     tried = gain_rows(gains)
-    calls.append(
-        {
-            "gains": tried, "duration_s": duration_s, "bodies": bodies, "terrains": terrains,
-            "terrain_index": terrain_index, "low_level_gains": low_level_gains,
-            "settings": settings, "record": record, **options,
-        }
-    )  # fmt: skip
+    calls.append({
+        "gains": tried, "duration_s": duration_s, "bodies": bodies, "terrains": terrains,
+        "terrain_index": terrain_index, "low_level_gains": low_level_gains, "settings": settings,
+        "record": record, **options,
+    })  # fmt: skip
     bodies = bodies or Bodies.nominal()
     grounds = [terrains] if isinstance(terrains, Terrain) else list(terrains or [])
     rough = np.array([np.std(np.diff(ground.height_m)) for ground in grounds] or [0.0])
@@ -99,12 +91,10 @@ def stopped_in_call(
     number: int, error: type[BaseException] = KeyboardInterrupt
 ) -> Callable[..., Result]:
     """`simulate`, but an error ends its call of that number, counted from 1."""
-    made = 0
+    made = count(1)
 
     def stopping(gains: ArrayLike, **options: Any) -> Result:
-        nonlocal made
-        made += 1
-        if made == number:
+        if next(made) == number:
             raise error
         return simulate(gains, **options)
 
@@ -116,19 +106,20 @@ def write_plain_store(path: Path, samples: int = 200) -> None:
     precompute(read_specification(Table({"samples": samples, "seed": 3})), path)
 
 
+def longer(first: dict[str, Any], names: Iterable[str]) -> dict[str, Any]:
+    """The families of longer walks, each after the one of its name."""
+    after = {name: {"after": name, "min_survived_fraction": 0.5} for name in names}
+    return {f"{name}{LONGER}": first | table for name, table in after.items()}
+
+
 def write_store(path: Path, **changes: Any) -> None:
     """A store of fake scores with families; `taichi_nmm.simulate` must be the fake."""
     settings = {
-        "settings": 1,
-        "min_survival_s": 1.0,
-        "terrain": {"kind": "rough", "amplitude_m": 0.08},
+        "settings": 1, "min_survival_s": 1.0, "terrain": {"kind": "rough", "amplitude_m": 0.08},
         "body": {"disturbance": 0.15},
-    }
+    }  # fmt: skip
     families = {name: settings | {"seed": seed} for seed, name in enumerate(KINDS)}
-    families |= {
-        f"{name}{LONGER}": settings | {"after": name, "min_survived_fraction": 0.5}
-        for name in KINDS
-    }
+    families |= longer(settings, KINDS)
     data = {"samples": STORE_ROWS, "seed": 3, "robust": settings, "families": families} | changes
     precompute(read_specification(Table(data)), path)
 

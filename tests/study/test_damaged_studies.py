@@ -55,22 +55,22 @@ def assert_refused(call: Callable[[], Any], message: str) -> None:
     assert str(caught.value).isprintable()
 
 
-UNREADABLE = [
-    "UPDATE trials SET datetime_start = '[[]]'",
-    "UPDATE trials SET state = 'DONE'",
-    "UPDATE trials SET number = 'a' WHERE number = 1",
-    "UPDATE trial_values SET objective = 3",
-    "UPDATE trial_params SET distribution_json = '{\"name\": 3}'",
-    "ALTER TABLE trial_intermediate_values RENAME COLUMN step TO step_",
-    "ALTER TABLE studies RENAME COLUMN study_name TO name",
-    "DROP TABLE trial_heartbeats",
-    "DELETE FROM studies",
-    "UPDATE studies SET study_name = x'61'",
-    "DELETE FROM trials WHERE number = 1",  # whose rows would be those of the next trial
-]
-
-
-@pytest.mark.parametrize("command", UNREADABLE)
+@pytest.mark.parametrize(
+    "command",
+    [
+        "UPDATE trials SET datetime_start = '[[]]'",
+        "UPDATE trials SET state = 'DONE'",
+        "UPDATE trials SET number = 'a' WHERE number = 1",
+        "UPDATE trial_values SET objective = 3",
+        "UPDATE trial_params SET distribution_json = '{\"name\": 3}'",
+        "ALTER TABLE trial_intermediate_values RENAME COLUMN step TO step_",
+        "ALTER TABLE studies RENAME COLUMN study_name TO name",
+        "DROP TABLE trial_heartbeats",
+        "DELETE FROM studies",
+        "UPDATE studies SET study_name = x'61'",
+        "DELETE FROM trials WHERE number = 1",  # whose rows would be those of the next trial
+    ],
+)
 def test_what_cannot_be_read_is_one_line(url: str, check: Callable[[], None], command: str) -> None:
     before = edit(url, command)
     for read in (check, lambda: gains_of_trial("toy/dog/run-000/1", url)):
@@ -78,29 +78,32 @@ def test_what_cannot_be_read_is_one_line(url: str, check: Callable[[], None], co
     assert edit(url) == before
 
 
+PARAMS = "UPDATE trial_params SET {} WHERE param_name = '{}'"
 WRITTEN = "UPDATE trial_user_attributes SET value_json = {} WHERE key = '{}'"
 NOTE = "UPDATE study_system_attributes SET {} WHERE key LIKE 'dashboard:note_{}'"
-UNUSABLE = {
-    "DELETE FROM trial_params WHERE param_name = 'K_SOL'": ".*trial 0: parameters",
-    "UPDATE trial_params SET param_value = 1e9 WHERE param_name = 'K_SOL'": ".*trial 0",
-    "UPDATE trials SET number = number + 1": ".*trial 1",
-    "UPDATE trial_params SET distribution_json = replace(distribution_json, '\"log\": false',"
-    " '\"log\": null') WHERE param_name = 'K_SOL'": ".*trial 0: K_SOL: 'FloatDistr.*log=None",
-    "DELETE FROM trial_user_attributes WHERE key = 'walked'": ".*trial 0: walked: 'missing'",
-    WRITTEN.format("'[1]'", "walked"): r".*trial 0: walked: \[1\]",
-    WRITTEN.format("'null'", "duration_s"): ".*trial 0: duration_s: None",
-    WRITTEN.format("'3'", "end_reason"): ".*trial 0: end_reason: 3",
-    WRITTEN.format("'\"a\"'", "score"): ".*trial 0: score: 'a'",
-    "UPDATE study_directions SET direction = 'MAXIMIZE'": ".*directions",
-    "UPDATE trial_values SET value = 1e400": ".*trial 0: values",
-    "UPDATE trial_params SET param_value = 'a' WHERE param_name = 'K_GAS'": ".*0: K_GAS: 'a'",
-    NOTE.format("value_json = '[[]]'", "str:%"): r": note: \[\[\]\]",
-    NOTE.format("value_json = '\"/\"'", "ver"): ": note: '/'",
-    NOTE.format("key = 'dashboard:note_str:7'", "str:0"): r": note: \[7\]",
-}
+UNLOGGED = "distribution_json = replace(distribution_json, '\"log\": false', '\"log\": null')"
 
 
-@pytest.mark.parametrize(("command", "message"), UNUSABLE.items())
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("DELETE FROM trial_params WHERE param_name = 'K_SOL'", ".*trial 0: parameters"),
+        (PARAMS.format("param_value = 1e9", "K_SOL"), ".*trial 0"),
+        ("UPDATE trials SET number = number + 1", ".*trial 1"),
+        (PARAMS.format(UNLOGGED, "K_SOL"), ".*trial 0: K_SOL: 'FloatDistr.*log=None"),
+        ("DELETE FROM trial_user_attributes WHERE key = 'walked'", ".*0: walked: 'missing'"),
+        (WRITTEN.format("'[1]'", "walked"), r".*trial 0: walked: \[1\]"),
+        (WRITTEN.format("'null'", "duration_s"), ".*trial 0: duration_s: None"),
+        (WRITTEN.format("'3'", "end_reason"), ".*trial 0: end_reason: 3"),
+        (WRITTEN.format("'\"a\"'", "score"), ".*trial 0: score: 'a'"),
+        ("UPDATE study_directions SET direction = 'MAXIMIZE'", ".*directions"),
+        ("UPDATE trial_values SET value = 1e400", ".*trial 0: values"),
+        (PARAMS.format("param_value = 'a'", "K_GAS"), ".*0: K_GAS: 'a'"),
+        (NOTE.format("value_json = '[[]]'", "str:%"), r": note: \[\[\]\]"),
+        (NOTE.format("value_json = '\"/\"'", "ver"), ": note: '/'"),
+        (NOTE.format("key = 'dashboard:note_str:7'", "str:0"), r": note: \[7\]"),
+    ],
+)
 def test_what_no_study_has_written_is_named(
     url: str, check: Callable[[], None], command: str, message: str
 ) -> None:
@@ -136,71 +139,63 @@ class Figure:
         return "{}"
 
 
-class Compared:
-    """A finished comparison of an arm, whose table is gone: the work would write it."""
+def refuses_before_it_works(
+    toy: Experiment, folder: Path, arm: str, damage: Callable[[str], bytes], message: str
+) -> None:
+    """A finished comparison whose table is gone, and whose database is damaged, writes nothing."""
+    out = folder / "out"
+    request = Request(out, arms=(arm,), runs=1, trials=2, artifacts=False)
+    summary = Summary("", Figure())
 
-    def __init__(self, toy: Experiment, folder: Path, arm: str) -> None:
-        self.toy, self.out = toy, folder / "out"
-        self.request = Request(self.out, arms=(arm,), runs=1, trials=2, artifacts=False)
-        self.url = f"sqlite:///{self.out}/studies.db"
-        self.run()
-        (self.out / "trials.parquet").unlink()
+    def run() -> None:
+        compare(toy, request, lambda progress: None, summarise=lambda *_: summary)
 
-    def run(self) -> None:
-        summary = Summary("", Figure())
-        compare(self.toy, self.request, lambda progress: None, summarise=lambda *_: summary)
+    run()
+    (out / "trials.parquet").unlink()
+    before = damage(f"sqlite:///{out}/studies.db")
+    assert_refused(run, message)
+    assert not (out / "trials.parquet").exists()
+    assert (out / "studies.db").read_bytes() == before
 
-    def assert_refused(self, before: bytes, message: str) -> None:
-        """Before the work, with the database as it was."""
-        assert_refused(self.run, message)
-        assert not (self.out / "trials.parquet").exists()
-        assert (self.out / "studies.db").read_bytes() == before
+
+OF_SUMMARY = r"^(storage|study toy/summary: note): "
 
 
 @pytest.mark.parametrize(
-    "command",
+    ("arm", "message", "command"),
     [
-        "UPDATE studies SET study_name = x'61' WHERE study_name LIKE '%run-000'",
-        "DELETE FROM trials WHERE number = 1",
-        "DELETE FROM trial_params WHERE param_name = 'K_SOL'",
-        "UPDATE trial_params SET distribution_json = '{\"name\": 3}'",
-        "UPDATE trial_params SET param_value = 1e9 WHERE param_name = 'K_SOL'",
-        "UPDATE trial_user_attributes SET value_json = '[1]' WHERE key = 'walked'",
-        "UPDATE trials SET datetime_start = 3",
-        "UPDATE trials SET datetime_start = 'never'",
-        "UPDATE study_system_attributes SET key = CAST(key AS BLOB)",
-        "UPDATE study_user_attributes SET key = CAST(key AS BLOB)",
-        "UPDATE trial_user_attributes SET key = CAST(key AS BLOB)",
-        "UPDATE trial_params SET param_name = CAST(param_name AS BLOB)",
+        ("dog", OF_DOG, "UPDATE studies SET study_name = x'61' WHERE study_name LIKE '%run-000'"),
+        ("dog", OF_DOG, "DELETE FROM trials WHERE number = 1"),
+        ("dog", OF_DOG, "DELETE FROM trial_params WHERE param_name = 'K_SOL'"),
+        ("dog", OF_DOG, "UPDATE trial_params SET distribution_json = '{\"name\": 3}'"),
+        ("dog", OF_DOG, PARAMS.format("param_value = 1e9", "K_SOL")),
+        ("dog", OF_DOG, WRITTEN.format("'[1]'", "walked")),
+        ("dog", OF_DOG, "UPDATE trials SET datetime_start = 3"),
+        ("dog", OF_DOG, "UPDATE trials SET datetime_start = 'never'"),
+        ("dog", OF_DOG, "UPDATE study_system_attributes SET key = CAST(key AS BLOB)"),
+        ("dog", OF_DOG, "UPDATE study_user_attributes SET key = CAST(key AS BLOB)"),
+        ("dog", OF_DOG, "UPDATE trial_user_attributes SET key = CAST(key AS BLOB)"),
+        ("dog", OF_DOG, "UPDATE trial_params SET param_name = CAST(param_name AS BLOB)"),
+        ("random", OF_SUMMARY, "UPDATE study_directions SET direction = 'cuda'"),
+        ("random", OF_SUMMARY, "UPDATE study_system_attributes SET value_json = '\"a'"),
+        ("random", OF_SUMMARY,
+         "UPDATE study_user_attributes SET value_json = '\"a' WHERE key <> 'experiment_config'"),
+        ("random", OF_SUMMARY, NOTE.format("value_json = 'null'", "ver")),
     ],
-)
+)  # fmt: skip
 def test_a_comparison_writes_no_table_before_its_database_is_refused(
-    toy: Experiment, tmp_path: Path, command: str
+    toy: Experiment, tmp_path: Path, arm: str, message: str, command: str
 ) -> None:
-    compared = Compared(toy, tmp_path, "dog")
-    compared.assert_refused(edit(compared.url, command), r"^(storage|study toy/dog/run-000)")
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        "UPDATE study_directions SET direction = 'cuda'",
-        "UPDATE study_system_attributes SET value_json = '\"a'",
-        "UPDATE study_user_attributes SET value_json = '\"a' WHERE key <> 'experiment_config'",
-        NOTE.format("value_json = 'null'", "ver"),
-    ],
-)
-def test_a_summary_that_cannot_be_read_is_refused_before_the_work(
-    toy: Experiment, tmp_path: Path, command: str
-) -> None:
-    compared = Compared(toy, tmp_path, "random")
-    compared.assert_refused(edit(compared.url, command), r"^(storage|study toy/summary: note): ")
+    refuses_before_it_works(toy, tmp_path, arm, lambda url: edit(url, command), message)
 
 
 def test_a_file_with_a_damaged_page_is_refused_before_the_work(
     toy: Experiment, tmp_path: Path
 ) -> None:
-    compared = Compared(toy, tmp_path, "random")
-    content = edit(compared.url)[:-4096] + b"\xff" * 4096  # SQLite's page
-    (compared.out / "studies.db").write_bytes(content)
-    compared.assert_refused(content, r"^storage: .*SQLite finds whole")
+    def damage(url: str) -> bytes:
+        content = edit(url)[:-4096] + b"\xff" * 4096  # SQLite's page
+        Path(url.removeprefix("sqlite:///")).write_bytes(content)
+        return content
+
+    message = "^storage: .*SQLite finds whole"
+    refuses_before_it_works(toy, tmp_path, "random", damage, message)

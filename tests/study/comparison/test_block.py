@@ -4,9 +4,7 @@ import pickle
 from collections import deque
 from dataclasses import replace
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pytest
 
 from storage.pool import local_pool
@@ -15,12 +13,11 @@ from study.comparison.folder import NOTES, PROPOSAL_TIME, STATE_SCHEMA, in_order
 from study.experiment.arms import ARMS
 from study.experiment.experiment import Experiment
 from study.experiment.trials import KEPT
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import COMPLETED
 from tests.study import fake_walker
+from tests.study.conftest import refused
 
-STUDIES = (("dog", 0), ("dog", 2), ("cmaes-cold", 0), ("random", 1))
 NOTHING = STATE_SCHEMA.empty_table()
 
 
@@ -30,41 +27,6 @@ def sorted_rows(*tables: pa.Table) -> list[dict[str, object]]:
     return rows
 
 
-def test_a_round_is_one_batch_of_all_its_studies(toy: Experiment) -> None:
-    fake_walker.calls.clear()
-    table = advance(Block(toy, STUDIES, NOTHING, 3)).table
-    assert [len(call["gains"]) for call in fake_walker.calls] == [4, 4, 4]
-    assert table.schema.equals(STATE_SCHEMA) and len(table) == 12
-    for call in fake_walker.calls:
-        index = call["terrain_index"]
-        assert index.tolist() == [0, 2, 0, 1] and len(call["terrains"]) == 3
-        masses = call["bodies"].mass_kg
-        np.testing.assert_array_equal(masses[0], masses[2])
-        assert (masses[0] != masses[1]).all()
-
-
-def test_a_study_is_the_same_in_any_company(toy: Experiment) -> None:
-    together = advance(Block(toy, STUDIES, NOTHING, 4)).table
-    alone = [advance(Block(toy, (study,), NOTHING, 4)).table for study in STUDIES]
-    assert sorted_rows(together) == sorted_rows(*alone)
-    backwards = advance(Block(toy, STUDIES[::-1], NOTHING, 4)).table
-    assert sorted_rows(together) == sorted_rows(backwards)
-
-
-def test_only_what_is_missing_is_tried(toy: Experiment) -> None:
-    whole = advance(Block(toy, STUDIES, NOTHING, 6)).table
-    first = advance(Block(toy, STUDIES, NOTHING, 2)).table
-    dogs = first.filter(pc.equal(first["arm"], "dog"))
-    more = advance(Block(toy, STUDIES[:2], dogs, 4)).table  # some are further than others
-    known = in_order([first, more])
-    rest = advance(Block(toy, STUDIES, known, 6)).table
-    assert [len(first), len(more), len(rest)] == [8, 4, 12]
-    assert sorted_rows(first, more, rest) == sorted_rows(whole)
-    for _, rows in in_order([whole]).to_pandas().groupby(["arm", "run"]):
-        np.testing.assert_array_equal(rows.best_cost, rows.cost.cummin())
-    assert len(advance(Block(toy, STUDIES, known, 2)).table) == 0
-
-
 def test_a_table_holds_what_the_simulator_said(toy: Experiment) -> None:
     table = advance(Block(toy, (("random", 0),), NOTHING, 1)).table
     call = fake_walker.calls[-1]
@@ -72,36 +34,22 @@ def test_a_table_holds_what_the_simulator_said(toy: Experiment) -> None:
     said, kept = fake_walker.simulate(gains, **call).rows, outcomes_of(table)
     for name in (*KEPT, "end_reason"):
         assert kept[name] == said[name]
+    assert table.schema.equals(STATE_SCHEMA)
     assert table["walked"].to_pylist() == [bool(said["end_reason"][0] == COMPLETED)]
     assert table[NOTES].to_pylist() == ["{}"]
 
 
-def test_a_block_and_its_table_pass_between_processes(toy: Experiment) -> None:
-    table = advance(Block(toy, STUDIES, NOTHING, 2)).table
-    block = pickle.loads(pickle.dumps(Block(toy, STUDIES, table, 4)))
-    assert block.experiment == toy and block.known.equals(table)
-    assert sorted_rows(advance(block).table) == sorted_rows(
-        advance(Block(toy, STUDIES, table, 4)).table
-    )
-
-
 @pytest.mark.slow
 def test_an_error_in_a_process_is_one_line_here(toy: Experiment) -> None:
-    experiment = replace(toy, stores={})
-    units = deque([Block(experiment, (("dog", 0),), NOTHING, 3)])
-    with (
-        local_pool(2) as pool,
-        pytest.raises(InputError, match=r"stores\.flat: 'missing'") as caught,
-    ):
+    units = deque([Block(replace(toy, stores={}), (("dog", 0),), NOTHING, 3)])
+    with local_pool(2) as pool, refused(r"stores\.flat: 'missing'"):
         list(pool.results(advance, units))
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.slow
 def test_a_block_that_is_handed_on_travels_and_goes_on(toy: Experiment) -> None:
     """All arms: what a library keeps in its trials comes along, what does not pickle stays."""
-    arms = list(ARMS)
-    studies = tuple((name, 1) for name in arms)
+    studies = tuple((name, 1) for name in ARMS)
     whole = advance(Block(toy, studies, NOTHING, 6)).table
     first = advance(Block(toy, studies, NOTHING, 2))
     handed_on = pickle.loads(pickle.dumps(first.studies))
@@ -140,19 +88,15 @@ def test_walks_of_before_are_known(toy: Experiment, handed_on: bool) -> None:
     whole = advance(Block(toy, SHARING, NOTHING, 8)).table
     fake_walker.calls.clear()
     first = advance(Block(toy, SHARING, NOTHING, 3))
-    if handed_on:
-        block = Block(toy, SHARING, NOTHING, 8, first.studies, first.walks)
-    else:
-        block = Block(toy, SHARING, first.table, 8)
-    rest = advance(block).table
+    known = (NOTHING, 8, first.studies, first.walks) if handed_on else (first.table, 8)
+    rest = advance(Block(toy, SHARING, *known)).table
     assert sorted_rows(first.table, rest) == sorted_rows(whole)
     assert simulated() == different(whole)
 
 
 def test_another_robot_is_another_walk(toy: Experiment) -> None:
     fake_walker.calls.clear()
-    table = advance(
-        Block(toy, (("score-first-diverse", 0), ("score-first-diverse", 1)), NOTHING, 1)
-    ).table
+    studies = tuple(("score-first-diverse", run) for run in (0, 1))
+    table = advance(Block(toy, studies, NOTHING, 1)).table
     assert table["row"][0] == table["row"][1] and simulated() == 2
     assert table["distance_m"][0] != table["distance_m"][1]

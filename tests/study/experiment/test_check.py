@@ -8,19 +8,17 @@ import pytest
 from study.experiment.arms import ARMS, check_arms, find_arm, with_store
 from study.experiment.experiment import Experiment
 from study.experiment.stores import candidates, store_path
-from taichi_nmm.errors import InputError
 from tests.study import fake_walker
+from tests.study.conftest import refused
 
 ROWS = fake_walker.STORE_ROWS
 
 
 def test_arms_are_found_each_once_in_their_order(toy: Experiment) -> None:
+    assert len(check_arms(toy, tuple(ARMS), 20)) == len(ARMS)
+    assert check_arms(replace(toy, stores={}), ("random", "cmaes-cold"), 100_000)
     found = check_arms(toy, ("dog", "random", "dog"), ROWS)
     assert found == (find_arm("dog"), find_arm("random"))
-
-
-def test_every_arm_can_run_on_the_toys_store(toy: Experiment) -> None:
-    assert len(check_arms(toy, tuple(ARMS), 20)) == len(ARMS)
 
 
 @pytest.mark.parametrize(
@@ -36,13 +34,8 @@ def test_every_arm_can_run_on_the_toys_store(toy: Experiment) -> None:
 def test_arms_that_cannot_run(
     names: tuple[str, ...], trials: int, message: str, toy: Experiment
 ) -> None:
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(message):
         check_arms(toy, names, trials)
-    assert "\n" not in str(caught.value)
-
-
-def test_an_arm_without_a_store_may_run_any_number_of_trials(toy: Experiment) -> None:
-    assert check_arms(replace(toy, stores={}), ("random", "cmaes-cold"), 100_000)
 
 
 def test_rows_that_an_arm_leaves_out_do_not_count(toy: Experiment, tmp_path: Path) -> None:
@@ -53,42 +46,47 @@ def test_rows_that_an_arm_leaves_out_do_not_count(toy: Experiment, tmp_path: Pat
     rows = int(candidates(experiment, "diverse", find_arm("best").features).rows.offered.sum())
     assert 0 < rows < ROWS
     assert check_arms(experiment, ("best",), rows)
-    with pytest.raises(InputError, match=rf"trials: {rows + 1} .* at most {rows}, the rows that b"):
+    with refused(f"trials: {rows + 1} .* at most {rows}, the rows that b"):
         check_arms(experiment, ("best",), rows + 1)
 
 
-def test_a_store_that_the_configuration_does_not_name(toy: Experiment) -> None:
-    stores = {name: path for name, path in toy.stores.items() if name != "flat"}
-    experiment = replace(toy, stores=stores)
-    with pytest.raises(InputError, match=r"stores\.flat: 'missing' .* which has diverse, worlds"):
+def test_a_store_that_is_not_there_or_not_named(toy: Experiment, tmp_path: Path) -> None:
+    experiment = replace(toy, stores={n: path for n, path in toy.stores.items() if n != "flat"})
+    with refused(r"stores\.flat: 'missing' .* which has diverse, worlds"):
         check_arms(experiment, ("dog",), 3)
-    with pytest.raises(InputError, match=r"stores\.flat: 'missing' .* which has none"):
+    with refused(r"stores\.flat: 'missing' .* which has none"):
         store_path(replace(toy, stores={}), "flat")
     assert check_arms(experiment, ("score-first-diverse",), 3)
-
-
-def test_a_store_that_is_not_there(toy: Experiment, tmp_path: Path) -> None:
-    stores = dict(toy.stores) | {"flat": tmp_path / "nowhere"}
-    with pytest.raises(InputError, match="nowhere"):
-        check_arms(replace(toy, stores=stores), ("dog",), 3)
+    with refused("nowhere"):
+        check_arms(replace(toy, stores=toy.stores | {"flat": tmp_path / "nowhere"}), ("dog",), 3)
 
 
 def test_a_store_without_a_feature(toy: Experiment, tmp_path: Path) -> None:
     fake_walker.write_plain_store(tmp_path / "plain")
     experiment = replace(toy, stores=dict.fromkeys(toy.stores, tmp_path / "plain"))
     assert check_arms(experiment, ("dog", "cmaes-warm"), 3)
-    with pytest.raises(InputError, match=r"plain.*rough_survived_fraction_mean"):
-        check_arms(experiment, ("score-first-diverse",), 3)
-    with pytest.raises(InputError, match=r"plain.*rough_survived_fraction_mean"):
-        check_arms(experiment, ("best",), 3)
+    for arm in ("score-first-diverse", "best"):
+        with refused("plain.*rough_survived_fraction_mean"):
+            check_arms(experiment, (arm,), 3)
+
+
+def test_a_store_is_read_once_and_anew_when_it_was_made_anew(
+    toy: Experiment, tmp_path: Path
+) -> None:
+    features = find_arm("score-first-diverse").features
+    before = candidates(toy, "diverse", features)
+    assert candidates(toy, "diverse", features) is before
+    toy.stores["diverse"].rename(tmp_path / "before")
+    fake_walker.write_store(toy.stores["diverse"], samples=100)
+    assert len(before) != len(candidates(toy, "diverse", features))
 
 
 def test_a_store_of_other_parameters(toy: Experiment, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"stores.flat: .*store without theta_ref"):
+    with refused(r"stores.flat: .*store without theta_ref"):
         check_arms(replace(toy, searched=("theta_ref",)), ("dog",), 3)
     fake_walker.write_store(tmp_path / "torso", searched=["theta_ref"])
     experiment = replace(toy, stores={"flat": tmp_path / "torso"})
-    with pytest.raises(InputError, match=r"stores.flat: .*torso with theta_ref"):
+    with refused(r"stores.flat: .*torso with theta_ref"):
         check_arms(experiment, ("dog",), 3)
     assert check_arms(replace(experiment, searched=("theta_ref",)), ("dog",), 3)
 
@@ -110,5 +108,5 @@ def test_a_store_of_the_callers_is_that_of_the_arms(toy: Experiment, tmp_path: P
 def test_a_store_for_arms_that_read_none_or_several(
     names: tuple[str, ...], message: str, toy: Experiment, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=message):
+    with refused(message):
         with_store(toy, names, tmp_path)

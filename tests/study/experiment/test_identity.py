@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from storage.document import agree, difference
-from study.experiment.arms import ARMS, find_arm
+from study.experiment.arms import find_arm
 from study.experiment.experiment import CmaesOptions, Experiment, read_experiment
 from study.experiment.identity import (
     GROWING,
@@ -16,16 +16,16 @@ from study.experiment.identity import (
     documented_experiment,
     fingerprint,
     versions,
-)
+)  # fmt: skip
 from study.options import config_path, shipped_configs
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
 from taichi_nmm.settings import MujocoSettings, Settings
 from taichi_nmm.terrain import KINDS, Ground, read_ground
 from taichi_nmm.world import WorldRanges
 from tests.study import fake_walker
 from tests.study.comparison.fake_results import experiment
+from tests.study.conftest import refused
 
 TINY = experiment()
 
@@ -54,41 +54,44 @@ IDLE: dict[type, dict[str, Any]] = {
     # Of another engine than the tiny experiment's.
     Settings: {"arch": "cuda", "threads": 1, "mujoco": MujocoSettings(limits="mujoco")},
 }  # fmt: skip
-PARTS: dict[type, str] = {Experiment: "", Conditions: "conditions", Settings: "settings"}
+PARTS = {Experiment: "", Conditions: "conditions", Settings: "settings"}
 
 
 def changed(kind: type, name: str, value: Any) -> Experiment:
     """The tiny experiment with one field of itself or of one of its parts changed."""
-    conditions = TINY.conditions
+    change, conditions = {name: value}, TINY.conditions
+    if kind is Experiment:
+        return replace(TINY, **change)
     if kind is Settings:
-        conditions = replace(conditions, settings=replace(conditions.settings, **{name: value}))
-    elif kind is Conditions:
-        conditions = replace(conditions, **{name: value})
-    else:
-        return replace(TINY, **{name: value})
-    return replace(TINY, conditions=conditions)
+        change = {"settings": replace(conditions.settings, **change)}
+    return replace(TINY, conditions=replace(conditions, **change))
 
 
 def named(table: dict[type, dict[str, Any]]) -> list[Any]:
     return [
-        pytest.param(kind, name, value, id=f"{kind.__name__}.{name}")
-        for kind, values in table.items()
-        for name, value in values.items()
-    ]
+        pytest.param(changed(kind, name, value), id=f"{kind.__name__}.{name}")
+        for kind, values in table.items() for name, value in values.items()
+    ]  # fmt: skip
+
+
+def read_back(of: Experiment) -> Experiment:
+    """The experiment of its document, as a file holds it."""
+    read = documented_experiment(json.loads(json.dumps(document(of, ()))))
+    assert read is not None
+    return read
 
 
 @pytest.mark.parametrize("kind", PARTS, ids=lambda kind: kind.__name__)
 def test_every_field_either_decides_trials_or_does_not(kind: type) -> None:
-    parts = set(PARTS.values())
-    known = {each.name for each in fields(kind)} - parts
+    known = {each.name for each in fields(kind)} - set(PARTS.values())
     assert known == set(DECIDING[kind]) | set(IDLE[kind])
 
 
-@pytest.mark.parametrize(("kind", "name", "value"), named(DECIDING))
-def test_what_decides_trials_changes_the_document(kind: type, name: str, value: Any) -> None:
-    other = changed(kind, name, value)
+@pytest.mark.parametrize("other", named(DECIDING))
+def test_what_decides_trials_changes_the_document_and_is_read_back(other: Experiment) -> None:
     assert difference(document(other, ()), document(TINY, ())) is not None
     assert fingerprint(other) != fingerprint(TINY)
+    assert document(read_back(other), ()) == document(other, ())
 
 
 def test_another_seed_changes_the_seed_and_the_first_ground_of_a_document() -> None:
@@ -96,9 +99,8 @@ def test_another_seed_changes_the_seed_and_the_first_ground_of_a_document() -> N
     assert {name for name in one if one[name] != two[name]} == {"seed", "terrain"}
 
 
-@pytest.mark.parametrize(("kind", "name", "value"), named(IDLE))
-def test_what_decides_nothing_changes_nothing(kind: type, name: str, value: Any) -> None:
-    other = changed(kind, name, value)
+@pytest.mark.parametrize("other", named(IDLE))
+def test_what_decides_nothing_changes_nothing(other: Experiment) -> None:
     assert other != TINY
     assert document(other, ()) == document(TINY, ())
     assert fingerprint(other) == fingerprint(TINY)
@@ -118,9 +120,7 @@ def test_a_switch_that_is_off_is_not_in_the_document() -> None:
     assert "until_walker" not in document(TINY, ())
     until = replace(TINY, until_walker=True)
     assert document(until, ())["until_walker"] is True
-    for ours in (TINY, until):
-        read = documented_experiment(json.loads(json.dumps(document(ours, ()))))
-        assert read is not None and read.until_walker == ours.until_walker
+    assert read_back(until).until_walker and not read_back(TINY).until_walker
 
 
 @pytest.mark.parametrize(
@@ -135,9 +135,8 @@ def test_an_experiment_on_mujoco_says_so_and_with_which_version(own: MujocoSetti
     ours = document(other, ())
     assert ours["versions"] == document(TINY, ())["versions"] | versions("mujoco")
     assert fingerprint(other) != fingerprint(usual)
-    read = documented_experiment(json.loads(json.dumps(ours)))
-    assert read is not None and read.conditions.settings.mujoco == own
-    assert document(read, ()) == ours
+    read = read_back(other)
+    assert read.conditions.settings.mujoco == own and document(read, ()) == ours
 
 
 def test_arms_and_the_stores_that_they_read_are_those_of_the_call(toy: Experiment) -> None:
@@ -161,12 +160,6 @@ def test_a_store_is_known_by_its_content(toy: Experiment, tmp_path: Path) -> Non
     assert found is not None and found[0] == "stores.flat"
 
 
-@pytest.mark.parametrize("name", ARMS)
-def test_every_arms_definition_survives_a_file(name: str) -> None:
-    definition = find_arm(name).definition
-    assert json.loads(json.dumps(definition)) == definition
-
-
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", [7, 8])
 def test_the_experiment_of_a_document_draws_alike(kind: str, seed: int, tmp_path: Path) -> None:
@@ -175,8 +168,7 @@ def test_the_experiment_of_a_document_draws_alike(kind: str, seed: int, tmp_path
     ground = read_ground(Table({"kind": kind, **file}, "terrain"))
     changes = {"ground": ground, "searched": ("theta_ref",), "cost": "walking", "duration_s": 1.5}
     ours = experiment(seed=seed, **changes)
-    read = documented_experiment(json.loads(json.dumps(document(ours, ()))))
-    assert read is not None
+    read = read_back(ours)
     machine = replace(read.conditions.settings, arch="cpu")  # of which documents say nothing
     assert replace(read.conditions, settings=machine) == ours.conditions
     for name in ("name", "seed", "searched", "cost", "parameters"):
@@ -184,14 +176,6 @@ def test_the_experiment_of_a_document_draws_alike(kind: str, seed: int, tmp_path
     for run in (0, 7):
         assert read.body(run).mass_kg.tobytes() == ours.body(run).mass_kg.tobytes()
         assert read.terrain(run).height_m.tobytes() == ours.terrain(run).height_m.tobytes()
-
-
-@pytest.mark.parametrize(("kind", "name", "value"), named(DECIDING))
-def test_a_document_gives_back_all_that_decides(kind: type, name: str, value: Any) -> None:
-    ours = changed(kind, name, value)
-    read = documented_experiment(json.loads(json.dumps(document(ours, ()))))
-    assert read is not None
-    assert document(read, ()) == document(ours, ())
 
 
 def test_a_document_of_before_grounds_were_in_it_gives_none_and_is_agreed_upon(
@@ -204,8 +188,8 @@ def test_a_document_of_before_grounds_were_in_it_gives_none_and_is_agreed_upon(
     file.write_text(json.dumps(old))
     agreed = agree(file, ours, growing=GROWING, remedy="another --out")
     assert agreed == json.loads(file.read_text()) == ours
-    with pytest.raises(InputError, match=r"ground\.amplitude_m: 0\.03"):
-        other = ours | {"ground": ours["ground"] | {"amplitude_m": 0.03}}
+    other = ours | {"ground": ours["ground"] | {"amplitude_m": 0.03}}
+    with refused(r"ground\.amplitude_m: 0\.03"):
         agree(file, other, growing=GROWING, remedy="another --out")
 
 
@@ -213,9 +197,8 @@ def test_a_document_of_before_grounds_were_in_it_gives_none_and_is_agreed_upon(
     "damage", [{"seed": None}, {"ground": {"kind": "hilly"}}, {"simulation": 3}, {"name": "a/b"}]
 )
 def test_a_damaged_document_is_one_line(damage: dict[str, Any]) -> None:
-    with pytest.raises(InputError) as caught:
+    with refused("."):
         documented_experiment(document(TINY, ()) | damage)
-    assert "\n" not in str(caught.value)
 
 
 def test_all_experiments_that_come_with_us_have_fingerprints_of_their_own() -> None:

@@ -7,16 +7,9 @@ import pytest
 
 import taichi_nmm
 from study.draws import Purpose, stream
+from study.experiment import trials
 from study.experiment.experiment import Experiment
-from study.experiment.trials import (
-    attributes,
-    costs,
-    fell,
-    finite,
-    outcome_text,
-    simulate_trials,
-    walked,
-)
+from study.experiment.trials import costs, simulate_trials
 from taichi_nmm import terrain as terrains
 from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import LOW_LEVEL_GAINS, PUBLISHED_GAINS
@@ -28,8 +21,8 @@ def test_a_walker_that_stands_or_falls_has_not_walked() -> None:
     rows = np.zeros(4, RESULT_DTYPE)
     rows["end_reason"] = COMPLETED, COMPLETED, FELL, DIVERGED
     rows["mean_speed_mps"] = 0.3, 0.29, 1.3, 1.3
-    assert walked(rows).tolist() == [True, False, False, False]
-    assert fell(rows).tolist() == [False, False, True, True]
+    assert trials.walked(rows).tolist() == [True, False, False, False]
+    assert trials.fell(rows).tolist() == [False, False, True, True]
 
 
 def test_a_walker_that_diverged_has_a_finite_cost() -> None:
@@ -37,7 +30,7 @@ def test_a_walker_that_diverged_has_a_finite_cost() -> None:
     rows["end_reason"] = DIVERGED
     rows["duration_s"] = 1.0
     rows["distance_m"] = rows["mean_speed_mps"] = np.nan, np.inf
-    clean = finite(rows)
+    clean = trials.finite(rows)
     assert np.isnan(rows["distance_m"][0])  # the caller's rows are as they were
     for cost in ("smooth", "walking"):
         values = costs(clean, cost)
@@ -54,15 +47,16 @@ def test_the_cost_is_the_configured_one() -> None:
 
 def test_attributes_are_plain_values_and_make_a_sentence() -> None:
     rows = fake_walker.simulate(PUBLISHED_GAINS, duration_s=8.0).rows
-    found = attributes(rows)
+    found = trials.attributes(rows)
     assert {name: type(value) for name, value in found.items()} == {
         "duration_s": float, "distance_m": float, "mean_speed_mps": float, "end_reason": str,
         "walked": bool, "phi_printed": float, "phi_corrected": float, "survived_fraction": float,
     }  # fmt: skip
     assert found["distance_m"] == pytest.approx(found["duration_s"] * found["mean_speed_mps"])
     known = {"duration_s": 8.0, "distance_m": 10.0, "mean_speed_mps": 1.25}
-    assert outcome_text(known | {"end_reason": "completed"}) == "walked 8.0 s, 10.0 m at 1.25 m/s"
-    assert outcome_text(known | {"end_reason": "fell"}) == "fell after 8.0 s, 10.0 m at 1.25 m/s"
+    for reason, words in (("completed", "walked"), ("fell", "fell after")):
+        text = trials.outcome_text(known | {"end_reason": reason})
+        assert text == f"{words} 8.0 s, 10.0 m at 1.25 m/s"
 
 
 def test_a_trial_is_on_the_body_and_the_ground_of_its_run(toy: Experiment) -> None:
@@ -78,9 +72,7 @@ def test_a_trial_is_on_the_body_and_the_ground_of_its_run(toy: Experiment) -> No
         chosen = call["terrains"][call["terrain_index"][place]]
         np.testing.assert_array_equal(chosen.height_m, ground.height_m)
     assert len(call["terrains"]) == 2
-    assert call["duration_s"] == 20.0
-    assert call["record"] == ()
-    assert call["low_level_gains"] is None
+    assert (call["duration_s"], call["record"], call["low_level_gains"]) == (20.0, (), None)
     assert result.rows[0] == result.rows[2] != result.rows[1]
 
 
@@ -99,9 +91,8 @@ def test_searched_low_level_gains_replace_their_defaults(
     experiment = fake_walker.experiment(tmp_path, 'searched = ["theta_ref"]')
     assert experiment.names[-1] == "theta_ref"
     fake_walker.calls.clear()
-    simulate_trials(
-        experiment, [0, 1], np.column_stack([np.tile(PUBLISHED_GAINS, (2, 1)), [0.1, 0.2]])
-    )
+    gains = np.column_stack([np.tile(PUBLISHED_GAINS, (2, 1)), [0.1, 0.2]])
+    simulate_trials(experiment, [0, 1], gains)
     low_level = fake_walker.calls[0]["low_level_gains"]
     np.testing.assert_array_equal(low_level[:, 7], [0.1, 0.2])
     np.testing.assert_array_equal(low_level[0, :7], [p.default for p in LOW_LEVEL_GAINS[:7]])
