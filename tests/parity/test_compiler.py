@@ -9,25 +9,10 @@ from numpy.typing import NDArray
 
 from taichi_nmm import simulator, terrain
 from taichi_nmm.body import Bodies
-from taichi_nmm.kernel import backend
+from taichi_nmm.kernel import backend, layout
 from taichi_nmm.kernel.actuation import actuate
 from taichi_nmm.kernel.carried import drive, follow
-from taichi_nmm.kernel.layout import (
-    COORDINATES,
-    FIRST_DELAY,
-    FIRST_EVENT,
-    FIRST_FIBRE,
-    FIRST_SUM,
-    LEGS,
-    SEGMENT_COUNT,
-    Drive,
-    Gait,
-    Motion,
-    Muscle,
-    Sense,
-    State,
-    Work,
-)
+from taichi_nmm.kernel.layout import COORDINATES, LEGS, Drive, Motion, Muscle, Sense, State, Work
 from taichi_nmm.kernel.muscle_table import muscle_table
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings
@@ -48,6 +33,7 @@ WALK_TICKS, WALK_TOLERANCE = 500, 1e-6  # 0.5 s; contacts enlarge what rounding 
 TICKS = 60  # beyond the longest delay
 TOLERANCE = 1e-9  # of each row, or of 1: rounding, which muscles forget and sums keep
 LARGEST_LOAD_N = 2000.0
+SEGMENT_COUNT = layout.SEGMENT_COUNT
 
 
 class Both:
@@ -77,7 +63,7 @@ class Both:
         self.substeps, self.blends = settings.substeps, blends(step_s)
         self.table = muscle_table(step_s)
         self.heights = np.array([ground.height_m for ground in grounds])
-        firsts = [FIRST_FIBRE, FIRST_DELAY, FIRST_EVENT, FIRST_SUM]
+        firsts = [layout.FIRST_FIBRE, layout.FIRST_DELAY, layout.FIRST_EVENT, layout.FIRST_SUM]
         self.blocks = np.split(np.ascontiguousarray(self.rows().T), firsts)
         self.state, self.fibres, self.delay, self.events, self.sums = self.blocks
         self.const = constant_rows(batch, settings).T
@@ -125,9 +111,9 @@ def test_a_walk(step_s: float) -> None:
     assert np.array_equal(np.isnan(ours), np.isnan(numpys))
     # Something happened: most walk on, the feet changed, the muscles pulled.
     assert ours[:, State.active].sum() > WALKERS / 2
-    events = slice(FIRST_EVENT + Gait.tick_strike, FIRST_EVENT + Gait.tick_strike + 2)
-    assert np.array_equal(ours[:, events], numpys[:, events])
-    assert ours[:, events].max() > 0
+    first = layout.FIRST_EVENT + layout.Gait.tick_strike
+    ours, numpys = (rows[:, first : first + 2] for rows in (ours, numpys))
+    assert np.array_equal(ours, numpys) and ours.max() > 0
 
 
 def random_senses(rng: np.random.Generator) -> Array:

@@ -13,17 +13,9 @@ from numpy.typing import NDArray
 
 from taichi_nmm import Controller, simulator
 from taichi_nmm.body import SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
-from taichi_nmm.kernel import backend
+from taichi_nmm.kernel import backend, layout
 from taichi_nmm.kernel.joints import HIP_EXTENSION_LIMIT_RAD
-from taichi_nmm.kernel.layout import (
-    COORDINATES,
-    FIRST_FIBRE,
-    LEGS,
-    MUSCLES_PER_LEG,
-    Muscle,
-    State,
-    Work,
-)
+from taichi_nmm.kernel.layout import COORDINATES, LEGS, Muscle, State, Work
 from taichi_nmm.kernel.muscle_table import TORQUES_NM
 from taichi_nmm.observation import Observation
 from taichi_nmm.parameters import PUBLISHED_GAINS, load_gains, lower_bounds, upper_bounds
@@ -69,7 +61,7 @@ def record(gains: Array, settings: Settings) -> Walks:
     batch = check_batch(gains)
     backend.start(settings)
     packs, launch = simulator.start_packs(batch, settings), simulator.launcher(batch, settings)
-    kept = FIRST_FIBRE + Muscle.count
+    kept = layout.FIRST_FIBRE + Muscle.count
     rows = np.empty((TICKS + 1, len(batch), kept), dtype=backend.real_dtype())
     rows[0] = packs.unfold(packs.rows)[:, :kept]
     for tick in range(TICKS):
@@ -94,9 +86,9 @@ def record(gains: Array, settings: Settings) -> Walks:
 
 def _torques(before: Array, after: Array) -> Array:
     """[t, n, 6] of the muscles' forces and the ideal parts after a tick."""
-    first = FIRST_FIBRE + Muscle.force
-    force = after[..., first : first + LEGS * MUSCLES_PER_LEG].astype(np.float64)
-    force = force.reshape(*force.shape[:2], LEGS, MUSCLES_PER_LEG)
+    first = layout.FIRST_FIBRE + Muscle.force
+    force = after[..., first : first + LEGS * layout.MUSCLES_PER_LEG].astype(np.float64)
+    force = force.reshape(*force.shape[:2], LEGS, layout.MUSCLES_PER_LEG)
     joint = joint_angles(before[..., State.q : State.q + COORDINATES].astype(np.float64))
     joint = joint.reshape(*force.shape[:3], 3)
     hip = force @ TORQUES_NM[:, 0]

@@ -14,7 +14,7 @@ LENGTH_M = np.array([segment.length_m for segment in SEGMENTS])
 NAMES = ("mass_kg", "inertia_kgm2", "com_m")
 
 
-def test_segments_are_those_of_the_publication() -> None:
+def test_segments_are_those_of_the_publication_in_order_and_weigh_80_kg() -> None:
     table = {s.name: (s.mass_kg, s.inertia_kgm2, s.length_m, s.com_m) for s in SEGMENTS}
     assert table == {
         "hat": (53.5, 3.0, 0.80, 0.35),
@@ -22,18 +22,12 @@ def test_segments_are_those_of_the_publication() -> None:
         "shank": (3.5, 0.05, 0.50, 0.20),
         "foot": (1.25, 0.005, 0.20, 0.02),
     }
-
-
-def test_segments_go_down_the_left_leg_then_the_right_and_weigh_80_kg() -> None:
     assert [name.split("_")[0] for name in SEGMENT_NAMES] == [s.name for s in SEGMENTS]
     assert SEGMENT_NAMES[1:4] == ("thigh_l", "shank_l", "foot_l")
     assert SEGMENT_NAMES[4:] == ("thigh_r", "shank_r", "foot_r")
     bodies = Bodies.nominal(3)
     assert len(bodies) == 3
     np.testing.assert_allclose(bodies.mass_kg.sum(axis=1), 80.0)
-
-
-def test_the_foot_reaches_from_heel_to_ball() -> None:
     length_m = body.BALL_OFFSET_M - body.HEEL_OFFSET_M
     assert length_m == pytest.approx(body.FOOT.length_m)
     assert body.BALL_OFFSET_M - body.FOOT.com_m == pytest.approx(0.14)
@@ -42,13 +36,8 @@ def test_the_foot_reaches_from_heel_to_ball() -> None:
 def relative_disturbances(bodies: Bodies) -> NDArray[np.float64]:
     """Of mass, inertia and centre of mass (in half lengths), [3, n, 7]."""
     nominal = Bodies.nominal(len(bodies))
-    return np.array(
-        [
-            bodies.mass_kg / nominal.mass_kg - 1,
-            bodies.inertia_kgm2 / nominal.inertia_kgm2 - 1,
-            (bodies.com_m - nominal.com_m) / (0.5 * LENGTH_M),
-        ]
-    )
+    mass, inertia = (getattr(bodies, name) / getattr(nominal, name) - 1 for name in NAMES[:2])
+    return np.array([mass, inertia, (bodies.com_m - nominal.com_m) / (0.5 * LENGTH_M)])
 
 
 @pytest.mark.parametrize("fraction", [0.15, 0.05])
@@ -66,19 +55,13 @@ def test_disturbances_are_independent_of_each_other() -> None:
     assert np.max(np.abs(correlation)) < 0.1  # 4.5 standard errors
 
 
-def test_a_seed_makes_one_body_whatever_the_batch() -> None:
+def test_a_seed_makes_one_body_whatever_the_batch_and_take_reorders() -> None:
     batch = Bodies.disturbed([4, 5, np.random.SeedSequence(6)])
     for row, seed in enumerate([4, 5, 6]):
         for name, values in vars(Bodies.disturbed([seed])).items():
             np.testing.assert_array_equal(values[0], getattr(batch, name)[row])
-
-
-def test_no_disturbance_and_no_seed_are_allowed() -> None:
     np.testing.assert_array_equal(Bodies.disturbed([1], 0.0).mass_kg, Bodies.nominal().mass_kg)
     assert len(Bodies.disturbed([])) == 0
-
-
-def test_take_repeats_and_reorders() -> None:
     bodies = Bodies.disturbed(range(4))
     for name, values in vars(bodies.take([2, 0, 2])).items():
         np.testing.assert_array_equal(values, getattr(bodies, name)[[2, 0, 2]])
@@ -115,8 +98,6 @@ def test_arrays_that_cannot_be_used_are_named(
     for name in names:
         with pytest.raises(InputError, match=f"^{message.replace('NAME', name)}"):
             Bodies(**{**vars(Bodies.nominal(2)), name: value})
-
-
-def test_a_centre_of_mass_may_lie_behind_its_joint() -> None:
+    # But a centre of mass may lie behind its joint.
     behind = nominal_but(0, 3, -0.01)
     assert Bodies(**{**vars(Bodies.nominal(2)), "com_m": behind}).com_m[0, 3] == -0.01

@@ -13,7 +13,6 @@ from taichi_nmm.errors import InputError
 def refused(call: Callable[[], object]) -> InputError:
     with pytest.raises(InputError) as caught:
         call()
-    assert "\n" not in str(caught.value)
     return caught.value
 
 
@@ -29,17 +28,12 @@ def test_a_file_is_read_into_tables(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"name = ", b"a = 1\na = 2\n", b"\xff\xfe"])
-def test_a_file_that_is_not_toml_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_toml_or_is_missing_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
     error = refused(lambda: read_toml(path))
-    assert error.field == "config"
-    assert "readable TOML file" in error.allowed
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    error = refused(lambda: read_toml(tmp_path / "none.toml"))
-    assert "none.toml" in str(error)
+    assert error.field == "config" and "readable TOML file" in error.allowed
+    assert "none.toml" in str(refused(lambda: read_toml(tmp_path / "none.toml")))
 
 
 HILLS = """
@@ -57,28 +51,21 @@ terrain.direction = "down"
 
 
 @pytest.mark.parametrize(
-    ("file", "name", "terrain"),
+    ("file", "terrain"),
     [
-        ("hill", "hill", {"kind": "ramp", "increment": 0.04, "direction": "up"}),
-        ("hill-steep", "hill-steep", {"kind": "ramp", "increment": 0.08, "direction": "up"}),
-        ("hill-rough", "hill-rough", {"kind": "rough"}),
-        (
-            "hill-steep-down", "hill-steep-down",
-            {"kind": "ramp", "increment": 0.08, "direction": "down"},
-        ),
+        ("hill", {"kind": "ramp", "increment": 0.04, "direction": "up"}),
+        ("hill-steep", {"kind": "ramp", "increment": 0.08, "direction": "up"}),
+        ("hill-rough", {"kind": "rough"}),
+        ("hill-steep-down", {"kind": "ramp", "increment": 0.08, "direction": "down"}),
     ],
-)  # fmt: skip
-def test_a_variant_is_laid_over_its_file(
-    tmp_path: Path, file: str, name: str, terrain: dict[str, object]
+)
+def test_a_variant_is_laid_over_its_file_and_a_file_of_its_own_goes_before(
+    tmp_path: Path, file: str, terrain: dict[str, object]
 ) -> None:
     (tmp_path / "hill.toml").write_text(HILLS)
-    assert read_toml(tmp_path / f"{file}.toml").unread == {"name": name, "terrain": terrain}
-
-
-def test_a_file_of_its_own_goes_before_a_variant(tmp_path: Path) -> None:
-    (tmp_path / "hill.toml").write_text(HILLS)
-    (tmp_path / "hill-steep.toml").write_text("seed = 3")
-    assert read_toml(tmp_path / "hill-steep.toml").unread == {"seed": 3}
+    assert read_toml(tmp_path / f"{file}.toml").unread == {"name": file, "terrain": terrain}
+    (tmp_path / f"{file}.toml").write_text("seed = 3")
+    assert read_toml(tmp_path / f"{file}.toml").unread == {"seed": 3}
 
 
 @pytest.mark.parametrize(
@@ -113,54 +100,43 @@ def test_values_within_range_are_returned_and_defaults_of_missing_keys() -> None
     assert table.texts("f", ("x", "y", "z")) == ("x", "y")
     table.done()
     table = Table({})
-    assert table.number("a", 0.5) == 0.5
-    assert table.integer("b", 7) == 7
-    assert table.text("c", "x") == "x"
+    assert (table.number("a", 0.5), table.integer("b", 7), table.text("c", "x")) == (0.5, 7, "x")
     assert table.boolean("d", True) is True
-    assert table.range("e", (1, 2), 0, 9) == (1.0, 2.0)
-    assert table.texts("f") == ()
+    assert (table.range("e", (1, 2), 0, 9), table.texts("f")) == ((1.0, 2.0), ())
     table.table("g").done()
     assert table.tables("h") == []
     table.done()
 
 
-BAD_VALUES: list[tuple[object, Callable[[Table], object], str]] = [
-    ("1", lambda t: t.number("key"), "a number"),
-    (True, lambda t: t.number("key"), "a number"),
-    (float("nan"), lambda t: t.number("key"), "a number"),
-    (float("inf"), lambda t: t.number("key"), "a number"),
-    (-0.1, lambda t: t.number("key", low=0.0, high=1.0), "a number from 0 to 1"),
-    (1.1, lambda t: t.number("key", low=0.0, high=1.0), "a number from 0 to 1"),
-    (10**400, lambda t: t.number("key"), "a number"),
-    ([1.0], lambda t: t.range("key", (0, 1), 0, 9), "[lowest, highest], two numbers from 0 to 9"),
-    ([2, 1], lambda t: t.range("key", (0, 1), 0, 9), "[lowest, highest]"),
-    ([-1, 1], lambda t: t.range("key", (0, 1), 0, 9), "[lowest, highest]"),
-    ([0, 10**400], lambda t: t.range("key", (0, 1), 0, 9), "[lowest, highest]"),
-    ([0, float("nan")], lambda t: t.range("key", (0, 1), 0, 9), "[lowest, highest]"),
-    ("12", lambda t: t.range("key", (0, 1), 0, 9), "[lowest, highest]"),
-    (1.0, lambda t: t.integer("key"), "a whole number"),
-    (True, lambda t: t.integer("key"), "a whole number"),
-    (0, lambda t: t.integer("key", low=1, high=9), "a whole number from 1 to 9"),
-    (10, lambda t: t.integer("key", low=1, high=9), "a whole number from 1 to 9"),
-    (3, lambda t: t.text("key"), "a string"),
-    ("left", lambda t: t.text("key", choices=("up", "down")), "up or down"),
-    (1, lambda t: t.boolean("key"), "true or false"),
-    ("x", lambda t: t.texts("key"), "a list of names, each once"),
-    (["x", "x"], lambda t: t.texts("key"), "a list of names, each once"),
-    (1, lambda t: t.table("key"), "a table"),
-    ({}, lambda t: t.tables("key"), "an array of tables"),
-    ([1], lambda t: t.tables("key"), "an array of tables"),
-]
+PAIR = "[lowest, highest], two numbers from 0 to 9"
+NAN, INF = float("nan"), float("inf")
+BAD_VALUES: list[tuple[list[object], Callable[[Table], object], str]] = [
+    (["1", True, NAN, INF, 10**400], lambda t: t.number("key"), "a number"),
+    ([-0.1, 1.1], lambda t: t.number("key", low=0.0, high=1.0), "a number from 0 to 1"),
+    (
+        [[1.0], [2, 1], [-1, 1], [0, 10**400], [0, NAN], "12"],
+        lambda t: t.range("key", (0, 1), 0, 9), PAIR,
+    ),
+    ([1.0, True], lambda t: t.integer("key"), "a whole number"),
+    ([0, 10], lambda t: t.integer("key", low=1, high=9), "a whole number from 1 to 9"),
+    ([3], lambda t: t.text("key"), "a string"),
+    (["left"], lambda t: t.text("key", choices=("up", "down")), "up or down"),
+    ([1], lambda t: t.boolean("key"), "true or false"),
+    (["x", ["x", "x"]], lambda t: t.texts("key"), "a list of names, each once"),
+    ([1], lambda t: t.table("key"), "a table"),
+    ([{}, [1]], lambda t: t.tables("key"), "an array of tables"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(("value", "read", "allowed"), BAD_VALUES)
+@pytest.mark.parametrize(("values", "read", "allowed"), BAD_VALUES)
 def test_a_value_of_wrong_type_or_range_is_named(
-    value: object, read: Callable[[Table], object], allowed: str
+    values: list[object], read: Callable[[Table], object], allowed: str
 ) -> None:
-    error = refused(lambda: read(Table({"key": value}, "outer")))
-    assert error.field == "outer.key"
-    assert error.value is value
-    assert error.allowed.startswith(allowed)
+    for value in values:
+        error = refused(lambda value=value: read(Table({"key": value}, "outer")))  # type: ignore[misc]
+        assert error.field == "outer.key"
+        assert error.value is value
+        assert error.allowed.startswith(allowed)
 
 
 @pytest.mark.parametrize("read", [Table.number, Table.integer, Table.text, Table.boolean])
@@ -169,15 +145,12 @@ def test_a_required_key_that_is_missing_is_named(read: Callable[[Table, str], ob
     assert (error.field, error.value) == ("outer.key", "missing")
 
 
-def test_an_unknown_key_is_named_with_the_known_ones() -> None:
+def test_an_unknown_key_is_named_by_its_path_with_the_known_ones() -> None:
     table = Table({"seed": 1, "sed": 2}, "body")
     table.integer("seed")
     error = refused(table.done)
     assert error.field == "body.sed"
     assert "seed" in error.allowed
-
-
-def test_inner_tables_are_named_by_their_path() -> None:
     outer = Table({"a": {"b": {"c": 1}}, "list": [{}, {"x": 1}]})
     assert refused(outer.table("a").table("b").done).field == "a.b.c"
     assert refused(outer.tables("list")[1].done).field == "list[1].x"

@@ -23,9 +23,8 @@ FLOAT32 = Settings(precision="float32", arch="cpu")
 
 def gains() -> np.ndarray:
     rng = np.random.default_rng(2)
-    return np.vstack(
-        [PUBLISHED_GAINS, rng.uniform(lower_bounds(), upper_bounds(), (COUNT - 1, 16))]
-    )
+    drawn = rng.uniform(lower_bounds(), upper_bounds(), (COUNT - 1, 16))
+    return np.vstack([PUBLISHED_GAINS, drawn])
 
 
 def states() -> list[Observation]:
@@ -75,14 +74,19 @@ def undisturbed() -> np.ndarray:
     ],
 )
 def test_arguments_that_cannot_be_used(arguments: dict[str, Any], field: str) -> None:
-    with pytest.raises(InputError, match=field) as caught:
+    with pytest.raises(InputError, match=field):
         Controller(arguments.pop("gains"), **arguments)
-    assert "\n" not in str(caught.value)
 
 
-def test_muscles_before_the_first_step() -> None:
+def test_muscles_before_the_first_step_and_rows_that_are_not_there() -> None:
     with pytest.raises(InputError, match=r"controller\.muscles: .* a first step"):
         _ = Controller(PUBLISHED_GAINS).muscles
+    controller = Controller(gains())
+    bad: list[Any] = [[-1], [COUNT], [[0]], [0.5], [True] * COUNT, 3, ["a"], [[0], [1, 2]]]
+    for rows in bad:
+        with pytest.raises(InputError, match=r"^rows: "):
+            controller.keep(rows)
+        assert len(controller) == COUNT
 
 
 @pytest.mark.slow
@@ -117,40 +121,20 @@ def test_torques_do_not_depend_on_the_others(undisturbed: np.ndarray) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("after", [STEPS // 2, 0])
 @pytest.mark.parametrize("rows", [[10, 3, 3, 0], [4], np.arange(9), np.zeros(0, int)])
-def test_those_who_are_kept_go_on(undisturbed: np.ndarray, rows: Any) -> None:
-    controller, half = Controller(gains(), settings=FLOAT32), STEPS // 2
-    torques(controller, states()[:half])
-    before = controller.muscles
-    controller.keep(rows)
-    assert len(controller) == len(rows)
-    for name in MUSCLES:
-        np.testing.assert_array_equal(
-            getattr(controller.muscles, name), getattr(before, name)[rows]
-        )
-    found = [controller.step(part(state, rows)) for state in states()[half:]]
-    np.testing.assert_array_equal(found, undisturbed[half:, rows])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("rows", [[5, 1], []])
-def test_keeping_before_the_first_step(undisturbed: np.ndarray, rows: list[int]) -> None:
+def test_those_who_are_kept_go_on(undisturbed: np.ndarray, rows: Any, after: int) -> None:
+    """After some steps, or before the first."""
     controller = Controller(gains(), settings=FLOAT32)
+    torques(controller, states()[:after])
+    before = controller.muscles if after else None
     controller.keep(rows)
     assert len(controller) == len(rows)
-    found = torques(controller, [part(state, np.array(rows, int)) for state in states()])
-    np.testing.assert_array_equal(found, undisturbed[:, rows])
-
-
-@pytest.mark.parametrize(
-    "rows", [[-1], [COUNT], [[0]], [0.5], [True] * COUNT, 3, ["a"], [[0], [1, 2]]]
-)
-def test_rows_that_are_not_there(rows: Any) -> None:
-    controller = Controller(gains())
-    with pytest.raises(InputError, match=r"^rows: ") as caught:
-        controller.keep(rows)
-    assert "\n" not in str(caught.value)
-    assert len(controller) == COUNT
+    for name in MUSCLES if after else ():
+        kept = getattr(before, name)[rows]
+        np.testing.assert_array_equal(getattr(controller.muscles, name), kept)
+    found = torques(controller, [part(state, rows) for state in states()[after:]])
+    np.testing.assert_array_equal(found, undisturbed[after:, rows])
 
 
 @pytest.mark.slow

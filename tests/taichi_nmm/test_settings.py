@@ -24,15 +24,12 @@ NAN, INF = float("nan"), float("inf")
 SEED = 3
 ALL: dict[str, Any] = {
     "simulation": {
-        "duration_s": 20,
-        "physics_step_s": 0.5e-3,
-        "contact_relaxation_speed_mps": 0.03,
-        "precision": "float64",
-        "arch": "cpu",
+        "duration_s": 20, "physics_step_s": 0.5e-3, "contact_relaxation_speed_mps": 0.03,
+        "precision": "float64", "arch": "cpu",
     },
     "body": {"disturbance": 0.15},
     "terrain": {"kind": "rough", "amplitude_m": 0.03},
-}
+}  # fmt: skip
 ON_MUJOCO: dict[str, Any] = {"engine": "mujoco", "duration_s": 20.0}
 
 
@@ -48,7 +45,6 @@ def refused(field: str, data: dict[str, Any]) -> str:
     with pytest.raises(InputError) as caught:
         read(data)
     assert caught.value.field == field
-    assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
@@ -59,45 +55,29 @@ def refused_on_mujoco(field: str, **simulation: Any) -> str:
 # Settings from Python.
 
 
-def test_defaults_are_those_the_gaits_converge_with() -> None:
-    settings = Settings()
-    assert settings.physics_step_s == 1e-3
-    assert settings.contact_relaxation_speed_mps == 0.10
-    assert settings.precision == "float32"
-    assert settings.threads is None
-    assert settings.engine == "taichi"
-    assert settings.mujoco == MujocoSettings(0.02, 1.0, "stops")
+def test_defaults_are_those_the_gaits_converge_with_and_steps_fill_a_tick() -> None:
+    assert vars(Settings()) == {
+        "physics_step_s": 1e-3, "contact_relaxation_speed_mps": 0.10, "precision": "float32",
+        "arch": "auto", "threads": None, "engine": "taichi",
+        "mujoco": MujocoSettings(0.02, 1.0, "stops"),
+    }  # fmt: skip
     assert Settings(contact_relaxation_speed_mps=0.03)  # the published one is allowed
-
-
-@pytest.mark.parametrize(("step_s", "substeps"), [*zip(PHYSICS_STEPS_S, (1, 2, 4), strict=True)])
-def test_physics_steps_fill_a_control_tick(step_s: float, substeps: int) -> None:
-    assert Settings(physics_step_s=step_s).substeps == substeps
+    assert [Settings(physics_step_s=step_s).substeps for step_s in PHYSICS_STEPS_S] == [1, 2, 4]
 
 
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("physics_step_s", 2e-3),
-        ("physics_step_s", NAN),
-        ("contact_relaxation_speed_mps", 0.0),
-        ("contact_relaxation_speed_mps", 11.0),
-        ("contact_relaxation_speed_mps", NAN),
-        ("precision", "float16"),
-        ("arch", "tpu"),
-        ("threads", 0),
-        ("threads", 10_000),
-        ("engine", "bullet"),
-        ("engine", "MuJoCo"),
-        ("engine", ""),
-        ("engine", 1),
+        ("physics_step_s", 2e-3), ("physics_step_s", NAN), ("contact_relaxation_speed_mps", 0.0),
+        ("contact_relaxation_speed_mps", 11.0), ("contact_relaxation_speed_mps", NAN),
+        ("precision", "float16"), ("arch", "tpu"), ("threads", 0), ("threads", 10_000),
+        ("engine", "bullet"), ("engine", "MuJoCo"), ("engine", ""), ("engine", 1),
     ],
-)
+)  # fmt: skip
 def test_settings_out_of_range_are_named(field: str, value: object) -> None:
     with pytest.raises(InputError) as caught:
         Settings(**{field: value})  # type: ignore[arg-type]
     assert caught.value.field == f"simulation.{field}"
-    assert "\n" not in str(caught.value)
     assert field != "engine" or caught.value.allowed == "taichi or mujoco"
 
 
@@ -112,14 +92,12 @@ def test_tables_become_conditions() -> None:
     assert hash(read(ALL)) == hash(expected)
 
 
-def test_missing_tables_are_a_nominal_body_on_level_ground() -> None:
+def test_missing_tables_are_nominal_and_body_and_terrain_follow_their_seeds() -> None:
     assert read({}) == Conditions(5.0, Settings(), 0.0, Ground())
     found, nominal = read({}).body(SEED), Bodies.nominal()
     for name, values in vars(nominal).items():
         assert getattr(found, name).tobytes() == values.tobytes()
 
-
-def test_body_and_terrain_follow_their_seeds() -> None:
     conditions = read(ALL)
     seed = np.random.SeedSequence(SEED, spawn_key=(1,))
     body = Bodies.disturbed([seed], 0.15)
@@ -128,7 +106,9 @@ def test_body_and_terrain_follow_their_seeds() -> None:
     np.testing.assert_array_equal(conditions.terrain(seed).height_m, ground.height_m)
 
 
-def test_the_command_line_overrides_the_files_architecture() -> None:
+def test_mujoco_computes_on_the_processor_and_the_command_line_overrides_the_file() -> None:
+    for arch in ("auto", "cpu"):
+        assert read({"simulation": ON_MUJOCO | {"arch": arch}}).settings.arch == arch
     assert read({"simulation": {"arch": "cuda"}}, arch="cpu").settings.arch == "cpu"
     assert read_settings(Table({"arch": "cuda"}), arch="cpu").arch == "cpu"
 
@@ -136,22 +116,16 @@ def test_the_command_line_overrides_the_files_architecture() -> None:
 @pytest.mark.parametrize(
     ("table", "key", "value"),
     [
-        ("simulation", "duration_s", 0.5),
-        ("simulation", "duration_s", 101.0),
-        ("simulation", "physics_step_s", 2e-3),
-        ("simulation", "precision", "half"),
-        ("simulation", "precision", 64),
-        ("simulation", "arch", "tpu"),
-        ("simulation", "threads", 2),
-        ("simulation", "engine", "bullet"),
+        ("simulation", "duration_s", 0.5), ("simulation", "duration_s", 101.0),
+        ("simulation", "physics_step_s", 2e-3), ("simulation", "precision", "half"),
+        ("simulation", "precision", 64), ("simulation", "arch", "tpu"),
+        ("simulation", "threads", 2), ("simulation", "engine", "bullet"),
         ("simulation", "engine", 1),
         ("simulation", "mujoco", {"time_constant_s": 0.01}),  # on our own engine
-        ("body", "disturbance", 0.95),
-        ("body", "mass", 80),
-        ("terrain", "kind", "lava"),
+        ("body", "disturbance", 0.95), ("body", "mass", 80), ("terrain", "kind", "lava"),
         ("terrain", "amplitude_m", 0.1),
     ],
-)
+)  # fmt: skip
 def test_a_bad_condition_is_named(table: str, key: str, value: object) -> None:
     refused(f"{table}.{key}", {table: {key: value}})
 
@@ -170,9 +144,8 @@ def test_the_body_table_may_be_read_alone() -> None:
 @pytest.mark.parametrize("name", ["time_constant_s", "damping_ratio"])
 def test_contact_numbers_that_mean_something_else(name: str, value: Any) -> None:
     """Negative ones are MuJoCo's direct form, of other units."""
-    with pytest.raises(InputError, match=rf"^simulation\.mujoco\.{name}: ") as caught:
+    with pytest.raises(InputError, match=rf"^simulation\.mujoco\.{name}: "):
         MujocoSettings(**{name: value})
-    assert "\n" not in str(caught.value)
     refused_on_mujoco(f"mujoco.{name}", mujoco={name: value})
 
 
@@ -206,11 +179,6 @@ def test_a_bad_setting_of_mujoco_is_named(
     assert allowed in refused_on_mujoco(field, **simulation)
 
 
-@pytest.mark.parametrize("arch", ["auto", "cpu"])
-def test_mujoco_computes_on_the_processor(arch: str) -> None:
-    assert read({"simulation": ON_MUJOCO | {"arch": arch}}).settings.arch == arch
-
-
 @pytest.mark.parametrize("missing", ["mujoco", "mujoco.batch"])
 def test_mujoco_is_not_installed_or_too_old(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
     def find_spec(name: str, *_: Any) -> Any:
@@ -218,9 +186,8 @@ def test_mujoco_is_not_installed_or_too_old(monkeypatch: pytest.MonkeyPatch, mis
 
     monkeypatch.setattr(mujoco_engine, "find_spec", find_spec)
     says = r"^simulation\.engine: 'mujoco' .* 4\.0 or newer: pip install 'taichi-nmm\[mujoco\]'$"
-    with pytest.raises(InputError, match=says) as caught:
+    with pytest.raises(InputError, match=says):
         require_mujoco()
-    assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match=says):
         taichi_nmm.simulate(PUBLISHED_GAINS, settings=Settings(engine="mujoco"))
 
@@ -249,19 +216,16 @@ def test_configurations_with_three_contacts() -> None:
 
 def test_the_document_leaves_the_machine_and_the_other_engine_out() -> None:
     assert list(read(ALL).simulation_document().items()) == [
-        ("duration_s", 20.0),
-        ("physics_step_s", 0.5e-3),
-        ("contact_relaxation_speed_mps", 0.03),
-        ("precision", "float64"),
-    ]
+        ("duration_s", 20.0), ("physics_step_s", 0.5e-3),
+        ("contact_relaxation_speed_mps", 0.03), ("precision", "float64"),
+    ]  # fmt: skip
     for simulation in ({}, {"engine": "taichi"}):
         assert list(read({"simulation": simulation}).simulation_document().items()) == [
             ("duration_s", 5.0), ("physics_step_s", 1e-3),
             ("contact_relaxation_speed_mps", 0.1), ("precision", "float32"),
         ]  # fmt: skip
 
-
-def test_every_setting_but_the_machines_is_in_the_document() -> None:
+    # Every setting but the machine's is in one of the documents.
     documents = (Settings(threads=1).document(), Settings(engine="mujoco").document())
     found = {name for document in documents for name in document}
     assert found == {field.name for field in fields(Settings)} - {"arch", "threads"}

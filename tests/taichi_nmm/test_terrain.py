@@ -12,28 +12,17 @@ import pytest
 from taichi_nmm import terrain
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
-from taichi_nmm.terrain import (
-    FLAT_START_M,
-    GRID_SPACING_M,
-    GRID_X_M,
-    KINDS,
-    Ground,
-    Terrain,
-    read_ground,
-)
+from taichi_nmm.terrain import FLAT_START_M, GRID_X_M, KINDS, Ground, Terrain, read_ground
+from taichi_nmm.terrain import GRID_SPACING_M as CELL_M
 
-CELL_M = GRID_SPACING_M
 SEED = 3
 
 
-def test_grid_covers_a_hundred_seconds_of_the_fastest_gait() -> None:
+def test_the_grid_is_long_and_height_is_linear_between_nodes_and_clamped_outside() -> None:
     assert GRID_X_M[0] == -5.0
     assert GRID_X_M[-1] == pytest.approx(300.0)
     assert np.allclose(np.diff(GRID_X_M), CELL_M)
     assert not np.any(terrain.flat().height_m)
-
-
-def test_height_is_linear_between_nodes_and_clamped_outside() -> None:
     slope = Terrain("slope", 2.0 * GRID_X_M)
     inside = np.array([[0.01, 0.12], [7.333, 299.99]])
     np.testing.assert_allclose(slope.height(inside), 2.0 * inside)
@@ -48,27 +37,20 @@ def test_rough_moves_up_to_the_amplitude_from_knot_to_knot_and_is_linear_between
     assert knots[0] == 0.0
     assert 0.075 < np.max(np.abs(steps)) <= 0.08
     assert abs(np.mean(steps)) < 0.01
-    np.testing.assert_allclose(
-        ground.height(at[:-1] + 0.5), 0.5 * (knots[:-1] + knots[1:]), atol=1e-12
-    )
-
-
-def test_rough_spacing_and_flat_start_are_settings() -> None:
+    middle = 0.5 * (knots[:-1] + knots[1:])
+    np.testing.assert_allclose(ground.height(at[:-1] + 0.5), middle, atol=1e-12)
     ground = terrain.rough(3, spacing_m=2.0, flat_start_m=4.0)
     assert not np.any(ground.height(np.linspace(-5.0, 4.0, 50)))
     assert ground.height(4.5) == pytest.approx(ground.height(6.0) / 4)
 
 
-def test_blocks_are_level_but_for_their_risers() -> None:
+def test_blocks_are_level_but_for_their_risers_which_may_be_as_long_as_a_block() -> None:
     ground = terrain.blocks(5, riser_m=0.10)
     edges = np.arange(FLAT_START_M + 1.0, 299.0)
     on_block = ground.height(edges + 0.45)
     np.testing.assert_allclose(ground.height(edges), on_block, atol=1e-9)
     np.testing.assert_allclose(ground.height(edges + 0.85), on_block, atol=1e-9)
     assert np.all(np.diff(on_block) != 0.0)
-
-
-def test_a_riser_rises_over_its_length_and_may_be_as_long_as_its_block() -> None:
     ground = terrain.blocks(5, riser_m=0.50)
     low, middle, high = ground.height([FLAT_START_M + 0.5, FLAT_START_M + 0.75, FLAT_START_M + 1.0])
     assert low == pytest.approx(0.0, abs=1e-9)
@@ -87,33 +69,28 @@ def test_a_seed_makes_one_ground_and_no_amplitude_is_flat(make: Callable[..., Te
     assert not np.any(make(1, amplitude_m=0.0).height_m)
 
 
-@pytest.mark.parametrize("slope", [0.04, -0.1])
-def test_rough_ground_may_rise_as_a_whole(slope: float) -> None:
-    level, rising = (terrain.rough(5, flat_start_m=3.0, slope=rise) for rise in (0.0, slope))
-    rise = slope * np.maximum(GRID_X_M - 3.0, 0.0)
-    np.testing.assert_allclose(rising.height_m - level.height_m, rise, atol=1e-12)
-
-
-def test_blocks_stay_level_where_they_rise_as_a_whole() -> None:
+def test_ground_may_rise_as_a_whole_while_blocks_stay_level() -> None:
+    for slope in (0.04, -0.1):
+        level, rising = (terrain.rough(5, flat_start_m=3.0, slope=rise) for rise in (0.0, slope))
+        rise = slope * np.maximum(GRID_X_M - 3.0, 0.0)
+        np.testing.assert_allclose(rising.height_m - level.height_m, rise, atol=1e-12)
     level, rising = terrain.blocks(5), terrain.blocks(5, slope=0.04)
     on_blocks = np.diff(level.height_m) == 0.0
     np.testing.assert_allclose(np.diff(rising.height_m)[on_blocks], 0.0, atol=1e-12)
-    ends = np.arange(terrain.FLAT_START_M, 290.0)  # of risers
+    ends = np.arange(FLAT_START_M, 290.0)  # of risers
     rise = rising.height(ends) - level.height(ends)
-    np.testing.assert_allclose(rise, 0.04 * (ends - terrain.FLAT_START_M), atol=1e-12)
+    np.testing.assert_allclose(rise, 0.04 * (ends - FLAT_START_M), atol=1e-12)
 
 
 @pytest.mark.parametrize(("direction", "sign"), [("up", 1.0), ("down", -1.0)])
-def test_ramp_steepens_by_the_increment_each_segment(direction: str, sign: float) -> None:
+def test_ramps_steepen_by_the_increment_and_stairs_step_at_each_run(
+    direction: str, sign: float
+) -> None:
     ground = terrain.ramp(0.04, 20.0, 0.20, direction)
     ends = sign * 20.0 * np.cumsum([0.0, 0.04, 0.08, 0.12, 0.16, 0.20, 0.20])
     np.testing.assert_allclose(ground.height(20.0 * np.arange(1, 8)), ends, atol=1e-9)
     assert ground.height(-3.0) == 0.0
     assert ground.height(30.0) == pytest.approx(sign * 0.4)
-
-
-@pytest.mark.parametrize(("direction", "sign"), [("up", 1.0), ("down", -1.0)])
-def test_stairs_step_at_each_run(direction: str, sign: float) -> None:
     ground = terrain.stairs(rise_m=0.15, run_m=0.30, flat_start_m=2.0, direction=direction)
     edges = 2.0 + 0.30 * np.arange(20)
     treads = sign * 0.15 * np.arange(1, 21)
@@ -146,13 +123,17 @@ OTHER_HEADERS = ("x_km,height_m", "height_m,x_m", "x_m,height_m\nx_m,height_m", 
 
 
 @pytest.mark.parametrize("height_m", [1e300, -1e300, 5001.0, -5001.0, 10**400])
-def test_heights_have_bounds(tmp_path: Path, height_m: float) -> None:
+def test_heights_have_bounds_and_fit_the_grid(tmp_path: Path, height_m: float) -> None:
     path = tmp_path / "tower.csv"
     path.write_text(f"0,0\n100,{height_m}\n")
     with pytest.raises(InputError):
         terrain.from_file(path)
     with pytest.raises(InputError, match=r"terrain\.height_m"):
         Terrain("tower", [height_m] * len(GRID_X_M))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"terrain\.height_m\.shape: \(5,\)"):
+        Terrain("short", np.zeros(5))
+    with pytest.raises(InputError, match=r"terrain\.height_m: nan"):
+        Terrain("hole", np.where(GRID_X_M > 10.0, np.nan, 0.0))
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "file"])
@@ -169,23 +150,20 @@ def test_every_configurable_ground_is_within_the_bounds(kind: str, end: str) -> 
         chosen = options | {name: value for name, value in others.items() if name in options}
         if "riser_m" in chosen:
             chosen["riser_m"] = min(chosen["riser_m"], chosen["spacing_m"])
-        table = Table({"kind": kind, **chosen}, "terrain")
-        assert np.all(np.abs(read_ground(table).draw(SEED).height_m) <= terrain.HIGHEST_M)
+        ground = read_ground(Table({"kind": kind, **chosen}, "terrain")).draw(SEED)
+        assert np.all(np.abs(ground.height_m) <= terrain.HIGHEST_M)
 
 
 @pytest.mark.parametrize(
     ("text", "allowed"),
     [
-        ("0,zero\n1,2\n", "a readable table"),
-        ("0,1\n", "at least two rows"),
-        ("0,1,2\n1,1,2\n", "two columns"),
-        ("0,1\n0,2\n", "strictly increasing"),
-        ("0,1\n1,nan\n", "finite numbers"),
-        ("0,1\ninf,2\n", "finite numbers"),
+        ("0,zero\n1,2\n", "a readable table"), ("0,1\n", "at least two rows"),
+        ("0,1,2\n1,1,2\n", "two columns"), ("0,1\n0,2\n", "strictly increasing"),
+        ("0,1\n1,nan\n", "finite numbers"), ("0,1\ninf,2\n", "finite numbers"),
         ("", "at least two rows"),
         *((f"{head}\n0,0\n1,1\n", "x_m,height_m") for head in OTHER_HEADERS),
     ],
-)
+)  # fmt: skip
 @pytest.mark.filterwarnings("error")
 def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text: str, allowed: str) -> None:
     path = tmp_path / "bad.csv"
@@ -194,44 +172,33 @@ def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text: str, allowed: 
         terrain.from_file(path)
     assert caught.value.field == "terrain.file"
     assert str(path) in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_height_table_must_fit_the_grid() -> None:
-    with pytest.raises(InputError, match=r"terrain\.height_m\.shape: \(5,\)"):
-        Terrain("short", np.zeros(5))
-    with pytest.raises(InputError, match=r"terrain\.height_m: nan"):
-        Terrain("hole", np.where(GRID_X_M > 10.0, np.nan, 0.0))
 
 
 NAN, INF = np.nan, np.inf
-BAD_SETTINGS: list[tuple[Callable[..., Terrain], str, Any]] = [
-    *((terrain.rough, "amplitude_m", value) for value in (-0.1, NAN, INF)),
-    *((terrain.rough, "spacing_m", value) for value in (0.0, INF)),
-    *((terrain.rough, "flat_start_m", value) for value in (NAN, 400.0)),
-    (terrain.rough, "slope", NAN),
-    (terrain.blocks, "slope", -INF),
-    (terrain.blocks, "spacing_m", -1.0),
-    *((terrain.blocks, "riser_m", value) for value in (0.04, 1.1, NAN)),
-    (terrain.ramp, "increment", 0.0),
-    (terrain.ramp, "segment_m", NAN),
-    (terrain.ramp, "largest_slope", -0.2),
-    (terrain.ramp, "direction", "sideways"),
-    *((terrain.stairs, "rise_m", value) for value in (0.0, INF)),
-    (terrain.stairs, "run_m", 0.05),
-    (terrain.stairs, "flat_start_m", NAN),
-    (terrain.stairs, "direction", "Up"),
-]
+BAD_SETTINGS: dict[Callable[..., Terrain], dict[str, tuple[Any, ...]]] = {
+    terrain.rough: {
+        "amplitude_m": (-0.1, NAN, INF), "spacing_m": (0.0, INF),
+        "flat_start_m": (NAN, 400.0), "slope": (NAN,),
+    },
+    terrain.blocks: {"slope": (-INF,), "spacing_m": (-1.0,), "riser_m": (0.04, 1.1, NAN)},
+    terrain.ramp: {
+        "increment": (0.0,), "segment_m": (NAN,), "largest_slope": (-0.2,),
+        "direction": ("sideways",),
+    },
+    terrain.stairs: {
+        "rise_m": (0.0, INF), "run_m": (0.05,), "flat_start_m": (NAN,), "direction": ("Up",),
+    },
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(("make", "option", "value"), BAD_SETTINGS)
-def test_settings_out_of_range_are_named(
-    make: Callable[..., Terrain], option: str, value: Any
-) -> None:
+@pytest.mark.parametrize("make", BAD_SETTINGS)
+def test_settings_out_of_range_are_named(make: Callable[..., Terrain]) -> None:
     seed = (1,) if make in (terrain.rough, terrain.blocks) else ()
-    with pytest.raises(InputError) as caught:
-        make(*seed, **{option: value})
-    assert caught.value.field == f"terrain.{option}"
+    for option, values in BAD_SETTINGS[make].items():
+        for value in values:
+            with pytest.raises(InputError) as caught:
+                make(*seed, **{option: value})
+            assert caught.value.field == f"terrain.{option}", value
 
 
 @pytest.mark.parametrize(
@@ -242,10 +209,8 @@ def test_settings_out_of_range_are_named(
         ("rough", {"amplitude_m": 0.06, "spacing_m": 2, "flat_start_m": 5},
          terrain.rough(SEED, 0.06, 2.0, 5.0)),
         ("rough", {"slope": -0.05}, terrain.rough(SEED, slope=-0.05)),
-        ("blocks", {"amplitude_m": 0.03, "riser_m": 0.25},
-         terrain.blocks(SEED, 0.03, riser_m=0.25)),
-        ("ramp", {"increment": 0.025, "direction": "down"},
-         terrain.ramp(0.025, direction="down")),
+        ("blocks", {"amplitude_m": 0.03, "riser_m": 0.2}, terrain.blocks(SEED, 0.03, riser_m=0.2)),
+        ("ramp", {"increment": 0.025, "direction": "down"}, terrain.ramp(0.025, direction="down")),
         ("ramp", {"segment_m": 10, "largest_slope": 0.1}, terrain.ramp(0.04, 10.0, 0.1)),
         ("stairs", {"rise_m": 0.15, "run_m": 0.4, "flat_start_m": 3},
          terrain.stairs(0.15, 0.4, 3.0)),
@@ -297,9 +262,8 @@ def test_a_file_lies_beside_the_configuration_and_is_kept_in_the_ground(tmp_path
 def test_a_bad_terrain_is_named_with_the_allowed_values(
     kind: str, options: dict[str, object], message: str
 ) -> None:
-    with pytest.raises(InputError, match=rf"^terrain\.{message}") as caught:
+    with pytest.raises(InputError, match=rf"^terrain\.{message}"):
         read_ground(Table({"kind": kind, **options}, "terrain"))
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -312,27 +276,19 @@ def test_a_configuration_may_contain_the_defaults(kind: str) -> None:
         np.testing.assert_array_equal(found.draw(1).height_m, Ground(kind).draw(1).height_m)
 
 
-def test_a_ground_is_its_table_as_written() -> None:
-    table = {"kind": "blocks", "spacing_m": 2, "amplitude_m": 0.05}
+def test_a_ground_is_its_table_as_written_and_keeps_it_when_the_callers_changes() -> None:
+    table: dict[str, Any] = {"kind": "blocks", "spacing_m": 2, "amplitude_m": 0.05}
     ground = read_ground(Table(table, "terrain"))
     written = {"kind": ground.kind, **ground.options}
-    assert written == table
-    assert type(written["spacing_m"]) is int
+    assert written == table and type(written["spacing_m"]) is int
     assert read_ground(Table({}, "terrain")) == Ground("flat", {}) == Ground()
-
-
-def test_grounds_are_alike_when_their_contents_are() -> None:
     one = Ground("rough", {"amplitude_m": 0.03, "spacing_m": 2.0})
     same = Ground("rough", {"spacing_m": 2.0, "amplitude_m": 0.03})
-    assert one == same
-    assert hash(one) == hash(same)
+    assert one == same and hash(one) == hash(same)
     assert one != Ground("blocks", one.options)
     assert pickle.loads(pickle.dumps(one)) == one
     with pytest.raises(InputError, match=r"terrain\.kind: 'lava'"):
         Ground("lava")
-
-
-def test_a_ground_keeps_its_options_when_the_callers_change() -> None:
     options: dict[str, float | str] = {"amplitude_m": 0.03}
     ground = Ground("rough", options)
     options["amplitude_m"] = 0.5
@@ -340,9 +296,8 @@ def test_a_ground_keeps_its_options_when_the_callers_change() -> None:
 
 
 def test_each_ground_draws_an_option_that_is_a_pair() -> None:
-    ground = read_ground(
-        Table({"kind": "rough", "slope": [-0.08, 0.08], "amplitude_m": [0.0, 0.0]}, "terrain")
-    )
+    pairs = {"slope": [-0.08, 0.08], "amplitude_m": [0.0, 0.0]}
+    ground = read_ground(Table({"kind": "rough", **pairs}, "terrain"))
     slopes = []
     for seed in range(200):
         made = ground.draw(seed)
@@ -355,15 +310,12 @@ def test_each_ground_draws_an_option_that_is_a_pair() -> None:
 
 
 def test_a_drawn_option_changes_no_other_draw() -> None:
-    level, tilted = (
-        Ground("rough", {"slope": slope}).draw(3) for slope in ([0.0, 0.0], [0.05, 0.05])
-    )
+    level, tilted = (Ground("rough", {"slope": [slope] * 2}).draw(3) for slope in (0.0, 0.05))
     np.testing.assert_array_equal(level.height_m, terrain.rough(3).height_m)
     np.testing.assert_allclose(tilted.height_m, terrain.rough(3, slope=0.05).height_m)
     both = Ground("rough", {"slope": [0.0, 0.1], "spacing_m": [1.0, 2.0]}).draw(3)
     one = Ground("rough", {"slope": [0.0, 0.1]}).draw(3)
     assert both.name.rpartition(", ")[2] == one.name.rpartition(", ")[2]  # the slope
-    rise, run = (
-        Ground("stairs", {"rise_m": [0.1, 0.9], "run_m": [0.1, 0.9]}).draw(3).name.split()[2::3]
-    )
+    stairs = Ground("stairs", {"rise_m": [0.1, 0.9], "run_m": [0.1, 0.9]}).draw(3)
+    rise, run = stairs.name.split()[2::3]
     assert rise != run  # each option has a stream of its own

@@ -30,21 +30,23 @@ def test_the_nominal_world_is_the_published_one() -> None:
         assert name == "noise_seed" or np.array_equal(values[:1], getattr(drawn, name))
 
 
+def assert_uniform(share: Any) -> None:
+    """Of 4,000 draws, from 0 to 1."""
+    assert share.min() >= 0.0 and share.max() <= 1.0
+    quarters = np.quantile(share, [0.25, 0.5, 0.75])
+    np.testing.assert_allclose(quarters, [0.25, 0.5, 0.75], atol=5 * 0.5 / np.sqrt(4000))
+
+
 def test_draws_fill_their_ranges_by_the_documented_rule() -> None:
     worlds = ALL.draw(np.random.SeedSequence(3).spawn(4000))
     for values, (low, high) in (
         (np.log(worlds.contact_stiffness), np.log((0.3, 10.0))),
         (np.log(worlds.relaxation_speed), np.log((0.5, 8.0))),
-        (worlds.friction, (0.6, 1.0)),
-        (worlds.strength[:, 3], (0.8, 1.1)),
-        (worlds.nerve_lag_s, (0.0, 0.01)),
-        (worlds.sensing_noise, (0.0, 0.02)),
+        (worlds.friction, (0.6, 1.0)), (worlds.strength[:, 3], (0.8, 1.1)),
+        (worlds.nerve_lag_s, (0.0, 0.01)), (worlds.sensing_noise, (0.0, 0.02)),
         (worlds.noise_seed, (0, 2**24)),
-    ):
-        share = (values - low) / (high - low)
-        assert share.min() >= 0.0 and share.max() <= 1.0
-        quarters = np.quantile(share, [0.25, 0.5, 0.75])
-        np.testing.assert_allclose(quarters, [0.25, 0.5, 0.75], atol=5 * 0.5 / np.sqrt(4000))
+    ):  # fmt: skip
+        assert_uniform((values - low) / (high - low))
     columns = np.column_stack([*list(vars(worlds).values())[:3], worlds.strength])
     related = np.abs(np.corrcoef(columns.T) - np.eye(columns.shape[1]))
     assert related.max() < 5 / np.sqrt(4000)
@@ -58,33 +60,24 @@ def test_a_strength_that_all_muscles_share_multiplies_each_of_them() -> None:
         assert name == "strength" or np.array_equal(values, getattr(both, name))
     shared = both.strength / own.strength
     np.testing.assert_allclose(shared, np.repeat(shared[:, :1], 14, axis=1), rtol=1e-12)
-    share = (shared[:, 0] - 0.7) / 0.6
-    quarters = np.quantile(share, [0.25, 0.5, 0.75])
-    np.testing.assert_allclose(quarters, [0.25, 0.5, 0.75], atol=5 * 0.5 / np.sqrt(4000))
+    assert_uniform((shared[:, 0] - 0.7) / 0.6)
     assert abs(np.corrcoef(shared[:, 0], own.strength[:, 3])[0, 1]) < 5 / np.sqrt(4000)
+    for overall in ((0.1, 1.0), (1.0, 9.0)):
+        with pytest.raises(InputError, match=r"^world\.overall_strength: .*product of 0\.1 to 10$"):
+            replace(ALL, strength=(0.5, 2.0), overall_strength=overall)
 
 
-@pytest.mark.parametrize("overall", [(0.1, 1.0), (1.0, 9.0)])
-def test_a_product_of_strengths_that_no_muscle_may_have_is_refused(overall: Any) -> None:
-    with pytest.raises(InputError, match=r"^world\.overall_strength: .* a product of 0\.1 to 10$"):
-        replace(ALL, strength=(0.5, 2.0), overall_strength=overall)
-
-
-def test_a_seed_is_a_world_whatever_else_is_drawn() -> None:
+def test_a_seed_is_a_world_whatever_else_is_drawn_and_rows_are_taken_and_stacked() -> None:
     one, both = ALL.draw([5]), ALL.draw([4, 5])
     wider = replace(ALL, contact_stiffness=(0.3, 20.0)).draw([5])
     for name, values in vars(one).items():
         assert np.array_equal(values, getattr(both, name)[1:])
         same = np.array_equal(values, getattr(wider, name))
         assert same == (name != "contact_stiffness")
-
-
-def test_worlds_are_taken_and_stacked_by_row() -> None:
     worlds = ALL.draw([1, 2, 3])
     again = Worlds.stacked([worlds.take([0]), worlds.take([1, 2])])
-    assert all(
-        np.array_equal(values, getattr(again, name)) for name, values in vars(worlds).items()
-    )
+    for name, values in vars(worlds).items():
+        assert np.array_equal(values, getattr(again, name))
 
 
 def test_the_table_reads_back_what_was_written() -> None:
@@ -98,17 +91,14 @@ def test_the_table_reads_back_what_was_written() -> None:
 @pytest.mark.parametrize(
     ("key", "value", "allowed"),
     [
-        ("friction", [0.6], "two numbers"),
-        ("friction", 0.6, "two numbers"),
-        ("friction", ["a", "b"], "two numbers"),
-        ("friction", [True, True], "two numbers"),
-        ("friction", [1.0, 0.6], "in this order"),
-        ("friction", [0.0, 0.6], "0.05 to 10"),
+        ("friction", [0.6], "two numbers"), ("friction", 0.6, "two numbers"),
+        ("friction", ["a", "b"], "two numbers"), ("friction", [True, True], "two numbers"),
+        ("friction", [1.0, 0.6], "in this order"), ("friction", [0.0, 0.6], "0.05 to 10"),
         ("strength", [0.8, float("nan")], "0.1 to 10"),
         ("contact_stiffness", [1.0, 1e9], "0.01 to 100"),
         ("contact_stifness", [1.0, 2.0], "only the keys contact_stiffness"),
     ],
-)
+)  # fmt: skip
 def test_a_bad_table_is_named(key: str, value: Any, allowed: str) -> None:
     with pytest.raises(InputError) as error:
         read_world(Table({key: value}, "world"))
@@ -132,11 +122,6 @@ def test_bad_worlds_are_named(change: dict[str, Any], field: str) -> None:
     assert error.value.field == field
 
 
-def test_another_number_of_worlds_than_walkers_is_refused() -> None:
-    with pytest.raises(InputError, match=r"^worlds: 2 cannot be used; allowed: one world, or 3"):
-        taichi_nmm.simulate([PUBLISHED_GAINS] * 3, worlds=Worlds.nominal(2), settings=CPU)
-
-
 def walk(worlds: Worlds | None, count: int) -> Any:
     gains = [PUBLISHED_GAINS] * count
     return taichi_nmm.simulate(
@@ -152,6 +137,8 @@ def test_each_walker_walks_in_its_own_world() -> None:
     assert together[8].tobytes() == alone[1].tobytes()
     assert len(np.unique(together["mean_speed_mps"])) == 9
     assert walk(Worlds.nominal(), 9).tobytes() == walk(None, 9).tobytes()
+    with pytest.raises(InputError, match=r"^worlds: 2 cannot be used; allowed: one world, or 3"):
+        walk(Worlds.nominal(2), 3)
 
 
 @pytest.mark.parametrize("name", sorted(vars(Worlds.nominal()).keys() - {"noise_seed"}))
@@ -167,17 +154,18 @@ def one_of(**changes: Any) -> Worlds:
     return Worlds(**(vars(Worlds.nominal()) | {k: np.array([v]) for k, v in changes.items()}))
 
 
-def recorded(worlds: Worlds) -> Any:
-    """Trajectory of the published gains on level ground, every tick."""
-    return taichi_nmm.simulate(
-        PUBLISHED_GAINS, duration_s=3.0, worlds=worlds, settings=CPU,
+def recorded(duration_s: float = 3.0, **changes: Any) -> tuple[Any, Any]:
+    """Trajectory, of every tick, and row of the published gains on level ground in `one_of`."""
+    result = taichi_nmm.simulate(
+        PUBLISHED_GAINS, duration_s=duration_s, worlds=one_of(**changes), settings=CPU,
         record=[0], record_rate_hz=1000,
-    ).trajectories[0]  # fmt: skip
+    )  # fmt: skip
+    return result.trajectories[0], result.rows[0]
 
 
 def test_friction_caps_the_horizontal_force() -> None:
     coefficient = 0.2
-    across, up = recorded(one_of(friction=coefficient)).ground_force_n[:, [0, 1]].T
+    across, up = recorded(friction=coefficient)[0].ground_force_n[:, [0, 1]].T
     loaded = up > 50.0
     ratio = np.abs(across[loaded]) / up[loaded]
     assert ratio.max() <= coefficient * 1.001
@@ -189,8 +177,7 @@ def test_friction_caps_the_horizontal_force() -> None:
 )
 def test_the_ground_pushes_by_the_published_law(stiffness: float, relaxation: float) -> None:
     """Geyer & Herr 2010: k d (1 - u/vmax)+ a point, u outwards; k = M g / 1 cm, vmax 0.1 m/s."""
-    world = one_of(contact_stiffness=stiffness, relaxation_speed=relaxation)
-    walked = recorded(world)
+    walked, _ = recorded(contact_stiffness=stiffness, relaxation_speed=relaxation)
     left = leg(walked.q, 0)
     height_m = np.stack([left.heel[:, 1], left.ball[:, 1]])
     depth_m, speed_mps = np.maximum(-height_m, 0.0), np.diff(height_m, axis=1, prepend=np.nan) * 1e3
@@ -205,17 +192,11 @@ def test_the_ground_pushes_by_the_published_law(stiffness: float, relaxation: fl
 
 def test_half_the_muscle_pulls_and_burns_half() -> None:
     """In the first tick, before the body could move by it."""
-    full, half = (
-        taichi_nmm.simulate(
-            PUBLISHED_GAINS, duration_s=1e-3, worlds=one_of(strength=np.full(14, strength)),
-            settings=CPU, record=[0], record_rate_hz=1000,
-        )
-        for strength in (1.0, 0.5)
-    )  # fmt: skip
-    forces = [result.trajectories[0].muscle_force_n[-1] for result in (full, half)]
+    full, half = (recorded(1e-3, strength=np.full(14, strength)) for strength in (1.0, 0.5))
+    forces = [trajectory.muscle_force_n[-1] for trajectory, _ in (full, half)]
     assert forces[0].max() > 1.0
     np.testing.assert_allclose(forces[1], 0.5 * forces[0], rtol=1e-5)
-    burnt = [float(result["cost_of_transport_jpkgpm"][0]) for result in (full, half)]
+    burnt = [float(row["cost_of_transport_jpkgpm"]) for _, row in (full, half)]
     assert burnt[1] == pytest.approx(0.5 * burnt[0], rel=1e-3)
 
 
@@ -228,7 +209,6 @@ def test_noise_is_of_its_walker_and_its_seed() -> None:
 
 def test_nerves_feel_the_force_itself() -> None:
     """Positive force feedback of a muscle of half the strength starts from half the force."""
-    weak = recorded(one_of(strength=np.full(14, 0.5)))
-    strong = recorded(one_of(strength=np.ones(14)))
+    weak, strong = (recorded(strength=np.full(14, strength))[0] for strength in (0.5, 1.0))
     sol = [walked.activation[40:120, 0].mean() for walked in (weak, strong)]
     assert sol[0] < sol[1]
