@@ -20,17 +20,10 @@ from tests.storage import fake
 pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
 
 
-@pytest.mark.parametrize(
-    ("address", "processes"),
-    [
-        ("local:1", 1),
-        ("local:256", 256),
-        ("10.0.0.1:8786", 0),
-        ("head:1", 0),
-        ("tcp://[::1]:8786", 0),
-        ("tls://head.example.org:8786", 0),
-    ],
-)
+@pytest.mark.parametrize(("address", "processes"), [
+    ("local:1", 1), ("local:256", 256), ("10.0.0.1:8786", 0), ("head:1", 0),
+    ("tcp://[::1]:8786", 0), ("tls://head.example.org:8786", 0),
+])  # fmt: skip
 def test_addresses(address: str, processes: int) -> None:
     assert Cluster(address).local_processes == processes
 
@@ -45,13 +38,12 @@ def test_what_is_no_address(address: str) -> None:
         Cluster(address)
 
 
-def test_no_password_is_shown() -> None:
+def test_no_password_is_shown_and_a_missing_library_is_one_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pytest.raises(InputError) as caught:
         Cluster("tcp://me:secret@head:1")
     assert "secret" not in str(caught.value)
-
-
-def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
     find = importlib.util.find_spec
     monkeypatch.setattr(
         "storage.pool.find_spec", lambda name: None if name == "distributed" else find(name)

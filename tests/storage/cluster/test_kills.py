@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -40,23 +41,22 @@ SEED = 15
 VICTIMS = ("worker", "scheduler", "client", "worker", "client")  # of each command
 
 
+def started(
+    folder: Path, tool: str, out: str, *options: str, pipe: int = subprocess.DEVNULL
+) -> subprocess.Popen[str]:
+    """A command on the configuration of its own name."""
+    words = ["--config", f"{tool}.toml", "--out", out, *options]
+    words += ["--no-artifacts"] if tool == "compare" else []
+    words = [sys.executable, str(REPOSITORY / "tools" / f"{tool}.py"), *words]
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    return subprocess.Popen(words, cwd=folder, env=environment, stdout=pipe, stderr=pipe, text=True)
+
+
 @pytest.mark.parametrize("tool", ["precompute", "compare"])
 def test_five_kills_and_the_same_bytes(tool: str, cluster: Cluster, tmp_path: Path) -> None:
     (tmp_path / "precompute.toml").write_text(STORE)
     (tmp_path / "compare.toml").write_text(EXPERIMENT)
-    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
-
-    def start(name: str, out: str, *options: str) -> subprocess.Popen[bytes]:
-        words = ["--config", f"{name}.toml", "--out", out, *options]
-        words += ["--no-artifacts"] if name == "compare" else []
-        file = str(REPOSITORY / "tools" / f"{name}.py")
-        return subprocess.Popen(
-            [sys.executable, file, *words],
-            cwd=tmp_path,
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+    start = partial(started, tmp_path)
 
     for name in dict.fromkeys(("precompute", tool)):
         assert start(name, f"whole-{name}", "--workers", "2").wait() == 0
@@ -89,16 +89,8 @@ def test_five_kills_and_the_same_bytes(tool: str, cluster: Cluster, tmp_path: Pa
 def test_a_stalled_scheduler_ends_the_command_and_its_folder_goes_on(
     cluster: Cluster, tmp_path: Path
 ) -> None:
-    (tmp_path / "store.toml").write_text(STORE)
-    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
-
-    def start(out: str, *options: str) -> subprocess.Popen[str]:
-        tool = str(REPOSITORY / "tools" / "precompute.py")
-        words = [sys.executable, tool, "--config", "store.toml", "--out", out, *options]
-        pipe = subprocess.PIPE
-        return subprocess.Popen(
-            words, cwd=tmp_path, env=environment, stdout=pipe, stderr=pipe, text=True
-        )
+    (tmp_path / "precompute.toml").write_text(STORE)
+    start = partial(started, tmp_path, "precompute", pipe=subprocess.PIPE)
 
     def shards(out: str) -> dict[str, bytes]:
         return {file.name: file.read_bytes() for file in (tmp_path / out).glob("part-*.parquet")}

@@ -8,11 +8,12 @@ import socket
 import ssl
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.storage.cluster.conftest import REPOSITORY, WAIT_S, until
 
 psutil = pytest.importorskip("psutil", reason="psutil is not installed: the extra cluster")
 pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
@@ -20,10 +21,8 @@ pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="only Linux has all of 127.0.0.0/8 without asking"
 )
 
-ROOT = Path(__file__).resolve().parents[3]
-PAGE = (ROOT / "docs" / "cluster.md").read_text(encoding="utf-8")
+PAGE = (REPOSITORY / "docs" / "cluster.md").read_text(encoding="utf-8")
 HERE = {"10.0.0.1": "127.0.0.21", "10.0.0.2": "127.0.0.22"}  # the page's machines, on this one
-WAIT_S = 120.0
 LINES = re.findall(r"^dask (?:scheduler|worker) .*$", PAGE.replace("\\\n", " "), re.MULTILINE)
 
 
@@ -63,13 +62,8 @@ def test_what_the_page_starts_is_reached_by_the_given_address_alone(
     if first:
         assert answers(document["address"], tmp_path, "cert.pem")
         assert not answers(document["address"], tmp_path, None)
-    done = subprocess.run(
-        [sys.executable, "-c", ASK, document["address"]],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=WAIT_S,
-    )
+    words = [sys.executable, "-c", ASK, document["address"]]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=WAIT_S)
     assert done.stdout == "42\n", done.stderr
 
 
@@ -140,11 +134,3 @@ def sockets(found: set[str], process: int) -> set[tuple[str, int]]:
                 listening.add((one.laddr.ip, one.laddr.port))
     found.update(address for address, _ in listening)
     return listening
-
-
-def until(true: object) -> None:
-    assert callable(true)
-    deadline_s = time.monotonic() + WAIT_S
-    while not true():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.05)

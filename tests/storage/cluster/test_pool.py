@@ -279,12 +279,8 @@ def test_a_cluster_of_this_machine_is_heard_by_nobody_else(
     with open_pool(1, Asked("local:2"), tmp_path / "out", WALKER) as pool:
         assert results(pool, units.square, [1, 2]) == {1: 1, 2: 4}
         ours = [me, *(child for child in me.children(recursive=True) if child.pid not in before)]
-        heard = [
-            socket.laddr.ip
-            for process in ours
-            for socket in process.net_connections("inet")
-            if socket.status == psutil.CONN_LISTEN
-        ]
+        sockets = [socket for process in ours for socket in process.net_connections("inet")]
+        heard = [one.laddr.ip for one in sockets if one.status == psutil.CONN_LISTEN]
         assert set(heard) == {"127.0.0.1"} and len(heard) >= 3
         address = pool.executor._client.scheduler.address  # type: ignore[attr-defined]
         assert address.startswith("tls://127.0.0.1:")
@@ -292,9 +288,9 @@ def test_a_cluster_of_this_machine_is_heard_by_nobody_else(
         stranger = open_pool(1, other, tmp_path / "other", WALKER)
         with pytest.raises(InputError, match=r"a scheduler that answers"), stranger:
             pass
-    assert {child.pid for child in me.children(recursive=True)} <= before | {
-        child.pid for child in me.children() if "resource_tracker" in " ".join(child.cmdline())
-    }
+    trackers = [one for one in me.children() if "resource_tracker" in " ".join(one.cmdline())]
+    left = {child.pid for child in me.children(recursive=True)}
+    assert left <= before | {child.pid for child in trackers}
 
 
 def test_certificates_of_ones_own(

@@ -109,3 +109,11 @@ def server() -> Iterator[Server]:
 @pytest.fixture
 def url(server: Server) -> str:
     return server.new_database()
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.slow)])
+def any_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """A database of each kind; on PostgreSQL, keys are drawn from sequences of the server."""
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path}/studies.db"
+    return str(request.getfixturevalue("url"))

@@ -10,7 +10,7 @@ import sqlalchemy as sql
 
 import taichi_nmm
 from storage.databases.bulk import trial_counts, write_studies
-from storage.databases.studies import only_run, open_studies, storage_errors
+from storage.databases.studies import open_studies, storage_errors
 from taichi_nmm.errors import InputError
 from tests.storage.databases.conftest import Server
 from tests.storage.databases.test_bulk import STUDY
@@ -29,19 +29,6 @@ def test_what_the_server_refuses_is_told_in_one_line(url: str) -> None:
         write_studies(storage, [STUDY, too_long])
     assert "\n" not in str(caught.value) and "secret" not in str(caught.value)
     assert trial_counts(storage) == {}
-
-
-def test_one_run_of_a_study_at_a_time(url: str) -> None:
-    with only_run(url, "rough8/dog"):
-        with (
-            pytest.raises(InputError, match=r"study: 'rough8/dog' .* another process"),
-            only_run(url, "rough8/dog"),
-        ):
-            pass
-        with only_run(url, "rough8/random"):
-            pass
-    with only_run(url, "rough8/dog"):
-        pass
 
 
 def test_the_command_of_one_study_runs_and_resumes(
@@ -80,15 +67,9 @@ def test_a_password_comes_from_the_environment(
     assert "shared" in optuna.get_all_study_names(url)
 
 
-def test_a_server_that_is_not_there(server: Server) -> None:
+def test_no_server_no_database_or_one_of_somebody_else(server: Server, url: str) -> None:
     assert "refused" in refusal("postgresql+psycopg://me:secret@127.0.0.1:1/db")
-
-
-def test_a_database_that_is_not_there(server: Server) -> None:
     assert '"nowhere" does not exist' in refusal(server.url("nowhere"))
-
-
-def test_somebody_elses_database_is_left_alone(url: str) -> None:
     engine = sql.create_engine(url)
     with engine.begin() as connection:
         connection.execute(sql.text("CREATE TABLE birds (name TEXT)"))

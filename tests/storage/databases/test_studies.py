@@ -15,15 +15,7 @@ from optuna.storages import RDBStorage
 
 from storage.databases import studies
 from storage.databases.bulk import study_attributes
-from storage.databases.studies import (
-    only_run,
-    open_studies,
-    public_url,
-    read_studies,
-    shown_url,
-    storage_errors,
-    studies_path,
-)
+from storage.databases.studies import only_run, open_studies, read_studies, storage_errors
 from storage.databases.urls import file_url
 from taichi_nmm.errors import InputError
 
@@ -33,11 +25,7 @@ def test_a_database_is_made_with_its_folder_and_kept(tmp_path: Path) -> None:
     study = optuna.create_study(storage=open_studies(url), study_name="a")
     study.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=2)
     assert len(optuna.load_study(storage=open_studies(url), study_name="a").trials) == 2
-
-
-def test_sqlite_writes_ahead_and_waits_less(tmp_path: Path) -> None:
-    storage = open_studies(f"sqlite:///{tmp_path}/studies.db")
-    with storage.engine.connect() as connection:
+    with open_studies(url).engine.connect() as connection:
         assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
         assert connection.exec_driver_sql("PRAGMA synchronous").scalar() == 1  # NORMAL
 
@@ -45,25 +33,16 @@ def test_sqlite_writes_ahead_and_waits_less(tmp_path: Path) -> None:
 FORMS = r"sqlite:///FILE or postgresql\+psycopg://"
 
 
-@pytest.mark.parametrize(
-    ("url", "match"),
-    [
-        ("studies.db", FORMS),
-        ("postgresql://host/db", FORMS),
-        ("sqlite:///", FORMS),
-        ("sqlite://", FORMS),
-        ("sqlite:///a?mode=ro", FORMS),
-        ("sqlite:///a.db?password=secret", FORMS),
-        ("me:secret@host/db", FORMS),
-        ("mysql://me:secret@host/db", FORMS),
-        ("postgresql://me:secret@host/db", FORMS),
-        ("postgresql+psycopg://me:secret@host", "storage: "),
-        ("postgresql+psycopg://me:secret@host:port/db", "storage: "),
-        ("postgresql+psycopg://me:secret/db", "storage: "),
-        ("postgresql+psycopg://me:a@secret@127.0.0.1:1/db", "storage: "),
-        ("postgresql+psycopg://127.0.0.1:1/db?password=secret", "storage: "),
-    ],
-)
+@pytest.mark.parametrize(("url", "match"), [
+    ("studies.db", FORMS), ("postgresql://host/db", FORMS), ("sqlite:///", FORMS),
+    ("sqlite://", FORMS), ("sqlite:///a?mode=ro", FORMS), ("sqlite:///a.db?password=secret", FORMS),
+    ("me:secret@host/db", FORMS), ("mysql://me:secret@host/db", FORMS),
+    ("postgresql://me:secret@host/db", FORMS), ("postgresql+psycopg://me:secret@host", "storage: "),
+    ("postgresql+psycopg://me:secret@host:port/db", "storage: "),
+    ("postgresql+psycopg://me:secret/db", "storage: "),
+    ("postgresql+psycopg://me:a@secret@127.0.0.1:1/db", "storage: "),
+    ("postgresql+psycopg://127.0.0.1:1/db?password=secret", "storage: "),
+])  # fmt: skip
 def test_other_urls_are_refused_without_their_passwords(url: str, match: str) -> None:
     with pytest.raises(InputError, match=match) as caught:
         open_studies(url)
@@ -71,29 +50,24 @@ def test_other_urls_are_refused_without_their_passwords(url: str, match: str) ->
     assert text.startswith("storage: ") and "secret" not in text and "\n" not in text
 
 
-@pytest.mark.parametrize(
-    ("url", "shown"),
-    [
-        ("sqlite:///out/studies.db", "sqlite:///out/studies.db"),
-        ("sqlite:////home/me@work/a.db", "sqlite:////home/me@work/a.db"),
-        ("sqlite:///a.db?password=secret", "sqlite:///a.db?***"),
-        ("sqlite:///me:secret@host/db", "sqlite:///***@host/db"),
-        ("postgresql+psycopg://host/db", "postgresql+psycopg://host/db"),
-        ("postgresql+psycopg://me:secret@host:5432/db", "postgresql+psycopg://***@host:5432/db"),
-        ("postgresql+psycopg://me:a@secret@host/db", "postgresql+psycopg://***@host/db"),
-        ("postgresql+psycopg://host/db?password=secret", "postgresql+psycopg://host/db?***"),
-        ("postgresql+psycopg://host/db?password=a@secret", "postgresql+psycopg://***"),
-        ("postgresql+psycopg://me:secret?@host/db", "postgresql+psycopg://***"),
-        ("postgresql+psycopg://me:secret/db", "postgresql+psycopg://***"),
-        ("postgresql+psycopg://me:secret@[::1]:5432/db", "postgresql+psycopg://***@[::1]:5432/db"),
-        ("me:secret@host/db", "***"),
-        ("mysql://host/secret", "***"),
-        ("postgres://me:secret@host/db", "***"),
-        ("", "***"),
-    ],
-)
+@pytest.mark.parametrize(("url", "shown"), [
+    ("sqlite:///out/studies.db", "sqlite:///out/studies.db"),
+    ("sqlite:////home/me@work/a.db", "sqlite:////home/me@work/a.db"),
+    ("sqlite:///a.db?password=secret", "sqlite:///a.db?***"),
+    ("sqlite:///me:secret@host/db", "sqlite:///***@host/db"),
+    ("postgresql+psycopg://host/db", "postgresql+psycopg://host/db"),
+    ("postgresql+psycopg://me:secret@host:5432/db", "postgresql+psycopg://***@host:5432/db"),
+    ("postgresql+psycopg://me:a@secret@host/db", "postgresql+psycopg://***@host/db"),
+    ("postgresql+psycopg://host/db?password=secret", "postgresql+psycopg://host/db?***"),
+    ("postgresql+psycopg://host/db?password=a@secret", "postgresql+psycopg://***"),
+    ("postgresql+psycopg://me:secret?@host/db", "postgresql+psycopg://***"),
+    ("postgresql+psycopg://me:secret/db", "postgresql+psycopg://***"),
+    ("postgresql+psycopg://me:secret@[::1]:5432/db", "postgresql+psycopg://***@[::1]:5432/db"),
+    ("me:secret@host/db", "***"), ("mysql://host/secret", "***"),
+    ("postgres://me:secret@host/db", "***"), ("", "***"),
+])  # fmt: skip
 def test_what_of_a_url_is_shown(url: str, shown: str) -> None:
-    assert public_url(url) == shown
+    assert studies.public_url(url) == shown
 
 
 def test_a_missing_driver_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,17 +75,6 @@ def test_a_missing_driver_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"pip install 'taichi-nmm\[postgres\]'") as caught:
         open_studies("postgresql+psycopg://me:secret@host/db")
     assert "secret" not in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_a_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="not a folder"):
-        open_studies(f"sqlite:///{tmp_path}")
-
-
-def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match=r"storage: .*can be written"):
-        open_studies(f"sqlite:///{tmp_path}/file/studies.db")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
@@ -192,16 +155,14 @@ def test_a_new_database_appears_whole(tmp_path: Path, monkeypatch: pytest.Monkey
         patch.setattr(os, "link", killed)
         open_studies(url)
     assert not list(tmp_path.iterdir())
-    monkeypatch.setattr(
-        os, "link", lambda *_: Path("nowhere").stat()
-    )  # a file system without links
+    monkeypatch.setattr(os, "link", lambda *_: Path("nowhere").stat())  # no links here
     optuna.create_study(storage=open_studies(url), study_name="a")
     assert "studies.db" in listing(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["%00", "a%00.db", "?", "", ":memory:", "%3Amemory:"])
 def test_what_names_no_file_is_one_line(name: str) -> None:
-    for use in (open_studies, studies_path, shown_url):
+    for use in (open_studies, studies.studies_path, studies.shown_url):
         with pytest.raises(InputError, match=r"^storage: .* cannot be used; allowed: sqlite:///"):
             use(f"sqlite:///{name}")
 
@@ -231,15 +192,15 @@ def test_places_where_no_file_can_be(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match=r"storage: .*a place that can be written") as caught:
         open_studies(f"sqlite:///{tmp_path}/{name}")
     assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="not a folder"):
+        open_studies(f"sqlite:///{tmp_path}")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_a_link_that_leads_to_itself_is_refused(tmp_path: Path) -> None:
     (tmp_path / "studies.db").symlink_to("studies.db")
-    with (
-        pytest.raises(InputError, match="storage: "),
-        read_studies(f"sqlite:///{tmp_path}/studies.db"),
-    ):
+    reading = read_studies(f"sqlite:///{tmp_path}/studies.db")
+    with pytest.raises(InputError, match="storage: "), reading:
         pass
 
 
@@ -268,25 +229,20 @@ def test_a_locked_database_is_refused_in_one_line(
         with pytest.raises(InputError, match="database is locked") as caught:
             open_studies(f"sqlite:///{path}")
         assert "\n" not in str(caught.value)
-        with (
-            pytest.raises(InputError, match="database is locked") as caught,
-            storage_errors(f"sqlite:///{path}"),
-        ):
+        refused = pytest.raises(InputError, match="database is locked")
+        with refused as caught, storage_errors(f"sqlite:///{path}"):
             optuna.create_study(storage=storage)
         assert "\n" not in str(caught.value)
 
 
-def test_a_study_has_one_run_at_a_time(tmp_path: Path) -> None:
-    url = f"sqlite:///{tmp_path}/studies.db"
-    with only_run(url, "rough8/dog"):
-        with (
-            pytest.raises(InputError, match=r"study: 'rough8/dog' .* another process"),
-            only_run(url, "rough8/dog"),
-        ):
+def test_a_study_has_one_run_at_a_time(any_url: str) -> None:
+    refused = pytest.raises(InputError, match=r"study: 'rough8/dog' .* another process")
+    with only_run(any_url, "rough8/dog"):
+        with refused, only_run(any_url, "rough8/dog"):
             pass
-        with only_run(url, "rough8/random"):
+        with only_run(any_url, "rough8/random"):
             pass
-    with only_run(url, "rough8/dog"):
+    with only_run(any_url, "rough8/dog"):
         pass
 
 
@@ -295,22 +251,19 @@ def test_a_study_has_one_run_at_a_time_under_any_name_of_its_file(tmp_path: Path
     file, link = tmp_path / "studies.db", tmp_path / "elsewhere" / "link.db"
     link.parent.mkdir()
     link.symlink_to(file)
-    with (
-        only_run(f"sqlite:///{file}", "rough8/dog"),
-        pytest.raises(InputError, match=r"study: 'rough8/dog' .* another process"),
-        only_run(f"sqlite:///{link}", "rough8/dog"),
-    ):
+    refused = pytest.raises(InputError, match=r"study: 'rough8/dog' .* another process")
+    ours = only_run(f"sqlite:///{file}", "rough8/dog")
+    with ours, refused, only_run(f"sqlite:///{link}", "rough8/dog"):
         pass
     file.touch()
     (link.parent / "hard.db").hardlink_to(file)
-    with (
-        pytest.raises(InputError, match=r"storage: .* a file with one name; this has 2 hard links"),
-        only_run(f"sqlite:///{link.parent}/hard.db", "rough8/dog"),
-    ):
+    allowed = r"storage: .* a file with one name; this has 2 hard links"
+    url = f"sqlite:///{link.parent}/hard.db"
+    with pytest.raises(InputError, match=allowed), only_run(url, "rough8/dog"):
         pass
 
 
-def test_a_study_that_another_program_deletes_is_one_line(tmp_path: Path) -> None:
+def test_what_another_program_deletes_or_tells_is_one_line(tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path}/studies.db"
     study = optuna.create_study(storage=open_studies(url), study_name="taken")
     trial = study.ask()
@@ -319,10 +272,6 @@ def test_a_study_that_another_program_deletes_is_one_line(tmp_path: Path) -> Non
         study.tell(trial, 1.0)
     with pytest.raises(KeyError, match="ours"), storage_errors(url):
         raise KeyError("ours")
-
-
-def test_a_trial_that_another_program_tells_is_one_line(tmp_path: Path) -> None:
-    url = f"sqlite:///{tmp_path}/studies.db"
     study = optuna.create_study(storage=open_studies(url), study_name="told")
     trial = study.ask()
     optuna.load_study(storage=RDBStorage(url), study_name="told").tell(trial.number, 1.0)
@@ -351,10 +300,8 @@ def test_a_database_on_a_file_system_without_locks(
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr(fcntl, "flock", fails)
-    with (
-        pytest.raises(InputError, match=r"storage: .* file system with locks"),
-        only_run(f"sqlite:///{tmp_path}/studies.db", "rough8/dog"),
-    ):
+    url, allowed = f"sqlite:///{tmp_path}/studies.db", r"storage: .* file system with locks"
+    with pytest.raises(InputError, match=allowed), only_run(url, "rough8/dog"):
         pass
 
 
