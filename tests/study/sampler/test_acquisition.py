@@ -10,7 +10,7 @@ from optuna.trial import TrialState
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from study import FeatureKernelSampler, FeatureTable
+from study import FeatureTable
 from study.sampler.acquisition import (
     MOST_CANDIDATES,
     Model,
@@ -23,12 +23,7 @@ from study.sampler.gp import KERNELS
 from study.sampler.history import read_limits
 from study.sampler.transforms import SLOPE, Points, PriorMean, log_excess
 from taichi_nmm.errors import InputError
-
-
-def expected_improvement(mean: np.ndarray, sd: np.ndarray, best: float) -> np.ndarray:
-    """As Jones, Schonlau, Welch 1998 have it, eq. 15; it underflows."""
-    z = (best - mean) / sd
-    return np.asarray((best - mean) * norm.cdf(z) + sd * norm.pdf(z))
+from tests.study.sampler.studies import study_of
 
 
 @pytest.mark.parametrize("mean", [-2.0, 0.0, 1.3, 4.0])
@@ -42,42 +37,29 @@ def test_expected_improvement_is_its_integral(mean, sd):
     assert_allclose(found, expected, rtol=1e-6, atol=1e-13)
 
 
-def test_the_largest_value_wins():
-    assert argmax_random_tie(np.array([0.1, 0.5, 0.3]), np.random.default_rng(0)) == 1
-
-
 @pytest.mark.parametrize("value", [2.0, 0.0])
-def test_equal_values_are_drawn_evenly(value):
+def test_the_largest_value_wins_and_equal_ones_are_drawn_evenly(value):
     values = np.array([value, -1.0, value * (1 + 1e-12), value])
     rng = np.random.default_rng(0)
     counts = np.bincount([argmax_random_tie(values, rng) for _ in range(3000)], minlength=4)
     assert counts[1] == 0
     assert_allclose(counts[[0, 2, 3]], 1000, atol=120)
+    assert argmax_random_tie(np.array([-np.inf, 3.0]), rng) == 1
+    assert {argmax_random_tie(np.full(3, -np.inf), rng) for _ in range(40)} == {0, 1, 2}
 
 
-@pytest.mark.parametrize("sd", [0.1, 1.0, 3.0])
-def test_log_improvement_is_the_logarithm(sd):
-    mean = np.linspace(-3.0, 3.0, 61) * sd * 5
-    spread = np.full_like(mean, sd)
-    improvement = expected_improvement(mean, spread, 0.5)
-    found = log_expected_improvement(mean, spread, 0.5)
-    clear = improvement > 1e-9 * sd  # below, the plain one loses digits
-    assert clear.sum() > 20
-    assert_allclose(found[clear], np.log(improvement[clear]), rtol=1e-6, atol=1e-6)
-
-
-def test_log_improvement_is_finite_and_falls_where_the_plain_one_underflows():
+def test_log_improvement_is_finite_and_falls_and_is_between_nodes_what_it_is_at_them():
     mean = np.concatenate([np.linspace(0, 50, 400), np.logspace(1.71, 9, 400)])
     found = log_expected_improvement(mean, np.ones_like(mean), best=0.0)
     assert np.isfinite(found).all()
     assert np.all(np.diff(found) < 0)
-    assert expected_improvement(mean[-1:], np.ones(1), best=0.0)[0] == 0.0
-
-
-def test_log_improvement_between_nodes_is_what_it_is_at_them():
+    assert norm.pdf(mean[-1]) == 0.0  # where the plain one underflows
     z = np.random.default_rng(0).uniform(-50.0, 20.0, 100_000)
     found = log_expected_improvement(-z, np.ones_like(z), best=0.0)
     assert_allclose(found, _exact_log_h(z), rtol=0.0, atol=1e-9)
+    with np.errstate(all="raise"):  # without doubt it is that of the gain
+        found = log_expected_improvement(np.array([1.0, 3.0]), np.zeros(2), best=2.0)
+    assert found.tolist() == [0.0, -np.inf]
 
 
 @pytest.mark.parametrize("z", [-1.5, -8.0, -30.0, -900.0, -1100.0, -2e6])
@@ -90,31 +72,17 @@ def test_log_improvement_has_the_tail_of_its_series(z):
         assert_allclose(found, norm.logpdf(z) - 2 * np.log(-z) + np.log1p(-3 / z**2), rtol=1e-7)
 
 
-def test_without_doubt_the_log_improvement_is_that_of_the_gain():
-    with np.errstate(all="raise"):
-        found = log_expected_improvement(np.array([1.0, 3.0]), np.zeros(2), best=2.0)
-    assert found.tolist() == [0.0, -np.inf]
-
-
-def test_infinite_values_can_win_or_lose():
-    rng = np.random.default_rng(0)
-    assert argmax_random_tie(np.array([-np.inf, 3.0]), rng) == 1
-    assert {argmax_random_tie(np.full(3, -np.inf), rng) for _ in range(40)} == {0, 1, 2}
-
-
 # The model, and the prior mean.
 
 NAMES = ("score", "error", "-odd")
 
 
-@pytest.mark.parametrize(
-    ("prior", "column_and_sign"),
-    [("score", (0, 1.0)), ("-error", (1, -1.0)), ("-odd", (2, 1.0)), ("--odd", (2, -1.0))],
-)
-def test_a_minus_stands_for_low_values(prior, column_and_sign):
+@pytest.mark.parametrize(("prior", "column", "sign"), [
+    ("score", 0, 1.0), ("-error", 1, -1.0), ("-odd", 2, 1.0), ("--odd", 2, -1.0),
+])  # fmt: skip
+def test_a_minus_stands_for_low_values(prior, column, sign):
     found = PriorMean.of(prior, NAMES)
-    assert found is not None and (found.column, found.sign) == column_and_sign
-    column, sign = column_and_sign
+    assert found is not None and (found.column, found.sign) == (column, sign)
     features = np.arange(12.0).reshape(4, 3)
     assert_allclose(found.merit(features), sign * features[:, column])
 
@@ -164,11 +132,7 @@ def model_of(seen: Points, cost: Any, kernel: str = "additive", sign: float = 1.
 
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_candidates(kernel):
-    """Costs at random. Over features alone, the next of alike candidates may be that much better.
-
-    Where parameters are looked at, candidates that are alike are the same, and what one shows by
-    chance is nothing that could be found.
-    """
+    """Costs at random; where parameters are looked at, candidates that are alike are the same."""
     seen = Points(np.zeros((40, 1)), np.full((40, 2), 0.5))
     cost = np.random.default_rng(0).uniform(1.0, 2.0, 40)
     model = model_of(seen, cost, kernel, sign=0.0)
@@ -236,22 +200,19 @@ def test_of_many_candidates_those_that_the_prior_ranks_first_are_looked_at():
 # Constraints.
 
 
-def test_the_probability_is_the_normal_one():
-    mean, sd = np.array([-1.0, 0.0, 2.0, 60.0]), np.array([0.5, 1.0, 4.0, 1.0])
-    assert_allclose(log_kept(mean, sd**2), norm.logcdf(-mean / sd))
-
-
-def test_limits_are_the_constraints_that_trials_have():
+def test_limits_are_the_constraints_that_trials_have_and_are_kept_with_the_normal_probability():
     one = optuna.create_trial(value=0.0, constraints={"x": 1.0, "y": -np.inf})
     other = optuna.create_trial(value=0.0, constraints={"y": -2.0})
     assert_allclose(read_limits([one, other]), [[1.0, -2.0], [np.nan, -2.0]])
     assert read_limits([one]).shape == (1, 2)
     assert read_limits([optuna.create_trial(value=0.0)]).shape == (1, 0)
+    mean, sd = np.array([-1.0, 0.0, 2.0, 60.0]), np.array([0.5, 1.0, 4.0, 1.0])
+    assert_allclose(log_kept(mean, sd**2), norm.logcdf(-mean / sd))
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-@pytest.mark.parametrize("told", ["how far", "whether"])
-def test_a_sampler_that_knows_breaks_limits_less_often(kernel, told):
+@pytest.mark.parametrize(("told", "fewer"), [(lambda over: over, 3), (np.sign, 0)])
+def test_a_sampler_that_knows_breaks_limits_less_often(kernel, told, fewer):
     """The cost falls towards a region that is forbidden, and a little into it.
 
     Told how far it was, by 4 trials or more of 20; told only whether, less often: a smooth process
@@ -264,45 +225,39 @@ def test_a_sampler_that_knows_breaks_limits_less_often(kernel, told):
         def objective(trial):
             value = trial.suggest_float("a", 0, 1)
             if knows:
-                over = value - 0.6
-                trial.set_constraint("edge", over if told == "how far" else float(np.sign(over)))
+                trial.set_constraint("edge", float(told(value - 0.6)))
             return -min(value, 0.65) + 0.3 * trial.suggest_float("side", 0, 1)
 
-        study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=2, kernel=kernel))
-        study.optimize(objective, n_trials=20)
+        study = study_of(table, objective, 20, seed=2, kernel=kernel)
         values = [trial.params["a"] for trial in study.trials]
-        if knows:
-            assert max(v for v in values if v <= 0.6) > 0.5
+        assert not knows or max(v for v in values if v <= 0.6) > 0.5
         return sum(v > 0.6 for v in values)
 
-    assert broken(knows=True) < broken(knows=False) - (3 if told == "how far" else 0)
+    assert broken(knows=True) < broken(knows=False) - fewer
 
 
 def test_before_any_candidate_holds_the_likeliest_is_sought():
     a = np.linspace(0, 1, 200)
-    table = FeatureTable.from_arrays({"a": a}, a)
-    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=0))
 
     def objective(trial):
         value = trial.suggest_float("a", 0, 1)
         trial.set_constraint("far", value - 0.02)
         return value
 
-    for row in (150, 180):
-        study.enqueue_trial({"a": float(a[row])})
-    study.optimize(objective, n_trials=12)
+    enqueued = [{"a": float(a[row])} for row in (150, 180)]
+    table = FeatureTable.from_arrays({"a": a}, a)
+    study = study_of(table, objective, 12, seed=0, enqueued=enqueued)
     assert min(trial.params["a"] for trial in study.trials) <= 0.02
 
 
 def test_limits_of_pruned_and_failed_trials_do_no_harm():
     a = np.linspace(0, 1, 60)
-    table = FeatureTable.from_arrays({"a": a}, a)
-    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
+    study = study_of(FeatureTable.from_arrays({"a": a}, a))
 
     def told(trial):
         value = trial.suggest_float("a", 0, 1)
-        for key, limit in enumerate((value - 0.6, -1.0)):
-            trial.set_constraint(str(key), limit)
+        trial.set_constraint("0", value - 0.6)
+        trial.set_constraint("1", -1.0)
         return -value
 
     for state in (TrialState.FAIL, TrialState.PRUNED):

@@ -1,9 +1,5 @@
 """First trials, turns that are left to the parameters, and one thread of BLAS."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,11 +17,10 @@ from study.sampler import acquisition
 from study.sampler.acquisition import Model
 from study.sampler.gp import ADDITIVE, KERNELS, NEARNESS
 from study.sampler.transforms import PATIENCE, PATIENCE_WITH_PRIOR, is_doubtful
-from tests.study.sampler.studies import bowl, rows_of, study_of
+from tests.study.sampler.studies import bowl, rows_of, run_code, study_of
 
 Floats = NDArray[np.float64]
 
-ROOT = Path(__file__).parents[3]
 ROWS = 70
 
 
@@ -48,14 +43,11 @@ def table_of(features: Floats) -> FeatureTable:
 def first_rows(features: Floats, trials: int, *, seed: int = 0, **options: Any) -> list[Any]:
     """Rows of the first trials, whose costs have nothing to do with them."""
     costs = np.random.default_rng(seed).uniform(size=ROWS)
-    study = study_of(
-        table_of(features),
-        lambda trial: costs[trial.number] + 0 * only_x(trial),
-        trials,
-        seed=seed,
-        **options,
-    )
-    return rows_of(study)
+
+    def cost(trial: optuna.Trial) -> float:
+        return float(costs[trial.number] + 0 * only_x(trial))
+
+    return rows_of(study_of(table_of(features), cost, trials, seed=seed, **options))
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -67,13 +59,6 @@ def test_with_a_prior_they_are_the_first_three_of_the_ranking(kernel, sign, colu
         best_first = np.argsort(features[:, column] if sign else -features[:, column])
         rows = first_rows(features, 3, seed=seed, kernel=kernel, prior=f"{sign}feature_{column}")
         assert rows == best_first[:3].tolist()
-
-
-def test_an_infinite_score_is_the_best_or_the_worst():
-    features = drawn(0)
-    features[[5, 6], 0] = np.inf, -np.inf
-    assert first_rows(features, 1, prior="feature_0") == [5]
-    assert first_rows(features, 1, prior="-feature_0") == [6]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -88,12 +73,13 @@ def test_without_one_they_are_the_ends_of_the_first_principal_component(seed):
     assert scores[rows[0]].sum() > scores[rows[1]].sum()  # more of most features first
 
 
-def test_one_feature_alone_is_tried_at_its_ends():
-    feature = drawn(1)[:, 0]
+def test_one_feature_is_tried_at_its_ends_an_infinite_score_first_and_other_kernels_at_random():
+    features = drawn(1)
+    feature = features[:, 0]
     assert first_rows(feature, 2) == [int(np.argmax(feature)), int(np.argmin(feature))]
-
-
-def test_other_kernels_begin_at_random():
+    features[[5, 6], 0] = np.inf, -np.inf
+    assert first_rows(features, 1, prior="feature_0") == [5]
+    assert first_rows(features, 1, prior="-feature_0") == [6]
     for kernel in ("rbf", "rbf_ard", "euclidean"):
         first = {tuple(first_rows(drawn(0), 3, seed=seed, kernel=kernel)) for seed in range(6)}
         assert len(first) == 6
@@ -104,9 +90,7 @@ def test_trials_that_can_be_learned_from_count_among_them(prior):
     """Two finished rows, enqueued: the third trial is the model's, or still the ranking's."""
     features = drawn(2)
     table = table_of(features)
-    middle = [
-        table.rows.as_parameters(row) for row in np.argsort(features[:, 0])[[30, 40]].tolist()
-    ]
+    middle = map(table.rows.as_parameters, np.argsort(features[:, 0])[[30, 40]].tolist())
     study = study_of(table, only_x, 3, enqueued=middle, prior=prior)
     constants = study.sampler._policy.known
     assert bool(constants) is (prior is None)
@@ -131,31 +115,20 @@ def test_of_a_space_they_are_the_ends_too(prior, low, high):
 # How long features are followed.
 
 
-def costs_after(age: int) -> Floats:
-    """Costs of which the best is followed by so many that are not better."""
-    return np.concatenate([[5.0, 1.0], np.full(age, 1.0)])  # an equal one is no better one
-
-
-@pytest.mark.parametrize(
-    ("has_prior", "patience"), [(False, PATIENCE), (True, PATIENCE_WITH_PRIOR)]
-)
+@pytest.mark.parametrize(("has_prior", "patience"), [(False, 3), (True, 20)])
 def test_every_other_trial_is_doubtful_once_patience_is_over(has_prior, patience):
-    assert (PATIENCE, PATIENCE_WITH_PRIOR) == (3, 20)
+    assert (PATIENCE, PATIENCE_WITH_PRIOR)[has_prior] == patience
     for turn in range(6):
-        assert not is_doubtful(costs_after(0), turn, has_prior)
-        assert not is_doubtful(costs_after(patience - 1), turn, has_prior)
-        for age in (patience, patience + 1, patience + 40):
-            assert is_doubtful(costs_after(age), turn, has_prior) is (turn % 2 == 1)
+        for age in (0, patience - 1, patience, patience + 1, patience + 40):
+            costs = np.array([5.0, 1.0] + [1.0] * age)  # an equal one is no better one
+            doubtful = age >= patience and turn % 2 == 1
+            assert is_doubtful(costs, turn, has_prior) is doubtful
     assert not is_doubtful(np.array([3.0]), 1, has_prior)
     assert not is_doubtful(np.empty(0), 1, has_prior)  # no trial has kept its limits
 
 
 X, Y = np.random.default_rng(0).uniform(size=(2, 60))
-FEATURES = np.column_stack([X + Y, X - Y])
-
-
-def xy_table(features: Floats) -> FeatureTable:
-    return FeatureTable.from_arrays({"x": X, "y": Y}, features)
+XY, FEATURES = {"x": X, "y": Y}, np.column_stack([X + Y, X - Y])
 
 
 def without_success(trial: optuna.Trial) -> float:
@@ -183,7 +156,9 @@ def kernels_asked(study: optuna.Study, objective: Any, trials: int) -> dict[int,
     ("prior", "first"), [(None, 5), ("feature_0", 23)]  # 3, or 20, trials after number 1; then odd
 )  # fmt: skip
 def test_a_doubtful_trial_looks_at_parameters_alone(prior, first):
-    asked = kernels_asked(study_of(xy_table(FEATURES), prior=prior), without_success, first + 5)
+    asked = kernels_asked(
+        study_of(FeatureTable.from_arrays(XY, FEATURES), prior=prior), without_success, first + 5
+    )
     for turn, (kernel, prior_mean) in asked.items():
         doubtful = turn >= first and turn % 2 == 1
         assert kernel is (NEARNESS if doubtful else ADDITIVE)
@@ -199,7 +174,7 @@ def test_trials_that_broke_their_limits_are_neither_success_nor_failure():
         trial.set_constraint("limit", 1.0 if broken else -1.0)
         return without_success(trial) - (100.0 * trial.number if broken else 0.0)
 
-    asked = kernels_asked(study_of(xy_table(FEATURES)), objective, 10)
+    asked = kernels_asked(study_of(FeatureTable.from_arrays(XY, FEATURES)), objective, 10)
     # Kept after number 1: 3, 4, 6, 7, ...; the third of them is told before number 7.
     assert [turn for turn, (kernel, _) in asked.items() if kernel is NEARNESS] == [7, 9]
 
@@ -211,7 +186,9 @@ def test_it_proposes_the_same_whatever_the_features_are(number):
     chosen = set()
     for seed in range(8):
         features = np.random.default_rng(seed).standard_normal((60, 2))
-        study = study_of(xy_table(features), without_success, number + 1, enqueued=enqueued)
+        study = study_of(
+            FeatureTable.from_arrays(XY, features), without_success, number + 1, enqueued=enqueued
+        )
         chosen.add(rows_of(study)[number])
     assert (len(chosen) == 1) is (number == 5)
 
@@ -224,14 +201,14 @@ def round_bowl(unit: Floats) -> Floats:
     return np.asarray(((unit - 0.65) ** 2).sum(axis=1))
 
 
-def useless(unit: Floats, rng: np.random.Generator) -> Floats:
-    return rng.standard_cauchy(len(unit))
-
-
 def misleading(unit: Floats, rng: np.random.Generator) -> Floats:
     """The cost, folded at its best tenth: the best rows look like mediocre ones."""
     cost = round_bowl(unit)
     return np.abs(cost - np.quantile(cost, 0.1))
+
+
+def useless(unit: Floats, rng: np.random.Generator) -> Floats:
+    return rng.standard_cauchy(len(unit))
 
 
 @pytest.mark.parametrize("feature", [useless, misleading])
@@ -244,19 +221,16 @@ def test_features_that_are_worth_nothing_leave_the_parameters_to_learn_from(feat
     """
     ours, at_random = [], []
     names = [f"p{i}" for i in range(DIMENSION)]
+
+    def bowl_of(trial):
+        return float(round_bowl(np.array([[trial.suggest_float(n, 0, 1) for n in names]]))[0])
+
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         unit = rng.uniform(size=(400, DIMENSION))
         cost = round_bowl(unit)
-        columns = dict(zip(names, unit.T, strict=True))
-        table = FeatureTable.from_arrays(columns, feature(unit, rng))
-        study = study_of(
-            table,
-            lambda t: float(round_bowl(np.array([[t.suggest_float(n, 0, 1) for n in names]]))[0]),
-            TRIALS,
-            seed=seed,
-        )
-        ours.append(study.best_value - cost.min())
+        table = FeatureTable.from_arrays(dict(zip(names, unit.T, strict=True)), feature(unit, rng))
+        ours.append(study_of(table, bowl_of, TRIALS, seed=seed).best_value - cost.min())
         drawn = [rng.choice(cost, TRIALS, replace=False).min() for _ in range(200)]
         at_random.append(np.mean(drawn) - cost.min())
     assert np.mean(ours) <= 0.5 * np.mean(at_random)
@@ -328,6 +302,5 @@ optuna.create_study(sampler=sampler).optimize(lambda t: t.suggest_float("x", 0.0
 
 def test_scipys_own_library_is_limited_too():
     """It is loaded by the first proposal of a process, after NumPy's."""
-    command, two = [sys.executable, "-c", PROGRAM], {"OPENBLAS_NUM_THREADS": "2"}
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=os.environ | two)
+    done = run_code(PROGRAM, OPENBLAS_NUM_THREADS="2")
     assert done.stdout == "{1}\n", done.stderr
