@@ -53,10 +53,6 @@ def trials(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 # Kernels.
 
 
-def between(covariance: Covariance, theta: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return covariance.towards(theta, a, np.float64)(b)
-
-
 @pytest.mark.parametrize("form", reference.FORMS)
 def test_kernels_are_scikit_learns(form):
     ours = covariance_of(form)
@@ -66,7 +62,7 @@ def test_kernels_are_scikit_learns(form):
     assert_allclose(ours.bounds, theirs.bounds)
     noise = np.exp(theta[-1])
     assert_allclose(ours.gram(theta, X)[0] + noise * np.eye(12), theirs(X), atol=1e-12)
-    assert_allclose(between(ours, theta, X, X[:5]), theirs(X, X[:5]), atol=1e-12)
+    assert_allclose(ours.towards(theta, X, np.float64)(X[:5]), theirs(X, X[:5]), atol=1e-12)
     assert_allclose(ours.variance(theta, X) + noise * np.ones(12), theirs.diag(X))
     half = ours.towards(theta, X, np.float32)(X[:5])
     assert half.dtype == np.float32
@@ -88,17 +84,16 @@ def test_a_pull_weighs_the_derivatives_of_all_entries(form):
     assert_allclose(pull(np.tril(weights)) + pull(np.triu(weights, 1)), pull(weights))
 
 
-@pytest.mark.parametrize(
-    ("form", "same_features", "same_parameters"),
-    [("rbf", 1, 0), ("rbf_ard", 1, 0), ("euclidean", 0, 1), ("nearness", 0, 1), ("additive", 1, 1)],
-)
+@pytest.mark.parametrize(("form", "same_features", "same_parameters"), [
+    ("rbf", 1, 0), ("rbf_ard", 1, 0), ("euclidean", 0, 1), ("nearness", 0, 1), ("additive", 1, 1),
+])  # fmt: skip
 def test_kernels_see_their_columns(form, same_features, same_parameters):
     built = covariance_of(form)
-    a, far = np.zeros((1, 7)), 1e3
+    a = np.zeros((1, 7))
     other_parameters, other_features = a.copy(), a.copy()
-    other_parameters[:, 3:], other_features[:, :3] = far, far
-    assert_allclose(between(built, built.start, a, other_parameters), same_features, atol=1e-9)
-    assert_allclose(between(built, built.start, a, other_features), same_parameters, atol=1e-9)
+    other_parameters[:, 3:] = other_features[:, :3] = 1e3
+    for other, expected in ((other_parameters, same_features), (other_features, same_parameters)):
+        assert_allclose(built.towards(built.start, a, np.float64)(other), expected, atol=1e-9)
 
 
 def test_the_additive_one_is_its_formula():
@@ -113,12 +108,9 @@ def test_the_additive_one_is_its_formula():
     assert_allclose(covariance_of("additive").gram(theta, X)[0], expected, rtol=1e-10)
 
 
-def test_a_shared_length_scale_and_one_a_feature():
+def test_length_scales_are_shared_or_one_a_feature_and_scaled_by_the_dimension():
     counts = {"rbf": 3, "rbf_ard": 5, "euclidean": 6, "nearness": 3, "additive": 8}
     assert {form: len(covariance_of(form).start) for form in counts} == counts
-
-
-def test_parameters_have_the_dimension_scaled_prior():
     for d in (1, 16, 100):
         mu, sigma = np.sqrt(2) + np.log(d) / 2, np.sqrt(3)  # Hvarfner et al. 2024
         for form, place in (("euclidean", 1), ("nearness", 1), ("additive", 4)):
@@ -130,32 +122,18 @@ def test_parameters_have_the_dimension_scaled_prior():
 # Likelihood and constants.
 
 
-def anywhere(covariance: Covariance, seed: int) -> np.ndarray:
-    """Constants within their bounds, as the priors have them, [t]."""
-    drawn = np.random.default_rng(seed).normal(covariance.modes, covariance.spreads)
-    return np.clip(drawn, *covariance.bounds.T)
-
-
 @pytest.mark.parametrize("form", reference.FORMS)
 def test_the_misfit_and_its_gradient_are_scikit_learns(form):
     covariance = covariance_of(form)
     for seed, count in enumerate((1, 2, 9, 40, 120)):
         x, y = trials(count, seed)
-        for draw in range(3):
-            theta = anywhere(covariance, draw)
+        for draw in range(3):  # constants within their bounds, as the priors have them
+            theta = np.random.default_rng(draw).normal(covariance.modes, covariance.spreads)
+            theta = np.clip(theta, *covariance.bounds.T)
             expected, slopes = reference.misfit(covariance, x, y, theta)
             found, gradient = misfit(covariance, x, y, theta)
             assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
             assert_allclose(gradient, slopes, rtol=1e-6, atol=1e-6 * np.abs(slopes).max())
-
-
-@pytest.mark.parametrize("form", reference.FORMS)
-def test_the_gradient_is_that_of_the_misfit(form):
-    covariance = covariance_of(form)
-    x, y = trials(25, 0)
-    theta = covariance.start
-    slopes = approx_fprime(theta, lambda at: misfit(covariance, x, y, at)[0], 1e-6)
-    assert_allclose(misfit(covariance, x, y, theta)[1], slopes, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("count", [2, 8, 30, 31, LIKELIHOOD_TRIALS])
@@ -189,17 +167,12 @@ def test_the_posterior_density_is_maximised():
             assert there >= misfit(covariance, x, y, theta)[0] - 1e-3
 
 
-def test_the_prior_decides_where_there_is_one_trial():
+def test_the_prior_decides_after_one_trial_and_of_many_a_part_is_learned_from():
     covariance = covariance_of("euclidean")
     theta = learn(covariance, X[:1], np.array([2.0]))
-    for found, prior in zip(theta[1:5], covariance.constants[1:5], strict=True):
-        assert_allclose(found, prior.mode, atol=1e-3)
-
-
-def test_constants_are_learned_from_a_part_of_many_trials():
+    assert_allclose(theta[1:5], [prior.mode for prior in covariance.constants[1:5]], atol=1e-3)
     points = some_points(2 * LIKELIHOOD_TRIALS, seed=1)
-    x, y = points.matrix(), costs(points)
-    covariance = covariance_of("rbf")
+    x, y, covariance = points.matrix(), costs(points), covariance_of("rbf")
     assert_allclose(learn(covariance, x, y), learn(covariance, x, y))
     assert np.isfinite(learn(covariance, x, y)).all()
 
@@ -208,15 +181,14 @@ def test_constants_are_learned_from_a_part_of_many_trials():
 
 
 def learned(
-    covariance: Covariance, x: np.ndarray, y: np.ndarray, *, fast: bool = False, noisy: bool = True
+    covariance: Covariance, x: np.ndarray, y: np.ndarray, *, fast: bool = False
 ) -> Posterior:
-    return condition(covariance, learn(covariance, x, y), x, y, noisy=noisy, fast=fast)
+    return condition(covariance, learn(covariance, x, y), x, y, noisy=True, fast=fast)
 
 
-def fitted(covariance: Covariance, count: int, *, fast: bool, noisy: bool = True) -> Posterior:
+def fitted(covariance: Covariance, count: int, *, fast: bool) -> Posterior:
     points = some_points(count, seed=1)
-    x, y = points.matrix(), costs(points)
-    return learned(covariance, x, y, fast=fast, noisy=noisy)
+    return learned(covariance, points.matrix(), costs(points), fast=fast)
 
 
 def oracle(posterior: Posterior, candidates: Points) -> tuple[np.ndarray, np.ndarray]:
@@ -238,18 +210,13 @@ def assert_near(
 
 
 @pytest.mark.parametrize("form", reference.FORMS)
-def test_the_exact_posterior_is_scikit_learns(form):
-    posterior = fitted(covariance_of(form), 40, fast=False)
+def test_the_posterior_is_scikit_learns(form):
     candidates = some_points(2 * BLOCK + 17, seed=2)
+    posterior = fitted(covariance_of(form), 40, fast=False)
     expected = oracle(posterior, candidates)
     assert_allclose(posterior.predict(candidates), expected, rtol=EXACT)
     assert_allclose(posterior.mean(candidates), expected[0], rtol=EXACT)
-
-
-@pytest.mark.parametrize("form", reference.FORMS)
-def test_the_fast_posterior_is_nearly_scikit_learns(form):
     posterior = fitted(covariance_of(form), 100, fast=True)
-    candidates = some_points(2 * BLOCK + 17, seed=2)
     assert_near(posterior, candidates, posterior.predict(candidates), FAST)
 
 
@@ -297,23 +264,16 @@ def test_the_spread_of_equal_features_is_learned_as_noise():
     assert_allclose(np.sqrt(variance), 1.5, rtol=0.25)
 
 
-def test_equal_costs_are_no_accident():
-    points = some_points(2, seed=0)
-    posterior = learned(covariance_of("additive"), points.matrix(), np.full(2, 3.0), fast=True)
-    mean, variance = posterior.predict(points)
-    assert_allclose(mean, 3.0)
-    assert np.isfinite(variance).all()
-
-
-def test_the_unit_of_cost_does_not_matter():
+def test_the_unit_of_cost_does_not_matter_and_equal_costs_are_no_accident():
     points, candidates = some_points(20, seed=1), some_points(50, seed=2)
-    x, y = points.matrix(), costs(points)
-    ours, scaled = (
-        learned(covariance_of("additive"), x, c, noisy=True).predict(candidates)
-        for c in (y, 1e6 * y - 7e6)
-    )
+    x, y, covariance = points.matrix(), costs(points), covariance_of("additive")
+    ours, scaled = (learned(covariance, x, c).predict(candidates) for c in (y, 1e6 * y - 7e6))
     assert_allclose(scaled[0], 1e6 * ours[0] - 7e6, rtol=1e-3)
     assert_allclose(scaled[1], 1e12 * ours[1], rtol=1e-2)
+    two = some_points(2, seed=0)
+    mean, variance = learned(covariance, two.matrix(), np.full(2, 3.0), fast=True).predict(two)
+    assert_allclose(mean, 3.0)
+    assert np.isfinite(variance).all()
 
 
 def test_slopes_carry_beyond_the_trials():

@@ -41,27 +41,23 @@ def test_turns_are_counted_as_if_nothing_had_been_killed():
 def test_random_search_repeats_what_was_killed():
     def parameters(killed):
         study = optuna.create_study(sampler=ReproducibleRandomSampler(seed=4))
-        while len(study.get_trials(states=(TrialState.COMPLETE,))) < 4:
+        while len(params_of(study)) < 4:
             trial = study.ask()
             trial.suggest_float("x", 0, 1)
             if trial.number in killed:  # half its parameters suggested
                 kill(study, trial.number)
-                continue
-            study.tell(trial, trial.suggest_float("y", 0, 1))
-        return [t.params for t in study.get_trials(states=(TrialState.COMPLETE,))]
+            else:
+                study.tell(trial, trial.suggest_float("y", 0, 1))
+        return params_of(study)
 
     undisturbed = parameters(set())
     assert parameters({1, 2, 4}) == undisturbed
     assert len({params["x"] for params in undisturbed}) == 4
     assert all(params["x"] != params["y"] for params in undisturbed)
-
-
-@pytest.mark.parametrize("purpose", [Purpose.BODY, Purpose.TIE_BREAK])
-def test_draws_depend_on_purpose_and_key_alone(purpose):
-    first = generator(1, purpose, 5).random()
-    assert generator(1, purpose, 5).random() == first
-    others = [generator(1, purpose, 6), generator(2, purpose, 5), generator(1, Purpose.TERRAIN, 5)]
-    assert all(other.random() != first for other in others)
+    key = 1, Purpose.TIE_BREAK, 5  # on which alone draws depend
+    keys = [key, (1, Purpose.TIE_BREAK, 6), (2, *key[1:]), (1, Purpose.TERRAIN, 5), key]
+    *draws, again = [generator(*each).random() for each in keys]
+    assert again == draws[0] and len(set(draws)) == 4
 
 
 def test_history_takes_finished_trials_and_counts_all_rows(table):
@@ -205,13 +201,12 @@ def test_a_logarithmic_scale_is_the_kernels_too(how, distribution):
 
 def test_points_near_the_table_are_on_the_logarithmic_scale_and_within_the_range():
     rate = np.geomspace(1e-4, 1.0, 30)
-    study = study_of(
-        FeatureTable.from_arrays({"rate": rate}, np.log(rate)),
-        lambda trial: abs(np.log(trial.suggest_float("rate", 1e-4, 1, log=True)) + 3.3),
-        15,
-        feature_function=np.log,
-        off_grid=50,
-    )
+    table = FeatureTable.from_arrays({"rate": rate}, np.log(rate))
+
+    def cost(trial):
+        return abs(np.log(trial.suggest_float("rate", 1e-4, 1, log=True)) + 3.3)
+
+    study = study_of(table, cost, 15, feature_function=np.log, off_grid=50)
     assert -1 in rows_of(study)
     assert study.best_value < 0.1
 

@@ -55,34 +55,23 @@ def test_points_near_others_are_near_and_inside():
     assert 0.0 <= unmoved < 1.0
 
 
-def test_values_are_of_pythons_own_types():
-    values = SPACE.values(anywhere(SPACE, 1, np.random.default_rng(0))[0])
-    expected = [float, float, float, int, int, int, str, float]
-    assert [type(value) for value in values.values()] == expected
-
-
-def test_rows_and_values_are_each_others_inverse():
+def test_rows_and_values_of_pythons_own_types_are_each_others_inverse():
     points = anywhere(SPACE, 50, np.random.default_rng(1))
     assert_allclose([SPACE.row(SPACE.values(point)) for point in points], points)
     assert_allclose(SPACE.from_fractions(SPACE.fractions(points)), points, rtol=1e-9)
+    expected = [float, float, float, int, int, int, str, float]
+    assert [type(value) for value in SPACE.values(points[0]).values()] == expected
 
 
-def test_the_unit_cube_has_ranges_of_one_and_choices_one_apart():
-    low = {"plain": -2.0, "log": 1e-5, "choice": "x"}
-    high = {"plain": 3.0, "log": 10.0, "choice": "z"}
-    space = Space.of({name: DISTRIBUTIONS[name] for name in low})
-    a, b = space.unit(np.array([space.row(low), space.row(high)]))
-    assert_allclose(np.abs(a - b)[:2], 1.0)
-    assert_allclose(np.linalg.norm((a - b)[2:]), 1.0)
-    outside = space.unit(np.array([space.row(high | {"plain": 99.0})]))
-    assert_allclose(outside[0, 0], 1.0)
-
-
-def test_taken_points_are_left_out_unless_nothing_is_left():
+def test_taken_points_are_left_out_unless_nothing_is_left_and_the_first_misfit_is_found():
     points = np.array([[0.0, 1.0], [2.0, 3.0]])
     assert not_among(points, points[:1]).tolist() == [False, True]
     assert not_among(points, points).tolist() == [True, True]
     assert not_among(points, np.empty((0, 2))).all()
+    kinds = CategoricalDistribution(["x", "y", "z"])
+    values = np.array([2.0, 0.0, 2.0, 1.0, 1.0])
+    assert first_not_taken(kinds, values, CategoricalDistribution(["z", "x"])) == 3
+    assert first_not_taken(FloatDistribution(0, 9), values, IntDistribution(1, 9)) == 1
 
 
 @pytest.mark.parametrize(("distribution", "value", "expected"), [
@@ -117,13 +106,6 @@ def test_values_become_what_another_distribution_has(distribution, value, expect
     assert found == expected and type(found) is type(expected)
 
 
-def test_the_first_row_that_does_not_fit_is_found():
-    kinds = CategoricalDistribution(["x", "y", "z"])
-    values = np.array([2.0, 0.0, 2.0, 1.0, 1.0])
-    assert first_not_taken(kinds, values, CategoricalDistribution(["z", "x"])) == 3
-    assert first_not_taken(FloatDistribution(0, 9), values, IntDistribution(1, 9)) == 1
-
-
 @pytest.mark.parametrize(
     "values", [{}, {"plain": "0"}, {"plain": True}, {"plain": None}, {"choice": "q"}, {"log": -1.0}]
 )
@@ -144,7 +126,14 @@ def test_pinned_values_are_those_of_all_new_points():
         assert len(set(new[:, 3])) > 3
 
 
-def test_outside_the_ranges_the_cube_has_edges_or_goes_on():
+def test_the_unit_cube_has_ranges_of_one_choices_one_apart_and_edges_or_goes_on():
+    space = Space.of({name: DISTRIBUTIONS[name] for name in ("plain", "log", "choice")})
+    ends = (-2.0, 1e-5, "x"), (3.0, 10.0, "z")
+    a, b = space.unit(
+        np.array([space.row(dict(zip(space.names, end, strict=True))) for end in ends])
+    )
+    assert_allclose(np.abs(a - b)[:2], 1.0)
+    assert_allclose(np.linalg.norm((a - b)[2:]), 1.0)
     space = Space.of({name: DISTRIBUTIONS[name] for name in ("plain", "log", "int", "single")})
     rows = np.array([[5.5, 1e3, 9.0, 4.0], [0.5, 1e-2, 12.0, 5.0]])
     edges = [[1.0, 1.0, 6.5 / 7, 0.0], [0.5, 0.5, 6.5 / 7, 0.0]]
