@@ -1,7 +1,6 @@
 """Tables of rows: from arrays, frames, Parquet and stores; imperfect, refused, pickled, shown."""
 
 import pickle
-import warnings
 
 import numpy as np
 import optuna
@@ -28,29 +27,22 @@ def test_arrays_make_rows_of_native_values():
     rows = FeatureTable.from_arrays(MIXED, np.arange(6.0).reshape(3, 2), ["p", "q"]).rows
     assert rows.as_parameters(1) == {"rate": 0.01, "units": 1, "kind": "tanh"}
     assert [type(v) for v in rows.as_parameters(1).values()] == [float, int, str]
-    assert rows.space.distributions == (
-        FloatDistribution(0.01, 1.0),
-        IntDistribution(1, 3),
-        CategoricalDistribution(("relu", "tanh")),
-    )
+    own = FloatDistribution(0.01, 1.0), IntDistribution(1, 3)
+    assert rows.space.distributions == (*own, CategoricalDistribution(("relu", "tanh")))
     assert rows.feature_names == ("p", "q")
     for by_order in (False, True):
         standard = rows.scale(by_order=by_order).standard(rows.features)
         assert_allclose(standard.mean(axis=0), 0.0, atol=1e-12)
         assert_allclose(standard.std(axis=0), 1.0)
-
-
-def test_one_feature_may_be_a_column():
-    rows = FeatureTable.from_arrays(TWO, [1, 3]).rows
+    rows = FeatureTable.from_arrays(TWO, [1, 3]).rows  # one feature may be a column
     assert rows.feature_names == ("feature_0",)
     assert rows.standard.standard(rows.features).tolist() == [[-1.0], [1.0]]
-
-
-def test_a_space_says_what_columns_cannot():
     given = {"rate": FloatDistribution(1e-3, 1.0, log=True), "units": FloatDistribution(0.0, 4.0)}
     rows = FeatureTable.from_arrays(MIXED, [1, 2, 3], space=given).rows
     assert rows.space.distributions[:2] == tuple(given.values())
     assert type(rows.as_parameters(0)["units"]) is float
+    space = {"a": FloatDistribution(0, 1, step=0.25)}
+    assert len(FeatureTable.from_arrays({"a": [0.25, 0.75]}, [1, 2], space=space)) == 2
 
 
 def test_rows_are_found_by_exact_values():
@@ -106,16 +98,13 @@ def test_a_table_of_arrays_pickles_with_its_arrays_alone():
     assert pickle.loads(pickle.dumps(table)).rows.find({"a": 3.0, "b": 3.0}) == 3
 
 
-def test_a_feature_without_information_weighs_nothing():
+def test_a_feature_without_information_weighs_nothing_and_half_of_the_others_offer_a_row():
     features = np.column_stack([[1.0, 2.0, 3.0], [7.0] * 3, [np.nan] * 3])
     with pytest.warns(UserWarning, match="without information are ignored: feature_1, feature_2"):
         rows = FeatureTable.from_arrays(MIXED, features).rows
     for by_order in (False, True):
         assert_allclose(rows.scale(by_order=by_order).standard(rows.features)[:, 1:], 0.0)
     assert rows.offered.all()
-
-
-def test_a_row_is_offered_with_half_of_its_informative_features():
     nan, inf = np.nan, np.inf
     features = [[nan, 1.0, 7.0], [2.0, nan, 7.0], [nan, nan, 7.0], [inf, -inf, nan]]
     with pytest.warns(UserWarning, match="1 rows that lack more than half .* ignored: feature_2"):
@@ -123,10 +112,10 @@ def test_a_row_is_offered_with_half_of_its_informative_features():
     assert table.rows.offered.tolist() == [True, True, False, True]
 
 
-def test_infinity_is_a_value_and_no_gap():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        rows = FeatureTable.from_arrays({"a": np.arange(3.0)}, [np.inf, 0.0, -np.inf]).rows
+@pytest.mark.filterwarnings("error")
+def test_infinity_is_a_value_and_no_gap_and_a_sound_table_makes_no_noise():
+    FeatureTable.from_arrays(MIXED, [1, 2, 3])
+    rows = FeatureTable.from_arrays({"a": np.arange(3.0)}, [np.inf, 0.0, -np.inf]).rows
     assert rows.offered.all()
     assert np.argsort(rows.scores.standard(rows.features)[:, 0]).tolist() == [2, 1, 0]
 
@@ -136,13 +125,6 @@ def test_repeated_rows_count_once():
         table = FeatureTable.from_arrays({"a": [0.0, 1.0, 0.0, -0.0]}, [1, 2, 3, 4])
     assert table.rows.offered.tolist() == [True, True, False, False]
     assert table.rows.find({"a": 0.0}) == 0
-
-
-def test_a_sound_table_makes_no_noise():
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        FeatureTable.from_arrays(MIXED, [1, 2, 3])
-    assert not said
 
 
 def test_features_of_any_scale():
@@ -179,21 +161,6 @@ def test_bad_arrays_are_refused(parameters, features, options, message):
         FeatureTable.from_arrays(parameters, features, **options)
 
 
-def test_rows_on_their_steps_are_taken():
-    space = {"a": FloatDistribution(0, 1, step=0.25)}
-    assert len(FeatureTable.from_arrays({"a": [0.25, 0.75]}, [1, 2], space=space)) == 2
-
-
-def test_a_file_that_changed_since_is_refused(tmp_path):
-    path = tmp_path / "table.parquet"
-    frame = pd.DataFrame(MIXED | {"p": [1.0, 2.0, 4.0]})
-    frame.to_parquet(path)
-    pickled = pickle.dumps(FeatureTable.from_parquet(path, features=["p"], parameters=list(MIXED)))
-    frame.assign(p=[1.0, 2.0, 5.0]).to_parquet(path)
-    with pytest.raises(InputError, match="the store this table was made from"):
-        len(pickle.loads(pickled))
-
-
 # Choices and gaps.
 
 
@@ -219,10 +186,9 @@ def test_what_may_be_a_gap_names_the_way_to_make_it_a_choice(values):
 def test_given_as_a_choice_a_gap_is_none(values):
     choices = [None if value is None or value != value else value for value in values]
     frame = pd.DataFrame({"depth": values, "feature": [1.0, 2.0, 3.0]})
+    named = {"parameters": ["depth"], "features": ["feature"]}
     space = {"depth": CategoricalDistribution(choices)}
-    given = FeatureTable.from_dataframe(
-        frame, parameters=["depth"], features=["feature"], space=space
-    )
+    given = FeatureTable.from_dataframe(frame, space=space, **named)
     assert [given.rows.as_parameters(row)["depth"] for row in range(3)] == choices
 
 
@@ -241,73 +207,64 @@ def test_a_store_gives_its_parameters_and_bounds(store):
 
 def test_a_store_of_more_parameters_gives_them_all(tmp_path, monkeypatch):
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
-    up = fake.family(settings=2, kind="ramp")
-    precompute(fake.specification(searched=["theta_ref"], families={"up": up}), tmp_path / "store")
-    table = FeatureTable.from_parquet(
-        tmp_path / "store", features=["up_survived_fraction_mean", "phi_printed"]
-    )
-    rows = table.rows
+    families, path = {"up": fake.family(settings=2, kind="ramp")}, tmp_path / "store"
+    precompute(fake.specification(searched=["theta_ref"], families=families), path)
+    rows = FeatureTable.from_parquet(
+        path, features=["up_survived_fraction_mean", "phi_printed"]
+    ).rows
     theta_ref = LOW_LEVEL_GAINS[-1]
     assert rows.names == (*GAIN_NAMES, "theta_ref")
     assert rows.space.distributions[-1] == FloatDistribution(theta_ref.low, theta_ref.high)
-    assert np.array_equal(rows.parameters, open_store(tmp_path / "store").gains())
+    assert np.array_equal(rows.parameters, open_store(path).gains())
     assert rows.find(rows.as_parameters(11)) == 11
     assert rows.as_parameters(11)["theta_ref"] == rows.parameters[11, 16]
     with pytest.raises(InputError, match="theta_ref"):
-        FeatureTable.from_parquet(tmp_path / "store", features=["theta_ref"])
+        FeatureTable.from_parquet(path, features=["theta_ref"])
 
 
-def test_a_stored_table_pickles_without_its_rows(store):
+def test_a_stored_table_pickles_without_its_rows_and_is_refused_after_a_change(store, tmp_path):
     table = FeatureTable.from_parquet(store, features=["phi_printed"])
     pickled = pickle.dumps(table)
     assert len(pickled) < 2000
     assert_array_equal(pickle.loads(pickled).rows.parameters, table.rows.parameters)
-
-
-def test_a_store_that_changed_since_is_refused(store, tmp_path):
-    pickled = pickle.dumps(FeatureTable.from_parquet(store, features=["phi_printed"]))
+    sampler = DoGSampler(table, seed=1)
+    optuna.create_study(sampler=sampler).ask()
+    assert len(pickle.dumps(sampler)) < 6000
     store.rename(tmp_path / "old")
     fake_walker.write_plain_store(store, samples=100)
     with pytest.raises(InputError, match="the store this table was made from"):
         len(pickle.loads(pickled))
+    frame, path = pd.DataFrame(MIXED | {"p": [1.0, 2.0, 4.0]}), tmp_path / "table.parquet"
+    frame.to_parquet(path)
+    pickled = pickle.dumps(FeatureTable.from_parquet(path, features=["p"], parameters=list(MIXED)))
+    frame.assign(p=[1.0, 2.0, 5.0]).to_parquet(path)
+    with pytest.raises(InputError, match="the store this table was made from"):
+        len(pickle.loads(pickled))
 
 
-@pytest.mark.parametrize("feature", ["phi", "K_GAS", "end_reason"])
-def test_columns_that_are_no_feature_are_refused(store, feature):
-    with pytest.raises(InputError, match=feature):
-        FeatureTable.from_parquet(store, features=[feature])
-
-
-@pytest.mark.parametrize("parameters", [None, ["K_GAS"]])
-def test_a_table_of_no_features_is_refused(store, parameters):
-    with pytest.raises(InputError, match="features: 'none'"):
-        FeatureTable.from_parquet(store, features=[], parameters=parameters)
-
-
-def test_a_sampler_over_a_store_pickles_small(store):
-    sampler = DoGSampler(FeatureTable.from_parquet(store, features=["phi_printed"]), seed=1)
-    optuna.create_study(sampler=sampler).ask()
-    assert len(pickle.dumps(sampler)) < 6000
+@pytest.mark.parametrize(("features", "options", "message"), [
+    (["phi"], {}, "phi"), (["K_GAS"], {}, "K_GAS"), (["end_reason"], {}, "end_reason"),
+    ([], {}, "features: 'none'"), ([], {"parameters": ["K_GAS"]}, "features: 'none'"),
+])  # fmt: skip
+def test_columns_that_are_no_feature_or_none_are_refused(store, features, options, message):
+    with pytest.raises(InputError, match=message):
+        FeatureTable.from_parquet(store, features=features, **options)
 
 
 # What a table looks like at a prompt.
 
 
-@pytest.mark.parametrize(("parameters", "features", "shown"), [
-    (16, 6, "600 rows, 16 parameters, 6 features: a, b, c, ..."),
-    (2, 3, "600 rows, 2 parameters, 3 features: a, b, c"),
+@pytest.mark.filterwarnings("ignore:FeatureTable")
+@pytest.mark.parametrize(("rows", "parameters", "features", "shown"), [
+    (600, 16, 6, "600 rows, 16 parameters, 6 features: a, b, c, ..."),
+    (600, 2, 3, "600 rows, 2 parameters, 3 features: a, b, c"),
+    (1, 1, 2, "1 row, 1 parameter, 2 features: a, b"),
 ])  # fmt: skip
-def test_a_table_shows_its_size_and_features(parameters, features, shown):
-    columns = {f"x{i}": np.linspace(0, 1, 600) for i in range(parameters)}
-    values = np.random.default_rng(0).random((600, features))
+def test_a_table_shows_its_size_and_features(rows, parameters, features, shown):
+    columns = {f"x{i}": np.linspace(0, 1, rows) for i in range(parameters)}
+    values = np.random.default_rng(0).random((rows, features))
     made = FeatureTable.from_arrays(columns, values, list("abcdef"[:features]))
     assert repr(made) == f"FeatureTable({shown})"
-
-
-@pytest.mark.filterwarnings("ignore:FeatureTable")
-def test_one_of_a_thing_is_shown_as_one():
-    shown = repr(FeatureTable.from_arrays({"x": [0.0]}, [[1.0, 2.0]]))
-    assert shown == "FeatureTable(1 row, 1 parameter, 2 features: feature_0, feature_1)"
 
 
 def test_a_table_that_travelled_is_not_read_again_to_be_shown(tmp_path):
