@@ -74,23 +74,16 @@ def test_without_taichi_nmm_the_error_says_what_to_install(optunahub, monkeypatc
         load(optunahub)
 
 
-def test_the_front_matter_is_what_the_registry_asks_for():
-    _, header, _ = (PACKAGE / "README.md").read_text().split("---\n", maxsplit=2)
-    front = yaml.load(header, Loader=yaml.BaseLoader)  # every value must be a string
+def test_files_and_front_matter_are_what_the_registry_asks_for(optunahub):
+    files = {path.name for path in PACKAGE.iterdir() if path.name != "__pycache__"}
+    assert files == {"README.md", "LICENSE", "__init__.py", "example.py"}  # and no data
+    assert (PACKAGE / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
+    readme = (PACKAGE / "README.md").read_text()
+    front = yaml.load(readme.split("---\n")[1], Loader=yaml.BaseLoader)  # all must be strings
     assert set(front) == {"author", "title", "description", "tags", "optuna_versions", "license"}
     assert "sampler" in front["tags"]
     assert optuna.__version__ in front["optuna_versions"]
     assert front["license"] == "MIT License"
-
-
-def test_the_package_has_the_registrys_files_and_no_data():
-    files = {path.name for path in PACKAGE.iterdir() if path.name != "__pycache__"}
-    assert files == {"README.md", "LICENSE", "__init__.py", "example.py"}
-    assert (PACKAGE / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
-
-
-def test_the_readme_writes_no_names_that_do_not_exist(optunahub):
-    text = (PACKAGE / "README.md").read_text()
-    module = load(optunahub)
-    for owner, method in re.findall(r"`(FeatureTable)\.(\w+)", text):
-        assert callable(getattr(getattr(module, owner), method))
+    table = load(optunahub).FeatureTable
+    methods = re.findall(r"`FeatureTable\.(\w+)", readme)
+    assert methods and all(callable(getattr(table, method)) for method in methods)

@@ -82,16 +82,13 @@ def test_of_two_that_want_one_row_the_later_gives_way():
 
 
 def test_threads_share_a_sampler():
-    table = small_table()
-    study = optuna.create_study(sampler=DoGSampler(table, seed=0))
-
     def slow(trial):
         time.sleep(0.002)
         return cost(trial)
 
+    study = optuna.create_study(sampler=DoGSampler(small_table(), seed=0))
     study.optimize(slow, n_trials=60, n_jobs=4)
-    rows = [trial.user_attrs["row"] for trial in study.trials]
-    assert len(set(rows)) == 60
+    assert len({trial.user_attrs["row"] for trial in study.trials}) == 60
 
 
 @pytest.mark.parametrize("kernel", ["additive", "rbf"])
