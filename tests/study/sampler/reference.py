@@ -9,20 +9,11 @@ from scipy.optimize import minimize
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor, kernels
 
-from study.sampler.gp import (
-    ITERATIONS,
-    JITTER,
-    KERNELS,
-    NEARNESS,
-    NOISE_STARTS,
-    SECOND_START_TRIALS,
-    Covariance,
-    Posterior,
-)
+from study.sampler import gp
 
 Floats = NDArray[np.float64]
 
-FORMS = KERNELS | {"nearness": NEARNESS}  # all that there are, by name
+FORMS = gp.KERNELS | {"nearness": gp.NEARNESS}  # all that there are, by name
 
 
 class Columns(kernels.Kernel):  # type: ignore[misc]
@@ -64,7 +55,7 @@ class Columns(kernels.Kernel):  # type: ignore[misc]
         return self.kernel.is_stationary()
 
 
-def of_covariance(covariance: Covariance, theta: Floats) -> Any:
+def of_covariance(covariance: gp.Covariance, theta: Floats) -> Any:
     """The same kernel of scikit-learn's with these constants and the same bounds."""
     total: Any = None
     for term, variance, scales in covariance.valued(theta):
@@ -81,14 +72,14 @@ def of_covariance(covariance: Covariance, theta: Floats) -> Any:
 
 
 def conditioned(
-    covariance: Covariance, theta: Floats, x: Floats, y: Floats
+    covariance: gp.Covariance, theta: Floats, x: Floats, y: Floats
 ) -> GaussianProcessRegressor:
     """After trials x [n, p] with y [n] in standard units; constants are kept."""
     kernel = of_covariance(covariance, theta)
-    return GaussianProcessRegressor(kernel, alpha=JITTER, optimizer=None).fit(x, y)
+    return GaussianProcessRegressor(kernel, alpha=gp.JITTER, optimizer=None).fit(x, y)
 
 
-def misfit(covariance: Covariance, x: Floats, y: Floats, theta: Floats) -> tuple[float, Floats]:
+def misfit(covariance: gp.Covariance, x: Floats, y: Floats, theta: Floats) -> tuple[float, Floats]:
     """`gp.misfit`, by scikit-learn."""
     regressor = conditioned(covariance, theta, x, y)
     likelihood, gradient = regressor.log_marginal_likelihood(theta, eval_gradient=True)
@@ -96,7 +87,7 @@ def misfit(covariance: Covariance, x: Floats, y: Floats, theta: Floats) -> tuple
     return float(-likelihood + 0.5 * z @ z), -gradient + z / covariance.spreads
 
 
-def learned(covariance: Covariance, x: Floats, y: Floats) -> Floats:
+def learned(covariance: gp.Covariance, x: Floats, y: Floats) -> Floats:
     """Theta by scikit-learn's own fit, L-BFGS on likelihood times prior; y in standard units."""
 
     def optimizer(objective: Any, start: Floats, bounds: Floats) -> tuple[Floats, float]:
@@ -106,10 +97,10 @@ def learned(covariance: Covariance, x: Floats, y: Floats) -> Floats:
             return float(value + 0.5 * z @ z), gradient + z / covariance.spreads
 
         found = []
-        for shift in NOISE_STARTS if len(y) <= SECOND_START_TRIALS else NOISE_STARTS[:1]:
+        for shift in gp.NOISE_STARTS if len(y) <= gp.SECOND_START_TRIALS else gp.NOISE_STARTS[:1]:
             theta = start.copy()
             theta[-1] += shift
-            options = {"maxiter": ITERATIONS, "ftol": 1e-5}
+            options = {"maxiter": gp.ITERATIONS, "ftol": 1e-5}
             theta = np.clip(theta, *bounds.T)
             found.append(
                 minimize(
@@ -120,12 +111,12 @@ def learned(covariance: Covariance, x: Floats, y: Floats) -> Floats:
         return best.x, float(best.fun)
 
     kernel = of_covariance(covariance, covariance.start)
-    regressor = GaussianProcessRegressor(kernel, alpha=JITTER, optimizer=optimizer)
+    regressor = GaussianProcessRegressor(kernel, alpha=gp.JITTER, optimizer=optimizer)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         return np.asarray(regressor.fit(x, y).kernel_.theta)
 
 
-def of_posterior(posterior: Posterior) -> GaussianProcessRegressor:
+def of_posterior(posterior: gp.Posterior) -> GaussianProcessRegressor:
     """The same posterior, in standard units."""
     return conditioned(posterior.covariance, posterior.theta, posterior.x, posterior.y)

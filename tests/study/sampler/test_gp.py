@@ -5,20 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import approx_fprime
 
+from study.sampler import gp
 from study.sampler.acquisition import along_feature
-from study.sampler.gp import (
-    BLOCK,
-    FEATURE_NOISE,
-    LIKELIHOOD_TRIALS,
-    SLOPE,
-    Covariance,
-    Posterior,
-    Term,
-    condition,
-    learn,
-    misfit,
-    new_covariance,
-)
 from study.sampler.transforms import Points
 from tests.study.sampler import reference
 
@@ -28,8 +16,8 @@ FAST = 1e-4  # of the prior's scale
 X = np.random.default_rng(0).standard_normal((12, 7))
 
 
-def covariance_of(form: str, layout: tuple[int, int, int] = LAYOUT) -> Covariance:
-    return new_covariance(reference.FORMS[form], *layout)
+def covariance_of(form: str, layout: tuple[int, int, int] = LAYOUT) -> gp.Covariance:
+    return gp.new_covariance(reference.FORMS[form], *layout)
 
 
 def some_points(count: int, seed: int) -> Points:
@@ -131,24 +119,24 @@ def test_the_misfit_and_its_gradient_are_scikit_learns(form):
             theta = np.random.default_rng(draw).normal(covariance.modes, covariance.spreads)
             theta = np.clip(theta, *covariance.bounds.T)
             expected, slopes = reference.misfit(covariance, x, y, theta)
-            found, gradient = misfit(covariance, x, y, theta)
+            found, gradient = gp.misfit(covariance, x, y, theta)
             assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
             assert_allclose(gradient, slopes, rtol=1e-6, atol=1e-6 * np.abs(slopes).max())
 
 
-@pytest.mark.parametrize("count", [2, 8, 30, 31, LIKELIHOOD_TRIALS])
+@pytest.mark.parametrize("count", [2, 8, 30, 31, gp.LIKELIHOOD_TRIALS])
 @pytest.mark.parametrize("form", reference.FORMS)
 def test_the_constants_are_those_that_scikit_learn_finds(form, count):
     covariance = covariance_of(form)
     x, y = trials(count, seed=count)
-    assert_allclose(learn(covariance, x, y), reference.learned(covariance, x, y), atol=1e-6)
+    assert_allclose(gp.learn(covariance, x, y), reference.learned(covariance, x, y), atol=1e-6)
 
 
 def test_without_a_cholesky_factor_the_misfit_is_infinite():
-    covariance = Covariance((Term(0, 1, SLOPE, ()),), FEATURE_NOISE)
+    covariance = gp.Covariance((gp.Term(0, 1, gp.SLOPE, ()),), gp.FEATURE_NOISE)
     x = np.array([[1.0], [1.0], [3.0]]) * 1e12
     theta = np.array([0.0, np.log(1e-4)])
-    found, gradient = misfit(covariance, x, np.ones(3), theta)
+    found, gradient = gp.misfit(covariance, x, np.ones(3), theta)
     assert found == np.inf
     assert_allclose(gradient, 0.0)
 
@@ -157,41 +145,41 @@ def test_the_posterior_density_is_maximised():
     """No constant can be moved either way for a better likelihood times prior."""
     covariance = covariance_of("rbf_ard")
     x, y = trials(12, 0)
-    theta = learn(covariance, x, y)
+    theta = gp.learn(covariance, x, y)
     low, high = covariance.bounds.T
     for place in range(len(theta)):
         for step in (-0.1, 0.1):
             moved = theta.copy()
             moved[place] += step
-            there = misfit(covariance, x, y, np.clip(moved, low, high))[0]
-            assert there >= misfit(covariance, x, y, theta)[0] - 1e-3
+            there = gp.misfit(covariance, x, y, np.clip(moved, low, high))[0]
+            assert there >= gp.misfit(covariance, x, y, theta)[0] - 1e-3
 
 
 def test_the_prior_decides_after_one_trial_and_of_many_a_part_is_learned_from():
     covariance = covariance_of("euclidean")
-    theta = learn(covariance, X[:1], np.array([2.0]))
+    theta = gp.learn(covariance, X[:1], np.array([2.0]))
     assert_allclose(theta[1:5], [prior.mode for prior in covariance.constants[1:5]], atol=1e-3)
-    points = some_points(2 * LIKELIHOOD_TRIALS, seed=1)
+    points = some_points(2 * gp.LIKELIHOOD_TRIALS, seed=1)
     x, y, covariance = points.matrix(), costs(points), covariance_of("rbf")
-    assert_allclose(learn(covariance, x, y), learn(covariance, x, y))
-    assert np.isfinite(learn(covariance, x, y)).all()
+    assert_allclose(gp.learn(covariance, x, y), gp.learn(covariance, x, y))
+    assert np.isfinite(gp.learn(covariance, x, y)).all()
 
 
 # The posterior.
 
 
 def learned(
-    covariance: Covariance, x: np.ndarray, y: np.ndarray, *, fast: bool = False
-) -> Posterior:
-    return condition(covariance, learn(covariance, x, y), x, y, noisy=True, fast=fast)
+    covariance: gp.Covariance, x: np.ndarray, y: np.ndarray, *, fast: bool = False
+) -> gp.Posterior:
+    return gp.condition(covariance, gp.learn(covariance, x, y), x, y, noisy=True, fast=fast)
 
 
-def fitted(covariance: Covariance, count: int, *, fast: bool) -> Posterior:
+def fitted(covariance: gp.Covariance, count: int, *, fast: bool) -> gp.Posterior:
     points = some_points(count, seed=1)
     return learned(covariance, points.matrix(), costs(points), fast=fast)
 
 
-def oracle(posterior: Posterior, candidates: Points) -> tuple[np.ndarray, np.ndarray]:
+def oracle(posterior: gp.Posterior, candidates: Points) -> tuple[np.ndarray, np.ndarray]:
     """Mean and variance by scikit-learn, of the same kernel on the same trials."""
     mean, sd = reference.of_posterior(posterior).predict(candidates.matrix(), return_std=True)
     mean, sd = posterior.cost_mean + posterior.cost_sd * mean, posterior.cost_sd * sd
@@ -199,7 +187,10 @@ def oracle(posterior: Posterior, candidates: Points) -> tuple[np.ndarray, np.nda
 
 
 def assert_near(
-    posterior: Posterior, candidates: Points, found: tuple[np.ndarray, np.ndarray], tolerance: float
+    posterior: gp.Posterior,
+    candidates: Points,
+    found: tuple[np.ndarray, np.ndarray],
+    tolerance: float,
 ) -> None:
     """Mean and variance are scikit-learn's, within a share of the prior's scale, noise included."""
     prior = posterior.covariance.variance(posterior.theta, candidates.matrix()) + posterior.noise
@@ -211,7 +202,7 @@ def assert_near(
 
 @pytest.mark.parametrize("form", reference.FORMS)
 def test_the_posterior_is_scikit_learns(form):
-    candidates = some_points(2 * BLOCK + 17, seed=2)
+    candidates = some_points(2 * gp.BLOCK + 17, seed=2)
     posterior = fitted(covariance_of(form), 40, fast=False)
     expected = oracle(posterior, candidates)
     assert_allclose(posterior.predict(candidates), expected, rtol=EXACT)
