@@ -16,8 +16,7 @@ from taichi_nmm import kernel
 
 INTERPRETED = (
     "elementary", "kinematics", "muscle_table", "joints", "muscle", "dynamics", "contact",
-    "nerves", "reflexes", "swing", "gait", "walker", "entry_points",
-    "carried", "actuation",
+    "nerves", "reflexes", "swing", "gait", "walker", "entry_points", "carried", "actuation",
 )  # fmt: skip
 
 
@@ -35,33 +34,14 @@ def lane_range(*arguments: Any) -> Any:
     return builtins.range(*arguments)
 
 
-def _cast(value: Any, dtype: Any) -> Any:
-    return np.asarray(value).astype(dtype)
-
-
-def _static(*values: Any) -> Any:
-    return values[0] if len(values) == 1 else values
-
-
 NUMPY_TAICHI = SimpleNamespace(
-    func=lambda function: function,
-    kernel=lambda function: function,
-    static=_static,
-    select=np.where,
-    max=np.maximum,
-    min=np.minimum,
-    floor=np.floor,
-    sqrt=np.sqrt,
-    cast=_cast,
-    raw_mod=np.fmod,
-    bit_cast=lambda value, dtype: value.view(dtype),
-    Vector=list,
-    i32=np.int32,
-    u32=np.uint32,
-    i64=np.int64,
-    f32=np.float32,
-    f64=np.float64,
-)
+    func=lambda function: function, kernel=lambda function: function,
+    static=lambda *values: values[0] if len(values) == 1 else values,
+    select=np.where, max=np.maximum, min=np.minimum, floor=np.floor, sqrt=np.sqrt,
+    cast=lambda value, dtype: np.asarray(value).astype(dtype), raw_mod=np.fmod,
+    bit_cast=lambda value, dtype: value.view(dtype), Vector=list,
+    i32=np.int32, u32=np.uint32, i64=np.int64, f32=np.float32, f64=np.float64,
+)  # fmt: skip
 
 
 def interpreted_walker() -> Any:
@@ -84,9 +64,8 @@ def interpreted(*names: str, double: bool = True) -> tuple[Any, ...]:
         vars(kernel).pop(name, None)
     sys.modules[shim.__name__] = kernel.backend = shim
     try:
-        modules = {
-            name: importlib.import_module(f"{kernel.__name__}.{name}") for name in INTERPRETED
-        }
+        prefix = kernel.__name__
+        modules = {name: importlib.import_module(f"{prefix}.{name}") for name in INTERPRETED}
         for name in ("walker", "carried", "actuation"):
             vars(modules[name])["range"] = lane_range
         # Without the early exit: a settled pass repeats itself, bit for bit.

@@ -115,7 +115,5 @@ def moment_about_com(q: Array, rate: Array, bodies: Bodies) -> Array:
     position = com_positions(q, bodies)
     mass = bodies.mass_kg[..., None]
     centre = np.sum(mass * position, axis=1, keepdims=True) / np.sum(mass, axis=1, keepdims=True)
-    lever = mass * (position - centre)
-    return contract("ni,ni->n", lever[..., 1], rate[..., 0]) - contract(
-        "ni,ni->n", lever[..., 0], rate[..., 1]
-    )
+    x, z = np.moveaxis(mass * (position - centre), -1, 0)
+    return contract("ni,ni->n", z, rate[..., 0]) - contract("ni,ni->n", x, rate[..., 1])

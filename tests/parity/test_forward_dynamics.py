@@ -77,13 +77,12 @@ def test_accelerations_and_those_of_dense_equations_agree_with_mujoco(
     states: States, expected: Array
 ) -> None:
     found = forward_dynamics(*states)
-    assert found.shape == (STATES, 9)
-    assert found.dtype == np.float64
+    assert found.shape == (STATES, 9) and found.dtype == np.float64
     assert relative_error(found, expected) <= LARGEST_ERROR
     assert relative_error(numpy_dynamics.forward_dynamics(*states), expected) <= LARGEST_ERROR
 
 
-def test_bodies_matter(states: States, expected: Array) -> None:
+def test_bodies_matter_and_the_rest_of_the_batch_does_not(states: States, expected: Array) -> None:
     found = forward_dynamics(*states[:3])
     nominal, disturbed = slice(0, None, 2), slice(1, None, 2)
     assert relative_error(found[nominal], expected[nominal]) <= LARGEST_ERROR
@@ -91,13 +90,10 @@ def test_bodies_matter(states: States, expected: Array) -> None:
     body = Bodies.disturbed([7])
     one = forward_dynamics(*states[:3], body)
     np.testing.assert_array_equal(one, forward_dynamics(*states[:3], body.take([0] * STATES)))
-
-
-@pytest.mark.parametrize("count", [1, 3, 17])
-def test_a_state_does_not_depend_on_its_batch(states: States, count: int) -> None:
     q, qdot, torque, bodies = states
-    few = forward_dynamics(q[:count], qdot[:count], torque[:count], bodies.take(range(count)))
-    np.testing.assert_array_equal(few, forward_dynamics(*states)[:count])
+    for count in (1, 3, 17):  # a state does not depend on its batch
+        few = forward_dynamics(q[:count], qdot[:count], torque[:count], bodies.take(range(count)))
+        np.testing.assert_array_equal(few, forward_dynamics(*states)[:count])
 
 
 GOOD = {"q": np.zeros((2, 9)), "qdot": np.zeros((2, 9)), "joint_torque": np.zeros((2, 6))}
@@ -106,13 +102,10 @@ GOOD = {"q": np.zeros((2, 9)), "qdot": np.zeros((2, 9)), "joint_torque": np.zero
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("q", np.zeros((2, 8))),
-        ("qdot", np.zeros((3, 9))),
-        ("joint_torque", np.zeros((2, 5))),
-        ("bodies", Bodies.nominal(3)),
-        ("q", np.full((2, 9), np.nan)),
+        ("q", np.zeros((2, 8))), ("qdot", np.zeros((3, 9))), ("joint_torque", np.zeros((2, 5))),
+        ("bodies", Bodies.nominal(3)), ("q", np.full((2, 9), np.nan)),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_used_is_named(name: str, value: object) -> None:
     with pytest.raises(InputError, match=rf"^{name}\b"):
         forward_dynamics(**GOOD | {name: value})  # type: ignore[arg-type]
@@ -158,26 +151,16 @@ def drift(samples: Array) -> Array:
     return np.asarray(np.max(np.abs(samples - samples[0]), axis=0))
 
 
-@pytest.fixture(scope="module")
-def fast() -> list[dict[str, Array]]:
-    return [fly(h, rate=1.0) for h in STEPS_S]
+def test_drift_falls_at_the_order_of_the_integrator() -> None:
+    coarse, fine = (fly(h, rate=1.0) for h in STEPS_S)
+    assert len(coarse) == 3
+    for name in coarse:
+        fall = np.max(drift(coarse[name])) / np.max(drift(fine[name]))
+        assert np.log2(fall) >= RK4_ORDER_AT_LEAST, name
 
 
-@pytest.fixture(scope="module")
-def gentle() -> dict[str, Array]:
-    return fly(STEPS_S[-1], GENTLE)
-
-
-@pytest.mark.parametrize("name", ["energy", "momentum", "angular momentum"])
-def test_drift_falls_at_the_order_of_the_integrator(
-    fast: list[dict[str, Array]], name: str
-) -> None:
-    coarse, fine = (drift(flight[name]) for flight in fast)
-    assert np.log2(np.max(coarse) / np.max(fine)) >= RK4_ORDER_AT_LEAST
-
-
-def test_a_gentle_flight_conserves_to_rounding(gentle: dict[str, Array]) -> None:
-    energy, momentum, spin = gentle.values()
+def test_a_gentle_flight_conserves_to_rounding() -> None:
+    energy, momentum, spin = fly(STEPS_S[-1], GENTLE).values()
     assert np.max(drift(energy) / np.abs(energy[0])) <= ROUNDING
     assert np.max(drift(momentum)) <= ROUNDING * np.max(np.linalg.norm(momentum[0], axis=1))
     assert np.max(drift(spin)) <= ROUNDING * np.max(np.abs(spin[0]))

@@ -21,38 +21,25 @@ ODD = {
 }  # fmt: skip
 
 
-def python(
-    *words: object, environment: Mapping[str, str] = os.environ
-) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, *map(str, words)],
-        env=environment,
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-    )
+def python(*words: object, env: Mapping[str, str] = os.environ) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *map(str, words)]
+    return subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True)
 
 
-def test_a_folder_that_can_be_written_is_taken(
+def test_a_folder_is_taken_that_can_be_written_and_another_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "new" / "cache"))
     require_kernel_cache()
     assert list((tmp_path / "new" / "cache").iterdir()) == []
-    monkeypatch.delenv(CACHE_VARIABLE)
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    require_kernel_cache()
-    assert (tmp_path / "home" / ".cache" / "taichi").is_dir()
-
-
-def test_a_folder_that_cannot_be_written_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "file"))
     with pytest.raises(InputError, match=f"{CACHE_VARIABLE}: .*file.* can be written"):
         require_kernel_cache()
     monkeypatch.delenv(CACHE_VARIABLE)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    require_kernel_cache()
+    assert (tmp_path / "home" / ".cache" / "taichi").is_dir()
     monkeypatch.setenv("HOME", str(tmp_path / "file"))
     with pytest.raises(InputError, match=r"HOME: .* can be written"):
         require_kernel_cache()
@@ -62,10 +49,10 @@ def test_a_folder_that_cannot_be_written_is_named(
 def test_without_a_home_a_command_and_a_simulation_say_one_line(tmp_path: Path) -> None:
     homeless = {name: value for name, value in os.environ.items() if name != "HOME"}
     out = tmp_path / "out"
-    done = python(WALK, "--out", out, environment=homeless)
+    done = python(WALK, "--out", out, env=homeless)
     assert done.stderr.startswith("error: HOME: 'unset'") and done.stderr.count("\n") == 1
     assert done.returncode == 2 and not out.exists()
-    done = python("-c", SIMULATE, environment=homeless)
+    done = python("-c", SIMULATE, env=homeless)
     assert done.returncode == 1 and "InputError: HOME: 'unset'" in done.stderr
 
 
@@ -84,7 +71,7 @@ def test_variables_are_as_they_were_afterwards(monkeypatch: pytest.MonkeyPatch) 
 def test_a_walk_is_the_same_in_an_odd_environment_and_without_docstrings(tmp_path: Path) -> None:
     words = [WALK, "--duration", "2", "--movie-seconds", "0", "--json", "--out", tmp_path]
     plain = python(*words)
-    odd = python("-OO", *words, environment={**os.environ, **ODD})
+    odd = python("-OO", *words, env={**os.environ, **ODD})
     assert (plain.returncode, odd.returncode) == (0, 0), plain.stderr + odd.stderr
     assert plain.stdout == odd.stdout
 

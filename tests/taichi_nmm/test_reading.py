@@ -22,12 +22,8 @@ from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 
 Door = Callable[[Path], Any]
 SLOW_S = 60  # a pipe without a writer would hold a test for ever
-
-
-def open_table(path: Path) -> FeatureTable:
-    return FeatureTable.from_parquet(path, parameters=["x"], features=["y"])
-
-
+GAINS = json.dumps(dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True)))
+TABLE = FeatureTable.from_parquet
 DOORS: dict[str, Door] = {
     "gains": lambda path: load_gains(str(path)),
     "all gains": lambda path: load_all_gains(str(path)),
@@ -35,8 +31,8 @@ DOORS: dict[str, Door] = {
     "terrain": terrain.from_file,
     "store": open_store,
     "row": lambda path: gains_of_row(path, 0),
-    "table": open_table,
-    "table of a store": lambda path: FeatureTable.from_parquet(path, features=["y"]),
+    "table": lambda path: TABLE(path, parameters=["x"], features=["y"]),
+    "table of a store": lambda path: TABLE(path, features=["y"]),
 }
 
 
@@ -56,8 +52,7 @@ def refused(read: Door, path: Path) -> str:
     with pytest.raises(InputError) as caught:
         read(path)
     line = str(caught.value)
-    assert line.isprintable()
-    assert len(line) < 2000
+    assert line.isprintable() and len(line) < 2000
     return line
 
 
@@ -78,62 +73,47 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, door: str) -> None:
 @pytest.mark.parametrize(
     "content",
     [
-        b"[" * 100_000,
-        b'{"a":' * 100_000,
-        b"[" * 200 + b"1" + b"]" * 200,
-        b"a = " + b"[" * 3000 + b"]" * 3000,
-        b"\xff\xfe\x00",
-        b"PAR1" * 3,
-        b"PAR1\xff\xff\xff\x7fPAR1",
-        b"9" * 5000,
-        b'{"K_GAS": ' + b"9" * 5000 + b"}",
-        b"K_GAS = " + b"9" * 5000,
-        b"",
+        b"[" * 100_000, b'{"a":' * 100_000, b"[" * 200 + b"1" + b"]" * 200,
+        b"a = " + b"[" * 3000 + b"]" * 3000, b"\xff\xfe\x00", b"PAR1" * 3,
+        b"PAR1\xff\xff\xff\x7fPAR1", b"9" * 5000, b'{"K_GAS": ' + b"9" * 5000 + b"}",
+        b"K_GAS = " + b"9" * 5000, b"",
     ],
-)
+)  # fmt: skip
 def test_content_that_breaks_parsers(tmp_path: Path, door: str, content: bytes) -> None:
     path = tmp_path / "file"
     path.write_bytes(content)
-    if door == "toml" and content == b"":
-        return  # an empty configuration is one
-    refused(DOORS[door], path)
+    if content or door != "toml":  # an empty configuration is one
+        refused(DOORS[door], path)
 
 
 @pytest.mark.parametrize("digits", [310, 400, 4000, 5000])
 def test_whole_numbers_beyond_any_float(tmp_path: Path, digits: int) -> None:
-    gains = json.dumps(dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True)))
     path = tmp_path / "gains.json"
-    path.write_text(gains.replace("3.874", "9" * digits))
+    path.write_text(GAINS.replace("3.874", "9" * digits))
     refused(DOORS["gains"], path)
-    torso = json.loads(gains) | {"theta_ref": 0.1}
+    torso = json.loads(GAINS) | {"theta_ref": 0.1}
     path.write_text(json.dumps(torso).replace("0.1}", "9" * digits + "}"))
-    with pytest.raises(InputError):
-        load_all_gains(str(path))
+    refused(DOORS["all gains"], path)
     path.write_text(f"samples = {'9' * digits}\nduration_s = {'9' * digits}")
-    with pytest.raises(InputError):
-        read_toml(path).number("duration_s")
-    with pytest.raises(InputError):
-        read_toml(path).integer("samples")
+    refused(lambda path: read_toml(path).number("duration_s"), path)
+    refused(lambda path: read_toml(path).integer("samples"), path)
 
 
 def test_keys_that_come_twice(tmp_path: Path) -> None:
     path = tmp_path / "gains.json"
-    gains = json.dumps(dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True)))
-    path.write_text(gains.replace("{", '{"K_GAS": 1.0, '))
+    path.write_text(GAINS.replace("{", '{"K_GAS": 1.0, '))
     assert "K_GAS" in refused(DOORS["gains"], path)
     path.write_text("a = 1\na = 2")
     refused(DOORS["toml"], path)
 
 
-PACK: dict[str, Callable[[bytes], bytes]] = {
-    ".gz": gzip.compress,
-    ".bz2": bz2.compress,
-    ".xz": lzma.compress,
-}
+PACK: dict[str, Any] = {".gz": gzip.compress, ".bz2": bz2.compress, ".xz": lzma.compress}
 
 
 @pytest.mark.parametrize("suffix", PACK)
-def test_packed_terrain(tmp_path: Path, suffix: str) -> None:
+def test_packed_terrain_is_read_but_no_bomb_unpacked(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / f"hill.csv{suffix}"
     whole = PACK[suffix](b"0,0\n10,1\n")
     path.write_bytes(whole)
@@ -141,19 +121,12 @@ def test_packed_terrain(tmp_path: Path, suffix: str) -> None:
     for damaged in (whole[:-5], whole[:9], whole[:1], b"", b"0,0\n1,1\n", whole[:-9] + b"\0" * 9):
         path.write_bytes(damaged)
         refused(terrain.from_file, path)
-
-
-@pytest.mark.parametrize("suffix", PACK)
-def test_a_bomb_is_not_unpacked(
-    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
     monkeypatch.setattr(reading, "MOST_BYTES", 1 << 20)
-    path = tmp_path / f"bomb.csv{suffix}"
     path.write_bytes(PACK[suffix](b"0" * (1 << 24)))
     assert "MiB" in refused(terrain.from_file, path)
 
 
-def test_a_file_that_is_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_is_too_long(tmp_path: Path) -> None:
     path = tmp_path / "long"
     with path.open("wb") as file:
         file.truncate(reading.MOST_BYTES + 1)  # of zeros, and takes no place on the disk
@@ -161,13 +134,9 @@ def test_a_file_that_is_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert "MiB" in refused(DOORS[door], path)
 
 
-def test_a_mark_at_the_beginning_is_no_fault(tmp_path: Path) -> None:
-    path = tmp_path / "marked.toml"
-    path.write_text("\ufeffa = 1")
-    assert read_toml(path).integer("a") == 1
-
-
-def test_json_of_another_shape(tmp_path: Path) -> None:
+def test_a_mark_at_the_beginning_is_no_fault_but_json_of_another_shape_is(tmp_path: Path) -> None:
+    (tmp_path / "marked.toml").write_text("\ufeffa = 1")
+    assert read_toml(tmp_path / "marked.toml").integer("a") == 1
     for content in ("5", "[]", "null", '"K_GAS"', '{"gains": []}', '{"gains": 5}', "true", "NaN"):
         (tmp_path / "gains.json").write_text(content)
         refused(DOORS["gains"], tmp_path / "gains.json")

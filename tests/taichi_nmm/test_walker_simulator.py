@@ -25,7 +25,7 @@ def test_a_process_a_core_where_no_gpu_computes(
     assert Walker(settings).processes(7) == processes
 
 
-def test_points_are_split_into_gains_and_low_level_gains() -> None:
+def test_parameters_are_gains_and_named_low_level_gains_and_points_are_split_into_them() -> None:
     searched = searched_parameters(["theta_ref", "k_flex"])
     points = np.arange(36.0).reshape(2, 18)
     gains, low_level = split_points(points, searched)
@@ -35,9 +35,7 @@ def test_points_are_split_into_gains_and_low_level_gains() -> None:
     assert low_level[1, [0, 2, 3, 4, 5, 6]].tolist() == [defaults[i] for i in (0, 2, 3, 4, 5, 6)]
     gains, low_level = split_points(points[:, :16], ())
     assert np.array_equal(low_level, [defaults, defaults])
-
-
-def test_parameters_are_the_gains_and_the_named_low_level_gains() -> None:
+    # The parameters of a store.
     assert Walker(Settings()).parameters == Walker.parameters_of(["K_GAS"]) == GAINS
     theta_ref = LOW_LEVEL_GAINS[-1]
     assert Walker.parameters_of(["theta_ref", "nothing"]) == (*GAINS, theta_ref)
@@ -46,9 +44,8 @@ def test_parameters_are_the_gains_and_the_named_low_level_gains() -> None:
 def test_contact_of_our_own_engine_is_refused_with_mujoco() -> None:
     walker = Walker(Settings(engine="mujoco"))
     tables = {"world": {"contact_stiffness": [0.5, 2.0]}}
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"^families\.up\.world\.contact_stiffness: "):
         walker.read_worlds(Table(tables, "families.up"))
-    assert caught.value.field == "families.up.world.contact_stiffness"
     assert Walker(Settings()).read_worlds(Table(tables)).ranges.contact_stiffness == (0.5, 2.0)
 
 

@@ -18,13 +18,10 @@ def elementary() -> Any:
     return interpreted_walker().muscle.two_to.__globals__
 
 
-def test_sine_and_cosine(elementary: Any) -> None:
+def test_sine_cosine_and_arctangent_in_all_quadrants(elementary: Any) -> None:
     sine, cosine = elementary["sine_cosine"](ANGLES)
     assert np.abs(sine - np.sin(ANGLES)).max() < 1e-14
     assert np.abs(cosine - np.cos(ANGLES)).max() < 1e-14
-
-
-def test_arctangent_in_all_quadrants(elementary: Any) -> None:
     rng = np.random.default_rng(0)
     x, y = rng.normal(size=(2, 10000)) * rng.choice([1e-6, 1.0, 1e6], (2, 10000))
     x[:4], y[:4] = [1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]

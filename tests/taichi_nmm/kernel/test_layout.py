@@ -9,12 +9,10 @@ from taichi_nmm.settings import Settings
 from taichi_nmm.walkers import check_batch, constant_rows
 
 
-def test_blocks_follow_each_other() -> None:
-    rows = blocks(a=2, b=1, c=3)
-    assert (rows.a, rows.b, rows.c, rows.count) == (0, 2, 3, 6)
-
-
-def test_each_gain_has_a_row_of_its_name() -> None:
+def test_blocks_follow_each_other_and_each_gain_has_a_row_of_its_name() -> None:
+    named = blocks(a=2, b=1, c=3)
+    assert (named.a, named.b, named.c, named.count) == (0, 2, 3, 6)
+    assert sum(block.count for block in (State, Muscle, Delay, Gait, Sums)) == WALKER_ROWS
     gains = np.arange(1.0, 1.0 + len(GAIN_NAMES))
     low_level = -np.arange(1.0, 1.0 + len(LOW_LEVEL_NAMES))
     (rows,) = constant_rows(check_batch(gains, low_level_gains=low_level), Settings())
@@ -23,7 +21,3 @@ def test_each_gain_has_a_row_of_its_name() -> None:
     assert rows[Const.total_mass] == Bodies.nominal().mass_kg.sum()
     # Side by side, in their order, before all else.
     assert rows[: Const.total_mass].tolist() == [*gains.tolist(), *low_level.tolist()]
-
-
-def test_a_walker_is_all_its_blocks() -> None:
-    assert sum(block.count for block in (State, Muscle, Delay, Gait, Sums)) == WALKER_ROWS

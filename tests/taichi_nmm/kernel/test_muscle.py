@@ -25,25 +25,11 @@ def muscle() -> Any:
     return interpreted_walker().muscle
 
 
-def force_velocity(v: float) -> float:
-    """Hill's curve as published; lengthening positive."""
-    if v < 0:
-        return (1 + v) / (1 - K * v)
-    return N + (N - 1) * (v - 1) / (1 + 7.56 * K * v)
-
-
 def inverse_force_velocity(f: float) -> float:
     """The closed inverse of both branches."""
     if f < 1:
         return (f - 1) / (1 + K * f)
     return ((N - 1) + (f - N)) / ((N - 1) - 7.56 * K * (f - N))
-
-
-def test_force_length_is_a_bell(muscle: Any) -> None:
-    length = np.linspace(0.2, 1.9, 200)
-    expected = np.exp(np.log(C) * np.abs((length - 1) / W) ** 3)
-    assert np.allclose(muscle.force_length(length), expected, rtol=1e-12)
-    assert np.isclose(muscle.force_length(np.array([1 + W]))[0], C)
 
 
 def quotient(muscle: Any, v: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -52,13 +38,22 @@ def quotient(muscle: Any, v: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray((a + b * v) / (1.0 + c * v))
 
 
-def test_force_velocity_is_the_published_curve_and_joins(muscle: Any) -> None:
+def test_force_length_force_velocity_and_metabolic_rate_are_the_published_curves(
+    muscle: Any,
+) -> None:
+    length = np.linspace(0.2, 1.9, 200)
+    expected = np.exp(np.log(C) * np.abs((length - 1) / W) ** 3)
+    assert np.allclose(muscle.force_length(length), expected, rtol=1e-12)
+    assert np.isclose(muscle.force_length(np.array([1 + W]))[0], C)
     v = np.linspace(-1.0, 0.999, 400)
-    assert np.allclose(quotient(muscle, v), [force_velocity(x) for x in v], rtol=1e-12)
+    assert np.allclose(quotient(muscle, v), convergence.force_velocity(v), rtol=1e-12)
     ends = quotient(muscle, np.array([-1.0, 0.0, 1.0, 1.5]))
     assert np.allclose(ends, [0.0, 1.0, N, N + 50.0])
     just_below = quotient(muscle, np.array([0.0, 1.0]) - 1e-12)
     assert np.allclose(just_below, [1.0, N])
+    rate = muscle.metabolic_rate(np.linspace(-1.0, 1.0, 401))
+    assert (rate > 0).all()
+    assert rate[200] == pytest.approx(0.07, abs=1e-12)  # 0.01 + 0.06, and 0.23 - 0.16
 
 
 @cache
@@ -184,10 +179,3 @@ def test_strains_follow_the_lengths() -> None:
     for leg in range(2):
         first = Work.strain + MUSCLES_PER_LEG * leg
         assert np.allclose(work[first : first + MUSCLES_PER_LEG, 0], expected, rtol=1e-12)
-
-
-def test_metabolic_rate_is_continuous_and_positive(muscle: Any) -> None:
-    v = np.linspace(-1.0, 1.0, 401)
-    rate = muscle.metabolic_rate(v)
-    assert (rate > 0).all()
-    assert rate[200] == pytest.approx(0.07, abs=1e-12)  # 0.01 + 0.06, and 0.23 - 0.16

@@ -1,5 +1,6 @@
 """Walks whose bodies MuJoCo moves: how they go, and that no walker feels another."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +32,18 @@ def long_walk() -> Result:
     return taichi_nmm.simulate(gains, duration_s=LONG_S, settings=MUJOCO, record=[0, 1])
 
 
-def test_gaits_walk_at_their_speeds_and_the_ground_carries_them(long_walk: Result) -> None:
+def test_gaits_walk_at_their_speeds_and_metadata_name_engines_and_numerics(
+    long_walk: Result,
+) -> None:
     assert long_walk.end_reason.tolist() == ["completed"] * 2
     assert long_walk["mean_speed_mps"][0] == pytest.approx(1.40, abs=0.03)
     assert long_walk["mean_speed_mps"][1] == pytest.approx(1.27, abs=0.04)
     np.testing.assert_allclose(long_walk["grf_vertical_mean_bw"], 1.0, rtol=0, atol=0.002)
+    metadata = long_walk.metadata
+    assert metadata["engine"] == "mujoco" and metadata["engine_version"] == mujoco.__version__
+    assert metadata["mujoco"] == {"time_constant_s": 0.02, "damping_ratio": 1.0, "limits": "stops"}
+    assert metadata["physics_step_s"] == 1e-3 and metadata["precision"] == "float32"
+    assert metadata["controller"]["engine"] == "taichi"
 
 
 def test_a_trajectory_is_recorded(long_walk: Result) -> None:
@@ -52,14 +60,6 @@ def test_a_trajectory_is_recorded(long_walk: Result) -> None:
         assert both_up.mean() < 0.05 and 0.5 < path.stance.mean() < 0.7
         assert set(path.events["kind"]) == set(path.events["side"]) == {0, 1}
         assert np.abs(path.joint_rad).max() < 2.0
-
-
-def test_metadata_names_engines_and_numerics(long_walk: Result) -> None:
-    metadata = long_walk.metadata
-    assert metadata["engine"] == "mujoco" and metadata["engine_version"] == mujoco.__version__
-    assert metadata["mujoco"] == {"time_constant_s": 0.02, "damping_ratio": 1.0, "limits": "stops"}
-    assert metadata["physics_step_s"] == 1e-3 and metadata["precision"] == "float32"
-    assert metadata["controller"]["engine"] == "taichi"
 
 
 # Bits.
@@ -123,25 +123,36 @@ def assert_only_this_one(found: Result, together: Result, walker: int) -> None:
     assert np.isfinite(found["distance_m"][walker])
 
 
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """MuJoCo would write its log there."""
+    monkeypatch.chdir(tmp_path)
+    yield
+    assert list(tmp_path.iterdir()) == []
+
+
+def those(simulations: Simulations, walker: int, from_s: float) -> Any:
+    """Rows of this walker, which its mass tells, from this time on."""
+    mass_kg = bodies().mass_kg[walker, 0]
+    mine = np.array([model.body_mass[1] == mass_kg for model in simulations.models])
+    return np.flatnonzero(mine & (simulations.time > from_s))
+
+
 def test_a_walker_that_becomes_no_number(
-    together: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+    together: Result, monkeypatch: pytest.MonkeyPatch, capfd: Any
 ) -> None:
     """It gets a code, nothing is printed, and no other walker changes."""
-    monkeypatch.chdir(tmp_path)
-    mass_kg, step = bodies().mass_kg[2, 0], Simulations.step
+    step = Simulations.step
 
     def spoilt(simulations: Simulations) -> None:
-        late = simulations.time > 0.3
-        for row in np.flatnonzero([m.body_mass[1] == mass_kg for m in simulations.models] & late):
-            simulations.ctrl[row] = np.nan
-            simulations.qvel[row, 0] = np.nan
+        rows = those(simulations, 2, 0.3)
+        simulations.ctrl[rows] = simulations.qvel[rows, 0] = np.nan
         step(simulations)
 
     handler = mujoco.get_mju_user_warning()
     monkeypatch.setattr(Simulations, "step", spoilt)
     assert_only_this_one(some(), together, 2)
     assert mujoco.get_mju_user_warning() is handler
-    assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")
 
 
@@ -149,25 +160,20 @@ def test_an_error_of_the_engine_is_of_its_walker_alone(
     together: Result, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """MuJoCo leaves such a walker where it was, and has moved the others."""
-    walker, step = 3, Simulations.step
-    mass_kg = bodies().mass_kg[walker, 0]
+    step = Simulations.step
 
     def failing(simulations: Simulations) -> None:
-        before, late = simulations.state.copy(), simulations.time > 0.1
+        before, rows = simulations.state.copy(), those(simulations, 3, 0.1)
         step(simulations)
-        mine = np.array([m.body_mass[1] == mass_kg for m in simulations.models])
-        if rows := np.flatnonzero(mine & late).tolist():
+        if len(rows):
             simulations.state[rows] = before[rows]
-            raise SimulationError(np.array(rows), "no memory")
+            raise SimulationError(rows, "no memory")
 
     monkeypatch.setattr(Simulations, "step", failing)
-    assert_only_this_one(some(), together, walker)
+    assert_only_this_one(some(), together, 3)
 
 
-def test_a_body_that_no_engine_can_move(
-    together: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_body_that_no_engine_can_move(together: Result) -> None:
     light = bodies()
     mass, inertia = light.mass_kg.copy(), light.inertia_kgm2.copy()
     mass[5], inertia[5] = 1e-9, 1e-12
@@ -175,11 +181,9 @@ def test_a_body_that_no_engine_can_move(
     assert found.end_reason[5] in ("diverged", "fell")
     others = np.arange(WALKERS) != 5
     assert found.rows[others].tobytes() == together.rows[others].tobytes()
-    assert list(tmp_path.iterdir()) == []
 
 
-def test_recording_one_that_diverges(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_recording_one_that_diverges(monkeypatch: pytest.MonkeyPatch) -> None:
     step = Simulations.step
 
     def spoilt(simulations: Simulations) -> None:

@@ -8,19 +8,16 @@ from numpy.typing import NDArray
 from taichi_nmm import terrain
 from taichi_nmm.body import GRAVITY_MPS2, SEGMENT_NAMES, Bodies
 from taichi_nmm.initial import SPEED_MPS
+from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.contact_planes import PLANES, PLANES_PER_SOLE, SOLE_RADIUS_M
 from taichi_nmm.kernel.joints import STOP_STIFFNESS_NMPRAD
-from taichi_nmm.mujoco_engine.engine import start_state
+from taichi_nmm.mujoco_engine import mjcf
+from taichi_nmm.mujoco_engine.engine import Herd, start_state
 from taichi_nmm.mujoco_engine.ground import boxes
-from taichi_nmm.mujoco_engine.mjcf import (
-    JOINTS,
-    LEAST_RANGE_RAD,
-    STOPS,
-    limit,
-    walk_model,
-    write_mjcf,
-)
+from taichi_nmm.mujoco_engine.mjcf import JOINTS, LEAST_RANGE_RAD, STOPS, limit, walk_model
+from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.settings import MujocoSettings, Settings
+from taichi_nmm.walkers import check_batch
 from taichi_nmm.world import WorldRanges
 
 GROUND = terrain.rough(4, flat_start_m=0.0)
@@ -35,7 +32,7 @@ SETTINGS = Settings(
 def model(tmp_path_factory: pytest.TempPathFactory) -> mujoco.MjModel:
     """As MuJoCo's own viewer reads it."""
     path = tmp_path_factory.mktemp("mjcf") / "walker.xml"
-    write_mjcf(path, BODY, FRICTION, boxes(GROUND), SETTINGS, start_state(GROUND))
+    mjcf.write_mjcf(path, BODY, FRICTION, boxes(GROUND), SETTINGS, start_state(GROUND))
     return mujoco.MjModel.from_xml_path(str(path))
 
 
@@ -48,7 +45,7 @@ def test_the_model_has_the_body(model: mujoco.MjModel) -> None:
     assert not model.dof_damping.any() and not model.dof_armature.any()
 
 
-def test_six_motors_turn_six_joints(model: mujoco.MjModel) -> None:
+def test_six_motors_turn_six_joints_limited_where_the_walkers_are(model: mujoco.MjModel) -> None:
     assert model.nu == 6
     assert [model.actuator(n).name for n in range(6)] == list(JOINTS)
     for n, name in enumerate(JOINTS):
@@ -56,9 +53,6 @@ def test_six_motors_turn_six_joints(model: mujoco.MjModel) -> None:
     np.testing.assert_array_equal(model.actuator_gear[:, 0], 1.0)
     np.testing.assert_array_equal(model.actuator_gainprm[:, 0], 1.0)
     assert not model.actuator_ctrllimited.any() and not model.actuator_forcelimited.any()
-
-
-def test_joints_are_limited_where_the_walkers_are(model: mujoco.MjModel) -> None:
     assert model.jnt_limited.tolist() == [0, 0, 0] + [1] * 6
     for name in JOINTS:
         stop = STOPS[name.split("_")[0]]
@@ -115,11 +109,6 @@ def test_the_key_frame_is_the_start_of_every_walk(model: mujoco.MjModel) -> None
 
 def test_a_walker_is_advanced_as_its_file_is(model: mujoco.MjModel) -> None:
     """The first steps without torque, from the key frame and by the engine's own model."""
-    from taichi_nmm.kernel import backend
-    from taichi_nmm.mujoco_engine.engine import Herd
-    from taichi_nmm.parameters import PUBLISHED_GAINS
-    from taichi_nmm.walkers import check_batch
-
     backend.start(SETTINGS.on_processor())
     worlds = WorldRanges(friction=(FRICTION, FRICTION)).draw([0])
     herd = Herd(check_batch(PUBLISHED_GAINS, BODY, GROUND, worlds=worlds), SETTINGS)
@@ -139,13 +128,9 @@ FROM_S = 0.05  # before, the limb is still being slowed down
 BENT_RAD = 0.5
 
 
-def crept(
-    joint: str, torque_nm: float, step_s: float, limits: str = "stops"
-) -> NDArray[np.float64]:
+def crept(joint: str, torque_nm: float, step_s: float) -> NDArray[np.float64]:
     """Angle beyond the limit under a constant torque, from the limit on, in the air, [t] rad."""
-    settings = Settings(
-        engine="mujoco", physics_step_s=step_s, mujoco=MujocoSettings(limits=limits)
-    )
+    settings = Settings(engine="mujoco", physics_step_s=step_s)
     model = walk_model(Bodies.nominal(), settings, 0.9)
     model.opt.gravity[:] = 0.0
     data = mujoco.MjData(model)
@@ -179,11 +164,8 @@ def law(joint: str, torque_nm: float, times_s: NDArray[np.float64]) -> NDArray[n
 @pytest.mark.parametrize("step_s", [1e-3, 0.5e-3])
 @pytest.mark.parametrize(
     ("joint", "torque_nm"),
-    [
-        ("shank_l", 20.0), ("shank_l", 60.0), ("shank_r", 150.0),
-        ("foot_l", 20.0), ("foot_r", 60.0),
-    ],
-)  # fmt: skip
+    [("shank_l", 20.0), ("shank_l", 60.0), ("shank_r", 150.0), ("foot_l", 20.0), ("foot_r", 60.0)],
+)
 def test_a_pushed_joint_creeps_as_the_stop_does(
     joint: str, torque_nm: float, step_s: float
 ) -> None:
@@ -194,9 +176,7 @@ def test_a_pushed_joint_creeps_as_the_stop_does(
     compared = (times_s >= FROM_S) & (expected <= LEAST_RANGE_RAD)
     assert compared.sum() > 20
     np.testing.assert_allclose(found[compared], expected[compared], rtol=TOLERANCE)
-
-
-def test_the_law_begins_with_a_root() -> None:
+    # The law begins with a root.
     times_s = np.array([1e-4, 1e-3])
     largest = 60.0 / STOP_STIFFNESS_NMPRAD
     root = np.sqrt(2 * largest * STOPS["foot"].relaxation_radps * times_s)
