@@ -5,6 +5,7 @@ import re
 import runpy
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import optuna
@@ -14,8 +15,8 @@ from PIL import Image
 import taichi_nmm
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
 from tests.study import fake_walker
+from tests.tools.running import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 README, CONTRIBUTING = ROOT / "README.md", ROOT / "CONTRIBUTING.md"
 PAGES = [README, CONTRIBUTING, ROOT / "CHANGELOG.md", *sorted(DOCS.rglob("*.md"))]
@@ -41,14 +42,21 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", title).lower().replace(" ", "-") for title in titles}
 
 
-def run_as_a_newcomer(code: str, folder: Path) -> str:
-    """The output of the code as a file of its own, in a process of its own."""
-    (folder / "example.py").write_text(code)
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "example.py"]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
-    return done.stdout
+Printed = Callable[..., str]
+
+
+@pytest.fixture
+def printed(tmp_path: Path) -> Printed:
+    """The output of a page's code as a file of its own, in a process of its own."""
+
+    def run(page: Path, block: int = 0) -> str:
+        (tmp_path / "example.py").write_text(code_blocks(page)[block])
+        ours, command = os.environ | {"PYTHONPATH": str(ROOT)}, [sys.executable, "example.py"]
+        done = subprocess.run(command, cwd=tmp_path, env=ours, capture_output=True, text=True)
+        assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+        return done.stdout
+
+    return run
 
 
 @pytest.mark.parametrize("parameter", [*GAINS, *LOW_LEVEL_GAINS], ids=lambda p: p.name)
@@ -85,10 +93,9 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 @pages
 def test_a_cell_of_a_table_has_one_number(page: Path) -> None:
-    cells = [
-        cell for line in re.findall(r"^\|(.*)\|$", prose(page), re.M) for cell in line.split("|")
-    ]
-    assert [cell for cell in cells if SEVERAL_NUMBERS.fullmatch(cell.strip())] == []
+    rows = re.findall(r"^\|(.*)\|$", prose(page), re.MULTILINE)
+    cells = [cell.strip() for row in rows for cell in row.split("|")]
+    assert [cell for cell in cells if SEVERAL_NUMBERS.fullmatch(cell)] == []
 
 
 def test_the_readme_is_short_and_moves() -> None:
@@ -101,34 +108,28 @@ def test_the_readme_is_short_and_moves() -> None:
 
 
 @pytest.mark.slow
-def test_the_readmes_simulation_runs(tmp_path: Path) -> None:
-    printed = run_as_a_newcomer(code_blocks(README)[0], tmp_path)
-    assert "completed" in printed and "(10000, 6)" in printed
-
-
-@pytest.mark.slow
-def test_the_start_pages_walk_prints_what_it_shows(tmp_path: Path) -> None:
-    page = DOCS / "index.md"
-    assert run_as_a_newcomer(code_blocks(page)[0], tmp_path) == code_blocks(page, "text")[0]
+def test_walks_of_the_readme_and_the_start_page_print_what_is_promised(printed: Printed) -> None:
+    said, page = printed(README), DOCS / "index.md"
+    assert "completed" in said and "(10000, 6)" in said
+    assert printed(page) == code_blocks(page, "text")[0]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("page", "block"), [(README, 1), (DOCS / "store.md", 0)])
 def test_examples_that_read_a_store_run_on_a_small_one(
-    page: Path, block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: Path, block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed
 ) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "store").symlink_to(ROOT / "tests" / "assets" / "store-v1")
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     fake_walker.write_store(tmp_path / "out" / "store-diverse")
-    run_as_a_newcomer(code_blocks(page)[block], tmp_path)
+    printed(page, block)
 
 
 @pytest.mark.slow
-def test_the_samplers_complete_example_runs_in_an_empty_folder(tmp_path: Path) -> None:
-    page = DOCS / "sampler.md"
-    printed, shown = run_as_a_newcomer(code_blocks(page)[0], tmp_path), code_blocks(page, "text")[0]
-    best, promised = (float(re.findall(r"best of 20: (\S+)", text)[0]) for text in (printed, shown))
+def test_the_samplers_complete_example_runs_in_an_empty_folder(printed: Printed) -> None:
+    texts = printed(DOCS / "sampler.md"), code_blocks(DOCS / "sampler.md", "text")[0]
+    best, promised = (float(re.findall(r"best of 20: (\S+)", text)[0]) for text in texts)
     assert best == pytest.approx(promised, abs=0.01)
 
 
@@ -144,8 +145,8 @@ def test_all_examples_of_the_sampler_run_in_their_order(
     blocks = code_blocks(page)
     for number, code in enumerate([*blocks, blocks[-1]]):  # the last is a program to run again
         exec(compile(code, f"docs/sampler.md, block {number}", "exec"), names)
-    printed, shown = capsys.readouterr().out, code_blocks(page, "text")[1:]
-    assert shown and all(text in printed for text in shown)
+    said, shown = capsys.readouterr().out, code_blocks(page, "text")[1:]
+    assert shown and all(text in said for text in shown)
     study = names["study"]
     assert isinstance(study, optuna.Study)
     rows = [trial.user_attrs["row"] for trial in study.trials]
@@ -153,10 +154,8 @@ def test_all_examples_of_the_sampler_run_in_their_order(
 
 
 @pytest.mark.slow
-def test_the_body_of_the_controllers_page_walks_100_s(tmp_path: Path) -> None:
-    page = DOCS / "controller.md"
-    printed = run_as_a_newcomer(code_blocks(page)[0], tmp_path)
-    walked, distance, speed = map(float, re.findall(r"[\d.]+", printed))
-    assert walked == 100.0
-    assert 1.1 < speed < 1.5 and abs(distance - 100 * speed) < 2.0
-    assert code_blocks(page, "text")[0].split(",")[0] == printed.split(",")[0]
+def test_the_body_of_the_controllers_page_walks_100_s(printed: Printed) -> None:
+    said, shown = printed(DOCS / "controller.md"), code_blocks(DOCS / "controller.md", "text")[0]
+    walked, distance, speed = map(float, re.findall(r"[\d.]+", said))
+    assert walked == 100.0 and 1.1 < speed < 1.5 and abs(distance - 100 * speed) < 2.0
+    assert shown.split(",")[0] == said.split(",")[0]

@@ -24,13 +24,13 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, chdir, contextmanager
+from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from threading import Event
-from typing import Any
 from unittest import mock
 
 from tqdm import tqdm
@@ -42,7 +42,7 @@ from study.options import LARGEST_SEED, Options
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder
 from tests.fuzz.cases import Case, make_case
-from tests.fuzz.world import Words, make_world, within
+from tests.fuzz.world import Words, make_world
 
 ACCEPTED, REFUSED = 0, EXIT_BAD_INPUT
 LINE = re.compile(r"error: \S.*: .*\S", re.DOTALL)
@@ -60,36 +60,17 @@ class Reached(BaseException):
     """The command has come to its work."""
 
 
-class Idle(Executor):
-    """Does nothing."""
-
-    def __init__(self, _: int) -> None:
-        pass
-
-    def submit(self, *_: Any, **__: Any) -> Future[Any]:
-        return Future()
-
-
 @dataclass(frozen=True)
 class Verdict:
-    """How a command ended.
+    """How a command ended."""
 
-    Attributes:
-        code: its exit code; None where it raised something instead.
-        wrong: the rule that it broke; "" for none.
-        said: on standard error.
-    """
-
-    code: int | None
-    wrong: str
-    said: str
+    code: int | None  # None where it raised something instead
+    wrong: str  # the rule that it broke; "" for none
+    said: str  # on standard error
 
 
 def judge(case: Case) -> Verdict:
-    """Run `taichi-nmm` with the case's words from within its folder.
-
-    Standard output and error of this process have to be files (see `files_for_output`).
-    """
+    """Run `taichi-nmm` with the case's words from within its folder; see `files_for_output`."""
     before = content(case.folder)
     code, error = run(case.words, case.folder)
     said = take_output()
@@ -99,7 +80,7 @@ def judge(case: Case) -> Verdict:
 def run(words: Words, folder: Path) -> tuple[int | None, str]:
     """Exit code of a command; or what it raised, and where."""
     try:
-        with within(folder), mock.patch.object(sys, "argv", []), warnings.catch_warnings():
+        with chdir(folder), mock.patch.object(sys, "argv", []), warnings.catch_warnings():
             main(words)
     except SystemExit as end:
         return (end.code, "") if isinstance(end.code, int) else (int(bool(end.code)), "")
@@ -132,12 +113,12 @@ def wrong(code: int | None, said: str, before: Content, folder: Path) -> str:
 
 def content(folder: Path) -> Content:
     """SHA-256 of every file below a folder; folders too."""
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        if path.is_file() and not path.is_symlink()
-        else "no file"
-        for path in sorted(folder.rglob("*"))
-    }
+
+    def digest(path: Path) -> str:
+        sound = path.is_file() and not path.is_symlink()
+        return hashlib.sha256(path.read_bytes()).hexdigest() if sound else "no file"
+
+    return {str(path.relative_to(folder)): digest(path) for path in sorted(folder.rglob("*"))}
 
 
 @contextmanager
@@ -162,26 +143,22 @@ def doors() -> Iterator[None]:
     def savefig(_: object, path: Path, format: str, **__: object) -> None:
         Path(path).write_bytes(PICTURES[format])
 
-    ask, known = ScriptDirectory.get_current_head, []
-
-    def head(script: ScriptDirectory) -> str | None:
-        if not known:
-            known.append(ask(script))
-        return known[0]
+    ask = ScriptDirectory.get_current_head
+    head = cache(lambda place: ask(ScriptDirectory(place)))
 
     with ExitStack() as stack:
         for owner, name, instead in (
             (taichi_nmm.simulator, "_start", reached),
             (pool, "Processes", reached),
             (dashboard.Server, "serve_forever", reached),
-            (explore, "Processes", Idle),
+            (explore, "Processes", mock.MagicMock()),
             (explore, "serve", fill),
             (Figure, "savefig", savefig),
             (Figure, "tight_layout", lambda _: None),
             (FigureCanvasAgg, "draw", lambda _: None),
             (os, "fsync", lambda _: None),
             # Optuna reads its own schema's version from ten files at every opening.
-            (ScriptDirectory, "get_current_head", head),
+            (ScriptDirectory, "get_current_head", lambda script: head(script.dir)),
         ):
             stack.enter_context(mock.patch.object(owner, name, instead))
         yield
@@ -222,6 +199,9 @@ class Outcome:
     took_s: float
 
 
+Note = Callable[[Outcome], object]
+
+
 @dataclass(frozen=True)
 class Plan:
     """All that processes need: the cases' seed, sound files, a folder of theirs, how to judge."""
@@ -233,12 +213,7 @@ class Plan:
     judge: Callable[[Case], Verdict] = judge
 
 
-def run_cases(
-    plan: Plan,
-    numbers: Sequence[int],
-    workers: int,
-    note: Callable[[Outcome], object] = lambda _: None,
-) -> list[Outcome]:
+def run_cases(plan: Plan, numbers: Sequence[int], workers: int, note: Note = id) -> list[Outcome]:
     """The outcomes of cases; `note` is called, in a thread, with each as it comes."""
     stop = Event()
 
@@ -281,7 +256,7 @@ def judged(plan: Plan, numbers: Iterable[int], place: Path) -> Iterator[Outcome]
 
 
 def ended(plan: Plan, place: Path, number: int) -> Outcome:
-    """The outcome of a case that ended its process: by an abort, or by taking too long."""
+    """Of a case that ended its process: by an abort, or by taking too long."""
     trace = (place / TRACE).read_text(errors="replace")
     what = f"longer than {plan.limit_s:g} s" if "Timeout" in trace else "abort"
     case = make_case(plan.seed, number, plan.world, place / "again")
@@ -317,13 +292,9 @@ def judge_case(plan: Plan, place: Path, number: int) -> Outcome:
 def keep(plan: Plan, outcome: Outcome, folder: Path) -> None:
     """Make a failed case's files once more, to be looked at, with its verdict."""
     make_case(plan.seed, outcome.case.number, plan.world, folder)
-    document = {
-        "wrong": outcome.verdict.wrong,
-        "repeat": f"cd here && taichi-nmm {shlex.join(outcome.case.words)}",
-        "words": outcome.case.words,
-        "code": outcome.verdict.code,
-        "said": outcome.verdict.said,
-    }
+    words = outcome.case.words
+    repeat = {"repeat": f"cd here && taichi-nmm {shlex.join(words)}", "words": words}
+    document = asdict(outcome.verdict) | repeat
     (folder / "case.json").write_text(json.dumps(document, indent=2) + "\n")
 
 

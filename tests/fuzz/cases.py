@@ -1,7 +1,6 @@
 """A case: a folder of sound files of which one is damaged, and the words of a command.
 
-`FORMATS` are the formats that commands read: their files, the commands that read them, and how the
-files are damaged. Case n of a seed is the same on every machine, and depends on no other.
+Case n of a seed is the same on every machine, and depends on no other.
 """
 
 import json
@@ -20,22 +19,14 @@ from numpy.random import Generator
 from study.options import parser_of
 from tests.fuzz import damage
 from tests.fuzz.damage import OPTIONS, chance, pick
-from tests.fuzz.world import (
-    COMMANDS,
-    ONE,
-    PACKERS,
-    PRECOMPUTE,
-    STILL,
-    STUDY,
-    UNPACKERS,
-    Words,
-)
+from tests.fuzz.world import COMMANDS, ONE, PACKERS, PRECOMPUTE, STILL, STUDY, UNPACKERS, Words
 
 Damage = Callable[[Generator, Path], None]
 
 # As those of the world, but into new folders: another configuration than there is not refused.
 NEW = ("--out", "new", *ONE)
-NEW_STUDY = ("study", "--out", "new", "--storage", "sqlite:///new.db", "--config")
+NEW_STUDY = ("study", "--out", "new", "--storage", "sqlite:///new.db", "--config", "toy.toml",
+             "--arm")  # fmt: skip
 WALK_SOFT = ("walk", "--config", "mujoco-rough8-soft.toml", *STILL)
 COMPARE_NEW = ("compare", "--config", "toy.toml", "--no-artifacts", *NEW)
 PRECOMPUTE_NEW = ("precompute", "--config", "grid.toml", *NEW)
@@ -49,8 +40,7 @@ def in_bytes(rng: Generator, path: Path) -> None:
 def in_text(rng: Generator, path: Path) -> None:
     """In a text, which may be packed, or in its bytes."""
     if chance(rng, 0.35):
-        in_bytes(rng, path)
-        return
+        return in_bytes(rng, path)
     pack, unpack = PACKERS.get(path.suffix, bytes), UNPACKERS.get(path.suffix, bytes)
     text = unpack(path.read_bytes()).decode()
     path.write_bytes(pack(damage.damaged_text(rng, text)))
@@ -102,20 +92,12 @@ def misplaced(rng: Generator, path: Path) -> None:
 
 @dataclass(frozen=True)
 class Format:
-    """A kind of input: files of which one is damaged, and the commands that read it.
-
-    Attributes:
-        name: of it.
-        share: of all cases, beside those of the others.
-        files: none where the words of the command are damaged.
-        readers: names of `COMMANDS`, or words.
-        damage: to the file.
-    """
+    """A kind of input: files of which one is damaged, and the commands that read it."""
 
     name: str
-    share: int
-    files: tuple[str, ...]
-    readers: tuple[str | Words, ...]
+    share: int  # of all cases, beside those of the others
+    files: tuple[str, ...]  # none where the words of the command are damaged
+    readers: tuple[str | Words, ...]  # names of `COMMANDS`, or words
     damage: Damage = in_bytes
 
     def prepare(self, rng: Generator, folder: Path) -> Words:
@@ -124,8 +106,7 @@ class Format:
         words: Words = COMMANDS[reader] if isinstance(reader, str) else reader
         if not self.files:
             return damaged_words(rng, words)
-        name = pick(rng, self.files)
-        path = folder / name
+        path = folder / (name := pick(rng, self.files))
         if path.parent.name == "arms" and chance(rng, 0.5):  # as of an unfinished comparison
             (path.parents[1] / "trials.parquet").unlink()
         (misplaced if chance(rng, 0.04) else self.damage)(rng, path)
@@ -168,16 +149,11 @@ SHARD = ("store/part-00000.parquet",)
 
 FORMATS = (
     Format("arguments", 20, (), tuple(COMMANDS)),
-    Format(
-        "experiment, TOML", 16, ("toy.toml",),
-        ("walk", "compare", COMPARE_NEW, (*NEW_STUDY, "toy.toml", "--arm", "dog"),
-         (*NEW_STUDY, "toy.toml", "--arm", "random")),
-        in_toml,
-    ),
+    Format("experiment, TOML", 16, ("toy.toml",),
+           ("walk", "compare", COMPARE_NEW, (*NEW_STUDY, "dog"), (*NEW_STUDY, "random")), in_toml),
     Format("experiment on MuJoCo, TOML", 4, ("mujoco-rough8.toml",), (WALK_SOFT,), in_toml),
     Format("optimum's experiment, TOML", 3, ("level.toml",), ("optimum",), in_toml),
-    Format("store, TOML", 8, ("grid.toml",), ("precompute", PRECOMPUTE_NEW, PRECOMPUTE_NEW),
-           in_toml),
+    Format("store, TOML", 8, ("grid.toml",), ("precompute", *[PRECOMPUTE_NEW] * 2), in_toml),
     Format("store of worlds, TOML", 2, ("store-worlds.toml",), (PRECOMPUTE_WORLDS,), in_toml),
     Format("gains, JSON", 10, ("gains.json", "best/dog-run-000-best.json"),
            (("walk", "--gains", "{file}", *STILL),), in_json),
@@ -187,26 +163,20 @@ FORMATS = (
     Format("store's shard, bytes", 6, SHARD, STORE, in_bytes),
     Format("store's footer", 6, SHARD, STORE, in_footer),
     Format("store's columns", 5, SHARD, STORE, in_columns),
-    Format(
-        "store that goes on", 5,
-        ("grid/specification.json", "grid/manifest.json", "grid/part-00001.parquet"),
-        (PRECOMPUTE, PRECOMPUTE, (*PRECOMPUTE, "--fresh")), in_folder_file,
-    ),
+    Format("store that goes on", 5,
+           ("grid/specification.json", "grid/manifest.json", "grid/part-00001.parquet"),
+           (PRECOMPUTE, PRECOMPUTE, (*PRECOMPUTE, "--fresh")), in_folder_file),
     Format("experiment.json", 6, ("compared/experiment.json",),
            ("report", "report with strips", "compare", "walk of a trial",
             "explore of a comparison"), in_json),
     Format("run.json", 3, ("compared/run.json",), ("report", "report", "compare"), in_json),
-    Format("trials.parquet", 6, ("compared/trials.parquet",),
-           ("report", "walk of a trial", "walk of a trial", "explore of a comparison"),
-           either(in_bytes, in_columns)),
+    Format("trials.parquet", 6, ("compared/trials.parquet",), ("report", *["walk of a trial"] * 2,
+           "explore of a comparison"), either(in_bytes, in_columns)),
     Format("an arm's trials", 6, ("compared/arms/dog.parquet", "compared/arms/random.parquet"),
            ("report", "compare", "compare"), either(in_bytes, in_columns, in_columns, in_footer)),
-    Format(
-        "optimum's folder", 3,
-        ("optimum/search.json", "optimum/evaluations.parquet", "optimum/dog/experiment.json",
-         "optimum/dog/arms/dog.parquet"),
-        ("optimum",), in_folder_file,
-    ),
+    Format("optimum's folder", 3,
+           ("optimum/search.json", "optimum/evaluations.parquet", "optimum/dog/experiment.json",
+            "optimum/dog/arms/dog.parquet"), ("optimum",), in_folder_file),
     Format("optimum.json", 2, ("optimum/optimum.json",), ("report of two",), in_json),
     Format("live studies, SQLite", 7, ("live.db",), DATABASE, in_database),
     Format("a comparison's studies, SQLite", 3, ("compared/studies.db",), EXPORTED, in_database),
@@ -228,10 +198,7 @@ class Case:
 
 
 def make_case(seed: int, number: int, world: Path, place: Path) -> Case:
-    """Make the case's folder in `place`, which is for this case alone.
-
-    The seed is of all cases; `world` is the folder of sound files.
-    """
+    """Make the case's folder, of the sound files of `world`, in `place`, which is for it alone."""
     shutil.rmtree(place, ignore_errors=True)
     folder = Path(shutil.copytree(world, place / HERE))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))

@@ -1,7 +1,4 @@
-"""Damage to bytes, texts, documents, Parquet files and databases, and values that nobody expects.
-
-Each kind of damage returns a new content, or writes a file again; `rng` decides all of it.
-"""
+"""Damage to bytes, texts, documents, Parquet files and databases, decided by `rng` alone."""
 
 import hashlib
 import json
@@ -10,6 +7,7 @@ import re
 import sqlite3
 from contextlib import closing, suppress
 from copy import deepcopy
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -48,19 +46,22 @@ OPTIONS: tuple[str, ...] = (
     "", " ", "-", "--", "-1", "0", "1", "2", "00", "+1", "1.5", "1e3", "nan", "inf", "-inf",
     "1e400", "9" * 30, "9" * 5000, "\u0663", "\u00b2", "1_0", "0x1", " 1 ", "1\n", "a", "dog",
     "dog,dog", "dog,", ",", "random", "best", "é", "\u202ea", "\U0001f600", "a b", "a\nb", "a\tb",
-    "\x1b[31m",
-    SURROGATE, f"a{SURROGATE}", "x" * 300, "x" * 5000, "%s", "%(default)s", "{}", "{0}", "*", "~",
-    ".", "..", "./.", "a/b/c", "store", "compared", "toy.toml", "hill.csv", "live.db", "gains.json",
-    "toy.toml/x", "/dev/null/x", "auto", "cpu", "cuda", "vulkan",
-    "mujoco", "both", "taichi", "few", "all", "sqlite:///", "sqlite:///live.db",
-    "sqlite:///toy.toml", "sqlite:///store", "sqlite:///a/b.db", "sqlite:///:memory:",
-    "sqlite:///x?mode=ro", "sqlite:///%00", "sqlite:///%ff", "sqlite:///~/x", "sqlite://",
-    "mysql://a", "postgresql+psycopg://", "postgresql://x:secret@y/z",
+    "\x1b[31m", SURROGATE, f"a{SURROGATE}", "x" * 300, "x" * 5000, "%s", "%(default)s", "{}", "{0}",
+    "*", "~", ".", "..", "./.", "a/b/c", "store", "compared", "toy.toml", "hill.csv", "live.db",
+    "gains.json", "toy.toml/x", "/dev/null/x", "auto", "cpu", "cuda", "vulkan", "mujoco", "both",
+    "taichi", "few", "all", "sqlite:///", "sqlite:///live.db", "sqlite:///toy.toml",
+    "sqlite:///store", "sqlite:///a/b.db", "sqlite:///:memory:", "sqlite:///x?mode=ro",
+    "sqlite:///%00", "sqlite:///%ff", "sqlite:///~/x", "sqlite://", "mysql://a",
+    "postgresql+psycopg://", "postgresql://x:secret@y/z",
     "postgresql+psycopg://u:secret@127.0.0.1:1/x", "postgresql+psycopg://[::1",
     "toy/dog/run-000/0", "toy/dog/run-000/1", "toy/dog/run-000/9", "toy/dog/run-000/x", "toy/dog/0",
-    "////", "toy/dog/run-000/\u0663", "toy/dog/run-000/-1", "published", "reference",
-    "rough8", "store-v",
+    "////", "toy/dog/run-000/\u0663", "toy/dog/run-000/-1", "published", "reference", "rough8",
+    "store-v",
 )  # fmt: skip
+
+
+PIECES = re.compile(r"[\w.+-]+|\s+|[^\w\s]")
+DEEP = 200  # lists in each other
 
 
 def pick(rng: Generator, values: Any) -> Any:
@@ -69,10 +70,6 @@ def pick(rng: Generator, values: Any) -> Any:
 
 def chance(rng: Generator, of: float) -> bool:
     return bool(rng.random() < of)
-
-
-PIECES = re.compile(r"[\w.+-]+|\s+|[^\w\s]")
-DEEP = 200  # lists in each other
 
 
 def damaged_bytes(rng: Generator, data: bytes) -> bytes:
@@ -89,9 +86,8 @@ def damaged_bytes(rng: Generator, data: bytes) -> bytes:
         elif kind == 6 and chance(rng, 0.3):
             del parts[place:]
         elif kind < 6:
-            count = end - place
-            old, new = bytes(parts[place:end]), rng.bytes(count)
-            even = bytes([pick(rng, (0, 255, 127, 128))]) * count
+            old, new = bytes(parts[place:end]), rng.bytes(end - place)
+            even = bytes([pick(rng, (0, 255, 127, 128))]) * (end - place)
             parts[place:end] = (old, b"", old * 2, even, new + old, new)[kind]
     return b"" if chance(rng, 0.01) else bytes(parts)
 
@@ -181,20 +177,21 @@ def as_json(document: Any) -> bytes:
 
 def as_toml(document: Any) -> bytes:
     """As TOML, tables within lines; values that TOML lacks are written as in JSON."""
-    if not isinstance(document, dict):
-        return toml_value(document).encode(errors="replace")
-    lines = [f"{json.dumps(key)} = {toml_value(value)}\n" for key, value in document.items()]
-    return "".join(lines).encode(errors="replace")
+    lines = pairs(document) if isinstance(document, dict) else [toml_value(document)]
+    return "".join(f"{line}\n" for line in lines).encode(errors="replace")
+
+
+def pairs(table: dict[str, Any]) -> list[str]:
+    return [f"{json.dumps(key)} = {toml_value(value)}" for key, value in table.items()]
 
 
 def toml_value(value: Any) -> str:
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(k)} = {toml_value(v)}" for k, v in value.items()) + "}"
+        return f"{{{', '.join(pairs(value))}}}"
     if isinstance(value, list):
-        return "[" + ", ".join(map(toml_value, value)) + "]"
-    if isinstance(value, float) and not math.isfinite(value):
-        return "nan" if math.isnan(value) else f"{value}"
-    return json.dumps(value)
+        return f"[{', '.join(map(toml_value, value))}]"
+    is_json = not isinstance(value, float) or math.isfinite(value)
+    return json.dumps(value) if is_json else str(value)
 
 
 TYPES = (
@@ -202,7 +199,6 @@ TYPES = (
     pa.string(), pa.large_string(), pa.binary(), pa.bool_(), pa.null(), pa.timestamp("s"),
     pa.list_(pa.float64()), pa.dictionary(pa.int32(), pa.string()), pa.decimal128(20, 2),
 )  # fmt: skip
-DEFERRED = "PRAGMA ignore_check_constraints = ON"
 
 
 def damaged_columns(rng: Generator, path: Path) -> None:
@@ -220,7 +216,10 @@ def damaged_columns(rng: Generator, path: Path) -> None:
             with suppress(Exception):  # of types that have no digest
                 document[DIGEST_KEY] = table_digest(table)
         table = table.replace_schema_metadata({FOOTER_KEY: json.dumps(document)})
-    pq.write_table(table, path, compression="zstd", write_page_checksum=True)
+    write(table, path)
+
+
+write = partial(pq.write_table, compression="zstd", write_page_checksum=True)
 
 
 def other_table(rng: Generator, table: pa.Table) -> pa.Table:
@@ -252,13 +251,11 @@ def other_table(rng: Generator, table: pa.Table) -> pa.Table:
 
 def as_column(values: list[Any], kind: pa.DataType) -> pa.Array:
     """The values as this type; those that are none of it are left out."""
-    kept = []
-    for value in values:
-        try:
+    kept: list[Any] = [None] * len(values)
+    for place, value in enumerate(values):
+        with suppress(pa.ArrowException, TypeError, ValueError, OverflowError):
             pa.array([value], kind)
-        except (pa.ArrowException, TypeError, ValueError, OverflowError):
-            value = None
-        kept.append(value)
+            kept[place] = value
     return pa.array(kept, kind)
 
 
@@ -273,9 +270,7 @@ def damaged_footer(rng: Generator, path: Path) -> None:
         sign(document)
     text = json.dumps(document).encode()
     metadata = pick(rng, ({FOOTER_KEY: text},) * 20 + (None, {FOOTER_KEY: b"\xff"}, {b"a": text}))
-    pq.write_table(
-        table.replace_schema_metadata(metadata), path, compression="zstd", write_page_checksum=True
-    )
+    write(table.replace_schema_metadata(metadata), path)
     manifest = path.with_name("manifest.json")
     if manifest.is_file() and chance(rng, 0.5):
         known = json.loads(manifest.read_text())
@@ -297,7 +292,7 @@ def sign(document: Any) -> None:
 def damaged_database(rng: Generator, path: Path) -> None:
     """Values of cells replaced, rows dropped or doubled, a table dropped or renamed."""
     with closing(sqlite3.connect(path)) as connection:
-        connection.execute(DEFERRED)
+        connection.execute("PRAGMA ignore_check_constraints = ON")
         for _ in range(1 + int(rng.exponential(0.5))):
             with suppress(sqlite3.Error):  # a constraint that stands in the way
                 change_database(rng, connection)
@@ -307,11 +302,9 @@ def damaged_database(rng: Generator, path: Path) -> None:
 
 def change_database(rng: Generator, connection: sqlite3.Connection) -> None:
     """One change."""
-    tables = (
-        "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite%'"
-        " ORDER BY name"
-    )
-    name = pick(rng, [row[0] for row in connection.execute(tables)])
+    where = "WHERE type = 'table' AND name NOT LIKE 'sqlite%' ORDER BY name"
+    tables = connection.execute(f"SELECT name FROM sqlite_master {where}")
+    name = pick(rng, [row[0] for row in tables])
     columns = [row[1] for row in connection.execute(f'PRAGMA table_info("{name}")')]
     column = pick(rng, columns)
     rows = connection.execute(f'SELECT rowid, "{column}" FROM "{name}" ORDER BY rowid').fetchall()
@@ -337,7 +330,7 @@ def change_database(rng: Generator, connection: sqlite3.Connection) -> None:
 
 
 def in_cell(rng: Generator, old: Any) -> Any:
-    """A value for a cell: of JSON, where there was JSON."""
+    """A value for a cell; of JSON, where there was JSON."""
     if isinstance(old, str):
         with suppress(ValueError):
             document = json.loads(old)

@@ -1,19 +1,17 @@
 """The sound files that are damaged: one of every format, made once with a formula for a simulator.
 
-Every command of `COMMANDS` takes them as they are, from within their folder; and nothing in them is
-of the day, so that a case is the same wherever and whenever it is made.
+Nothing in them is of the day, so that a case is the same wherever and whenever it is made.
 """
 
 import bz2
 import gzip
 import json
 import lzma
-import os
 import shutil
 import sqlite3
 import sys
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
+from contextlib import chdir, closing, redirect_stderr, redirect_stdout
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from unittest import mock
@@ -38,7 +36,7 @@ STUDY = ("study", "--config", "toy.toml", "--arm", "dog", "--out", "best", "--st
          "sqlite:///live.db")  # fmt: skip
 STILL = ("--movie-seconds", "0", "--out", "walked")
 
-# Every command, on files of the world.
+# Every command, on files of the world, from within their folder.
 COMMANDS: dict[str, Words] = {
     "compare": COMPARE,
     "optimum": OPTIMUM,
@@ -115,13 +113,8 @@ disturbance = 0.1
 """
 
 
-def same_day(data: bytes) -> bytes:
-    """Packed by gzip, which writes the time into the file."""
-    return gzip.compress(data, mtime=0)
-
-
 HILL = "x_m,height_m\n" + "".join(f"{x},{0.01 * (x % 3)}\n" for x in range(0, 60, 2))
-PACKERS = {".gz": same_day, ".bz2": bz2.compress, ".xz": lzma.compress}
+PACKERS = {".gz": partial(gzip.compress, mtime=0), ".bz2": bz2.compress, ".xz": lzma.compress}
 UNPACKERS = {".gz": gzip.decompress, ".bz2": bz2.decompress, ".xz": lzma.decompress}
 DAY = "2026-01-01 00:00:00.000000"
 
@@ -141,24 +134,13 @@ def make_world(folder: Path) -> None:
     (folder / "gains.json").write_text(json.dumps(gains | {"theta_ref": 0.1}, indent=1))
     simulator = mock.patch.dict(vars(taichi_nmm), simulate=fake_walker.simulate)
     shown = StringIO()
-    with within(folder), simulator, redirect_stdout(shown), redirect_stderr(shown):
+    with chdir(folder), simulator, redirect_stdout(shown), redirect_stderr(shown):
         families = {"up": {"settings": 1, "terrain": {"kind": "ramp"}}}
         fake_walker.write_store(Path("store"), robust={}, families=families)
         for words in (PRECOMPUTE, COMPARE, OPTIMUM, (*STUDY, "--trials", "2")):
             with mock.patch.object(sys, "argv", []):
                 main(words)
     settle(folder)
-
-
-@contextmanager
-def within(folder: Path) -> Iterator[None]:
-    """The working directory, for a block."""
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
-        yield
-    finally:
-        os.chdir(before)
 
 
 def settle(folder: Path) -> None:

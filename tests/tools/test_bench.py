@@ -4,33 +4,25 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 from taichi_nmm.errors import InputError
-from tests.tools.running import load_tool
+from tests.tools.running import ROOT, load_tool
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = 64
 
 
-@pytest.fixture(scope="module")
-def report() -> dict[str, Any]:
+@pytest.mark.campaign
+def test_start_and_run_are_timed_apart_and_compared_with_others() -> None:
     words = ("--samples", str(SAMPLES), "--arch", "cpu", "--threads", "--mujoco", "--json")
     command = [sys.executable, "tools/bench.py", *words]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    parsed: dict[str, Any] = json.loads(done.stdout)
-    return parsed
-
-
-@pytest.mark.campaign
-def test_start_and_run_are_timed_apart(report: dict[str, Any]) -> None:
-    run = report["run"]
+    report = json.loads(done.stdout)
+    run, ratios, mujoco = report["run"], report["times_reference_speed"], report["mujoco"]
     assert report["cold_start_s"] > report["warm_start_s"] > 0.0
     assert run["run_s"] < report["cold_start_s"]
     assert run["samples"] == SAMPLES > run["alive"] > 0
@@ -38,17 +30,11 @@ def test_start_and_run_are_timed_apart(report: dict[str, Any]) -> None:
     steps = run["walker_steps_per_s"] * run["run_s"]
     assert 1000 * 5 * run["alive"] <= steps <= 1000 * 5 * SAMPLES
     assert 50 < run["peak_rss_mib"] < 4096
-
-
-@pytest.mark.campaign
-def test_the_run_is_compared_with_others(report: dict[str, Any]) -> None:
-    run, ratios, mujoco = report["run"], report["times_reference_speed"], report["mujoco"]
     per_s = run["walkers_per_s"]
     assert ratios["scalar C, float64"] == pytest.approx(per_s / (100_000 / 234.0))
     assert ratios["hand-written AVX-512, float32"] == pytest.approx(per_s / (100_000 / 14.9))
-    threads = [row["threads"] for row in report["threads"]]
-    assert threads == sorted({1, os.cpu_count() or 1})
-    assert min(row["run_s"] for row in report["threads"]) > 0.0
+    threads = {row["threads"]: row["run_s"] for row in report["threads"]}
+    assert list(threads) == sorted({1, os.cpu_count() or 1}) and min(threads.values()) > 0.0
     assert mujoco["steps_per_s_single"] > 1000
     for name in ("single", "all"):
         ratio = run["walker_steps_per_s"] / mujoco[f"steps_per_s_{name}"]
@@ -77,13 +63,10 @@ def test_the_report_is_readable() -> None:
         assert line in said
 
 
-def test_two_checkouts_are_compared_by_their_median_turns() -> None:
-    turns_text = load_tool("bench").turns_text
+def test_checkouts_are_compared_by_median_turns_and_lane_widths_are_a_list() -> None:
     turns = {"steady": {"this": [100.0, 300.0, 120.0], "other": [200.0, 400.0, 240.0]}}
-    assert turns_text(turns).splitlines()[1].split() == ["steady", "120.0", "240.0", "0.500"]
-
-
-def test_lane_widths_are_read_from_a_list() -> None:
+    row = load_tool("bench").turns_text(turns).splitlines()[1]
+    assert row.split() == ["steady", "120.0", "240.0", "0.500"]
     lane_widths = load_tool("bench").lane_widths
     assert (lane_widths(""), lane_widths("1,4,16")) == ([], [1, 4, 16])
     for wrong in ("0", "4,,8", "1,four", "1.5"):

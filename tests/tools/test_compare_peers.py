@@ -33,10 +33,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def kept(folder: Path, problem: str, arm: str, seed: int) -> list[float]:
-    name = f"{TRIALS}-trials-seed-{seed:03d}.json"
-    found: list[float] = json.loads((folder / "cache" / problem / arm / name).read_text())["costs"]
+def written(folder: Path) -> dict[Path, int]:
+    """Files of the cache, and when they were written."""
+    return {file: file.stat().st_mtime_ns for file in (folder / "cache").rglob("*.json")}
+
+
+def costs_of(folder: Path, trials: int, seed: int) -> list[float]:
+    file = folder / f"{trials}-trials-seed-{seed:03d}.json"
+    found: list[float] = json.loads(file.read_text())["costs"]
     return found
+
+
+def kept(folder: Path, problem: str, arm: str, seed: int) -> list[float]:
+    return costs_of(folder / "cache" / problem / arm, TRIALS, seed)
 
 
 def test_the_document_has_a_row_an_arm_and_its_bars(folder: Path) -> None:
@@ -66,16 +75,15 @@ def test_a_second_run_takes_everything_from_the_cache(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Problems of one cost share the runs that see no feature."""
-    before = {file: file.stat().st_mtime_ns for file in (folder / "cache").rglob("*.json")}
+    before = written(folder)
     assert len(before) == 2 * SEEDS * len(RUN_ARMS)
     assert len(kept(folder, "rastrigin", "random", 1)) == TRIALS
     assert len(kept(folder, "misleading", "ours", 1)) == TRIALS
     assert compare(monkeypatch, folder, "--json") == 0
-    assert {file: file.stat().st_mtime_ns for file in (folder / "cache").rglob("*.json")} == before
+    assert written(folder) == before
     report = json.loads(capsys.readouterr().out)
-    assert report["seeds"] == SEEDS
     rows = {(row["problem"], row["arm"], row["trial"]): row for row in report["regret"]}
-    assert len(rows) == 2 * len(RUN_ARMS) * 2
+    assert report["seeds"] == SEEDS and len(rows) == 2 * len(RUN_ARMS) * 2
     best = [min(kept(folder, "informative", "ours", seed)) for seed in range(SEEDS)]
     mean = rows["informative", "ours", TRIALS]["mean"]["value"]
     assert mean == pytest.approx(np.mean(best))
@@ -85,11 +93,10 @@ def test_a_run_of_other_code_or_a_broken_file_is_not_current(folder: Path, tmp_p
     run = runs.Run("synthetic", "informative", "random", 0, TRIALS)
     assert run.is_current(folder / "cache")
     assert not run.is_current(tmp_path)
-    file = run.file(tmp_path)
-    file.parent.mkdir(parents=True)
+    run.file(tmp_path).parent.mkdir(parents=True)
     kept = json.loads(run.file(folder / "cache").read_text())
     for text in (json.dumps({**kept, "code": "other"}), "{"):
-        file.write_text(text)
+        run.file(tmp_path).write_text(text)
         assert not run.is_current(tmp_path)
 
 
@@ -97,15 +104,12 @@ def test_without_torch_gpsampler_is_left_out_with_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(runs.importlib.util, "find_spec", lambda _: None)
-    assert runs.runnable(["random", "gp"]) == ["random"]
-    assert capsys.readouterr().err == (
-        "GPSampler is left out: it needs PyTorch (pip install torch)\n"
-    )
-    assert runs.runnable(["random"]) == ["random"]
-    assert capsys.readouterr().err == ""
+    left_out = "GPSampler is left out: it needs PyTorch (pip install torch)\n"
+    for arms, said in ((["random", "gp"], left_out), (["random"], "")):
+        assert (runs.runnable(arms), capsys.readouterr().err) == (["random"], said)
 
 
-def test_an_interval_holds_the_mean() -> None:
+def test_an_interval_holds_the_mean_and_regret_is_the_best_so_far() -> None:
     sample = np.random.default_rng(0).normal(10.0, 2.0, 30)
     mean = TOOL.over_seeds(TOOL.mean, sample)
     half_width = 1.96 * sample.std() / np.sqrt(30)
@@ -117,9 +121,6 @@ def test_an_interval_holds_the_mean() -> None:
     theirs = np.array([1.0, 10.0, 100.0])
     ratio = TOOL.over_seeds(TOOL.ratio, 1.5 * theirs, theirs)  # resampled in pairs
     assert (ratio.low, ratio.value, ratio.high) == pytest.approx((1.5, 1.5, 1.5))
-
-
-def test_regret_is_the_best_so_far() -> None:
     costs = np.array([[3.0, 5.0, 1.0, 2.0], [4.0, 2.0, 2.5, 3.0]])
     report = TOOL.Report.of({("useless", "random"): costs})
     np.testing.assert_array_equal(report.regret["useless", "random"], [[3, 3, 1, 1], [4, 2, 2, 2]])

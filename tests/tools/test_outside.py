@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -12,41 +13,29 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 
 from taichi_nmm.errors import InputError
 from tests.tools.running import load_tool, run_tool
+from tests.tools.test_compare_peers import costs_of, written
 from tools.benchmarks import outside, runs
 from tools.benchmarks.arms import study_costs
-from tools.benchmarks.outside import (
-    ARMS,
-    PROBLEMS,
-    TUNING,
-    Feature,
-    OutsideProblem,
-    file_of,
-    outside_problem,
-    rows_by_ranking,
-)
+from tools.benchmarks.outside import ARMS, PROBLEMS, Feature, outside_problem, rows_by_ranking
 
 # Digests of names, parameters, features and cost. After a change, figures must be made again.
 DIGESTS = {
-    "digits-network": "919632c690f2a73b",
-    "transport-solver": "6d51af5a2bb14237",
-    "cluster-evolution": "5d0d1e116e6a8ad0",
-    "tumour-boosting": "1a495df8295b6a6a",
-    "cart-pole": "9bf9a956a3fd60a3",
-    "stiff-reactions": "2a9aa0e97ba72051",
-}
-MOST_KB = 150
+    "digits-network": "919632c690f2a73b", "transport-solver": "6d51af5a2bb14237",
+    "cluster-evolution": "5d0d1e116e6a8ad0", "tumour-boosting": "1a495df8295b6a6a",
+    "cart-pole": "9bf9a956a3fd60a3", "stiff-reactions": "2a9aa0e97ba72051",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_a_file_has_the_pool_that_figures_were_made_with(name: str) -> None:
     problem = outside_problem(name)
     assert problem.name == name
-    assert problem.purpose == ("tuning" if name in TUNING else "reported")
+    assert problem.purpose == ("tuning" if name in outside.TUNING else "reported")
     assert 1000 <= len(problem) <= 1500 and 4 <= len(problem.space) <= 8
     assert problem.features.shape == (len(problem), len(problem.feature_meanings))
     assert np.isfinite(problem.cost).all()
     assert problem.made_by == f"python tools/make_outside.py --problem {name}"
-    assert file_of(name).stat().st_size < 1000 * MOST_KB
+    assert outside.file_of(name).stat().st_size < 150_000
     found = hashlib.sha256(repr((name, [*problem.columns], (*problem.feature_meanings,))).encode())
     for column in problem.columns.values():
         found.update(repr(column.tolist()).encode())
@@ -61,16 +50,15 @@ SPACE = {
     "kind": CategoricalDistribution(("plain", "fancy")),
 }
 COLUMNS = {
-    "rate": np.array([1e-4, 1e-2, 1.0, 1.0]),
-    "depth": np.array([1, 5, 9, 9]),
+    "rate": np.array([1e-4, 1e-2, 1.0, 1.0]), "depth": np.array([1, 5, 9, 9]),
     "kind": np.array(["plain", "fancy", "plain", "fancy"]),
-}
+}  # fmt: skip
 
 
-def made(*names: str) -> OutsideProblem:
+def made(*names: str) -> outside.OutsideProblem:
     """A problem of four rows, with some of the parameters."""
     features = np.array([[1.0, np.nan], [5.0, -5.0], [np.inf, -9.0], [np.inf, -9.0]])
-    return OutsideProblem(
+    return outside.OutsideProblem(
         name="made", purpose="tuning", field="testing", cost_meaning="a sum", made_by="hand",
         space={name: SPACE[name] for name in names},
         columns={name: COLUMNS[name] for name in names},
@@ -96,9 +84,7 @@ WHOLE = made(*SPACE)
         *((WHOLE.settings(row), row) for row in range(4)),
     ],
 )
-def test_the_nearest_row_is_on_the_scale_of_each_parameter(
-    settings: dict[str, Any], row: int
-) -> None:
+def test_the_nearest_row_is_on_each_parameters_scale(settings: dict[str, Any], row: int) -> None:
     assert made(*settings).row_nearest_to(settings) == row
 
 
@@ -129,7 +115,7 @@ def test_bad_files_and_unknown_problems_are_one_line(tmp_path: Path) -> None:
 
 PROBLEM = "transport-solver"
 TRIALS, SEEDS = 7, 2
-REPORT = load_tool("compare_outside").OutsideReport
+REPORT = load_tool("compare_outside").OutsideReport.of
 RUN_ARMS = [arm for arm in ARMS if arm != "gp"]
 
 
@@ -149,9 +135,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def kept(folder: Path, arm: str, seed: int) -> list[float]:
-    name = f"{TRIALS}-trials-seed-{seed:03d}.json"
-    found: list[float] = json.loads((folder / "cache" / PROBLEM / arm / name).read_text())["costs"]
-    return found
+    return costs_of(folder / "cache" / PROBLEM / arm, TRIALS, seed)
 
 
 @pytest.mark.slow
@@ -171,11 +155,10 @@ def test_the_document_has_the_problem_its_arms_and_its_tests(folder: Path) -> No
 
 @pytest.mark.slow
 def test_every_arm_shows_costs_of_the_pool(folder: Path) -> None:
-    for arm in RUN_ARMS:
-        for seed in range(SEEDS):
-            costs = kept(folder, arm, seed)
-            assert len(costs) == TRIALS
-            assert set(costs) <= set(outside.problem(PROBLEM, seed).cost.tolist())
+    for arm, seed in product(RUN_ARMS, range(SEEDS)):
+        costs = kept(folder, arm, seed)
+        assert len(costs) == TRIALS
+        assert set(costs) <= set(outside.problem(PROBLEM, seed).cost.tolist())
     problem = outside.problem(PROBLEM, 1)
     first = problem.cost[rows_by_ranking(problem, 1)]
     np.testing.assert_array_equal(kept(folder, "ranking", 1), first[:TRIALS])
@@ -186,10 +169,10 @@ def test_every_arm_shows_costs_of_the_pool(folder: Path) -> None:
 def test_the_same_command_takes_all_from_the_cache(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before = {file: file.stat().st_mtime_ns for file in (folder / "cache").rglob("*.json")}
+    before = written(folder)
     assert len(before) == SEEDS * len(RUN_ARMS)
     assert compare(monkeypatch, folder, "--json") == 0
-    assert {file: file.stat().st_mtime_ns for file in (folder / "cache").rglob("*.json")} == before
+    assert written(folder) == before
     said = json.loads(capsys.readouterr().out)
     assert said["seeds"] == SEEDS
     of_ranking = [row for row in said["medians"] if row["arm"] == "ranking"]
@@ -208,48 +191,40 @@ def test_other_numbers_are_other_runs(folder: Path, monkeypatch: pytest.MonkeyPa
     runs.code.cache_clear()
 
 
-def test_a_seed_draws_half_of_the_pool() -> None:
+def test_a_seed_draws_half_of_the_pool_and_breaks_the_rankings_ties() -> None:
     whole = outside_problem(PROBLEM)
     one, again, other = whole.drawn(1), whole.drawn(1), whole.drawn(2)
     sizes = {len(one), len(one.features), *(len(column) for column in one.columns.values())}
     assert sizes == {len(whole) // 2}
     np.testing.assert_array_equal(one.cost, again.cost)
-    assert set(one.cost) <= set(whole.cost)
-    assert set(one.cost) != set(other.cost)
-
-
-def test_ties_of_the_ranking_are_broken_by_the_seed_and_nothing_else() -> None:
-    problem = outside_problem(PROBLEM)
-    first, second = rows_by_ranking(problem, 1), rows_by_ranking(problem, 2)
+    assert set(one.cost) <= set(whole.cost) and set(one.cost) != set(other.cost)
+    first, second = rows_by_ranking(whole, 1), rows_by_ranking(whole, 2)
     for rows in (first, second):
-        assert sorted(rows) == list(range(len(problem)))
-        assert (np.diff(problem.ranking[rows]) >= 0).all()
+        assert sorted(rows) == list(range(len(whole)))
+        assert (np.diff(whole.ranking[rows]) >= 0).all()
     assert not np.array_equal(first, second)
-    np.testing.assert_array_equal(first, rows_by_ranking(problem, 1))
+    np.testing.assert_array_equal(first, rows_by_ranking(whole, 1))
 
 
-def test_our_arms_get_the_pool_as_it_is() -> None:
+@pytest.mark.parametrize("more", [(), ("ranking",)])
+def test_our_arms_get_the_pool_as_it_is(more: tuple[str, ...]) -> None:
     problem = outside_problem(PROBLEM)
-    plain = outside.table(problem, ranking=False)
-    told = outside.table(problem, ranking=True)
-    assert len(plain) == len(told) == len(problem)
-    assert told.rows.feature_names == (*problem.feature_meanings, "ranking")
-    assert plain.rows.feature_names == (*problem.feature_meanings,)
+    table = outside.table(problem, ranking=bool(more))
+    assert len(table) == len(problem)
+    assert table.rows.feature_names == (*problem.feature_meanings, *more)
 
 
 def report(ours: list[float], tpe: list[float], ranking: list[float]) -> Any:
     """Twelve seeds: least cost after 5 and after 10 trials, a little more for each seed."""
     seeds = 1.0 + 0.001 * np.arange(12)[:, None]
     after = {"ours": ours, "tpe": tpe, "ranking": ranking}
-    return REPORT.of(
-        {(PROBLEM, arm): np.repeat(costs, 5)[None] * seeds for arm, costs in after.items()}
-    )
+    return REPORT({(PROBLEM, arm): np.repeat(c, 5)[None] * seeds for arm, c in after.items()})
 
 
 def test_bars_hold_where_ours_leads_and_name_where_it_does_not() -> None:
     good = report(ours=[2.0, 1.0], tpe=[3.0, 2.0], ranking=[1.5, 1.4])
-    assert [bar.holds for bar in good.bars] == [True] * 4
     bad = report(ours=[2.0, 1.9], tpe=[1.0, 1.0], ranking=[1.5, 1.4])
+    assert [bar.holds for bar in good.bars] == [True] * 4
     assert [bar.holds for bar in bad.bars] == [False] * 4
     assert bad.bars[0].measured.startswith(f"{PROBLEM}, TPESampler, 5 (0 : 12)")
     test = bad.versus(PROBLEM, "ours", "tpe", 10)
@@ -263,5 +238,5 @@ def test_bars_hold_where_ours_leads_and_name_where_it_does_not() -> None:
 
 def test_runs_that_repeat_each_other_are_counted_once() -> None:
     costs = np.array([[3.0, 2.0, 5.0], [3.0, 2.0, 4.0], [3.0, 2.0, 5.0]])
-    made = REPORT.of({(PROBLEM, "ours"): costs, (PROBLEM, "tpe"): costs[:1].repeat(3, 0)})
+    made = REPORT({(PROBLEM, "ours"): costs, (PROBLEM, "tpe"): costs[:1].repeat(3, 0)})
     assert made.different == {(PROBLEM, "ours"): 2, (PROBLEM, "tpe"): 1}

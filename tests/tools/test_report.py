@@ -11,25 +11,17 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-import taichi_nmm
 from study.experiment.experiment import read_experiment
 from study.experiment.identity import document
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 from tests.study import synthetic_gait
 from tests.study.report import synthetic
+from tests.tools.conftest import Simulator, Tool
 from tests.tools.running import ROOT, run_tool
 
 pytestmark = pytest.mark.slow
 
 ARMS = {"dog": (0.05, 0.01), "random": (0.01, 0.0), "best": (0.9, 0.0)}
-FILES = {
-    "best-cost.png", "best-cost.svg", "walkers.png", "walkers.svg", "first-walker.png",
-    "first-walker.svg", "report.md", "summary.json",
-}  # fmt: skip
-
-
-def report(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    return run_tool(monkeypatch, "report", *arguments)
 
 
 def write(folder: Path, cost: str = "smooth") -> Path:
@@ -53,7 +45,7 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
         words += ["--optimum", root / f"{cost}.json"]
     out, err = StringIO(), StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        assert report(patch, *words) == 0
+        assert run_tool(patch, "report", *words) == 0
     (root / "out.txt").write_text(out.getvalue())
     (root / "err.txt").write_text(err.getvalue())
     return root
@@ -61,16 +53,15 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_report_has_its_figures_and_its_numbers(reported: Path) -> None:
     folder = reported / "one" / "report"
-    assert {file.name for file in folder.iterdir()} == FILES
+    pictures = {f"{name}.{kind}" for name in ("best-cost", "walkers", "first-walker")
+                for kind in ("png", "svg")}  # fmt: skip
+    assert {file.name for file in folder.iterdir()} == pictures | {"report.md", "summary.json"}
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["experiment"] == "one" and summary["complete"] is True
     assert {arm["arm"] for arm in summary["arms"]} == set(ARMS)
     assert (folder / "report.md").read_text().startswith("# one\n")
     assert f"{folder}: one\n" in (reported / "out.txt").read_text()
-
-
-def test_the_optimum_of_the_same_cost_is_drawn(reported: Path) -> None:
-    for name, optimum in (("one", 0.011), ("two", 5.0)):
+    for name, optimum in (("one", 0.011), ("two", 5.0)):  # that of the same cost
         folder = reported / name / "report"
         assert json.loads((folder / "summary.json").read_text())["optimum"] == optimum
         assert f"estimated optimum: {optimum:g}" in (folder / "report.md").read_text()
@@ -79,6 +70,8 @@ def test_the_optimum_of_the_same_cost_is_drawn(reported: Path) -> None:
 def test_an_unfinished_folder_is_reported_as_far_as_it_is(reported: Path) -> None:
     assert "two (140 of 180 trials)" in (reported / "out.txt").read_text()
     assert "Unfinished: 140 of 180" in (reported / "two" / "report" / "report.md").read_text()
+    why = "no strips (the folder is of version 0.1.0 and does not name its ground)\n"
+    assert (reported / "err.txt").read_text() == f"one: {why}two: {why}"
 
 
 def test_several_folders_share_an_overview(reported: Path) -> None:
@@ -92,13 +85,8 @@ def test_several_folders_share_an_overview(reported: Path) -> None:
     assert [each["experiment"] for each in known["experiments"]] == ["one", "two"]
 
 
-def test_a_folder_that_does_not_say_its_ground_has_no_strips(reported: Path) -> None:
-    why = "no strips (the folder is of version 0.1.0 and does not name its ground)\n"
-    assert (reported / "err.txt").read_text() == f"one: {why}two: {why}"
-
-
 def test_what_a_folder_says_is_simulated_again_whatever_its_seed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, tool: Tool, simulator: Simulator
 ) -> None:
     """As of a comparison with --seed, which no configuration has."""
     folder = write(tmp_path / "rough8-seed-523001")
@@ -114,49 +102,41 @@ def test_what_a_folder_says_is_simulated_again_whatever_its_seed(
         rows["end_reason"] = (FELL, COMPLETED)
         return Result(rows, (synthetic_gait.walk(0.5), synthetic_gait.walk(8.0)))
 
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate)
-    assert report(monkeypatch, folder, "--no-strips") == 0
+    simulator(simulate)
+    assert tool("report", folder, "--no-strips") == 0
     assert not seen and not (folder / "report" / "strips.svg").exists()
-    assert report(monkeypatch, folder) == 0
+    assert tool("report", folder) == 0
     assert (folder / "report" / "strips.svg").exists()
     assert "Before: best combination, trial" in (folder / "report" / "report.md").read_text()
     (terrain,) = seen[0]["terrains"]
     grounds = [read_experiment(config, seed=523001).terrain(run).height(50.0) for run in range(5)]
     assert float(terrain.height(50.0)) in [float(height) for height in grounds]
-    assert capsys.readouterr().err == ""
+    assert tool.err == ""
 
 
-def test_bad_input_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_line(tmp_path: Path, tool: Tool) -> None:
     folder = write(tmp_path / "rough8")
-    broken = tmp_path / "broken.json"
-    broken.write_text(json.dumps({"best": 1}))
-    large = tmp_path / "large.json"
-    large.write_text(json.dumps({"cost": "smooth", "best_cost": 1e300}))
+    (tmp_path / "broken.json").write_text('{"best": 1}')
+    (tmp_path / "large.json").write_text('{"cost": "smooth", "best_cost": 1e300}')
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("")
     strange = write(tmp_path / "strange")
     known = document(read_experiment(ROOT / "configs" / "risers.toml"), ())
     known["ground"] = {"kind": "rough", "steepness": 3}
     (strange / "experiment.json").write_text(json.dumps(known))
-    cases: list[tuple[tuple[object, ...], str]] = [
-        ((tmp_path / "nowhere",), "folder"),
-        ((tmp_path / ("x" * 300),), "folders"),
-        ((folder, "--optimum", tmp_path / ("x" * 300)), "optimum"),
-        ((tmp_path / "empty",), "folder"),
-        ((folder, "--optimum", tmp_path / "none.json"), "optimum"),
-        ((folder, "--optimum", broken), "optimum: broken.json: cost"),
-        ((folder, "--optimum", large), "optimum: large.json: best_cost"),
-        ((folder, "--out", tmp_path / "all"), "out"),
-        ((folder, folder, "--out", tmp_path / "file", "--no-strips"), "out"),
-        ((folder, folder, "--out", "/", "--no-strips"), "out"),
-        ((strange,), "terrain.steepness"),
-    ]
-    for arguments, field in cases:
-        assert report(monkeypatch, *arguments) == 2
-        lines = capsys.readouterr().err.strip().splitlines()
-        assert len(lines) == 1 and lines[0].startswith(f"error: {field}: "), lines
-    assert not (tmp_path / "all").exists()
-    assert report(monkeypatch, folder, strange) == 2  # before the first of them is written
-    assert not (folder / "report").exists()
+    for field, *arguments in (
+        ("folder", tmp_path / "nowhere"),
+        ("folders", tmp_path / ("x" * 300)),
+        ("optimum", folder, "--optimum", tmp_path / ("x" * 300)),
+        ("folder", tmp_path / "empty"),
+        ("optimum", folder, "--optimum", tmp_path / "none.json"),
+        ("optimum: broken.json: cost", folder, "--optimum", tmp_path / "broken.json"),
+        ("optimum: large.json: best_cost", folder, "--optimum", tmp_path / "large.json"),
+        ("out", folder, "--out", tmp_path / "all"),
+        ("out", folder, folder, "--out", tmp_path / "file", "--no-strips"),
+        ("out", folder, folder, "--out", "/", "--no-strips"),
+        ("terrain.steepness", strange),
+        ("terrain.steepness", folder, strange),  # before the first of them is written
+    ):
+        tool.refuses(f"{field}: ", "report", *arguments)
+    assert not (tmp_path / "all").exists() and not (folder / "report").exists()

@@ -36,45 +36,27 @@ def optimum(made: Problem) -> Floats:
     return np.asarray(-fit[DIMENSION:-1] / (2 * fit[:DIMENSION]))
 
 
-def test_the_least_cost_of_schwefel_is_zero_at_the_textbook_point() -> None:
+def test_schwefels_least_cost_is_the_textbooks_and_rastrigins_bowl_is_in_the_inner_half() -> None:
     made = problem("informative", 3)
     assert made.cost(optimum(made)[None])[0] == pytest.approx(0.0, abs=1e-3)
     assert made.cost(made.rows()).min() > 1000.0
     origin = made.cost(np.zeros((1, DIMENSION)))[0]
     assert origin == pytest.approx(418.9829 * DIMENSION, abs=0.01)
-
-
-def test_the_bowl_of_rastrigin_lies_in_the_inner_half() -> None:
     made = problem("useless", 3)
     centre = optimum(made)
     assert np.abs(centre).max() < 0.75 * made.half_width
-    near = made.cost(centre[None])[0]
-    assert near < np.quantile(made.cost(made.rows()), 0.01)
-
-
-@pytest.mark.parametrize("name", PROBLEMS)
-def test_no_term_is_negative_and_costs_are_their_sums(name: str) -> None:
-    made = problem(name, 0)
-    rows = made.rows(8)
-    terms = made.terms(rows)
-    assert terms.shape == rows.shape
-    assert terms.min() >= -1e-9
-    np.testing.assert_allclose(made.cost(rows), terms.sum(axis=1))
+    assert made.cost(centre[None])[0] < np.quantile(made.cost(made.rows()), 0.01)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_informative_features_rank_rows_nearly_as_their_costs(seed: int) -> None:
+def test_informative_features_rank_rows_as_costs_and_the_useless_says_nothing(seed: int) -> None:
     assert 0.75 < worth(problem("informative", seed)) < 0.97
     assert 0.75 < worth(problem("informative-bowl", seed)) < 0.97
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_the_useless_feature_says_nothing(seed: int) -> None:
     made = problem("useless", seed)
     assert abs(worth(made)) < 0.06
     rows = made.rows()
-    feature = made.features(rows)
-    explained = np.corrcoef(np.hstack([rows, rows**2, feature]), rowvar=False)[-1, :-1]
+    columns = np.hstack([rows, rows**2, made.features(rows)])
+    explained = np.corrcoef(columns, rowvar=False)[-1, :-1]
     assert np.abs(explained).max() < 0.08
 
 
@@ -104,16 +86,13 @@ def test_an_instance_is_decided_by_its_seed(name: str) -> None:
     assert not np.array_equal(first.features(rows), other.features(rows))
 
 
-def test_problems_of_one_landscape_share_cost_and_rows() -> None:
-    misleading, useless = problem("misleading", 4), problem("useless", 4)
-    rows = misleading.rows(6)
-    np.testing.assert_array_equal(rows, useless.rows(6))
-    np.testing.assert_array_equal(misleading.cost(rows), useless.cost(rows))
-
-
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_rows_fill_the_box_that_the_study_suggests(name: str) -> None:
+def test_rows_fill_the_box_and_cost_the_sum_of_their_terms(name: str) -> None:
     made = problem(name, 0)
+    rows = made.rows(8)
+    terms = made.terms(rows)
+    assert terms.shape == rows.shape and terms.min() >= -1e-9
+    np.testing.assert_allclose(made.cost(rows), terms.sum(axis=1))
     rows = made.rows()
     assert rows.shape == (2**synthetic.SOBOL_BITS, DIMENSION)
     assert np.abs(rows).max() <= made.half_width
@@ -122,12 +101,11 @@ def test_rows_fill_the_box_that_the_study_suggests(name: str) -> None:
     assert made.features(rows).shape == (len(rows), 1)
 
 
-def test_settings_cost_as_much_as_their_point() -> None:
-    made = problem("useless", 0)
-    point = made.rows(4)[7]
-    assert made.cost_at(dict(zip(NAMES, point, strict=True))) == made.cost(point[None])[0]
-
-
-def test_an_unknown_problem_is_named() -> None:
+def test_problems_of_one_landscape_share_cost_and_rows_and_an_unknown_one_is_named() -> None:
+    misleading, useless = problem("misleading", 4), problem("useless", 4)
+    rows = misleading.rows(6)
+    np.testing.assert_array_equal(rows, useless.rows(6))
+    np.testing.assert_array_equal(misleading.cost(rows), useless.cost(rows))
+    assert useless.cost_at(dict(zip(NAMES, rows[7], strict=True))) == useless.cost(rows[7:8])[0]
     with pytest.raises(InputError, match=r"problem.*informative"):
         problem("hard", 0)

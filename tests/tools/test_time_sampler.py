@@ -28,19 +28,12 @@ def test_every_case_is_measured() -> None:
     assert [each["case"]["observations"] for each in usual] == [12] * 4 + [5, 30]
     for each in usual:
         assert len(each["seconds"]) == 3
-        assert 0.1 < each["median_ms"] < 10_000
+        assert 0.1 < each["median_ms"] < 10_000 and 0.1 < each["median_cpu_ms"] < 10_000
         assert each["median_ms"] == pytest.approx(1e3 * sorted(each["seconds"])[1])
-        assert 0.1 < each["median_cpu_ms"] < 10_000
     assert large["case"]["rows"] == 50_000
     if Path("/proc/self/status").exists():  # memory is read on Linux only
         table_mib = 50_000 * (16 + 5) * 8 / 2**20
         assert table_mib < large["peak_grown_mib"] < 1000
-
-
-def test_a_proposal_is_made_in_a_study_of_the_observations_asked_for() -> None:
-    measured = TOOL.measure_case(TOOL.Case("ours", rows=300, features=2, observations=9, repeats=2))
-    assert len(measured.seconds) == 2
-    assert measured.median_ms > 0.0
 
 
 def fake(ms: float, sampler: str = "ours", observations: int = 100, **bars: float) -> Any:
@@ -48,19 +41,17 @@ def fake(ms: float, sampler: str = "ours", observations: int = 100, **bars: floa
     return TOOL.Measured(case, (ms / 1e3,), (ms / 2e3,), 50.0, 150.0)
 
 
-@pytest.mark.parametrize(
-    ("peers", "said"),
-    [
-        ([fake(120.0, "gp")], "| GPSampler's median over ours | 4.0, at least 5 | **no** |"),
-        ([fake(150.0, "gp")], "| GPSampler's median over ours | 5.0, at least 5 | yes |"),
-        ([], "GPSampler was not measured: no PyTorch."),
-    ],
-)
-def test_the_document_says_which_bars_hold(peers: list[Any], said: str, tmp_path: Path) -> None:
+OVER = "| GPSampler's median over ours |"
+SAID = {120.0: f"{OVER} 4.0, at least 5 | **no** |", 150.0: f"{OVER} 5.0, at least 5 | yes |",
+        None: "GPSampler was not measured: no PyTorch."}  # fmt: skip
+
+
+@pytest.mark.parametrize(("gp_ms", "said"), SAID.items())
+def test_the_document_says_which_bars_hold(gp_ms: float | None, said: str, tmp_path: Path) -> None:
     timings = TOOL.Timings([
         fake(30.0, median_cpu_ms=10.0), fake(70.0, median_cpu_ms=45.0, peak_grown_mib=149.0),
         fake(5.0, "rbf"), fake(18.0, "best"), fake(900.0, observations=1000, median_ms=1000.0),
-        *peers,
+        *([fake(gp_ms, "gp")] if gp_ms else []),
     ])  # fmt: skip
     text = timings.markdown()
     rows = [
