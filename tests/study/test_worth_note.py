@@ -1,7 +1,6 @@
 """The worth of features as the note of live studies, of a comparison's, and of anybody's."""
 
 from dataclasses import replace
-from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -25,13 +24,10 @@ NOTED = ("dog", "best-stairs", "best")  # of the live ones below, those whose sa
 
 @pytest.mark.parametrize("arm", [*NOTED, "random", "bo-euclidean", "score-first-diverse"])
 def test_a_live_study_has_it_at_its_end(toy, arm):
-    study = run_study(toy, find_arm(arm), 0, 6, InMemoryStorage())
-    note = get_note(study)
-    assert note.startswith(TITLE) == (arm in NOTED)
-    assert ("6 trials." in note) == (arm in NOTED)
+    note = get_note(run_study(toy, find_arm(arm), 0, 6, InMemoryStorage()))
     if arm in NOTED:
-        for name in find_arm(arm).columns:
-            assert f"\n| {name} | " in note
+        assert note.startswith(TITLE) and "6 trials." in note
+        assert all(f"\n| {name} | " in note for name in find_arm(arm).columns)
     else:
         assert note == ""
 
@@ -66,54 +62,44 @@ def test_every_arm_over_features_can_tell(toy):
             assert worth is not None
 
 
-def refuse(*_: Any) -> None:
-    raise AssertionError("a note was made")
+def notes(url: str) -> dict[str, str]:
+    """Of each study of a database."""
+    storage = open_studies(url)
+    names = trial_counts(storage)
+    return {name: get_note(optuna.load_study(study_name=name, storage=storage)) for name in names}
 
 
-class TestComparison:
-    """One whole comparison on SQLite, pictures apart."""
+def test_each_study_of_a_comparison_over_features_has_its_own(toy, tmp_path, monkeypatch):
+    def outcome(**changes):
+        request = {"artifacts": False, "runs": 2, "trials": 6} | changes
+        return compare(toy, Request(tmp_path / "out", **request), lambda progress: None)
 
-    @pytest.fixture
-    def outcome(self, toy, tmp_path):
-        return lambda **changes: compare(
-            toy,
-            Request(tmp_path / "out", **{"artifacts": False, "runs": 2, "trials": 6} | changes),
-            lambda progress: None,
-        )
+    url = outcome(arms=("dog", "random")).storage
+    first = notes(url)
+    dogs = [first[study_name("toy", "dog", run)] for run in range(2)]
+    assert all(note.startswith(TITLE) and "6 trials." in note for note in dogs)
+    assert [first[study_name("toy", "random", run)] for run in range(2)] == ["", ""]
+    live = run_study(toy, find_arm("dog"), 1, 6, InMemoryStorage())
+    assert get_note(live) == dogs[1]  # to the letter
+    before = (tmp_path / "out" / "trials.parquet").read_bytes()
+    with monkeypatch.context() as context:
+        context.setattr("study.comparison.database.note_worth", None)  # or it is called
+        read = Mock(wraps=load_whole)
+        context.setattr("study.comparison.database.load_whole", read)
+        outcome(arms=("dog",))  # no new trials, no new notes
+        assert read.call_count == 2  # each study once
+    assert notes(url) == first
+    assert (tmp_path / "out" / "trials.parquet").read_bytes() == before
+    outcome(arms=("dog",), trials=7)
+    assert "7 trials." in notes(url)[study_name("toy", "dog", 0)]
 
-    def notes(self, url: str) -> dict[str, str]:
-        storage = open_studies(url)
-        return {
-            name: get_note(optuna.load_study(study_name=name, storage=storage))
-            for name in trial_counts(storage)
-        }
 
-    def test_each_study_over_features_has_its_own(self, toy, outcome, tmp_path, monkeypatch):
-        url = outcome(arms=("dog", "random")).storage
-        notes = self.notes(url)
-        dogs = [notes[study_name("toy", "dog", run)] for run in range(2)]
-        assert all(note.startswith(TITLE) and "6 trials." in note for note in dogs)
-        assert [notes[study_name("toy", "random", run)] for run in range(2)] == ["", ""]
-        live = run_study(toy, find_arm("dog"), 1, 6, InMemoryStorage())
-        assert get_note(live) == dogs[1]  # to the letter
-        before = (tmp_path / "out" / "trials.parquet").read_bytes()
-        with monkeypatch.context() as context:
-            context.setattr("study.comparison.database.note_worth", refuse)
-            read = Mock(wraps=load_whole)
-            context.setattr("study.comparison.database.load_whole", read)
-            outcome(arms=("dog",))  # no new trials, no new notes
-            assert read.call_count == 2  # each study once
-        assert self.notes(url) == notes
-        assert (tmp_path / "out" / "trials.parquet").read_bytes() == before
-        outcome(arms=("dog",), trials=7)
-        assert "7 trials." in self.notes(url)[study_name("toy", "dog", 0)]
-
-    def test_arms_of_earlier_sessions_need_no_store(self, toy, tmp_path):
-        request = Request(tmp_path / "out", artifacts=False, runs=1, trials=3, arms=("dog",))
-        compare(toy, request, lambda progress: None)
-        without = replace(toy, stores={})
-        outcome = compare(without, replace(request, arms=("random",)), lambda progress: None)
-        assert TITLE in self.notes(outcome.storage)[study_name("toy", "dog", 0)]
+def test_arms_of_earlier_sessions_need_no_store(toy, tmp_path):
+    request = Request(tmp_path / "out", artifacts=False, runs=1, trials=3, arms=("dog",))
+    compare(toy, request, lambda progress: None)
+    without = replace(toy, stores={})
+    outcome = compare(without, replace(request, arms=("random",)), lambda progress: None)
+    assert TITLE in notes(outcome.storage)[study_name("toy", "dog", 0)]
 
 
 def test_anybodys_study_shows_it_by_one_line(tmp_path):
@@ -122,10 +108,11 @@ def test_anybodys_study_shows_it_by_one_line(tmp_path):
     names = ["a-feature-with-a-long-name-" * 8 + str(number) for number in range(30)]
     features = rng.normal(size=(50, 30))  # a note of more than the 2 kB that an attribute holds
     table = FeatureTable.from_arrays({"x": x}, features, names, bounds={"x": (0, 1)})
-    sampler = FeatureKernelSampler(table, seed=1)
-    study = optuna.create_study(
-        sampler=sampler, storage=open_studies(f"sqlite:///{tmp_path}/studies.db")
+    sampler, storage = (
+        FeatureKernelSampler(table, seed=1),
+        open_studies(f"sqlite:///{tmp_path}/s.db"),
     )
+    study = optuna.create_study(sampler=sampler, storage=storage)
     study.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=6)
     save_note(study, sampler.worth(study).markdown())
     assert get_note(study) == sampler.worth(study).markdown()

@@ -289,22 +289,17 @@ def test_a_broken_function_is_an_error_before_a_trial_is_lost(function, message,
     assert len(said) == 1
 
 
-def test_a_declared_parameter_that_is_never_suggested_is_an_error():
-    space = {"x": FloatDistribution(0, 1), "unused": FloatDistribution(0, 1)}
-    with pytest.raises(InputError, match="unused: 'not suggested in trial 0'"):
-        study_of(None, lambda trial: trial.suggest_float("x", 0, 1), 3, space=space)
-
-
 @pytest.mark.filterwarnings("ignore:PartialFixedSampler is experimental")
-def test_a_fixed_parameter():
+def test_a_fixed_parameter_and_a_declared_one_that_is_never_suggested():
     table = FeatureTable.from_arrays({"a": [0.0, 0.5, 1.0], "b": [0.0, 1.0, 2.0]}, [1, 2, 3])
-    for features in (table, lambda params: params):
-        space = None if features is table else BOX
-        strict = FeatureKernelSampler(features, seed=0, space=space)
+    for given, space in ((table, None), (lambda params: params, BOX)):
+        strict = FeatureKernelSampler(given, seed=0, space=space)
         with pytest.raises(InputError, match="a: 'fixed"):
             run(PartialFixedSampler({"a": 0.5}, strict), bowl)
     plain = PartialFixedSampler({"a": 0.5}, FeatureKernelSampler(seed=0))
     assert {trial.params["a"] for trial in run(plain, bowl).trials} == {0.5}
+    with pytest.raises(InputError, match="b: 'not suggested in trial 0'"):
+        study_of(None, only_a, 3, space=SPACE)
 
 
 @pytest.mark.parametrize(("features", "options", "message"), [

@@ -69,26 +69,11 @@ def assert_rows_were_run(study: optuna.Study) -> None:
             assert ROWS.find(trial.params) is None
 
 
-def features_learned(study: optuna.Study) -> Floats:
-    """Of the finished trials, as the next proposal's model sees them, in standard units [n, 2]."""
-    seen = []
-    made = Model.__init__
-
-    def spied(model: Model, *given: Any, **named: Any) -> None:
-        made(model, *given, **named)
-        seen.append(model.trials.features)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Model, "__init__", spied)
-        study.tell(study.ask(SPACE), state=TrialState.FAIL)
-    return seen[-1]
-
-
 # Trials that are enqueued in part.
 
 
 @pytest.mark.parametrize("finished", [0, 6])
-def test_a_partly_enqueued_trial_is_a_row_that_has_the_fixed_values(finished):
+def test_a_partly_enqueued_trial_is_a_row_that_has_the_fixed_values_the_best_one(finished):
     study = study_of(TABLE, both, finished)
     for _ in range(3):
         study.enqueue_trial({"a": 1.0})
@@ -96,9 +81,6 @@ def test_a_partly_enqueued_trial_is_a_row_that_has_the_fixed_values(finished):
     assert [trial.params["a"] for trial in study.trials[finished : finished + 3]] == [1.0] * 3
     assert len(set(rows_of(study))) == finished + 5
     assert_rows_were_run(study)
-
-
-def test_of_the_rows_that_have_it_the_model_chooses_the_best():
     enqueued = [*map(row, (0, 1, 3, 6, 8, 11)), {"a": 1.0}]
     study = study_of(TABLE, lambda trial: 10.0 * both(trial), 7, enqueued=enqueued)
     assert study.trials[-1].params == {"a": 1.0, "b": 0.0}
@@ -126,7 +108,15 @@ def test_no_row_has_all_of_them_or_those_that_have_are_tried(enqueued, message):
         study.optimize(lambda trial: both(trial) + trial.suggest_float("c", 0, 5), n_trials=2)
 
 
-def test_where_the_table_need_not_fit_the_rest_is_drawn_and_learned_by_a_function_only():
+@pytest.mark.filterwarnings("ignore:PartialFixedSampler is experimental")
+def test_where_the_table_need_not_fit_the_rest_is_drawn_and_learned_by_a_function_only(monkeypatch):
+    learned, made = [], Model.__init__
+
+    def spied(model, *given, **named):
+        made(model, *given, **named)
+        learned.append(model.trials.features)  # of the finished trials, in standard units [n, 2]
+
+    monkeypatch.setattr(Model, "__init__", spied)
     study = study_of(TABLE, both, 4, strict=False)
     study.enqueue_trial({"a": 0.25})
     with pytest.warns(UserWarning, match=r"a: 0.25 .* independent sampler takes over") as said:
@@ -136,13 +126,20 @@ def test_where_the_table_need_not_fit_the_rest_is_drawn_and_learned_by_a_functio
     assert study.trials[-1].user_attrs == {}
     run_quietly(study, 3)
     assert_rows_were_run(study)
-    assert len(features_learned(study)) == 7
+    study.ask(SPACE)
+    assert len(learned[-1]) == 7
     study = study_of(TABLE, enqueued=[{"a": 0.25}], feature_function=compute)
     with pytest.warns(UserWarning, match="a: 0.25"):
         study.optimize(both, n_trials=1)
     study.optimize(both, n_trials=3)
+    study.ask(SPACE)
     own = compute(np.array([list(study.trials[0].params.values())]))
-    assert features_learned(study)[0] == pytest.approx(ROWS.scores.standard(own)[0])
+    assert learned[-1][0] == pytest.approx(ROWS.scores.standard(own)[0])
+    sampler = FeatureKernelSampler(TABLE, seed=1, strict=False)
+    study = optuna.create_study(sampler=PartialFixedSampler({"a": 0.25}, sampler))
+    run_quietly(study, 5)
+    assert {trial.params["a"] for trial in study.trials} == {0.25}
+    assert_rows_were_run(study)
 
 
 @pytest.mark.parametrize(("value", "tried"), [(0.25, 5), (0.5, 18)])  # some rows, or all
@@ -172,6 +169,7 @@ def test_without_a_table_a_fixed_value_stays(space, function):
 # Trials that are enqueued whole.
 
 
+@pytest.mark.filterwarnings("ignore:FeatureTable")
 def test_an_enqueued_row_is_noted_from_its_start():
     study = study_of(TABLE, enqueued=[row(7), row(9) | {"other": 3}])
     trial = study.ask()
@@ -181,15 +179,10 @@ def test_an_enqueued_row_is_noted_from_its_start():
     study.optimize(both, n_trials=6)
     assert rows_of(study)[:2] == [7, 9]
     assert_rows_were_run(study)
-
-
-@pytest.mark.filterwarnings("ignore:FeatureTable")
-def test_notes_have_a_score_or_features_of_which_unknown_ones_are_none():
     gap = FeatureTable.from_arrays({"a": A, "b": B}, np.where(FEATURES == 1.5, np.nan, FEATURES))
-    cases = (ONE, {"row": 7, "score": 1.5}), (gap, {"row": 7, "features": [None, -0.5]})
-    for table, expected in cases:
+    for table, noted in ((ONE, {"score": 1.5}), (gap, {"features": [None, -0.5]})):
         study = study_of(table, both, 5, enqueued=[row(7)])
-        assert study.trials[0].user_attrs == expected
+        assert study.trials[0].user_attrs == {"row": 7} | noted
 
 
 def test_a_row_that_waits_is_not_proposed_to_another_worker():
@@ -263,9 +256,7 @@ def test_a_value_that_was_not_left_to_the_sampler_takes_the_note_back():
     assert {trial.params["a"] for trial in study.trials} == {0.5}
     assert_rows_were_run(study)
 
-
-def test_a_range_of_one_value_that_comes_first_is_as_if_it_were_fixed():
-    def half(trial):
+    def half(trial):  # first, as if it were fixed
         return trial.suggest_float("a", 0.5, 0.5) + trial.suggest_float("b", 0, 5)
 
     study = study_of(TABLE, half, 6)
@@ -298,15 +289,6 @@ def test_features_of_a_point_that_was_not_run_are_taken_back():
         study.optimize(lambda trial: only_a(trial) + trial.suggest_float("b", 4.99, 5), 1)
     assert study.trials[-1].user_attrs["features"] is None
     study.optimize(both, n_trials=2)
-
-
-@pytest.mark.filterwarnings("ignore:PartialFixedSampler is experimental")
-def test_a_fixed_parameter_where_the_table_need_not_fit_is_no_row():
-    sampler = FeatureKernelSampler(TABLE, seed=1, strict=False)
-    study = optuna.create_study(sampler=PartialFixedSampler({"a": 0.25}, sampler))
-    run_quietly(study, 5)
-    assert {trial.params["a"] for trial in study.trials} == {0.25}
-    assert_rows_were_run(study)
 
 
 # A parameter of the table that the study does not always suggest.
