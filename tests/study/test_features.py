@@ -116,8 +116,6 @@ def test_a_store_without_what_a_feature_needs(feature, column, fake_simulator, t
 
 
 # The order that covers, against its rule and against Bayes's.
-
-
 def test_the_order_begins_on_the_plainest_ground_and_goes_on_with_what_that_does_not_survive():
     plainest = np.array([0.8, 0.9, 0.9, np.nan])
     survival = np.array([[0.9, 0.9], [0.1, 0.2], [0.1, 0.3], [1.0, 1.0]])
@@ -156,8 +154,6 @@ def test_the_next_row_is_the_likeliest_to_walk_after_so_many_falls():
 
 
 # The arms of the comparisons.
-
-
 def test_the_best_arm_is_what_its_definition_says():
     assert ARMS["best"].definition["options"] == OPTIONS
     each = [[name, name, "survivors only"] for name in FAMILIES]
@@ -185,8 +181,6 @@ def test_the_arms_of_worlds_take_each_ground_by_few_and_long_walks_and_stairs_no
 
 
 # The sampler outside of the comparisons.
-
-
 @pytest.fixture
 def stores(fake_simulator, tmp_path):
     fake_walker.write_store(tmp_path / "store")

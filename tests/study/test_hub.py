@@ -32,11 +32,17 @@ def load(optunahub: ModuleType) -> ModuleType:
     return module
 
 
-def test_it_loads_the_one_sampler_there_is(optunahub):
+def test_it_loads_the_one_sampler_there_is_which_unpickles_where_the_hub_was_never_loaded(
+    optunahub,
+):
     module = load(optunahub)
     assert module.__name__ == "optunahub_registry.package.samplers.feature_kernel"
     for name in module.__all__:
         assert getattr(module, name) is getattr(study, name)
+    table = module.FeatureTable.from_arrays({"x": [0.0, 1.0, 2.0]}, [[0.0], [1.0], [4.0]])
+    data = pickle.dumps(module.FeatureKernelSampler(table, seed=1))
+    assert b"optunahub" not in data
+    assert type(pickle.loads(data)) is study.FeatureKernelSampler
 
 
 def test_its_example_finds_a_good_throw(optunahub, capsys):
@@ -58,14 +64,6 @@ def test_the_readmes_example_runs(optunahub, monkeypatch, capsys):
     assert len(found.trials) == 15
     assert abs(found.best_params["x"] - 1.0) < 0.5
     assert capsys.readouterr().out.startswith("{'x': ")
-
-
-def test_a_sampler_of_the_package_unpickles_where_the_hub_was_never_loaded(optunahub):
-    module = load(optunahub)
-    table = module.FeatureTable.from_arrays({"x": [0.0, 1.0, 2.0]}, [[0.0], [1.0], [4.0]])
-    data = pickle.dumps(module.FeatureKernelSampler(table, seed=1))
-    assert b"optunahub" not in data
-    assert type(pickle.loads(data)) is study.FeatureKernelSampler
 
 
 def test_without_taichi_nmm_the_error_says_what_to_install(optunahub, monkeypatch):

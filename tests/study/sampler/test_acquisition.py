@@ -73,7 +73,6 @@ def test_log_improvement_has_the_tail_of_its_series(z):
 
 
 # The model, and the prior mean.
-
 NAMES = ("score", "error", "-odd")
 
 
@@ -198,8 +197,6 @@ def test_of_many_candidates_those_that_the_prior_ranks_first_are_looked_at():
 
 
 # Constraints.
-
-
 def test_limits_are_the_constraints_that_trials_have_and_are_kept_with_the_normal_probability():
     one = optuna.create_trial(value=0.0, constraints={"x": 1.0, "y": -np.inf})
     other = optuna.create_trial(value=0.0, constraints={"y": -2.0})

@@ -39,8 +39,6 @@ def trials(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 # Kernels.
-
-
 @pytest.mark.parametrize("form", reference.FORMS)
 def test_kernels_are_scikit_learns(form):
     ours = covariance_of(form)
@@ -108,8 +106,6 @@ def test_length_scales_are_shared_or_one_a_feature_and_scaled_by_the_dimension()
 
 
 # Likelihood and constants.
-
-
 @pytest.mark.parametrize("form", reference.FORMS)
 def test_the_misfit_and_its_gradient_are_scikit_learns(form):
     covariance = covariance_of(form)
@@ -166,8 +162,6 @@ def test_the_prior_decides_after_one_trial_and_of_many_a_part_is_learned_from():
 
 
 # The posterior.
-
-
 def learned(
     covariance: gp.Covariance, x: np.ndarray, y: np.ndarray, *, fast: bool = False
 ) -> gp.Posterior:

@@ -76,7 +76,6 @@ def test_history_takes_finished_trials_and_counts_all_rows(table):
 
 
 # A table's parameters, suggested otherwise: it works where the values fit.
-
 RATE = np.geomspace(1e-4, 1.0, 12)
 COLUMNS = {
     "rate": RATE,

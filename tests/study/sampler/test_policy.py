@@ -113,8 +113,6 @@ def test_of_a_space_they_are_the_ends_too(prior, low, high):
 
 
 # How long features are followed.
-
-
 @pytest.mark.parametrize(("has_prior", "patience"), [(False, 3), (True, 20)])
 def test_every_other_trial_is_doubtful_once_patience_is_over(has_prior, patience):
     assert (PATIENCE, PATIENCE_WITH_PRIOR)[has_prior] == patience
@@ -237,7 +235,6 @@ def test_features_that_are_worth_nothing_leave_the_parameters_to_learn_from(feat
 
 
 # Threads.
-
 GIVEN = 2
 
 

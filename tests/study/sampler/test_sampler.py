@@ -203,16 +203,14 @@ def test_a_prior_that_is_wrong_is_left():
 @pytest.mark.parametrize("kernel", ["additive", "rbf_ard"])
 def test_rows_left_out_change_no_choice(kernel):
     rng = np.random.default_rng(0)
-    columns = {"a": rng.uniform(-1, 1, 300), "b": rng.uniform(0, 5, 300)}
-    values = features(np.column_stack(list(columns.values())))
+    params = np.column_stack([rng.uniform(-1, 1, 300), rng.uniform(0, 5, 300)])
+    values = features(params)
     values[100:] = np.nan
 
     def proposed(rows):
-        some = {name: column[:rows] for name, column in columns.items()}
-        bounds = {"a": (-1, 1), "b": (0, 5)}
-        table = FeatureTable.from_arrays(some, values[:rows], ["size", "side"], bounds=bounds)
-        study = study_of(table, bowl, 12, seed=3, kernel=kernel, prior="-size")
-        return params_of(study)
+        columns, bounds = dict(zip("ab", params[:rows].T, strict=True)), {"a": (-1, 1), "b": (0, 5)}
+        table = FeatureTable.from_arrays(columns, values[:rows], ["size", "side"], bounds=bounds)
+        return params_of(study_of(table, bowl, 12, seed=3, kernel=kernel, prior="-size"))
 
     assert proposed(300) == proposed(100)
 
@@ -320,8 +318,6 @@ def test_where_no_row_is_left_points_off_the_table_are(kernel, unknown):
 
 
 # The paper's sampler.
-
-
 def test_trials_are_rows_with_plain_notes_and_no_row_comes_twice_running_or_not(table):
     study = study_of(table, bowl, 30, kernel="rbf")
     for trial, row in zip(study.trials, rows_of(study), strict=True):
@@ -336,19 +332,15 @@ def test_trials_are_rows_with_plain_notes_and_no_row_comes_twice_running_or_not(
 
 @pytest.mark.parametrize("state", [TrialState.FAIL, TrialState.PRUNED])
 def test_failed_and_pruned_trials_teach_nothing(table, state):
-    def rows(lose_a_trial):
-        study = study_of(table, kernel="rbf")
-        study.optimize(bowl, n_trials=6)
-        if lose_a_trial:
-            study.tell(study.ask(SPACE), state=state)
-        study.optimize(bowl, n_trials=1)
-        return rows_of(study)
-
-    lost, clean = rows(lose_a_trial=True), rows(lose_a_trial=False)
-    assert lost[:7] == clean
-    assert lost[7] not in lost[:7]
+    lost, clean = (study_of(table, bowl, 6, kernel="rbf") for _ in range(2))
+    lost.tell(lost.ask(SPACE), state=state)
+    for each in (lost, clean):
+        each.optimize(bowl, n_trials=1)
+    rows, expected = rows_of(lost), rows_of(clean)
+    assert rows[:7] == expected
+    assert rows[7] not in rows[:7]
     score = table.rows.features[:, 0]  # it goes on where it was, as if nothing had been learned
-    assert abs(score[lost[7]] - score[clean[6]]) < 0.2
+    assert abs(score[rows[7]] - score[expected[6]]) < 0.2
 
 
 def test_ties_are_broken_by_the_seed():
@@ -361,7 +353,6 @@ def test_an_informative_score_beats_random_search():
     rng = np.random.default_rng(5)
     unit = rng.uniform(size=(3000, 8))
     depth = ((unit - 0.6) ** 2).sum(axis=1)
-    cost = 1.0 - np.exp(-8.0 * depth)
     score = np.maximum(0.0, 20.0 - 40.0 * depth + rng.normal(0, 3, 3000))  # most are zero
     columns = {f"x{i}": unit[:, i] for i in range(8)}
     table = FeatureTable.from_arrays(columns, score, bounds=dict.fromkeys(columns, (0.0, 1.0)))
@@ -370,18 +361,15 @@ def test_an_informative_score_beats_random_search():
         x = np.array([trial.suggest_float(name, 0, 1) for name in columns])
         return float(1.0 - np.exp(-8.0 * ((x - 0.6) ** 2).sum()))
 
-    def mean_best(samplers):
-        best = []
-        for sampler in samplers:
-            study = optuna.create_study(sampler=sampler)
-            study.optimize(objective, n_trials=20)
-            best.append(study.best_value)
-        return float(np.mean(best))
+    def mean_best(new_sampler):
+        studies = [optuna.create_study(sampler=new_sampler(seed=seed)) for seed in range(6)]
+        for each in studies:
+            each.optimize(objective, n_trials=20)
+        return np.mean([each.best_value for each in studies])
 
-    dog = mean_best([DoGSampler(table, seed=seed) for seed in range(6)])
-    random = mean_best([optuna.samplers.RandomSampler(seed=seed) for seed in range(6)])
-    assert dog < random - 0.1
-    assert dog < np.quantile(cost, 0.01)
+    dog = mean_best(lambda seed: DoGSampler(table, seed=seed))
+    assert dog < mean_best(RandomSampler) - 0.1
+    assert dog < np.quantile(1.0 - np.exp(-8.0 * depth), 0.01)
 
 
 def test_a_proposal_from_100000_rows_takes_no_half_second():
@@ -406,7 +394,6 @@ def test_a_proposal_from_100000_rows_takes_no_half_second():
 
 
 # Extreme numbers.
-
 LARGEST = np.finfo(np.float64).max
 LINE = np.linspace(0.0, 1.0, 30)
 EXTREMES = [
@@ -443,8 +430,6 @@ def test_extreme_features_tell_rows_apart(kernel):
 
 
 # What a sampler looks like at a prompt.
-
-
 SHOWN = FeatureTable.from_arrays(
     {f"x{i}": np.linspace(0, 1, 600) for i in range(16)},
     np.random.default_rng(0).random((600, 6)),

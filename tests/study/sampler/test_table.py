@@ -162,8 +162,6 @@ def test_bad_arrays_are_refused(parameters, features, options, message):
 
 
 # Choices and gaps.
-
-
 @pytest.mark.parametrize(("values", "choices"), [
     (["sqrt", None, "log2"], [None, "sqrt", "log2"]),
     ([True, None, False], [None, True, False]),
@@ -193,8 +191,6 @@ def test_given_as_a_choice_a_gap_is_none(values):
 
 
 # Stores.
-
-
 def test_a_store_gives_its_parameters_and_bounds(store):
     table = FeatureTable.from_parquet(store, features=["phi_corrected", "mean_speed_mps"])
     rows = table.rows
@@ -252,8 +248,6 @@ def test_columns_that_are_no_feature_or_none_are_refused(store, features, option
 
 
 # What a table looks like at a prompt.
-
-
 @pytest.mark.filterwarnings("ignore:FeatureTable")
 @pytest.mark.parametrize(("rows", "parameters", "features", "shown"), [
     (600, 16, 6, "600 rows, 16 parameters, 6 features: a, b, c, ..."),

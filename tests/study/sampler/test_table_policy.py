@@ -70,8 +70,6 @@ def assert_rows_were_run(study: optuna.Study) -> None:
 
 
 # Trials that are enqueued in part.
-
-
 @pytest.mark.parametrize("finished", [0, 6])
 def test_a_partly_enqueued_trial_is_a_row_that_has_the_fixed_values_the_best_one(finished):
     study = study_of(TABLE, both, finished)
@@ -167,8 +165,6 @@ def test_without_a_table_a_fixed_value_stays(space, function):
 
 
 # Trials that are enqueued whole.
-
-
 @pytest.mark.filterwarnings("ignore:FeatureTable")
 def test_an_enqueued_row_is_noted_from_its_start():
     study = study_of(TABLE, enqueued=[row(7), row(9) | {"other": 3}])
@@ -225,8 +221,6 @@ def test_resumed_is_uninterrupted_with_enqueued_trials_and_killed_ones_are_run_a
 
 
 # Notes that are not true, and what was run in place of a proposal.
-
-
 def test_a_row_noted_by_an_earlier_version_counts_only_if_it_was_run():
     """Two trials that say row 3 and did something else: they teach nothing, and row 3 is free."""
     study = study_of(TABLE)
@@ -292,8 +286,6 @@ def test_features_of_a_point_that_was_not_run_are_taken_back():
 
 
 # A parameter of the table that the study does not always suggest.
-
-
 def b_at_times(trial: optuna.Trial) -> float:
     return both(trial) if trial.number else only_a(trial)
 
@@ -345,7 +337,6 @@ def test_a_trial_that_ends_early_says_nothing_and_one_that_is_refused_keeps_no_r
 
 
 # Trials off the table, of this study or an earlier one, that the nearest row lends its features.
-
 NEAR = {"a": FloatDistribution(0, 1), "b": FloatDistribution(0.01, 100, log=True)}
 LINE = np.linspace(0, 1, 40)
 LINES = FeatureTable.from_arrays(

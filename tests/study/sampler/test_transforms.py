@@ -57,8 +57,6 @@ def test_the_order_of_large_costs_is_kept_and_infinities_become_the_extremes():
 
 
 # Scales of features.
-
-
 def blom(rows: Floats, values: Floats) -> Floats:
     """Normal scores of values among rows, by SciPy: of each alone, put in among the rows."""
     known = rows[~np.isnan(rows)]
@@ -112,8 +110,10 @@ def test_a_feature_with_gaps_has_a_column_that_says_so_each_pattern_once():
     rows = np.random.default_rng(0).normal(size=(100, 4))
     rows[:30, 1] = rows[:30, 2] = NAN  # one pattern
     rows[90:, 3] = NAN
-    standard = NormalScores.of(rows).standard(rows)
+    scale = NormalScores.of(rows)
+    standard = scale.standard(rows)
     assert standard.shape == (100, 6)
+    assert scale.owners == (0, 1, 2, 3, 1, 3) and Standard.of(rows).owners == (0, 1, 2, 3)
     for column, feature in ((4, 1), (5, 3)):
         missing = np.isnan(rows[:, feature]).astype(float)
         assert_allclose(standard[:, column], (missing - missing.mean()) / missing.std())
@@ -178,7 +178,6 @@ def test_an_increasing_change_of_a_feature_changes_no_proposal(change, columns, 
 
 
 # Tables larger than memory: what is in a file is what would be in memory.
-
 LARGE = 300
 
 
