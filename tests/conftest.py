@@ -32,9 +32,7 @@ SIMULATE = (
     "from taichi_nmm import PUBLISHED_GAINS, Settings, simulate; "
     "simulate(PUBLISHED_GAINS, duration_s=0.1, settings=Settings(arch='cpu', {}))"
 )
-MOST_TESTS = (
-    "", "threads=1", "precision='float64'", "engine='mujoco'", "engine='mujoco', threads=1",
-)  # fmt: skip
+MOST_TESTS = "", "threads=1", "precision='float64'", "engine='mujoco'", "engine='mujoco', threads=1"
 
 
 def compile_kernel(settings: str) -> None:

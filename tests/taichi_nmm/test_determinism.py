@@ -1,6 +1,5 @@
 """Bits do not depend on threads, order, size of the batch or process."""
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -46,12 +45,9 @@ def whole() -> NDArray[np.void]:
     return rows(np.arange(WALKERS))
 
 
-def test_walkers_differ(whole: NDArray[np.void]) -> None:
+def test_walkers_differ_and_a_permuted_batch_permutes_its_rows(whole: NDArray[np.void]) -> None:
     assert len(np.unique(whole["duration_s"])) > WALKERS / 4
     assert 0.02 < (whole["end_reason"] == 0).mean() < 0.9
-
-
-def test_permuted_batch_permutes_its_rows(whole: NDArray[np.void]) -> None:
     order = np.random.default_rng(1).permutation(WALKERS)
     assert rows(order).tobytes() == whole[order].tobytes()
 
@@ -69,14 +65,8 @@ def test_one_and_two_threads(whole: NDArray[np.void]) -> None:
 
 
 def test_new_process(whole: NDArray[np.void], tmp_path: Path) -> None:
-    script = tmp_path / "again.py"
-    script.write_text(
-        "import sys, numpy as np\n"
-        "from tests.taichi_nmm.test_determinism import rows\n"
-        "np.save(sys.argv[1], rows(np.arange(64)))\n"
-    )
-    file = tmp_path / "rows.npy"
-    root = Path(__file__).resolve().parents[2]
-    environment = {**os.environ, "PYTHONPATH": str(root)}
-    subprocess.run([sys.executable, script, file], check=True, cwd=root, env=environment)
+    file, root = tmp_path / "rows.npy", Path(__file__).resolve().parents[2]
+    code = "import sys, numpy as np; from tests.taichi_nmm.test_determinism import rows; "
+    code += "np.save(sys.argv[1], rows(np.arange(64)))"
+    subprocess.run([sys.executable, "-c", code, file], check=True, cwd=root)
     assert np.load(file).tobytes() == whole[:64].tobytes()

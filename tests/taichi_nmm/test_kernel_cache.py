@@ -15,10 +15,8 @@ ROOT = Path(__file__).parents[2]
 WALK = ROOT / "tools" / "walk.py"
 SIMULATE = "import taichi_nmm; taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.1)"
 NOTEBOOK = "import io, sys; sys.stdout = io.StringIO(); import taichi_nmm.simulator"
-ODD = {
-    "LC_ALL": "xx", "LANG": "xx", "TI_ARCH": "zzz", "TI_LOG_LEVEL": "zzz", "TI_FAST_MATH": "maybe",
-    "TI_DEFAULT_FP": "7",
-}  # fmt: skip
+ODD = {"LC_ALL": "xx", "LANG": "xx", "TI_ARCH": "zzz", "TI_LOG_LEVEL": "zzz"}
+ODD |= {"TI_FAST_MATH": "maybe", "TI_DEFAULT_FP": "7"}
 
 
 def python(*words: object, env: Mapping[str, str] = os.environ) -> subprocess.CompletedProcess[str]:

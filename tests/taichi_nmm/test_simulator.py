@@ -61,7 +61,7 @@ def test_reference_gait_is_humanlike_and_its_score_the_sum_of_its_components(wal
         assert row[f"{name}_mean"] == pytest.approx(row[f"{name}_sum"] / row["step_count"])
 
 
-def test_trajectory_agrees_with_the_result(walk: Result) -> None:
+def test_trajectory_agrees_with_the_result_and_recording_changes_no_bit(walk: Result) -> None:
     faller, walker = walk.trajectories
     assert (faller.walker, walker.walker) == (1, 0)
     assert len(walker.time_s) == 4000
@@ -77,9 +77,7 @@ def test_trajectory_agrees_with_the_result(walk: Result) -> None:
     airborne = ~walker.stance.any(axis=1)
     assert np.abs(vertical[airborne]).max(initial=0.0) < 0.5 * weight
     assert walker.muscle_force_n.min() >= 0 and walker.activation.min() > 0
-
-
-def test_events_alternate_and_make_the_step_count(walk: Result) -> None:
+    # Events alternate and make the step count.
     events = walk.trajectories[1].events
     assert (np.diff(events["time_s"]) >= 0).all()
     for side in (0, 1):
@@ -88,9 +86,7 @@ def test_events_alternate_and_make_the_step_count(walk: Result) -> None:
     # A step needs a whole swing and its stance's end: both legs' first strikes and take-offs less.
     takeoffs = int((events["kind"] == 1).sum())
     assert walk["step_count"][0] == takeoffs - 2
-
-
-def test_recording_changes_no_bit(walk: Result) -> None:
+    # Recording changes no bit.
     plain = walked([PUBLISHED_GAINS, FALLING], 20.0)
     assert plain.rows.tobytes() == walk.rows.tobytes()
     assert plain.trajectories == ()

@@ -32,16 +32,15 @@ def felt(nerves: Any, signals: Any, blend: Any, amplitude: Any, seeds: Any) -> A
     return np.array(heard)
 
 
-def test_a_lag_is_of_first_order_and_flags_have_none(nerves: Any) -> None:
+def test_a_lag_is_of_first_order_flags_have_none_and_without_it_nothing_changes(
+    nerves: Any,
+) -> None:
     lag_s = 0.05
     heard = felt(nerves, 1.0, 1.0 - np.exp(-1e-3 / lag_s), 0.0, np.zeros(1))[:, :, 0]
     expected = 1.0 - np.exp(-np.arange(1, TICKS + 1) * 1e-3 / lag_s)
     for signal in range(Signal.count):
         flag = signal in nerves.FLAGS
         np.testing.assert_allclose(heard[:, signal], 1.0 if flag else expected, rtol=1e-12)
-
-
-def test_without_lag_and_noise_nothing_changes(nerves: Any) -> None:
     signals = np.random.default_rng(3).normal(size=(Signal.count, 4))
     heard = felt(nerves, signals, 1.0, 0.0, np.arange(4.0))
     assert np.array_equal(heard, np.broadcast_to(signals, heard.shape))
