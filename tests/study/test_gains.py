@@ -27,11 +27,7 @@ LIVE, BESIDE, OTHER = "sqlite:///live.db", "sqlite:///out/studies.db", "sqlite:/
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The toy experiment with a seventeenth parameter: its store, a comparison, a live study.
-
-    The live study has three trials, and a fourth that nobody has finished. Another database is of
-    another program's study.
-    """
+    """The toy experiment with a seventeenth parameter: its store, a comparison, a live study."""
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
@@ -41,11 +37,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         dotted = Request(folder / "dots", arms=("random",), runs=1, trials=1, artifacts=False)
         compare(replace(toy, name="rough-8.5_b"), dotted, lambda progress: None)
         storage = open_studies(f"sqlite:///{folder}/live.db")
-        run_study(toy, find_arm("dog"), 1, 3, storage).ask()
+        run_study(toy, find_arm("dog"), 1, 3, storage).ask()  # a fourth, which nobody finishes
         storage.engine.dispose()
-    other = optuna.create_study(
-        study_name="other", storage=open_studies(f"sqlite:///{folder}/other.db")
-    )
+    other = optuna.create_study(study_name="other", storage=f"sqlite:///{folder}/other.db")
     other.optimize(lambda trial: trial.suggest_float("x", 0, 1), 1)
     (folder / "empty").mkdir()
     (folder / "text.db").write_text("no database, but long enough to have a header of its own")
@@ -79,7 +73,7 @@ def test_gains_by_name_and_of_a_file(tmp_path: Path) -> None:
         gains_of_source("nobody")
 
 
-def test_a_row_of_a_store(store: Path) -> None:
+def test_a_row_of_a_store(here: Path, store: Path) -> None:
     rows = open_store(store).gains()
     for row in (0, 17, 199):
         found = gains_of_row(store, row)
@@ -87,25 +81,22 @@ def test_a_row_of_a_store(store: Path) -> None:
         np.testing.assert_array_equal(found.low_level, DEFAULTS)
         assert found.name == f"plain-store-row-{row}"
         assert list(found.as_document()) == list(GAIN_NAMES)
+    found = gains_of_row(Path("store"), 7)  # of seventeen parameters
+    row_7 = open_store("store").gains()[7]
+    np.testing.assert_array_equal([*found.gains, found.low_level[7]], row_7)
+    assert found.as_document()["theta_ref"] == row_7[16] != DEFAULTS[7]
 
 
-def test_a_row_of_a_store_of_seventeen_parameters(here: Path) -> None:
-    found = gains_of_row(Path("store"), 7)
-    row = open_store("store").gains()[7]
-    np.testing.assert_array_equal([*found.gains, found.low_level[7]], row)
-    assert found.as_document()["theta_ref"] == row[16] != DEFAULTS[7]
-
-
-@pytest.mark.parametrize("row", [-1, 150, 10**9])
-def test_a_row_out_of_range(here: Path, row: int) -> None:
-    with one_line(rf"row: {row} .* 0 to 149, the rows of store"):
-        gains_of_row(Path("store"), row)
-
-
-@pytest.mark.parametrize(("store", "message"), [("nowhere", "nowhere"), ("empty", "a finished")])
-def test_no_store(here: Path, store: str, message: str) -> None:
+@pytest.mark.parametrize(
+    ("store", "row", "message"),
+    [
+        *(("store", row, f"row: {row} .* 0 to 149, the rows of store") for row in (-1, 150, 10**9)),
+        ("nowhere", 0, "nowhere"), ("empty", 0, "a finished"),
+    ],
+)  # fmt: skip
+def test_no_such_row(here: Path, store: str, row: int, message: str) -> None:
     with one_line(message):
-        gains_of_row(Path(store), 0)
+        gains_of_row(Path(store), row)
 
 
 def test_a_trial_of_a_live_study_and_of_a_comparison_are_the_same(here: Path) -> None:
@@ -128,11 +119,8 @@ def test_what_is_found_can_be_written_and_read(here: Path, tmp_path: Path) -> No
     gains, low_level = load_all_gains(str(file))
     np.testing.assert_array_equal(gains, found.gains)
     np.testing.assert_array_equal(low_level, found.low_level)
-
-
-def test_an_experiments_name_may_hold_dots(here: Path) -> None:
-    found = gains_of_trial("rough-8.5_b/random/run-000/0", "dots")
-    assert found.name == "rough-8.5_b-random-run-000-0"
+    dotted = gains_of_trial("rough-8.5_b/random/run-000/0", "dots")
+    assert dotted.name == "rough-8.5_b-random-run-000-0"
 
 
 MALFORMED = ("", "12", "toy/dog/run-001", "toy/dog/run-001/", "toy/dog/run-001/-1", "/3", "a/1.5")
@@ -148,10 +136,8 @@ NOT_IN_THE_FOLDER = (
     ("trial", "where", "message"),
     [
         *((trial, "sqlite:///none.db", f"trial: '{trial}' .* {FORM}") for trial in MALFORMED),
-        *(
-            (trial, "out", rf"trial: '{trial}' .* a finished trial of .*trials\.parquet: {FORM}")
-            for trial in NOT_IN_THE_FOLDER
-        ),
+        *((trial, "out", rf"trial: '{trial}' .* a finished trial of .*trials\.parquet: {FORM}")
+          for trial in NOT_IN_THE_FOLDER),
         ("toy/cat/run-001/2", LIVE, "trial: 'toy/cat/run-001/2' .* a study of"),
         ("toy/dog/run-000/2", LIVE, "trial: 'toy/dog/run-000/2' .* a study of"),
         ("toy/dog/run-001/3", LIVE, "trial: .* a finished trial of"),  # which is running
@@ -162,7 +148,7 @@ NOT_IN_THE_FOLDER = (
         (TRIAL, "empty", "storage: .* a comparison's folder, with trials.parquet"),
         (TRIAL, "sqlite:///text.db", "text.db"),
     ],
-)
+)  # fmt: skip
 def test_no_such_trial(trial: str, where: str, message: str, here: Path) -> None:
     before = sorted(here.iterdir())
     with one_line(message):

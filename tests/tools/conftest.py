@@ -2,12 +2,16 @@
 
 import json
 import re
-from collections.abc import Callable
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 import taichi_nmm
+from storage.databases import studies
 from tests.study import fake_walker
 from tests.tools.running import run_tool
 
@@ -57,3 +61,12 @@ def simulator(monkeypatch: pytest.MonkeyPatch) -> Simulator:
     replace(fake_walker.simulate)
     fake_walker.calls.clear()
     return replace
+
+
+@pytest.fixture
+def database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[sqlite3.Connection]:
+    """Another program's connection to studies.db, for which nobody waits long."""
+    monkeypatch.setattr(studies, "BUSY_TIMEOUT_S", 0.1)
+    file = tmp_path / "studies.db"
+    with closing(sqlite3.connect(file, isolation_level=None)) as connection:
+        yield connection

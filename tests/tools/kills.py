@@ -25,11 +25,10 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import import_module
 from itertools import cycle
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import optuna
 import pyarrow.parquet as pq
@@ -54,39 +53,22 @@ STORE = """
 samples = 32
 shard_rows = 16
 seed = 7
-[simulation]
-duration_s = 2.0
-[families.up]
-settings = 1
-min_survival_s = 0.5
-terrain = {kind = "ramp"}
+simulation = {duration_s = 2.0}
+families.up = {settings = 1, min_survival_s = 0.5, terrain = {kind = "ramp"}}
 """
-REPERTOIRE = """
-[repertoire]
-evaluations = 300
-settings = 1
-candidates = 6
-"""
+REPERTOIRE = "repertoire = {evaluations = 300, settings = 1, candidates = 6}"
 EXPERIMENT = """
 name = "{kind}"
 seed = 5
 runs = 2
 trials = 4
 arms = ["random", "dog"]
-[objective]
-cost = "smooth"
-[simulation]
-duration_s = 2.0
-[body]
-disturbance = {disturbance}
-[terrain]
-kind = "{kind}"
-[cmaes]
-population = 4
-max_generations = 3
-[stores]
-flat = "{base}/store"
-diverse = "{base}/store"
+objective = {{cost = "smooth"}}
+simulation = {{duration_s = 2.0}}
+body = {{disturbance = {disturbance}}}
+terrain = {{kind = "{kind}"}}
+cmaes = {{population = 4, max_generations = 3}}
+stores = {{flat = "{base}/store", diverse = "{base}/store"}}
 """
 ONE = "--workers 1"
 COMPARE = f"compare --config {{base}}/rough.toml {ONE} --no-artifacts --out"
@@ -102,35 +84,24 @@ SCENES = {
 PREPARATIONS = (f"precompute --config {{base}}/store.toml --out store {ONE}", f"{COMPARE} compared")
 
 
-@dataclass(frozen=True)
-class Death:
-    """When a process is killed; by default never.
+class Death(NamedTuple):
+    """When a process is killed; by default never."""
 
-    Attributes:
-        commit: name of the file, or `DATABASE`, whose commit it dies at.
-        number: of that commit among those of its name, from 1.
-        after: die at whatever comes after the commit; otherwise just before it.
-        delay_s: die so long after the beginning, in place of a commit.
-    """
-
-    commit: str = ""
-    number: int = 1
-    after: bool = False
-    delay_s: float | None = None
+    commit: str = ""  # name of the file, or `DATABASE`, whose commit it dies at
+    number: int = 1  # of that commit among those of its name
+    after: bool = False  # die at whatever comes after the commit, not just before it
+    delay_s: float | None = None  # or die so long after the beginning
 
 
-@dataclass(frozen=True)
-class Ended:
+NEVER = Death()
+
+
+class Ended(NamedTuple):
     """How a process ended: its exit code, its commits in their order, its duration."""
 
     code: int
     commits: list[str]
     wall_s: float
-
-    @property
-    def killed(self) -> bool:
-        """Whether it was killed before it had ended."""
-        return self.code == -signal.SIGKILL
 
 
 class Watch:
@@ -169,7 +140,7 @@ class Watch:
             os.kill(os.getpid(), signal.SIGKILL)
 
 
-def in_process(work: Callable[[], None], folder: Path, log: Path, death: Death = Death()) -> Ended:
+def in_process(work: Callable[[], object], folder: Path, log: Path, death: Death = NEVER) -> Ended:
     """Do some work in a fork of this process, in a folder; what it prints goes to the log."""
     ours, theirs = os.pipe()  # which holds all names of commits
     process = FORK.Process(target=be, args=(work, folder, log, Watch(death, theirs)))
@@ -187,7 +158,7 @@ def in_process(work: Callable[[], None], folder: Path, log: Path, death: Death =
     return Ended(process.exitcode, commits, wall_s)
 
 
-def be(work: Callable[[], None], folder: Path, log: Path, watch: Watch) -> NoReturn:
+def be(work: Callable[[], object], folder: Path, log: Path, watch: Watch) -> NoReturn:
     """The forked process, which runs none of its parent's code."""
     code: Any = 1
     try:
@@ -219,7 +190,7 @@ class Theatre:
         for name, text in texts.items():
             (self._base / f"{name}.toml").write_text(text)
         for line in PREPARATIONS:
-            self._play(line, self._base, Death())
+            self._play(line, self._base, NEVER)
 
     def run(self, command: str, *deaths: Death) -> tuple[list[Ended], dict[str, str]]:
         """A command in a new folder, killed so often and then whole; the folder's digest."""
@@ -227,25 +198,21 @@ class Theatre:
         self._stage.mkdir()
         if command == "report":
             shutil.copytree(self._base / "compared", self._stage / "compared")
-        ended = [self._play(SCENES[command], self._stage, each) for each in (*deaths, Death())]
+        ended = [self._play(SCENES[command], self._stage, each) for each in (*deaths, NEVER)]
         return ended, self._digest()
 
     def _play(self, line: str, folder: Path, death: Death) -> Ended:
         self._log.write_text("")
         words = line.format(base=self._base).split()
         ended = in_process(lambda: command_line(words), folder, self._log, death)
-        if ended.code and not ended.killed:
+        if ended.code not in (0, -signal.SIGKILL):
             raise RuntimeError(f"{line} ended with {ended.code}: {self._log.read_text()}")
         return ended
 
     def _digest(self) -> dict[str, str]:
         """In a process of its own: this one opens no database, and so forks none that is open."""
-        file = self._folder / "digest.json"
-
-        def write() -> None:
-            file.write_text(json.dumps(digest(self._stage)))
-
-        in_process(write, self._folder, self._log)
+        file, stage = self._folder / "digest.json", self._stage
+        in_process(lambda: file.write_text(json.dumps(digest(stage))), self._folder, self._log)
         found: dict[str, str] = json.loads(file.read_text())
         file.unlink()
         return found
@@ -264,11 +231,10 @@ def digest(folder: Path) -> dict[str, str]:
 
     Every file counts, so what a killed process left behind is a difference.
     """
-    files = sorted(file for file in folder.rglob("*") if file.is_file())
     return {
         str(file.relative_to(folder)): hashlib.sha256(content(file)).hexdigest()
-        for file in files
-        if not file.name.endswith(OF_THE_DATABASE)
+        for file in sorted(folder.rglob("*"))
+        if file.is_file() and not file.name.endswith(OF_THE_DATABASE)
     }
 
 
@@ -283,9 +249,9 @@ def content(file: Path) -> bytes:
         return json.dumps({k: v for k, v in document.items() if k not in OF_THE_SESSION}).encode()
     if file.suffix == ".db":
         storage = optuna.storages.RDBStorage(file_url(file))
-        names = optuna.get_all_study_names(storage)
         found = {
-            name: of_study(optuna.load_study(study_name=name, storage=storage)) for name in names
+            name: of_study(optuna.load_study(study_name=name, storage=storage))
+            for name in optuna.get_all_study_names(storage)
         }
         storage.engine.dispose()
         return json.dumps(found, sort_keys=True).encode()
@@ -316,8 +282,7 @@ def of_study(study: optuna.Study) -> dict[str, Any]:
 def kill(theatre: Theatre, commands: list[str], kills: int, seed: int) -> dict[str, list[int]]:
     """Kill the commands by turns, so often in total.
 
-    Returns:
-        Of each command: kills, those at a commit, folders, and folders that are bit-equal.
+    Of each command: kills, those at a commit, folders, and folders that are bit-equal.
     """
     dice = random.Random(seed)
     wholes = {command: theatre.run(command) for command in commands}
@@ -332,7 +297,8 @@ def kill(theatre: Theatre, commands: list[str], kills: int, seed: int) -> dict[s
         deaths = (at_commit, Death(delay_s=dice.uniform(0.0, whole.wall_s)))
         ended, found = theatre.run(command, *deaths)
         names = sorted({name for name, _ in expected.items() ^ found.items()})
-        this = (sum(each.killed for each in ended), ended[0].killed, 1, not names)
+        killed = [each.code == -signal.SIGKILL for each in ended]
+        this = (sum(killed), killed[0], 1, not names)
         counts[command] = [a + b for a, b in zip(counts[command], this, strict=True)]
         print(f"{command}: {', '.join(names) or 'equal'}, {deaths}", file=sys.stderr)
     return counts

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 import pytest
 
@@ -16,6 +17,7 @@ from study.cli import main
 from study.options import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
+WAIT_S = 300.0  # of a process, which may compile the simulator first
 
 
 def run_tool(patch: pytest.MonkeyPatch, tool: str, *arguments: object) -> int:
@@ -61,6 +63,30 @@ def start(
         text=True,
         start_new_session=True,  # a terminal's Ctrl-C reaches all of it
     )
+
+
+class Done(NamedTuple):
+    """How a process ended."""
+
+    code: int
+    out: str
+    error: str
+
+    @property
+    def lines(self) -> list[str]:
+        """Of standard error."""
+        return self.error.replace("\r", "\n").splitlines()
+
+    @property
+    def last(self) -> str:
+        """The last of them."""
+        return next(reversed(self.lines), "")
+
+
+def finish(process: subprocess.Popen[str]) -> Done:
+    """Wait until it has ended."""
+    out, error = process.communicate(timeout=WAIT_S)
+    return Done(process.returncode, out, error)
 
 
 def forget_commands() -> None:

@@ -6,17 +6,14 @@ import signal
 import sqlite3
 import subprocess
 import time
-from collections.abc import Iterator
-from contextlib import closing
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import optuna
 import pyarrow.parquet as pq
 import pytest
 
-from storage.databases import studies
 from study.comparison import compare
 from study.experiment.stores import store_digest
 from tests.study import fake_walker
@@ -32,24 +29,21 @@ class Command:
         self.out = folder / "out"
         self.config = fake_walker.write_config(folder)
 
-    def arguments(self, **changes: object) -> list[str]:
+    def words(self, **changes: object) -> list[str]:
         options = {"config": self.config, "out": self.out, "workers": 1} | changes
         words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
-        return ["--no-artifacts", *words]
+        return ["compare", "--no-artifacts", *words]
 
     def run(self, **changes: object) -> int:
         """Exit code of the command."""
-        return self.tool("compare", *self.arguments(**changes))
-
-    def json(self, **changes: object) -> Any:
-        return self.tool.json("compare", *self.arguments(**changes))
+        return self.tool(*self.words(**changes))
 
     def refuses(self, message: str, **changes: object) -> None:
-        self.tool.refuses(message, "compare", *self.arguments(**changes))
+        self.tool.refuses(message, *self.words(**changes))
 
     def start(self, **changes: object) -> "subprocess.Popen[str]":
         """The command in a process of its own, a tenth of a second a round."""
-        return start("compare", *self.arguments(**changes), trial_s=0.1, stretch=2)
+        return start(*self.words(**changes), trial_s=0.1, stretch=2)
 
     def rows(self) -> int:
         """Finished trials on the disk."""
@@ -72,7 +66,7 @@ def command(tmp_path: Path, tool: Tool, simulator: Simulator) -> Command:
 
 
 def test_json_is_one_object(command: Command) -> None:
-    found = command.json(trials=3)
+    found = command.tool.json(*command.words(trials=3))
     assert found["trials"] == found["trials_computed"] == 27
     assert [arm["arm"] for arm in found["arms"]] == ["dog", "random", "score-first-diverse"]
     assert "studies with a walker" in command.tool.err
@@ -122,35 +116,18 @@ def test_a_password_is_not_printed(command: Command, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(compare, "check_database", lambda *_: None)
     monkeypatch.setattr(compare, "export", lambda *_, **__: None)
     one = {"trials": 1, "arms": "random", "storage": "postgresql+psycopg://me:secret@host/walker"}
-    for run in (command.run, command.json):
-        run(**one)
+    for more in ((), ("--json",)):
+        assert command.tool(*command.words(**one), *more) == 0
         said = command.tool.out + command.tool.err
         assert "postgresql+psycopg://***@host/walker" in said and "secret" not in said
-
-
-def test_a_session_is_noted(command: Command) -> None:
-    for trials in (1, 1, 2):  # the second has nothing to do: no session
-        assert command.run(trials=trials) == 0
-    sessions = json.loads((command.out / "run.json").read_text())["sessions"]
-    assert [session["trials"] for session in sessions] == [9, 9]
-    assert sessions[0]["machine"]["cores"]
-
-
-@pytest.fixture
-def database(command: Command, monkeypatch: pytest.MonkeyPatch) -> Iterator[sqlite3.Connection]:
-    """Another program's connection to the file that is to be the study database."""
-    monkeypatch.setattr(studies, "BUSY_TIMEOUT_S", 0.1)
-    file = command.folder / "other.db"
-    with closing(sqlite3.connect(file, isolation_level=None)) as connection:
-        yield connection
 
 
 @pytest.mark.parametrize("kind", ["foreign", "configuration", "locked", "place"])
 def test_a_database_that_is_refused_leaves_no_folder(
     kind: str, command: Command, database: sqlite3.Connection
 ) -> None:
-    file = command.config if kind == "place" else command.folder
-    one = {"arms": "random", "trials": 1, "storage": f"sqlite:///{file / 'other.db'}"}
+    place = command.config if kind == "place" else command.folder
+    one = {"arms": "random", "trials": 1, "storage": f"sqlite:///{place / 'studies.db'}"}
     if kind in ("configuration", "locked"):
         seed = {"seed": 8} if kind == "configuration" else {}
         assert command.run(**one, **seed, out=command.folder / "first") == 0
@@ -161,14 +138,15 @@ def test_a_database_that_is_refused_leaves_no_folder(
     before = {path.name for path in command.folder.iterdir()}
     command.refuses("storage: ", **one)
     after = {path.name for path in command.folder.iterdir()}
-    assert not {name for name in before ^ after if not name.startswith("other.db-")}
+    assert not {name for name in before ^ after if not name.startswith("studies.db-")}
 
 
 def test_a_missing_ffmpeg_is_refused_before_the_work(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
-    command.tool.refuses("ffmpeg: ", "compare", *command.arguments()[1:])  # with pictures
+    words = (word for word in command.words() if word != "--no-artifacts")
+    command.tool.refuses("ffmpeg: ", *words)
     assert not command.out.exists()
 
 
@@ -213,22 +191,15 @@ def test_killed_ten_times_and_resumed_is_the_same_table(command: Command) -> Non
     assert parts == (whole / "trials.parquet").read_bytes()
 
 
-def left_over(group: int) -> list[int]:
+def left_over(group: int) -> list[str]:
     """Processes of a group that run on: Python's own tracker ends a moment after the last of us."""
     deadline_s = time.monotonic() + 10.0
-    while (running := members(group)) and time.monotonic() < deadline_s:
+    while True:
+        left = []
+        for file in Path("/proc").glob("[0-9]*/stat"):
+            with suppress(OSError):
+                state, _, of = file.read_text().rpartition(")")[2].split()[:3]
+                left += [file.parent.name] if int(of) == group and state != "Z" else []
+        if not left or time.monotonic() > deadline_s:
+            return left
         time.sleep(0.05)
-    return running
-
-
-def members(group: int) -> list[int]:
-    """Processes of a group that still run."""
-    found = []
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            fields = (entry / "stat").read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[2]) == group and fields[0] != "Z":
-            found.append(int(entry.name))
-    return found

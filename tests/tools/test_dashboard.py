@@ -11,8 +11,6 @@ import sys
 import urllib.request
 from contextlib import closing
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -54,15 +52,15 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return copy
 
 
-@pytest.fixture
-def command() -> ModuleType:
-    return load_command("dashboard")
+def get(address: str) -> bytes:
+    with urllib.request.urlopen(address, timeout=20) as answer:
+        content: bytes = answer.read()
+        return content
 
 
 def test_it_serves_studies_and_pictures_on_this_machine_only(folder: Path) -> None:
-    with subprocess.Popen(
-        [sys.executable, DASHBOARD, "--port", "0"], stdout=subprocess.PIPE, text=True
-    ) as process:
+    line = [sys.executable, DASHBOARD, "--port", "0"]
+    with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         lines = dict(process.stdout.readline().split(maxsplit=1) for _ in range(4))
         address = lines["dashboard"].split()[0]
@@ -71,16 +69,13 @@ def test_it_serves_studies_and_pictures_on_this_machine_only(folder: Path) -> No
             assert lines["studies"].strip().endswith("out/compare/tiny/studies.db")
             assert lines["artifacts"].strip().endswith("out/compare/tiny/artifacts")
             server = address.removesuffix("/dashboard")
-            studies = get_json(f"{server}/api/studies")["study_summaries"]
-            assert {study["study_name"] for study in studies} == {
-                "e/dog/run-000", "tiny/random/run-000", "tiny/summary",
-            }  # fmt: skip
-            summary = next(s["study_id"] for s in studies if s["study_name"] == "tiny/summary")
-            assert lines["summary"].split() == [
-                f"{address}/studies/{summary}/note", "(tiny/summary)",
-            ]  # fmt: skip
-            study = next(s["study_id"] for s in studies if s["study_name"] == "e/dog/run-000")
-            trial = get_json(f"{server}/api/studies/{study}")["trials"][0]
+            listed = json.loads(get(f"{server}/api/studies"))["study_summaries"]
+            ids = {study["study_name"]: study["study_id"] for study in listed}
+            assert ids.keys() == {"e/dog/run-000", "tiny/random/run-000", "tiny/summary"}
+            note = f"{address}/studies/{ids['tiny/summary']}/note"
+            assert lines["summary"].split() == [note, "(tiny/summary)"]
+            study = ids["e/dog/run-000"]
+            trial = json.loads(get(f"{server}/api/studies/{study}"))["trials"][0]
             assert trial["artifacts"][0]["filename"] == "a.png"
             picture = f"{server}/artifacts/{study}/{trial['trial_id']}/{PICTURE}"
             assert get(picture) == b"a picture"
@@ -89,26 +84,14 @@ def test_it_serves_studies_and_pictures_on_this_machine_only(folder: Path) -> No
     assert process.returncode == 0
 
 
-def get(address: str) -> bytes:
-    with urllib.request.urlopen(address, timeout=20) as answer:
-        content: bytes = answer.read()
-        return content
-
-
-def get_json(address: str) -> Any:
-    return json.loads(get(address))
-
-
-def test_the_newest_experiment_is_the_default(folder: Path, command: ModuleType) -> None:
+def test_the_newest_experiment_is_the_default_and_pictures_lie_beside_it(folder: Path) -> None:
+    command = load_command("dashboard")
     older = folder.parent / "older"
     shutil.copytree(folder, older)
     os.utime(older / "studies.db", (1.0, 1.0))
     assert command.find_database(None, None) == "sqlite:///out/compare/tiny/studies.db"
     os.utime(folder / "studies.db", (0.0, 0.0))
     assert command.find_database(None, None) == "sqlite:///out/compare/older/studies.db"
-
-
-def test_pictures_are_found_beside_the_database(folder: Path, command: ModuleType) -> None:
     url, postgres = f"sqlite:///{folder}/studies.db", "postgresql+psycopg://me@host/walker"
     assert command.find_database(None, url) == url
     assert command.find_database(folder, postgres) == postgres
@@ -139,14 +122,11 @@ def test_bad_input_is_refused_and_nothing_is_made(
     assert sorted(path.name for path in Path().iterdir()) == ["out"]
 
 
-def test_no_experiment_at_all(folder: Path, tool: Tool) -> None:
-    shutil.rmtree("out")
-    tool.refuses("folder: .*a folder with experiments", "dashboard")
-
-
-def test_a_file_that_is_no_database(folder: Path, tool: Tool) -> None:
+def test_a_file_that_is_no_database_and_no_experiment_at_all(folder: Path, tool: Tool) -> None:
     (folder / "studies.db").write_text("dear diary\n" * 100)
     tool.refuses("storage: .*file is not a database", "dashboard", folder)
+    shutil.rmtree("out")
+    tool.refuses("folder: .*a folder with experiments", "dashboard")
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,8 @@ from tests.tools.running import load_command
 
 pytestmark = pytest.mark.slow
 
+FOLDER = "folder: .*the folder of a store or of a comparison"
+
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -32,14 +34,9 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [
-        ("nowhere", "folder: .*the folder of a store or of a comparison"),
-        ("empty", "folder: .*the folder of a store or of a comparison"),
-        ("file", "store: "),
-        ("compared", ".*with trials"),
-        ("newer", "store: .*of format 99"),
-    ],
-)
+    [("nowhere", FOLDER), ("empty", FOLDER), ("file", "store: "), ("compared", ".*with trials"),
+     ("newer", "store: .*of format 99")],
+)  # fmt: skip
 def test_what_cannot_be_shown(
     name: str, message: str, store: Path, tmp_path: Path, tool: Tool
 ) -> None:

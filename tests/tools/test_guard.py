@@ -42,13 +42,9 @@ def test_ctrl_c_during_a_late_import_is_one_line(package: str, tmp_path: Path) -
 
 @pytest.mark.parametrize(
     ("words", "package"),
-    [
-        (("walk",), "taichi"),
-        (WALK, "matplotlib"),
-        (("walk",), "imageio_ffmpeg"),
-        (("dashboard",), "optuna_dashboard"),
-    ],
-)
+    [(("walk",), "taichi"), (WALK, "matplotlib"), (("walk",), "imageio_ffmpeg"),
+     (("dashboard",), "optuna_dashboard")],
+)  # fmt: skip
 def test_a_missing_package_is_named_in_one_line(
     words: tuple[object, ...], package: str, tmp_path: Path
 ) -> None:

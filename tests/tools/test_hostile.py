@@ -10,7 +10,6 @@ import signal
 import subprocess
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from optuna.trial import TrialState
 
 import taichi_nmm
 from tests.study import fake_walker
-from tests.tools.running import ROOT, start
+from tests.tools.running import ROOT, WAIT_S, Done, finish, start
 
 pytestmark = pytest.mark.slow
 
@@ -31,7 +30,6 @@ COMPARE = ("compare", "--config", "toy.toml", "--arms", "random,dog", "--runs", 
 LIST = ("walk", "--list-configs")
 FULL = "error: machine: 'No space left on device' cannot be used; allowed: space for files and for "
 REDIRECTED = 'exec "$@" {}'
-WAIT_S = 300.0
 
 
 @pytest.fixture(scope="module")
@@ -52,24 +50,9 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@dataclass(frozen=True)
-class Done:
-    """How a command ended."""
-
-    code: int
-    out: str
-    error: str
-
-    @property
-    def lines(self) -> list[str]:
-        return self.error.splitlines()
-
-
 def run(command: Iterable[object], shell: str = "", **options: Any) -> Done:
     """Run a command; `shell` are redirections, or a limit."""
-    process = start(*command, shell=shell, **options)
-    out, error = process.communicate(timeout=WAIT_S)
-    return Done(process.returncode, out, error)
+    return finish(start(*command, shell=shell, **options))
 
 
 def trials(folder: Path) -> list[dict[str, float]]:
@@ -100,22 +83,15 @@ def test_closed_files_are_as_good_as_the_null_device(
     json.loads((folder / "out" / "dog-run-000-best.json").read_text())
 
 
-def test_a_full_disk_under_what_is_printed_is_one_line(folder: Path) -> None:
-    done = run(LIST, REDIRECTED.format(">/dev/full"))
-    assert done.code == 2 and len(done.lines) == 1
-    assert done.error.startswith(FULL)
-
-
-def test_a_full_disk_at_the_end_of_the_work_loses_none(
+def test_a_full_disk_under_what_is_printed_is_one_line_and_loses_no_work(
     folder: Path, undisturbed: list[dict[str, float]]
 ) -> None:
+    done = run(LIST, REDIRECTED.format(">/dev/full"))
+    assert done.code == 2 and len(done.lines) == 1 and done.last.startswith(FULL)
     done = run(STUDY, REDIRECTED.format(">/dev/full"))
-    assert done.code == 2 and done.lines[-1].startswith(FULL)
+    assert done.code == 2 and done.last.startswith(FULL)
     assert trials(folder) == undisturbed
-
-
-def test_where_nothing_can_be_said_the_exit_code_says_it(folder: Path) -> None:
-    bad = ("walk", "--gains", "nowhere.json")
+    bad = ("walk", "--gains", "nowhere.json")  # where nothing can be said, the exit code says it
     assert run(bad, REDIRECTED.format("2>/dev/full")) == Done(2, "", "")
 
 
@@ -123,10 +99,6 @@ def test_a_reader_that_has_enough_ends_the_command_without_a_word(folder: Path) 
     """As `2>&1 | head -1`, of standard output and standard error."""
     assert run(STUDY, '"$@" 2>&1 | true; exit ${PIPESTATUS[0]}') == Done(141, "", "")
     assert run(STUDY).code == 0
-
-
-def test_few_open_files_are_enough(folder: Path) -> None:
-    assert run(STUDY, 'ulimit -n 16; exec "$@"').code == 0
 
 
 def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> None:
@@ -144,7 +116,7 @@ def test_files_that_may_not_grow_are_one_line_and_it_resumes(
 ) -> None:
     done = run(command, 'ulimit -f 8; exec "$@"')
     assert done.code == 2 and "Traceback" not in done.error
-    assert done.lines[-1].startswith("error: ")
+    assert done.last.startswith("error: ")
     assert not list(folder.rglob("*.tmp*")) and not list(folder.rglob("*.parquet"))
     assert run(command).code == 0
 
@@ -205,33 +177,26 @@ def test_a_stopped_process_keeps_its_study_and_goes_on(
     assert trials(folder) == undisturbed
 
 
-@pytest.mark.campaign
-def test_a_stopped_process_keeps_its_folder_and_goes_on(folder: Path) -> None:
-    with stopped(COMPARE):
-        second = run(COMPARE)
-    assert second.code == 2 and "a folder that no other process is filling" in second.error
-    table = (folder / "out" / "trials.parquet").read_bytes()
-    shutil.rmtree(folder / "out")
-    assert run(COMPARE).code == 0
-    assert (folder / "out" / "trials.parquet").read_bytes() == table
-
-
-def test_a_umask_decides_who_may_read(folder: Path, undisturbed: list[dict[str, float]]) -> None:
-    assert run(STUDY, 'umask 077; exec "$@"').code == 0
+def test_a_umask_decides_who_may_read_and_few_open_files_are_enough(
+    folder: Path, undisturbed: list[dict[str, float]]
+) -> None:
+    assert run(STUDY, 'umask 077; ulimit -n 16; exec "$@"').code == 0
     assert trials(folder) == undisturbed
     made = [path for path in folder.rglob("*") if path.name != "toy.toml"]
     assert made and not any(path.stat().st_mode & 0o077 for path in made)
 
 
-def test_a_folder_copied_while_it_is_filled_goes_on_as_the_first(
+def test_a_folder_that_is_being_filled_is_refused_and_its_copy_goes_on_as_the_first(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with stopped(COMPARE):
         shutil.copytree(folder, folder / "copy")
+        second = run(COMPARE)
+    assert second.code == 2 and "a folder that no other process is filling" in second.error
     monkeypatch.chdir(folder / "copy")
     assert run(COMPARE).code == 0
-    first, second = (place / "out" / "trials.parquet" for place in (folder, folder / "copy"))
-    assert first.read_bytes() == second.read_bytes()
+    first, copied = (place / "out" / "trials.parquet" for place in (folder, Path()))
+    assert first.read_bytes() == copied.read_bytes()
 
 
 def test_a_clock_that_was_set_back_changes_no_trial(
@@ -244,25 +209,24 @@ def test_a_clock_that_was_set_back_changes_no_trial(
     assert trials(folder) == undisturbed
 
 
-WITHOUT_SHARED_MEMORY = (
-    'exec unshare --mount bash -c \'mount -t tmpfs -o ro none /dev/shm && exec "$@"\' bash "$@"'
-)
+READ_ONLY = 'mount -t tmpfs -o ro none /dev/shm && exec "$@"'
 
 
 @pytest.mark.parametrize(
     ("work", "line"),
     [
-        (("--workers", 2), None),
+        (("--workers", 2), ""),
         (("--cluster", "local:1"), "error: cluster: 'local:1' cannot be used; allowed: a machine "
                                    "with shared memory (/dev/shm) that can be written"),
     ],
 )  # fmt: skip
-def test_without_shared_memory(folder: Path, work: tuple[object, ...], line: str | None) -> None:
+def test_without_shared_memory(folder: Path, work: tuple[object, ...], line: str) -> None:
     """As in some containers. Our own processes need none; those of Dask do."""
     if subprocess.run(["unshare", "--mount", "true"], capture_output=True).returncode != 0:
         pytest.skip("mounting needs root's rights")
-    done = run((*COMPARE[:-4], *work, "--out", "out"), WITHOUT_SHARED_MEMORY)
+    done = run(
+        (*COMPARE[:-4], *work, "--out", "out"),
+        f"exec unshare --mount bash -c '{READ_ONLY}' bash \"$@\"",
+    )
     assert "Traceback" not in done.error
-    assert done.code == (0 if line is None else 2)
-    if line is not None:
-        assert done.lines[-1].startswith(line)
+    assert done.code == (2 if line else 0) and done.last.startswith(line)

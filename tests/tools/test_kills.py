@@ -33,15 +33,8 @@ FORGETFUL = """
 import os
 from study.commands import draw_store
 from tests.tools import kills
-
 draw = draw_store.draw_store
-
-def drawn(store):
-    figure = draw(store)
-    figure.suptitle(str(os.getpid()))
-    return figure
-
-draw_store.draw_store = drawn
+draw_store.draw_store = lambda store: (made := draw(store)).suptitle(str(os.getpid())) and made
 kills.main()
 """
 

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -67,8 +66,7 @@ class Command:
     """The command in this process, with the fake simulator; `out` is where it writes by default."""
 
     def __init__(self, folder: Path, tool: Tool, simulator: Simulator) -> None:
-        self.folder, self.tool = folder, tool
-        self.out = folder / "out"
+        self.folder, self.tool, self.out = folder, tool, folder / "out"
         fake_walker.write_plain_store(folder / "store")
         simulator(simulate)
 
@@ -77,19 +75,19 @@ class Command:
         path.write_text(CONFIG.format(store=store, generations=generations, duration=duration))
         return path
 
-    def words(self, config: Path, out: Path | None, more: Sequence[object]) -> list[object]:
+    def words(self, config: Path, *more: object, out: Path | None = None) -> list[object]:
         return ["optimum", "--workers", 1, "--config", config, "--out", out or self.out, *more]
 
     def run(self, config: Path, *more: object, out: Path | None = None) -> int:
-        return self.tool(*self.words(config, out, more))
+        return self.tool(*self.words(config, *more, out=out))
 
-    def files(self, config: Path, *more: object, out: Path) -> dict[str, bytes]:
+    def files(self, config: Path, out: Path) -> dict[str, bytes]:
         """What it has made when it has ended."""
-        assert self.run(config, *more, out=out) == 0
+        assert self.run(config, out=out) == 0
         return files(out)
 
-    def refuses(self, message: str, config: Path, *more: object, out: Path | None = None) -> None:
-        self.tool.refuses(message, *self.words(config, out, more))
+    def refuses(self, message: str, config: Path, out: Path | None = None) -> None:
+        self.tool.refuses(message, *self.words(config, out=out))
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -107,8 +105,11 @@ def command(
     return Command(tmp_path, tool, simulator)
 
 
-def test_a_run_converges_to_the_optimum_by_its_own_criteria() -> None:
+def test_a_run_ends_by_its_own_criteria_or_is_cut() -> None:
     search = new_run(OPTIONS, 1, 0)
+    assert ended(search, 1) == ""
+    search.tell(bowl(asked_gains(search)))
+    assert (ended(search, 1), ended(search, 2)) == (CUT, "")
     best = np.inf
     while not ended(search, OPTIONS.max_generations):
         costs = bowl(asked_gains(search))
@@ -141,18 +142,10 @@ def test_points_are_within_the_bounds_and_population_is_the_librarys() -> None:
     assert new_run(CmaesOptions(0.3, 30, 1e-3, 10), 3, 0).ask().shape == (30, 16)
 
 
-def test_a_run_that_does_not_converge_is_cut() -> None:
-    search = new_run(OPTIONS, 1, 0)
-    assert ended(search, 1) == ""
-    search.tell(bowl(asked_gains(search)))
-    assert ended(search, 1) == CUT
-    assert ended(search, 2) == ""
-
-
 def test_the_result_is_the_best_of_both_methods(command: Command) -> None:
     out = command.out
     optuna.logging.set_verbosity(optuna.logging.INFO)
-    document = command.tool.json(*command.words(command.config(), None, ()))
+    document = command.tool.json(*command.words(command.config()))
     assert optuna.logging.get_verbosity() == optuna.logging.WARNING  # its lines are not among ours
     assert json.loads((out / "optimum.json").read_text()) == document
     assert "cmaes: generation 5, 3 of 3 runs go on, 180 evaluations" in command.tool.err
@@ -172,66 +165,45 @@ def test_the_result_is_the_best_of_both_methods(command: Command) -> None:
     assert {"date", "machine", "wall_s", "config"} <= document.keys()
 
 
-def stopping_after(calls: int) -> Callable[..., Result]:
-    """The simulator until somebody presses Ctrl-C."""
-    left = iter(range(calls))
+def test_stopped_and_resumed_is_bit_equal(command: Command, simulator: Simulator) -> None:
+    config = command.config(generations=40)
+    whole = command.files(config, command.folder / "whole")
 
     def simulate_or_stop(gains: Any, **options: Any) -> Result:
         if next(left, None) is None:
             raise KeyboardInterrupt
         return simulate(gains, **options)
 
-    return simulate_or_stop
-
-
-def test_stopped_and_resumed_is_bit_equal(command: Command, simulator: Simulator) -> None:
-    config = command.config(generations=40)
-    whole = command.files(config, out=command.folder / "whole")
+    simulator(simulate_or_stop)
     for calls in (2, 9):  # in the sampler's trials, then in the generations
-        simulator(stopping_after(calls))
+        left = iter(range(calls))
         assert command.run(config) == 130
         assert not (command.out / "optimum.json").exists()
     simulator(simulate)
-    assert command.files(config, out=command.out) == whole
+    assert command.files(config, command.out) == whole
 
 
 def test_more_runs_and_generations_can_be_asked_for_later(command: Command) -> None:
     config = command.config(generations=9)
-    at_once = command.files(config, out=command.folder / "at-once")
+    at_once = command.files(config, command.folder / "at-once")
     assert command.run(config, "--runs", 1, "--max-generations", 5) == 0
     assert "1 by max_generations" in command.tool.out
-    assert command.files(config, out=command.out) == at_once
-
-
-def test_results_do_not_depend_on_how_work_is_cut(
-    command: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    config = command.config(generations=9)
-    whole = command.files(config, out=command.folder / "whole")
-    for module, name, size in (
-        (optimum, "BLOCK_RUNS", 2), (optimum, "STRETCH_GENERATIONS", 2),
-        (compare, "BLOCK_STUDIES", 2), (compare, "STRETCH_TRIALS", 3),
-    ):  # fmt: skip
-        monkeypatch.setattr(module, name, size)
-    assert command.files(config, out=command.out) == whole
+    assert command.files(config, command.out) == at_once
 
 
 @pytest.mark.parametrize(
     ("field", "old", "new"),
     [
-        ("cmaes.sigma", "tolerance = 1e-2", "sigma = 2.0"),
+        ("cmaes.sigma", "tolerance = 1e-2", "sigma = 2.0"), ("store", "/store", "/no-store"),
         ("cmaes.population", "tolerance = 1e-2", "population = 2"),
-        ("cmaes.patience", "tolerance = 1e-2", "patience = 2"),
-        ("objective.cost", '"walking"', '"fast"'),
-        ("store", "/store", "/no-store"),
-        ("stores.flat", "flat =", "diverse ="),
+        ("cmaes.patience", "tolerance = 1e-2", "patience = 2"), ("name", '"tiny"', '"a/b"'),
+        ("objective.cost", '"walking"', '"fast"'), ("stores.flat", "flat =", "diverse ="),
         ("terrain.kind", "[cmaes]", '[terrain]\nkind = "rough"\n[cmaes]'),
         ("body.disturbance", "[cmaes]", "[body]\ndisturbance = 0.15\n[cmaes]"),
         ("searched", "seed = 5", 'seed = 5\nsearched = ["theta_ref"]'),
         ("trials", "trials = 4", "trials = 100000"),
-        ("name", '"tiny"', '"a/b"'),
     ],
-)
+)  # fmt: skip
 def test_a_configuration_that_cannot_be_used_makes_nothing(
     field: str, old: str, new: str, command: Command
 ) -> None:
@@ -242,16 +214,19 @@ def test_a_configuration_that_cannot_be_used_makes_nothing(
     assert not command.out.exists()
 
 
-def test_a_folder_of_somebody_else(command: Command) -> None:
+def test_a_folder_of_somebody_else_or_of_another_process(command: Command) -> None:
     command.out.mkdir()
     (command.out / "thesis.tex").write_text("")
     command.refuses("out: ", command.config())
     assert [path.name for path in command.out.iterdir()] == ["thesis.tex"]
+    filled = command.folder / "filled"
+    with claimed(filled, "search.json", "one of this command"):
+        command.refuses(".*no other process", command.config(), out=filled)
 
 
 def test_another_configuration_or_a_foreign_evaluation_is_refused(command: Command) -> None:
     config, out = command.config(generations=3), command.out
-    before = command.files(config, out=out)
+    before = command.files(config, out)
     other = command.folder / "other.toml"
     other.write_text(config.read_text().replace("seed = 5", "seed = 6"))
     command.refuses("seed: 6", other)
@@ -268,11 +243,6 @@ def test_another_configuration_or_a_foreign_evaluation_is_refused(command: Comma
     assert "run 0 in" in command.tool.err
     evaluations.write_bytes(b"PAR1")
     command.refuses("", config)  # before the comparison says how far it is
-
-
-def test_two_processes_do_not_share_a_folder(command: Command) -> None:
-    with claimed(command.out, "search.json", "one of this command"):
-        command.refuses(".*no other process", command.config())
 
 
 def test_what_a_kill_leaves_behind_goes_on_to_the_same_end(
@@ -293,10 +263,10 @@ def test_what_a_kill_leaves_behind_goes_on_to_the_same_end(
         return simulate(gains, **options)
 
     simulator(simulate_and_look)
-    whole = command.files(config, out=out)
+    whole = command.files(config, out)
     assert seen == [0] * 4 + [0, 36, 72]  # four trials, three generations
     simulator(simulate)
-    assert command.files(config, out=killed) == whole
+    assert command.files(config, killed) == whole
     assert not list(killed.glob(".*.tmp"))
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from storage import open_store
 from tests.tools.conftest import Simulator, Tool
-from tests.tools.running import ROOT, start
+from tests.tools.running import ROOT, WAIT_S, Done, finish, start
 
 pytestmark = pytest.mark.slow
 
@@ -26,7 +26,7 @@ settings = 2
 kind = "ramp"
 """
 SHARDS = 12
-WAIT_S = 300.0  # the real simulator may compile first
+INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 
 
 @pytest.fixture
@@ -42,13 +42,7 @@ def begin(config: Path, out: Path, *options: str, **accidents: object) -> "Popen
     return start("precompute", *words, **accidents)
 
 
-def finish(process: "Popen[str]") -> tuple[int, str, str]:
-    """Exit code, standard output, and the last line of standard error."""
-    out, err = process.communicate(timeout=WAIT_S)
-    return process.returncode, out, (err.strip().splitlines() or [""])[-1]
-
-
-def run(config: Path, out: Path, *options: str, **accidents: object) -> tuple[int, str, str]:
+def run(config: Path, out: Path, *options: str, **accidents: object) -> Done:
     return finish(begin(config, out, *options, **accidents))
 
 
@@ -71,8 +65,8 @@ def content(out: Path) -> dict[str, bytes]:
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("uninterrupted")
     (folder / "store.toml").write_text(CONFIG)
-    code, _, error = run(folder / "store.toml", folder / "store")
-    assert code == 0, error
+    done = run(folder / "store.toml", folder / "store")
+    assert done.code == 0, done.error
     return content(folder / "store")
 
 
@@ -122,10 +116,10 @@ def test_kill_9_between_writing_and_naming_a_file(
     # Files get their names in this order: the specification, twelve shards, the manifest.
     out = tmp_path / "store"
     for rename, expected in ((1, 0), (3, 1), (12, SHARDS)):
-        code, _, _ = run(config, out, death=rename)
-        assert (code, shards(out)) == (-signal.SIGKILL, expected)
+        done = run(config, out, death=rename)
+        assert (done.code, shards(out)) == (-signal.SIGKILL, expected)
         assert len(list(out.glob(".*.tmp"))) == 1
-    assert run(config, out)[0] == 0
+    assert run(config, out).code == 0
     assert content(out) == uninterrupted
 
 
@@ -133,12 +127,9 @@ def test_interrupt_exits_130_and_resumes(
     config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
 ) -> None:
     out = tmp_path / "store"
-    code, _, error = run(config, out, signal="5:SIGINT")  # a shard takes two, for its family
-    assert (code, error) == (130, "interrupted: finished work is kept; the same command resumes")
-    kept = shards(out)
-    assert kept == 2
-    code, text, _ = run(config, out, "--json")
-    assert json.loads(text)["points_computed"] == 8 * (SHARDS - kept)
+    done = run(config, out, signal="5:SIGINT")  # a shard takes two, for its family
+    assert (done.code, done.last) == (130, INTERRUPTED) and shards(out) == 2
+    assert json.loads(run(config, out, "--json").out)["points_computed"] == 8 * (SHARDS - 2)
     assert content(out) == uninterrupted
 
 
@@ -151,7 +142,7 @@ def test_two_launchers_on_one_folder(
     code, _, error = run(config, out)
     assert code == 2 and error.startswith("error: out: ") and "no other process" in error
     assert first.poll() is None
-    assert finish(first)[0] == 0
+    assert finish(first).code == 0
     assert content(out) == uninterrupted
 
 
@@ -159,10 +150,10 @@ def test_a_full_disk_is_one_line(
     config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
 ) -> None:
     out = tmp_path / "store"
-    code, _, error = run(config, out, largest_b=8000)
-    assert code == 2 and error.startswith("error: out: ") and "File too large" in error
+    done = run(config, out, largest_b=8000)
+    assert done.code == 2 and done.last.startswith("error: out: ") and "File too large" in done.last
     assert sorted(content(out)) == [".lock", "specification.json"]
-    assert run(config, out)[0] == 0
+    assert run(config, out).code == 0
     assert content(out) == uninterrupted
 
 
@@ -191,25 +182,18 @@ def workers_of(process: "Popen[str]") -> list[int]:
     return [int(pid) for pid in pids if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
-def wait_until_gone(pids: list[int]) -> None:
-    deadline = time.monotonic() + WAIT_S
-    while any(Path(f"/proc/{pid}").exists() for pid in pids):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
 @pytest.fixture(scope="module")
 def real_store(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("real")
-    code, _, error = finish(start_real(folder, "store", workers=1))
-    assert code == 0, error
+    done = finish(start_real(folder, "store", workers=1))
+    assert done.code == 0, done.error
     return content(folder / "store")
 
 
 # Whom which signal ends, and the exit code and the line that the command ends with.
 ENDS = (
     ("worker", signal.SIGKILL, 2, "error: workers: 'one was killed' cannot be used; allowed: "),
-    ("it", signal.SIGINT, 130, "interrupted: finished work is kept; the same command resumes"),
+    ("it", signal.SIGINT, 130, INTERRUPTED),
     ("it", signal.SIGKILL, -signal.SIGKILL, ""),
 )
 
@@ -225,10 +209,13 @@ def test_several_processes_ended_in_the_middle_again_and_again_resume_bit_equal(
         workers = workers_of(process)
         assert len(workers) == 2
         os.kill(workers[0] if victim == "worker" else process.pid, number)
-        ended, _, error = finish(process)
-        assert ended == code and error.startswith(line)
+        done = finish(process)
+        assert done.code == code and done.last.startswith(line)
         assert kept + 3 <= shards(tmp_path / "store") < REAL_SHARDS
-        wait_until_gone(workers)
-    code, _, error = finish(start_real(tmp_path, "store", workers=2))
-    assert code == 0, error
+        deadline = time.monotonic() + WAIT_S
+        while any(Path(f"/proc/{pid}").exists() for pid in workers):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+    done = finish(start_real(tmp_path, "store", workers=2))
+    assert done.code == 0, done.error
     assert content(tmp_path / "store") == real_store

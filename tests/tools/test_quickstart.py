@@ -5,9 +5,8 @@ import json
 import shlex
 import sqlite3
 import subprocess
-from contextlib import closing, nullcontext, redirect_stdout
+from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,11 +21,6 @@ from tests.tools.running import ROOT, run_tool
 pytestmark = pytest.mark.slow
 
 
-def paint(path: Path, *_: Any) -> Path:
-    path.write_bytes(b"picture")
-    return path
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("quickstart")
@@ -39,8 +33,8 @@ def lines(folder: Path) -> list[str]:
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
         patch.chdir(ROOT)
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-        patch.setattr(pictures, "write_strip", paint)
-        patch.setattr(pictures, "write_gait_cycle", paint)
+        for name in ("write_strip", "write_gait_cycle"):
+            patch.setattr(pictures, name, lambda path, *_: path.write_bytes(b"drawn") and path)
         for _ in range(2):
             assert run_tool(patch, "quickstart", "--out", folder) == 0
     return said.getvalue().splitlines()
@@ -70,9 +64,7 @@ def test_the_line_for_a_film_makes_a_film(lines: list[str], tmp_path: Path) -> N
     assert Path(json.loads(done.stdout)["pictures"]["movie"]).stat().st_size > 1000
 
 
-def test_a_store_of_something_else_is_one_line(
-    tmp_path: Path, tool: Tool, simulator: Simulator
-) -> None:
+def test_a_store_of_something_else(tmp_path: Path, tool: Tool, simulator: Simulator) -> None:
     fake_walker.write_plain_store(tmp_path / "store", samples=20)
     assert tool("quickstart", "--out", tmp_path) == 2
     assert tool.err.startswith("error: samples: 4000 ") and tool.err.count("\n") == 1
@@ -80,13 +72,11 @@ def test_a_store_of_something_else_is_one_line(
 
 @pytest.mark.parametrize("field", ["study", "storage"])
 def test_studies_that_cannot_go_on_are_refused_before_the_store_is_made(
-    field: str, tmp_path: Path, tool: Tool, simulator: Simulator
+    field: str, database: sqlite3.Connection, tmp_path: Path, tool: Tool, simulator: Simulator
 ) -> None:
     """Another process runs one of them; the database is another program's."""
-    file = tmp_path / "studies.db"
-    with closing(sqlite3.connect(file)) as connection:
-        connection.execute("CREATE TABLE studies (title TEXT)")
-    taken = only_run(f"sqlite:///{file}", "rough8/dog/run-000")
+    database.execute("CREATE TABLE studies (title TEXT)")
+    taken = only_run(f"sqlite:///{tmp_path / 'studies.db'}", "rough8/dog/run-000")
     with taken if field == "study" else nullcontext():
         tool.refuses(f"{field}: ", "quickstart", "--out", tmp_path)
     assert not (tmp_path / "store").exists()

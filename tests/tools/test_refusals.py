@@ -1,7 +1,6 @@
 """Input that cannot be used: one line that names it, exit code 2, and nothing written.
 
-One table of commands, their words and the beginning of the line. The words are run in a folder with
-the files below; {base} is what a command needs to be complete.
+One table of commands, their words and the beginning of the line, in a folder with the files below.
 """
 
 import json
@@ -63,63 +62,60 @@ BASE = {
 PLACES = [("row: 1", "--row 1 --store store"), ("trial: 'a/b/0'", "--trial a/b/0 --storage .")]
 
 REFUSED: list[tuple[str, str, str]] = [
-    ("compare", f"--runs {HUGE}", f"runs: {HUGE} {ONE_OF}a whole number from 1 to 10000"),
-    ("compare", f"--trials {HUGE}", f"trials: {HUGE}"),
-    ("compare", f"--workers {HUGE}", f"workers: {HUGE}"),
-    ("compare", f"--seed {2**63}", f"seed: {2**63}"),
-    ("compare", f"--runs {'9' * 5000}", "runs: '999"),
-    ("compare", "--runs 1.5", f"runs: '1.5' {ONE_OF}a whole"),
-    ("compare", "--rums 1", "unrecognized arguments: --rums 1"),
+    *(("compare", words, line) for words, line in [
+        (f"--runs {HUGE}", f"runs: {HUGE} {ONE_OF}a whole number from 1 to 10000"),
+        (f"--trials {HUGE}", f"trials: {HUGE}"), (f"--workers {HUGE}", f"workers: {HUGE}"),
+        (f"--seed {2**63}", f"seed: {2**63}"), (f"--runs {'9' * 5000}", "runs: '999"),
+        ("--runs 1.5", f"runs: '1.5' {ONE_OF}a whole"), ("--arms dog,cat", "arm: 'cat'"),
+        ("--rums 1", "unrecognized arguments: --rums 1"),
+        ("--arms random --storage oracle://host/db", "storage: '***'"),
+        ("--arms random --storage foo", "storage: "),
+    ]),
     ("compare of nothing", "", "the following arguments are required: --config"),
-    ("compare", "--arms dog,cat", "arm: 'cat'"),
-    ("compare", "--arms random --storage oracle://host/db", "storage: '***'"),
-    ("compare", "--arms random --storage foo", "storage: "),
     *((name, words, line) for name in ("compare", "optimum") for words, line in [
         ("--config nowhere.toml", "config: 'nowhere.toml'"), ("--runs 0", "runs: 0"),
     ]),
     *((name, words, line) for name in ("compare", "study") for words, line in [
         ("--trials 0", "trials: 0"), ("--seed -1", "seed: -1"),
     ]),
-    ("optimum", "--runs 1000000", "runs: 1000000"),
-    ("optimum", f"--max-generations {HUGE}", f"max-generations: {HUGE}"),
-    ("optimum", "--max-generations 0", "max-generations: 0"),
-    ("precompute", f"--samples {FAR}", f"samples: {FAR}"),
-    ("precompute", "--samples 0", "samples: 0"),
-    ("precompute", "--workers 0", "workers: 0"),
-    ("precompute", "--workers -1", "workers: -1"),
+    *(("optimum", f"--{name} {value}", f"{name}: {value}") for name, value in [
+        ("runs", 1000000), ("max-generations", HUGE), ("max-generations", 0),
+    ]),
+    *(("precompute", f"--{name} {value}", f"{name}: {value}") for name, value in [
+        ("samples", FAR), ("samples", 0), ("workers", 0), ("workers", -1),
+    ]),
     ("precompute", "--out /dev/null/store", "out: "),
     *(("precompute", f"--config {name}.toml", line) for name, line in [
         ("sead", f"sead: 1 {ONE_OF}"), ("all", f"samples: 'all' {ONE_OF}"), ("half", "config: "),
         ("nowhere", "config: "),
     ]),
-    ("study", f"--trials {HUGE}", f"trials: {HUGE}"),
-    ("study", f"--run {HUGE}", f"run: {HUGE}"),
-    ("study", "--run 50", f"run: 50 {ONE_OF}0 to 49, the runs of rough8-smooth"),
-    ("study", "--run -1", "run: -1"),
-    ("study", "--config nowhere.toml", "config: 'nowhere.toml'"),
-    ("study", "--arm cat", f"arm: 'cat' {ONE_OF}one of random, "),
-    ("study", "--store store", "... arms that read one store; random: none"),
-    ("study", "--arm dog --store nowhere", "... nowhere"),
-    ("study", "--arm dog --store store --trials 21", f"trials: 21 {ONE_OF}at most 20"),
+    *(("study", words, line) for words, line in [
+        (f"--trials {HUGE}", f"trials: {HUGE}"), (f"--run {HUGE}", f"run: {HUGE}"),
+        ("--run 50", f"run: 50 {ONE_OF}0 to 49, the runs of rough8-smooth"),
+        ("--run -1", "run: -1"), ("--config nowhere.toml", "config: 'nowhere.toml'"),
+        ("--arm cat", f"arm: 'cat' {ONE_OF}one of random, "),
+        ("--store store", "... arms that read one store; random: none"),
+        ("--arm dog --store nowhere", "... nowhere"),
+        ("--arm dog --store store --trials 21", f"trials: 21 {ONE_OF}at most 20"),
+    ]),
     *(("study", f"--storage postgresql{url}", f"storage: '{shown}' {ONE_OF}") for url, shown in [
         ("://host/db", "***"), ("+psycopg://me:secret@host", "postgresql+psycopg://***@host"),
         ("+psycopg://me:secret@127.0.0.1:1/walker", "postgresql+psycopg://***@127.0.0.1:1/walker"),
     ]),
-    ("validate", f"--samples {FAR}", f"samples: {FAR}"),
-    ("validate", "--samples 99", f"samples: 99 {ONE_OF}a whole number from 100"),
-    ("validate", f"--draws {HUGE}", f"draws: {HUGE}"),
-    ("validate", "--seed -1", "seed: -1"),
+    *(("validate", words, line) for words, line in [
+        (f"--samples {FAR}", f"samples: {FAR}"), (f"--draws {HUGE}", f"draws: {HUGE}"),
+        ("--samples 99", f"samples: 99 {ONE_OF}a whole number from 100"), ("--seed -1", "seed: -1"),
+    ]),
     ("validate_mujoco", f"--samples {FAR}", f"samples: {FAR}"),
-    ("bench", f"--samples {FAR}", f"samples: {FAR}"),
-    ("bench", "--samples 0", "samples: 0"),
-    ("bench", "--lanes 1,65", "lanes: '1,65'"),
-    ("bench", "--against .", "against: "),
-    ("time_sampler", f"--rows {FAR}", f"rows: {FAR}"),
-    ("time_sampler", f"--sweep 10,{HUGE}", "sweep: "),
-    ("time_sampler", "--sweep 10,x", "sweep: '10,x'"),
-    ("time_sampler", "--sweep 0,10", "sweep: '0,10'"),
-    ("time_sampler", "--repeats 0", "repeats: 0"),
-    ("time_sampler", "--rows 500", f"rows: 500 {ONE_OF}more than 1011"),
+    *(("bench", words, line) for words, line in [
+        (f"--samples {FAR}", f"samples: {FAR}"), ("--samples 0", "samples: 0"),
+        ("--lanes 1,65", "lanes: '1,65'"), ("--against .", "against: "),
+    ]),
+    *(("time_sampler", words, line) for words, line in [
+        (f"--rows {FAR}", f"rows: {FAR}"), (f"--sweep 10,{HUGE}", "sweep: "),
+        ("--sweep 10,x", "sweep: '10,x'"), ("--sweep 0,10", "sweep: '0,10'"),
+        ("--repeats 0", "repeats: 0"), ("--rows 500", f"rows: 500 {ONE_OF}more than 1011"),
+    ]),
     *((tool, words, line) for tool in ("compare_peers", "compare_outside") for words, line in [
         ("--arms random,best", f"arms: 'best' {ONE_OF}"), ("--problems easy", "problems: 'easy'"),
         ("--trials 1", "trials: 1"), ("--seeds 0", "seeds: 0"), (f"--seeds {HUGE}", "seeds: "),
@@ -148,9 +144,8 @@ REFUSED: list[tuple[str, str, str]] = [
         ("sea", "terrain.kind: 'sea'"), ("body", "body.disturbance: 2.0"),
         ("bracket", "... a readable TOML file"),
     ]),
-    ("walk of published", "--config rough8 --run 50",
-     f"run: 50 {ONE_OF}0 to 49, the runs of rough8"),
-    ("walk of published", "--config rough8 --run=-1", "run: -1"),
+    *(("walk of published", f"--config rough8 --run={run}",
+       f"run: {run} {ONE_OF}0 to 49, the runs of rough8") for run in (50, -1)),
     *(("walk of published", words, f"{field} {ONE_OF}none beside --gains")
       for field, words in PLACES),
     ("walk", " ".join(words for _, words in PLACES), "... none beside --row"),

@@ -5,8 +5,7 @@ import re
 import shlex
 import signal
 import sqlite3
-from collections.abc import Iterator, Sequence
-from contextlib import closing
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -20,7 +19,6 @@ from optuna.trial import TrialState
 from optuna_dashboard import get_note
 
 import taichi_nmm
-from storage.databases import studies
 from storage.databases.studies import only_run
 from storage.store import open_store
 from study.experiment.arms import ARMS
@@ -43,29 +41,30 @@ class Command:
         self.folder, self.tool = folder, tool
         self.url = f"sqlite:///{folder / 'studies.db'}"
 
-    def arguments(self, **changes: object) -> list[str]:
+    def words(self, **changes: object) -> list[str]:
         options = {
             "config": ROUGH8, "arm": "dog", "trials": 4, "storage": self.url,
             "store": self.folder / "store", "out": self.folder / "out",
         }  # fmt: skip
         pairs = (options | changes).items()
-        return [word for key, value in pairs if value != "" for word in (f"--{key}", str(value))]
+        given = [word for key, value in pairs if value != "" for word in (f"--{key}", str(value))]
+        return ["study", *given]
 
-    def run(self, *flags: str, **changes: object) -> int:
+    def run(self, **changes: object) -> int:
         """Exit code of the command."""
-        return self.tool("study", *self.arguments(**changes), *flags)
+        return self.tool(*self.words(**changes))
 
     def json(self, **changes: object) -> Any:
-        return self.tool.json("study", *self.arguments(**changes))
+        return self.tool.json(*self.words(**changes))
 
     def refuses(self, message: str, **changes: object) -> None:
-        self.tool.refuses(message, "study", *self.arguments(**changes))
+        self.tool.refuses(message, *self.words(**changes))
 
     def study(self, name: str = NAME, url: str | None = None) -> optuna.Study:
         return optuna.load_study(study_name=name, storage=url or self.url)
 
-    def rows(self, url: str | None = None) -> list[int]:
-        trials = self.study(url=url).get_trials(states=(TrialState.COMPLETE,))
+    def rows(self, name: str = NAME, url: str | None = None) -> list[int]:
+        trials = self.study(name, url).get_trials(states=(TrialState.COMPLETE,))
         return [trial.user_attrs["row"] for trial in trials]
 
 
@@ -84,6 +83,8 @@ def test_json_is_one_object(command: Command) -> None:
     gains = command.folder / "out" / "dog-run-000-best.json"
     assert tuple(json.loads(gains.read_text())) == GAIN_NAMES
     taichi_nmm.load_gains(str(gains))
+    assert command.run(arm="random", store="") == 0  # needs none
+    assert "rough8/random/run-000: " in command.tool.out
 
 
 @pytest.fixture
@@ -154,11 +155,6 @@ def test_trials_are_a_total(command: Command) -> None:
     assert len(command.rows()) == 7 and command.rows()[:4] == first
 
 
-def test_random_needs_no_store(command: Command) -> None:
-    assert command.run(arm="random", store="") == 0
-    assert "rough8/random/run-000: " in command.tool.out
-
-
 def test_what_is_not_said_is_the_configurations(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -197,29 +193,21 @@ def test_every_arm_can_be_run(shared: Path, arm: str, command: Command) -> None:
     assert trials[0].params != trials[1].params
 
 
-@pytest.fixture
-def families(command: Command) -> Path:
-    """A store with the families that the best sampler reads; a third of its rows fell too soon."""
+def test_the_best_sampler_proposes_rows_that_walked_and_keeps_to_its_store(
+    command: Command,
+) -> None:
     strict = {"settings": 1, "min_survival_s": 2.8, "body": {"disturbance": 0.15}}
-    path = command.folder / "families"
-    fake_walker.write_store(path, families=dict.fromkeys(FAMILIES, strict))
-    return path
-
-
-def test_the_best_sampler_proposes_rows_that_walked(command: Command, families: Path) -> None:
+    families = command.folder / "families"  # a third of its rows fell too soon
+    fake_walker.write_store(families, families=dict.fromkeys(FAMILIES, strict))
     for trials in (5, 8):
         assert command.run(arm="best", store=families, trials=trials) == 0
-    rows = [trial.user_attrs["row"] for trial in command.study("rough8/best/run-000").trials]
+    rows = command.rows("rough8/best/run-000")
     assert len(set(rows)) == 8
     walked = open_store(families).table()["rough_evaluated"].to_numpy()
     assert walked[rows].all() and not walked.all()
-
-
-def test_the_best_samplers_study_keeps_to_its_store(command: Command, families: Path) -> None:
-    assert command.run(arm="best", store=families, trials=2) == 0
     fake_walker.write_store(command.folder / "other", samples=120)
     message = "study rough8/best/run-000: stores.diverse"
-    command.refuses(message, arm="best", store=command.folder / "other", trials=4)
+    command.refuses(message, arm="best", store=command.folder / "other", trials=9)
 
 
 def test_a_store_of_other_bounds_is_refused(
@@ -237,20 +225,6 @@ def test_another_configuration_is_refused_by_name(command: Command) -> None:
     command.refuses(f"study {NAME}: seed: 2", config=other, trials=6, out=new)
     assert not new.exists()
     assert len(command.rows()) == 4
-
-
-@pytest.fixture
-def database(command: Command, monkeypatch: pytest.MonkeyPatch) -> Iterator[sqlite3.Connection]:
-    """Another program's connection to the file of the studies."""
-    monkeypatch.setattr(studies, "BUSY_TIMEOUT_S", 0.1)
-    with closing(sqlite3.connect(command.folder / "studies.db")) as connection:
-        yield connection
-
-
-def test_a_locked_database_is_one_line(command: Command, database: sqlite3.Connection) -> None:
-    assert command.run() == 0
-    database.execute("BEGIN EXCLUSIVE")
-    command.refuses("storage: .*database is locked", trials=6)
 
 
 def test_a_database_locked_half_way_is_one_line_and_resumes(
@@ -304,10 +278,10 @@ def test_ctrl_c_says_that_work_is_kept(command: Command, simulator: Simulator) -
 def test_killed_and_resumed_is_the_same_study(command: Command) -> None:
     whole = f"sqlite:///{command.folder / 'whole.db'}"
     assert command.run(trials=7, storage=whole) == 0
-    with start("study", *command.arguments(trials=7), signal="5:SIGKILL") as killed:
+    with start(*command.words(trials=7), signal="5:SIGKILL") as killed:
         _, error = killed.communicate()
     assert killed.returncode == -signal.SIGKILL
     assert error.count(NAME) == 4
     assert len(command.rows()) == 4
     assert command.run(trials=7) == 0
-    assert command.rows() == command.rows(whole)
+    assert command.rows() == command.rows(url=whole)

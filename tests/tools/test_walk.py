@@ -21,14 +21,15 @@ FLAT = ROOT / "configs" / "flat.toml"
 ROUGH8 = ROOT / "configs" / "rough8.toml"
 
 PICTURES = {"strip.png", "gait_cycle.png", "movie.mp4"}
+Walk = Callable[..., dict[str, Any]]
 WALKS = dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
 FALLS = WALKS | {"K_SOL": 0.5, "K_VAS": 0.2}
 
 
-def gains_file(folder: Path, gains: Any) -> str:
+def gains_file(folder: Path, gains: Any) -> Path:
     path = folder / "gains.json"
-    path.write_text(json.dumps(gains), encoding="utf-8")
-    return str(path)
+    path.write_text(json.dumps(gains))
+    return path
 
 
 @pytest.mark.slow
@@ -75,26 +76,20 @@ def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) ->
     assert tool.json(*words)["distance_m"] != report["distance_m"]
 
 
-# With the simulator and the painters replaced.
-
-Walk = Callable[..., dict[str, Any]]
-
-
 @pytest.fixture
 def walk(tmp_path: Path, tool: Tool, simulator: Simulator, monkeypatch: pytest.MonkeyPatch) -> Walk:
-    """Runs the command; returns what it prints with --json."""
+    """Runs the command, with simulator and painters replaced; returns what it prints as JSON."""
     for name in ("write_strip", "write_gait_cycle", "write_movie"):
         monkeypatch.setattr(pictures, name, lambda path, *_: path)
     return partial(tool.json, "walk", "--out", tmp_path / "out")
 
 
-def test_a_result_is_taken_as_gains_and_gives_the_same_numbers(walk: Walk, tmp_path: Path) -> None:
+def test_a_result_is_taken_as_gains_and_low_level_gains_reach_the_simulator(
+    walk: Walk, tmp_path: Path
+) -> None:
     first = walk("--gains", gains_file(tmp_path, FALLS | {"theta_ref": 0.2}))
     assert walk("--gains", gains_file(tmp_path, first)) == first
     assert first["gains"] == FALLS | {"theta_ref": 0.2}
-
-
-def test_low_level_gains_reach_the_simulator(walk: Walk, tmp_path: Path) -> None:
     plain = walk("--gains", gains_file(tmp_path, WALKS))
     bent = walk("--gains", gains_file(tmp_path, WALKS | {"theta_ref": 0.5}))
     assert set(plain["gains"]) == set(GAIN_NAMES)
@@ -103,19 +98,16 @@ def test_low_level_gains_reach_the_simulator(walk: Walk, tmp_path: Path) -> None
     assert fake_walker.calls[-1]["low_level_gains"][fake_walker.THETA_REF] == 0.5
 
 
-def test_a_run_has_its_own_body_and_ground(walk: Walk) -> None:
-    walk("--config", ROUGH8, "--run", 3)
-    experiment, call = read_experiment(ROUGH8), fake_walker.calls[-1]
-    assert call["terrains"].height(50.0) == experiment.terrain(3).height(50.0)
-    assert call["bodies"].mass_kg.tolist() == experiment.body(3).mass_kg.tolist()
-    walk("--config", ROUGH8)
-    assert fake_walker.calls[-1]["terrains"].height(50.0) == experiment.terrain(0).height(50.0)
-
-
-def test_another_seed_is_that_of_a_comparison(walk: Walk) -> None:
-    walk("--config", ROUGH8, "--seed", 523001)
-    ground = read_experiment(ROUGH8, seed=523001).terrain(0)
-    assert fake_walker.calls[-1]["terrains"].height(50.0) == ground.height(50.0)
+def test_a_run_and_a_seed_have_their_own_body_and_ground(walk: Walk) -> None:
+    for words, seed, run in (
+        ((), None, 0),
+        (("--run", 3), None, 3),
+        (("--seed", 523001), 523001, 0),
+    ):
+        walk("--config", ROUGH8, *words)
+        experiment, call = read_experiment(ROUGH8, seed=seed), fake_walker.calls[-1]
+        assert call["terrains"].height(50.0) == experiment.terrain(run).height(50.0)
+        assert call["bodies"].mass_kg.tolist() == experiment.body(run).mass_kg.tolist()
 
 
 @pytest.mark.parametrize("searched", [(), ("theta_ref",)])
