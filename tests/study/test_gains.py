@@ -87,18 +87,6 @@ def test_a_row_of_a_store(here: Path, store: Path) -> None:
     assert found.as_document()["theta_ref"] == row_7[16] != DEFAULTS[7]
 
 
-@pytest.mark.parametrize(
-    ("store", "row", "message"),
-    [
-        *(("store", row, f"row: {row} .* 0 to 149, the rows of store") for row in (-1, 150, 10**9)),
-        ("nowhere", 0, "nowhere"), ("empty", 0, "a finished"),
-    ],
-)  # fmt: skip
-def test_no_such_row(here: Path, store: str, row: int, message: str) -> None:
-    with one_line(message):
-        gains_of_row(Path(store), row)
-
-
 def test_a_trial_of_a_live_study_and_of_a_comparison_are_the_same(here: Path) -> None:
     """Of its table, and of its database: all 17 parameters, to the bit. The databases stay."""
     row = pq.read_table("out/trials.parquet").to_pandas()

@@ -5,6 +5,7 @@ import re
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,30 @@ class Tool:
         assert self(name, *words) == 2, self.out
         assert (self.out, self.err.count("\n")) == ("", 1), self.err
         assert re.match(f"error: {message}", self.err), self.err
+
+
+class Command:
+    """One command with its options, which a call may change, or leave out by ""."""
+
+    def __init__(self, tool: Tool, folder: Path, *words: str, **options: object) -> None:
+        self.tool, self.folder, self.out = tool, folder, folder / "out"
+        self.url = f"sqlite:///{folder / 'studies.db'}"
+        self._words, self._options = words, {"out": self.out} | options
+
+    def words(self, **changes: object) -> list[str]:
+        options = {key: value for key, value in (self._options | changes).items() if value != ""}
+        pairs = ((f"--{key.replace('_', '-')}", str(value)) for key, value in options.items())
+        return [*self._words, *chain.from_iterable(pairs)]
+
+    def run(self, **changes: object) -> int:
+        """The exit code."""
+        return self.tool(*self.words(**changes))
+
+    def json(self, **changes: object) -> Any:
+        return self.tool.json(*self.words(**changes))
+
+    def refuses(self, message: str, **changes: object) -> None:
+        self.tool.refuses(message, *self.words(**changes))
 
 
 @pytest.fixture

@@ -9,7 +9,6 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import optuna
 import pyarrow.parquet as pq
 import pytest
@@ -17,29 +16,12 @@ import pytest
 from study.comparison import compare
 from study.experiment.stores import store_digest
 from tests.study import fake_walker
-from tests.tools.conftest import Simulator, Tool
-from tests.tools.running import start
+from tests.tools.conftest import Command, Simulator, Tool
+from tests.tools.running import finish, start
 
 
-class Command:
+class Comparison(Command):
     """The command in a folder of its own, in this process or in another."""
-
-    def __init__(self, folder: Path, tool: Tool) -> None:
-        self.folder, self.tool = folder, tool
-        self.out = folder / "out"
-        self.config = fake_walker.write_config(folder)
-
-    def words(self, **changes: object) -> list[str]:
-        options = {"config": self.config, "out": self.out, "workers": 1} | changes
-        words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
-        return ["compare", "--no-artifacts", *words]
-
-    def run(self, **changes: object) -> int:
-        """Exit code of the command."""
-        return self.tool(*self.words(**changes))
-
-    def refuses(self, message: str, **changes: object) -> None:
-        self.tool.refuses(message, *self.words(**changes))
 
     def start(self, **changes: object) -> "subprocess.Popen[str]":
         """The command in a process of its own, a tenth of a second a round."""
@@ -61,19 +43,20 @@ class Command:
 
 
 @pytest.fixture
-def command(tmp_path: Path, tool: Tool, simulator: Simulator) -> Command:
-    return Command(tmp_path, tool)
+def command(tmp_path: Path, tool: Tool, simulator: Simulator) -> Comparison:
+    config = fake_walker.write_config(tmp_path)
+    return Comparison(tool, tmp_path, "compare", "--no-artifacts", config=config, workers=1)
 
 
-def test_json_is_one_object(command: Command) -> None:
-    found = command.tool.json(*command.words(trials=3))
+def test_json_is_one_object(command: Comparison) -> None:
+    found = command.json(trials=3)
     assert found["trials"] == found["trials_computed"] == 27
     assert [arm["arm"] for arm in found["arms"]] == ["dog", "random", "score-first-diverse"]
     assert "studies with a walker" in command.tool.err
     assert "toy/dog/run-002" in optuna.get_all_study_names(found["storage"])
 
 
-def test_the_table_is_for_people(command: Command) -> None:
+def test_the_table_is_for_people(command: Comparison) -> None:
     assert command.run(trials=3, arms="dog,random", runs=1) == 0
     lines = command.tool.out.splitlines()
     assert [line.split()[0] for line in lines[1:3]] == ["dog", "random"]
@@ -81,17 +64,16 @@ def test_the_table_is_for_people(command: Command) -> None:
 
 
 def test_another_seed_has_a_folder_of_its_own(
-    command: Command, monkeypatch: pytest.MonkeyPatch
+    command: Comparison, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(command.folder)
-    words = ("--no-artifacts", "--config", command.config, "--workers", 1)
-    assert command.tool("compare", *words, "--seed", 7, "--trials", 1, "--arms", "random") == 0
+    assert command.run(out="", seed=7, trials=1, arms="random") == 0
     out = Path("out") / "compare" / "toy-seed-7"
     assert json.loads((out / "experiment.json").read_text())["seed"] == 7
     assert pq.read_metadata(out / "trials.parquet").num_rows == 3
 
 
-def test_a_store_in_place_of_the_configs(command: Command) -> None:
+def test_a_store_in_place_of_the_configs(command: Comparison) -> None:
     """It is what the trials are of: a folder goes on with no other."""
     store = command.folder / "larger"
     fake_walker.write_store(store, samples=400)
@@ -102,7 +84,7 @@ def test_a_store_in_place_of_the_configs(command: Command) -> None:
     command.refuses(f"store: '{store}' ", trials=3, store=store)  # its arms read two stores
 
 
-def test_sessions_that_cannot_be_read_are_refused_before_the_work(command: Command) -> None:
+def test_sessions_that_cannot_be_read_are_refused_before_the_work(command: Comparison) -> None:
     """The table at the end is made of them, too."""
     one = {"trials": 1, "arms": "random", "runs": 1}
     assert command.run(**one) == 0
@@ -112,7 +94,7 @@ def test_sessions_that_cannot_be_read_are_refused_before_the_work(command: Comma
     assert {path: path.read_bytes() for path in command.out.glob("*.*")} == before
 
 
-def test_a_password_is_not_printed(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_password_is_not_printed(command: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compare, "check_database", lambda *_: None)
     monkeypatch.setattr(compare, "export", lambda *_, **__: None)
     one = {"trials": 1, "arms": "random", "storage": "postgresql+psycopg://me:secret@host/walker"}
@@ -124,9 +106,9 @@ def test_a_password_is_not_printed(command: Command, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize("kind", ["foreign", "configuration", "locked", "place"])
 def test_a_database_that_is_refused_leaves_no_folder(
-    kind: str, command: Command, database: sqlite3.Connection
+    kind: str, command: Comparison, database: sqlite3.Connection
 ) -> None:
-    place = command.config if kind == "place" else command.folder
+    place = command.folder / "toy.toml" if kind == "place" else command.folder
     one = {"arms": "random", "trials": 1, "storage": f"sqlite:///{place / 'studies.db'}"}
     if kind in ("configuration", "locked"):
         seed = {"seed": 8} if kind == "configuration" else {}
@@ -142,7 +124,7 @@ def test_a_database_that_is_refused_leaves_no_folder(
 
 
 def test_a_missing_ffmpeg_is_refused_before_the_work(
-    command: Command, monkeypatch: pytest.MonkeyPatch
+    command: Comparison, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
     words = (word for word in command.words() if word != "--no-artifacts")
@@ -150,45 +132,25 @@ def test_a_missing_ffmpeg_is_refused_before_the_work(
     assert not command.out.exists()
 
 
-def test_ctrl_c_keeps_finished_stretches(
-    command: Command, simulator: Simulator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(compare, "STRETCH_TRIALS", 2)
-    simulator(fake_walker.stopped_in_call(6))  # in the third stretch
-    assert command.run() == 130
-    assert "the same command resumes" in command.tool.err
-    assert command.rows() == 4 * 9
-
-
 @pytest.mark.slow
-def test_ctrl_c_ends_all_processes(command: Command) -> None:
-    process = command.start(trials=100, workers=2)
-    command.wait_for_more(process)
-    os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to the workers as well
-    _, said = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert "the same command resumes" in said
-    assert "Traceback" not in said
-    assert left_over(process.pid) == []
-
-
-@pytest.mark.campaign
-def test_killed_ten_times_and_resumed_is_the_same_table(command: Command) -> None:
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGKILL])
+def test_all_processes_end_and_the_table_is_the_same(ending: int, command: Comparison) -> None:
     arms = {"arms": "random,dog,score-first-diverse,cmaes-cold,cmaes-warm", "trials": 45}
-    rng = np.random.default_rng(0)
-    for number in range(10):
-        process = command.start(**arms, workers=2 if number % 5 == 0 else 1)
-        command.wait_for_more(process)
-        time.sleep(rng.uniform(0.0, 0.25))
+    process = command.start(**arms, workers=2)
+    command.wait_for_more(process)
+    if ending == signal.SIGINT:
+        os.killpg(process.pid, ending)  # a terminal sends it to the workers as well
+    else:
         process.kill()
-        process.communicate()
-        assert left_over(process.pid) == []  # workers end with the main process
-    assert 0 < command.rows() < 45 * 15
+    done = finish(process)
+    assert left_over(process.pid) == []  # workers end with the main process
+    assert done.code == (130 if ending == signal.SIGINT else -ending)
+    assert ending != signal.SIGINT or "the same command resumes" in done.last
+    assert "Traceback" not in done.error and 0 < command.rows() < 45 * 15
     whole = command.folder / "whole"
-    assert command.run(**arms) == 0
-    assert command.run(**arms, out=whole) == 0
-    parts = (command.out / "trials.parquet").read_bytes()
-    assert parts == (whole / "trials.parquet").read_bytes()
+    assert command.run(**arms) == command.run(**arms, out=whole) == 0
+    found = (command.out / "trials.parquet").read_bytes()
+    assert found == (whole / "trials.parquet").read_bytes()
 
 
 def left_over(group: int) -> list[str]:

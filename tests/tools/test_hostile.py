@@ -121,16 +121,6 @@ def test_files_that_may_not_grow_are_one_line_and_it_resumes(
     assert run(command).code == 0
 
 
-@pytest.mark.campaign
-def test_no_time_left_is_the_shells_signal_and_it_resumes(
-    folder: Path, undisturbed: list[dict[str, float]]
-) -> None:
-    """A second is gone with the imports, or soon after them."""
-    assert run(STUDY, 'ulimit -t 1; exec "$@"').code in (-signal.SIGXCPU, -signal.SIGKILL)
-    assert run(STUDY).code == 0
-    assert trials(folder) == undisturbed
-
-
 def without_the_rights_of_root() -> str:
     """The line of a shell that makes a process obey the modes of files, whoever runs the tests."""
     if os.getuid() != 0:

@@ -3,12 +3,8 @@
 import re
 import subprocess
 import sys
-from pathlib import Path
 
-import optuna
 import pytest
-from optuna.trial import TrialState
-from optuna_dashboard import save_note
 
 from tests.tools import kills
 from tests.tools.running import ROOT
@@ -45,22 +41,3 @@ def test_a_command_whose_picture_differs_at_every_run_is_found() -> None:
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
     assert "draw-store: store.png" in done.stderr.splitlines()[-1]
-
-
-def study_of(folder: Path, cut_short: int, note: str) -> dict[str, str]:
-    """The digest of a folder with one study; its finished trial comes after those cut short."""
-    folder.mkdir()
-    study = optuna.create_study(storage=f"sqlite:///{folder / 'studies.db'}", study_name="s")
-    for _ in range(cut_short):
-        study.tell(study.ask(), state=TrialState.FAIL)
-    trial = study.ask()
-    trial.suggest_float("x", 1.0, 1.0)
-    study.tell(trial, 2.0)
-    save_note(trial, note)
-    return kills.digest(folder)
-
-
-def test_a_trials_note_is_the_same_however_many_were_cut_short_before_it(tmp_path: Path) -> None:
-    whole = study_of(tmp_path / "whole", 0, "walked")
-    assert study_of(tmp_path / "killed", 2, "walked") == whole
-    assert study_of(tmp_path / "other", 0, "fell") != whole

@@ -13,15 +13,13 @@ import pytest
 
 import taichi_nmm
 from storage.folder import claimed
-from storage.tables import write_stamped
 from study.comparison import compare, optimum
 from study.comparison.optimum import CUT, asked_gains, ended, new_run
-from study.experiment.experiment import CmaesOptions, read_experiment
+from study.experiment.experiment import CmaesOptions
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 from tests.study import fake_walker
-from tests.tools.conftest import Simulator, Tool
-from tests.tools.running import ROOT
+from tests.tools.conftest import Command, Simulator, Tool
 
 pytestmark = pytest.mark.slow
 
@@ -35,10 +33,10 @@ arms = ["dog"]
 [objective]
 cost = "walking"
 [simulation]
-duration_s = {duration}
+duration_s = 100.0
 [cmaes]
 tolerance = 1e-2
-max_generations = {generations}
+max_generations = 300
 [stores]
 flat = "{store}"
 """
@@ -62,32 +60,13 @@ def simulate(gains: Any, *, duration_s: float, **_: Any) -> Result:
     return Result(rows, metadata={"engine": "fake"})
 
 
-class Command:
-    """The command in this process, with the fake simulator; `out` is where it writes by default."""
+class Search(Command):
+    """The command, with the fake simulator."""
 
-    def __init__(self, folder: Path, tool: Tool, simulator: Simulator) -> None:
-        self.folder, self.tool, self.out = folder, tool, folder / "out"
-        fake_walker.write_plain_store(folder / "store")
-        simulator(simulate)
-
-    def config(self, generations: int = 300, duration: float = 100.0) -> Path:
-        path, store = self.folder / f"tiny-{generations}.toml", self.folder / "store"
-        path.write_text(CONFIG.format(store=store, generations=generations, duration=duration))
-        return path
-
-    def words(self, config: Path, *more: object, out: Path | None = None) -> list[object]:
-        return ["optimum", "--workers", 1, "--config", config, "--out", out or self.out, *more]
-
-    def run(self, config: Path, *more: object, out: Path | None = None) -> int:
-        return self.tool(*self.words(config, *more, out=out))
-
-    def files(self, config: Path, out: Path) -> dict[str, bytes]:
+    def files(self, out: str = "out", **changes: object) -> dict[str, bytes]:
         """What it has made when it has ended."""
-        assert self.run(config, out=out) == 0
-        return files(out)
-
-    def refuses(self, message: str, config: Path, out: Path | None = None) -> None:
-        self.tool.refuses(message, *self.words(config, out=out))
+        assert self.run(out=self.folder / out, **changes) == 0
+        return files(self.folder / out)
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -98,11 +77,15 @@ def files(folder: Path) -> dict[str, bytes]:
 @pytest.fixture
 def command(
     tmp_path: Path, tool: Tool, simulator: Simulator, monkeypatch: pytest.MonkeyPatch
-) -> Command:
+) -> Search:
     # The database is the comparison's; the last test has it.
     monkeypatch.setattr(compare, "check_database", lambda *_: None)
     monkeypatch.setattr(compare, "export", lambda *_, **__: None)
-    return Command(tmp_path, tool, simulator)
+    fake_walker.write_plain_store(tmp_path / "store")
+    simulator(simulate)
+    config = tmp_path / "tiny.toml"
+    config.write_text(CONFIG.format(store=tmp_path / "store"))
+    return Search(tool, tmp_path, "optimum", workers=1, config=config)
 
 
 def test_a_run_ends_by_its_own_criteria_or_is_cut() -> None:
@@ -142,10 +125,10 @@ def test_points_are_within_the_bounds_and_population_is_the_librarys() -> None:
     assert new_run(CmaesOptions(0.3, 30, 1e-3, 10), 3, 0).ask().shape == (30, 16)
 
 
-def test_the_result_is_the_best_of_both_methods(command: Command) -> None:
+def test_the_result_is_the_best_of_both_methods(command: Search) -> None:
     out = command.out
     optuna.logging.set_verbosity(optuna.logging.INFO)
-    document = command.tool.json(*command.words(command.config()))
+    document = command.json()
     assert optuna.logging.get_verbosity() == optuna.logging.WARNING  # its lines are not among ours
     assert json.loads((out / "optimum.json").read_text()) == document
     assert "cmaes: generation 5, 3 of 3 runs go on, 180 evaluations" in command.tool.err
@@ -165,9 +148,8 @@ def test_the_result_is_the_best_of_both_methods(command: Command) -> None:
     assert {"date", "machine", "wall_s", "config"} <= document.keys()
 
 
-def test_stopped_and_resumed_is_bit_equal(command: Command, simulator: Simulator) -> None:
-    config = command.config(generations=40)
-    whole = command.files(config, command.folder / "whole")
+def test_stopped_and_resumed_is_bit_equal(command: Search, simulator: Simulator) -> None:
+    whole = command.files("whole", max_generations=40)
 
     def simulate_or_stop(gains: Any, **options: Any) -> Result:
         if next(left, None) is None:
@@ -177,18 +159,17 @@ def test_stopped_and_resumed_is_bit_equal(command: Command, simulator: Simulator
     simulator(simulate_or_stop)
     for calls in (2, 9):  # in the sampler's trials, then in the generations
         left = iter(range(calls))
-        assert command.run(config) == 130
+        assert command.run(max_generations=40) == 130
         assert not (command.out / "optimum.json").exists()
     simulator(simulate)
-    assert command.files(config, command.out) == whole
+    assert command.files(max_generations=40) == whole
 
 
-def test_more_runs_and_generations_can_be_asked_for_later(command: Command) -> None:
-    config = command.config(generations=9)
-    at_once = command.files(config, command.folder / "at-once")
-    assert command.run(config, "--runs", 1, "--max-generations", 5) == 0
+def test_more_runs_and_generations_can_be_asked_for_later(command: Search) -> None:
+    at_once = command.files("at-once", max_generations=9)
+    assert command.run(runs=1, max_generations=5) == 0
     assert "1 by max_generations" in command.tool.out
-    assert command.files(config, command.out) == at_once
+    assert command.files(max_generations=9) == at_once
 
 
 @pytest.mark.parametrize(
@@ -205,54 +186,49 @@ def test_more_runs_and_generations_can_be_asked_for_later(command: Command) -> N
     ],
 )  # fmt: skip
 def test_a_configuration_that_cannot_be_used_makes_nothing(
-    field: str, old: str, new: str, command: Command
+    field: str, old: str, new: str, command: Search
 ) -> None:
-    config = command.config()
+    config = command.folder / "tiny.toml"
     assert old in config.read_text()
     config.write_text(config.read_text().replace(old, new))
-    command.refuses(f"{field}: ", config)
+    command.refuses(f"{field}: ")
     assert not command.out.exists()
 
 
-def test_a_folder_of_somebody_else_or_of_another_process(command: Command) -> None:
+def test_a_folder_of_somebody_else_or_of_another_process(command: Search) -> None:
     command.out.mkdir()
     (command.out / "thesis.tex").write_text("")
-    command.refuses("out: ", command.config())
+    command.refuses("out: ")
     assert [path.name for path in command.out.iterdir()] == ["thesis.tex"]
     filled = command.folder / "filled"
     with claimed(filled, "search.json", "one of this command"):
-        command.refuses(".*no other process", command.config(), out=filled)
+        command.refuses(".*no other process", out=filled)
 
 
-def test_another_configuration_or_a_foreign_evaluation_is_refused(command: Command) -> None:
-    config, out = command.config(generations=3), command.out
-    before = command.files(config, out)
+def test_another_configuration_or_a_damaged_evaluation_is_refused(command: Search) -> None:
+    before = command.files(max_generations=3)
     other = command.folder / "other.toml"
-    other.write_text(config.read_text().replace("seed = 5", "seed = 6"))
-    command.refuses("seed: 6", other)
-    assert files(out) == before
-    evaluations = out / "evaluations.parquet"
+    other.write_text((command.folder / "tiny.toml").read_text().replace("seed = 5", "seed = 6"))
+    command.refuses("seed: 6", config=other, max_generations=3)
+    assert files(command.out) == before
+    evaluations = command.out / "evaluations.parquet"
     table = pq.read_table(evaluations)
     place = table.schema.get_field_index("K_GAS")
     table = table.set_column(place, table.schema.field(place), pc.add(table["K_GAS"], 1e-9))
     pq.write_table(table, evaluations)
-    command.refuses(".*does not fit the digest", config)
-    document = json.loads((out / "search.json").read_text())
-    write_stamped(evaluations, table.replace_schema_metadata(None), document)
-    assert command.run(config) == 2
-    assert "run 0 in" in command.tool.err
+    command.refuses(".*does not fit the digest", max_generations=3)
     evaluations.write_bytes(b"PAR1")
-    command.refuses("", config)  # before the comparison says how far it is
+    command.refuses("", max_generations=3)  # before the comparison says how far it is
 
 
 def test_what_a_kill_leaves_behind_goes_on_to_the_same_end(
-    command: Command, simulator: Simulator, monkeypatch: pytest.MonkeyPatch
+    command: Search, simulator: Simulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process killed in the third generation leaves the checkpoint of the second."""
     monkeypatch.setattr(compare, "CHECKPOINT_S", 0.0)
     monkeypatch.setattr(optimum, "STRETCH_GENERATIONS", 1)
     seen: list[int] = []
-    config, out, killed = command.config(generations=3), command.out, command.folder / "killed"
+    out, killed = command.out, command.folder / "killed"
 
     def simulate_and_look(gains: Any, **options: Any) -> Result:
         path = out / "evaluations.parquet"
@@ -263,29 +239,19 @@ def test_what_a_kill_leaves_behind_goes_on_to_the_same_end(
         return simulate(gains, **options)
 
     simulator(simulate_and_look)
-    whole = command.files(config, out)
+    whole = command.files(max_generations=3)
     assert seen == [0] * 4 + [0, 36, 72]  # four trials, three generations
     simulator(simulate)
-    assert command.files(config, killed) == whole
+    assert command.files("killed", max_generations=3) == whole
     assert not list(killed.glob(".*.tmp"))
 
 
-@pytest.mark.parametrize("cost", ["smooth", "walking"])
-def test_the_configurations_that_ship_are_read(cost: str) -> None:
-    experiment = read_experiment(ROOT / "configs" / f"optimum-{cost}.toml")
-    assert experiment.cost == cost
-    assert (experiment.runs, experiment.trials) == (50, 100)
-    assert experiment.conditions.disturbance == 0.0
-    assert np.ptp(experiment.terrain(0).height_m) == 0.0
-
-
-def test_with_the_real_simulator(
-    tmp_path: Path, tool: Tool, simulator: Simulator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_with_the_real_simulator(command: Search, monkeypatch: pytest.MonkeyPatch) -> None:
     """One generation of two short runs: what it costs is what a walk of these gains costs."""
-    command = Command(tmp_path, tool, simulator)
-    monkeypatch.delitem(vars(taichi_nmm), "simulate")
-    assert command.run(command.config(generations=1, duration=1.0), "--runs", 2) == 0
+    monkeypatch.undo()
+    config = command.folder / "tiny.toml"
+    config.write_text(config.read_text().replace("100.0", "1.0"))
+    assert command.run(runs=2, max_generations=1) == 0
     table = pq.read_table(command.out / "evaluations.parquet")
     gains = np.column_stack([table[name].to_numpy() for name in GAIN_NAMES])
     rows = taichi_nmm.simulate(gains, duration_s=1.0).rows

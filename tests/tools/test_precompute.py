@@ -10,7 +10,7 @@ from subprocess import Popen
 import pytest
 
 from storage import open_store
-from tests.tools.conftest import Simulator, Tool
+from tests.tools.conftest import Command, Simulator, Tool
 from tests.tools.running import ROOT, WAIT_S, Done, finish, start
 
 pytestmark = pytest.mark.slow
@@ -29,132 +29,83 @@ SHARDS = 12
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 
 
-@pytest.fixture
-def config(tmp_path: Path) -> Path:
-    path = tmp_path / "store.toml"
-    path.write_text(CONFIG)
-    return path
-
-
-def begin(config: Path, out: Path, *options: str, **accidents: object) -> "Popen[str]":
+def run(command: Command, *more: str, **accidents: object) -> Done:
     """The command in a process of its own; the accidents are those of fake_command.py."""
-    words = ("--workers", 1, "--config", config, "--out", out, *options)
-    return start("precompute", *words, **accidents)
-
-
-def run(config: Path, out: Path, *options: str, **accidents: object) -> Done:
-    return finish(begin(config, out, *options, **accidents))
+    return finish(start(*command.words(), *more, **accidents))
 
 
 def shards(out: Path) -> int:
     return len(list(out.glob("part-*.parquet")))
 
 
-def wait_for_shards(process: "Popen[str]", out: Path, count: int) -> None:
-    deadline = time.monotonic() + WAIT_S
-    while shards(out) < count and process.poll() is None:
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
-
-
 def content(out: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in out.iterdir()}
 
 
-@pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    folder = tmp_path_factory.mktemp("uninterrupted")
-    (folder / "store.toml").write_text(CONFIG)
-    done = run(folder / "store.toml", folder / "store")
-    assert done.code == 0, done.error
-    return content(folder / "store")
+@pytest.fixture
+def command(simulator: Simulator, tool: Tool, tmp_path: Path) -> Command:
+    config = tmp_path / "store.toml"
+    config.write_text(CONFIG)
+    return Command(tool, tmp_path, "precompute", workers=1, config=config)
 
 
 @pytest.fixture
-def command(simulator: Simulator, config: Path, tmp_path: Path) -> tuple[object, ...]:
-    """The words of the command."""
-    return "precompute", "--workers", 1, "--config", config, "--out", tmp_path / "store"
+def uninterrupted(command: Command) -> dict[str, bytes]:
+    assert command.run(out=command.folder / "whole") == 0
+    return content(command.folder / "whole")
 
 
-def test_json_is_one_object(tmp_path: Path, tool: Tool, command: tuple[object, ...]) -> None:
-    store = tmp_path / "store"
-    summary = tool.json(*command, "--samples", 20)
+def test_json_is_one_object(command: Command) -> None:
+    summary = command.json(samples=20)
     assert (summary["points"], summary["points_computed"], summary["shards"]) == (20, 20, 3)
-    assert summary["path"] == str(store)
+    assert summary["path"] == str(command.out)
     assert summary["walkers_per_s"] > 0
-    ends = open_store(store, verify=True).numpy(["end_reason"])["end_reason"]
+    ends = open_store(command.out, verify=True).numpy(["end_reason"])["end_reason"]
     assert summary["alive_at_horizon"] == (ends == "completed").sum()
+    command.refuses("samples: 96 cannot be used; allowed: 20, as ")
+    assert command.tool.json(*command.words(), "--fresh")["points_computed"] == 96
 
 
 def test_text_says_what_was_done_and_where(
-    config: Path, tool: Tool, command: tuple[object, ...], monkeypatch: pytest.MonkeyPatch
+    command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config.write_text(CONFIG + "[robust]\nsettings = 2\n[robust.body]\ndisturbance = 0.1\n")
-    monkeypatch.chdir(config.parent)
-    assert tool(*command[:-2]) == 0
-    assert "96 in 12 shards (96 computed now)" in tool.out
-    assert "points on its disturbed settings" in tool.out
-    assert str(Path("out", "store")) in tool.out  # named after the configuration
-    assert "walker/s" in tool.err and "96/96" in tool.err
-    assert (config.parent / "out" / "store" / "manifest.json").is_file()
-
-
-def test_another_specification_is_refused_and_fresh_starts_over(
-    tmp_path: Path, tool: Tool, command: tuple[object, ...], uninterrupted: dict[str, bytes]
-) -> None:
-    assert tool(*command, "--samples", 20) == 0
-    before = content(tmp_path / "store")
-    tool.refuses("samples: 96 cannot be used; allowed: 20, as ", *command)
-    assert content(tmp_path / "store") == before
-    assert tool(*command, "--fresh") == 0
-    assert content(tmp_path / "store") == uninterrupted
+    (command.folder / "store.toml").write_text(
+        CONFIG + "[robust]\nsettings = 2\n[robust.body]\ndisturbance = 0.1\n"
+    )
+    monkeypatch.chdir(command.folder)
+    assert command.run(out="") == 0
+    assert "96 in 12 shards (96 computed now)" in command.tool.out
+    assert "points on its disturbed settings" in command.tool.out
+    assert str(Path("out", "store")) in command.tool.out  # named after the configuration
+    assert "walker/s" in command.tool.err and "96/96" in command.tool.err
+    assert (command.folder / "out" / "store" / "manifest.json").is_file()
 
 
 def test_kill_9_between_writing_and_naming_a_file(
-    config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
+    command: Command, uninterrupted: dict[str, bytes]
 ) -> None:
     # Files get their names in this order: the specification, twelve shards, the manifest.
-    out = tmp_path / "store"
     for rename, expected in ((1, 0), (3, 1), (12, SHARDS)):
-        done = run(config, out, death=rename)
-        assert (done.code, shards(out)) == (-signal.SIGKILL, expected)
-        assert len(list(out.glob(".*.tmp"))) == 1
-    assert run(config, out).code == 0
-    assert content(out) == uninterrupted
+        done = run(command, death=rename)
+        assert (done.code, shards(command.out)) == (-signal.SIGKILL, expected)
+        assert len(list(command.out.glob(".*.tmp"))) == 1
+    assert command.run() == 0
+    assert content(command.out) == uninterrupted
 
 
-def test_interrupt_exits_130_and_resumes(
-    config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
-) -> None:
-    out = tmp_path / "store"
-    done = run(config, out, signal="5:SIGINT")  # a shard takes two, for its family
-    assert (done.code, done.last) == (130, INTERRUPTED) and shards(out) == 2
-    assert json.loads(run(config, out, "--json").out)["points_computed"] == 8 * (SHARDS - 2)
-    assert content(out) == uninterrupted
+def test_interrupt_exits_130_and_resumes(command: Command, uninterrupted: dict[str, bytes]) -> None:
+    done = run(command, signal="5:SIGINT")  # a shard takes two, for its family
+    assert (done.code, done.last) == (130, INTERRUPTED) and shards(command.out) == 2
+    assert json.loads(run(command, "--json").out)["points_computed"] == 8 * (SHARDS - 2)
+    assert content(command.out) == uninterrupted
 
 
-def test_two_launchers_on_one_folder(
-    config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
-) -> None:
-    out = tmp_path / "store"
-    first = begin(config, out, trial_s=0.15)
-    wait_for_shards(first, out, 1)
-    code, _, error = run(config, out)
-    assert code == 2 and error.startswith("error: out: ") and "no other process" in error
-    assert first.poll() is None
-    assert finish(first).code == 0
-    assert content(out) == uninterrupted
-
-
-def test_a_full_disk_is_one_line(
-    config: Path, tmp_path: Path, uninterrupted: dict[str, bytes]
-) -> None:
-    out = tmp_path / "store"
-    done = run(config, out, largest_b=8000)
+def test_a_full_disk_is_one_line(command: Command, uninterrupted: dict[str, bytes]) -> None:
+    done = run(command, largest_b=8000)
     assert done.code == 2 and done.last.startswith("error: out: ") and "File too large" in done.last
-    assert sorted(content(out)) == [".lock", "specification.json"]
-    assert run(config, out).code == 0
-    assert content(out) == uninterrupted
+    assert sorted(content(command.out)) == [".lock", "specification.json"]
+    assert command.run() == 0
+    assert content(command.out) == uninterrupted
 
 
 REAL = """
@@ -203,16 +154,18 @@ def test_several_processes_ended_in_the_middle_again_and_again_resume_bit_equal(
     tmp_path: Path, real_store: dict[str, bytes]
 ) -> None:
     for victim, number, code, line in ENDS:
-        kept = shards(tmp_path / "store") if (tmp_path / "store").is_dir() else 0
+        kept = shards(tmp_path / "store")
         process = start_real(tmp_path, "store", workers=2)
-        wait_for_shards(process, tmp_path / "store", kept + 3)
+        deadline = time.monotonic() + WAIT_S
+        while shards(tmp_path / "store") < kept + 3 and process.poll() is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.002)
         workers = workers_of(process)
         assert len(workers) == 2
         os.kill(workers[0] if victim == "worker" else process.pid, number)
         done = finish(process)
         assert done.code == code and done.last.startswith(line)
         assert kept + 3 <= shards(tmp_path / "store") < REAL_SHARDS
-        deadline = time.monotonic() + WAIT_S
         while any(Path(f"/proc/{pid}").exists() for pid in workers):
             assert time.monotonic() < deadline
             time.sleep(0.01)

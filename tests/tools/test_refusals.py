@@ -26,29 +26,19 @@ FAR = 2**40
 ONE_OF = "cannot be used; allowed: "
 
 FILES: dict[str, Any] = {
-    "nan.json": GAINS | {"K_SOL": float("nan")},
-    "word.json": GAINS | {"K_SOL": "much"},
-    "high.json": GAINS | {"K_SOL": 99},
-    "low-level.json": GAINS | {"theta_ref": 3.0},
-    "unknown.json": GAINS | {"K_XYZ": 1.0},
+    "nan.json": GAINS | {"K_SOL": float("nan")}, "word.json": GAINS | {"K_SOL": "much"},
+    "high.json": GAINS | {"K_SOL": 99}, "low-level.json": GAINS | {"theta_ref": 3.0},
+    "unknown.json": GAINS | {"K_XYZ": 1.0}, "result.json": {"gains": GAINS | {"K_SOL": 99}},
     "missing.json": {name: value for name, value in GAINS.items() if name != "l_clr"},
-    "result.json": {"gains": GAINS | {"K_SOL": 99}},
-    "brace.json": "{",
-    "list.json": "[1, 2]",
-    "number.json": '{"gains": 3}',
-    "empty.toml": "",
-    "sede.toml": "seed = 1\nsede = 1",
+    "brace.json": "{", "list.json": "[1, 2]", "number.json": '{"gains": 3}',
+    "empty.toml": "", "sede.toml": "seed = 1\nsede = 1", "bracket.toml": "[",
     "long.toml": "seed = 1\n[simulation]\nduration_s = 'long'",
     "step.toml": "seed = 1\n[simulation]\nphysics_step_s = 0.002",
     "sea.toml": "seed = 1\n[terrain]\nkind = 'sea'",
     "body.toml": "seed = 1\n[body]\ndisturbance = 2.0",
-    "bracket.toml": "[",
-    "sead.toml": "samples = 5\nsead = 1",
-    "all.toml": "samples = 'all'",
-    "half.toml": "samples = ",
-    "five.toml": "samples = 5",
-    "file": "in the way",
-}
+    "sead.toml": "samples = 5\nsead = 1", "all.toml": "samples = 'all'",
+    "half.toml": "samples = ", "five.toml": "samples = 5", "file": "in the way",
+}  # fmt: skip
 BASE = {
     "compare": "--config rough8-smooth --out new",
     "optimum": "--config optimum-smooth --out new",
@@ -155,7 +145,9 @@ REFUSED: list[tuple[str, str, str]] = [
     ]),
     *(("walk", f"--row={row} --store store", f"row: {row} {ONE_OF}0 to 19, the rows of")
       for row in (20, -1, 10**30)),
-    ("walk", "--row 1 --store nowhere", "... nowhere"),
+    *(("walk", f"--row 1 --store {store}", line) for store, line in [
+        ("nowhere", "... nowhere"), (".", "... a finished"),
+    ]),
     ("walk of published", "--out file/below", "out: "),
     *(("walk of published", f"--mjcf {path}", f"mjcf: '{path}'")
       for path in ("file/walker.xml", "nowhere/walker.xml", ".")),
@@ -204,22 +196,21 @@ def no_gpu(settings: Settings) -> None:
     raise InputError("simulation.arch", settings.arch, "an architecture of this machine")
 
 
-@pytest.mark.parametrize("name", ["compare", "precompute", "study"])
-def test_a_machine_without_a_gpu(
-    name: str, untouched: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    backend = SimpleNamespace(start=no_gpu)
-    monkeypatch.setattr("taichi_nmm.kernel.backend", backend, raising=False)
-    tool.refuses("simulation.arch: 'cuda'", *words_of(name, "--arch cuda"))
-
-
-@pytest.mark.parametrize("words", ["--engine mujoco", "--mjcf walker.xml"])
-def test_a_machine_without_mujoco(
-    words: str, untouched: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("taichi_nmm.mujoco_engine.find_spec", lambda name: None)
-    message = r".*pip install 'taichi-nmm\[mujoco\]'"
-    tool.refuses(message, *words_of("walk of published", words))
+@pytest.mark.parametrize(
+    ("patched", "value", "name", "words", "line"),
+    [
+        *(("taichi_nmm.kernel.backend", SimpleNamespace(start=no_gpu), name, "--arch cuda",
+           "simulation.arch: 'cuda'") for name in ("compare", "precompute", "study")),
+        *(("taichi_nmm.mujoco_engine.find_spec", lambda name: None, "walk of published", words,
+           r".*pip install 'taichi-nmm\[mujoco\]'") for words in ("--engine mujoco", "--mjcf x")),
+    ],
+)  # fmt: skip
+def test_what_a_machine_lacks_is_said(
+    patched: str, value: object, name: str, words: str, line: str,
+    untouched: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(patched, value, raising=False)
+    tool.refuses(line, *words_of(name, words))
 
 
 def test_a_machine_without_ffmpeg(

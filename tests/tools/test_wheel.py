@@ -46,17 +46,14 @@ class Installed:
         self.bin = folder / "env" / "bin"
         venv.create(folder / "env", symlinks=True)
         python = str(self.bin / "python")
-        sites = subprocess.check_output(
-            [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], text=True
-        )
+        asked = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
+        sites = subprocess.check_output(asked, text=True)
         # Packages of this environment are seen; its .pth files, which know the checkout, are not.
         others = {sysconfig.get_path(kind) for kind in ("purelib", "platlib")}
         (Path(sites.strip()) / "others.pth").write_text("\n".join(sorted(others)))
         pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", python]
-        options = ["--no-deps", "--no-index", "--ignore-installed"]
-        done = subprocess.run(
-            [*pip, "install", *options, str(wheel)], capture_output=True, text=True
-        )
+        options = ["--no-deps", "--no-index", "--ignore-installed", str(wheel)]
+        done = subprocess.run([*pip, "install", *options], capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
 
     def run(self, program: str, *arguments: object) -> str:
@@ -93,16 +90,11 @@ def test_it_is_not_the_checkout_that_is_run(installed: Installed) -> None:
         assert Path(place).is_relative_to(installed.bin.parent)
 
 
-def test_the_commands_explain_themselves(installed: Installed) -> None:
-    for said in (
-        installed.run("taichi-nmm", "--help"),
-        installed.run("python", "-m", "taichi_nmm"),
-    ):
+def test_the_commands_explain_themselves_and_list_configurations(installed: Installed) -> None:
+    for words in (("taichi-nmm", "--help"), ("python", "-m", "taichi_nmm")):
+        said = installed.run(*words)
         assert "walk  " in said and "draw-store  " in said
     assert "--list-configs" in installed.run("taichi-nmm", "walk", "--help")
-
-
-def test_configurations_are_listed_by_name(installed: Installed) -> None:
     stores = installed.run("taichi-nmm", "precompute", "--list-configs").splitlines()
     others = installed.run("taichi-nmm", "study", "--list-configs").splitlines()
     names = [line.split()[0] for line in (*stores, *others)]
@@ -113,9 +105,8 @@ def test_configurations_are_listed_by_name(installed: Installed) -> None:
 
 def test_the_main_job_is_done_by_name(installed: Installed) -> None:
     """A store, a study that reads it, and a walk of what was found."""
-    made = installed.run(
-        "taichi-nmm", "precompute", "--config", "store", "--samples", 64, "--workers", 1, "--json"
-    )
+    short = ("--samples", 64, "--workers", 1, "--json")
+    made = installed.run("taichi-nmm", "precompute", "--config", "store", *short)
     assert json.loads(made)["path"] == "out/store"
     where = ("--arm", "dog", "--trials", 2, "--storage", "sqlite:///studies.db", "--json")
     found = json.loads(installed.run("taichi-nmm", "study", "--config", "rough8", *where))

@@ -31,14 +31,10 @@ NEW_FILE = {"draw-store": "--out", "walk": "--mjcf"}
 # stands. CONFIG, STORE and DONE are of the fixture.
 COMPLETE: dict[str, tuple[str, ...]] = {
     "compare": ("--config", "CONFIG", "--arms", "random", "--no-artifacts"),
-    "draw-store": ("STORE",),
-    "explore": ("STORE", "--no-browser"),
-    "optimum": ("--config", "CONFIG"),
-    "report": ("DONE",),
-    "dashboard": ("DONE",),
+    "draw-store": ("STORE",), "explore": ("STORE", "--no-browser"), "report": ("DONE",),
+    "dashboard": ("DONE",), "optimum": ("--config", "CONFIG"), "walk": ("--movie-seconds", "0"),
     "study": ("--config", "CONFIG", "--arm", "random", "--storage", "sqlite:///new.db"),
-    "walk": ("--movie-seconds", "0"),
-}
+}  # fmt: skip
 BESIDE = {
     "--row": ("--store", "STORE"), "--store": ("--row", "0"), "--trial": ("--storage", "DONE"),
     "--storage": ("--trial", "toy/random/run-000/0"),
@@ -80,10 +76,8 @@ def tries(
     for name, word in words.items():
         for form in FORMS.get(flag, ("{}",)):
             tried = form.format(word)
-            if flag:
-                yield f"{flag} {form}: {name}", [*before, f"{flag}={tried}"]
-            else:
-                yield f"{action.dest}: {name}", [tried]
+            said = f"{flag or action.dest} {form}: {name}"
+            yield said, [*before, f"{flag}={tried}"] if flag else [tried]
 
 
 def refuse_work(*_: Any, **__: Any) -> NoReturn:
@@ -92,12 +86,9 @@ def refuse_work(*_: Any, **__: Any) -> NoReturn:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_it_is_refused_in_one_line(
-    command: str,
-    places: dict[str, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    command: str, places: dict[str, Path], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(vars(taichi_nmm), "simulate", refuse_work)
     monkeypatch.setattr("socketserver.BaseServer.serve_forever", refuse_work)
