@@ -35,9 +35,7 @@ def test_a_file_appears_whole_with_its_footer_which_counts_its_rows(tmp_path: Pa
         read_footer(path)
 
 
-def test_disk_full_leaves_the_old_file_and_no_temporary(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "part.parquet"
     write_table(path, TABLE, FOOTER)
     before = path.read_bytes()

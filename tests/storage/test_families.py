@@ -46,9 +46,6 @@ def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
     assert np.array_equal(table["l_clr"].to_numpy(), points[:, 15])
     assert set(table["end_reason"].to_pylist()) <= set(END_REASONS)
     assert computed_by == fake.ENGINE
-
-
-def test_a_shard_without_survivors_needs_no_run_of_a_family() -> None:
     specification = fake.specification(robust=True, samples=8, simulation={"duration_s": 60.0})
     object.__setattr__(specification.families[0], "min_survival_s", 60.0)
     table, _ = score_shard(specification, 0, ignore)

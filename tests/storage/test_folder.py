@@ -10,17 +10,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from storage import tables
 from storage.document import agree
 from storage.store import FOOTER_NEEDS, read_footer
-from storage.tables import (
-    DIGEST_KEY,
-    MOST_ROWS,
-    read_columns,
-    read_stamped,
-    table_digest,
-    write_stamped,
-    write_table,
-)
+from storage.tables import read_columns, read_stamped, table_digest, write_stamped, write_table
 from study import FeatureTable
 from study.report.runs import read_trials
 from taichi_nmm.errors import InputError
@@ -116,7 +109,8 @@ def test_other_footers_are_one_line(tmp_path: Path, footer: dict[str, object]) -
 
 
 def test_a_digest_of_other_content(tmp_path: Path) -> None:
-    write_table(tmp_path / "a.parquet", TABLE, FOLDER | {DIGEST_KEY: table_digest(TABLE.slice(1))})
+    digest = {tables.DIGEST_KEY: table_digest(TABLE.slice(1))}
+    write_table(tmp_path / "a.parquet", TABLE, FOLDER | digest)
     with pytest.raises(InputError, match="does not fit the digest"):
         read_stamped(tmp_path / "a.parquet", FOLDER)
     words = pa.array([None, None], pa.dictionary(pa.int32(), pa.string()))
@@ -145,7 +139,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 def test_a_small_file_of_too_many_rows_is_not_unpacked(tmp_path: Path, reader: str) -> None:
     """A value that is repeated for ever takes no room in a file, and all of it in memory."""
     path = tmp_path / "endless.parquet"
-    some = pa.table(dict.fromkeys("ab", np.zeros(MOST_ROWS // 10, np.int8)))
+    some = pa.table(dict.fromkeys("ab", np.zeros(tables.MOST_ROWS // 10, np.int8)))
     with pq.ParquetWriter(path, some.schema) as writer:
         for _ in range(11):
             writer.write_table(some)

@@ -19,16 +19,13 @@ from numpy.typing import NDArray
 from storage import processes
 from storage.pool import IN_PROCESS, Pool, cores, local_pool
 from taichi_nmm.errors import InputError
+from tests.storage.cluster import units
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
 LONG_S = 60.0
 PROMPT_S = 5.0
-
-
-def square(number: int) -> int:
-    return number**2
 
 
 def halves(number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -40,14 +37,6 @@ def whoami(pause_s: float) -> tuple[int, str, bool]:
     time.sleep(pause_s)
     ignored = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
     return os.getpid(), os.environ.get("OMP_NUM_THREADS", ""), ignored
-
-
-def refuse(number: int) -> int:
-    raise InputError("number", number, "another")
-
-
-def fail(number: int) -> int:
-    return 1 // number
 
 
 def die(number: int) -> int:
@@ -92,14 +81,16 @@ def wait_for(folder: Path, count: int) -> list[int]:
 def test_every_unit_is_done_once(workers: int) -> None:
     with local_pool(workers) as pool:
         assert (pool.in_process, pool.shares_machine) == (workers == 1, workers > 1)
-        assert sorted(pool.results(square, deque(range(20)))) == [(n, n**2) for n in range(20)]
-        assert list(pool.results(square, deque())) == []
+        assert sorted(pool.results(units.square, deque(range(20)))) == [
+            (n, n**2) for n in range(20)
+        ]
+        assert list(pool.results(units.square, deque())) == []
         assert dict(pool.results(bytes, deque([3_000_000]))) == {3_000_000: bytes(3_000_000)}
-        units, seen = deque([1, 10]), []
-        for number, _ in pool.results(square, units):
+        numbers, seen = deque([1, 10]), []
+        for number, _ in pool.results(units.square, numbers):
             seen.append(number)
             if number % 10 < 4:
-                units.append(number + 1)  # on the way
+                numbers.append(number + 1)  # on the way
         assert sorted(seen) == [1, 2, 3, 4, 10, 11, 12, 13, 14]
 
 
@@ -123,19 +114,19 @@ def test_processes_are_quiet_and_no_more_than_units() -> None:
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
     assert not any(map(alive, pids))
     with ThreadPoolExecutor(3) as executor:
-        results = dict(Pool(executor, 3).results(square, deque(range(9))))
+        results = dict(Pool(executor, 3).results(units.square, deque(range(9))))
     assert results == {number: number**2 for number in range(9)}
 
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_error_of_a_unit_is_raised_here(workers: int) -> None:
     with local_pool(workers) as pool:
-        with pytest.raises(InputError, match="number: 7 cannot be used"):
-            list(pool.results(refuse, deque([7])))
-        with pytest.raises(ZeroDivisionError) as caught:
-            list(pool.results(fail, deque([0])))
+        with pytest.raises(InputError, match="samples: 7 cannot be used"):
+            list(pool.results(units.refuse, deque([7])))
+        with pytest.raises(ArithmeticError) as caught:
+            list(pool.results(units.fail, deque([0])))
         assert workers == 1 or "in fail" in caught.value.__notes__[0]
-        assert dict(pool.results(square, deque([3]))) == {3: 9}  # the pool goes on
+        assert dict(pool.results(units.square, deque([3]))) == {3: 9}  # the pool goes on
 
 
 @pytest.mark.parametrize("accident", [die, die_while_answering])
@@ -147,9 +138,8 @@ def test_a_killed_process_is_one_line(accident: Callable[[int], int]) -> None:
 
 def test_leaving_in_the_middle_of_a_unit_is_prompt(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt), local_pool(2) as pool:
-        units = deque([str(tmp_path)] * 3)
         for _ in range(2):
-            pool.executor.submit(linger, units.popleft())
+            pool.executor.submit(linger, str(tmp_path))
         pids = wait_for(tmp_path, 2)
         start_s = time.monotonic()
         raise KeyboardInterrupt

@@ -103,9 +103,8 @@ def test_where_machines_may_differ_each_shard_says_of_which_it_is(
 @pytest.mark.slow
 def test_processes_compute_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(vars(taichi_nmm), "simulate")  # the real one, which the processes have
-    specification = fake.specification(
-        samples=24, simulation={"duration_s": 0.2, "arch": "cpu"}, searched=["theta_ref"]
-    )
+    short = {"duration_s": 0.2, "arch": "cpu"}
+    specification = fake.specification(samples=24, simulation=short, searched=["theta_ref"])
     precompute(specification, tmp_path / "one")
     with local_pool(2) as pool:
         precompute(specification, tmp_path / "two", pool=pool)
@@ -177,14 +176,12 @@ def test_a_folder_in_a_files_place_is_refused_before_the_work(store: Path, name:
     assert sorted(store.iterdir()) == before
 
 
-@pytest.mark.parametrize(
-    ("calls", "changes", "done"),
-    [(0, {}, 0), (3, {}, 3), (5, {"robust": True}, 2)],  # the last one within the family
-)
-def test_an_interrupt_loses_one_shard(
-    tmp_path: Path, calls: int, changes: dict[str, Any], done: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as context:
+STOPS = [(0, {}, 0), (3, {}, 3), (5, {"robust": True}, 2)]  # the last one within the family
+
+
+@pytest.mark.parametrize(("calls", "changes", "done"), STOPS)
+def test_an_interrupt_loses_one_shard(tmp_path: Path, calls: int, changes: Any, done: int) -> None:
+    with pytest.MonkeyPatch.context() as context:
         context.setitem(vars(taichi_nmm), "simulate", fake.stopping(calls))
         with pytest.raises(KeyboardInterrupt):
             fill(tmp_path / "store", **changes)
@@ -219,9 +216,7 @@ def test_a_run_goes_on_in_its_own_folder_alone(store: Path) -> None:
     ({"terrain": {"kind": "stairs"}}, "terrain.name"),
     ({"body": {"disturbance": 0.1}}, "body.disturbance"),
 ])  # fmt: skip
-def test_another_specification_is_refused_by_name(
-    store: Path, changes: dict[str, object], field: str
-) -> None:
+def test_another_specification_is_refused_by_name(store: Path, changes: Any, field: str) -> None:
     before = content(store)
     with pytest.raises(InputError, match="--fresh") as caught:
         fill(store, **changes)

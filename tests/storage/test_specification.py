@@ -58,9 +58,6 @@ def test_hash_ignores_machine_and_notices_everything_else() -> None:
     seven, eight = specification(terrain=rough), specification(terrain=rough, seed=8)
     found = difference(seven.document["terrain"], eight.document["terrain"], "terrain")
     assert found is not None and found[0] == "terrain.sha256"
-
-
-def test_a_store_on_another_engine_says_which_version_of_it() -> None:
     plain = specification().document
     assert "engine_version" not in plain
     other = specification(simulation={"engine": "mujoco"}).document

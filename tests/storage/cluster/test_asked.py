@@ -52,7 +52,7 @@ def test_no_password_is_shown_and_a_missing_library_is_one_line(
         Cluster("local:2")
 
 
-def test_a_kind_says_what_computes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kind_says_what_computes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     speed_mps = 0.0
 
     def simulate(gains: Any, **options: Any) -> Result:
@@ -69,9 +69,6 @@ def test_a_kind_says_what_computes(monkeypatch: pytest.MonkeyPatch) -> None:
     speed_mps = 1.0
     found = differences(own_kind(walker), kind)
     assert found.startswith("canary ") and found.endswith(f", scipy none, not {kind['scipy']}")
-
-
-def test_a_processor_has_a_name(tmp_path: Path) -> None:
     (tmp_path / "cpuinfo").write_text("processor\t: 0\nmodel name\t: Fast 3000\nmodel name : x\n")
     assert processor(tmp_path / "cpuinfo") == "Fast 3000"
     assert processor(tmp_path / "nothing") != ""

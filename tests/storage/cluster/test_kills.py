@@ -19,9 +19,7 @@ STORE = """
 samples = 30000
 shard_rows = 100
 seed = 3
-[simulation]
-duration_s = 5.0
-arch = "cpu"
+simulation = {duration_s = 5.0, arch = "cpu"}
 """
 EXPERIMENT = """
 name = "tiny"
@@ -29,13 +27,9 @@ seed = 5
 runs = 4
 trials = 40
 arms = ["dog", "random"]
-[objective]
-cost = "smooth"
-[simulation]
-duration_s = 20.0
-arch = "cpu"
-[stores]
-flat = "whole-precompute"
+objective = {cost = "smooth"}
+simulation = {duration_s = 20.0, arch = "cpu"}
+stores = {flat = "whole-precompute"}
 """
 SEED = 15
 VICTIMS = ("worker", "scheduler", "client", "worker", "client")  # of each command

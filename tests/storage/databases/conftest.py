@@ -62,21 +62,20 @@ class Server:
 
     def new_database(self) -> str:
         name = f"studies{next(self._numbers)}"
-        with self._engine().connect() as connection:
-            connection.execution_options(isolation_level="AUTOCOMMIT")
-            connection.execute(sql.text(f"CREATE DATABASE {name}"))
+        self._execute(f"CREATE DATABASE {name}")
         return self.url(name)
 
     def require_password(self, role: str, password: str) -> None:
         """Make a role that may do anything, by this password alone."""
+        rules = self.folder / "data" / "pg_hba.conf"
+        rules.write_text(f"local all {role} scram-sha-256\n{rules.read_text()}")
+        self._execute(f"CREATE ROLE {role} SUPERUSER LOGIN PASSWORD '{password}'")
+        self._execute("SELECT pg_reload_conf()")
+
+    def _execute(self, statement: str) -> None:
         with self._engine().connect() as connection:
             connection.execution_options(isolation_level="AUTOCOMMIT")
-            connection.execute(
-                sql.text(f"CREATE ROLE {role} SUPERUSER LOGIN PASSWORD '{password}'")
-            )
-            rules = self.folder / "data" / "pg_hba.conf"
-            rules.write_text(f"local all {role} scram-sha-256\n{rules.read_text()}")
-            connection.execute(sql.text("SELECT pg_reload_conf()"))
+            connection.execute(sql.text(statement))
 
     def _engine(self) -> sql.Engine:
         return sql.create_engine(self.url("postgres"), poolclass=sql.NullPool)

@@ -135,18 +135,14 @@ def silence_s(storage: RDBStorage) -> float:
         return float(connection.execute(sql.text(age)).scalar_one())
 
 
-def test_who_is_alone_takes_what_runs_for_dead(url: str) -> None:
+def test_who_is_alone_takes_what_runs_for_dead(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     study = optuna.create_study(storage=open_studies(url), study_name="a")
     number = study.ask().number
     with Crew.joined(url, "a") as mine, mine.alive(number):
         assert mine.dead() == []
     with Crew.joined(url, "a") as next_one:  # at once: nobody else can have it
         assert next_one.dead() == [number]
-
-
-def test_a_study_that_a_process_has_for_itself(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(crew, "JOIN_S", 1)
-    open_studies(url)
     refused = pytest.raises(InputError, match=r"^study: 'a' .* one is running this one")
     with only_run(url, "a"), Crew.joined(url, "b"), refused, Crew.joined(url, "a"):
         pass

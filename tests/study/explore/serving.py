@@ -13,11 +13,9 @@ from tests.tools.running import ROOT
 @contextmanager
 def explorer(folder: Path, errors: IO[str] | None = None) -> Iterator[str]:
     """The address of its page; `errors` takes what it prints of errors."""
-    words = ["explore", folder, "--port", "0", "--no-browser"]
-    command = [sys.executable, "-m", "taichi_nmm", *words]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=errors, text=True, cwd=ROOT
-    ) as process:
+    words = [sys.executable, "-m", "taichi_nmm", "explore", folder, "--port", "0", "--no-browser"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(words, stdout=pipe, stderr=errors, text=True, cwd=ROOT) as process:
         assert process.stdout is not None
         try:
             yield process.stdout.readline().split()[1]

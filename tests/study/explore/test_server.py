@@ -2,9 +2,10 @@
 
 import http.client
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
+from collections.abc import Iterator
+from concurrent.futures import Future
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -55,6 +56,9 @@ def status(address: str, path: str, headers: dict[str, str]) -> int:
 def test_it_listens_on_the_loopback_alone(address: str) -> None:
     assert urlsplit(address).hostname == "127.0.0.1"
     assert status(address, "/", {}) == 200
+    port = urlsplit(address).port
+    for name in ("127.0.0.1", f"127.0.0.1:{port}", f"localhost:{port}"):
+        assert status(address, "/", {"Host": name}) == 200
 
 
 @pytest.mark.parametrize(
@@ -63,12 +67,6 @@ def test_it_listens_on_the_loopback_alone(address: str) -> None:
 @pytest.mark.parametrize("path", ["/", "/static/js/bokeh.min.js", "/ws", "/metadata"])
 def test_other_names_find_nothing(address: str, host: str, path: str) -> None:
     assert status(address, path, {"Host": host}) in (400, 404)
-
-
-def test_loopback_names_are_answered(address: str) -> None:
-    port = urlsplit(address).port
-    for name in ("127.0.0.1", f"127.0.0.1:{port}", f"localhost:{port}"):
-        assert status(address, "/", {"Host": name}) == 200
 
 
 def token_of(lasts_s: int = 300) -> str:
@@ -105,88 +103,64 @@ def test_other_sites_cannot_embed_the_page(address: str, path: str) -> None:
     assert status(address, path, {}) == 404
 
 
-class ByHand(Executor):
-    """Calls that a test ends."""
-
-    def __init__(self) -> None:
-        self.calls: list[tuple[Future[Any], Any]] = []
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **_: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        self.calls.append((future, args[0]))
-        return future
-
-
-class Tab:
-    """What of a document is used."""
-
-    def __init__(self) -> None:
-        self.closed: list[Callable[[object], None]] = []
-
-    def on_session_destroyed(self, call: Callable[[object], None]) -> None:
-        self.closed.append(call)
-
-    def add_next_tick_callback(self, call: Callable[[], None]) -> None:
-        call()
-
-
-def start() -> tuple[Latest, ByHand, Tab, list[Any], list[BaseException]]:
-    tab, executor = Tab(), ByHand()
+def start() -> tuple[Latest, list[Any], list[Any], list[Any], list[Any]]:
+    """With calls that a test ends, what a tab does when it closes, results, and errors."""
+    calls: list[Any] = []
+    closed: list[Any] = []
     done: list[Any] = []
-    failed: list[BaseException] = []
-    return Latest(tab, executor, done.append, failed.append), executor, tab, done, failed
+    failed: list[Any] = []
+
+    def submit(_: object, asked: object) -> Future[Any]:
+        calls.append((Future[Any](), asked))
+        return calls[-1][0]
+
+    at_once = SimpleNamespace(
+        on_session_destroyed=closed.append, add_next_tick_callback=lambda call: call()
+    )
+    executor: Any = SimpleNamespace(submit=submit)
+    return Latest(at_once, executor, done.append, failed.append), calls, closed, done, failed
 
 
 def test_what_waits_gives_way_to_what_is_newer() -> None:
-    latest, executor, _, done, _ = start()
+    latest, calls, _, done, _ = start()
     for number in range(5):
         latest.ask(print, number)
-    assert [asked for _, asked in executor.calls] == [0]
-    executor.calls[0][0].set_result("zero")
-    assert [asked for _, asked in executor.calls] == [0, 4]
-    executor.calls[1][0].set_result("four")
+    assert [asked for _, asked in calls] == [0]
+    calls[0][0].set_result("zero")
+    assert [asked for _, asked in calls] == [0, 4]
+    calls[1][0].set_result("four")
     assert done == ["zero", "four"]
     latest.ask(print, 5)
-    assert len(executor.calls) == 3
+    assert len(calls) == 3
 
 
-def test_an_error_is_told_and_work_goes_on() -> None:
-    latest, executor, _, done, failed = start()
+def test_an_error_is_told_and_a_closed_tab_gets_nothing() -> None:
+    latest, calls, _, done, failed = start()
     latest.ask(print, 0)
     latest.ask(print, 1)
     error = ValueError("no")
-    executor.calls[0][0].set_exception(error)
+    calls[0][0].set_exception(error)
     assert failed == [error]
-    executor.calls[1][0].set_result("one")
+    calls[1][0].set_result("one")
     assert done == ["one"]
-
-
-def test_a_closed_tab_gets_nothing() -> None:
-    latest, executor, tab, done, _ = start()
+    latest, calls, closed, done, _ = start()
     latest.ask(print, 0)
     latest.ask(print, 1)
-    tab.closed[0](None)
-    executor.calls[0][0].set_result("zero")
-    assert done == [] and len(executor.calls) == 1
+    closed[0](None)
+    calls[0][0].set_result("zero")
+    assert done == [] and len(calls) == 1
 
 
 LACKED = "libX11.so.6: cannot open shared object file: No such file or directory"
 
 
-@pytest.mark.parametrize(
-    ("error", "said"),
-    [
-        (
-            ModuleNotFoundError("No module named 'mujoco'", name="mujoco"),
-            "package: 'mujoco' is not installed; allowed: an environment that has it",
-        ),
-        (
-            ImportError(LACKED, name="taichi_python", path="/lib/taichi_python.abi3.so"),
-            f"taichi_python: '{LACKED}' cannot be used; "
-            "allowed: a machine with the libraries that taichi_python needs (README.md)",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("error", "said"), [
+    (ModuleNotFoundError("No module named 'mujoco'", name="mujoco"),
+     "package: 'mujoco' is not installed; allowed: an environment that has it"),
+    (ImportError(LACKED, name="taichi_python", path="/lib/taichi_python.abi3.so"),
+     f"taichi_python: '{LACKED}' cannot be used; "
+     "allowed: a machine with the libraries that taichi_python needs (README.md)"),
+])  # fmt: skip
 def test_what_the_machine_lacks_is_said(error: ImportError, said: str) -> None:
     message = Message()
     message.failed(error)

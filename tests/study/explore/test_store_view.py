@@ -14,26 +14,17 @@ def test_a_text_and_its_ranges() -> None:
     assert ranges == {"speed": (-0.5, 1.25), "phi_printed": (10.0, np.inf)}
     assert read_selection(selection_text(ranges), COLUMNS) == ranges
     assert read_selection("", COLUMNS) == {}
-
-
-def test_ends_are_included_and_what_is_no_number_is_not() -> None:
     values = {"speed": np.array([0.0, 1.0, 2.0, np.nan]), "phi_printed": np.arange(4.0)}
     inside = selected({"speed": (0.0, 1.0), "phi_printed": (1.0, np.inf)}, values.__getitem__, 4)
     assert inside.tolist() == [False, True, False, False]
     assert selected({}, values.__getitem__, 4).all()
 
 
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        ("speed", "column low..high"),
-        ("speed 1", "column low..high"),
-        ("size 1..2", "one of speed, phi_printed"),
-        ("speed a..2", "a number"),
-        ("speed 1..b", "a number"),
-        ("<script>", "column low..high"),
-    ],
-)
+@pytest.mark.parametrize(("text", "named"), [
+    ("speed", "column low..high"), ("speed 1", "column low..high"),
+    ("size 1..2", "one of speed, phi_printed"), ("speed a..2", "a number"),
+    ("speed 1..b", "a number"), ("<script>", "column low..high"),
+])  # fmt: skip
 def test_what_is_no_selection(text: str, named: str) -> None:
     with pytest.raises(InputError, match=named):
         read_selection(text, COLUMNS)

@@ -12,19 +12,9 @@ import pytest
 
 from storage.store import open_store
 from study.experiment.experiment import as_written, read_experiment
+from study.explore import walk as walking
 from study.explore.downloads import NAMES, command_line, file_of_selection, file_of_walk
-from study.explore.walk import (
-    DISTURBANCES,
-    GROUNDS,
-    RATE_HZ,
-    WORLDS,
-    Setting,
-    Walk,
-    chosen_setting,
-    frames_of,
-    to_toml,
-    walk,
-)
+from study.explore.walk import Setting, Walk, chosen_setting, frames_of, to_toml, walk
 from study.gains import gains_of_source
 from study.options import config_path
 from taichi_nmm.config import read_toml
@@ -32,6 +22,8 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker, synthetic_gait
 from tests.tools.running import run_tool
+
+Capture = pytest.CaptureFixture[str]
 
 
 def same_robot(one: Setting, other: Setting) -> None:
@@ -52,9 +44,10 @@ def reread(setting: Setting, folder: Path) -> Setting:
     return Setting(read_experiment(path), setting.run)
 
 
-@pytest.mark.parametrize("ground", GROUNDS)
+@pytest.mark.parametrize("ground", walking.GROUNDS)
 def test_a_chosen_setting_is_a_configuration(ground: str, tmp_path: Path) -> None:
-    for seed, (world, disturbance) in enumerate(zip(WORLDS, [*DISTURBANCES] * 2, strict=False)):
+    robots = zip(walking.WORLDS, [*walking.DISTURBANCES] * 2, strict=False)
+    for seed, (world, disturbance) in enumerate(robots):
         engine = ("taichi", "mujoco")[seed % 2]
         setting = chosen_setting(ground, disturbance, seed, world, engine, 12.5)
         assert setting.experiment.conditions.settings.engine == engine
@@ -91,20 +84,16 @@ def fallen() -> Walk:
 
 
 @pytest.mark.slow
-def test_frames_are_the_poses_of_the_walk(fallen: Walk) -> None:
+def test_a_fall_has_frames_a_reason_and_files(fallen: Walk) -> None:
     frames, trajectory = fallen.frames, fallen.trajectory
     count = len(frames.time_s)
-    assert count == pytest.approx(RATE_HZ * trajectory.time_s[-1], abs=1)
+    assert count == pytest.approx(walking.RATE_HZ * trajectory.time_s[-1], abs=1)
     assert frames.muscles.shape[:2] == (count, 14) and frames.forces.shape == (count, 2, 2, 2)
     hip = np.interp(frames.time_s, trajectory.time_s, trajectory.q[:, 0])
     np.testing.assert_allclose(frames.near[:, 0, 0], hip, atol=1e-4)
     np.testing.assert_allclose(frames.far[:, 0, 0], hip, atol=1e-4)
     assert np.ptp(frames.ground[:, 1]) > 0.1  # steps
     assert all(len(column) == 1 for column in frames.columns().values())
-
-
-@pytest.mark.slow
-def test_a_fall_says_why(fallen: Walk) -> None:
     assert fallen.ended.startswith("fell after ")
     pose = fallen.trajectory.q[-1]
     height_m = pose[1] - fallen.setting.terrain.height(pose[0])
@@ -112,6 +101,12 @@ def test_a_fall_says_why(fallen: Walk) -> None:
     assert ("the trunk leaned" in fallen.ended) == leaned
     assert ("the hip sank to" in fallen.ended) == (not leaned)
     assert leaned or height_m < 0.62
+    begins = {"png": b"\x89PNG", "mp4": b"", "json": b"{", "toml": b"runs", "csv": b"time_s,"}
+    begins |= dict.fromkeys(("mot", "sto"), b"published\n")
+    for wanted in NAMES:
+        name, content = file_of_walk(fallen, wanted)
+        assert name == wanted and len(content) > 100
+        assert content.startswith(begins[name.rpartition(".")[2]])
 
 
 def test_a_walk_that_never_was_finite_still_has_frames_or_says_so() -> None:
@@ -125,10 +120,7 @@ def test_a_walk_that_never_was_finite_still_has_frames_or_says_so() -> None:
 
 @pytest.mark.slow
 def test_what_is_taken_walks_the_same_to_the_bit(
-    fallen: Walk,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    fallen: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for wanted in ("gains.json", "walk.toml"):
@@ -144,16 +136,6 @@ def test_what_is_taken_walks_the_same_to_the_bit(
     assert found["gains"] == dict(zip(GAIN_NAMES, fallen.gains.gains.tolist(), strict=True))
     title, _, rest = file_of_walk(fallen, "walk.sto")[1].partition(b"\n")
     assert title == b"published" and Path("walk.sto").read_bytes() == b"gains\n" + rest
-
-
-@pytest.mark.slow
-def test_every_file_can_be_made(fallen: Walk) -> None:
-    begins = {"png": b"\x89PNG", "mp4": b"", "json": b"{", "toml": b"runs", "csv": b"time_s,",
-              "mot": b"published\n", "sto": b"published\n"}  # fmt: skip
-    for wanted in NAMES:
-        name, content = file_of_walk(fallen, wanted)
-        assert name == wanted and len(content) > 100
-        assert content.startswith(begins[name.rpartition(".")[2]])
 
 
 def test_a_selection_is_read_back(fake_simulator: None, tmp_path: Path) -> None:

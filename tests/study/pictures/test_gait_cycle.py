@@ -7,23 +7,9 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from study.pictures import gait_cycle as cycle
 from study.pictures import write_gait_cycle
-from study.pictures.gait_cycle import (
-    DORSIFLEXION_DEG,
-    EMG_ON_PERCENT,
-    FORWARD_FORCE_BW,
-    HIP_FLEXION_DEG,
-    KNEE_FLEXION_DEG,
-    PANELS,
-    PERCENT,
-    SIZE_IN,
-    VERTICAL_FORCE_BW,
-    HumanRange,
-    Strides,
-    human_distances,
-    left_strides,
-    subtitle,
-)
+from study.pictures.gait_cycle import PANELS, PERCENT, human_distances, left_strides, subtitle
 from study.pictures.style import PNG_DPI
 from taichi_nmm.result import MUSCLES, Trajectory
 from tests.study import synthetic_gait
@@ -35,7 +21,7 @@ COUNT = 4
 
 
 @pytest.mark.parametrize("human", [panel.human for panel in PANELS.values()], ids=list(PANELS))
-def test_a_human_range_covers_the_stride_and_closes(human: HumanRange) -> None:
+def test_a_human_range_covers_the_stride_and_closes(human: cycle.HumanRange) -> None:
     percent = [row[0] for row in human.rows]
     mean, sd = human.at(PERCENT)
     assert percent[0] == 0 and percent[-1] == 100 and np.all(np.diff(percent) > 0)
@@ -44,18 +30,16 @@ def test_a_human_range_covers_the_stride_and_closes(human: HumanRange) -> None:
 
 
 def test_human_ranges_have_the_landmarks_of_walking() -> None:
-    knee, ankle = KNEE_FLEXION_DEG.at(PERCENT)[0], DORSIFLEXION_DEG.at(PERCENT)[0]
-    up, forward = VERTICAL_FORCE_BW.at(PERCENT)[0], FORWARD_FORCE_BW.at(PERCENT)[0]
+    knee, ankle = cycle.KNEE_FLEXION_DEG.at(PERCENT)[0], cycle.DORSIFLEXION_DEG.at(PERCENT)[0]
+    up, forward = cycle.VERTICAL_FORCE_BW.at(PERCENT)[0], cycle.FORWARD_FORCE_BW.at(PERCENT)[0]
     assert 60 < knee.max() < 70 and 68 < PERCENT[knee.argmax()] < 76
     assert -25 < ankle.min() < -15 and 58 < PERCENT[ankle.argmin()] < 68
     # Over a stride each leg carries half the weight and gives back what it braked.
     assert up.mean() == pytest.approx(0.5, abs=0.03)
     assert forward.mean() == pytest.approx(0.0, abs=0.01)
-
-
-def test_every_muscle_has_its_phases() -> None:
-    assert set(EMG_ON_PERCENT) == set(MUSCLES)
-    assert all(0 <= on < off <= 100 for phases in EMG_ON_PERCENT.values() for on, off in phases)
+    assert set(cycle.EMG_ON_PERCENT) == set(MUSCLES)
+    spans = [span for phases in cycle.EMG_ON_PERCENT.values() for span in phases]
+    assert all(0 <= on < off <= 100 for on, off in spans)
 
 
 def test_strides_are_cut_at_left_heel_strikes_in_clinical_signs() -> None:
@@ -64,9 +48,9 @@ def test_strides_are_cut_at_left_heel_strikes_in_clinical_signs() -> None:
     np.testing.assert_allclose(strides.duration_s, STRIDE_S)
     inner = slice(5, -5)  # the synthetic walk has a corner at the strike
     for curves, human, tolerance in (
-        (strides.hip_flexion_deg, HIP_FLEXION_DEG, 0.2),
-        (strides.knee_flexion_deg, KNEE_FLEXION_DEG, 0.5),
-        (strides.dorsiflexion_deg, DORSIFLEXION_DEG, 0.3),
+        (strides.hip_flexion_deg, cycle.HIP_FLEXION_DEG, 0.2),
+        (strides.knee_flexion_deg, cycle.KNEE_FLEXION_DEG, 0.5),
+        (strides.dorsiflexion_deg, cycle.DORSIFLEXION_DEG, 0.3),
     ):
         expected = human.at(PERCENT)[0]
         np.testing.assert_allclose(curves[:, inner], [expected[inner]] * 3, atol=tolerance)
@@ -76,26 +60,23 @@ def test_strides_are_cut_at_left_heel_strikes_in_clinical_signs() -> None:
 def test_forces_are_in_body_weights_and_belong_to_the_middle_of_their_interval() -> None:
     strides = left_strides(WALK, BODY_WEIGHT_N)
     half_interval = 100.0 * 0.005 / STRIDE_S
-    expected = VERTICAL_FORCE_BW.at(np.minimum(PERCENT + half_interval, 100.0))[0]
+    expected = cycle.VERTICAL_FORCE_BW.at(np.minimum(PERCENT + half_interval, 100.0))[0]
     np.testing.assert_allclose(strides.vertical_bw.mean(axis=0)[5:-5], expected[5:-5], atol=0.01)
     assert strides.forward_bw.min() < -0.1 and strides.forward_bw.max() > 0.15
-
-
-def test_too_few_strides_are_said_in_words() -> None:
     strides = left_strides(GLIMPSE, BODY_WEIGHT_N)
     assert len(strides) == 0 and not strides.enough
     assert subtitle(strides).startswith("0 whole strides after settling: too few")
     assert "3 strides" in subtitle(left_strides(WALK, BODY_WEIGHT_N))
 
 
-def shifted(shifts: dict[str, float], deviations: float = 0.0) -> Strides:
+def shifted(shifts: dict[str, float], deviations: float = 0.0) -> cycle.Strides:
     """Strides whose mean is that of people, shifted by so much and by so many deviations."""
     curves = {}
     for name, panel in PANELS.items():
         mean, sd = panel.human.at(PERCENT)
         curves[name] = np.tile(mean + shifts.get(name, 0.0) + deviations * sd, (COUNT, 1))
     activation = np.zeros((7, COUNT, len(PERCENT)))
-    return Strides(
+    return cycle.Strides(
         **curves, activation=activation, take_off_percent=np.zeros(0), duration_s=np.ones(COUNT)
     )
 
@@ -106,16 +87,10 @@ def test_a_shift_is_its_own_distance() -> None:
     assert found["vertical_bw"].rmse == pytest.approx(0.1)
     assert 0.8 < found["hip_flexion_deg"].deviations < 0.95  # people: 6.5 to 7.2 deg
     assert found["knee_flexion_deg"].rmse == found["knee_flexion_deg"].deviations == 0.0
-
-
-def test_one_deviation_of_people_is_one() -> None:
     found = human_distances(shifted({}, deviations=1.0))
     angles = [found[name].deviations for name in PANELS if name.endswith("_deg")]
     assert angles == pytest.approx([1.0, 1.0, 1.0])
     assert 0.0 < found["vertical_bw"].deviations < 1.0  # less than the tables' accuracy in the air
-
-
-def test_too_few_strides_have_no_distance() -> None:
     few = shifted({})
     assert human_distances(replace(few, duration_s=few.duration_s[:2])) == {}
 
@@ -125,5 +100,8 @@ def test_too_few_strides_have_no_distance() -> None:
 def test_a_gait_cycle_is_drawn(tmp_path: Path, trajectory: Trajectory) -> None:
     path = write_gait_cycle(tmp_path / "cycle.png", trajectory, BODY_WEIGHT_N, "a title")
     picture = imread(path)
-    assert picture.shape[:2] == (round(SIZE_IN[1] * PNG_DPI), round(SIZE_IN[0] * PNG_DPI))
+    assert picture.shape[:2] == (
+        round(cycle.SIZE_IN[1] * PNG_DPI),
+        round(cycle.SIZE_IN[0] * PNG_DPI),
+    )
     assert picture[..., :3].std() > 0.03

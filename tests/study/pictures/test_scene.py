@@ -13,7 +13,7 @@ from tests.study import synthetic_gait
 WALK = synthetic_gait.walk()
 
 
-def test_shapes_are_drawn_to_scale() -> None:
+def test_shapes_are_drawn_to_scale_and_a_capsule_has_round_ends() -> None:
     canvas = Canvas((200, 100), left_m=10.0, bottom_m=-1.0, width_m=4.0)
     canvas.polygon(np.array([[11.0, -0.5], [13.0, -0.5], [13.0, 0.5], [11.0, 0.5]]), "#000000")
     canvas.finish()
@@ -21,9 +21,6 @@ def test_shapes_are_drawn_to_scale() -> None:
     assert black.sum() == pytest.approx(100 * 50, rel=0.03)
     assert black[26:74, 51:149].all() and not black[:24].any() and not black[:, :49].any()
     assert canvas.place(11.0, 0.5) == pytest.approx((50.0, 25.0))
-
-
-def test_a_capsule_has_its_width_and_round_ends() -> None:
     outline = capsule(np.array([0.0, 0.0]), np.array([0.0, 2.0]), 0.5)
     np.testing.assert_allclose(outline.min(axis=0), [-0.25, -0.25], atol=1e-12)
     np.testing.assert_allclose(outline.max(axis=0), [0.25, 2.25], atol=1e-12)
@@ -53,8 +50,5 @@ def test_active_muscles_are_darker() -> None:
         return 255.0 - float(picture(SMALL, walk=walk).mean())
 
     assert darkness(0.0) < darkness(0.5) < darkness(1.0)
-
-
-def test_a_title_is_written() -> None:
     corner = np.s_[:40, :200]
     assert (picture(SMALL, "dog")[corner] != picture(SMALL, "random")[corner]).any()

@@ -30,16 +30,14 @@ def test_standing_upright_is_drawn_upright() -> None:
     assert head[1] > shoulder[1]
 
 
-@pytest.mark.parametrize(
-    ("column", "angle", "point", "moves"),
-    [(3, 0.3, "knee", (-1, 1)), (4, 0.3, "ankle", (-1, 1)), (5, 0.3, "ball", (-1, -1))],
-)
-def test_positive_angles_turn_clockwise(
-    column: int, angle: float, point: str, moves: tuple[int, int]
-) -> None:
+TURNS = [(3, "knee", (-1, 1)), (4, "ankle", (-1, 1)), (5, "ball", (-1, -1))]
+
+
+@pytest.mark.parametrize(("column", "point", "moves"), TURNS)
+def test_positive_angles_turn_clockwise(column: int, point: str, moves: tuple[int, int]) -> None:
     q = np.zeros(9)
     before = getattr(leg(q, 0), point)
-    q[column] = angle
+    q[column] = 0.3
     assert tuple(np.sign(getattr(leg(q, 0), point) - before)) == moves
 
 
@@ -57,9 +55,6 @@ def test_the_end_of_the_walk_is_shown() -> None:
     assert end_s - start_s == pytest.approx(2.6 / SPEED_MPS, abs=0.03)
     assert last_metres(WALK, 100.0) == last_seconds(WALK, 100.0) == (WALK.time_s[0], end_s)
     assert last_seconds(WALK, 2.0) == (end_s - 2.0, end_s)
-
-
-def test_a_walker_that_diverged_is_shown_until_it_did() -> None:
     q = WALK.q.copy()
     q[700:, 3] = np.nan
     shown = finite(replace(WALK, q=q))

@@ -27,9 +27,6 @@ def test_a_panel_a_family_and_a_dot_a_row_that_was_run(tmp_path: Path) -> None:
     assert origin == "sobol" and len(speed) == len(survived) == np.count_nonzero(run) > 0
     panels = [axes for axes in draw_store(store).axes if axes.axison]
     assert [axes.get_title() for axes in panels] == ["robust", "up"]
-
-
-def test_a_store_without_families_is_refused(tmp_path: Path) -> None:
-    precompute(fake.specification(), tmp_path / "store")
+    precompute(fake.specification(), tmp_path / "plain")
     with pytest.raises(InputError, match="families"):
-        draw_store(open_store(tmp_path / "store"))
+        draw_store(open_store(tmp_path / "plain"))

@@ -42,7 +42,8 @@ def test_pictures_are_the_same_every_time(tmp_path: Path) -> None:
 
 def test_an_unwritable_place_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
+    place = tmp_path / "file" / "picture.png"
     with pytest.raises(InputError, match="a place that can be written"):
-        write_strip(tmp_path / "file" / "picture.png", GLIMPSE, flat())
+        write_strip(place, GLIMPSE, flat())
     with pytest.raises(InputError, match="a place that can be written"):
-        write_gait_cycle(tmp_path / "file" / "picture.png", GLIMPSE, synthetic_gait.BODY_WEIGHT_N)
+        write_gait_cycle(place, GLIMPSE, synthetic_gait.BODY_WEIGHT_N)

@@ -14,21 +14,12 @@ from taichi_nmm.parameters import GAINS
 
 # Of each arm: how likely a trial walks at first, and how much likelier with every trial.
 ARMS = {
-    "random": (0.007, 0.0),
-    "cmaes-cold": (0.005, 0.0004),
-    "cmaes-warm": (0.02, 0.0006),
-    "cmaes-source": (0.01, 0.0006),
-    "bo-euclidean": (0.006, 0.0003),
-    "score-first-stairs": (0.006, 0.0004),
-    "tpe": (0.006, 0.0005),
-    "dog": (0.02, 0.002),
-    "best-stairs": (0.015, 0.003),
-    "best-worlds": (0.3, 0.01),
-    "score-first-diverse": (0.6, 0.0),
-    "score-first-worlds": (0.4, 0.0),
-    "best-worlds-grid": (0.3, 0.005),
-    "best": (0.75, 0.005),
-}
+    "random": (0.007, 0.0), "cmaes-cold": (0.005, 0.0004), "cmaes-warm": (0.02, 0.0006),
+    "cmaes-source": (0.01, 0.0006), "bo-euclidean": (0.006, 0.0003),
+    "score-first-stairs": (0.006, 0.0004), "tpe": (0.006, 0.0005), "dog": (0.02, 0.002),
+    "best-stairs": (0.015, 0.003), "best-worlds": (0.3, 0.01), "score-first-diverse": (0.6, 0.0),
+    "score-first-worlds": (0.4, 0.0), "best-worlds-grid": (0.3, 0.005), "best": (0.75, 0.005),
+}  # fmt: skip
 
 
 def columns(
@@ -54,25 +45,15 @@ def columns(
     best = np.minimum.accumulate(value.reshape(-1, trials), axis=1).ravel()
     gains = {gain.name: rng.uniform(gain.low, gain.high, n) for gain in GAINS}
     return {
-        "experiment": np.full(n, "made-up"),
-        "arm": arm,
-        "run": run,
-        "trial": trial,
-        **gains,
-        "cost": value,
-        "best_cost": best,
-        "walked": completed,
-    }
+        "experiment": np.full(n, "made-up"), "arm": arm, "run": run, "trial": trial,
+        **gains, "cost": value, "best_cost": best, "walked": completed,
+    }  # fmt: skip
 
 
 def write(
-    folder: Path,
-    arms: dict[str, tuple[float, float]] = ARMS,
-    runs: int = 50,
-    trials: int = 100,
-    cost: str = "smooth",
-    name: str = "made-up",
-) -> Path:
+    folder: Path, arms: dict[str, tuple[float, float]] = ARMS, runs: int = 50, trials: int = 100,
+    cost: str = "smooth", name: str = "made-up",
+) -> Path:  # fmt: skip
     """Such a folder: trials.parquet and experiment.json."""
     folder.mkdir(parents=True, exist_ok=True)
     made = columns(arms, runs, trials, cost)

@@ -26,9 +26,7 @@ def test_every_run_has_a_dot_of_its_own() -> None:
     assert len(none[0]) == len(none[1]) == 0
 
 
-def test_all_figures_are_written_twice_alike(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_figures_are_written_twice_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(style, "PNG_DPI", 80)
     arms = {"dog": (0.1, 0.01), "random": (0.0, 0.0), "best": (0.9, 0.0)}
     results = read_results(synthetic.write(tmp_path / "data", arms, 6, 12, "walking"))

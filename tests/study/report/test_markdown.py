@@ -6,18 +6,11 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import pytest
 
 from study.experiment.arms import ARMS
-from study.report.markdown import (
-    arms_documents,
-    arms_text,
-    condensed_table,
-    facts,
-    overview_text,
-    report_text,
-)
-from study.report.numbers import Numbers, numbers
+from study.report import markdown
+from study.report.markdown import condensed_table, facts, overview_text, report_text
+from study.report.numbers import numbers
 from study.report.runs import Results, read_facts, read_results
 from tests.study.report import synthetic
 from tests.study.report.synthetic import arm, counted
@@ -53,22 +46,16 @@ def test_the_document_has_what_was_counted_and_how(results: Results) -> None:
     assert all(ARMS[name].label in text for name in synthetic.ARMS)
 
 
-def test_a_few_trials_have_a_table_of_costs() -> None:
+def test_few_trials_a_missing_paper_and_an_unfinished_experiment() -> None:
     results = counted(arm("dog", [1, 2], trials=4), arm("random", [np.inf, 3], trials=4))
     text = report_text(results, numbers(results), None)
     costs = rows(text.partition("## Best cost\n\n")[2])
     assert costs["arm"][1:] == ["median best smooth cost after the last trial", "interval", "ms"]
     assert len(costs["dog (DoG, as printed)"]) == 4
-
-
-def test_without_the_papers_method_there_is_no_comparison() -> None:
     results = counted(arm("tpe", [3, 4]))
     found = numbers(results)
     assert found.comparisons == () and found.peer == "tpe"
     assert "paper's method" not in report_text(results, found, None)
-
-
-def test_an_unfinished_experiment_is_marked() -> None:
     results = counted(arm("dog", [1, 2]), arm("tpe", [1], trials=10))
     text = report_text(results, numbers(results), None)
     assert "Unfinished: 90 of 160 trials" in text and "tpe 1 x 10" in text
@@ -86,10 +73,6 @@ def test_facts_of_several_sessions(tmp_path: Path) -> None:
     assert found["machine"] == "system Linux, cores 2"
     (folder / "run.json").unlink()
     assert "date" not in facts(read_results(folder))
-
-
-def test_what_a_folder_says_is_escaped(tmp_path: Path) -> None:
-    folder = synthetic.write(tmp_path, {"dog": (0.1, 0.0)}, 2, 3)
     said = {"machine": {"system": "<script>alert(1)</script>\n# b | c"}}
     (folder / "run.json").write_text(json.dumps({"sessions": [said]}))
     assert read_facts(folder)["sessions"] == [said]
@@ -127,26 +110,19 @@ def test_the_condensed_table_has_the_numbers() -> None:
     assert short["`best`"][11:] == ["-", "-", "-", "-"]
 
 
-@pytest.fixture
-def made(tmp_path: Path) -> Numbers:
+def test_a_comparison_ends_with_a_line_an_arm(tmp_path: Path) -> None:
     arms = {"random": (0.0, 0.0), "dog": (1.0, 0.0), "older": (1.0, 0.0)}
     synthetic.write(tmp_path, arms, runs=3, trials=4)
     times = {"arm": ["dog", "dog", "dog"], "proposal_s": [0.01, 0.02, 0.9]}
     pq.write_table(pa.table(times), tmp_path / "proposal_times.parquet")
-    return numbers(read_results(tmp_path))
-
-
-def test_a_comparison_ends_with_a_line_an_arm(made: Numbers) -> None:
-    header, *lines = arms_text(made).splitlines()
+    made = numbers(read_results(tmp_path))
+    header, *lines = markdown.arms_text(made).splitlines()
     assert [line.split()[0] for line in lines] == ["dog", "older", "random"]
     assert lines[0].split()[1:4] == ["3", "3", "1"] and lines[0].split()[-1] == "20.0"
     assert lines[1].split()[-1] == "-"
     assert lines[2].split()[1:5] == ["3", "0", ">", "4"]
     assert {len(line) for line in lines} == {len(header)}
-
-
-def test_programs_get_the_same(made: Numbers) -> None:
-    dog, older, random = arms_documents(made, {})
+    dog, older, random = markdown.arms_documents(made, {})
     best = next(arm for arm in made.arms if arm.arm == "dog").best_cost.value
     assert dog == {
         "arm": "dog", "saw": "base setting of the store flat", "runs": 3, "trials": 12,

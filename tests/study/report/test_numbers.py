@@ -4,37 +4,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from study.report.numbers import (
-    best_peer,
-    by_rank,
-    curve,
-    holm,
-    kind_of,
-    label_of,
-    mcnemar,
-    median,
-    numbers,
-    resamples,
-    wilcoxon,
-    wilson,
-)
+from study.report import numbers as counts
+from study.report.numbers import curve, holm, median, numbers, wilcoxon, wilson
 from tests.study.report.synthetic import arm, counted
 
 
 def test_the_best_peer_has_most_walkers_then_the_earliest() -> None:
     few, late, early = arm("tpe", [1, np.inf]), arm("random", [9, 9]), arm("cmaes-warm", [4, 4])
     ours = arm("best", [1, 1])
-    assert best_peer([few, late, early, ours]) == "cmaes-warm"
-    assert by_rank({each.arm: each for each in (few, late, early, ours)}) == [
-        "best", "cmaes-warm", "random", "tpe",
-    ]  # fmt: skip
-    assert best_peer([ours]) is None
-
-
-def test_an_arm_that_was_removed_has_its_name_and_is_ours() -> None:
-    assert (kind_of("tpe"), label_of("tpe")) == ("peer", "TPE")
-    assert (kind_of("score-first-old"), label_of("score-first-old")) == ("ours", "score-first-old")
-    assert best_peer([arm("score-first-old", [1])]) is None
+    assert counts.best_peer([few, late, early, ours]) == "cmaes-warm"
+    ranked = counts.by_rank({each.arm: each for each in (few, late, early, ours)})
+    assert ranked == ["best", "cmaes-warm", "random", "tpe"]
+    assert counts.best_peer([ours]) is None
+    assert (counts.kind_of("tpe"), counts.label_of("tpe")) == ("peer", "TPE")
+    old = "score-first-old"
+    assert (counts.kind_of(old), counts.label_of(old)) == ("ours", old)
+    assert counts.best_peer([arm(old, [1])]) is None
 
 
 def test_walkers_are_counted() -> None:
@@ -44,12 +29,10 @@ def test_walkers_are_counted() -> None:
     assert found.first_walker.value == 11
     assert found.within == {1: 1, 3: 2, 10: 2, 30: 4}
     assert list(found.cost_after) == [10, 30]
+    assert list(numbers(counted(arm("dog", [1], trials=10))).arms[0].cost_after) == [10]
     assert found.cost_after[30].value == pytest.approx(1.0 + 2 + 1.0 - 29 / 39)
     assert found.best_cost.value == pytest.approx(1.0 + 2)
-
-
-def test_where_all_runs_have_a_walker_later_limits_are_known() -> None:
-    found = numbers(counted(arm("dog", [1, 2, 5], trials=8))).arms[0]
+    found = numbers(counted(arm("dog", [1, 2, 5], trials=8))).arms[0]  # all have walkers
     assert found.within == {1: 1, 3: 2, 10: 3, 30: 3, 60: 3, 100: 3}
     assert 10 not in numbers(counted(arm("dog", [1, np.inf], trials=8))).arms[0].within
 
@@ -63,17 +46,11 @@ def test_arms_are_compared_with_the_papers_method_on_the_same_runs() -> None:
     assert found[0].difference.value == pytest.approx(-0.5)
     assert found[0].cost.p == pytest.approx(2 / 2**10, rel=0.2)  # ties: all differ by as much
     assert found[0].walkers.unequal == 0
-
-
-def test_p_values_are_adjusted_over_all_arms() -> None:
     arms = [arm(name, [1] * 10, cost=1.5) for name in ("best", "tpe", "random")]
     found = numbers(counted(arm("dog", [40] * 10, cost=2.0), *arms)).comparisons
     assert len(found) == 3
     for each in found:
         assert each.cost_p_holm == pytest.approx(3 * each.cost.p)
-
-
-def test_programs_get_null_for_never() -> None:
     plain = numbers(counted(arm("dog", [np.inf, np.inf]))).as_dict()
     assert plain["arms"][0]["first_walker"]["value"] is None
     assert plain["arms"][0]["within"]["30"] == 0
@@ -90,18 +67,10 @@ def test_wilson_has_the_closed_form(successes: int, count: int) -> None:
         assert (p - share) ** 2 == pytest.approx(z * z * p * (1 - p) / count, abs=1e-12)
 
 
-def test_wilson_of_no_runs_says_nothing() -> None:
-    found = wilson(0, 0)
-    assert np.isnan(found.value)
-    assert (found.low, found.high) == (0.0, 1.0)
-
-
-def test_median_of_equal_runs_is_certain() -> None:
-    found = median(np.full(20, 3.0))
-    assert (found.value, found.low, found.high) == (3.0, 3.0, 3.0)
-
-
-def test_runs_without_a_walker_are_later_than_all_others() -> None:
+def test_runs_without_a_walker_are_later_than_all_others_and_equal_runs_are_certain() -> None:
+    nothing, same = wilson(0, 0), median(np.full(20, 3.0))
+    assert np.isnan(nothing.value) and (nothing.low, nothing.high) == (0.0, 1.0)
+    assert (same.value, same.low, same.high) == (3.0, 3.0, 3.0)
     most = median([1.0, 2.0, 5.0, np.inf, np.inf, np.inf, np.inf])
     assert np.isinf(most.value) and np.isinf(most.high) and np.isfinite(most.low)
     few = median([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, np.inf])
@@ -110,17 +79,13 @@ def test_runs_without_a_walker_are_later_than_all_others() -> None:
     assert np.isinf(none.low)
 
 
-def test_medians_interval_agrees_with_scipys_bootstrap() -> None:
+def test_medians_interval_agrees_with_scipys_bootstrap_and_covers_the_truth() -> None:
     sample = np.random.default_rng(5).exponential(10.0, 50)
-    theirs = stats.bootstrap(
-        (sample,), np.median, method="percentile", n_resamples=10_000, rng=np.random.default_rng(0)
-    ).confidence_interval
+    how = {"method": "percentile", "n_resamples": 10_000, "rng": np.random.default_rng(0)}
+    theirs = stats.bootstrap((sample,), np.median, **how).confidence_interval
     ours = median(sample)
     assert ours.value == np.median(sample)
     assert (ours.low, ours.high) == pytest.approx((theirs.low, theirs.high), rel=0.08)
-
-
-def test_medians_interval_covers_the_truth_as_often_as_it_says() -> None:
     rng = np.random.default_rng(6)
     hits = 0
     for _ in range(80):
@@ -129,7 +94,7 @@ def test_medians_interval_covers_the_truth_as_often_as_it_says() -> None:
     assert 0.88 <= hits / 80 <= 1.0
 
 
-def test_curves_are_means_and_medians_within_their_bands() -> None:
+def test_curves_are_within_their_bands_and_the_same_twice() -> None:
     values = np.random.default_rng(7).normal(5.0, 1.0, (50, 12))
     for statistic in (np.mean, np.median):
         middle, low, high = curve(values, statistic)
@@ -139,12 +104,9 @@ def test_curves_are_means_and_medians_within_their_bands() -> None:
     _, low, high = curve(values, np.mean)
     normal = 2 * 1.96 * values.std(axis=0) / np.sqrt(50)
     np.testing.assert_allclose(high - low, normal, rtol=0.1)
-
-
-def test_a_report_made_twice_is_the_same() -> None:
-    np.testing.assert_array_equal(resamples(7, 5), resamples(7, 5))
-    assert resamples(7, 5).max() < 7
-    assert not np.array_equal(resamples(7, 5)[:, :6], resamples(6, 5))
+    np.testing.assert_array_equal(counts.resamples(7, 5), counts.resamples(7, 5))
+    assert counts.resamples(7, 5).max() < 7
+    assert not np.array_equal(counts.resamples(7, 5)[:, :6], counts.resamples(6, 5))
 
 
 def test_wilcoxon_of_all_better_has_the_closed_form() -> None:
@@ -152,9 +114,6 @@ def test_wilcoxon_of_all_better_has_the_closed_form() -> None:
     found = wilcoxon(np.arange(8.0), np.arange(8.0) + np.linspace(1, 2, 8))
     assert (found.pairs, found.unequal) == (8, 8)
     assert found.p == pytest.approx(2 / 2**8)
-
-
-def test_equal_pairs_decide_nothing() -> None:
     same = wilcoxon([1.0, 2.0], [1.0, 2.0])
     assert (same.pairs, same.unequal, same.p) == (2, 0, 1.0)
     some = wilcoxon([1.0, 2.0, 3.0, 4.0], [1.0, 2.1, 3.2, 4.4])
@@ -165,10 +124,10 @@ def test_equal_pairs_decide_nothing() -> None:
 def test_mcnemar_rests_on_runs_of_which_one_arm_alone_walked() -> None:
     ours = np.array([True] * 40 + [False] * 10)
     theirs = np.array([True] * 34 + [False] * 16)
-    found = mcnemar(ours, theirs)
+    found = counts.mcnemar(ours, theirs)
     assert (found.pairs, found.unequal) == (50, 6)
     assert found.p == pytest.approx(2 / 2**6)
-    assert mcnemar(ours, ours).p == 1.0
+    assert counts.mcnemar(ours, ours).p == 1.0
 
 
 def test_holm_is_the_textbooks() -> None:

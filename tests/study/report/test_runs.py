@@ -69,6 +69,10 @@ def test_the_order_of_the_rows_does_not_matter(folder: Path, table: pa.Table) ->
 
 
 def test_a_checkpoint_with_more_trials_counts(folder: Path, table: pa.Table) -> None:
+    late = pc.and_(pc.equal(table["run"], 3), pc.greater_equal(table["trial"], 4))
+    rewrite(folder, table.filter(pc.invert(late)))
+    results = read_results(folder)  # runs count as far as all have come
+    assert results.arms["dog"].best.shape == (4, 4) and not results.complete
     (folder / "arms").mkdir()
     pq.write_table(table.filter(pc.equal(table["arm"], "dog")), folder / "arms" / "dog.parquet")
     (folder / "arms" / ".random.parquet.1.tmp").write_bytes(b"half")
@@ -79,14 +83,6 @@ def test_a_checkpoint_with_more_trials_counts(folder: Path, table: pa.Table) -> 
     assert (results.complete, results.found, results.planned) == (False, 24 + 8, 48)
     (folder / "trials.parquet").unlink()
     assert list(read_results(folder).arms) == ["dog"]
-
-
-def test_runs_count_as_far_as_all_have_come(folder: Path, table: pa.Table) -> None:
-    late = pc.and_(pc.equal(table["run"], 3), pc.greater_equal(table["trial"], 4))
-    rewrite(folder, table.filter(pc.invert(late)))
-    results = read_results(folder)
-    assert results.arms["dog"].best.shape == (4, 4)
-    assert not results.complete
 
 
 @pytest.mark.parametrize("cost", ["smooth", "walking"])
@@ -101,9 +97,6 @@ def test_facts_of_the_run_are_kept(folder: Path) -> None:
     (folder / "run.json").write_text(json.dumps({"machine": "two cores"}))
     known = read_results(folder).facts
     assert known["machine"] == "two cores" and known["seed"] == 1
-
-
-def test_proposal_times_are_medians_of_each_arm(folder: Path) -> None:
     assert read_results(folder).arms["dog"].proposal_ms is None
     times = {"arm": ["dog", "dog", "dog", "random"], "proposal_s": [0.01, 0.02, 0.9, 0.001]}
     pq.write_table(pa.table(times), folder / "proposal_times.parquet")
@@ -135,9 +128,6 @@ def test_a_folder_without_trials_is_refused(folder: Path, table: pa.Table, tmp_p
     for empty in (folder, tmp_path):
         message = refusal(empty)
         assert message.startswith("folder: ") and "trials.parquet, with trials" in message
-
-
-def test_a_damaged_table_is_refused(folder: Path, table: pa.Table) -> None:
     rewrite(folder, table.drop_columns(["best_cost"]))
     assert "column: 'best_cost'" in refusal(folder)
     (folder / "trials.parquet").write_bytes(b"PAR1 and no more")
