@@ -1,7 +1,6 @@
 """The contract of all forms of the sampler with Optuna, their options, and large tables."""
 
 import json
-import multiprocessing
 import pickle
 import re
 import signal
@@ -64,11 +63,6 @@ def run(form: str, trials: int = 9) -> list[dict[str, Any]]:
     return params_of(study)
 
 
-def run_elsewhere(queue: "multiprocessing.Queue[dict[str, Any]]") -> None:
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    queue.put({form: run(form) for form in FORMS})
-
-
 @pytest.mark.parametrize("form", FORMS)
 def test_the_state_is_in_the_trials_also_after_reseeding(form):
     study, pieces = optuna.create_study(sampler=FORMS[form]()), optuna.create_study()
@@ -78,15 +72,18 @@ def test_the_state_is_in_the_trials_also_after_reseeding(form):
     assert params_of(study) == params_of(pieces) == run(form)
 
 
+ELSEWHERE = """
+import json, optuna
+from tests.study.sampler.test_sampler import FORMS, run
+optuna.logging.set_verbosity(optuna.logging.ERROR)
+print(json.dumps({form: run(form) for form in FORMS}))
+"""
+
+
 @pytest.mark.slow
-def test_a_spawned_process_proposes_the_same():
-    context = multiprocessing.get_context("spawn")
-    queue = context.Queue()
-    process = context.Process(target=run_elsewhere, args=(queue,))
-    process.start()
-    there = queue.get(timeout=100)
-    process.join()
-    assert there == {form: run(form) for form in FORMS}
+def test_another_process_proposes_the_same():
+    there = run_code(ELSEWHERE)
+    assert json.loads(there.stdout) == {form: run(form) for form in FORMS}, there.stderr
 
 
 SCRIPT = """
@@ -172,20 +169,15 @@ def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such(monkeyp
 
 
 @pytest.mark.parametrize("gaps", [[np.nan, 1.0], [np.nan, np.nan]])
-def test_a_trial_off_the_table_may_have_gaps(gaps):
+def test_a_trial_off_the_table_may_have_gaps_and_none_near_it_is_tried_twice(gaps):
     """As a function may return for a point that it cannot do, here one that a user enqueued."""
 
     def function(params):
-        outside = (params[:, 0] < -0.5)[:, None]
-        return np.where(outside, gaps, features(params))
+        return np.where((params[:, 0] < -0.5)[:, None], gaps, features(params))
 
-    study = study_of(small_table(), seed=0, feature_function=function)
-    study.enqueue_trial({"a": -0.77, "b": 1.0})
-    study.optimize(bowl, n_trials=6)
+    options = {"seed": 0, "feature_function": function}
+    study = study_of(small_table(), bowl, 6, enqueued=[{"a": -0.77, "b": 1.0}], **options)
     assert len({trial.user_attrs.get("row") for trial in study.trials}) == 6
-
-
-def test_points_near_a_table_of_integers_are_not_tried_twice():
     table = FeatureTable.from_arrays({"n": [1, 3, 9]}, [1.0, 3.0, 9.0])
     options = {"seed": 0, "off_grid": 50, "feature_function": lambda p: p}
     study = study_of(table, lambda trial: trial.suggest_int("n", 1, 9), 7, **options)
@@ -424,8 +416,7 @@ def test_extreme_costs_and_constraints_are_learned_from(costs, limit, kernel):
 def test_extreme_features_tell_rows_apart(kernel):
     features = np.where(np.arange(30) % 2, LARGEST, -LARGEST) * LINE
     table = FeatureTable.from_arrays({"x": LINE}, features)
-    study = study_of(table, seed=1, kernel=kernel)
-    study.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=6)
+    study = study_of(table, lambda t: t.suggest_float("x", 0, 1), 6, seed=1, kernel=kernel)
     assert len({trial.params["x"] for trial in study.trials}) == 6
 
 

@@ -53,10 +53,8 @@ def test_no_row_is_proposed_twice(kind, workers, tmp_path):
     trials = TRIALS if workers == 4 and kind == "sqlite" else TRIALS // 2
     optuna.create_study(study_name="s", storage=open_storage(kind, tmp_path))
     context = multiprocessing.get_context("spawn")
-    processes = [
-        context.Process(target=work, args=(kind, tmp_path, trials // workers))
-        for _ in range(workers)
-    ]
+    given = {"target": work, "args": (kind, tmp_path, trials // workers)}
+    processes = [context.Process(**given) for _ in range(workers)]
     for process in processes:
         process.start()
     for process in processes:
