@@ -90,7 +90,7 @@ def test_a_studys_history_draws(page: Any, address: str, studies: dict[str, int]
     save(page, "history")
 
 
-def test_the_best_trial_shows_picture_and_film(
+def test_the_best_trial_shows_its_pictures(
     page: Any, address: str, studies: dict[str, int]
 ) -> None:
     page.goto(f"{address}/dashboard/studies/{studies['tiny/dog/run-000']}/trials?numbers=1")
@@ -117,9 +117,7 @@ def test_the_compare_page_draws_two_arms(page: Any, address: str, studies: dict[
     save(page, "compare")
 
 
-def test_the_summary_shows_table_and_figure(
-    page: Any, address: str, studies: dict[str, int]
-) -> None:
+def test_the_summary_has_table_and_figure(page: Any, address: str, studies: dict[str, int]) -> None:
     page.goto(f"{address}/dashboard/studies/{studies['tiny/summary']}/note")
     row = page.locator("tr", has_text="dog").first
     row.wait_for()

@@ -120,9 +120,7 @@ def test_a_schema_that_is_no_text_is_one_line(url: str, check: Callable[[], None
     assert file.read_bytes() == content
 
 
-def test_a_name_too_long_for_a_lock_is_refused_before_the_database_is_made(
-    toy: Experiment, tmp_path: Path
-) -> None:
+def test_a_name_too_long_for_a_lock_is_refused_at_once(toy: Experiment, tmp_path: Path) -> None:
     long = replace(toy, name="x" * 240)
     with pytest.raises(InputError, match=r"^storage: .*File name too long"):
         check_study(long, find_arm("dog"), 0, f"sqlite:///{tmp_path}/new.db", tmp_path / "out")
@@ -189,9 +187,7 @@ def test_a_comparison_writes_no_table_before_its_database_is_refused(
     refuses_before_it_works(toy, tmp_path, arm, lambda url: edit(url, command), message)
 
 
-def test_a_file_with_a_damaged_page_is_refused_before_the_work(
-    toy: Experiment, tmp_path: Path
-) -> None:
+def test_a_damaged_page_is_refused_before_the_work(toy: Experiment, tmp_path: Path) -> None:
     def damage(url: str) -> bytes:
         content = edit(url)[:-4096] + b"\xff" * 4096  # SQLite's page
         Path(url.removeprefix("sqlite:///")).write_bytes(content)

@@ -65,15 +65,14 @@ def test_trials_say_what_happened(toy: Experiment, arm: str) -> None:
     trials = run(toy, arm, 5, InMemoryStorage())
     assert len(trials) == 5
     for trial in trials:
-        assert tuple(trial.params) == GAIN_NAMES
-        assert trial.distributions == toy.space
-        attributes = trial.user_attrs
-        assert set(ATTRIBUTES) <= set(attributes)
-        assert attributes["end_reason"] in ("completed", "fell", "diverged")
-        assert 0 < attributes["duration_s"] <= 20
+        assert tuple(trial.params) == GAIN_NAMES and trial.distributions == toy.space
+        noted = trial.user_attrs
+        assert set(ATTRIBUTES) <= set(noted)
+        assert noted["end_reason"] in ("completed", "fell", "diverged")
+        assert 0 < noted["duration_s"] <= 20
         first = arm == "cmaes-warm" and trial.number == 0
-        assert ("row" in attributes) == (arm in ("dog", "best") or first)
-        assert ("score" in attributes) == (arm == "dog" or first)
+        assert ("row" in noted) == (arm in ("dog", "best") or first)
+        assert ("score" in noted) == (arm == "dog" or first)
 
 
 def test_the_cost_is_that_of_the_run_and_the_configured_one(toy: Experiment) -> None:
@@ -99,12 +98,6 @@ def test_a_study_says_what_its_objective_is_called(toy: Experiment) -> None:
     assert walking.metric_names == ["walking_cost"]
 
 
-def compared(comparisons: Comparisons, arms: tuple[str, ...], trials: int) -> Any:
-    """The results of a comparison of two runs, a data frame."""
-    comparisons.run("compared", arms=arms, runs=2, trials=trials)
-    return comparisons.table("compared").to_pandas()
-
-
 def assert_same(trials: list[FrozenTrial], frame: Any, arm: str, names: tuple[str, ...]) -> None:
     """The trials of a study are run 1 of the table, to the bit."""
     rows = frame[(frame.arm == arm) & (frame.run == 1)].to_dict("records")
@@ -122,7 +115,9 @@ def test_a_live_study_is_that_of_a_comparison(
     comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also when it is run in pieces, and stopped in the middle by Ctrl-C or the simulator."""
-    frame, toy = compared(comparisons, LIVE, TRIALS), comparisons.experiment
+    toy = comparisons.experiment
+    comparisons.run("compared", arms=LIVE, runs=2, trials=TRIALS)
+    frame = comparisons.table("compared").to_pandas()
     database = open_studies(f"sqlite:///{comparisons.folder}/studies.db")
     pieces = open_studies(f"sqlite:///{comparisons.folder}/pieces.db")
     for arm in LIVE:
@@ -140,8 +135,10 @@ def test_a_live_study_is_that_of_a_comparison(
 
 
 def test_every_arm_of_the_registry_runs_live_as_compared(comparisons: Comparisons) -> None:
-    frame, toy = compared(comparisons, tuple(ARMS), 3), comparisons.experiment
-    for arm in tuple(ARMS):
+    toy = comparisons.experiment
+    comparisons.run("compared", arms=tuple(ARMS), runs=2, trials=3)
+    frame = comparisons.table("compared").to_pandas()
+    for arm in ARMS:
         assert_same(run(toy, arm, 3, InMemoryStorage(), 1), frame, arm, toy.names)
 
 
@@ -304,33 +301,20 @@ def test_another_store_or_definition_of_the_arm_is_refused(
         run(toy, "dog", 3, storage)
 
 
-@pytest.mark.parametrize(
-    ("there", "message"),
-    [
+def test_a_study_of_an_earlier_version_or_another_program_is_refused(toy: Experiment) -> None:
+    for there, message in (
         ("toy/dog", r"study: 'toy/dog' .* of an earlier version, and is now toy/dog/run-001"),
         ("toy/dog/run-001", r"study: 'toy/dog/run-001' .* of another program"),
-    ],
-)
-def test_a_study_of_an_earlier_version_or_another_program_is_refused(
-    toy: Experiment, there: str, message: str
-) -> None:
-    storage = InMemoryStorage()
-    optuna.create_study(storage=storage, study_name=there).ask()
-    with refused(message):
-        run(toy, "dog", 2, storage, 1)
-    assert optuna.get_all_study_names(storage) == [there]
-    assert len(run(toy, "random", 1, storage, 1)) == 1
+    ):
+        storage = InMemoryStorage()
+        optuna.create_study(storage=storage, study_name=there).ask()
+        with refused(message):
+            run(toy, "dog", 2, storage, 1)
+        assert optuna.get_all_study_names(storage) == [there]
+        assert len(run(toy, "random", 1, storage, 1)) == 1
 
 
-def test_a_study_that_was_made_and_killed_at_once_is_taken(toy: Experiment) -> None:
-    storage = InMemoryStorage()
-    optuna.create_study(storage=storage, study_name="toy/dog/run-000")
-    assert len(run(toy, "dog", 2, storage)) == 2
-
-
-def test_live_studies_and_comparisons_leave_each_others_alone(
-    toy: Experiment, tmp_path: Path
-) -> None:
+def test_live_studies_and_comparisons_leave_each_other(toy: Experiment, tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path}/studies.db"
     request = Request(tmp_path / "out", url, ("dog",), runs=1, trials=2, artifacts=False)
     compare(toy, request, lambda progress: None)

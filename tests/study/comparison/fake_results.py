@@ -42,22 +42,18 @@ def results(of: Experiment, runs: int = 2, trials: int = 3, arms: Sequence[str] 
 
 def _row(of: Experiment, arm: str, run: int, trial: int) -> dict[str, Any]:
     rng = np.random.default_rng([len(arm), run, trial])
-    names = [gain.name for gain in GAINS]
     gains = {gain.name: float(rng.uniform(gain.low, gain.high)) for gain in GAINS}
-    costs = [_cost(arm, run, before) for before in range(trial + 1)]
+    # The arm dog gets below 100, and so walks, at trial 1 of run 0 only.
+    costs = [300.0 - 10 * ((before + run) % 3) for before in range(trial + 1)]
+    if (arm, run) == ("dog", 0) and trial > 0:
+        costs[1] = 90.0
     (theta_ref,) = (gain.default for gain in LOW_LEVEL_GAINS if gain.name == "theta_ref")
     walked = costs[-1] < 100
     return {
-        "experiment": of.name, "arm": arm, "run": run, "trial": trial,
-        **{name: gains[name] for name in names},
+        "experiment": of.name, "arm": arm, "run": run, "trial": trial, **gains,
         "theta_ref": theta_ref + 0.01 * trial if "theta_ref" in of.searched else theta_ref,
         "row": 10 * run + trial, "cost": costs[-1], "best_cost": min(costs), "walked": walked,
         "duration_s": 2.0, "distance_m": 1.0 + trial, "mean_speed_mps": 0.5,
         "cost_of_transport_jpkgpm": 4.0, "end_reason": "completed" if walked else "fell",
         "survived_fraction": 0.5, "step_count": 3, "phi_printed": 1.5, "phi_corrected": 2.5,
     }  # fmt: skip
-
-
-def _cost(arm: str, run: int, trial: int) -> float:
-    """The arm dog gets below 100, and so walks, at trial 1 of run 0 only."""
-    return 90.0 if (arm, run, trial) == ("dog", 0, 1) else 300.0 - 10 * ((trial + run) % 3)

@@ -31,7 +31,7 @@ GLIMPSE = synthetic_gait.walk(0.3, 50.0)
 STUDIES = ("tiny/dog/run-000", "tiny/dog/run-001", "tiny/random/run-000", "tiny/random/run-001")
 
 
-class Simulations:
+class Fake:
     """Stands for the simulator, and remembers what it was asked for."""
 
     def __init__(self) -> None:
@@ -48,8 +48,8 @@ class Simulations:
 
 
 @pytest.fixture
-def simulations(monkeypatch: pytest.MonkeyPatch) -> Simulations:
-    fake = Simulations()
+def fake(monkeypatch: pytest.MonkeyPatch) -> Fake:
+    fake = Fake()
     monkeypatch.setattr(artifacts, "simulate_trials", fake)
     return fake
 
@@ -65,7 +65,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("made")
     url = f"sqlite:///{folder}/studies.db"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(artifacts, "simulate_trials", Simulations())
+        patch.setattr(artifacts, "simulate_trials", Fake())
         assert make(results(TINY), url, folder) == [(done, 4) for done in range(5)]
     return folder, url
 
@@ -134,7 +134,7 @@ def test_a_note_shows_the_picture(made: tuple[Path, str]) -> None:
 
 
 def test_a_note_of_the_users_stays_and_one_that_a_kill_left_out_is_made_up_for(
-    tmp_path: Path, url: str, simulations: Simulations, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, url: str, fake: Fake, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     export(TINY, results(TINY), url, None, final=True)
     first, second = load(url), load(url, STUDIES[1])
@@ -167,22 +167,22 @@ def test_the_best_is_the_first_of_the_cheapest_and_equal_ones_are_shared() -> No
     assert walks[1].title == "tiny, run 1: fell after 2.0 s, 2.0 m at 0.50 m/s"
 
 
-def test_shared_files_are_drawn_once(tmp_path: Path, url: str, simulations: Simulations) -> None:
+def test_shared_files_are_drawn_once(tmp_path: Path, url: str, fake: Fake) -> None:
     make(results(TINY, arms=("abc", "two")), url, tmp_path)
     assert len(list((tmp_path / "artifacts").iterdir())) == 4
     assert found(url, "tiny/abc/run-001", 1) == found(url, "tiny/two/run-001", 1) != {}
 
 
 def test_all_are_simulated_together_from_the_start(
-    tmp_path: Path, url: str, simulations: Simulations, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, url: str, fake: Fake, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(artifacts, "WALKS_PER_BATCH", 3)
     table = results(TINY)
     make(table, url, tmp_path)
-    assert simulations.runs == [[0, 1, 0], [1]]
+    assert fake.runs == [[0, 1, 0], [1]]
     expected = np.array([walk.gains for walk in best_walks(TINY, table)])
-    np.testing.assert_array_equal(np.vstack(simulations.gains), expected)
-    for options in simulations.options:
+    np.testing.assert_array_equal(np.vstack(fake.gains), expected)
+    for options in fake.options:
         assert options["record"] is True and options["duration_s"] == TINY.conditions.duration_s
 
 
@@ -190,9 +190,7 @@ def times_of(files: list[Path]) -> list[int]:
     return [file.stat().st_mtime_ns for file in files]
 
 
-def test_what_is_there_is_kept_and_what_is_missing_is_made(
-    tmp_path: Path, url: str, simulations: Simulations
-) -> None:
+def test_what_is_there_is_kept_and_the_rest_is_made(tmp_path: Path, url: str, fake: Fake) -> None:
     table = results(TINY)
     make(table, url, tmp_path)
     files = sorted((tmp_path / "artifacts").iterdir())
@@ -200,28 +198,26 @@ def test_what_is_there_is_kept_and_what_is_missing_is_made(
     files[0].unlink()
     (tmp_path / "artifacts" / ".x.1.tmp").touch()  # of a call that was killed
     assert make(table, url, tmp_path) == [(3, 4), (4, 4)]
-    assert simulations.runs[1:] == [[simulations.runs[1][0]]]
+    assert fake.runs[1:] == [[fake.runs[1][0]]]
     assert sorted((tmp_path / "artifacts").iterdir()) == files
     assert times_of(files)[1:] == times[1:]
-    assert make(table, url, tmp_path) == [(4, 4)] and len(simulations.runs) == 2
+    assert make(table, url, tmp_path) == [(4, 4)] and len(fake.runs) == 2
     another = f"sqlite:///{tmp_path}/another.db"  # a new database, the files as they are
     assert make(table, another, tmp_path) == [(4, 4)]
     assert set(found(another, STUDIES[0], 1)) == {"strip.png", "film.mp4"}
 
 
 def test_a_walker_that_diverged_at_once_has_no_picture(
-    tmp_path: Path, url: str, simulations: Simulations
+    tmp_path: Path, url: str, fake: Fake
 ) -> None:
     lost = synthetic_gait.walk(0.1)
     lost.q[:] = np.nan
-    simulations.walks = (lost, GLIMPSE, GLIMPSE, GLIMPSE)
+    fake.walks = (lost, GLIMPSE, GLIMPSE, GLIMPSE)
     make(results(TINY), url, tmp_path)
     assert not found(url, STUDIES[0], 1) and found(url, STUDIES[1], 1)
 
 
-def test_several_processes_draw_the_same_files(
-    tmp_path: Path, url: str, simulations: Simulations
-) -> None:
+def test_several_processes_draw_the_same_files(tmp_path: Path, url: str, fake: Fake) -> None:
     table = results(TINY, runs=3, arms=("dog",))
     make(table, url, tmp_path / "one")
     with local_pool(2) as pool:
@@ -231,9 +227,7 @@ def test_several_processes_draw_the_same_files(
     assert [file.read_bytes() for file in one] == [file.read_bytes() for file in two]
 
 
-def test_later_runs_get_a_film_where_it_is_asked_for(
-    tmp_path: Path, url: str, simulations: Simulations
-) -> None:
+def test_later_runs_get_a_film_where_it_is_asked_for(tmp_path: Path, url: str, fake: Fake) -> None:
     table = results(TINY, runs=FILM_RUNS + 1, arms=("dog",))
     make(table, url, tmp_path)
     name = f"tiny/dog/run-{FILM_RUNS:03d}"
@@ -255,12 +249,12 @@ def test_a_process_that_cannot_write_says_so_in_one_line(tmp_path: Path, workers
 
 
 def test_a_missing_ffmpeg_is_told_before_anything_is_drawn(
-    tmp_path: Path, url: str, simulations: Simulations, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, url: str, fake: Fake, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
     with refused("ffmpeg: .* a working ffmpeg"):
         make(results(TINY), url, tmp_path)
-    assert not simulations.runs and not (tmp_path / "artifacts").exists()
+    assert not fake.runs and not (tmp_path / "artifacts").exists()
     assert movie.FIXING  # one line names what to install
 
 

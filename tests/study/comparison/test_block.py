@@ -1,13 +1,10 @@
 """The unit of work: it goes on from where its studies are, and tries a walk once."""
 
 import pickle
-from collections import deque
-from dataclasses import replace
 
 import pyarrow as pa
 import pytest
 
-from storage.pool import local_pool
 from study.comparison.block import Block, advance
 from study.comparison.folder import NOTES, PROPOSAL_TIME, STATE_SCHEMA, in_order, outcomes_of
 from study.experiment.arms import ARMS
@@ -16,7 +13,6 @@ from study.experiment.trials import KEPT
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import COMPLETED
 from tests.study import fake_walker
-from tests.study.conftest import refused
 
 NOTHING = STATE_SCHEMA.empty_table()
 
@@ -37,13 +33,6 @@ def test_a_table_holds_what_the_simulator_said(toy: Experiment) -> None:
     assert table.schema.equals(STATE_SCHEMA)
     assert table["walked"].to_pylist() == [bool(said["end_reason"][0] == COMPLETED)]
     assert table[NOTES].to_pylist() == ["{}"]
-
-
-@pytest.mark.slow
-def test_an_error_in_a_process_is_one_line_here(toy: Experiment) -> None:
-    units = deque([Block(replace(toy, stores={}), (("dog", 0),), NOTHING, 3)])
-    with local_pool(2) as pool, refused(r"stores\.flat: 'missing'"):
-        list(pool.results(advance, units))
 
 
 @pytest.mark.slow
@@ -76,27 +65,16 @@ def simulated() -> int:
 
 
 def test_what_several_arms_try_is_simulated_once(toy: Experiment) -> None:
+    """Also when it was tried in the stretch or the session before."""
     fake_walker.calls.clear()
-    table = advance(Block(toy, SHARING, NOTHING, 8)).table
-    assert simulated() == different(table) < len(table) == 8 * len(SHARING)
-    alone = [advance(Block(toy, (study,), NOTHING, 8)).table for study in SHARING]
-    assert sorted_rows(table) == sorted_rows(*alone)
-
-
-@pytest.mark.parametrize("handed_on", [True, False], ids=["next stretch", "next session"])
-def test_walks_of_before_are_known(toy: Experiment, handed_on: bool) -> None:
     whole = advance(Block(toy, SHARING, NOTHING, 8)).table
-    fake_walker.calls.clear()
-    first = advance(Block(toy, SHARING, NOTHING, 3))
-    known = (NOTHING, 8, first.studies, first.walks) if handed_on else (first.table, 8)
-    rest = advance(Block(toy, SHARING, *known)).table
-    assert sorted_rows(first.table, rest) == sorted_rows(whole)
-    assert simulated() == different(whole)
-
-
-def test_another_robot_is_another_walk(toy: Experiment) -> None:
-    fake_walker.calls.clear()
-    studies = tuple(("score-first-diverse", run) for run in (0, 1))
-    table = advance(Block(toy, studies, NOTHING, 1)).table
-    assert table["row"][0] == table["row"][1] and simulated() == 2
-    assert table["distance_m"][0] != table["distance_m"][1]
+    assert simulated() == different(whole) < len(whole) == 8 * len(SHARING)
+    alone = [advance(Block(toy, (study,), NOTHING, 8)).table for study in SHARING]
+    assert sorted_rows(whole) == sorted_rows(*alone)
+    for next_stretch in (True, False):
+        fake_walker.calls.clear()
+        first = advance(Block(toy, SHARING, NOTHING, 3))
+        known = (NOTHING, 8, first.studies, first.walks) if next_stretch else (first.table, 8)
+        rest = advance(Block(toy, SHARING, *known)).table
+        assert sorted_rows(first.table, rest) == sorted_rows(whole)
+        assert simulated() == different(whole)

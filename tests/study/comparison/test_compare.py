@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +29,6 @@ from tests.study.conftest import Comparisons, refused
 pytestmark = pytest.mark.slow
 
 STATEFUL = ("random", "dog", "cmaes-cold", "cmaes-warm")  # one of each way to keep a state
-
-
 CutInto = Callable[[int, int], None]
 
 
@@ -44,9 +43,7 @@ def cut_into(monkeypatch: pytest.MonkeyPatch) -> CutInto:
     return into
 
 
-def test_a_round_is_one_batch_in_which_arms_share_bodies_and_grounds(
-    comparisons: Comparisons,
-) -> None:
+def test_a_round_is_one_batch_and_arms_share_bodies_and_grounds(comparisons: Comparisons) -> None:
     fake_walker.calls.clear()
     comparisons.run("out", arms=("random", "dog", "cmaes-cold"))  # which share no gains
     assert len(fake_walker.calls) == 8  # rounds, not 8 trials x 9 studies
@@ -64,8 +61,7 @@ def test_a_round_is_one_batch_in_which_arms_share_bodies_and_grounds(
 
 
 def test_the_table_has_every_trial_once_and_no_gaps(comparisons: Comparisons) -> None:
-    outcome = comparisons.run("out")
-    table = comparisons.table("out")
+    outcome, table = comparisons.run("out"), comparisons.table("out")
     assert outcome.computed == len(table) == 3 * 3 * 8
     assert table.schema.remove_metadata().equals(RESULT_SCHEMA)
     frame = table.to_pandas()
@@ -83,19 +79,12 @@ def test_the_table_has_every_trial_once_and_no_gaps(comparisons: Comparisons) ->
     rows = frame[frame.arm != "random"]  # of the store, each named by its number
     np.testing.assert_array_equal(rows[list(GAIN_NAMES)], store.loc[rows.row, list(GAIN_NAMES)])
     times = pq.read_table(comparisons.folder / "out" / "proposal_times.parquet").to_pandas()
-    assert times[["arm", "run", "trial"]].equals(keys)
-    assert (times.proposal_s > 0).all()
-
-
-def test_the_footer_is_the_experiment(comparisons: Comparisons) -> None:
-    comparisons.run("out")
+    assert times[["arm", "run", "trial"]].equals(keys) and (times.proposal_s > 0).all()
     written = json.loads((comparisons.folder / "out" / "experiment.json").read_text())
-    footer = json.loads(comparisons.table("out").schema.metadata[b"taichi_nmm"])
-    assert footer == written and written["name"] == "toy"
-    assert set(written["stores"]) == {"flat", "diverse"}
+    assert json.loads(table.schema.metadata[b"taichi_nmm"]) == written
+    assert written["name"] == "toy" and set(written["stores"]) == {"flat", "diverse"}
     assert set(written["arms"]) == {"random", "dog", "score-first-diverse"}
     assert written["arms"]["dog"]["options"] == {"kernel": "rbf"}
-    assert "optuna" in written["versions"]
 
 
 def test_growing_an_experiment_is_the_same_as_all_at_once(comparisons: Comparisons) -> None:
@@ -123,75 +112,54 @@ def test_an_interrupted_experiment_goes_on(
     assert comparisons.content("out") == comparisons.content("whole")
 
 
-def test_any_number_of_interruptions_leaves_no_trace(
+def test_results_do_not_depend_on_cuts_slots_and_interruptions(
     comparisons: Comparisons, cut_into: CutInto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     comparisons.run("whole", arms=STATEFUL)
+    for slots in (2, 5, 100):
+        request = Request(comparisons.folder / f"{slots}", arms=STATEFUL, artifacts=False)
+        compare(comparisons.experiment, request, lambda _: None, pool=Pool(InProcess(), slots))
+        assert comparisons.content(f"{slots}") == comparisons.content("whole")
+        assert all(call["settings"].threads == 1 for call in fake_walker.calls[-12:])
     cut_into(2, 3)
     stops = 0
     while True:
         monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(8))
         try:
-            comparisons.run("out", arms=STATEFUL)
+            comparisons.run("stopped", arms=STATEFUL)
             break
         except KeyboardInterrupt:
             stops += 1
     assert stops > 3
-    assert comparisons.content("out") == comparisons.content("whole")
-
-
-@pytest.mark.parametrize("stretch", [1, 2, 1000])
-@pytest.mark.parametrize("block", [1, 2, 1000])
-def test_results_do_not_depend_on_the_cut(
-    block: int, stretch: int, comparisons: Comparisons, cut_into: CutInto
-) -> None:
-    comparisons.run("whole", arms=STATEFUL, trials=5)
-    cut_into(block, stretch)
-    comparisons.run("cut", arms=STATEFUL, trials=5)
-    assert comparisons.content("cut") == comparisons.content("whole")
-
-
-@pytest.mark.parametrize("slots", [2, 5, 100])
-def test_results_do_not_depend_on_the_slots(slots: int, comparisons: Comparisons) -> None:
-    comparisons.run("whole", arms=STATEFUL)
-    request = Request(comparisons.folder / "cut", arms=STATEFUL, artifacts=False)
-    compare(comparisons.experiment, request, lambda _: None, pool=Pool(InProcess(), slots))
-    assert comparisons.content("cut") == comparisons.content("whole")
-    assert all(call["settings"].threads == 1 for call in fake_walker.calls[-12:])
+    assert comparisons.content("stopped") == comparisons.content("whole")
+    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+    comparisons.run("five", arms=STATEFUL, trials=5)
+    for block, stretch in product((1, 2, 1000), repeat=2):
+        cut_into(block, stretch)
+        comparisons.run(f"cut-{block}-{stretch}", arms=STATEFUL, trials=5)
+        assert comparisons.content(f"cut-{block}-{stretch}") == comparisons.content("five")
 
 
 @pytest.mark.parametrize("engine", ["taichi", pytest.param("mujoco", marks=pytest.mark.campaign)])
-def test_results_do_not_depend_on_the_number_of_processes(engine: str, tmp_path: Path) -> None:
-    """The real simulator, in this process and in two that are spawned."""
+def test_results_do_not_depend_on_processes_and_stops(engine: str, tmp_path: Path) -> None:
+    """The real simulator, in this process, and in two that are spawned, and spawned again."""
     settings = Settings(arch="cpu", engine=engine)
     tiny = experiment(duration_s=1.0, arms=("random", "cmaes-cold"), settings=settings)
-    tables = [tmp_path / str(workers) / "trials.parquet" for workers in (1, 2)]
-    for workers, table in enumerate(tables, 1):
-        request = Request(table.parent, workers=workers, artifacts=False)
-        assert compare(tiny, request, lambda progress: None).computed == 12
-    assert tables[0].read_bytes() == tables[1].read_bytes()
-    assert len(set(pq.read_table(tables[0])["cost"].to_pylist())) > 6
+    one, two = (tmp_path / name / "trials.parquet" for name in ("one", "two"))
+    stopped, whole = {"runs": 1, "trials": 2}, {"runs": 2, "trials": 3}
+    for table, workers, asked, computed in (
+        (one, 1, whole, 12),
+        (two, 2, stopped, 4),
+        (two, 2, whole, 8),
+    ):
+        request = Request(table.parent, workers=workers, artifacts=False, **asked)
+        assert compare(tiny, request, lambda progress: None).computed == computed
+    assert one.read_bytes() == two.read_bytes()
+    frame = pq.read_table(one).to_pandas()
+    assert frame.cost.nunique() > 6 and frame.duration_s.between(0.1, 1.0).all()
 
 
-def test_the_real_simulator_gives_the_same_table_after_a_stop(
-    tmp_path: Path, no_database: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as faked:
-        faked.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-        comparisons = Comparisons(tmp_path)
-    conditions = replace(comparisons.experiment.conditions, duration_s=2.0)
-    comparisons.experiment = replace(comparisons.experiment, conditions=conditions)
-    for out, runs, trials in (("parts", 1, 2), ("parts", 2, 4), ("whole", 2, 4)):
-        comparisons.run(out, arms=("random", "dog"), runs=runs, trials=trials)
-    assert comparisons.content("parts") == comparisons.content("whole")
-    frame = comparisons.table("whole").to_pandas()
-    assert frame.duration_s.between(0.1, 2.0).all()
-    assert frame.cost.nunique() > 8
-
-
-def test_a_copied_folder_and_one_of_before_grounds_were_written_go_on(
-    comparisons: Comparisons,
-) -> None:
+def test_a_copied_folder_and_one_of_before_grounds_go_on(comparisons: Comparisons) -> None:
     comparisons.run("whole")
     comparisons.run("out", trials=3)
     shutil.copytree(comparisons.folder / "out", comparisons.folder / "copy")
@@ -219,10 +187,18 @@ def test_studies_are_cut_into_blocks_for_all_slots() -> None:
     assert cut([], 2) == []
 
 
-def test_checkpoints_are_written_on_the_way(
+def test_checkpoints_and_the_database_are_written_on_the_way(
     comparisons: Comparisons, cut_into: CutInto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    exports: list[tuple[int, bool]] = []
+
+    def export(of: Experiment, trials: pa.Table, *_: object, final: bool) -> None:
+        assert trials.schema.remove_metadata().equals(RESULT_SCHEMA)
+        exports.append((len(trials), final))
+
+    monkeypatch.setattr(comparing, "export", export)
     monkeypatch.setattr(comparing, "CHECKPOINT_S", 0.0)
+    monkeypatch.setattr(comparing, "EXPORT_S", 0.0)
     cut_into(2, 1)
     seen, told = [], []
 
@@ -235,6 +211,9 @@ def test_checkpoints_are_written_on_the_way(
     compare(comparisons.experiment, request, watch)
     assert seen == [0, 0, 2, 4, 6]  # reported before the checkpoint of its stretch
     assert told == [(done, 8, 2) for done in (0, 2, 4, 6, 8)]
+    assert exports == [(2, False), (4, False), (6, False), (8, False), (8, True)]
+    comparisons.run("out", arms=("tpe",), runs=1, trials=2)
+    assert exports[-1] == (10, True)  # all arms of the folder
 
 
 def test_progress_counts_studies_that_walked(comparisons: Comparisons) -> None:
@@ -246,25 +225,6 @@ def test_progress_counts_studies_that_walked(comparisons: Comparisons) -> None:
     assert (told[0], told[-1]) == (Progress(0, 72, 9, 0), Progress(72, 72, 9, walkers))
     compare(comparisons.experiment, replace(request, runs=1, trials=2), told.append)
     assert (told[-1].trials, told[-1].total, told[-1].studies) == (24, 24, 3)
-
-
-def test_the_database_is_renewed_on_the_way_and_at_the_end(
-    comparisons: Comparisons, cut_into: CutInto, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    exports: list[tuple[int, bool]] = []
-
-    def export(of: Experiment, trials: pa.Table, *_: object, final: bool) -> None:
-        assert trials.schema.remove_metadata().equals(RESULT_SCHEMA)
-        exports.append((len(trials), final))
-
-    monkeypatch.setattr(comparing, "export", export)
-    monkeypatch.setattr(comparing, "CHECKPOINT_S", 0.0)
-    monkeypatch.setattr(comparing, "EXPORT_S", 0.0)
-    cut_into(9, 3)
-    comparisons.run("out")
-    assert exports == [(27, False), (54, False), (72, False), (72, True)]
-    comparisons.run("out", arms=("tpe",), runs=1, trials=2)
-    assert exports[-1] == (74, True)  # all arms of the folder
 
 
 def test_sessions_say_what_they_did(comparisons: Comparisons) -> None:
@@ -292,9 +252,7 @@ def test_a_broken_sampler_stops_the_experiment_and_keeps_the_rest(
     assert pq.read_metadata(comparisons.folder / "out/arms/random.parquet").num_rows == 6
 
 
-def test_the_seventeenth_parameter_is_searched_simulated_and_written(
-    comparisons: Comparisons,
-) -> None:
+def test_a_seventeenth_parameter_is_searched_and_written(comparisons: Comparisons) -> None:
     folder = comparisons.folder / "torso"
     folder.mkdir()
     experiment = fake_walker.experiment(folder, 'searched = ["theta_ref"]')

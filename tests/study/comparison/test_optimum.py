@@ -1,28 +1,18 @@
-"""CMA-ES until convergence: the same runs however they are cut, interrupted and replayed."""
+"""CMA-ES until convergence: the same runs however they are cut and replayed."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-import taichi_nmm
 from storage.pool import IN_PROCESS, InProcess, Pool
 from study.comparison import optimum
-from study.comparison.optimum import (
-    EVALUATIONS,
-    OptimumFolder,
-    Stretch,
-    estimate,
-    evolve,
-    run_cmaes,
-)  # fmt: skip
+from study.comparison.optimum import EVALUATIONS, OptimumFolder, Stretch, evolve, run_cmaes
 from study.experiment.experiment import CmaesOptions, Experiment
 from taichi_nmm.terrain import Ground
 from tests.study import fake_walker
 from tests.study.comparison.fake_results import experiment
-from tests.study.conftest import refused
 
 RUNS = 3
 DOCUMENT = {"arms": {}, "stores": {}, "ground": {}}
@@ -45,7 +35,7 @@ def run(of: Experiment, out: Path, pool: Pool = IN_PROCESS) -> Found:
     return table.to_pylist(), stops
 
 
-def test_runs_do_not_depend_on_the_cut_and_go_on_when_interrupted(
+def test_runs_do_not_depend_on_the_cut(
     level: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = run(level, tmp_path / "whole")
@@ -54,19 +44,6 @@ def test_runs_do_not_depend_on_the_cut_and_go_on_when_interrupted(
         monkeypatch.setattr(optimum, "BLOCK_RUNS", block)
         monkeypatch.setattr(optimum, "STRETCH_GENERATIONS", stretch)
         assert run(level, tmp_path / f"cut {block}", Pool(InProcess(), slots)) == whole
-    monkeypatch.setattr(optimum, "BLOCK_RUNS", 2)
-    monkeypatch.setattr(optimum, "STRETCH_GENERATIONS", 2)
-    for call in (3, 6):
-        monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(call))
-        with pytest.raises(KeyboardInterrupt):
-            run(level, tmp_path / "out")
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-    calls = len(fake_walker.calls)
-    assert run(level, tmp_path / "out") == whole
-    assert 0 < len(fake_walker.calls) - calls < 14  # what was finished is not tried again
-    shorter = replace(level, cmaes=replace(level.cmaes, max_generations=3))
-    run(shorter, tmp_path / "longer")
-    assert run(level, tmp_path / "longer") == whole
 
 
 def test_a_block_is_told_what_is_known_and_gives_what_is_new(level: Experiment) -> None:
@@ -82,12 +59,6 @@ def test_a_block_is_told_what_is_known_and_gives_what_is_new(level: Experiment) 
     assert len(evolve(Stretch(level, (0, 2), both, "out"))[0]) == 0
 
 
-def test_evaluations_of_other_settings_are_refused(level: Experiment) -> None:
-    tried, _ = evolve(Stretch(level, (0,), NOTHING, "out"))
-    with refused("out: 'run 0 in here' .* these settings"):
-        evolve(Stretch(replace(level, seed=8), (0,), tried, "here"))
-
-
 def test_progress_counts_up(level: Experiment, tmp_path: Path) -> None:
     told: list[str] = []
     with OptimumFolder.claim(tmp_path / "out", DOCUMENT) as folder:
@@ -95,20 +66,3 @@ def test_progress_counts_up(level: Experiment, tmp_path: Path) -> None:
     best = f"best cost {min(table['cost'].to_pylist()):.5g}"
     assert told[0].startswith("cmaes: generation 5, 3 of 3 runs go on, 60 evaluations, best cost ")
     assert told[1:] == [f"cmaes: generation 7, 0 of 3 runs go on, 84 evaluations, {best}"]
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"ground": Ground("rough")}, r"terrain\.kind: 'rough' .* flat, for the optimum"),
-        ({"disturbance": 0.1}, r"body\.disturbance: 0\.1 .* 0, for the optimum"),
-        ({"searched": ("theta_ref",)}, "searched: .* none, for the optimum"),
-    ],
-)
-def test_only_the_easiest_setting_has_an_optimum(
-    change: dict[str, object], message: str, tmp_path: Path
-) -> None:
-    easiest: dict[str, object] = {"ground": Ground("flat"), "disturbance": 0.0}
-    with refused(message):
-        estimate(experiment(**(easiest | change)), tmp_path / "out", 2, 1, print)
-    assert not (tmp_path / "out").exists()

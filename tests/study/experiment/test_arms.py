@@ -32,7 +32,7 @@ def test_all_arms_go_on_after_a_restart_together(comparisons: Comparisons) -> No
 
 
 @pytest.mark.parametrize("arm", DIFFERENT)
-def test_an_arm_stays_in_bounds_and_goes_on_after_a_restart(
+def test_an_arm_stays_in_bounds_and_goes_on_when_stopped(
     arm: str, comparisons: Comparisons
 ) -> None:
     most = 15 if arm.startswith("cmaes") else 7  # beyond a generation of 12
@@ -54,7 +54,7 @@ def table_of(experiment: Experiment, arm: str) -> FeatureTable:
     return Task(experiment, 0, 0, found.store, found.features).table
 
 
-def test_score_first_goes_down_the_score_ties_by_the_second_then_by_row(
+def test_score_first_goes_down_the_score_then_the_second_then_rows(
     comparisons: Comparisons,
 ) -> None:
     comparisons.run("out", arms=("score-first-diverse",), runs=2, trials=30)

@@ -70,9 +70,7 @@ def test_a_store_without_a_feature(toy: Experiment, tmp_path: Path) -> None:
             check_arms(experiment, (arm,), 3)
 
 
-def test_a_store_is_read_once_and_anew_when_it_was_made_anew(
-    toy: Experiment, tmp_path: Path
-) -> None:
+def test_a_store_is_read_once_and_anew_when_made_anew(toy: Experiment, tmp_path: Path) -> None:
     features = find_arm("score-first-diverse").features
     before = candidates(toy, "diverse", features)
     assert candidates(toy, "diverse", features) is before

@@ -14,7 +14,7 @@ from study.experiment.experiment import (
     experiment_of,
     read_experiment,
     study_name,
-)  # fmt: skip
+)
 from study.experiment.stores import store_path
 from study.options import config_path, shipped_configs
 from taichi_nmm.config import Table
@@ -157,9 +157,3 @@ def test_no_two_experiments_share_a_seed() -> None:
     assert len(set(seeds.values())) == len(seeds) > 0
     for file in EXPERIMENTS:
         assert read_experiment(file).seed == seeds[contacts.sub(r"\1", file.stem)]
-
-
-def test_until_walker_is_written_where_it_is_on(tmp_path: Path) -> None:
-    on = read_experiment(edited(tmp_path, "seed = 1", "seed = 1\nuntil_walker = true"))
-    assert on.until_walker and not read_experiment(ROUGH8).until_walker
-    assert as_written(on) == as_written(read_experiment(ROUGH8)) | {"until_walker": True}

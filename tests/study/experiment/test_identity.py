@@ -16,7 +16,7 @@ from study.experiment.identity import (
     documented_experiment,
     fingerprint,
     versions,
-)  # fmt: skip
+)
 from study.options import config_path, shipped_configs
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.config import Table
@@ -178,9 +178,7 @@ def test_the_experiment_of_a_document_draws_alike(kind: str, seed: int, tmp_path
         assert read.terrain(run).height_m.tobytes() == ours.terrain(run).height_m.tobytes()
 
 
-def test_a_document_of_before_grounds_were_in_it_gives_none_and_is_agreed_upon(
-    tmp_path: Path,
-) -> None:
+def test_a_document_of_before_grounds_gives_none_and_is_agreed_upon(tmp_path: Path) -> None:
     ours = document(TINY, ())
     old = {name: value for name, value in ours.items() if name != "ground"}
     assert documented_experiment(old) is None
