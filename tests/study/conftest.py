@@ -71,6 +71,18 @@ class Comparisons:
         made = Request(self.folder / out, **({"artifacts": False} | request))
         return compare(experiment or self.experiment, made, lambda progress: None)
 
+    def stop_and_run(self, out: str, call: int, **request: Any) -> int:
+        """Run it to its end, and return how often Ctrl-C stopped it, in that call each time."""
+        stops = 0
+        with pytest.MonkeyPatch.context() as patch:
+            while True:
+                patch.setitem(vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(call))
+                try:
+                    self.run(out, **request)
+                    return stops
+                except KeyboardInterrupt:
+                    stops += 1
+
     def content(self, out: str) -> bytes:
         """The bytes of the results."""
         return (self.folder / out / "trials.parquet").read_bytes()

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -130,23 +131,16 @@ def test_a_name_too_long_for_a_lock_is_refused_at_once(toy: Experiment, tmp_path
 # Databases of comparisons.
 
 
-class Figure:
-    """What a dashboard shows, as plotly would make it."""
-
-    def to_json(self) -> str:
-        return "{}"
-
-
 def refuses_before_it_works(
     toy: Experiment, folder: Path, arm: str, damage: Callable[[str], bytes], message: str
 ) -> None:
     """A finished comparison whose table is gone, and whose database is damaged, writes nothing."""
     out = folder / "out"
     request = Request(out, arms=(arm,), runs=1, trials=2, artifacts=False)
-    summary = Summary("", Figure())
+    figure: Any = SimpleNamespace(to_json=lambda: "{}")  # as plotly would make it
 
     def run() -> None:
-        compare(toy, request, lambda progress: None, summarise=lambda *_: summary)
+        compare(toy, request, lambda progress: None, summarise=lambda *_: Summary("", figure))
 
     run()
     (out / "trials.parquet").unlink()

@@ -112,8 +112,8 @@ def test_an_interrupted_experiment_goes_on(
     assert comparisons.content("out") == comparisons.content("whole")
 
 
-def test_results_do_not_depend_on_cuts_slots_and_interruptions(
-    comparisons: Comparisons, cut_into: CutInto, monkeypatch: pytest.MonkeyPatch
+def test_results_do_not_depend_on_cuts_slots_and_stops(
+    comparisons: Comparisons, cut_into: CutInto
 ) -> None:
     comparisons.run("whole", arms=STATEFUL)
     for slots in (2, 5, 100):
@@ -122,17 +122,8 @@ def test_results_do_not_depend_on_cuts_slots_and_interruptions(
         assert comparisons.content(f"{slots}") == comparisons.content("whole")
         assert all(call["settings"].threads == 1 for call in fake_walker.calls[-12:])
     cut_into(2, 3)
-    stops = 0
-    while True:
-        monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(8))
-        try:
-            comparisons.run("stopped", arms=STATEFUL)
-            break
-        except KeyboardInterrupt:
-            stops += 1
-    assert stops > 3
+    assert comparisons.stop_and_run("stopped", 8, arms=STATEFUL) > 3
     assert comparisons.content("stopped") == comparisons.content("whole")
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     comparisons.run("five", arms=STATEFUL, trials=5)
     for block, stretch in product((1, 2, 1000), repeat=2):
         cut_into(block, stretch)

@@ -8,7 +8,6 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-import taichi_nmm
 from study.comparison import compare as comparing
 from study.comparison.compare import Progress, Request, compare
 from study.report.runs import read_results
@@ -53,16 +52,7 @@ def test_studies_end_right_at_their_first_walkers_in_any_pieces(
     assert (last["sum"] == last["last"]).all() and (last["size"][~last["last"]] == TRIALS).all()
     monkeypatch.setattr(comparing, "BLOCK_STUDIES", 3)
     monkeypatch.setattr(comparing, "STRETCH_TRIALS", 2)
-    stops = 0
-    while True:
-        monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(7))
-        try:
-            until.run("pieces", **request)
-            break
-        except KeyboardInterrupt:
-            stops += 1
-    assert stops > 2
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+    assert until.stop_and_run("pieces", 7, **request) > 2
     for trials in (1, 3, 4, 7, TRIALS):
         until.run("grown", arms=ARMS, trials=trials)
     fake_walker.calls.clear()  # a finished folder runs nothing
