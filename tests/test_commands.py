@@ -1,12 +1,10 @@
-"""The commands together: every one that a document names, and one study through all of them.
-
-The commands of documents run with the simulator replaced; the rest uses the real one, small.
-"""
+"""The commands together: every one that a document names, and one study through all of them."""
 
 import json
 import re
 import shlex
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -24,11 +22,13 @@ from study.options import config_path, shipped_configs
 from study.report import before_after
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker
+from tests.tools.conftest import Tool, tool
 from tests.tools.running import ROOT, run_tool
 
 CONFIGS = {*shipped_configs(stores=True), *shipped_configs(stores=False)}
 PAINTERS = ("write_strip", "write_gait_cycle", "write_movie")
 
+__all__ = ["tool"]  # a fixture of the commands' own tests
 # Options that make a command short, at its end, where they replace earlier ones.
 SHORT: dict[str, tuple[object, ...]] = {
     "precompute": ("--samples", 24, "--workers", 1, "--out", "made"),
@@ -40,10 +40,9 @@ SHORT: dict[str, tuple[object, ...]] = {
 }
 
 # Files that a document has the reader make: taken from the explorer's page, or copied and changed.
+GAINS = dict(zip(GAIN_NAMES, taichi_nmm.PUBLISHED_GAINS.tolist(), strict=True))
 TAKEN_AWAY = {
-    "gains.json": json.dumps(
-        dict(zip(GAIN_NAMES, taichi_nmm.PUBLISHED_GAINS.tolist(), strict=True))
-    ),
+    "gains.json": json.dumps(GAINS),
     "walk.toml": 'seed = 1\n[terrain]\nkind = "rough"\n',
     "short.toml": (ROOT / "configs" / "store.toml").read_text(),
 }
@@ -62,13 +61,13 @@ def named_commands() -> list[Words]:
     line = rf"(?:python tools/(?=\w+\.py)|taichi-nmm (?=\w+ -))(\w+)(?:\.py\b)?{arguments}"
     found = set()
     for document in documents:
-        for tool, arguments in re.findall(line, document.read_text()):
+        for command, arguments in re.findall(line, document.read_text()):
             words = shlex.split(arguments.replace("\\", " ").replace("URL", "sqlite:///studies.db"))
             if "--cluster" in words:  # whose processes would run the real simulator
                 place = words.index("--cluster")
                 words = [*words[:place], *words[place + 2 :]]
             if not {"$@", "$*", "NAME"} & set(words):  # placeholders: names stand elsewhere too
-                found.add((tool, *words))
+                found.add((command, *words))
     return sorted(words for words in found if words[0] in SHORT)
 
 
@@ -209,19 +208,8 @@ Walk = Callable[..., dict[str, Any]]
 
 
 @pytest.fixture
-def walk(
-    tmp_path: Path,
-    no_painters: None,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> Walk:
-    def walk(*arguments: object) -> dict[str, Any]:
-        capsys.readouterr()
-        assert run_tool(monkeypatch, "walk", "--json", "--out", tmp_path / "out", *arguments) == 0
-        report: dict[str, Any] = json.loads(capsys.readouterr().out)
-        return report
-
-    return walk
+def walk(tmp_path: Path, no_painters: None, tool: Tool) -> Walk:
+    return partial(tool.json, "walk", "--out", tmp_path / "out")
 
 
 def assert_walked(report: dict[str, Any], row: dict[str, Any]) -> None:
@@ -256,16 +244,14 @@ def test_a_row_of_a_store_walks_as_it_did(real: Real, walk: Walk) -> None:
 
 
 @pytest.mark.slow
-def test_a_17th_parameter_is_kept(
-    walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_17th_parameter_is_kept(walk: Walk, tmp_path: Path, tool: Tool) -> None:
     config = small_config("ramp-up.toml", tmp_path, 2.0).with_stem("ramp-up-torso")
     out, live = tmp_path / "compared", tmp_path / "live"
     given = ("--config", config, "--arms", "random", "--runs", 1, *SMALL, "--out", out)
-    assert run_tool(monkeypatch, "compare", *given) == 0
+    assert tool("compare", *given) == 0
     url = f"sqlite:///{tmp_path / 'live.db'}"
     given = ("--config", config, "--arm", "random", "--trials", TRIALS, "--out", live)
-    assert run_tool(monkeypatch, "study", *given, "--storage", url) == 0
+    assert tool("study", *given, "--storage", url) == 0
     best = live / "random-run-000-best.json"
     assert set(json.loads(best.read_text())) == {*GAIN_NAMES, "theta_ref"}
     rows = rows_of(out, "random", 0)
@@ -279,22 +265,18 @@ def test_a_17th_parameter_is_kept(
 
 
 @pytest.mark.slow
-def test_strips_of_a_comparison_with_another_seed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_strips_of_a_comparison_with_another_seed(tmp_path: Path, tool: Tool) -> None:
     """The report simulates two walks on a ground that no configuration has."""
     given = ("--config", small_config("risers.toml", tmp_path, 2.0), "--seed", 523001)
     out = tmp_path / "risers-seed-523001"
     request = ("--arms", "random", "--runs", 12, *SMALL)
-    assert run_tool(monkeypatch, "compare", *given, *request, "--out", out) == 0
-    assert run_tool(monkeypatch, "report", out) == 0
-    assert "no strips" not in capsys.readouterr().err
+    assert tool("compare", *given, *request, "--out", out) == 0
+    assert tool("report", out) == 0 and "no strips" not in tool.err
     assert (out / "report" / "strips.svg").is_file()
     assert "Before: random, trial" in (out / "report" / "report.md").read_text()
 
 
 # Bad input: one line, exit code 2, and nothing written.
-
 
 FIRST = "rough8-smooth/dog/run-001"  # study of a comparison
 COMPARED, LIVE = "--storage OUT", "--storage URL"
@@ -302,7 +284,7 @@ COMPARED, LIVE = "--storage OUT", "--storage URL"
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("tool", "options", "says"),
+    ("command", "options", "says"),
     [
         ("study", "--arm cat", "arm: 'cat' cannot be used; allowed: one of random"),
         ("study", "--arm dog --run 50", "run: 50 cannot be used; allowed: 0 to 49"),
@@ -324,20 +306,11 @@ COMPARED, LIVE = "--storage OUT", "--storage URL"
     ],
 )  # fmt: skip
 def test_what_is_not_there_is_refused(
-    real: Real,
-    tool: str,
-    options: str,
-    says: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    real: Real, command: str, options: str, says: str, tmp_path: Path, tool: Tool, monkeypatch: Any
 ) -> None:
     places = {"STORE": str(real.store), "OUT": str(real.compared), "URL": real.url}
     words = [places.get(word, word) for word in options.split()]
     monkeypatch.chdir(tmp_path)
-    database = ("--storage", "sqlite:///new.db") if tool == "study" else ()
-    assert run_tool(monkeypatch, tool, "--config", real.config, *words, *database) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.startswith(f"error: {says}"), said.err
-    assert said.err.count("\n") == 1
+    database = ("--storage", "sqlite:///new.db") if command == "study" else ()
+    tool.refuses(re.escape(says), command, "--config", real.config, *words, *database)
     assert list(tmp_path.iterdir()) == []

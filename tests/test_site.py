@@ -30,10 +30,8 @@ pytestmark = pytest.mark.slow
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 OUTSIDE = re.compile(r"\s*(\w+:)?//")
 # Attributes of elements that a browser loads by itself.
-LOADED = {
-    "script": "src", "img": "src", "iframe": "src", "source": "src", "video": "src",
-    "audio": "src", "embed": "src", "object": "data", "link": "href",
-}  # fmt: skip
+LOADED = dict.fromkeys(("script", "img", "iframe", "source", "video", "audio", "embed"), "src")
+LOADED |= {"object": "data", "link": "href"}
 
 
 class Html(HTMLParser):
@@ -78,8 +76,7 @@ def public_paths() -> Iterator[str]:
     owners = {name: package for package in PACKAGES for name in package.__all__}
     for package in (*PACKAGES, pictures):
         yield from (f"{package.__name__}.{name}" for name in package.__all__)
-    for name in public_names():
-        yield f"{owners[name.partition('.')[0]].__name__}.{name}"
+    yield from (f"{owners[name.partition('.')[0]].__name__}.{name}" for name in public_names())
     for name, package in owners.items():
         members = vars(value) if inspect.isclass(value := getattr(package, name)) else {}
         for member, what in members.items():
@@ -102,29 +99,25 @@ def test_every_public_name_has_its_entry(site: Path) -> None:
 
 def test_links_lead_somewhere(site: Path, pages: dict[str, Html]) -> None:
     """Those of docstrings and of the theme, too."""
-    wrong = []
-    for place, page in pages.items():
-        for link in page.links:
-            parts = urlsplit(link)
-            if parts.scheme or parts.netloc or place == "404.html":  # which is served anywhere
-                continue
-            file, anchor = unquote(parts.path), unquote(parts.fragment)
-            folder = posixpath.dirname(place)
-            target = posixpath.normpath(posixpath.join(folder, file)) if file else place
-            found = (site / target).is_file()
-            if not found or (anchor and anchor not in pages[target].anchors):
-                wrong.append(f"{place}: {link}")
-    assert wrong == []
-    assert sum(len(page.links) for page in pages.values()) > 1000
+    links, wrong = [(place, link) for place, page in pages.items() for link in page.links], []
+    for place, link in links:
+        parts = urlsplit(link)
+        if parts.scheme or parts.netloc or place == "404.html":  # which is served anywhere
+            continue
+        file, anchor = unquote(parts.path), unquote(parts.fragment)
+        there = posixpath.join(posixpath.dirname(place), file)
+        target = posixpath.normpath(there) if file else place
+        if not (site / target).is_file() or (anchor and anchor not in pages[target].anchors):
+            wrong.append(f"{place}: {link}")
+    assert wrong == [] and len(links) > 1000
 
 
 def test_nothing_is_loaded_from_elsewhere(site: Path, pages: dict[str, Html]) -> None:
     loads = [(place, address) for place, page in pages.items() for address in page.loads]
     styles = [(str(file), file.read_text()) for file in site.rglob("*.css")]
     styles += [(place, (site / place).read_text()) for place in pages]
-    for place, text in styles:
-        loads += [(place, found) for found in re.findall(r"url\(\s*['\"]?([^)'\"]+)", text)]
-        loads += [(place, found) for found in re.findall(r"@import\s+['\"]([^'\"]+)", text)]
+    for asks in (r"url\(\s*['\"]?([^)'\"]+)", r"@import\s+['\"]([^'\"]+)"):
+        loads += [(place, found) for place, text in styles for found in re.findall(asks, text)]
     assert len(loads) > 100
     assert [(place, address) for place, address in loads if OUTSIDE.match(address)] == []
     # The theme would fetch what draws these.
