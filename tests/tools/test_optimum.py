@@ -13,6 +13,7 @@ import pytest
 
 import taichi_nmm
 from storage.folder import claimed
+from storage.tables import write_stamped
 from study.comparison import compare, optimum
 from study.comparison.optimum import CUT, asked_gains, ended, new_run
 from study.experiment.experiment import CmaesOptions
@@ -217,6 +218,10 @@ def test_another_configuration_or_a_damaged_evaluation_is_refused(command: Searc
     table = table.set_column(place, table.schema.field(place), pc.add(table["K_GAS"], 1e-9))
     pq.write_table(table, evaluations)
     command.refuses(".*does not fit the digest", max_generations=3)
+    document = json.loads((command.out / "search.json").read_text())
+    write_stamped(evaluations, table.replace_schema_metadata(None), document)
+    assert command.run(max_generations=3) == 2
+    assert "out: 'run 0 in" in command.tool.err and "these settings" in command.tool.err
     evaluations.write_bytes(b"PAR1")
     command.refuses("", max_generations=3)  # before the comparison says how far it is
 
