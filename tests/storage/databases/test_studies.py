@@ -271,7 +271,7 @@ def test_a_study_has_one_run_at_a_time_under_any_name_of_its_file(
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr(fcntl, "flock", fails)
-    url, allowed = f"sqlite:///{tmp_path}/studies.db", r"storage: .* file system with locks"
+    url, allowed = f"sqlite:///{tmp_path}/other.db", r"storage: .* file system with locks"
     with pytest.raises(InputError, match=allowed), only_run(url, "rough8/dog"):
         pass
 
