@@ -189,6 +189,17 @@ def test_a_folder_that_is_being_filled_is_refused_and_its_copy_goes_on_as_the_fi
     assert first.read_bytes() == copied.read_bytes()
 
 
+@pytest.mark.campaign
+def test_no_time_left_is_the_shells_signal_and_it_resumes(
+    folder: Path, undisturbed: list[dict[str, float]]
+) -> None:
+    """A second is gone with the imports, or soon after them."""
+    code = run(STUDY, 'ulimit -t 1; exec "$@"').code
+    assert code in (-signal.SIGXCPU, -signal.SIGKILL)
+    assert run(STUDY).code == 0
+    assert trials(folder) == undisturbed
+
+
 def test_a_clock_that_was_set_back_changes_no_trial(
     folder: Path, undisturbed: list[dict[str, float]]
 ) -> None:
