@@ -67,20 +67,17 @@ def dashboard(storage: InMemoryStorage, tmp_path: Path) -> Application:
 HOST, ORIGIN = "HTTP_HOST", "HTTP_ORIGIN"
 
 
-@pytest.mark.parametrize(
-    ("header", "value", "status"),
-    [
-        *((HOST, host, 200) for host in (
-            "127.0.0.1:8080", "localhost", "LOCALHOST:1", "[::1]:8080",
-        )),
-        *((HOST, host, 403) for host in (
-            "evil.example", "evil.example:8080", "127.0.0.1.evil.example", "localhost\n", "",
-            "localhost.evil.example:8080", "localhost@evil.example",
-        )),
-        (ORIGIN, "http://127.0.0.1:8080", 200), (ORIGIN, "http://localhost:9", 200),
-        *((ORIGIN, origin, 403) for origin in ("http://evil.example", "null", "")),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("header", "value", "status"), [
+    *((HOST, host, 200) for host in (
+        "127.0.0.1:8080", "localhost", "LOCALHOST:1", "[::1]:8080",
+    )),
+    *((HOST, host, 403) for host in (
+        "evil.example", "evil.example:8080", "127.0.0.1.evil.example", "localhost\n", "",
+        "localhost.evil.example:8080", "localhost@evil.example",
+    )),
+    (ORIGIN, "http://127.0.0.1:8080", 200), (ORIGIN, "http://localhost:9", 200),
+    *((ORIGIN, origin, 403) for origin in ("http://evil.example", "null", "")),
+])  # fmt: skip
 def test_only_loopback_names_and_our_own_pages_are_answered(
     dashboard: Application, header: str, value: str, status: int
 ) -> None:

@@ -120,23 +120,20 @@ NOT_IN_THE_FOLDER = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("trial", "where", "message"),
-    [
-        *((trial, "sqlite:///none.db", f"trial: '{trial}' .* {FORM}") for trial in MALFORMED),
-        *((trial, "out", rf"trial: '{trial}' .* a finished trial of .*trials\.parquet: {FORM}")
-          for trial in NOT_IN_THE_FOLDER),
-        ("toy/cat/run-001/2", LIVE, "trial: 'toy/cat/run-001/2' .* a study of"),
-        ("toy/dog/run-000/2", LIVE, "trial: 'toy/dog/run-000/2' .* a study of"),
-        ("toy/dog/run-001/3", LIVE, "trial: .* a finished trial of"),  # which is running
-        ("toy/dog/run-001/4", LIVE, "trial: .* a finished trial of"),
-        ("other/0", OTHER, "K_GAS"),  # by what it lacks
-        (TRIAL, "sqlite:///none.db", "storage: .* a database that is there, or a comparison's"),
-        (TRIAL, "nowhere", "storage"),
-        (TRIAL, "empty", "storage: .* a comparison's folder, with trials.parquet"),
-        (TRIAL, "sqlite:///text.db", "text.db"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("trial", "where", "message"), [
+    *((trial, "sqlite:///none.db", f"trial: '{trial}' .* {FORM}") for trial in MALFORMED),
+    *((trial, "out", rf"trial: '{trial}' .* a finished trial of .*trials\.parquet: {FORM}")
+      for trial in NOT_IN_THE_FOLDER),
+    ("toy/cat/run-001/2", LIVE, "trial: 'toy/cat/run-001/2' .* a study of"),
+    ("toy/dog/run-000/2", LIVE, "trial: 'toy/dog/run-000/2' .* a study of"),
+    ("toy/dog/run-001/3", LIVE, "trial: .* a finished trial of"),  # which is running
+    ("toy/dog/run-001/4", LIVE, "trial: .* a finished trial of"),
+    ("other/0", OTHER, "K_GAS"),  # by what it lacks
+    (TRIAL, "sqlite:///none.db", "storage: .* a database that is there, or a comparison's"),
+    (TRIAL, "nowhere", "storage"),
+    (TRIAL, "empty", "storage: .* a comparison's folder, with trials.parquet"),
+    (TRIAL, "sqlite:///text.db", "text.db"),
+])  # fmt: skip
 def test_no_such_trial(trial: str, where: str, message: str, here: Path) -> None:
     before = sorted(here.iterdir())
     with one_line(message):

@@ -263,16 +263,13 @@ def test_a_run_out_of_range(toy: Experiment) -> None:
     assert not optuna.get_all_study_names(storage)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"seed": 7}, r"study toy/dog/run-000: seed: 7 .* allowed: 5, with which it was made"),
-        ({"cost": "walking"}, r"run-000: objective\.cost: 'walking' .* 'smooth'"),
-        ({"duration_s": 50.0}, r"run-000: simulation\.duration_s: 50"),
-        ({"disturbance": 0.1}, r"run-000: body\.disturbance: 0\.1 .* 0\.15"),
-        ({"ground": Ground("flat")}, r"run-000: terrain\.name: 'flat' .* 'rough"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"seed": 7}, r"study toy/dog/run-000: seed: 7 .* allowed: 5, with which it was made"),
+    ({"cost": "walking"}, r"run-000: objective\.cost: 'walking' .* 'smooth'"),
+    ({"duration_s": 50.0}, r"run-000: simulation\.duration_s: 50"),
+    ({"disturbance": 0.1}, r"run-000: body\.disturbance: 0\.1 .* 0\.15"),
+    ({"ground": Ground("flat")}, r"run-000: terrain\.name: 'flat' .* 'rough"),
+])  # fmt: skip
 def test_another_configuration_is_refused_by_name(
     change: dict[str, Any], message: str, toy: Experiment
 ) -> None:

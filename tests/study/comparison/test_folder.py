@@ -39,19 +39,14 @@ def trials(*studies: tuple[str, int, str]) -> pa.Table:
     return pa.Table.from_pylist(named, schema=pa.schema(kinds))
 
 
-@pytest.mark.parametrize(
-    ("before", "after"),
-    [
-        ((), ()),
-        ((("a", 0, "w"),), (("a", 0, "w"),)),
-        ((("a", 0, "ff"),), (("a", 0, "ff"),)),
-        ((("a", 0, "w"), ("a", 1, "fff")), (("a", 0, "www"), ("a", 1, "fff"))),
-        ((("a", 0, "fw"), ("b", 0, "ffff")), (("a", 0, "fwww"), ("b", 0, "ffff"))),
-        # One that has not ended is as short as it is; neighbours of one number do not mix.
-        ((("a", 1, "fw"), ("b", 1, "f"), ("b", 2, "ffw")),
-         (("a", 1, "fww"), ("b", 1, "f"), ("b", 2, "ffw"))),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("before", "after"), [
+    ((), ()), ((("a", 0, "w"),), (("a", 0, "w"),)), ((("a", 0, "ff"),), (("a", 0, "ff"),)),
+    ((("a", 0, "w"), ("a", 1, "fff")), (("a", 0, "www"), ("a", 1, "fff"))),
+    ((("a", 0, "fw"), ("b", 0, "ffff")), (("a", 0, "fwww"), ("b", 0, "ffff"))),
+    # One that has not ended is as short as it is; neighbours of one number do not mix.
+    ((("a", 1, "fw"), ("b", 1, "f"), ("b", 2, "ffw")),
+     (("a", 1, "fww"), ("b", 1, "f"), ("b", 2, "ffw"))),
+])  # fmt: skip
 def test_as_if_gone_on(before: Any, after: Any) -> None:
     given, expected = trials(*before), trials(*after)
     for shuffled in (given, given.take(np.random.default_rng(0).permutation(len(given)))):

@@ -36,16 +36,11 @@ def arm_file(comparisons: Comparisons, arm: str = "random", out: str = "out") ->
     return comparisons.folder / out / "arms" / f"{arm}.parquet"
 
 
-@pytest.mark.parametrize(
-    ("request_", "message"),
-    [
-        ({"arms": ("dog", "cat")}, "arm: 'cat' .* one of random, "),
-        ({"runs": 0}, "runs: 0"),
-        ({"trials": 0}, "trials: 0"),
-        ({"trials": 151}, "trials: 151 .* at most 150"),
-        ({"workers": 0}, "workers: 0"),
-    ],
-)
+@pytest.mark.parametrize(("request_", "message"), [
+    ({"arms": ("dog", "cat")}, "arm: 'cat' .* one of random, "), ({"runs": 0}, "runs: 0"),
+    ({"trials": 0}, "trials: 0"), ({"trials": 151}, "trials: 151 .* at most 150"),
+    ({"workers": 0}, "workers: 0"),
+])  # fmt: skip
 def test_requests(request_: dict[str, Any], message: str, comparisons: Comparisons) -> None:
     fake_walker.calls.clear()
     with refused(message):

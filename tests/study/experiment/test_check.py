@@ -21,16 +21,13 @@ def test_arms_are_found_each_once_in_their_order(toy: Experiment) -> None:
     assert found == (find_arm("dog"), find_arm("random"))
 
 
-@pytest.mark.parametrize(
-    ("names", "trials", "message"),
-    [
-        ((), 8, "arms: 'none' .* one arm or more"),
-        (("dog", "cat"), 8, "arm: 'cat' .* one of random, "),
-        (("dog",), ROWS + 1, rf"trials: {ROWS + 1} .* at most {ROWS}, the rows that dog may take"),
-        (("score-first-diverse",), ROWS + 1, f"at most {ROWS}, the rows that score-first-div"),
-        (("dog-off-grid",), 8, "arm: 'dog-off-grid' .* dog; version 0.2.0 was the last"),
-    ],
-)
+@pytest.mark.parametrize(("names", "trials", "message"), [
+    ((), 8, "arms: 'none' .* one arm or more"),
+    (("dog", "cat"), 8, "arm: 'cat' .* one of random, "),
+    (("dog",), ROWS + 1, rf"trials: {ROWS + 1} .* at most {ROWS}, the rows that dog may take"),
+    (("score-first-diverse",), ROWS + 1, f"at most {ROWS}, the rows that score-first-div"),
+    (("dog-off-grid",), 8, "arm: 'dog-off-grid' .* dog; version 0.2.0 was the last"),
+])  # fmt: skip
 def test_arms_that_cannot_run(
     names: tuple[str, ...], trials: int, message: str, toy: Experiment
 ) -> None:
@@ -95,14 +92,11 @@ def test_a_store_of_the_callers_is_that_of_the_arms(toy: Experiment, tmp_path: P
     assert replace(experiment, stores=toy.stores) == toy
 
 
-@pytest.mark.parametrize(
-    ("names", "message"),
-    [
-        (("random", "tpe"), "store: '.*' .* arms that read one store; random, tpe: none"),
-        (("dog", "best"), "store: '.*' .* arms that read one store; dog, best: diverse and flat"),
-        (("dog", "cat"), "arm: 'cat' "),
-    ],
-)
+@pytest.mark.parametrize(("names", "message"), [
+    (("random", "tpe"), "store: '.*' .* arms that read one store; random, tpe: none"),
+    (("dog", "best"), "store: '.*' .* arms that read one store; dog, best: diverse and flat"),
+    (("dog", "cat"), "arm: 'cat' "),
+])  # fmt: skip
 def test_a_store_for_arms_that_read_none_or_several(
     names: tuple[str, ...], message: str, toy: Experiment, tmp_path: Path
 ) -> None:

@@ -85,35 +85,30 @@ def test_names_sort_by_run() -> None:
     assert names == sorted(names) == ["e/dog/run-009", "e/dog/run-010"]
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("seed = 1", "seed = -1", "seed: -1"),
-        ("seed = 1", "sead = 1", "seed: 'missing'"),
-        ("seed = 1", "seed = 1\ntrails = 30", "trails: 30 .* only the keys objective, "),
-        ("seed = 1", "seed = 1\nuntil_walker = 1", "until_walker: 1 .* true or false"),
-        ("seed = 1", 'seed = 1\nuntil_walker = "yes"', "until_walker: 'yes' .* true or false"),
-        ("seed = 1", 'seed = 1\nsearched = ["k_ext"]', "searched: 'k_ext' .* theta_ref"),
-        ("runs = 50", "runs = 0", "runs: 0"),
-        ("runs = 50", "runs = 10001", "runs: 10001"),
-        ("trials = 30", "trials = 0", "trials: 0"),
-        ('arms = ["dog"', 'arms = ["random"', "arms: .* each once"),
-        ('"rough8"', '"rough 8/x"', "name: 'rough 8/x'"),
-        ('"rough8"', '"../rough8"', "name: '../rough8'"),
-        ('cost = "smooth"', 'cost = "cheap"', "objective.cost: 'cheap' .* smooth or walking"),
-        ("[objective]", "[objektive]", "objektive"),
-        ("duration_s = 100.0", "duration_s = 0", "simulation.duration_s: 0"),
-        ("duration_s = 100.0", "duration = 100.0", "simulation.duration: 100.0"),
-        ("disturbance = 0.15", "disturbance = 1.5", "body.disturbance: 1.5"),
-        ("amplitude_m = 0.08", "amplitude = 8", "terrain.amplitude: 8"),
-        ('kind = "rough"', 'kind = "hilly"', "terrain.kind: 'hilly'"),
-        ('flat = "out/store"', "flat = 3", "stores.flat: 3"),
-        ("[stores]", "[dog]\nstore = 'out/store'\n[stores]", "dog: .* only the keys"),
-        ("[stores]", "[cmaes]\npopulation = 2\n[stores]", "cmaes.population: 2 .* 0 for the libr"),
-        ("[stores]", "[cmaes]\nsigma = 2.0\n[stores]", "cmaes.sigma: 2"),
-        ("[stores]", "[cmaes]\ngenerations = 2\n[stores]", "cmaes.generations: 2"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("seed = 1", "seed = -1", "seed: -1"), ("seed = 1", "sead = 1", "seed: 'missing'"),
+    ("seed = 1", "seed = 1\ntrails = 30", "trails: 30 .* only the keys objective, "),
+    ("seed = 1", "seed = 1\nuntil_walker = 1", "until_walker: 1 .* true or false"),
+    ("seed = 1", 'seed = 1\nuntil_walker = "yes"', "until_walker: 'yes' .* true or false"),
+    ("seed = 1", 'seed = 1\nsearched = ["k_ext"]', "searched: 'k_ext' .* theta_ref"),
+    ("runs = 50", "runs = 0", "runs: 0"), ("runs = 50", "runs = 10001", "runs: 10001"),
+    ("trials = 30", "trials = 0", "trials: 0"),
+    ('arms = ["dog"', 'arms = ["random"', "arms: .* each once"),
+    ('"rough8"', '"rough 8/x"', "name: 'rough 8/x'"),
+    ('"rough8"', '"../rough8"', "name: '../rough8'"),
+    ('cost = "smooth"', 'cost = "cheap"', "objective.cost: 'cheap' .* smooth or walking"),
+    ("[objective]", "[objektive]", "objektive"),
+    ("duration_s = 100.0", "duration_s = 0", "simulation.duration_s: 0"),
+    ("duration_s = 100.0", "duration = 100.0", "simulation.duration: 100.0"),
+    ("disturbance = 0.15", "disturbance = 1.5", "body.disturbance: 1.5"),
+    ("amplitude_m = 0.08", "amplitude = 8", "terrain.amplitude: 8"),
+    ('kind = "rough"', 'kind = "hilly"', "terrain.kind: 'hilly'"),
+    ('flat = "out/store"', "flat = 3", "stores.flat: 3"),
+    ("[stores]", "[dog]\nstore = 'out/store'\n[stores]", "dog: .* only the keys"),
+    ("[stores]", "[cmaes]\npopulation = 2\n[stores]", "cmaes.population: 2 .* 0 for the libr"),
+    ("[stores]", "[cmaes]\nsigma = 2.0\n[stores]", "cmaes.sigma: 2"),
+    ("[stores]", "[cmaes]\ngenerations = 2\n[stores]", "cmaes.generations: 2"),
+])  # fmt: skip
 def test_bad_configurations_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     with refused(message):
         read_experiment(edited(tmp_path, old, new))

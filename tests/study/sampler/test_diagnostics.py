@@ -138,9 +138,7 @@ def test_infinite_features_are_extreme_missing_ones_left_out_and_few_trials_not_
 
 
 @pytest.mark.parametrize(("feature", "cost"), [
-    (np.arange(3.0), np.arange(3.0)),
-    (np.ones(9), np.arange(9.0)),
-    (np.arange(9.0), np.ones(9)),
+    (np.arange(3.0), np.arange(3.0)), (np.ones(9), np.arange(9.0)), (np.arange(9.0), np.ones(9)),
     (np.array([1.0, 2, 3, np.nan, np.nan]), np.arange(5.0)),
 ])  # fmt: skip
 def test_without_enough_there_is_no_correlation(feature, cost):
@@ -384,8 +382,7 @@ def test_turns_that_are_left_to_the_parameters_are_said():
 
 
 @pytest.mark.parametrize(("old", "new"), [
-    ("worth.Worth", "diagnostics.Worth"),
-    ("candidate_table.CandidateTable", "table.FeatureTable"),
+    ("worth.Worth", "diagnostics.Worth"), ("candidate_table.CandidateTable", "table.FeatureTable"),
     ("table_source.TableExhaustedError", "table_policy.TableExhaustedError"),
 ])  # fmt: skip
 def test_documented_names_of_0_2_0_are_still_found_and_say_their_new_place(old, new):

@@ -317,10 +317,8 @@ def test_a_fixed_parameter_and_a_declared_one_that_is_never_suggested():
     (FEATURES, {"space": {"x": CategoricalDistribution([1])}}, "space"),
     (None, {"kernel": "rbf"}, "kernel: 'rbf' .*no features"),
     (None, {"kernel": "additive"}, "kernel: 'additive' .*no features"),
-    (None, {"prior": "p"}, "prior"),
-    (None, {"off_grid": 3}, "off_grid"),
-    (None, {"feature_function": len}, "feature_function"),
-    (3, {}, "features: 'int'"),
+    (None, {"prior": "p"}, "prior"), (None, {"off_grid": 3}, "off_grid"),
+    (None, {"feature_function": len}, "feature_function"), (3, {}, "features: 'int'"),
 ])  # fmt: skip
 def test_options_that_cannot_be_used(features, options, message):
     with pytest.raises(InputError, match=message):

@@ -75,18 +75,12 @@ def test_taken_points_are_left_out_unless_nothing_is_left_and_the_first_misfit_i
 
 
 @pytest.mark.parametrize(("distribution", "value", "expected"), [
-    (FloatDistribution(0, 1), 1, 1.0),
-    (FloatDistribution(0, 1), 1.5, None),
-    (FloatDistribution(0, 1), True, None),
-    (FloatDistribution(0, 1), "1", None),
-    (FloatDistribution(1, 2, log=True), 2.0, 2.0),
-    (FloatDistribution(0, 1, step=0.1), 0.3, 0.3),
-    (FloatDistribution(0, 1, step=0.1), 0.35, None),
-    (IntDistribution(0, 9), 3.0, 3),
-    (IntDistribution(0, 9), 3.5, None),
-    (IntDistribution(0, 9, step=3), 4, None),
-    (IntDistribution(1, 9, log=True), 0, None),
-    (CategoricalDistribution([4, 2, "x"]), 2.0, 2),
+    (FloatDistribution(0, 1), 1, 1.0), (FloatDistribution(0, 1), 1.5, None),
+    (FloatDistribution(0, 1), True, None), (FloatDistribution(0, 1), "1", None),
+    (FloatDistribution(1, 2, log=True), 2.0, 2.0), (FloatDistribution(0, 1, step=0.1), 0.3, 0.3),
+    (FloatDistribution(0, 1, step=0.1), 0.35, None), (IntDistribution(0, 9), 3.0, 3),
+    (IntDistribution(0, 9), 3.5, None), (IntDistribution(0, 9, step=3), 4, None),
+    (IntDistribution(1, 9, log=True), 0, None), (CategoricalDistribution([4, 2, "x"]), 2.0, 2),
     (CategoricalDistribution([4, 2, "x"]), "y", None),
     (CategoricalDistribution([True, False]), 1, True),
 ])  # fmt: skip

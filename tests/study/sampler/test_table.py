@@ -136,10 +136,8 @@ def test_features_of_any_scale():
 
 
 @pytest.mark.parametrize(("parameters", "features", "options", "message"), [
-    ({}, [1.0], {}, "table.parameters"),
-    ({"a": [0.0]}, [1.0, 2.0], {}, "table.a.shape"),
-    ({"a": [[0.0]]}, [1.0], {}, "table.a.shape"),
-    ({"a": []}, [1.0], {}, "table.a.shape"),
+    ({}, [1.0], {}, "table.parameters"), ({"a": [0.0]}, [1.0, 2.0], {}, "table.a.shape"),
+    ({"a": [[0.0]]}, [1.0], {}, "table.a.shape"), ({"a": []}, [1.0], {}, "table.a.shape"),
     ({"a": [float("nan")]}, [1.0], {}, r"table.a\[0\]"),
     ({"a": [0.0, None]}, [1.0, 2.0], {}, r"table.a\[1\]"),
     ({"a": [0.0]}, [], {}, "table.features.shape"),
@@ -163,8 +161,7 @@ def test_bad_arrays_are_refused(parameters, features, options, message):
 
 # Choices and gaps.
 @pytest.mark.parametrize(("values", "choices"), [
-    (["sqrt", None, "log2"], [None, "sqrt", "log2"]),
-    ([True, None, False], [None, True, False]),
+    (["sqrt", None, "log2"], [None, "sqrt", "log2"]), ([True, None, False], [None, True, False]),
     (["scale", 0.1, 1], [0.1, 1, "scale"]),
 ])  # fmt: skip
 def test_none_and_numbers_among_words_are_choices(values, choices):

@@ -390,17 +390,12 @@ def test_the_warning_names_both_ways_and_how_far_the_nearest_row_is(nearest):
         assert part in message
 
 
-@pytest.mark.parametrize(
-    ("point", "nearest", "distance"),
-    [
-        ((0.0, 0.01, "x"), 0, 0.0),
-        ((1.0, 100.0, "z"), 1, 1.0),
-        ((0.3, 0.01, "x"), 0, 0.3),
-        ((0.0, 0.1, "x"), 0, 0.25),  # a quarter of four decades
-        ((1.4, 100.0, "y"), 1, 0.4),  # outside the range
-        ((1.0, 1000.0, "y"), 1, 0.25),
-    ],
-)
+@pytest.mark.parametrize(("point", "nearest", "distance"), [
+    ((0.0, 0.01, "x"), 0, 0.0), ((1.0, 100.0, "z"), 1, 1.0), ((0.3, 0.01, "x"), 0, 0.3),
+    ((0.0, 0.1, "x"), 0, 0.25),  # a quarter of four decades
+    ((1.4, 100.0, "y"), 1, 0.4),  # outside the range
+    ((1.0, 1000.0, "y"), 1, 0.25),
+])  # fmt: skip
 def test_distances_are_root_mean_squares_of_shares_of_the_ranges(point, nearest, distance):
     columns = {"a": [0.0, 1.0], "b": [0.01, 100.0], "kind": ["x", "y"]}
     space = NEAR | {"kind": CategoricalDistribution(["x", "y", "z"])}
