@@ -90,9 +90,7 @@ def test_a_studys_history_draws(page: Any, address: str, studies: dict[str, int]
     save(page, "history")
 
 
-def test_the_best_trial_shows_its_pictures(
-    page: Any, address: str, studies: dict[str, int]
-) -> None:
+def test_a_best_trial_shows_its_pictures(page: Any, address: str, studies: dict[str, int]) -> None:
     page.goto(f"{address}/dashboard/studies/{studies['tiny/dog/run-000']}/trials?numbers=1")
     page.get_by_text("Best Trial").first.wait_for()
     page.get_by_text("strip.png").wait_for()

@@ -78,9 +78,7 @@ HOST, ORIGIN = "HTTP_HOST", "HTTP_ORIGIN"
     (ORIGIN, "http://127.0.0.1:8080", 200), (ORIGIN, "http://localhost:9", 200),
     *((ORIGIN, origin, 403) for origin in ("http://evil.example", "null", "")),
 ])  # fmt: skip
-def test_only_loopback_names_and_our_own_pages_are_answered(
-    dashboard: Application, header: str, value: str, status: int
-) -> None:
+def test_only_we_are_answered(dashboard: Application, header: str, value: str, status: int) -> None:
     for path in ("/api/studies", "/dashboard", f"{PLACE}/{PICTURE}"):
         assert get(dashboard, path, **{header: value})[0] == status
 
@@ -173,9 +171,7 @@ def test_the_history_page_has_every_value(study: optuna.Study, detail: Any) -> N
 
 
 @pytest.mark.slow
-def test_the_parallel_coordinate_page_has_every_axis_and_the_table_the_samplers_notes(
-    study: optuna.Study, detail: Any
-) -> None:
+def test_the_parallel_page_has_all_axes_the_table_notes(study: optuna.Study, detail: Any) -> None:
     axes = {axis["name"]: axis["distribution"] for axis in detail["union_search_space"]}
     assert {name: (axis["low"], axis["high"]) for name, axis in axes.items()} == BOUNDS
     assert all(axis["type"] == "FloatDistribution" for axis in axes.values())

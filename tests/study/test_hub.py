@@ -32,9 +32,7 @@ def load(optunahub: ModuleType) -> ModuleType:
     return module
 
 
-def test_it_loads_the_one_sampler_there_is_which_unpickles_where_the_hub_was_never_loaded(
-    optunahub,
-):
+def test_it_loads_the_one_sampler_there_is_which_unpickles_without_the_hub(optunahub):
     module = load(optunahub)
     assert module.__name__ == "optunahub_registry.package.samplers.feature_kernel"
     for name in module.__all__:

@@ -111,9 +111,7 @@ def assert_same(trials: list[FrozenTrial], frame: Any, arm: str, names: tuple[st
 
 
 @pytest.mark.slow
-def test_a_live_study_is_that_of_a_comparison(
-    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_live_study_as_compared(comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also when it is run in pieces, and stopped in the middle by Ctrl-C or the simulator."""
     toy = comparisons.experiment
     comparisons.run("compared", arms=LIVE, runs=2, trials=TRIALS)
@@ -142,9 +140,7 @@ def test_every_arm_of_the_registry_runs_live_as_compared(comparisons: Comparison
         assert_same(run(toy, arm, 3, InMemoryStorage(), 1), frame, arm, toy.names)
 
 
-def test_seventeen_parameters_are_the_same_live(
-    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_17_parameters_are_alike(comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = comparisons.folder / "torso"
     folder.mkdir()
     torso = fake_walker.experiment(folder, 'searched = ["theta_ref"]')
@@ -226,9 +222,7 @@ def test_gains_that_were_not_proposed_are_refused(toy: Experiment) -> None:
             run(toy, "cmaes-cold", 4, storage)
 
 
-def test_a_repetition_queued_before_the_kill_is_not_queued_twice(
-    toy: Experiment, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_repetition_is_not_queued_twice(toy: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
     storage = InMemoryStorage()
     study = open_study(toy, find_arm("random"), 0, storage)
     OneStudy(toy, find_arm("random"), 0, study).ask()
@@ -356,9 +350,7 @@ def test_the_lines_to_look_at_it_name_what_is_not_the_default() -> None:
     assert line.endswith("--artifacts out") and "secret" not in line
 
 
-def test_the_lines_name_the_python_of_this_process(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_lines_name_the_python_in_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By a path that is short where it can be, and never one by way of `..`."""
     monkeypatch.setattr("sys.executable", str(tmp_path / "my env" / "bin" / "python"))
     (tmp_path / "elsewhere").mkdir()

@@ -207,9 +207,7 @@ def test_what_is_there_is_kept_and_the_rest_is_made(tmp_path: Path, url: str, fa
     assert set(found(another, STUDIES[0], 1)) == {"strip.png", "film.mp4"}
 
 
-def test_a_walker_that_diverged_at_once_has_no_picture(
-    tmp_path: Path, url: str, fake: Fake
-) -> None:
+def test_whoever_diverged_at_once_has_no_picture(tmp_path: Path, url: str, fake: Fake) -> None:
     lost = synthetic_gait.walk(0.1)
     lost.q[:] = np.nan
     fake.walks = (lost, GLIMPSE, GLIMPSE, GLIMPSE)

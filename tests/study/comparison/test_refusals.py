@@ -87,9 +87,7 @@ def test_another_store_in_the_folder(comparisons: Comparisons) -> None:
     comparisons.run("out", experiment=other, arms=("random",), trials=2)
 
 
-def test_another_definition_of_an_arm_in_the_folder(
-    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_arm_in_a_folder(comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch) -> None:
     comparisons.run("out", arms=("dog",), trials=1)
     changed = replace(arms.ARMS["dog"], options={"kernel": "additive"})
     monkeypatch.setitem(arms.ARMS, "dog", changed)

@@ -31,9 +31,7 @@ def until(comparisons: Comparisons) -> Comparisons:
     return comparisons
 
 
-def test_studies_end_right_at_their_first_walkers_in_any_pieces(
-    until: Comparisons, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_studies_end_with_first_walker(until: Comparisons, monkeypatch: pytest.MonkeyPatch) -> None:
     """Interrupted any number of times, in blocks of any size, grown trial by trial."""
     request: dict[str, Any] = {"arms": ARMS, "trials": TRIALS}
     until.run("all", experiment=replace(until.experiment, until_walker=False), **request)

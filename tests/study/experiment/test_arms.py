@@ -32,9 +32,7 @@ def test_all_arms_go_on_after_a_restart_together(comparisons: Comparisons) -> No
 
 
 @pytest.mark.parametrize("arm", DIFFERENT)
-def test_an_arm_stays_in_bounds_and_goes_on_when_stopped(
-    arm: str, comparisons: Comparisons
-) -> None:
+def test_an_arm_stays_in_bounds_and_goes_on_if_stopped(arm: str, comparisons: Comparisons) -> None:
     most = 15 if arm.startswith("cmaes") else 7  # beyond a generation of 12
     for trials in (2, most - 1, most):
         comparisons.run("parts", arms=(arm,), runs=2, trials=trials)
@@ -54,9 +52,7 @@ def table_of(experiment: Experiment, arm: str) -> FeatureTable:
     return Task(experiment, 0, 0, found.store, found.features).table
 
 
-def test_score_first_goes_down_the_score_then_the_second_then_rows(
-    comparisons: Comparisons,
-) -> None:
+def test_score_first_goes_down_the_scores_then_rows(comparisons: Comparisons) -> None:
     comparisons.run("out", arms=("score-first-diverse",), runs=2, trials=30)
     frame = comparisons.table("out").to_pandas()
     rows = frame.row[frame.run == 0].to_numpy()
