@@ -23,24 +23,15 @@ def walk(duration_s: float = 8.0, rate_hz: float = 100.0) -> Trajectory:
     lowest = [np.minimum(leg(q, side).heel, leg(q, side).ball)[:, 1] for side in range(2)]
     q[:, 1] = -np.minimum(*lowest)
     stance = np.column_stack([percent < TAKE_OFF_PERCENT for percent in percents])
+    joints = [(hip - TRUNK_RAD, knee - hip, foot - knee) for hip, knee, foot in legs]
     return Trajectory(
-        walker=0,
-        time_s=time_s,
-        q=q,
-        qdot=np.gradient(q, time_s, axis=0),
-        joint_rad=np.column_stack(
-            [
-                part
-                for hip, knee, foot in legs
-                for part in (hip - TRUNK_RAD, knee - hip, foot - knee)
-            ]
-        ),
+        walker=0, time_s=time_s, q=q, qdot=np.gradient(q, time_s, axis=0),
+        joint_rad=np.column_stack([*joints[0], *joints[1]]),
         activation=np.column_stack([_activations(percent) for percent in percents]),
         muscle_force_n=np.zeros((len(time_s), 14)),
         ground_force_n=np.column_stack([_force(percent) for percent in percents]),
-        stance=stance,
-        events=_events(duration_s),
-    )
+        stance=stance, events=_events(duration_s),
+    )  # fmt: skip
 
 
 def _leg_angles(percent: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -252,8 +252,9 @@ def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: Experiment) -> None
 
 def test_a_run_out_of_range(toy: Experiment) -> None:
     storage = InMemoryStorage()
-    with refused("run: 3 .* 0 to 2, the runs of toy"):
-        run(toy, "random", 1, storage, 3)
+    for number in (-1, 3):
+        with refused(f"run: {number} .* 0 to 2, the runs of toy"):
+            run(toy, "random", 1, storage, number)
     assert not optuna.get_all_study_names(storage)
 
 

@@ -33,6 +33,13 @@ def test_a_table_holds_what_the_simulator_said(toy: Experiment) -> None:
     assert table.schema.equals(STATE_SCHEMA)
     assert table["walked"].to_pylist() == [bool(said["end_reason"][0] == COMPLETED)]
     assert table[NOTES].to_pylist() == ["{}"]
+    dog = (("dog", 0),)
+    first = advance(Block(toy, dog, NOTHING, 1))
+    (told,), (restored,) = (
+        advanced.studies[0].trials for advanced in (first, advance(Block(toy, dog, first.table, 1)))
+    )
+    assert restored.user_attrs == told.user_attrs  # with what its walk showed
+    assert restored.user_attrs["shown"] == first.table["phi_printed"].to_pylist()
 
 
 @pytest.mark.slow

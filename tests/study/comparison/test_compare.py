@@ -136,11 +136,8 @@ def test_results_do_not_depend_on_processes_and_stops(engine: str, tmp_path: Pat
     tiny = experiment(duration_s=1.0, arms=("random", "cmaes-cold"), settings=settings)
     one, two = (tmp_path / name / "trials.parquet" for name in ("one", "two"))
     stopped, whole = {"runs": 1, "trials": 2}, {"runs": 2, "trials": 3}
-    for table, workers, asked, computed in (
-        (one, 1, whole, 12),
-        (two, 2, stopped, 4),
-        (two, 2, whole, 8),
-    ):
+    calls = (one, 1, whole, 12), (two, 2, stopped, 4), (two, 2, whole, 8)
+    for table, workers, asked, computed in calls:
         request = Request(table.parent, workers=workers, artifacts=False, **asked)
         assert compare(tiny, request, lambda progress: None).computed == computed
     assert one.read_bytes() == two.read_bytes()

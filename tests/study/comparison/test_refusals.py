@@ -48,7 +48,7 @@ def test_requests(request_: dict[str, Any], message: str, comparisons: Compariso
     assert not fake_walker.calls and not (comparisons.folder / "out").exists()
 
 
-def test_another_experiment_in_the_folder(comparisons: Comparisons) -> None:
+def test_another_experiment_or_version_in_the_folder(comparisons: Comparisons) -> None:
     comparisons.run("out", arms=("random",), trials=1)
     before = comparisons.content("out")
     for old, new, message in (
@@ -61,14 +61,8 @@ def test_another_experiment_in_the_folder(comparisons: Comparisons) -> None:
     ):
         with refused(message):
             comparisons.run("out", experiment=edited(comparisons, old, new))
-    assert comparisons.content("out") == before
-
-
-def test_a_folder_of_version_0_1_0(comparisons: Comparisons) -> None:
-    """Its document says the version, and not yet the ground."""
-    comparisons.run("out", arms=("random",), trials=1)
-    before, ours = comparisons.content("out"), document(comparisons)
-    del ours["ground"]
+    ours = document(comparisons)
+    del ours["ground"]  # as of version 0.1.0, which says its own
     ours["versions"]["taichi-nmm"] = "0.1.0"
     (comparisons.folder / "out" / "experiment.json").write_text(json.dumps(ours))
     with refused(r"versions\.taichi-nmm: .* '0\.1\.0'"):
@@ -76,7 +70,7 @@ def test_a_folder_of_version_0_1_0(comparisons: Comparisons) -> None:
     assert comparisons.content("out") == before
 
 
-def test_another_store_in_the_folder(comparisons: Comparisons) -> None:
+def test_another_store_or_arm(comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch) -> None:
     comparisons.run("out", arms=("dog",), trials=1)
     folder = comparisons.folder
     fake_walker.write_store(folder / "other", seed=4)
@@ -85,10 +79,6 @@ def test_another_store_in_the_folder(comparisons: Comparisons) -> None:
         comparisons.run("out", experiment=other, arms=("dog",), trials=2)
     # An arm that does not read it may still be added.
     comparisons.run("out", experiment=other, arms=("random",), trials=2)
-
-
-def test_another_arm_in_a_folder(comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch) -> None:
-    comparisons.run("out", arms=("dog",), trials=1)
     changed = replace(arms.ARMS["dog"], options={"kernel": "additive"})
     monkeypatch.setitem(arms.ARMS, "dog", changed)
     with refused(r"arms\.dog\.options.*another --out"):

@@ -59,7 +59,7 @@ def test_studies_end_with_first_walker(until: Comparisons, monkeypatch: pytest.M
         assert until.content(name) == until.content("whole")
 
 
-def test_progress_counts_what_there_is_to_do(until: Comparisons) -> None:
+def test_progress_counts_what_there_is_to_do_and_the_report_reads(until: Comparisons) -> None:
     """A study that has ended has no trials before it; at the end all is done."""
     told: list[Progress] = []
     request = Request(until.folder / "out", arms=ARMS, trials=TRIALS, artifacts=False)
@@ -68,10 +68,6 @@ def test_progress_counts_what_there_is_to_do(until: Comparisons) -> None:
     done, walkers = len(until.table("out")), int(frame(until.table("out")).walked.sum())
     assert told[-1] == Progress(done, done, 3 * len(ARMS), walkers)
     assert all(one.total >= two.total for one, two in pairwise(told))
-
-
-def test_the_report_reads_ragged_runs(until: Comparisons) -> None:
-    until.run("out", arms=ARMS, trials=TRIALS)
     results = read_results(until.folder / "out")
     assert results.complete and results.trials == TRIALS and results.runs == 3
     rows = frame(until.table("out"))

@@ -23,10 +23,8 @@ def test_arms_are_found_each_once_in_their_order(toy: Experiment) -> None:
 
 @pytest.mark.parametrize(("names", "trials", "message"), [
     ((), 8, "arms: 'none' .* one arm or more"),
-    (("dog", "cat"), 8, "arm: 'cat' .* one of random, "),
     (("dog",), ROWS + 1, rf"trials: {ROWS + 1} .* at most {ROWS}, the rows that dog may take"),
     (("score-first-diverse",), ROWS + 1, f"at most {ROWS}, the rows that score-first-div"),
-    (("dog-off-grid",), 8, "arm: 'dog-off-grid' .* dog; version 0.2.0 was the last"),
 ])  # fmt: skip
 def test_arms_that_cannot_run(
     names: tuple[str, ...], trials: int, message: str, toy: Experiment

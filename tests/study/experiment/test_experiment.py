@@ -71,15 +71,6 @@ def test_an_experiment_pickles_and_hashes_and_is_read_back_from_what_it_writes()
     assert one_thread.conditions.settings.threads == 1 and as_written(one_thread) == written
 
 
-@pytest.mark.parametrize("run", [-1, 50, 51])
-def test_a_run_out_of_range(run: int) -> None:
-    experiment = read_experiment(ROUGH8)
-    for known in (0, 49):
-        experiment.require_run(known)
-    with refused(f"run: {run} .* 0 to 49, the runs of rough8"):
-        experiment.require_run(run)
-
-
 def test_names_sort_by_run() -> None:
     names = [study_name("e", "dog", run) for run in (9, 10)]
     assert names == sorted(names) == ["e/dog/run-009", "e/dog/run-010"]

@@ -1,4 +1,4 @@
-"""A study that is asked and told: what its sampler sees, and that restored trials are its own."""
+"""A study that is asked and told: its seed, and what its sampler sees."""
 
 from dataclasses import replace
 

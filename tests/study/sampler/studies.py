@@ -19,15 +19,10 @@ Objective = Callable[[optuna.Trial], Any]
 
 
 def study_of(
-    features: Any = None,
-    objective: Objective | None = None,
-    trials: int = 0,
-    *,
-    enqueued: Iterable[dict[str, Any]] = (),
-    seed: int = 1,
-    direction: str = "minimize",
+    features: Any = None, objective: Objective | None = None, trials: int = 0, *,
+    enqueued: Iterable[dict[str, Any]] = (), seed: int = 1, direction: str = "minimize",
     **options: Any,
-) -> optuna.Study:
+) -> optuna.Study:  # fmt: skip
     """A study with our sampler, after some trials."""
     sampler = FeatureKernelSampler(features, seed=seed, **options)
     study = optuna.create_study(sampler=sampler, direction=direction)
@@ -54,7 +49,7 @@ def run_code(code: str, *words: str, **environment: str) -> subprocess.Completed
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=env)
 
 
-def without_warnings(study: optuna.Study, objective: Objective, trials: int) -> None:
+def without_warning(study: optuna.Study, objective: Objective, trials: int) -> None:
     """Run trials in which a warning is an error."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)

@@ -15,14 +15,7 @@ from study.draws import Purpose, generator, turn
 from study.sampler.history import read_history
 from study.sampler.random_sampler import ReproducibleRandomSampler
 from taichi_nmm.errors import InputError
-from tests.study.sampler.studies import (
-    kill,
-    params_of,
-    resumed,
-    rows_of,
-    study_of,
-    without_warnings,
-)
+from tests.study.sampler.studies import kill, params_of, resumed, rows_of, study_of, without_warning
 
 
 def test_turns_are_counted_as_if_nothing_had_been_killed():
@@ -78,11 +71,9 @@ def test_history_takes_finished_trials_and_counts_all_rows(table):
 # A table's parameters, suggested otherwise: it works where the values fit.
 RATE = np.geomspace(1e-4, 1.0, 12)
 COLUMNS = {
-    "rate": RATE,
-    "units": np.tile([16, 32, 64, 128], 3),
-    "kind": np.array(["relu", "tanh", "gelu"] * 4),
-    "depth": np.array([2.0, 4.0, 8.0] * 4),
-}
+    "rate": RATE, "units": np.tile([16, 32, 64, 128], 3),
+    "kind": np.array(["relu", "tanh", "gelu"] * 4), "depth": np.array([2.0, 4.0, 8.0] * 4),
+}  # fmt: skip
 
 
 def new_table(**options: Any) -> FeatureTable:
@@ -98,8 +89,6 @@ AS_THE_TABLE: dict[str, Suggest] = {
     "kind": lambda trial: trial.suggest_categorical("kind", ["relu", "tanh", "gelu"]),
     "depth": lambda trial: trial.suggest_float("depth", 1, 10),
 }
-
-
 OTHERWISE: dict[str, tuple[str, Suggest]] = {
     "a float on a logarithmic scale":
         ("rate", lambda trial: trial.suggest_float("rate", 1e-5, 1, log=True)),
@@ -134,7 +123,7 @@ def objective(name: str, suggest: Suggest) -> Callable[[optuna.Trial], float]:
 def test_what_holds_the_rows_works_also_where_it_is_resumed(how, strict):
     name, suggest = OTHERWISE[how]
     study = study_of(TABLE, strict=strict)
-    without_warnings(study, objective(name, suggest), 12)
+    without_warning(study, objective(name, suggest), 12)
     assert sorted(rows_of(study)) == list(range(12))
     for trial, row in zip(study.trials, rows_of(study), strict=True):
         assert trial.params == TABLE.rows.as_parameters(row)
@@ -213,7 +202,7 @@ def test_points_near_the_table_are_on_the_logarithmic_scale_and_within_the_range
 def test_trials_off_the_table_are_learned_from_whatever_they_are_suggested_as():
     own = {"rate": 0.002, "units": 64, "kind": "relu", "depth": 2.0}
     study = study_of(TABLE, enqueued=[own], feature_function=lambda params: params[:, :2])
-    without_warnings(study, objective(*OTHERWISE["integers as choices"]), 5)
+    without_warning(study, objective(*OTHERWISE["integers as choices"]), 5)
     assert study.trials[0].params["rate"] == 0.002
     first, *others = rows_of(study)
     assert first is None and None not in others

@@ -211,11 +211,9 @@ def useless(unit: Floats, rng: np.random.Generator) -> Floats:
 
 @pytest.mark.parametrize("feature", [useless, misleading])
 def test_features_that_are_worth_nothing_leave_the_parameters_to_learn_from(feature):
-    """Regret against the best of 400 rows: at most half of that of rows drawn at random.
+    """Half the regret of rows at random, of which 24 of 400 are expected to hold the best 4 %.
 
-    24 of 400 rows at random are expected to hold the best 4 % of them. At the worst every other
-    trial follows the feature, and 12 trials are left to a process of four parameters on a bowl: as
-    many as a quadratic has coefficients (15), nearly. Halving the regret asks for less than that.
+    At the worst 12 trials are left to a process of four parameters on a bowl of 15 coefficients.
     """
     ours, at_random = [], []
     names = [f"p{i}" for i in range(DIMENSION)]

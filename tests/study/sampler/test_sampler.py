@@ -34,10 +34,6 @@ def features(params: Floats) -> Floats:
     return np.column_stack([np.abs(params[:, 0]), params[:, 1] - 2.0])
 
 
-def three_features(params: Floats) -> Floats:
-    return np.column_stack([params, params.sum(axis=1)])
-
-
 def small_table() -> FeatureTable:
     rng = np.random.default_rng(0)
     columns = {"a": rng.uniform(-1, 1, 80), "b": rng.uniform(0, 5, 80)}
@@ -298,7 +294,8 @@ def test_where_no_row_is_left_points_off_the_table_are(kernel, unknown):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         table = FeatureTable.from_arrays(columns, values)
-    study = study_of(table, seed=0, kernel=kernel, feature_function=three_features, off_grid=16)
+    near = {"feature_function": lambda p: np.column_stack([p, p.sum(axis=1)]), "off_grid": 16}
+    study = study_of(table, seed=0, kernel=kernel, **near)
     for row in range(1 if np.isnan(unknown) else 6):
         study.enqueue_trial(table.rows.as_parameters(row))
     with warnings.catch_warnings():

@@ -13,25 +13,19 @@ from optuna.distributions import (
 from study.sampler.space import Space, anywhere, as_suggested, first_not_taken, nearby, not_among
 
 DISTRIBUTIONS: dict[str, BaseDistribution] = {
-    "plain": FloatDistribution(-2.0, 3.0),
-    "log": FloatDistribution(1e-5, 10.0, log=True),
-    "step": FloatDistribution(-1.0, 1.0, step=0.25),
-    "int": IntDistribution(3, 9),
-    "int_step": IntDistribution(0, 10, step=2),
-    "int_log": IntDistribution(1, 1000, log=True),
-    "choice": CategoricalDistribution(["x", "y", "z"]),
-    "single": FloatDistribution(4.0, 4.0),
-}
+    "plain": FloatDistribution(-2.0, 3.0), "log": FloatDistribution(1e-5, 10.0, log=True),
+    "step": FloatDistribution(-1.0, 1.0, step=0.25), "int": IntDistribution(3, 9),
+    "int_step": IntDistribution(0, 10, step=2), "int_log": IntDistribution(1, 1000, log=True),
+    "choice": CategoricalDistribution(["x", "y", "z"]), "single": FloatDistribution(4.0, 4.0),
+}  # fmt: skip
 SPACE = Space.of(DISTRIBUTIONS)
 
 
 def inside(points: np.ndarray) -> bool:
-    values = [SPACE.values(point) for point in points]
     return all(
-        distribution._contains(distribution.to_internal_repr(value[name]))
-        for value in values
-        for name, distribution in DISTRIBUTIONS.items()
-    )
+        distribution._contains(distribution.to_internal_repr(SPACE.values(point)[name]))
+        for point in points for name, distribution in DISTRIBUTIONS.items()
+    )  # fmt: skip
 
 
 def test_points_anywhere_are_values_of_their_distributions():

@@ -17,14 +17,7 @@ from study import FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import Model
 from study.sampler.history import read_history, row_of
 from taichi_nmm.errors import InputError
-from tests.study.sampler.studies import (
-    kill,
-    params_of,
-    resumed,
-    rows_of,
-    study_of,
-    without_warnings,
-)
+from tests.study.sampler.studies import kill, params_of, resumed, rows_of, study_of, without_warning
 
 Floats = NDArray[np.float64]
 A = np.repeat([0.0, 0.5, 1.0], 6)
@@ -357,7 +350,7 @@ def test_trials_of_an_earlier_study_start_the_model():
     study, pieces = study_of(LINES, nearest=0.5), study_of(LINES)
     for made in (study, pieces):
         made.add_trials(earlier.get_trials())
-    without_warnings(study, cost, 2)
+    without_warning(study, cost, 2)
     assert min(trial.values[0] for trial in study.trials[15:]) < 0.01
     assert all(number >= 0 for number in rows_of(study)[15:])
     study.optimize(cost, n_trials=4)
@@ -372,9 +365,9 @@ def beside_row_20() -> dict[str, float]:
 
 def test_an_enqueued_trial_near_a_row_is_learned_from_and_is_no_row():
     study = study_of(LINES, enqueued=[beside_row_20()], nearest=0.05)
-    without_warnings(study, cost, 1)
+    without_warning(study, cost, 1)
     assert study.trials[0].user_attrs == {}
-    without_warnings(study, cost, 40)  # its nearest row is still free
+    without_warning(study, cost, 40)  # its nearest row is still free
     assert len(set(rows_of(study)[1:])) == 40
 
 

@@ -10,26 +10,14 @@ from typing import Any
 import numpy as np
 import optuna
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from scipy.stats import norm, rankdata
 
 from storage.precompute import precompute
 from study import FeatureTable
 from study.sampler import transforms
-from study.sampler.transforms import (
-    LARGEST,
-    LEAST_GAPS,
-    NormalScores,
-    Standard,
-    by_blocks,
-    clip_infinities,
-    columns_of,
-    log_excess,
-    new_matrix,
-    rows_of,
-    side_by_side,
-)
+from study.sampler.transforms import LARGEST, NormalScores, Standard, log_excess, new_matrix
 from taichi_nmm.errors import InputError
 from tests.storage import fake
 from tests.study.sampler import studies
@@ -52,8 +40,13 @@ def test_the_order_of_large_costs_is_kept_and_infinities_become_the_extremes():
     found = log_excess(cost)
     assert np.isfinite(found).all()
     assert np.argsort(found).tolist() == np.argsort(cost).tolist()
-    assert clip_infinities(np.array([INF, 1.0, -INF, 3.0])).tolist() == [3.0, 1.0, 1.0, 3.0]
-    assert clip_infinities(np.array([INF, -INF])).tolist() == [0.0, 0.0]
+    assert transforms.clip_infinities(np.array([INF, 1.0, -INF, 3.0])).tolist() == [
+        3.0,
+        1.0,
+        1.0,
+        3.0,
+    ]
+    assert transforms.clip_infinities(np.array([INF, -INF])).tolist() == [0.0, 0.0]
 
 
 # Scales of features.
@@ -80,21 +73,14 @@ def drawn(seed: int) -> Floats:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_normal_scores_are_scipys(seed):
-    rows = drawn(seed)
-    scores = NormalScores.of(rows[:, None])
-    others = np.concatenate([drawn(seed + 100), rows, [-1e9, 1e9]])  # on the rows, between, beyond
-    assert_allclose(scores.standard(others[:, None])[:, 0], blom(rows, others), atol=1e-12)
-    own = scores.standard(rows[:, None])[:, 0]
-    assert_allclose(own[~np.isnan(rows)].std(), 1.0)
-
-
-def test_columns_are_scored_one_by_one():
-    features = np.column_stack([drawn(seed) for seed in range(3)])
-    together = NormalScores.of(features).standard(features)
-    for column in range(3):
-        alone = features[:, [column]]
-        assert_array_equal(together[:, column], NormalScores.of(alone).standard(alone)[:, 0])
+def test_normal_scores_are_scipys_of_each_column_alone(seed):
+    rows, others = (np.column_stack([drawn(n), drawn(n + 50)]) for n in (seed, seed + 100))
+    others = np.concatenate([others, rows, [[-1e9, 1e9], [1e9, -1e9]]])  # on, between, beyond them
+    scores = NormalScores.of(rows)
+    found, own = scores.standard(others), scores.standard(rows)
+    for column in range(2):
+        assert_allclose(found[:, column], blom(rows[:, column], others[:, column]), atol=1e-12)
+        assert_allclose(own[~np.isnan(rows[:, column]), column].std(), 1.0)
 
 
 @pytest.mark.parametrize("value", [7.0, INF, -INF])
@@ -124,7 +110,7 @@ def test_a_feature_with_gaps_has_a_column_that_says_so_each_pattern_once():
 def test_hardly_any_gaps_or_hardly_any_values_are_no_column(missing, columns):
     rows = np.arange(100.0)[:, None]
     rows[:missing] = NAN
-    assert LEAST_GAPS == 0.02
+    assert transforms.LEAST_GAPS == 0.02
     assert NormalScores.of(rows).standard(rows).shape == (100, columns)
 
 
@@ -198,15 +184,18 @@ def test_matrices_in_files_are_matrices(tiny_memory):
     values, more = rng.uniform(size=(LARGE, 3)), rng.uniform(size=(LARGE, 2))
     matrix, other = new_matrix(LARGE, 3), new_matrix(LARGE, 2)
     for made, source in ((matrix, values), (other, more)):
-        for column, content in zip(columns_of(made), source.T, strict=True):
+        for column, content in zip(transforms.columns_of(made), source.T, strict=True):
             column[:] = content
     assert in_a_file(matrix) and not in_a_file(new_matrix(33, 3))
     assert np.array_equal(matrix, values)
-    joined, doubled = side_by_side(matrix, other), by_blocks(lambda rows: 2.0 * rows, matrix)
+    joined, doubled = (
+        transforms.side_by_side(matrix, other),
+        transforms.by_blocks(lambda rows: 2.0 * rows, matrix),
+    )
     assert in_a_file(joined) and np.array_equal(joined, np.hstack([values, more]))
     assert in_a_file(doubled) and np.array_equal(doubled, 2.0 * values)
     for index in (np.array([5, 299, 5]), values[:, 0] > 0.5):
-        assert np.array_equal(rows_of(matrix, index), values[index])
+        assert np.array_equal(transforms.rows_of(matrix, index), values[index])
 
 
 def make() -> FeatureTable:
