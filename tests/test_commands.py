@@ -283,28 +283,24 @@ COMPARED, LIVE = "--storage OUT", "--storage URL"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("command", "options", "says"),
-    [
-        ("study", "--arm cat", "arm: 'cat' cannot be used; allowed: one of random"),
-        ("study", "--arm dog --run 50", "run: 50 cannot be used; allowed: 0 to 49"),
-        ("study", "--arm random --store STORE", "store: "),
-        ("study", "--arm best", "store: "),
-        ("compare", "--arms dog,cat", "arm: 'cat'"),
-        *(("walk", f"--trial {trial} {storage}", "trial: ") for trial, storage in [
-            (f"{FIRST}/4", COMPARED), ("rough8-smooth/dog/run-002/0", COMPARED),
-            ("rough8-smooth/best/run-001/0", COMPARED), (f"{FIRST}/{10**30}", COMPARED),
-            (FIRST, COMPARED), (f"{FIRST}/4", LIVE), (f"{FIRST}/{10**30}", LIVE),
-            ("rough8-smooth/dog/0", LIVE),
-        ]),
-        ("walk", f"--trial 12 {COMPARED}", "trial: '12' cannot be used; allowed: EXP"),
-        ("walk", f"--trial {FIRST}/0 --storage STORE", "storage: "),
-        ("walk", f"--trial {FIRST}/0 --storage nowhere", "storage: '***'"),
-        ("walk", f"--trial {FIRST}/0 --storage sqlite:///no.db", "storage: 'no.db'"),
-        ("walk", "--row 300 --store STORE", "row: 300 cannot be used; allowed: 0 to 299"),
-        ("walk", "--row 3 --store OUT", "store: "),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("command", "options", "says"), [
+    ("study", "--arm cat", "arm: 'cat' cannot be used; allowed: one of random"),
+    ("study", "--arm dog --run 50", "run: 50 cannot be used; allowed: 0 to 49"),
+    ("study", "--arm random --store STORE", "store: "), ("study", "--arm best", "store: "),
+    ("compare", "--arms dog,cat", "arm: 'cat'"),
+    *(("walk", f"--trial {trial} {storage}", "trial: ") for trial, storage in [
+        (f"{FIRST}/4", COMPARED), ("rough8-smooth/dog/run-002/0", COMPARED),
+        ("rough8-smooth/best/run-001/0", COMPARED), (f"{FIRST}/{10**30}", COMPARED),
+        (FIRST, COMPARED), (f"{FIRST}/4", LIVE), (f"{FIRST}/{10**30}", LIVE),
+        ("rough8-smooth/dog/0", LIVE),
+    ]),
+    ("walk", f"--trial 12 {COMPARED}", "trial: '12' cannot be used; allowed: EXP"),
+    ("walk", f"--trial {FIRST}/0 --storage STORE", "storage: "),
+    ("walk", f"--trial {FIRST}/0 --storage nowhere", "storage: '***'"),
+    ("walk", f"--trial {FIRST}/0 --storage sqlite:///no.db", "storage: 'no.db'"),
+    ("walk", "--row 300 --store STORE", "row: 300 cannot be used; allowed: 0 to 299"),
+    ("walk", "--row 3 --store OUT", "store: "),
+])  # fmt: skip
 def test_what_is_not_there_is_refused(
     real: Real, command: str, options: str, says: str, tmp_path: Path, tool: Tool, monkeypatch: Any
 ) -> None:

@@ -125,9 +125,7 @@ def test_nothing_is_loaded_from_elsewhere(site: Path, pages: dict[str, Html]) ->
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_appears_with_what_came_out(
-    notebook: Path, site: Path, pages: dict[str, Html]
-) -> None:
+def test_a_notebook_shows_its_output(notebook: Path, site: Path, pages: dict[str, Html]) -> None:
     cells = [cell for cell in json.loads(notebook.read_text())["cells"] if "outputs" in cell]
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)
     sources = ["".join(cell["source"]) for cell in cells]

@@ -110,17 +110,14 @@ def test_a_case_is_the_same_whenever_it_is_made(plan: Plan, tmp_path: Path) -> N
 LINE = "error: field: 3 cannot be used; allowed: 4\n"
 
 
-@pytest.mark.parametrize(
-    ("code", "said", "what"),
-    [
-        (0, "", ""), (2, LINE, ""), (0, "Traceback (most recent call last)", "a traceback"),
-        (2, "", "names nothing"), (2, "error\n", "names nothing"), (2, "error: no\n", "names"),
-        (2, LINE + LINE, "2 lines"), (2, f"warning\n{LINE}", "2 lines"),
-        (2, LINE.replace("3", "\x1b[31m"), "not printable"),
-        (2, LINE.replace("3", "x" * 9999), "of 10040 characters"),
-        (1, "", "exit code 1"), (130, "interrupted", "exit code 130"), (None, "", "exit code None"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("code", "said", "what"), [
+    (0, "", ""), (2, LINE, ""), (0, "Traceback (most recent call last)", "a traceback"),
+    (2, "", "names nothing"), (2, "error\n", "names nothing"), (2, "error: no\n", "names"),
+    (2, LINE + LINE, "2 lines"), (2, f"warning\n{LINE}", "2 lines"),
+    (2, LINE.replace("3", "\x1b[31m"), "not printable"),
+    (2, LINE.replace("3", "x" * 9999), "of 10040 characters"), (1, "", "exit code 1"),
+    (130, "interrupted", "exit code 130"), (None, "", "exit code None"),
+])  # fmt: skip
 def test_what_is_wrong(code: int | None, said: str, what: str, tmp_path: Path) -> None:
     found = wrong(code, said, content(tmp_path), tmp_path)
     assert what in found and bool(found) == bool(what)

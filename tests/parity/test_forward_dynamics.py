@@ -73,9 +73,7 @@ def relative_error(found: Array, expected: Array) -> float:
     return float(np.max(np.abs(found - expected) / np.abs(expected)))
 
 
-def test_accelerations_and_those_of_dense_equations_agree_with_mujoco(
-    states: States, expected: Array
-) -> None:
+def test_accelerations_also_of_dense_equations_are_mujocos(states: States, expected: Array) -> None:
     found = forward_dynamics(*states)
     assert found.shape == (STATES, 9) and found.dtype == np.float64
     assert relative_error(found, expected) <= LARGEST_ERROR
@@ -99,13 +97,10 @@ def test_bodies_matter_and_the_rest_of_the_batch_does_not(states: States, expect
 GOOD = {"q": np.zeros((2, 9)), "qdot": np.zeros((2, 9)), "joint_torque": np.zeros((2, 6))}
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("q", np.zeros((2, 8))), ("qdot", np.zeros((3, 9))), ("joint_torque", np.zeros((2, 5))),
-        ("bodies", Bodies.nominal(3)), ("q", np.full((2, 9), np.nan)),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "value"), [
+    ("q", np.zeros((2, 8))), ("qdot", np.zeros((3, 9))), ("joint_torque", np.zeros((2, 5))),
+    ("bodies", Bodies.nominal(3)), ("q", np.full((2, 9), np.nan)),
+])  # fmt: skip
 def test_what_cannot_be_used_is_named(name: str, value: object) -> None:
     with pytest.raises(InputError, match=rf"^{name}\b"):
         forward_dynamics(**GOOD | {name: value})  # type: ignore[arg-type]

@@ -80,21 +80,16 @@ def nominal_but(row: int, segment: int, value: float) -> NDArray[np.float64]:
     return values
 
 
-@pytest.mark.parametrize(
-    ("names", "value", "message"),
-    [
-        (NAMES, np.ones((2, 6)), r"bodies\.NAME\.shape"),
-        (NAMES, nominal_but(1, 3, np.nan), r"bodies\.NAME: nan"),
-        (NAMES, nominal_but(1, 3, np.inf), r"bodies\.NAME: inf"),
-        (NAMES[:2], nominal_but(0, 6, 0.0), r"bodies\.NAME\b.*positive"),
-        (NAMES[:2], nominal_but(0, 6, -1.0), r"bodies\.NAME\b.*positive"),
-        (NAMES, np.ones((3, 7)), "bodies: 'arrays of different length'"),
-        (NAMES, [["heavy"] * 7] * 2, r"bodies\.NAME"),
-    ],
-)
-def test_arrays_that_cannot_be_used_are_named(
-    names: tuple[str, ...], value: Any, message: str
-) -> None:
+@pytest.mark.parametrize(("names", "value", "message"), [
+    (NAMES, np.ones((2, 6)), r"bodies\.NAME\.shape"),
+    (NAMES, nominal_but(1, 3, np.nan), r"bodies\.NAME: nan"),
+    (NAMES, nominal_but(1, 3, np.inf), r"bodies\.NAME: inf"),
+    (NAMES[:2], nominal_but(0, 6, 0.0), r"bodies\.NAME\b.*positive"),
+    (NAMES[:2], nominal_but(0, 6, -1.0), r"bodies\.NAME\b.*positive"),
+    (NAMES, np.ones((3, 7)), "bodies: 'arrays of different length'"),
+    (NAMES, [["heavy"] * 7] * 2, r"bodies\.NAME"),
+])  # fmt: skip
+def test_arrays_of_no_use_are_named(names: tuple[str, ...], value: Any, message: str) -> None:
     for name in names:
         with pytest.raises(InputError, match=f"^{message.replace('NAME', name)}"):
             Bodies(**{**vars(Bodies.nominal(2)), name: value})

@@ -50,41 +50,29 @@ terrain.direction = "down"
 """
 
 
-@pytest.mark.parametrize(
-    ("file", "terrain"),
-    [
-        ("hill", {"kind": "ramp", "increment": 0.04, "direction": "up"}),
-        ("hill-steep", {"kind": "ramp", "increment": 0.08, "direction": "up"}),
-        ("hill-rough", {"kind": "rough"}),
-        ("hill-steep-down", {"kind": "ramp", "increment": 0.08, "direction": "down"}),
-    ],
-)
-def test_a_variant_is_laid_over_its_file_and_a_file_of_its_own_goes_before(
-    tmp_path: Path, file: str, terrain: dict[str, object]
-) -> None:
+@pytest.mark.parametrize(("file", "terrain"), [
+    ("hill", {"kind": "ramp", "increment": 0.04, "direction": "up"}),
+    ("hill-steep", {"kind": "ramp", "increment": 0.08, "direction": "up"}),
+    ("hill-rough", {"kind": "rough"}),
+    ("hill-steep-down", {"kind": "ramp", "increment": 0.08, "direction": "down"}),
+])  # fmt: skip
+def test_variants_lie_over_a_file(tmp_path: Path, file: str, terrain: dict[str, object]) -> None:
     (tmp_path / "hill.toml").write_text(HILLS)
     assert read_toml(tmp_path / f"{file}.toml").unread == {"name": file, "terrain": terrain}
     (tmp_path / f"{file}.toml").write_text("seed = 3")
     assert read_toml(tmp_path / f"{file}.toml").unread == {"seed": 3}
 
 
-@pytest.mark.parametrize(
-    ("text", "file", "message"),
-    [
-        (HILLS, "hill-flat", "hill-flat.toml.* a variant of .*hill.toml: steep, rough, steep-down"),
-        ("only_variants = true" + HILLS, "hill", "hill.toml.* a variant of .*: steep, rough"),
-        ("seed = 3", "hill-flat", "hill-flat.toml.*No such file"),
-        ("variants = 3", "hill", "variants: '?3"),
-        ("variants.a = 3", "hill-a", "variants: "),
-        ('[a]\nlike = "b"\n[b]\nlike = "a"', "hill", "b.like: 'a'"),
-        ('[a]\nlike = "a"', "hill", "a.like: 'a'"),
-        ('b = 3\n[a]\nlike = "b"', "hill", "a.like: 'b'"),
-        ("[a]\nlike = [3]", "hill", "a.like: "),
-    ],
-)
-def test_variants_and_likenesses_that_are_refused(
-    tmp_path: Path, text: str, file: str, message: str
-) -> None:
+@pytest.mark.parametrize(("text", "file", "message"), [
+    (HILLS, "hill-flat", "hill-flat.toml.* a variant of .*hill.toml: steep, rough, steep-down"),
+    ("only_variants = true" + HILLS, "hill", "hill.toml.* a variant of .*: steep, rough"),
+    ("seed = 3", "hill-flat", "hill-flat.toml.*No such file"),
+    ("variants = 3", "hill", "variants: '?3"), ("variants.a = 3", "hill-a", "variants: "),
+    ('[a]\nlike = "b"\n[b]\nlike = "a"', "hill", "b.like: 'a'"),
+    ('[a]\nlike = "a"', "hill", "a.like: 'a'"), ('b = 3\n[a]\nlike = "b"', "hill", "a.like: 'b'"),
+    ("[a]\nlike = [3]", "hill", "a.like: "),
+])  # fmt: skip
+def test_variants_that_are_refused(tmp_path: Path, text: str, file: str, message: str) -> None:
     (tmp_path / "hill.toml").write_text(text)
     error = refused(lambda: read_toml(tmp_path / f"{file}.toml"))
     assert re.search(message, str(error))
@@ -129,9 +117,7 @@ BAD_VALUES: list[tuple[list[object], Callable[[Table], object], str]] = [
 
 
 @pytest.mark.parametrize(("values", "read", "allowed"), BAD_VALUES)
-def test_a_value_of_wrong_type_or_range_is_named(
-    values: list[object], read: Callable[[Table], object], allowed: str
-) -> None:
+def test_wrong_values(values: list[object], read: Callable[[Table], object], allowed: str) -> None:
     for value in values:
         error = refused(lambda value=value: read(Table({"key": value}, "outer")))  # type: ignore[misc]
         assert error.field == "outer.key"

@@ -64,15 +64,12 @@ def undisturbed() -> np.ndarray:
 # What is refused.
 
 
-@pytest.mark.parametrize(
-    ("arguments", "field"),
-    [
-        ({"gains": np.zeros((2, 15))}, "gains"),
-        ({"gains": np.full((2, 16), np.nan)}, r"gains\[0\]\.K_GAS"),
-        ({"gains": np.tile(PUBLISHED_GAINS, (2, 1)), "bodies": Bodies.nominal(3)}, "bodies"),
-        ({"gains": PUBLISHED_GAINS, "low_level_gains": [1.0]}, "low_level_gains"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "field"), [
+    ({"gains": np.zeros((2, 15))}, "gains"),
+    ({"gains": np.full((2, 16), np.nan)}, r"gains\[0\]\.K_GAS"),
+    ({"gains": np.tile(PUBLISHED_GAINS, (2, 1)), "bodies": Bodies.nominal(3)}, "bodies"),
+    ({"gains": PUBLISHED_GAINS, "low_level_gains": [1.0]}, "low_level_gains"),
+])  # fmt: skip
 def test_arguments_that_cannot_be_used(arguments: dict[str, Any], field: str) -> None:
     with pytest.raises(InputError, match=field):
         Controller(arguments.pop("gains"), **arguments)
@@ -138,7 +135,7 @@ def test_those_who_are_kept_go_on(undisturbed: np.ndarray, rows: Any, after: int
 
 
 @pytest.mark.slow
-def test_another_controller_and_another_simulation_in_between_change_nothing(
+def test_another_controller_and_simulation_between_change_nothing(
     undisturbed: np.ndarray,
 ) -> None:
     """A simulation with other settings starts Taichi again: bound kernels are gone."""

@@ -24,9 +24,7 @@ def python(*words: object, env: Mapping[str, str] = os.environ) -> subprocess.Co
     return subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True)
 
 
-def test_a_folder_is_taken_that_can_be_written_and_another_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cache_must_be_writable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "new" / "cache"))
     require_kernel_cache()
     assert list((tmp_path / "new" / "cache").iterdir()) == []

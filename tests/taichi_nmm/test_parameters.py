@@ -49,17 +49,14 @@ def spoilt(value: float) -> NDArray[np.float64]:
     return rows
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        *((np.ones(shape), r"gains\.shape") for shape in ((15,), (3, 17), (2, 2, 16), ())),
-        *(
-            (spoilt(value), r"gains\[2\]\.alpha_0: .*a finite number")
-            for value in (np.nan, np.inf, -np.inf)
-        ),
-        *((values, "gains") for values in ("published", [["x"] * 16], [[1.0] * 16, [1.0]], None)),
-    ],
-)
+@pytest.mark.parametrize(("values", "message"), [
+    *((np.ones(shape), r"gains\.shape") for shape in ((15,), (3, 17), (2, 2, 16), ())),
+    *(
+        (spoilt(value), r"gains\[2\]\.alpha_0: .*a finite number")
+        for value in (np.nan, np.inf, -np.inf)
+    ),
+    *((values, "gains") for values in ("published", [["x"] * 16], [[1.0] * 16, [1.0]], None)),
+])  # fmt: skip
 def test_rows_that_cannot_be_used_are_named(values: Any, message: str) -> None:
     with pytest.raises(InputError, match=f"^{message}"):
         parameters.gain_rows(values)
@@ -86,9 +83,7 @@ def test_shipped_gains_lie_inside_the_bounds() -> None:
 @pytest.mark.parametrize(
     "gains", [PUBLISHED_GAINS, parameters.lower_bounds(), parameters.upper_bounds()]
 )
-def test_gains_come_back_from_a_file_whatever_its_order(
-    tmp_path: Path, gains: NDArray[np.float64]
-) -> None:
+def test_gains_come_back_in_any_order(tmp_path: Path, gains: NDArray[np.float64]) -> None:
     path = tmp_path / "mine.json"
     named = list(zip(GAIN_NAMES, gains.tolist(), strict=True))
     path.write_text(json.dumps(dict(reversed(named))))
@@ -101,27 +96,21 @@ def gains_text(**changes: object) -> str:
     return json.dumps({name: value for name, value in data.items() if value is not None})
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{", r"gains: .*a readable JSON object"),
-        ("[1, 2]", r"gains: .*JSON object of the 16 gains"),
-        (gains_text(K_KNEE=1.0), r"gains: 'K_KNEE'.*only the names K_GAS"),
-        (gains_text(C_d=None), r"gains\.C_d: .*a number"),
-        (gains_text(C_d="0.1"), r"gains\.C_d: '0.1'.*a number"),
-        (gains_text(C_d=True), r"gains\.C_d: True.*a number"),
-        (gains_text(C_d=float("nan")), r"gains.*C_d: nan.*a finite number"),
-        (gains_text(K_SOL=99), r"^gains\.K_SOL: 99 cannot be used; allowed: 0 to 24$"),
-        (gains_text(K_SOL=-1e-9), r"gains\.K_SOL: -1e-09.*0 to 24"),
-        (gains_text(K_SOL=10**400), r"gains\.K_SOL: 10.*0 to 24"),
-        (gains_text(theta_ref=0.1), r"gains: 'theta_ref'.*the 16 gains alone; load_all_gains"),
-        ('{"gains": [1, 2]}', r"gains: .*JSON object of the 16 gains"),
-        ('{"gains": {}, "speed": 1}', r"gains\.K_GAS: None.*a number"),
-    ],
-)
-def test_a_file_that_is_not_the_sixteen_gains_and_an_unknown_name_are_refused(
-    tmp_path: Path, text: str, message: str
-) -> None:
+@pytest.mark.parametrize(("text", "message"), [
+    ("{", r"gains: .*a readable JSON object"), ("[1, 2]", r"gains: .*JSON object of the 16 gains"),
+    (gains_text(K_KNEE=1.0), r"gains: 'K_KNEE'.*only the names K_GAS"),
+    (gains_text(C_d=None), r"gains\.C_d: .*a number"),
+    (gains_text(C_d="0.1"), r"gains\.C_d: '0.1'.*a number"),
+    (gains_text(C_d=True), r"gains\.C_d: True.*a number"),
+    (gains_text(C_d=float("nan")), r"gains.*C_d: nan.*a finite number"),
+    (gains_text(K_SOL=99), r"^gains\.K_SOL: 99 cannot be used; allowed: 0 to 24$"),
+    (gains_text(K_SOL=-1e-9), r"gains\.K_SOL: -1e-09.*0 to 24"),
+    (gains_text(K_SOL=10**400), r"gains\.K_SOL: 10.*0 to 24"),
+    (gains_text(theta_ref=0.1), r"gains: 'theta_ref'.*the 16 gains alone; load_all_gains"),
+    ('{"gains": [1, 2]}', r"gains: .*JSON object of the 16 gains"),
+    ('{"gains": {}, "speed": 1}', r"gains\.K_GAS: None.*a number"),
+])  # fmt: skip
+def test_files_and_names_of_no_gains_are_refused(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "bad.json"
     path.write_text(text)
     with pytest.raises(InputError, match=message):
@@ -154,15 +143,12 @@ def test_low_level_gains_have_defaults_and_a_file_may_name_them(tmp_path: Path) 
     assert changed == {"theta_ref": 0.2, "k_ext": 0.0}
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (gains_text(theta_ref=2), r"^gains\.theta_ref: 2 cannot.*: -0\.174533 to 0\.523599$"),
-        (gains_text(theta_ref="much"), r"gains\.theta_ref: 'much'.*a number"),
-        (gains_text(theta=0.1), r"gains: 'theta'.*only the names K_GAS .* theta_ref"),
-        (gains_text(K_SOL=99), r"gains\.K_SOL: 99"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    (gains_text(theta_ref=2), r"^gains\.theta_ref: 2 cannot.*: -0\.174533 to 0\.523599$"),
+    (gains_text(theta_ref="much"), r"gains\.theta_ref: 'much'.*a number"),
+    (gains_text(theta=0.1), r"gains: 'theta'.*only the names K_GAS .* theta_ref"),
+    (gains_text(K_SOL=99), r"gains\.K_SOL: 99"),
+])  # fmt: skip
 def test_low_level_gains_are_checked_too(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "bad.json"
     path.write_text(text)

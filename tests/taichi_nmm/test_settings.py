@@ -65,15 +65,12 @@ def test_defaults_are_those_the_gaits_converge_with_and_steps_fill_a_tick() -> N
     assert [Settings(physics_step_s=step_s).substeps for step_s in PHYSICS_STEPS_S] == [1, 2, 4]
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("physics_step_s", 2e-3), ("physics_step_s", NAN), ("contact_relaxation_speed_mps", 0.0),
-        ("contact_relaxation_speed_mps", 11.0), ("contact_relaxation_speed_mps", NAN),
-        ("precision", "float16"), ("arch", "tpu"), ("threads", 0), ("threads", 10_000),
-        ("engine", "bullet"), ("engine", "MuJoCo"), ("engine", ""), ("engine", 1),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("field", "value"), [
+    ("physics_step_s", 2e-3), ("physics_step_s", NAN), ("contact_relaxation_speed_mps", 0.0),
+    ("contact_relaxation_speed_mps", 11.0), ("contact_relaxation_speed_mps", NAN),
+    ("precision", "float16"), ("arch", "tpu"), ("threads", 0), ("threads", 10_000),
+    ("engine", "bullet"), ("engine", "MuJoCo"), ("engine", ""), ("engine", 1),
+])  # fmt: skip
 def test_settings_out_of_range_are_named(field: str, value: object) -> None:
     with pytest.raises(InputError) as caught:
         Settings(**{field: value})  # type: ignore[arg-type]
@@ -159,22 +156,16 @@ def test_a_time_constant_of_some_steps_only(step_s: float) -> None:
     assert Settings(engine="mujoco", physics_step_s=step_s, mujoco=shortest).mujoco == shortest
 
 
-@pytest.mark.parametrize(
-    ("field", "simulation", "allowed"),
-    [
-        ("mujoco.limits", {"mujoco": {"limits": "none"}}, "stops or mujoco"),
-        ("mujoco.limits", {"mujoco": {"limits": "Stops"}}, "stops or mujoco"),
-        ("mujoco.limits", {"mujoco": {"limits": ""}}, "stops or mujoco"),
-        ("mujoco.limits", {"mujoco": {"limits": 1}}, "a string"),
-        ("mujoco.solimp", {"mujoco": {"solimp": 0.9}}, "only the keys"),
-        ("contact_relaxation_speed_mps", {"contact_relaxation_speed_mps": 0.1}, "only the keys"),
-        ("arch", {"arch": "cuda"}, "auto or cpu"),
-        ("arch", {"arch": "vulkan"}, "auto or cpu"),
-    ],
-)
-def test_a_bad_setting_of_mujoco_is_named(
-    field: str, simulation: dict[str, Any], allowed: str
-) -> None:
+@pytest.mark.parametrize(("field", "simulation", "allowed"), [
+    ("mujoco.limits", {"mujoco": {"limits": "none"}}, "stops or mujoco"),
+    ("mujoco.limits", {"mujoco": {"limits": "Stops"}}, "stops or mujoco"),
+    ("mujoco.limits", {"mujoco": {"limits": ""}}, "stops or mujoco"),
+    ("mujoco.limits", {"mujoco": {"limits": 1}}, "a string"),
+    ("mujoco.solimp", {"mujoco": {"solimp": 0.9}}, "only the keys"),
+    ("contact_relaxation_speed_mps", {"contact_relaxation_speed_mps": 0.1}, "only the keys"),
+    ("arch", {"arch": "cuda"}, "auto or cpu"), ("arch", {"arch": "vulkan"}, "auto or cpu"),
+])  # fmt: skip
+def test_bad_settings_of_mujoco(field: str, simulation: dict[str, Any], allowed: str) -> None:
     assert allowed in refused_on_mujoco(field, **simulation)
 
 

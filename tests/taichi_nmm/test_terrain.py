@@ -83,9 +83,7 @@ def test_ground_may_rise_as_a_whole_while_blocks_stay_level() -> None:
 
 
 @pytest.mark.parametrize(("direction", "sign"), [("up", 1.0), ("down", -1.0)])
-def test_ramps_steepen_by_the_increment_and_stairs_step_at_each_run(
-    direction: str, sign: float
-) -> None:
+def test_ramps_steepen_by_increments_and_stairs_step_at_runs(direction: str, sign: float) -> None:
     ground = terrain.ramp(0.04, 20.0, 0.20, direction)
     ends = sign * 20.0 * np.cumsum([0.0, 0.04, 0.08, 0.12, 0.16, 0.20, 0.20])
     np.testing.assert_allclose(ground.height(20.0 * np.arange(1, 8)), ends, atol=1e-9)
@@ -108,9 +106,7 @@ HILL_ROWS = [(0.0, 0.0), (10.0, 1.0), (20.0, 0.5)]
 )
 @pytest.mark.parametrize("between", [",", ", ", " ", "\t", "  "])
 @pytest.mark.parametrize("end", ["\n", "\r\n", "  # a note, or none\n", "\n\n   \n"])
-def test_headers_blanks_and_notes_of_a_file(
-    tmp_path: Path, head: str, between: str, end: str
-) -> None:
+def test_headers_blanks_notes_of_a_file(tmp_path: Path, head: str, between: str, end: str) -> None:
     path = tmp_path / "hill.csv"
     head = head if between.strip() else head.replace(",", between)
     path.write_text(head + "".join(f" {x}{between}{z}{end}" for x, z in HILL_ROWS), newline="")
@@ -154,16 +150,12 @@ def test_every_configurable_ground_is_within_the_bounds(kind: str, end: str) -> 
         assert np.all(np.abs(ground.height_m) <= terrain.HIGHEST_M)
 
 
-@pytest.mark.parametrize(
-    ("text", "allowed"),
-    [
-        ("0,zero\n1,2\n", "a readable table"), ("0,1\n", "at least two rows"),
-        ("0,1,2\n1,1,2\n", "two columns"), ("0,1\n0,2\n", "strictly increasing"),
-        ("0,1\n1,nan\n", "finite numbers"), ("0,1\ninf,2\n", "finite numbers"),
-        ("", "at least two rows"),
-        *((f"{head}\n0,0\n1,1\n", "x_m,height_m") for head in OTHER_HEADERS),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "allowed"), [
+    ("0,zero\n1,2\n", "a readable table"), ("0,1\n", "at least two rows"),
+    ("0,1,2\n1,1,2\n", "two columns"), ("0,1\n0,2\n", "strictly increasing"),
+    ("0,1\n1,nan\n", "finite numbers"), ("0,1\ninf,2\n", "finite numbers"),
+    ("", "at least two rows"), *((f"{head}\n0,0\n1,1\n", "x_m,height_m") for head in OTHER_HEADERS),
+])  # fmt: skip
 @pytest.mark.filterwarnings("error")
 def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text: str, allowed: str) -> None:
     path = tmp_path / "bad.csv"
@@ -201,24 +193,17 @@ def test_settings_out_of_range_are_named(make: Callable[..., Terrain]) -> None:
             assert caught.value.field == f"terrain.{option}", value
 
 
-@pytest.mark.parametrize(
-    ("kind", "options", "expected"),
-    [
-        ("flat", {}, terrain.flat()),
-        ("rough", {}, terrain.rough(SEED)),
-        ("rough", {"amplitude_m": 0.06, "spacing_m": 2, "flat_start_m": 5},
-         terrain.rough(SEED, 0.06, 2.0, 5.0)),
-        ("rough", {"slope": -0.05}, terrain.rough(SEED, slope=-0.05)),
-        ("blocks", {"amplitude_m": 0.03, "riser_m": 0.2}, terrain.blocks(SEED, 0.03, riser_m=0.2)),
-        ("ramp", {"increment": 0.025, "direction": "down"}, terrain.ramp(0.025, direction="down")),
-        ("ramp", {"segment_m": 10, "largest_slope": 0.1}, terrain.ramp(0.04, 10.0, 0.1)),
-        ("stairs", {"rise_m": 0.15, "run_m": 0.4, "flat_start_m": 3},
-         terrain.stairs(0.15, 0.4, 3.0)),
-    ],
-)  # fmt: skip
-def test_each_kind_of_terrain_is_read(
-    kind: str, options: dict[str, object], expected: Terrain
-) -> None:
+@pytest.mark.parametrize(("kind", "options", "expected"), [
+    ("flat", {}, terrain.flat()), ("rough", {}, terrain.rough(SEED)),
+    ("rough", {"amplitude_m": 0.06, "spacing_m": 2, "flat_start_m": 5},
+     terrain.rough(SEED, 0.06, 2.0, 5.0)),
+    ("rough", {"slope": -0.05}, terrain.rough(SEED, slope=-0.05)),
+    ("blocks", {"amplitude_m": 0.03, "riser_m": 0.2}, terrain.blocks(SEED, 0.03, riser_m=0.2)),
+    ("ramp", {"increment": 0.025, "direction": "down"}, terrain.ramp(0.025, direction="down")),
+    ("ramp", {"segment_m": 10, "largest_slope": 0.1}, terrain.ramp(0.04, 10.0, 0.1)),
+    ("stairs", {"rise_m": 0.15, "run_m": 0.4, "flat_start_m": 3}, terrain.stairs(0.15, 0.4, 3.0)),
+])  # fmt: skip
+def test_each_kind_is_read(kind: str, options: dict[str, object], expected: Terrain) -> None:
     found = read_ground(Table({"kind": kind, **options}, "terrain")).draw(SEED)
     np.testing.assert_array_equal(found.height_m, expected.height_m)
     assert found.name == expected.name
@@ -236,32 +221,25 @@ def test_a_file_lies_beside_the_configuration_and_is_kept_in_the_ground(tmp_path
     assert again.draw(SEED).name == "file hill.csv"
 
 
-@pytest.mark.parametrize(
-    ("kind", "options", "message"),
-    [
-        ("lava", {}, f"kind: 'lava' .* {' or '.join(KINDS)}"),
-        ("flat", {"amplitude_m": 0.1}, "amplitude_m: 0.1 .* only the keys kind$"),
-        ("rough", {"riser_m": 0.1}, "riser_m: 0.1 .* only the keys kind, amplitude_m, "),
-        ("rough", {"amplitude_m": -0.1}, "amplitude_m: -0.1"),
-        ("rough", {"spacing_m": 0.0}, "spacing_m: 0.0 .* a number from 0.1 to 100"),
-        ("rough", {"slope": 1.5}, "slope: 1.5"),
-        ("blocks", {"riser_m": 0.01}, "riser_m: 0.01"),
-        ("blocks", {"riser_m": 2.0}, r"riser_m: 2.0 .* 0.05 to 1.0 \(spacing_m\)"),
-        ("ramp", {"increment": "steep"}, "increment: 'steep'"),
-        ("ramp", {"direction": "left"}, "direction: 'left' .* up or down"),
-        ("stairs", {"run_m": 0.01}, "run_m: 0.01"),
-        ("stairs", {"rise": 0.1}, "rise: 0.1"),
-        ("file", {}, "file: 'missing' .* the key is required"),
-        ("file", {"file": "no/such/table.csv"}, "file: 'no/such/table.csv'"),
-        *(
-            ("rough", {"slope": slope}, "slope: ")
-            for slope in ([0.1], [0.1, 0.0], [0.0, 7.0], ["a", "b"], [0.0, 0.1, 0.2])
-        ),
-    ],
-)
-def test_a_bad_terrain_is_named_with_the_allowed_values(
-    kind: str, options: dict[str, object], message: str
-) -> None:
+@pytest.mark.parametrize(("kind", "options", "message"), [
+    ("lava", {}, f"kind: 'lava' .* {' or '.join(KINDS)}"),
+    ("flat", {"amplitude_m": 0.1}, "amplitude_m: 0.1 .* only the keys kind$"),
+    ("rough", {"riser_m": 0.1}, "riser_m: 0.1 .* only the keys kind, amplitude_m, "),
+    ("rough", {"amplitude_m": -0.1}, "amplitude_m: -0.1"),
+    ("rough", {"spacing_m": 0.0}, "spacing_m: 0.0 .* a number from 0.1 to 100"),
+    ("rough", {"slope": 1.5}, "slope: 1.5"), ("blocks", {"riser_m": 0.01}, "riser_m: 0.01"),
+    ("blocks", {"riser_m": 2.0}, r"riser_m: 2.0 .* 0.05 to 1.0 \(spacing_m\)"),
+    ("ramp", {"increment": "steep"}, "increment: 'steep'"),
+    ("ramp", {"direction": "left"}, "direction: 'left' .* up or down"),
+    ("stairs", {"run_m": 0.01}, "run_m: 0.01"), ("stairs", {"rise": 0.1}, "rise: 0.1"),
+    ("file", {}, "file: 'missing' .* the key is required"),
+    ("file", {"file": "no/such/table.csv"}, "file: 'no/such/table.csv'"),
+    *(
+        ("rough", {"slope": slope}, "slope: ")
+        for slope in ([0.1], [0.1, 0.0], [0.0, 7.0], ["a", "b"], [0.0, 0.1, 0.2])
+    ),
+])  # fmt: skip
+def test_a_bad_terrain_is_named(kind: str, options: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=rf"^terrain\.{message}"):
         read_ground(Table({"kind": kind, **options}, "terrain"))
 

@@ -12,10 +12,9 @@ from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import MEASURES, Walker, array_digest
 
 
-@pytest.mark.parametrize(
-    ("settings", "processes"),
-    [(Settings(arch="cpu"), 7), (Settings(engine="mujoco"), 7), (Settings(), 1)],
-)
+@pytest.mark.parametrize(("settings", "processes"), [
+    (Settings(arch="cpu"), 7), (Settings(engine="mujoco"), 7), (Settings(), 1),
+])  # fmt: skip
 def test_a_process_a_core_where_no_gpu_computes(
     settings: Settings, processes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -88,34 +88,27 @@ def test_the_table_reads_back_what_was_written() -> None:
     assert hash(ALL) == hash(read_world(Table(ALL.document())))
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "allowed"),
-    [
-        ("friction", [0.6], "two numbers"), ("friction", 0.6, "two numbers"),
-        ("friction", ["a", "b"], "two numbers"), ("friction", [True, True], "two numbers"),
-        ("friction", [1.0, 0.6], "in this order"), ("friction", [0.0, 0.6], "0.05 to 10"),
-        ("strength", [0.8, float("nan")], "0.1 to 10"),
-        ("contact_stiffness", [1.0, 1e9], "0.01 to 100"),
-        ("contact_stifness", [1.0, 2.0], "only the keys contact_stiffness"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("key", "value", "allowed"), [
+    ("friction", [0.6], "two numbers"), ("friction", 0.6, "two numbers"),
+    ("friction", ["a", "b"], "two numbers"), ("friction", [True, True], "two numbers"),
+    ("friction", [1.0, 0.6], "in this order"), ("friction", [0.0, 0.6], "0.05 to 10"),
+    ("strength", [0.8, float("nan")], "0.1 to 10"),
+    ("contact_stiffness", [1.0, 1e9], "0.01 to 100"),
+    ("contact_stifness", [1.0, 2.0], "only the keys contact_stiffness"),
+])  # fmt: skip
 def test_a_bad_table_is_named(key: str, value: Any, allowed: str) -> None:
     with pytest.raises(InputError) as error:
         read_world(Table({key: value}, "world"))
     assert error.value.field == f"world.{key}" and allowed in error.value.allowed
 
 
-@pytest.mark.parametrize(
-    ("change", "field"),
-    [
-        ({"friction": np.full((2, 1), 0.9)}, "worlds.friction.shape"),
-        ({"strength": np.ones((2, 7))}, "worlds.strength.shape"),
-        ({"friction": [0.9, -1.0]}, "worlds.friction"),
-        ({"relaxation_speed": [1.0, np.nan]}, "worlds.relaxation_speed"),
-        ({"contact_stiffness": "stiff"}, "worlds.contact_stiffness"),
-        ({"friction": [0.9]}, "worlds"),
-    ],
-)
+@pytest.mark.parametrize(("change", "field"), [
+    ({"friction": np.full((2, 1), 0.9)}, "worlds.friction.shape"),
+    ({"strength": np.ones((2, 7))}, "worlds.strength.shape"),
+    ({"friction": [0.9, -1.0]}, "worlds.friction"),
+    ({"relaxation_speed": [1.0, np.nan]}, "worlds.relaxation_speed"),
+    ({"contact_stiffness": "stiff"}, "worlds.contact_stiffness"), ({"friction": [0.9]}, "worlds"),
+])  # fmt: skip
 def test_bad_worlds_are_named(change: dict[str, Any], field: str) -> None:
     with pytest.raises(InputError) as error:
         Worlds(**(vars(Worlds.nominal(2)) | change))

@@ -63,9 +63,7 @@ def test_the_table_is_for_people(command: Comparison) -> None:
     assert lines[3].startswith("6 trials (6 now")
 
 
-def test_another_seed_has_a_folder_of_its_own(
-    command: Comparison, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_seed_has_its_own_folder(command: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(command.folder)
     assert command.run(out="", seed=7, trials=1, arms="random") == 0
     out = Path("out") / "compare" / "toy-seed-7"
@@ -123,9 +121,7 @@ def test_a_database_that_is_refused_leaves_no_folder(
     assert not {name for name in before ^ after if not name.startswith("studies.db-")}
 
 
-def test_a_missing_ffmpeg_is_refused_before_the_work(
-    command: Comparison, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_ffmpeg_is_refused(command: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
     words = (word for word in command.words() if word != "--no-artifacts")
     command.tool.refuses("ffmpeg: ", *words)

@@ -103,21 +103,15 @@ def test_the_newest_experiment_is_the_default_and_pictures_lie_beside_it(folder:
     assert command.find_artifacts(None, url, None) is None
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("nowhere", "folder: .*an experiment's folder"),
-        ("x" * 300, ".*255 a name"),
-        (f"{TINY} --artifacts {'x' * 300}", ".*255 a name"),
-        ("--storage sqlite:///nowhere.db", "storage: .*a database that is there"),
-        ("--storage nowhere.db", "storage: .*sqlite:///FILE or postgresql"),
-        (f"{TINY} --artifacts nowhere", "artifacts: .*a folder that is there"),
-        (f"{TINY} --port 70000", "port: .*a whole number from 0 to 65535"),
-    ],
-)
-def test_bad_input_is_refused_and_nothing_is_made(
-    words: str, message: str, folder: Path, tool: Tool
-) -> None:
+@pytest.mark.parametrize(("words", "message"), [
+    ("nowhere", "folder: .*an experiment's folder"), ("x" * 300, ".*255 a name"),
+    (f"{TINY} --artifacts {'x' * 300}", ".*255 a name"),
+    ("--storage sqlite:///nowhere.db", "storage: .*a database that is there"),
+    ("--storage nowhere.db", "storage: .*sqlite:///FILE or postgresql"),
+    (f"{TINY} --artifacts nowhere", "artifacts: .*a folder that is there"),
+    (f"{TINY} --port 70000", "port: .*a whole number from 0 to 65535"),
+])  # fmt: skip
+def test_bad_input_makes_nothing(words: str, message: str, folder: Path, tool: Tool) -> None:
     tool.refuses(message, "dashboard", *words.split())
     assert sorted(path.name for path in Path().iterdir()) == ["out"]
 
@@ -129,16 +123,11 @@ def test_a_file_that_is_no_database_and_no_experiment_at_all(folder: Path, tool:
     tool.refuses("folder: .*a folder with experiments", "dashboard")
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        "UPDATE version_info SET schema_version = ''",
-        "UPDATE studies SET study_name = x'61' WHERE study_id = 1",
-    ],
-)
-def test_a_damaged_database_is_refused_and_left_alone(
-    folder: Path, tool: Tool, change: str
-) -> None:
+@pytest.mark.parametrize("change", [
+    "UPDATE version_info SET schema_version = ''",
+    "UPDATE studies SET study_name = x'61' WHERE study_id = 1",
+])  # fmt: skip
+def test_a_damaged_database_is_refused_and_unchanged(folder: Path, tool: Tool, change: str) -> None:
     with closing(sqlite3.connect(folder / "studies.db")) as connection, connection:
         connection.execute(change)
     before = sorted(folder.iterdir())

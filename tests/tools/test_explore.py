@@ -32,14 +32,11 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [("nowhere", FOLDER), ("empty", FOLDER), ("file", "store: "), ("compared", ".*with trials"),
-     ("newer", "store: .*of format 99")],
-)  # fmt: skip
-def test_what_cannot_be_shown(
-    name: str, message: str, store: Path, tmp_path: Path, tool: Tool
-) -> None:
+@pytest.mark.parametrize(("name", "message"), [
+    ("nowhere", FOLDER), ("empty", FOLDER), ("file", "store: "), ("compared", ".*with trials"),
+    ("newer", "store: .*of format 99"),
+])  # fmt: skip
+def test_bad_input(name: str, message: str, store: Path, tmp_path: Path, tool: Tool) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("no store")
     (tmp_path / "compared").mkdir()
@@ -49,9 +46,7 @@ def test_what_cannot_be_shown(
     tool.refuses(message, "explore", tmp_path / name, "--no-browser")
 
 
-def test_without_bokeh_its_name_is_said(
-    store: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_bokeh_it_says_so(store: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name.startswith("study.explore")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "bokeh", None)

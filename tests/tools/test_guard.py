@@ -40,14 +40,11 @@ def test_ctrl_c_during_a_late_import_is_one_line(package: str, tmp_path: Path) -
     assert last_line(done, 130) == INTERRUPTED
 
 
-@pytest.mark.parametrize(
-    ("words", "package"),
-    [(("walk",), "taichi"), (WALK, "matplotlib"), (("walk",), "imageio_ffmpeg"),
-     (("dashboard",), "optuna_dashboard")],
-)  # fmt: skip
-def test_a_missing_package_is_named_in_one_line(
-    words: tuple[object, ...], package: str, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize(("words", "package"), [
+    (("walk",), "taichi"), (WALK, "matplotlib"), (("walk",), "imageio_ffmpeg"),
+    (("dashboard",), "optuna_dashboard"),
+])  # fmt: skip
+def test_a_missing_package_is_said(words: tuple[object, ...], package: str, tmp_path: Path) -> None:
     done = run_with_accident(tmp_path, ("-m", "taichi_nmm", *words), missing=[package])
     line = last_line(done, 2)
     assert line.startswith("error: ") and package in line.replace("-", "_")

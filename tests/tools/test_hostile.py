@@ -23,6 +23,7 @@ from tests.tools.running import ROOT, WAIT_S, Done, finish, start
 
 pytestmark = pytest.mark.slow
 
+Trials, Words = list[dict[str, float]], tuple[object, ...]
 STUDY = ("study", "--config", "toy.toml", "--arm", "dog", "--storage", "sqlite:///studies.db",
          "--out", "out", "--trials", 4)  # fmt: skip
 COMPARE = ("compare", "--config", "toy.toml", "--arms", "random,dog", "--runs", 1, "--trials", 2,
@@ -55,7 +56,7 @@ def run(command: Iterable[object], shell: str = "", **options: Any) -> Done:
     return finish(start(*command, shell=shell, **options))
 
 
-def trials(folder: Path) -> list[dict[str, float]]:
+def trials(folder: Path) -> Trials:
     """Parameters of the finished trials of the one study."""
     url = f"sqlite:///{folder / 'studies.db'}"
     study = optuna.load_study(study_name="toy/dog/run-000", storage=url)
@@ -63,7 +64,7 @@ def trials(folder: Path) -> list[dict[str, float]]:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(made: Path) -> list[dict[str, float]]:
+def undisturbed(made: Path) -> Trials:
     """The trials of a study that nobody is unkind to."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(made)
@@ -73,9 +74,7 @@ def undisturbed(made: Path) -> list[dict[str, float]]:
 
 
 @pytest.mark.parametrize("closed", ["<&- >&-", "<&- >&- 2>&-"])
-def test_closed_files_are_as_good_as_the_null_device(
-    folder: Path, closed: str, undisturbed: list[dict[str, float]]
-) -> None:
+def test_closed_files_are_like_null_devices(folder: Path, closed: str, undisturbed: Trials) -> None:
     """What is printed does not get into the database, whose number would be that of stdout."""
     done = run(STUDY, REDIRECTED.format(closed))
     assert done.code == 0 and "Traceback" not in done.error
@@ -83,9 +82,7 @@ def test_closed_files_are_as_good_as_the_null_device(
     json.loads((folder / "out" / "dog-run-000-best.json").read_text())
 
 
-def test_a_full_disk_under_what_is_printed_is_one_line_and_loses_no_work(
-    folder: Path, undisturbed: list[dict[str, float]]
-) -> None:
+def test_a_full_disk_for_output_is_one_line_and_no_loss(folder: Path, undisturbed: Trials) -> None:
     done = run(LIST, REDIRECTED.format(">/dev/full"))
     assert done.code == 2 and len(done.lines) == 1 and done.last.startswith(FULL)
     done = run(STUDY, REDIRECTED.format(">/dev/full"))
@@ -111,9 +108,7 @@ def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> N
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("command", [STUDY, COMPARE])
-def test_files_that_may_not_grow_are_one_line_and_it_resumes(
-    folder: Path, command: tuple[object, ...]
-) -> None:
+def test_files_that_may_not_grow_are_one_line_and_it_resumes(folder: Path, command: Words) -> None:
     done = run(command, 'ulimit -f 8; exec "$@"')
     assert done.code == 2 and "Traceback" not in done.error
     assert done.last.startswith("error: ")
@@ -131,9 +126,7 @@ def without_the_rights_of_root() -> str:
 
 
 @pytest.mark.parametrize("command", [STUDY, COMPARE, ("walk", "--out", "out")])
-def test_a_folder_that_may_not_be_written_is_one_line_and_nothing_is_left(
-    folder: Path, command: tuple[object, ...]
-) -> None:
+def test_a_read_only_folder_is_one_line_and_nothing_is_left(folder: Path, command: Words) -> None:
     folder.chmod(0o555)
     try:
         done = run(command, without_the_rights_of_root())
@@ -157,9 +150,7 @@ def stopped(command: Iterable[object]) -> Iterator[None]:
     assert process.returncode == 0
 
 
-def test_a_stopped_process_keeps_its_study_and_goes_on(
-    folder: Path, undisturbed: list[dict[str, float]]
-) -> None:
+def test_a_stopped_process_keeps_its_study_and_goes_on(folder: Path, undisturbed: Trials) -> None:
     with stopped(STUDY):
         second = run(STUDY)
     assert second.code == 2 and len(second.lines) == 1
@@ -167,9 +158,7 @@ def test_a_stopped_process_keeps_its_study_and_goes_on(
     assert trials(folder) == undisturbed
 
 
-def test_a_umask_decides_who_may_read_and_few_open_files_are_enough(
-    folder: Path, undisturbed: list[dict[str, float]]
-) -> None:
+def test_a_umask_is_obeyed_and_few_open_files_are_enough(folder: Path, undisturbed: Trials) -> None:
     assert run(STUDY, 'umask 077; ulimit -n 16; exec "$@"').code == 0
     assert trials(folder) == undisturbed
     made = [path for path in folder.rglob("*") if path.name != "toy.toml"]
@@ -190,19 +179,14 @@ def test_a_folder_that_is_being_filled_is_refused_and_its_copy_goes_on_as_the_fi
 
 
 @pytest.mark.campaign
-def test_no_time_left_is_the_shells_signal_and_it_resumes(
-    folder: Path, undisturbed: list[dict[str, float]]
-) -> None:
+def test_no_time_left_is_the_shells_signal_and_it_resumes(folder: Path, undisturbed: Trials) -> None:
     """A second is gone with the imports, or soon after them."""
-    code = run(STUDY, 'ulimit -t 1; exec "$@"').code
-    assert code in (-signal.SIGXCPU, -signal.SIGKILL)
+    assert run(STUDY, 'ulimit -t 1; exec "$@"').code in (-signal.SIGXCPU, -signal.SIGKILL)
     assert run(STUDY).code == 0
     assert trials(folder) == undisturbed
 
 
-def test_a_clock_that_was_set_back_changes_no_trial(
-    folder: Path, undisturbed: list[dict[str, float]]
-) -> None:
+def test_a_clock_that_was_set_back_changes_no_trial(folder: Path, undisturbed: Trials) -> None:
     if shutil.which("faketime") is None:
         pytest.skip("no faketime here: apt-get install faketime")
     assert run((*STUDY[:-1], 2)).code == 0
@@ -213,15 +197,12 @@ def test_a_clock_that_was_set_back_changes_no_trial(
 READ_ONLY = 'mount -t tmpfs -o ro none /dev/shm && exec "$@"'
 
 
-@pytest.mark.parametrize(
-    ("work", "line"),
-    [
-        (("--workers", 2), ""),
-        (("--cluster", "local:1"), "error: cluster: 'local:1' cannot be used; allowed: a machine "
-                                   "with shared memory (/dev/shm) that can be written"),
-    ],
-)  # fmt: skip
-def test_without_shared_memory(folder: Path, work: tuple[object, ...], line: str) -> None:
+@pytest.mark.parametrize(("work", "line"), [
+    (("--workers", 2), ""),
+    (("--cluster", "local:1"), "error: cluster: 'local:1' cannot be used; allowed: a machine "
+                               "with shared memory (/dev/shm) that can be written"),
+])  # fmt: skip
+def test_without_shared_memory(folder: Path, work: Words, line: str) -> None:
     """As in some containers. Our own processes need none; those of Dask do."""
     if subprocess.run(["unshare", "--mount", "true"], capture_output=True).returncode != 0:
         pytest.skip("mounting needs root's rights")

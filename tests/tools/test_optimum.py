@@ -173,22 +173,17 @@ def test_more_runs_and_generations_can_be_asked_for_later(command: Search) -> No
     assert command.files(max_generations=9) == at_once
 
 
-@pytest.mark.parametrize(
-    ("field", "old", "new"),
-    [
-        ("cmaes.sigma", "tolerance = 1e-2", "sigma = 2.0"), ("store", "/store", "/no-store"),
-        ("cmaes.population", "tolerance = 1e-2", "population = 2"),
-        ("cmaes.patience", "tolerance = 1e-2", "patience = 2"), ("name", '"tiny"', '"a/b"'),
-        ("objective.cost", '"walking"', '"fast"'), ("stores.flat", "flat =", "diverse ="),
-        ("terrain.kind", "[cmaes]", '[terrain]\nkind = "rough"\n[cmaes]'),
-        ("body.disturbance", "[cmaes]", "[body]\ndisturbance = 0.15\n[cmaes]"),
-        ("searched", "seed = 5", 'seed = 5\nsearched = ["theta_ref"]'),
-        ("trials", "trials = 4", "trials = 100000"),
-    ],
-)  # fmt: skip
-def test_a_configuration_that_cannot_be_used_makes_nothing(
-    field: str, old: str, new: str, command: Search
-) -> None:
+@pytest.mark.parametrize(("field", "old", "new"), [
+    ("cmaes.sigma", "tolerance = 1e-2", "sigma = 2.0"), ("store", "/store", "/no-store"),
+    ("cmaes.population", "tolerance = 1e-2", "population = 2"),
+    ("cmaes.patience", "tolerance = 1e-2", "patience = 2"), ("name", '"tiny"', '"a/b"'),
+    ("objective.cost", '"walking"', '"fast"'), ("stores.flat", "flat =", "diverse ="),
+    ("terrain.kind", "[cmaes]", '[terrain]\nkind = "rough"\n[cmaes]'),
+    ("body.disturbance", "[cmaes]", "[body]\ndisturbance = 0.15\n[cmaes]"),
+    ("searched", "seed = 5", 'seed = 5\nsearched = ["theta_ref"]'),
+    ("trials", "trials = 4", "trials = 100000"),
+])  # fmt: skip
+def test_a_bad_configuration_makes_nothing(field: str, old: str, new: str, command: Search) -> None:
     config = command.folder / "tiny.toml"
     assert old in config.read_text()
     config.write_text(config.read_text().replace(old, new))

@@ -66,9 +66,7 @@ def test_json_is_one_object(command: Command) -> None:
     assert command.tool.json(*command.words(), "--fresh")["points_computed"] == 96
 
 
-def test_text_says_what_was_done_and_where(
-    command: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_text_says_what_was_done_where(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     (command.folder / "store.toml").write_text(
         CONFIG + "[robust]\nsettings = 2\n[robust.body]\ndisturbance = 0.1\n"
     )
@@ -81,9 +79,7 @@ def test_text_says_what_was_done_and_where(
     assert (command.folder / "out" / "store" / "manifest.json").is_file()
 
 
-def test_kill_9_between_writing_and_naming_a_file(
-    command: Command, uninterrupted: dict[str, bytes]
-) -> None:
+def test_kill_9_before_a_file_is_named(command: Command, uninterrupted: dict[str, bytes]) -> None:
     # Files get their names in this order: the specification, twelve shards, the manifest.
     for rename, expected in ((1, 0), (3, 1), (12, SHARDS)):
         done = run(command, death=rename)
@@ -150,9 +146,7 @@ ENDS = (
 
 
 @pytest.mark.campaign
-def test_several_processes_ended_in_the_middle_again_and_again_resume_bit_equal(
-    tmp_path: Path, real_store: dict[str, bytes]
-) -> None:
+def test_several_ended_processes_resume_equal(tmp_path: Path, real_store: dict[str, bytes]) -> None:
     for victim, number, code, line in ENDS:
         kept = shards(tmp_path / "store")
         process = start_real(tmp_path, "store", workers=2)

@@ -184,9 +184,7 @@ def words_of(name: str, words: str) -> list[str]:
     ("name", "words", "line"),
     [pytest.param(*case, id=f"{case[0]} {case[1][:40]}") for case in REFUSED],
 )
-def test_it_is_refused_in_one_line(
-    name: str, words: str, line: str, untouched: Path, tool: Tool
-) -> None:
+def test_refused_in_one_line(name: str, words: str, line: str, untouched: Path, tool: Tool) -> None:
     anywhere = ".*" if line.startswith("... ") else ""
     tool.refuses(anywhere + re.escape(line.removeprefix("... ")), *words_of(name, words))
     assert "secret" not in tool.err
@@ -196,15 +194,12 @@ def no_gpu(settings: Settings) -> None:
     raise InputError("simulation.arch", settings.arch, "an architecture of this machine")
 
 
-@pytest.mark.parametrize(
-    ("patched", "value", "name", "words", "line"),
-    [
-        *(("taichi_nmm.kernel.backend", SimpleNamespace(start=no_gpu), name, "--arch cuda",
-           "simulation.arch: 'cuda'") for name in ("compare", "precompute", "study")),
-        *(("taichi_nmm.mujoco_engine.find_spec", lambda name: None, "walk of published", words,
-           r".*pip install 'taichi-nmm\[mujoco\]'") for words in ("--engine mujoco", "--mjcf x")),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("patched", "value", "name", "words", "line"), [
+    *(("taichi_nmm.kernel.backend", SimpleNamespace(start=no_gpu), name, "--arch cuda",
+       "simulation.arch: 'cuda'") for name in ("compare", "precompute", "study")),
+    *(("taichi_nmm.mujoco_engine.find_spec", lambda name: None, "walk of published", words,
+       r".*pip install 'taichi-nmm\[mujoco\]'") for words in ("--engine mujoco", "--mjcf x")),
+])  # fmt: skip
 def test_what_a_machine_lacks_is_said(
     patched: str, value: object, name: str, words: str, line: str,
     untouched: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch,
@@ -213,8 +208,6 @@ def test_what_a_machine_lacks_is_said(
     tool.refuses(line, *words_of(name, words))
 
 
-def test_a_machine_without_ffmpeg(
-    untouched: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_ffmpeg(untouched: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
     tool.refuses(".*allowed: a working ffmpeg", *words_of("walk of published", ""))

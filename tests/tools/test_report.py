@@ -85,9 +85,7 @@ def test_several_folders_share_an_overview(reported: Path) -> None:
     assert [each["experiment"] for each in known["experiments"]] == ["one", "two"]
 
 
-def test_what_a_folder_says_is_simulated_again_whatever_its_seed(
-    tmp_path: Path, tool: Tool, simulator: Simulator
-) -> None:
+def test_what_a_folder_says_is_simulated(tmp_path: Path, tool: Tool, simulator: Simulator) -> None:
     """As of a comparison with --seed, which no configuration has."""
     folder = write(tmp_path / "rough8-seed-523001")
     config = tmp_path / "rough8.toml"

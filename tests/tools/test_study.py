@@ -98,9 +98,7 @@ def test_the_best_trial_has_its_picture_in_the_dashboard(command: Study, walks: 
     assert find_artifacts(None, command.url, None) == file.parent
 
 
-def test_the_lines_that_it_prints_are_taken(
-    command: Study, walks: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lines_are_taken(command: Study, walks: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     """Film and dashboard, as a user pastes them."""
     config = fake_walker.write_config(command.folder)
     found = command.json(config=config, store="", arm="random", run=2, seed=7)
@@ -131,9 +129,7 @@ def test_trials_are_a_total(command: Study) -> None:
     assert len(command.rows()) == 7 and command.rows()[:4] == first
 
 
-def test_what_is_not_said_is_the_configurations(
-    command: Study, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_not_said_is_the_configs(command: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     """Trials, store and folder; and the study of another run and seed is another one."""
     config = fake_walker.write_config(command.folder / "out")
     monkeypatch.chdir(command.folder)
@@ -203,9 +199,7 @@ def test_a_database_locked_half_way_is_one_line_and_resumes(
 
 
 @pytest.mark.parametrize("writing", [False, True])
-def test_a_study_that_runs_already_is_refused(
-    writing: bool, command: Study, database: sqlite3.Connection
-) -> None:
+def test_no_study_runs_twice(writing: bool, command: Study, database: sqlite3.Connection) -> None:
     assert command.run(trials=1) == 0
     with only_run(command.url, NAME):
         if writing:  # as a process that was stopped in the middle of it

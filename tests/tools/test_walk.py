@@ -33,9 +33,7 @@ def gains_file(folder: Path, gains: Any) -> Path:
 
 
 @pytest.mark.slow
-def test_reference_walks_100_s_at_human_speed_and_json_is_one_object(
-    tmp_path: Path, tool: Tool
-) -> None:
+def test_the_reference_walks_100_s_and_json_is_one_object(tmp_path: Path, tool: Tool) -> None:
     report = tool.json("walk", "--out", tmp_path, "--movie-seconds", 1)
     assert report["end_reason"] == "completed" and report["duration_s"] == 100.0
     assert report["mean_speed_mps"] == pytest.approx(1.30, abs=0.05)
@@ -48,9 +46,7 @@ def test_reference_walks_100_s_at_human_speed_and_json_is_one_object(
 
 
 @pytest.mark.slow
-def test_a_walker_that_falls_is_shown_too_from_another_folder(
-    tmp_path: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_faller_is_shown_too(tmp_path: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     words = ("--gains", gains_file(tmp_path, FALLS), "--config", FLAT, "--duration", 3)
     assert tool("walk", *words, "--movie-seconds", 0.3) == 0
@@ -84,9 +80,7 @@ def walk(tmp_path: Path, tool: Tool, simulator: Simulator, monkeypatch: pytest.M
     return partial(tool.json, "walk", "--out", tmp_path / "out")
 
 
-def test_a_result_is_taken_as_gains_and_low_level_gains_reach_the_simulator(
-    walk: Walk, tmp_path: Path
-) -> None:
+def test_a_result_is_taken_as_gains_and_low_level_gains_count(walk: Walk, tmp_path: Path) -> None:
     first = walk("--gains", gains_file(tmp_path, FALLS | {"theta_ref": 0.2}))
     assert walk("--gains", gains_file(tmp_path, first)) == first
     assert first["gains"] == FALLS | {"theta_ref": 0.2}

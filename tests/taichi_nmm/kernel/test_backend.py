@@ -34,9 +34,7 @@ def test_a_driver_that_refuses_a_kernel_is_bad_input_each_time(on: Callable[[str
             assert (caught.value.field, caught.value.value) == ("simulation.arch", arch)
 
 
-def test_an_error_on_the_cpu_or_of_a_kernel_that_has_run_is_no_ones_input(
-    on: Callable[[str], None],
-) -> None:
+def test_an_error_on_the_cpu_or_after_a_launch_is_no_ones_input(on: Callable[[str], None]) -> None:
     on("cpu")
     with pytest.raises(RuntimeError, match=REFUSAL):
         backend.launch(failing)

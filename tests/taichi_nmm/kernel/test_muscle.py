@@ -38,9 +38,7 @@ def quotient(muscle: Any, v: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray((a + b * v) / (1.0 + c * v))
 
 
-def test_force_length_force_velocity_and_metabolic_rate_are_the_published_curves(
-    muscle: Any,
-) -> None:
+def test_force_length_velocity_and_metabolic_rate_are_the_published_curves(muscle: Any) -> None:
     length = np.linspace(0.2, 1.9, 200)
     expected = np.exp(np.log(C) * np.abs((length - 1) / W) ** 3)
     assert np.allclose(muscle.force_length(length), expected, rtol=1e-12)
@@ -113,9 +111,7 @@ def test_isometric_force_solves_the_static_balance(m: int, walker: int) -> None:
 
 
 @pytest.mark.parametrize("tendon_force", [0.2, 0.6, 0.95, 1.1, 1.3])
-def test_quick_release_moves_at_the_inverse_of_the_force_velocity_curve(
-    muscle: Any, tendon_force: float
-) -> None:
+def test_quick_release_moves_at_inverse_force_velocity(muscle: Any, tendon_force: float) -> None:
     """With the tendon's force held (a step of no length) the speed is fv^-1(F / (A fl))."""
     length, activation = 0.9, 1.0
     capacity = activation * np.exp(np.log(C) * abs((length - 1) / W) ** 3)

@@ -32,9 +32,7 @@ def long_walk() -> Result:
     return taichi_nmm.simulate(gains, duration_s=LONG_S, settings=MUJOCO, record=[0, 1])
 
 
-def test_gaits_walk_at_their_speeds_and_metadata_name_engines_and_numerics(
-    long_walk: Result,
-) -> None:
+def test_gaits_walk_at_their_speeds_and_metadata_name_the_engines(long_walk: Result) -> None:
     assert long_walk.end_reason.tolist() == ["completed"] * 2
     assert long_walk["mean_speed_mps"][0] == pytest.approx(1.40, abs=0.03)
     assert long_walk["mean_speed_mps"][1] == pytest.approx(1.27, abs=0.04)
@@ -138,9 +136,7 @@ def those(simulations: Simulations, walker: int, from_s: float) -> Any:
     return np.flatnonzero(mine & (simulations.time > from_s))
 
 
-def test_a_walker_that_becomes_no_number(
-    together: Result, monkeypatch: pytest.MonkeyPatch, capfd: Any
-) -> None:
+def test_a_walker_of_nans(together: Result, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
     """It gets a code, nothing is printed, and no other walker changes."""
     step = Simulations.step
 
@@ -156,9 +152,7 @@ def test_a_walker_that_becomes_no_number(
     assert capfd.readouterr() == ("", "")
 
 
-def test_an_error_of_the_engine_is_of_its_walker_alone(
-    together: Result, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_engines_error_is_its_walkers(together: Result, monkeypatch: pytest.MonkeyPatch) -> None:
     """MuJoCo leaves such a walker where it was, and has moved the others."""
     step = Simulations.step
 

@@ -162,13 +162,10 @@ def law(joint: str, torque_nm: float, times_s: NDArray[np.float64]) -> NDArray[n
 
 
 @pytest.mark.parametrize("step_s", [1e-3, 0.5e-3])
-@pytest.mark.parametrize(
-    ("joint", "torque_nm"),
-    [("shank_l", 20.0), ("shank_l", 60.0), ("shank_r", 150.0), ("foot_l", 20.0), ("foot_r", 60.0)],
-)
-def test_a_pushed_joint_creeps_as_the_stop_does(
-    joint: str, torque_nm: float, step_s: float
-) -> None:
+@pytest.mark.parametrize(("joint", "torque_nm"), [
+    ("shank_l", 20.0), ("shank_l", 60.0), ("shank_r", 150.0), ("foot_l", 20.0), ("foot_r", 60.0),
+])  # fmt: skip
+def test_a_pushed_joint_creeps_as_a_stop_does(joint: str, torque_nm: float, step_s: float) -> None:
     found = crept(joint, torque_nm, step_s)
     times_s = step_s * np.arange(1, len(found) + 1)
     expected = law(joint, torque_nm, times_s)
