@@ -79,7 +79,7 @@ def test_every_tool_is_in_a_document(tool: str) -> None:
 
 
 @pages
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_lead_somewhere_and_a_cell_of_a_table_has_one_number(page: Path) -> None:
     wrong = []
     for file, anchor in LINK.findall(prose(page)):
         target = page.parent / file if file else page
@@ -89,10 +89,6 @@ def test_links_lead_somewhere(page: Path) -> None:
         ):
             wrong.append(f"{file}#{anchor}")
     assert wrong == []
-
-
-@pages
-def test_a_cell_of_a_table_has_one_number(page: Path) -> None:
     rows = re.findall(r"^\|(.*)\|$", prose(page), re.MULTILINE)
     cells = [cell.strip() for row in rows for cell in row.split("|")]
     assert [cell for cell in cells if SEVERAL_NUMBERS.fullmatch(cell)] == []

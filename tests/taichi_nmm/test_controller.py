@@ -135,9 +135,7 @@ def test_those_who_are_kept_go_on(undisturbed: np.ndarray, rows: Any, after: int
 
 
 @pytest.mark.slow
-def test_another_controller_and_simulation_between_change_nothing(
-    undisturbed: np.ndarray,
-) -> None:
+def test_another_controller_and_simulation_between_change_nothing(undisturbed: np.ndarray) -> None:
     """A simulation with other settings starts Taichi again: bound kernels are gone."""
     (controller, other_one), found = (Controller(gains(), settings=FLOAT32) for _ in range(2)), []
     for number, state in enumerate(states()):

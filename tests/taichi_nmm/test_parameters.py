@@ -119,14 +119,6 @@ def test_files_and_names_of_no_gains_are_refused(tmp_path: Path, text: str, mess
         load_gains("nobody")
 
 
-def test_gains_may_lie_in_the_output_of_a_command(tmp_path: Path) -> None:
-    path = tmp_path / "walk.json"
-    path.write_text(json.dumps({"end_reason": "fell", "gains": json.loads(gains_text(C_d=0.25))}))
-    loaded = load_gains(str(path))
-    assert loaded[GAIN_NAMES.index("C_d")] == 0.25
-    assert np.count_nonzero(loaded != PUBLISHED_GAINS) == 1
-
-
 DEFAULTS = np.array([parameter.default for parameter in LOW_LEVEL_GAINS])
 
 

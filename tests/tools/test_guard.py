@@ -90,12 +90,3 @@ def test_a_hidden_package_is_named_where_ours_is_imported(tmp_path: Path) -> Non
     done = run_with_accident(tmp_path, ("-c", "from study import FeatureTable"))
     line = f"storage: '{tmp_path / 'storage.py'}' hides the package storage of taichi-nmm"
     assert done.returncode == 1 and line in done.stderr.splitlines()[-1]
-
-
-def test_a_reader_that_has_enough_is_no_error(tmp_path: Path) -> None:
-    """As `| head`."""
-    words = [sys.executable, ROOT / "tools" / "walk.py", "--list-configs"]
-    process = subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    assert process.stdout is not None and process.stderr is not None
-    process.stdout.close()
-    assert (process.stderr.read(), process.wait()) == (b"", 141)

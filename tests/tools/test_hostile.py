@@ -94,7 +94,8 @@ def test_a_full_disk_for_output_is_one_line_and_no_loss(folder: Path, undisturbe
 
 def test_a_reader_that_has_enough_ends_the_command_without_a_word(folder: Path) -> None:
     """As `2>&1 | head -1`, of standard output and standard error."""
-    assert run(STUDY, '"$@" 2>&1 | true; exit ${PIPESTATUS[0]}') == Done(141, "", "")
+    for command in (STUDY, LIST):
+        assert run(command, '"$@" 2>&1 | true; exit ${PIPESTATUS[0]}') == Done(141, "", "")
     assert run(STUDY).code == 0
 
 

@@ -88,7 +88,7 @@ def test_the_nearest_row_is_on_each_parameters_scale(settings: dict[str, Any], r
     assert made(*settings).row_nearest_to(settings) == row
 
 
-def test_a_trial_costs_as_much_as_the_nearest_row() -> None:
+def test_a_trial_costs_as_much_as_the_nearest_row_and_rows_are_ranked() -> None:
     sampler = optuna.samplers.RandomSampler(seed=1)
     found = study_costs(WHOLE, sampler, 5, first=[WHOLE.settings(3)])
     assert found[0] == WHOLE.cost[3] and len(found) == 5
@@ -96,10 +96,7 @@ def test_a_trial_costs_as_much_as_the_nearest_row() -> None:
     free = [study.ask(WHOLE.space).params for _ in range(4)]
     expected = [WHOLE.cost[WHOLE.row_nearest_to(settings)] for settings in free]
     assert list(found[1:]) == expected == [WHOLE.cost_at(settings) for settings in free]
-
-
-def test_the_ranking_is_the_mean_rank_from_the_good_ends() -> None:
-    """Equal values share the mean of their ranks; what failed ranks last."""
+    # The ranking is the mean rank: equal values share that of their ranks; what failed ranks last.
     np.testing.assert_array_equal(WHOLE.ranks, [[1, 4], [2, 1], [3.5, 2.5], [3.5, 2.5]])
     np.testing.assert_array_equal(WHOLE.ranking, [2.5, 1.5, 3, 3])
 
@@ -234,9 +231,7 @@ def test_bars_hold_where_ours_leads_and_name_where_it_does_not() -> None:
     test = same.versus(PROBLEM, "ours", "tpe", 10)
     assert (test.wins, test.losses, test.p) == (0, 0, 1.0)
     assert not test.is_ahead and not test.is_behind
-
-
-def test_runs_that_repeat_each_other_are_counted_once() -> None:
+    # Runs that repeat each other are counted once.
     costs = np.array([[3.0, 2.0, 5.0], [3.0, 2.0, 4.0], [3.0, 2.0, 5.0]])
     made = REPORT({(PROBLEM, "ours"): costs, (PROBLEM, "tpe"): costs[:1].repeat(3, 0)})
     assert made.different == {(PROBLEM, "ours"): 2, (PROBLEM, "tpe"): 1}

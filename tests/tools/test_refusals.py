@@ -40,15 +40,12 @@ FILES: dict[str, Any] = {
     "half.toml": "samples = ", "five.toml": "samples = 5", "file": "in the way",
 }  # fmt: skip
 BASE = {
-    "compare": "--config rough8-smooth --out new",
-    "optimum": "--config optimum-smooth --out new",
+    "compare": "--config rough8-smooth --out new", "optimum": "--config optimum-smooth --out new",
     "study": "--config rough8-smooth --arm random --storage sqlite:///new.db --out new",
-    "precompute": "--config five.toml --out new --workers 1",
-    "walk": "--config flat --out new",
+    "precompute": "--config five.toml --out new --workers 1", "walk": "--config flat --out new",
     "walk of published": "--gains published --config flat --out new",
-    "compare_peers": "--out new --cache new",
-    "compare_outside": "--out new --cache new",
-}
+    "compare_peers": "--out new --cache new", "compare_outside": "--out new --cache new",
+}  # fmt: skip
 PLACES = [("row: 1", "--row 1 --store store"), ("trial: 'a/b/0'", "--trial a/b/0 --storage .")]
 
 REFUSED: list[tuple[str, str, str]] = [
@@ -210,4 +207,5 @@ def test_what_a_machine_lacks_is_said(
 
 def test_without_ffmpeg(untouched: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
-    tool.refuses(".*allowed: a working ffmpeg", *words_of("walk of published", ""))
+    for name, words in (("walk of published", ""), ("compare", "--arms random")):
+        tool.refuses("ffmpeg: .*allowed: a working ffmpeg", *words_of(name, words))

@@ -7,14 +7,14 @@ import pytest
 from study.commands.validate import Figure, show
 
 FIGURES = (
-    Figure("speed", 1.4, 1.365, 1.425, "m/s"),
-    Figure("tick", 250.0, 0, 200, "us"),
-    Figure("steps a second", 50_000.0, low=45_000),
-    Figure("alive", 10.1, unit="%"),
-)
+    Figure("speed", 1.4, 1.365, 1.425, "m/s"), Figure("tick", 250.0, 0, 200, "us"),
+    Figure("steps a second", 50_000.0, low=45_000), Figure("alive", 10.1, unit="%"),
+)  # fmt: skip
 
 
-def test_figures_are_a_table_after_a_line_on_how(capsys: pytest.CaptureFixture[str]) -> None:
+def test_figures_are_a_table_after_a_line_on_how_or_one_list(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     show(iter(FIGURES), "20 points", as_json=False)
     head, _, *table = capsys.readouterr().out.splitlines()
     assert head.startswith("20 points; 20") and "Python 3." in head
@@ -26,9 +26,6 @@ def test_figures_are_a_table_after_a_line_on_how(capsys: pytest.CaptureFixture[s
         "| steps a second | 5e+04  | 45000 | yes |",
         "| alive | 10.1 % | | |",
     ]
-
-
-def test_figures_are_one_list_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
     show(iter(FIGURES), "20 points", as_json=True)
     found = json.loads(capsys.readouterr().out)
     assert [each["what"] for each in found] == [figure.what for figure in FIGURES]
