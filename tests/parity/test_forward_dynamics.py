@@ -106,9 +106,6 @@ def test_what_cannot_be_used_is_named(name: str, value: object) -> None:
         forward_dynamics(**GOOD | {name: value})  # type: ignore[arg-type]
 
 
-# Free flight without torque.
-
-
 def accelerate(q: Array, qdot: Array, bodies: Bodies) -> Array:
     return forward_dynamics(q, qdot, np.zeros((len(q), 6)), bodies)
 

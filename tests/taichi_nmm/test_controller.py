@@ -61,9 +61,6 @@ def undisturbed() -> np.ndarray:
     return torques(Controller(gains(), settings=FLOAT32), states())
 
 
-# What is refused.
-
-
 @pytest.mark.parametrize(("arguments", "field"), [
     ({"gains": np.zeros((2, 15))}, "gains"),
     ({"gains": np.full((2, 16), np.nan)}, r"gains\[0\]\.K_GAS"),
@@ -103,9 +100,6 @@ def test_a_refused_step_leaves_no_trace(undisturbed: np.ndarray) -> None:
                 controller.keep([COUNT])
         found.append(controller.step(state))
     np.testing.assert_array_equal(found, undisturbed)
-
-
-# What decides the torques.
 
 
 @pytest.mark.slow

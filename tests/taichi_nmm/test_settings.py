@@ -52,9 +52,6 @@ def refused_on_mujoco(field: str, **simulation: Any) -> str:
     return refused(f"simulation.{field}", {"simulation": ON_MUJOCO | simulation})
 
 
-# Settings from Python.
-
-
 def test_defaults_are_those_the_gaits_converge_with_and_steps_fill_a_tick() -> None:
     assert vars(Settings()) == {
         "physics_step_s": 1e-3, "contact_relaxation_speed_mps": 0.10, "precision": "float32",
@@ -76,9 +73,6 @@ def test_settings_out_of_range_are_named(field: str, value: object) -> None:
         Settings(**{field: value})  # type: ignore[arg-type]
     assert caught.value.field == f"simulation.{field}"
     assert field != "engine" or caught.value.allowed == "taichi or mujoco"
-
-
-# Tables.
 
 
 def test_tables_become_conditions() -> None:
@@ -132,9 +126,6 @@ def test_the_body_table_may_be_read_alone() -> None:
     assert read_disturbance(Table({}, "body")) == 0.0
     with pytest.raises(InputError, match=r"^body\.disturbance: 0\.95 .* a number from 0 to 0\.9$"):
         read_disturbance(Table({"disturbance": 0.95}, "body"))
-
-
-# MuJoCo.
 
 
 @pytest.mark.parametrize("value", [0.0, -0.02, NAN, INF, -INF, "soft"])
@@ -201,9 +192,7 @@ def test_configurations_with_three_contacts() -> None:
         assert others[0] == others[1] == others[2]
 
 
-# Documents. Stores hash their keys in this order.
-
-
+# Stores hash the keys of documents in this order.
 def test_the_document_leaves_the_machine_and_the_other_engine_out() -> None:
     assert list(read(ALL).simulation_document().items()) == [
         ("duration_s", 20.0), ("physics_step_s", 0.5e-3),

@@ -180,9 +180,7 @@ def test_a_folder_that_is_being_filled_is_refused_and_its_copy_goes_on_as_the_fi
 
 
 @pytest.mark.campaign
-def test_no_time_left_is_the_shells_signal_and_it_resumes(
-    folder: Path, undisturbed: Trials
-) -> None:
+def test_no_time_left_is_the_shells_signal_and_resumes(folder: Path, undisturbed: Trials) -> None:
     """A second is gone with the imports, or soon after them."""
     assert run(STUDY, 'ulimit -t 1; exec "$@"').code in (-signal.SIGXCPU, -signal.SIGKILL)
     assert run(STUDY).code == 0

@@ -123,16 +123,14 @@ def test_bad_input_is_one_line(tmp_path: Path, tool: Tool) -> None:
     known["ground"] = {"kind": "rough", "steepness": 3}
     (strange / "experiment.json").write_text(json.dumps(known))
     for field, *arguments in (
-        ("folder", tmp_path / "nowhere"),
-        ("folder", tmp_path / "empty"),
+        ("folder", tmp_path / "nowhere"), ("folder", tmp_path / "empty"),
         ("optimum", folder, "--optimum", tmp_path / "none.json"),
         ("optimum: broken.json: cost", folder, "--optimum", tmp_path / "broken.json"),
         ("optimum: large.json: best_cost", folder, "--optimum", tmp_path / "large.json"),
         ("out", folder, "--out", tmp_path / "all"),
         ("out", folder, folder, "--out", tmp_path / "file", "--no-strips"),
-        ("out", folder, folder, "--out", "/", "--no-strips"),
-        ("terrain.steepness", strange),
-        ("terrain.steepness", folder, strange),  # before the first of them is written
-    ):
+        ("out", folder, folder, "--out", "/", "--no-strips"), ("terrain.steepness", strange),
+        ("terrain.steepness", folder, strange),
+    ):  # fmt: skip
         tool.refuses(f"{field}: ", "report", *arguments)
     assert not (tmp_path / "all").exists() and not (folder / "report").exists()

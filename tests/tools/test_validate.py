@@ -12,7 +12,7 @@ FIGURES = (
 )  # fmt: skip
 
 
-def test_figures_are_a_table_after_a_line_on_how_or_one_list(
+def test_figures_are_a_table_or_one_list(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     show(iter(FIGURES), "20 points", as_json=False)

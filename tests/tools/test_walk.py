@@ -94,10 +94,8 @@ def test_a_result_is_taken_as_gains_and_low_level_gains_count(walk: Walk, tmp_pa
 
 def test_a_run_and_a_seed_have_their_own_body_and_ground(walk: Walk) -> None:
     for words, seed, run in (
-        ((), None, 0),
-        (("--run", 3), None, 3),
-        (("--seed", 523001), 523001, 0),
-    ):
+        ((), None, 0), (("--run", 3), None, 3), (("--seed", 523001), 523001, 0),
+    ):  # fmt: skip
         walk("--config", ROUGH8, *words)
         experiment, call = read_experiment(ROUGH8, seed=seed), fake_walker.calls[-1]
         assert call["terrains"].height(50.0) == experiment.terrain(run).height(50.0)

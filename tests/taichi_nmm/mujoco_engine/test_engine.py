@@ -60,9 +60,6 @@ def test_a_trajectory_is_recorded(long_walk: Result) -> None:
         assert np.abs(path.joint_rad).max() < 2.0
 
 
-# Bits.
-
-
 def some(rows: Any = slice(None), **options: Any) -> Result:
     """Short walks of some of ten walkers, each on its body and its ground; most of them fall."""
     rng = np.random.default_rng(6)
@@ -108,9 +105,6 @@ def test_settings_matter(together: Result) -> None:
         settings = Settings(engine="mujoco", arch="cpu", mujoco=own)
         other = some([0, 1], settings=settings)
         assert (other["hip_x_m"] != together["hip_x_m"][:2]).all()
-
-
-# A walker that diverges.
 
 
 def assert_only_this_one(found: Result, together: Result, walker: int) -> None:

@@ -120,8 +120,6 @@ def test_a_walker_is_advanced_as_its_file_is(model: mujoco.MjModel) -> None:
     np.testing.assert_allclose(moved[0, :9], data.qpos, rtol=0, atol=1e-6)
 
 
-# Joint limits, by torque.
-
 SECONDS = 0.3
 TOLERANCE = 0.3  # a curve of MuJoCo's family is not the law; its default is off by several times
 FROM_S = 0.05  # before, the limb is still being slowed down
