@@ -13,12 +13,9 @@ from taichi_nmm.parameters import upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 
 ENGINE = {
-    "engine": "fake",
-    "engine_version": "1",
-    "arch": "cpu",
-    "precision": "float32",
+    "engine": "fake", "engine_version": "1", "arch": "cpu", "precision": "float32",
     "fast_math": False,
-}
+}  # fmt: skip
 
 
 def simulate(gains: Any, **options: Any) -> Result:
@@ -65,13 +62,9 @@ def configuration(**changes: Any) -> dict[str, Any]:
 def family(settings: int = 6, seed: int = 8, **terrain: Any) -> dict[str, Any]:
     """The table of a family of settings."""
     return {
-        "settings": settings,
-        "min_survival_s": 3.0,
-        "horizon_s": 8.0,
-        "seed": seed,
-        "terrain": terrain,
-        "body": {"disturbance": 0.15},
-    }
+        "settings": settings, "min_survival_s": 3.0, "horizon_s": 8.0, "seed": seed,
+        "terrain": terrain, "body": {"disturbance": 0.15},
+    }  # fmt: skip
 
 
 def specification(**changes: Any) -> Specification:

@@ -82,9 +82,7 @@ def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(tmp_
     assert set(tmp_path.iterdir()) == {path, other}
 
 
-def test_a_file_that_is_removed_before_it_is_locked_is_made_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_removed_before_its_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By another process, that finds it without a lock."""
     real, calls = fcntl.flock, []
 
@@ -106,14 +104,12 @@ def errors_of(code: str, path: Path) -> str:
     return subprocess.run(words, cwd=ROOT, capture_output=True, text=True).stderr
 
 
-def test_what_is_being_written_is_not_taken_for_a_leftover(tmp_path: Path) -> None:
+def test_what_is_being_written_or_filled_is_let_be(tmp_path: Path) -> None:
     path = tmp_path / "file.json"
     with temporary_sibling(path) as temporary:
         assert errors_of("commit_json(Path(sys.argv[1]), {})", path) == "" and temporary.exists()
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path: Path) -> None:
+    path.unlink()
     folder = tmp_path / "report"
     with together(folder) as new:
         (new / "file").write_text("first")
@@ -123,9 +119,7 @@ def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
-def test_a_file_system_without_locks_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     def fails(file: Any, operation: int) -> None:
         raise OSError(number, os.strerror(number))
 
@@ -136,9 +130,7 @@ def test_a_file_system_without_locks_is_named(
         pass
 
 
-def test_files_move_together_into_a_folder_that_has_a_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_move_into_a_named_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a").mkdir()
     monkeypatch.chdir(tmp_path / "a")
     for folder in (Path(), Path(".."), Path("..", "a")):

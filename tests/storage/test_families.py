@@ -14,22 +14,21 @@ from storage.precompute import precompute, progress_parts, score_shard
 from storage.schema import columns_of, family_names
 from storage.specification import Specification, read_specification
 from taichi_nmm import walker_simulator
-from taichi_nmm.config import Table, read_toml
+from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES
 from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
 from tests.storage import fake
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 RAMPS = {
     "up": fake.family(settings=2, kind="ramp", segment_m=1.0),
     "down": fake.family(settings=2, seed=9, kind="ramp", segment_m=1.0, direction="down"),
 }
 ROBUST_DOCUMENT_HASH = "e62d67c3e6b80aa6aceb94e5a54bbdbf4963e8c84ca7509b7cb6c63d16e840f1"
-
-
-def ignore(_: float) -> None:
-    pass
+THETA_REF = LOW_LEVEL_GAINS[-1]
+POINT_3 = [5.53585406, 1.44055244, 1.84605681]  # of the sequence 7, row 16, before groups
+WORLD = {"friction": [0.3, 0.9], "contact_stiffness": [0.5, 4.0]}
+LATER = {"after": "down", "min_survived_fraction": 0.6}
 
 
 def families(**changes: object) -> Specification:
@@ -38,7 +37,7 @@ def families(**changes: object) -> Specification:
 
 def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
     specification = fake.specification()
-    table, computed_by = score_shard(specification, 2, ignore)
+    table, computed_by = score_shard(specification, 2, lambda _: None)
     assert columns_of(table.schema) == specification.document["columns"]
     assert table.column_names == ["row", *GAIN_NAMES, *(RESULT_DTYPE.names or ())]
     assert table["row"].to_pylist() == list(range(16, 24))
@@ -48,7 +47,7 @@ def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
     assert computed_by == fake.ENGINE
     specification = fake.specification(robust=True, samples=8, simulation={"duration_s": 60.0})
     object.__setattr__(specification.families[0], "min_survival_s", 60.0)
-    table, _ = score_shard(specification, 0, ignore)
+    table, _ = score_shard(specification, 0, lambda _: None)
     assert not table["robust_evaluated"].to_numpy().any()
 
 
@@ -87,23 +86,18 @@ def test_documents_of_stores_without_other_families_are_what_they_were() -> None
 def test_family_columns_are_mean_and_spread_over_its_settings() -> None:
     """And zero for points that were not run in it."""
     specification = families(robust=True)
-    table, _ = score_shard(specification, 0, ignore)
+    table, _ = score_shard(specification, 0, lambda _: None)
     points = sobol_points(specification.seed, 0, 8, GAINS)
     alive = table["duration_s"].to_numpy() >= 3.0
     assert 0 < alive.sum() < 8
     for family in specification.families:
         assert np.array_equal(table[f"{family.name}_evaluated"].to_numpy(), alive)
-        runs = [
-            fake.simulate(
-                points,
-                bodies=family.worlds.bodies.take([setting] * 8),
-                worlds=family.worlds.surroundings.take([setting] * 8),
-                terrains=family.worlds.terrains[setting],
-                duration_s=family.horizon_s,
-                progress=lambda now_s, active: None,
-            ).rows
-            for setting in range(family.settings)
-        ]
+        worlds = family.worlds
+        runs = [fake.simulate(
+            points, bodies=worlds.bodies.take([setting] * 8), terrains=worlds.terrains[setting],
+            worlds=worlds.surroundings.take([setting] * 8), duration_s=family.horizon_s,
+            progress=lambda now_s, active: None,
+        ).rows for setting in range(family.settings)]  # fmt: skip
         for component, _ in SCORE_FIELDS:
             values = np.array([run[component] for run in runs], dtype=float)
             mean, spread = family_names(family.name, component)
@@ -118,28 +112,19 @@ def test_numbers_of_a_store_are_those_of_the_simulator(monkeypatch: pytest.Monke
     monkeypatch.delitem(vars(taichi_nmm), "simulate")
     up = RAMPS["up"] | {"min_survival_s": 1.0, "horizon_s": 2.0}
     specification = fake.specification(
-        samples=32,
-        shard_rows=32,
-        simulation={"duration_s": 2.0, "arch": "cpu"},
-        searched=["theta_ref"],
-        families={"up": up},
-    )
-    table, _ = score_shard(specification, 0, ignore)
+        samples=32, shard_rows=32, simulation={"duration_s": 2.0, "arch": "cpu"},
+        searched=["theta_ref"], families={"up": up},
+    )  # fmt: skip
+    table, _ = score_shard(specification, 0, lambda _: None)
     points = sobol_points(specification.seed, 0, 32, specification.simulator.parameters)
     low_level = np.tile([gain.default for gain in taichi_nmm.LOW_LEVEL_GAINS], (32, 1))
     low_level[:, 7] = points[:, 16]
-    (family,) = specification.families
-    runs = [
-        taichi_nmm.simulate(
-            points[:, :16],
-            duration_s=2.0,
-            bodies=family.worlds.bodies.take([setting] * 32),
-            terrains=family.worlds.terrains[setting],
-            low_level_gains=low_level,
-            settings=specification.simulator.settings,
-        ).rows
-        for setting in range(2)
-    ]
+    worlds = specification.families[0].worlds
+    runs = [taichi_nmm.simulate(
+        points[:, :16], bodies=worlds.bodies.take([setting] * 32), low_level_gains=low_level,
+        terrains=worlds.terrains[setting], settings=specification.simulator.settings,
+        duration_s=2.0,
+    ).rows for setting in range(2)]  # fmt: skip
     evaluated = table["up_evaluated"].to_numpy()
     assert 0 < evaluated.sum() < 32
     for component in ("survived_fraction", "step_count", "phi_printed", "m1_mean"):
@@ -148,10 +133,6 @@ def test_numbers_of_a_store_are_those_of_the_simulator(monkeypatch: pytest.Monke
         assert values.any()
         assert np.array_equal(table[mean].to_numpy()[evaluated], values.mean(axis=0))
         assert np.array_equal(table[spread].to_numpy()[evaluated], values.std(axis=0))
-
-
-WORLD = {"friction": [0.3, 0.9], "contact_stiffness": [0.5, 4.0]}
-LATER = {"after": "down", "min_survived_fraction": 0.6}
 
 
 def test_a_family_draws_a_world_for_each_setting() -> None:
@@ -170,7 +151,7 @@ def test_a_family_draws_a_world_for_each_setting() -> None:
     assert base.document["world"]["friction"] == [0.5, 0.5]
     assert base.worlds.surroundings.friction[0] == 0.5
     ours, theirs = (
-        score_shard(one, 0, ignore)[0]["up_survived_fraction_mean"].to_numpy()
+        score_shard(one, 0, lambda _: None)[0]["up_survived_fraction_mean"].to_numpy()
         for one in (nominal, fake.specification(families=ramps))
     )
     assert np.all(theirs <= ours) and np.any(theirs < ours)
@@ -181,7 +162,7 @@ def test_a_later_family_is_run_on_the_survivors_of_another() -> None:
     late = RAMPS | {"a_late": fake.family(settings=3, seed=4) | LATER}
     specification = fake.specification(families=late)
     assert [family.name for family in specification.families] == ["down", "up", "a_late"]
-    table, _ = score_shard(specification, 0, ignore)
+    table, _ = score_shard(specification, 0, lambda _: None)
     down, evaluated = table["down_survived_fraction_mean"].to_numpy(), table["a_late_evaluated"]
     assert np.array_equal(evaluated.to_numpy(), table["down_evaluated"].to_numpy() & (down >= 0.6))
     assert 0 < evaluated.to_numpy().sum() < table["down_evaluated"].to_numpy().sum()
@@ -200,7 +181,7 @@ def test_each_family_draws_from_its_own_seed() -> None:
     assert not np.any(a.worlds.bodies.mass_kg == b.worlds.bodies.mass_kg)
     strict = RAMPS["up"] | {"min_survival_s": 4.5}
     store = fake.specification(families={"up": strict, "down": RAMPS["down"]})
-    table, _ = score_shard(store, 0, ignore)
+    table, _ = score_shard(store, 0, lambda _: None)
     up, down = (table[f"{name}_evaluated"].to_numpy() for name in ("up", "down"))
     assert np.array_equal(up, table["duration_s"].to_numpy() >= 4.5)
     assert up.sum() < down.sum() and np.all(down[up])
@@ -239,26 +220,9 @@ def test_an_opened_store_knows_its_families(tmp_path: Path) -> None:
         assert caught.value.field == field
 
 
-def test_shipped_ramps_go_up_and_down() -> None:
-    diverse = read_specification(read_toml(CONFIGS / "store-diverse.toml"))
-    ramps = {family.name: family for family in diverse.families}
-    for name, sign in (("down", -1), ("up", 1)):
-        slopes = np.diff(ramps[name].worlds.terrains[0].height_m) / 0.05 * sign
-        assert slopes.max() == pytest.approx(0.20) and slopes.min() == 0.0
-
-
-THETA_REF = LOW_LEVEL_GAINS[-1]
-POINT_3 = [5.53585406, 1.44055244, 1.84605681]  # of the sequence 7, row 16, before groups
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def test_points_have_a_column_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     precompute(fake.specification(searched=["theta_ref"], robust=True), tmp_path / "store")
-    return tmp_path / "store"
-
-
-def test_points_have_a_column_more(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = open_store(folder, verify=True)
+    store = open_store(tmp_path / "store", verify=True)
     assert store.gain_names == (*GAIN_NAMES, "theta_ref")
     assert store.columns[:19] == ("row", *GAIN_NAMES, "theta_ref", "duration_s")
     points = store.gains()
@@ -266,7 +230,7 @@ def test_points_have_a_column_more(folder: Path, monkeypatch: pytest.MonkeyPatch
     assert points.shape == (50, 17)
     angles = points[:, 16]
     assert THETA_REF.low <= angles.min() < 0 < np.deg2rad(25) < angles.max() <= THETA_REF.high
-    merged = merge(folder, folder.with_name("merged.parquet"))
+    merged = merge(tmp_path / "store", tmp_path / "merged.parquet")
     assert np.array_equal(merged.gains(), points)
     store.require_bounds()
     monkeypatch.setattr(walker_simulator, "LOW_LEVEL_GAINS", LOW_LEVEL_GAINS[:-1])

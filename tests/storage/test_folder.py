@@ -19,6 +19,8 @@ from study.report.runs import read_trials
 from taichi_nmm.errors import InputError
 
 OURS: dict[str, Any] = {"seed": 1, "arms": {"dog": {"k": 1}}}
+TABLE = pa.table({"arm": ["a", "b"], "cost": [1.0, 2.0], "walked": [True, False]})
+FOLDER = {"seed": 1, "arms": {"dog": {}, "cat": {}}}
 
 
 def agreed(path: Path, document: dict[str, Any], *growing: str) -> dict[str, Any]:
@@ -52,14 +54,11 @@ def test_growing_parts_are_gathered_and_sorted(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         agreed(tmp_path, OURS | {"arms": {"dog": {"k": 3}}}, "arms")
     assert caught.value.field == "arms.dog.k" and read(tmp_path) == grown
-
-
-def test_a_growing_part_has_one_order_in_new_and_old_folders(tmp_path: Path) -> None:
-    """It goes into the footers of tables, which are compared byte by byte."""
+    # One order in new and old folders: the footers of tables are compared byte by byte.
+    (tmp_path / "experiment.json").unlink()
     unsorted = {"ground": {"kind": "rough", "amplitude_m": 0.08}}
     new = json.dumps(agreed(tmp_path, unsorted, "ground"))
     assert json.dumps(agreed(tmp_path, unsorted, "ground")) == new
-
     (tmp_path / "experiment.json").unlink()
     agreed(tmp_path, {"seed": 1})  # which lacks a part that grows
     assert agreed(tmp_path, OURS, "arms") == read(tmp_path) == OURS
@@ -74,11 +73,7 @@ def test_an_unreadable_document_is_refused(tmp_path: Path, text: str) -> None:
         agreed(tmp_path, OURS, "arms")
 
 
-TABLE = pa.table({"arm": ["a", "b"], "cost": [1.0, 2.0], "walked": [True, False]})
-FOLDER = {"seed": 1, "arms": {"dog": {}, "cat": {}}}
-
-
-def test_it_comes_back(tmp_path: Path) -> None:
+def test_it_comes_back_or_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.parquet"
     write_stamped(path, TABLE, FOLDER)
     assert read_stamped(path, FOLDER).equals(TABLE)
@@ -86,6 +81,14 @@ def test_it_comes_back(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"arms\.cat"):
         read_stamped(path, fewer)
     assert read_stamped(path, fewer, ("arms",)).equals(TABLE)
+    digest = {tables.DIGEST_KEY: table_digest(TABLE.slice(1))}
+    write_table(path, TABLE, FOLDER | digest)
+    with pytest.raises(InputError, match="does not fit the digest"):
+        read_stamped(path, FOLDER)
+    words = pa.array([None, None], pa.dictionary(pa.int32(), pa.string()))
+    write_table(path, pa.table({"arm": words}), FOLDER)
+    with pytest.raises(InputError, match=r"a\.parquet' .* arm has no gaps"):
+        read_stamped(path, FOLDER)
 
 
 def test_the_digest_is_of_the_content_alone() -> None:
@@ -106,17 +109,6 @@ def test_other_footers_are_one_line(tmp_path: Path, footer: dict[str, object]) -
     with pytest.raises(InputError, match=r"a\.parquet' .* a file of this folder") as caught:
         read_stamped(tmp_path / "a.parquet", FOLDER, ("arms",))
     assert "\n" not in str(caught.value)
-
-
-def test_a_digest_of_other_content(tmp_path: Path) -> None:
-    digest = {tables.DIGEST_KEY: table_digest(TABLE.slice(1))}
-    write_table(tmp_path / "a.parquet", TABLE, FOLDER | digest)
-    with pytest.raises(InputError, match="does not fit the digest"):
-        read_stamped(tmp_path / "a.parquet", FOLDER)
-    words = pa.array([None, None], pa.dictionary(pa.int32(), pa.string()))
-    write_table(tmp_path / "a.parquet", pa.table({"arm": words}), FOLDER)
-    with pytest.raises(InputError, match=r"a\.parquet' .* arm has no gaps"):
-        read_stamped(tmp_path / "a.parquet", FOLDER)
 
 
 @pytest.mark.parametrize("read", [read_columns, read_footer])

@@ -81,9 +81,8 @@ def wait_for(folder: Path, count: int) -> list[int]:
 def test_every_unit_is_done_once(workers: int) -> None:
     with local_pool(workers) as pool:
         assert (pool.in_process, pool.shares_machine) == (workers == 1, workers > 1)
-        assert sorted(pool.results(units.square, deque(range(20)))) == [
-            (n, n**2) for n in range(20)
-        ]
+        found = sorted(pool.results(units.square, deque(range(20))))
+        assert found == [(n, n**2) for n in range(20)]
         assert list(pool.results(units.square, deque())) == []
         assert dict(pool.results(bytes, deque([3_000_000]))) == {3_000_000: bytes(3_000_000)}
         numbers, seen = deque([1, 10]), []

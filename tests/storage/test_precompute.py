@@ -24,6 +24,8 @@ from tests.storage import fake
 from tests.storage.fake import content
 
 SHARD = "part-00003.parquet"
+rows_of = partial(pq.read_table, partitioning=None)
+STOPS = [(0, {}, 0), (3, {}, 3), (5, {"robust": True}, 2)]  # the last one within the family
 
 
 @pytest.fixture
@@ -70,9 +72,7 @@ def test_summary_counts(tmp_path: Path) -> None:
     assert again.alive_at_horizon == first.alive_at_horizon
 
 
-def test_shards_finished_in_any_order_are_the_same_bytes(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_shards_in_any_order(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     threads, seen = [], []
 
     def simulate(gains: Any, **options: Any) -> Result:
@@ -89,9 +89,7 @@ def test_shards_finished_in_any_order_are_the_same_bytes(
     assert len(seen) == 8 and seen[0] == 0 and seen[-1] == 50 and seen == sorted(seen)
 
 
-def test_where_machines_may_differ_each_shard_says_of_which_it_is(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_shards_of_mixed_kind(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(filling, "own_kind", lambda simulator: {"processor": "Fast 3000"})
     with ThreadPoolExecutor(2) as executor:
         precompute(fake.specification(), tmp_path / "b", pool=Pool(executor, 2, mixed=True))
@@ -109,9 +107,6 @@ def test_processes_compute_the_same_bytes(tmp_path: Path, monkeypatch: pytest.Mo
     with local_pool(2) as pool:
         precompute(specification, tmp_path / "two", pool=pool)
     assert content(tmp_path / "one") == content(tmp_path / "two")
-
-
-rows_of = partial(pq.read_table, partitioning=None)
 
 
 def another_specification(file: Path) -> None:
@@ -174,9 +169,6 @@ def test_a_folder_in_a_files_place_is_refused_before_the_work(store: Path, name:
     with pytest.raises(InputError, match=f"out: .*{name}.*not a folder"):
         precompute(fake.specification(), store, progress=lambda points: pytest.fail("it works"))
     assert sorted(store.iterdir()) == before
-
-
-STOPS = [(0, {}, 0), (3, {}, 3), (5, {"robust": True}, 2)]  # the last one within the family
 
 
 @pytest.mark.parametrize(("calls", "changes", "done"), STOPS)

@@ -82,16 +82,12 @@ def test_candidates_are_rows_after_the_grid(finished: Finished, tmp_path: Path) 
     plain = open_store(tmp_path / "plain")  # whose grid is the same
     assert plain.columns == tuple(name for name in store.columns if name != "origin")
     assert plain.table().equals(store.table(plain.columns).slice(0, 50))
-    grown = {"columns": plain.specification["columns"]}
-    assert store.specification | grown == plain.specification | {
-        "repertoire": store.specification["repertoire"]
-    }
+    grown = dict.fromkeys(("columns", "repertoire"))
+    assert store.specification | grown == plain.specification | grown
     assert not (tmp_path / "plain" / "repertoire.parquet").exists()
 
 
-def test_the_repertoire_says_what_was_tried_and_where_a_row_comes_from(
-    finished: Finished,
-) -> None:
+def test_the_repertoire_says_what_was_tried_and_whence_a_row_comes(finished: Finished) -> None:
     path, summary = finished
     tried = pq.read_table(path / "repertoire.parquet").to_pydict()
     rows, walked = np.array(tried["row"]), np.array(tried["walked_fraction"])
@@ -122,9 +118,7 @@ def test_two_runs_on_any_executor_are_the_same_bytes(finished: Finished, tmp_pat
 
 
 @pytest.mark.parametrize("after", [7 * 3 - 1, 7 * 3 + 1, 7 * 3 + 6, 7 * 3 + 8, 7 * 3 + 8 + 4])
-def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(
-    finished: Finished, tmp_path: Path, after: int
-) -> None:
+def test_a_stopped_run_goes_on_alike(finished: Finished, tmp_path: Path, after: int) -> None:
     """In the grid's last shard, in the search, and in the candidates' shards."""
     path = tmp_path / "store"
     interrupted(path, after)
@@ -153,9 +147,7 @@ def other_points(file: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [fake.flip_a_bit, other_points])
-def test_a_generation_that_is_damaged_or_of_other_points_is_tried_again(
-    finished: Finished, tmp_path: Path, damage: Callable[[Path], None]
-) -> None:
+def test_odd_generation(finished: Finished, tmp_path: Path, damage: Callable[[Path], None]) -> None:
     path = tmp_path / "store"
     interrupted(path, 7 * 3 + 6)
     files = sorted(path.glob("search-*.parquet"))
@@ -183,7 +175,7 @@ def test_candidates_are_tried_on_settings_of_their_own() -> None:
     assert other is not None and other.document != specification.repertoire.document
 
 
-def test_a_share_holds_the_best_of_cells_and_of_all() -> None:
+def test_a_share_holds_the_best_and_the_search_is_longest_where_the_grid_survives_least() -> None:
     rng = np.random.default_rng(1)
 
     def generation(count: int) -> Generation:
@@ -200,9 +192,6 @@ def test_a_share_holds_the_best_of_cells_and_of_all() -> None:
         assert numbers.min() >= 10 and len(set(numbers)) == len(numbers)
         assert np.all(np.diff(objective[numbers]) <= 0)
         assert numbers[0] == 10 + np.argmax(objective[10:])
-
-
-def test_the_search_is_longest_where_the_grid_survives_least_and_points_stay_in_the_cube() -> None:
     assert shares(10, {"a": 0.0, "b": 0.0}) == {"a": 5, "b": 5}
     assert shares(12, {"a": 0.01, "b": 0.9, "c": 0.45}) == {"a": 1, "b": 7, "c": 4}
     assert sum(shares(101, {"a": 0.3, "b": 0.3, "c": 0.7}).values()) == 101
@@ -211,9 +200,7 @@ def test_the_search_is_longest_where_the_grid_survives_least_and_points_stay_in_
     assert folded(points) == pytest.approx([0.1, 0.0, 0.3, 1.0, 0.8, 0.1])
 
 
-def test_what_makes_no_repertoire_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_makes_no_repertoire(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     weak = {"up": FAMILIES["up"] | {"min_survival_s": 5.0}}
     falls = fake.configuration(samples=1, seed=10, families=weak, repertoire=REPERTOIRE)
     store = read_specification(Table(falls))

@@ -27,17 +27,11 @@ from tests.storage.fake import content
 TOY = "tests.storage.toy"
 CART = f"{TOY}:Cart"
 CONFIGURATION: dict[str, Any] = {
-    "simulator": {"name": CART, "mass_kg": 2.0},
-    "samples": 60,
-    "shard_rows": 16,
-    "seed": 4,
-    "wind": [0.5, 1.5],
-    "families": {
+    "simulator": {"name": CART, "mass_kg": 2.0}, "samples": 60, "shard_rows": 16, "seed": 4,
+    "wind": [0.5, 1.5], "families": {
         "gale": {"settings": 3, "min_survival_s": 4.0, "seed": 1, "wind": [1.0, 3.0]},
-        "storm": {
-            "settings": 2, "min_survival_s": 4.0, "seed": 2, "wind": [3.0, 4.0],
-            "after": "gale", "min_survived_fraction": 0.5,
-        },
+        "storm": {"settings": 2, "min_survival_s": 4.0, "seed": 2, "wind": [3.0, 4.0],
+                  "after": "gale", "min_survived_fraction": 0.5},
     },
 }  # fmt: skip
 REPERTOIRE = {"evaluations": STARTS + 2 * GENERATION, "settings": 1, "candidates": 20}
@@ -167,9 +161,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_simulator_that_makes_no_store_is_refused(
-    fault: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_simulator_that_makes_no_store(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
     changes, allowed = FAULTS[fault]
     for name, value in changes.items():
         monkeypatch.setattr(toy.Cart, name, value)
@@ -192,10 +184,7 @@ def changed(name: str, value: float) -> Callable[..., tuple[Any, dict[str, Any]]
 ROWS = toy.Cart.columns
 FAULTY_RUNS: dict[str, tuple[Any, str]] = {  # what is returned, or the method
     "no array": ([1.0], "not <class 'list'>"),
-    "other columns": (
-        np.zeros((16, 1), [("way", "f8")]),
-        "columns way, end_reason, speed of their",
-    ),
+    "other columns": (np.zeros((16, 1), [("way", "f8")]), "columns way, end_reason, speed of"),
     "other types": (np.zeros((16, 1)), "of their types, not float64"),
     "too few rows": (np.zeros((15, 1), ROWS), "[16 points, 1 worlds], not [15, 1]"),
     "no worlds": (np.zeros(16, ROWS), "1 worlds], not [16]"),
@@ -207,9 +196,7 @@ FAULTY_RUNS: dict[str, tuple[Any, str]] = {  # what is returned, or the method
 
 
 @pytest.mark.parametrize("fault", FAULTY_RUNS)
-def test_a_faulty_run_is_refused_in_a_line(
-    fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_faulty_run(fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run, allowed = FAULTY_RUNS[fault]
     monkeypatch.setattr(toy.Cart, "run", run if callable(run) else lambda *_: (run, {}))
     with pytest.raises(InputError, match=re.escape(allowed)) as caught:
@@ -223,9 +210,7 @@ def test_a_faulty_run_is_refused_in_a_line(
     (np.zeros(4), np.zeros((4, 2))), (np.zeros(3), np.zeros((4, 1))),
     (np.full(4, np.nan), np.zeros((4, 1))), (np.zeros(4), np.full((4, 1), np.inf)),
 ])  # fmt: skip
-def test_a_faulty_judgement_is_refused_in_a_line(
-    objective: Any, measures: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_faulty_judgements(objective: Any, measures: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(toy.Cart, "judge", lambda *_: (objective, measures))
     with pytest.raises(InputError, match=r"objective \[4\] and measures \[4, 1\], all finite"):
         judge_rows(toy.Cart(), np.zeros((4, 2), toy.Cart.columns), 5.0)
@@ -260,9 +245,7 @@ def test_simulators_of_this_project_are_found_by_name(name: str) -> None:
     assert known_simulator({}) is find_simulator("walker")
 
 
-def test_machines_are_told_apart_by_the_simulators_own_batch(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_machines_differ_by_the_simulators_own_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     kind = own_kind(toy.Cart())
     assert list(kind) == ["canary", "processor", CART, "numpy"]
     assert own_kind(toy.Cart(mass_kg=2.0)) == kind
@@ -270,19 +253,12 @@ def test_machines_are_told_apart_by_the_simulators_own_batch(
     assert own_kind(toy.Cart()) != kind
 
 
-CONFIGURATION_FILE = """
-samples = 40
-shard_rows = 8
-seed = 4
-wind = [0.5, 1.5]
-simulator = {name = "my_robot:Cart", mass_kg = 2.0}
-"""
-
-
 def test_a_file_of_the_working_directory_is_a_simulator_of_the_command(tmp_path: Path) -> None:
     """Worker processes find it, too."""
     shutil.copy(toy.__file__, tmp_path / "my_robot.py")
-    (tmp_path / "cart.toml").write_text(CONFIGURATION_FILE)
+    text = "samples = 40\nshard_rows = 8\nseed = 4\nwind = [0.5, 1.5]\n"
+    text += "simulator = {name = 'my_robot:Cart', mass_kg = 2.0}\n"
+    (tmp_path / "cart.toml").write_text(text)
     words = [sys.executable, "-m", "taichi_nmm", "precompute", "--config", "cart.toml"]
     run = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True)
     done = run([*words, "--workers", "2"], check=False)

@@ -16,12 +16,15 @@ from tests.storage.fake import configuration, specification
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
-def test_shards_cover_the_samples_once() -> None:
+def test_shards_cover_the_samples_which_may_be_given_by_hand() -> None:
     store = specification(samples=50, shard_rows=8)
     ranges = [store.layout.shard_range(number) for number in range(store.layout.shards)]
     rows = [row for first, count in ranges for row in range(first, first + count)]
     assert rows == list(range(50))
     assert ranges[-1] == (48, 2)
+    assert read_specification(Table(configuration()), samples=9).samples == 9
+    with pytest.raises(InputError, match="samples: 0"):
+        read_specification(Table(configuration()), samples=0)
 
 
 def test_shipped_configs_are_valid() -> None:
@@ -32,6 +35,9 @@ def test_shipped_configs_are_valid() -> None:
     for each in families:
         assert len(each.worlds.bodies) == len(each.worlds.terrains) == 4
         assert (each.min_survival_s, each.horizon_s, each.rule.disturbance) == (5.0, 20.0, 0.15)
+    for family, sign in ((families[1], -1), (families[3], 1)):
+        slopes = np.diff(family.worlds.terrains[0].height_m) / 0.05 * sign
+        assert slopes.max() == pytest.approx(0.20) and slopes.min() == 0.0
 
 
 def test_robust_settings_differ_from_each_other_and_come_from_the_seed() -> None:
@@ -85,10 +91,8 @@ def test_difference_names_the_first_field() -> None:
 LATER = "settings = 2\nafter = 'down'\nmin_survived_fraction = 0.5"
 # Ends of configurations by the field that their error names; "!": without `samples = 5` before it.
 BAD: dict[str, list[str]] = {
-    "samples": [
-        "!sample = 5", "!samples = 0", "!samples = 2_000_000_000", '!samples = "many"',
-        "!samples = true",
-    ],
+    "samples": ["!sample = 5", "!samples = 0", "!samples = 2_000_000_000", '!samples = "many"',
+        "!samples = true"],
     "shard_rows": ["shard_rows = 0"],
     "seed": ["seed = -1"],
     "colour": ["colour = 1"],
@@ -110,45 +114,35 @@ BAD: dict[str, list[str]] = {
     "families.up.slope": ["[families.up]\nsettings = 2\nslope = 1"],
     "families.up.min_survival_s": ["[families.up]\nsettings = 2\nmin_survival_s = 6"],
     "families.up.terrain.kind": ["[families.up]\nsettings = 2\nterrain = {kind = 'r'}"],
-    "families": [
-        "[families.Up]\nsettings = 2", "[families.2up]\nsettings = 2",
+    "families": ["[families.Up]\nsettings = 2", "[families.2up]\nsettings = 2",
         "[families.'up-hill']\nsettings = 2", "[families.'']\nsettings = 2",
         '[families."up\\n"]\nsettings = 2', "[families.robust]\nsettings = 2",
         "[families.m1]\nsettings = 2", "[families.row]\nsettings = 2",
         "searched = ['theta_ref']\n[families.theta]\nsettings = 2", "families = 3",
-        "[families.origin]\nsettings = 2\n[repertoire]\nseed = 1",
-    ],
+        "[families.origin]\nsettings = 2\n[repertoire]\nseed = 1"],
     "families.up.after": [f'[families.up]\n{LATER}', "[families.up]\nsettings = 2\nafter = 3"],
     "families.down.after": [f'[families.up]\n{LATER}\n[families.down]\n{LATER}'],
     "robust.after": ["[robust]\nsettings = 2\nafter = 'up'"],
     "families.up.min_survived_fraction": [
         "[families.up]\nsettings = 2\nmin_survived_fraction = 0.5",
-        "[families.up]\nsettings = 2\nafter = 'robust'",
-    ],
+        "[families.up]\nsettings = 2\nafter = 'robust'"],
     "families.up.world.friction": ["[families.up]\nsettings = 2\nworld = {friction = 0.5}"],
     "families.up.world.grip": ["[families.up]\nsettings = 2\nworld = {grip = [0, 1]}"],
     "world.strength": ["world = {strength = [1, 0.5]}"],
     "repertoire": ["[repertoire]\nseed = 1", "repertoire = 3"],
-    "repertoire.evaluations": [
-        "[families.up]\nsettings = 2\n[repertoire]\nevaluations = 10",
-        "[families.up]\nsettings = 2\n[repertoire]\nevaluations = 0",
-    ],
-    "repertoire.candidates": [
-        "[families.up]\nsettings = 2\n[repertoire]\ncandidates = 0",
+    "repertoire.evaluations": ["[families.up]\nsettings = 2\n[repertoire]\nevaluations = 10",
+        "[families.up]\nsettings = 2\n[repertoire]\nevaluations = 0"],
+    "repertoire.candidates": ["[families.up]\nsettings = 2\n[repertoire]\ncandidates = 0",
         "[families.up]\nsettings = 2\n[repertoire]\ncandidates = 1e3",
-        "[families.a]\nsettings = 2\n[families.b]\nsettings = 2\n[repertoire]\ncandidates = 1",
-    ],
+        "[families.a]\nsettings = 2\n[families.b]\nsettings = 2\n[repertoire]\ncandidates = 1"],
     "repertoire.settings": ["[families.up]\nsettings = 2\n[repertoire]\nsettings = 65"],
-    "repertoire.families": [
-        "[families.up]\nsettings = 2\n[repertoire]\nfamilies = ['u']",
-        "[families.up]\nsettings = 2\n[repertoire]\nfamilies = 'up'",
-    ],
+    "repertoire.families": ["[families.up]\nsettings = 2\n[repertoire]\nfamilies = ['u']",
+        "[families.up]\nsettings = 2\n[repertoire]\nfamilies = 'up'"],
     "repertoire.seed": ["[families.up]\nsettings = 2\n[repertoire]\nseed = -1"],
     "repertoire.sigma": ["[families.up]\nsettings = 2\n[repertoire]\nseed = 1\nsigma = 1"],
-    "searched": [
-        'searched = ["theta"]', 'searched = ["K_GAS"]', 'searched = ["theta_ref", "theta_ref"]',
-        'searched = "theta_ref"', "searched = [3]", 'searched = [["theta_ref"]]', "searched = 1",
-    ],
+    "searched": ['searched = ["theta"]', 'searched = ["K_GAS"]',
+        'searched = ["theta_ref", "theta_ref"]', 'searched = "theta_ref"', "searched = [3]",
+        'searched = [["theta_ref"]]', "searched = 1"],
 }  # fmt: skip
 
 
@@ -158,9 +152,3 @@ def test_bad_configurations_name_the_field(field: str, text: str) -> None:
     with pytest.raises(InputError) as caught:
         read_specification(Table(tomllib.loads(whole)))
     assert caught.value.field == field and "\n" not in str(caught.value)
-
-
-def test_samples_given_by_hand_are_checked_too() -> None:
-    assert read_specification(Table(configuration()), samples=9).samples == 9
-    with pytest.raises(InputError, match="samples: 0"):
-        read_specification(Table(configuration()), samples=0)

@@ -38,10 +38,8 @@ class Cart(Simulator):
 
     code_version = "1"
     parameters = (
-        Uniform("thrust", 0.0, 10.0),
-        Uniform("drag", 0.1, 1.0),
-        Uniform("steer", -1.0, 1.0),
-    )
+        Uniform("thrust", 0.0, 10.0), Uniform("drag", 0.1, 1.0), Uniform("steer", -1.0, 1.0),
+    )  # fmt: skip
     columns = np.dtype([("way", "f8"), ("end_reason", "u1"), ("speed", "f4")])
     survived = "way"
     words: ClassVar = {"end_reason": ("arrived", "blown off")}
@@ -57,11 +55,7 @@ class Cart(Simulator):
         return Winds(*table.range("wind", (0.0, 0.0), 0.0, 100.0))
 
     def run(
-        self,
-        points: NDArray[np.float64],
-        worlds: NDArray[np.float64],
-        horizon_s: float,
-        report: Report,
+        self, points: NDArray[Any], worlds: NDArray[Any], horizon_s: float, report: Report
     ) -> tuple[NDArray[np.void], dict[str, Any]]:
         runs.append(len(points))
         thrust, drag, steer = points.T[:, :, None]

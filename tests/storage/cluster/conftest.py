@@ -29,7 +29,6 @@ class Cluster:
     """Processes of `dask scheduler` and `dask worker`, and where they may write."""
 
     folder: Path
-    environment: dict[str, str] = field(default_factory=dict)
     options: tuple[str, ...] = ()
     processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
@@ -58,11 +57,9 @@ class Cluster:
     def _dask(self, *words: str) -> subprocess.Popen[bytes]:
         process = subprocess.Popen(
             [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1"],
-            env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | self.environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+            env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
         self.processes.append(process)
         return process
 

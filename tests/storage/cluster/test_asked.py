@@ -1,6 +1,5 @@
 """What a user may ask for, and what a machine is taken for."""
 
-import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -28,26 +27,20 @@ def test_addresses(address: str, processes: int) -> None:
     assert Cluster(address).local_processes == processes
 
 
-@pytest.mark.parametrize(
-    "address",
-    ["", "local", "local:", "local:0", "local:-1", "local:257", "local:99999", "head", "head:",
-     "http://head:1", "head:port", "tcp://head:1/x", "a b:1", "head:123456", "local:1\n", "é:1"],
-)  # fmt: skip
+@pytest.mark.parametrize("address", [
+    "", "local", "local:", "local:0", "local:-1", "local:257", "local:99999", "head", "head:",
+    "http://head:1", "head:port", "tcp://head:1/x", "a b:1", "head:123456", "local:1\n", "é:1",
+])  # fmt: skip
 def test_what_is_no_address(address: str) -> None:
     with pytest.raises(InputError, match=r"^cluster: .* local:N with N from 1 to 256, or a sched"):
         Cluster(address)
 
 
-def test_no_password_is_shown_and_a_missing_library_is_one_line(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_no_password_is_shown_and_a_missing_library_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError) as caught:
         Cluster("tcp://me:secret@head:1")
     assert "secret" not in str(caught.value)
-    find = importlib.util.find_spec
-    monkeypatch.setattr(
-        "storage.pool.find_spec", lambda name: None if name == "distributed" else find(name)
-    )
+    monkeypatch.setattr("storage.pool.find_spec", {"distributed": None}.__getitem__)
     with pytest.raises(InputError, match=r"pip install 'taichi-nmm\[cluster\]'"):
         Cluster("local:2")
 

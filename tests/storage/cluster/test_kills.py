@@ -15,22 +15,11 @@ from tests.storage.cluster.conftest import REPOSITORY, Cluster, children, kill, 
 
 pytestmark = pytest.mark.campaign
 
-STORE = """
-samples = 30000
-shard_rows = 100
-seed = 3
-simulation = {duration_s = 5.0, arch = "cpu"}
-"""
-EXPERIMENT = """
-name = "tiny"
-seed = 5
-runs = 4
-trials = 40
-arms = ["dog", "random"]
-objective = {cost = "smooth"}
-simulation = {duration_s = 20.0, arch = "cpu"}
-stores = {flat = "whole-precompute"}
-"""
+STORE = "samples = 30000\nshard_rows = 100\nseed = 3\n"
+STORE += "simulation = {duration_s = 5.0, arch = 'cpu'}\n"
+EXPERIMENT = "name = 'tiny'\nseed = 5\nruns = 4\ntrials = 40\narms = ['dog', 'random']\n"
+EXPERIMENT += "objective = {cost = 'smooth'}\nsimulation = {duration_s = 20.0, arch = 'cpu'}\n"
+EXPERIMENT += "stores = {flat = 'whole-precompute'}\n"
 SEED = 15
 VICTIMS = ("worker", "scheduler", "client", "worker", "client")  # of each command
 
@@ -80,9 +69,7 @@ def test_five_kills_and_the_same_bytes(tool: str, cluster: Cluster, tmp_path: Pa
     assert [codes[number] for number in (1, 2, 4)] == [2, -9, -9]  # all in the middle
 
 
-def test_a_stalled_scheduler_ends_the_command_and_its_folder_goes_on(
-    cluster: Cluster, tmp_path: Path
-) -> None:
+def test_after_a_stalled_scheduler_the_folder_goes_on(cluster: Cluster, tmp_path: Path) -> None:
     (tmp_path / "precompute.toml").write_text(STORE)
     start = partial(started, tmp_path, "precompute", pipe=subprocess.PIPE)
 

@@ -9,7 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,33 +33,32 @@ WALKER = Walker(Settings(arch="cpu"))
 Open = Callable[..., AbstractContextManager[Pool]]
 
 
-@pytest.fixture
-def opens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Cluster], Open]:
-    """A pool of a cluster's two workers, which send at once of what kind they are."""
+@pytest.fixture(autouse=True)
+def kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers send at once of what kind they are."""
     monkeypatch.setattr("storage.cluster.session.own_kind", units.own_kind)
 
-    @contextmanager
-    def open_it(
-        cluster: Cluster, mixed: bool = False, stores: tuple[Path, ...] = ()
-    ) -> Iterator[Pool]:
-        asked = Asked(cluster.address, mixed)
-        with open_pool(1, asked, tmp_path / "out", WALKER, stores=stores) as pool:
-            until(lambda: pool.room() == 4)  # a unit a worker, and one that waits there
-            yield pool
 
-    return lambda cluster: partial(open_it, cluster)
+@contextmanager
+def pool_of(
+    cluster: Cluster, out: Path, mixed: bool = False, stores: tuple[Path, ...] = ()
+) -> Iterator[Pool]:
+    """A pool of a cluster's two workers."""
+    with open_pool(1, Asked(cluster.address, mixed), out, WALKER, stores=stores) as pool:
+        until(lambda: pool.room() == 4)  # a unit a worker, and one that waits there
+        yield pool
 
 
 @pytest.fixture
-def opened(opens: Callable[[Cluster], Open], cluster: Cluster) -> Open:
+def opened(cluster: Cluster, tmp_path: Path) -> Open:
     """A pool of a cluster that is this test's own."""
-    return opens(cluster)
+    return partial(pool_of, cluster, tmp_path / "out")
 
 
 @pytest.fixture
-def lent(opens: Callable[[Cluster], Open], shared_cluster: Cluster) -> Open:
+def lent(shared_cluster: Cluster, tmp_path: Path) -> Open:
     """A pool of a cluster that other tests use, too."""
-    return opens(shared_cluster)
+    return partial(pool_of, shared_cluster, tmp_path / "out")
 
 
 def results(pool: Pool, function: Callable[[Any], Any], asked: list[Any]) -> dict[Any, Any]:
@@ -104,9 +103,7 @@ def test_a_worker_that_joins_late_gets_work(cluster: Cluster, opened: Open) -> N
         assert len(after) == 3
 
 
-def test_a_scheduler_that_dies_is_one_line(
-    cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dying_scheduler(cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("storage.cluster.session.CONNECT_S", 6.0)
     line = r"cluster: 'tcp.* a scheduler that stays; the same command"
     with pytest.raises(InputError, match=line), opened() as pool:
@@ -128,9 +125,7 @@ def test_a_connection_that_breaks_under_an_answer_is_the_schedulers(lent: Open) 
             future.result(60.0)
 
 
-def test_a_cluster_without_workers_is_given_up(
-    cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_workers(cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("storage.cluster.session.WORKERLESS_S", 1.0)
     monkeypatch.setattr("storage.cluster.session.WATCH_S", 0.2)
     line = r"cluster: 'tcp.* not without a worker for 1 s; the same command goes on"
@@ -184,9 +179,7 @@ def test_what_stalls_and_goes_on_loses_nothing(
         assert found == {n: n**2 for n in range(20)}
 
 
-def test_calls_may_take_longer_than_a_cluster_may_be_without_workers(
-    lent: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_calls_longer_than_workerless_time(lent: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("storage.cluster.session.WORKERLESS_S", 1.0)
     monkeypatch.setattr("storage.cluster.session.WATCH_S", 0.2)
     with lent() as pool:
@@ -221,9 +214,7 @@ def test_a_killed_clients_calls_are_dropped(cluster: Cluster, opened: Open, tmp_
     assert len(list(tmp_path.glob("*.begun"))) == 2  # the other four were never begun
 
 
-def test_workers_of_another_kind_get_no_work(
-    lent: Open, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_workers_unlike_ours(lent: Open, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "out"
     folder.mkdir()
     other = units.KIND | {"canary": "1" * 64}
@@ -262,18 +253,14 @@ def test_stores_travel(lent: Open, tmp_path: Path) -> None:
 
 def test_nobody_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("storage.cluster.session.CONNECT_S", 1.0)
-    asked = Asked("127.0.0.1:9")
-    opening = open_pool(1, asked, tmp_path / "out", WALKER)
+    opening = open_pool(1, Asked("127.0.0.1:9"), tmp_path / "out", WALKER)
     with pytest.raises(InputError, match=r"'127.0.0.1:9' .* a scheduler that answers"), opening:
         pass
     assert not (tmp_path / "out").exists()
 
 
-def test_a_cluster_of_this_machine_is_heard_by_nobody_else(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cluster_of_this_machine_is_heard_by_nobody_else(tmp_path: Path) -> None:
     psutil = pytest.importorskip("psutil")
-    monkeypatch.setattr("storage.cluster.session.own_kind", units.own_kind)
     me = psutil.Process()
     before = {child.pid for child in me.children(recursive=True)}
     with open_pool(1, Asked("local:2"), tmp_path / "out", WALKER) as pool:
@@ -284,8 +271,7 @@ def test_a_cluster_of_this_machine_is_heard_by_nobody_else(
         assert set(heard) == {"127.0.0.1"} and len(heard) >= 3
         address = pool.executor._client.scheduler.address  # type: ignore[attr-defined]
         assert address.startswith("tls://127.0.0.1:")
-        other = Asked(address)
-        stranger = open_pool(1, other, tmp_path / "other", WALKER)
+        stranger = open_pool(1, Asked(address), tmp_path / "other", WALKER)
         with pytest.raises(InputError, match=r"a scheduler that answers"), stranger:
             pass
     trackers = [one for one in me.children() if "resource_tracker" in " ".join(one.cmdline())]
@@ -293,29 +279,8 @@ def test_a_cluster_of_this_machine_is_heard_by_nobody_else(
     assert left <= before | {child.pid for child in trackers}
 
 
-def test_certificates_of_ones_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, certificates: Cluster
-) -> None:
+def test_certificates_of_ones_own(tmp_path: Path) -> None:
     """By Dask's settings, as docs/cluster.md says."""
-    import dask
-
-    monkeypatch.setattr("storage.cluster.session.own_kind", units.own_kind)
-    assert certificates.address.startswith("tls://")
-    opening = (1, Asked(certificates.address), tmp_path / "out", WALKER)
-    with pytest.raises(InputError, match=r"a scheduler that answers"), open_pool(*opening):
-        pass
-    names = {"ca-file": "ca", "client.cert": "cert", "client.key": "key"}
-    files = {
-        f"distributed.comm.tls.{name}": str(certificates.folder / f"{file}.pem")
-        for name, file in names.items()
-    }
-    with dask.config.set(files), open_pool(*opening) as pool:
-        assert results(pool, units.square, [1, 2]) == {1: 1, 2: 4}
-
-
-@pytest.fixture
-def certificates(tmp_path: Path) -> Iterator[Cluster]:
-    """A cluster that asks for them."""
     security = pytest.importorskip("distributed.security").Security.temporary()
     folder = tmp_path / "tls"
     folder.mkdir()
@@ -324,8 +289,14 @@ def certificates(tmp_path: Path) -> Iterator[Cluster]:
     (folder / "key.pem").write_text(security.tls_scheduler_key)
     names = {"--tls-ca-file": "ca", "--tls-cert": "cert", "--tls-key": "key"}
     options = tuple(word for name, file in names.items() for word in (name, f"{folder}/{file}.pem"))
-    cluster = Cluster(folder, options=("--protocol", "tls", *options))
-    cluster.start_scheduler()
-    cluster.start_worker()
-    yield cluster
-    cluster.close()
+    names = {"ca-file": "ca", "client.cert": "cert", "client.key": "key"}
+    files = {f"distributed.comm.tls.{key}": f"{folder}/{file}.pem" for key, file in names.items()}
+    with closing(Cluster(folder, options=("--protocol", "tls", *options))) as cluster:
+        assert cluster.start_scheduler().startswith("tls://")
+        cluster.start_worker()
+        opening = (1, Asked(cluster.address), tmp_path / "out", WALKER)
+        with pytest.raises(InputError, match=r"a scheduler that answers"), open_pool(*opening):
+            pass
+        dask = pytest.importorskip("dask")
+        with dask.config.set(files), open_pool(*opening) as pool:
+            assert results(pool, units.square, [1, 2]) == {1: 1, 2: 4}

@@ -32,27 +32,21 @@ STARTED = datetime(2026, 7, 1, 12, 30, 15, 250_000)
 
 
 def finished(number: int, value: float) -> FrozenTrial:
-    return create_trial(
-        params={
-            "gain": 0.1 + number / 7,
-            "scale": 10.0 ** -(number % 4),
-            "count": 1 + 2 * (number % 5),
-            "kind": ("a", None, 3.5)[number % 3],
-        },
-        distributions=DISTRIBUTIONS,
-        value=value,
-        user_attrs={"row": number, "walked": number % 2 == 0, "end_reason": "fell", "speed": 0.1},
+    params = {
+        "gain": 0.1 + number / 7, "scale": 10.0 ** -(number % 4), "count": 1 + 2 * (number % 5),
+        "kind": ("a", None, 3.5)[number % 3],
+    }  # fmt: skip
+    seen = {"row": number, "walked": number % 2 == 0, "end_reason": "fell", "speed": 0.1}
+    trial = create_trial(
+        params=params, distributions=DISTRIBUTIONS, value=value, user_attrs=seen,
         system_attrs={"claims": [number, "x"]},
-    )
-
-
-def dated(trial: FrozenTrial, number: int) -> FrozenTrial:
+    )  # fmt: skip
     trial.datetime_start = STARTED + timedelta(seconds=number)
     trial.datetime_complete = STARTED + timedelta(seconds=number, microseconds=30)
     return trial
 
 
-TRIALS = [dated(finished(i, v), i) for i, v in enumerate([3.5, math.inf, -math.inf, 1 / 3, 300.25])]
+TRIALS = [finished(*both) for both in enumerate([3.5, math.inf, -math.inf, 1 / 3, 300.25])]
 STUDY = FinishedStudy("e/dog/run-000", TRIALS, user_attrs={"arm": "dog", "run": 0}, metric="metres")
 
 

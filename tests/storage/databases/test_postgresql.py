@@ -54,9 +54,7 @@ def refusal(url: str) -> str:
     return text
 
 
-def test_a_password_comes_from_the_environment(
-    server: Server, url: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hidden_password(server: Server, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A URL on a command line is shown by `ps`."""
     server.require_password("guest", "secret")
     guest = url.replace(f"{server.owner}:secret@", "guest@")

@@ -18,6 +18,7 @@ from storage.databases.bulk import study_attributes
 from storage.databases.studies import only_run, open_studies, read_studies, storage_errors
 from storage.databases.urls import file_url
 from taichi_nmm.errors import InputError
+from tests.storage.fake import content
 
 
 def test_a_database_is_made_with_its_folder_and_kept(tmp_path: Path) -> None:
@@ -86,16 +87,16 @@ def test_a_read_only_database_is_refused(tmp_path: Path) -> None:
         open_studies(url)
 
 
-def test_a_file_that_is_no_database_is_refused_and_kept(tmp_path: Path) -> None:
+def test_no_database_is_kept_and_a_link_to_itself_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "notes.txt"
     path.write_text("dear diary\n" * 100)
     with pytest.raises(InputError, match="file is not a database"):
         open_studies(f"sqlite:///{path}")
     assert path.read_text() == "dear diary\n" * 100
-
-
-def listing(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    (tmp_path / "studies.db").symlink_to("studies.db")
+    reading = read_studies(f"sqlite:///{tmp_path}/studies.db")
+    with pytest.raises(InputError, match="storage: "), reading:
+        pass
 
 
 OTHERS = {
@@ -126,12 +127,12 @@ def test_a_refused_database_is_kept_as_it_is(tmp_path: Path, kind: str, mode: st
         for statement in (*OTHERS.get(kind, ()), *CHANGES.get(kind, ())):
             connection.execute(statement)
         connection.execute(f"PRAGMA journal_mode={mode}")
-    before = listing(tmp_path)
+    before = content(tmp_path)
     assert list(before) == ["other.db"]
     with pytest.raises(InputError, match=r"an Optuna database|no longer compatible") as caught:
         open_studies(f"sqlite:///{path}")
     assert "\n" not in str(caught.value)
-    assert listing(tmp_path) == before
+    assert content(tmp_path) == before
 
 
 @pytest.mark.parametrize("kind", ["no revision", "no version", "no table of revisions"])
@@ -157,7 +158,7 @@ def test_a_new_database_appears_whole(tmp_path: Path, monkeypatch: pytest.Monkey
     assert not list(tmp_path.iterdir())
     monkeypatch.setattr(os, "link", lambda *_: Path("nowhere").stat())  # no links here
     optuna.create_study(storage=open_studies(url), study_name="a")
-    assert "studies.db" in listing(tmp_path)
+    assert "studies.db" in content(tmp_path)
     monkeypatch.undo()
     file = tmp_path / "studies.db"
     os.link(file, tmp_path / ".studies.db.1.tmp")
@@ -179,7 +180,7 @@ def test_what_is_read_is_not_written(tmp_path: Path) -> None:
         assert nothing is None
     assert not list(tmp_path.iterdir())
     optuna.create_study(storage=open_studies(url), study_name="a")
-    assert "a b{1}#%20?.db" in listing(tmp_path)
+    assert "a b{1}#%20?.db" in content(tmp_path)
     with read_studies(url) as storage:
         assert storage is not None
         assert optuna.get_all_study_names(storage) == ["a"]
@@ -200,13 +201,6 @@ def test_places_where_no_file_can_be(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match="not a folder"):
         open_studies(f"sqlite:///{tmp_path}")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-def test_a_link_that_leads_to_itself_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "studies.db").symlink_to("studies.db")
-    reading = read_studies(f"sqlite:///{tmp_path}/studies.db")
-    with pytest.raises(InputError, match="storage: "), reading:
-        pass
 
 
 def test_values_that_are_not_json_are_one_line(tmp_path: Path) -> None:
@@ -249,9 +243,7 @@ def test_a_study_has_one_run_at_a_time(any_url: str) -> None:
         pass
 
 
-def test_a_study_has_one_run_at_a_time_under_any_name_of_its_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_run_under_any_name_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two runs would take each other's running trials for dead."""
     file, link = tmp_path / "studies.db", tmp_path / "elsewhere" / "link.db"
     link.parent.mkdir()

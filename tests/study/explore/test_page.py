@@ -276,9 +276,7 @@ def test_a_slider_changes_the_gait_within_its_bounds(page: Any, store: Path) -> 
     ("number-K_SOL", "99", "K_SOL: 99 cannot be used; allowed: "),
     ("seed", "-3", "seed: -3 cannot be used; allowed: "),
 ])  # fmt: skip
-def test_what_is_typed_out_of_bounds_is_said(
-    page: Any, store: Path, field: str, text: str, said: str
-) -> None:
+def test_out_of_bounds_is_said(page: Any, store: Path, field: str, text: str, said: str) -> None:
     change(page, "part", "active", 0)
     page.wait_for_function(f"{MODEL}('number-K_SOL') !== null")
     held = model(page, field, "value") or 0

@@ -23,8 +23,6 @@ from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker, synthetic_gait
 from tests.tools.running import run_tool
 
-Capture = pytest.CaptureFixture[str]
-
 
 def same_robot(one: Setting, other: Setting) -> None:
     """Body, world and ground have the same bits."""
@@ -65,27 +63,24 @@ def test_a_run_of_an_experiment_is_a_configuration(name: str, tmp_path: Path) ->
     assert as_written(again.experiment) == as_written(experiment)
 
 
-def test_a_seed_that_no_configuration_takes() -> None:
+def test_a_seed_that_no_configuration_takes_and_tables_within_tables(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="seed: -1"):
         chosen_setting("flat", "nominal", -1, "nominal", "taichi", 5.0)
-
-
-def test_tables_within_tables_come_last(tmp_path: Path) -> None:
     tables = {"a": {"b": {"c": 1.5}, "d": [1, 2]}, "e": "x\ty", "f": True}
     (tmp_path / "t.toml").write_text(to_toml(tables))
     assert read_toml(tmp_path / "t.toml").unread == tables
 
 
 @pytest.fixture(scope="module")
-def fallen() -> Walk:
+def fell() -> Walk:
     """The published gains on stairs, on which it falls."""
     setting = chosen_setting("stairs up, 10 cm a step", "within 15 %", 3, "nominal", "taichi", 20.0)
     return walk(gains_of_source("published"), setting)
 
 
 @pytest.mark.slow
-def test_a_fall_has_frames_a_reason_and_files(fallen: Walk) -> None:
-    frames, trajectory = fallen.frames, fallen.trajectory
+def test_a_fall_has_frames_a_reason_and_files(fell: Walk) -> None:
+    frames, trajectory = fell.frames, fell.trajectory
     count = len(frames.time_s)
     assert count == pytest.approx(walking.RATE_HZ * trajectory.time_s[-1], abs=1)
     assert frames.muscles.shape[:2] == (count, 14) and frames.forces.shape == (count, 2, 2, 2)
@@ -94,17 +89,17 @@ def test_a_fall_has_frames_a_reason_and_files(fallen: Walk) -> None:
     np.testing.assert_allclose(frames.far[:, 0, 0], hip, atol=1e-4)
     assert np.ptp(frames.ground[:, 1]) > 0.1  # steps
     assert all(len(column) == 1 for column in frames.columns().values())
-    assert fallen.ended.startswith("fell after ")
-    pose = fallen.trajectory.q[-1]
-    height_m = pose[1] - fallen.setting.terrain.height(pose[0])
+    assert fell.ended.startswith("fell after ")
+    pose = fell.trajectory.q[-1]
+    height_m = pose[1] - fell.setting.terrain.height(pose[0])
     leaned = abs(np.rad2deg(pose[2])) > 57.0  # a sample before the bound of 60
-    assert ("the trunk leaned" in fallen.ended) == leaned
-    assert ("the hip sank to" in fallen.ended) == (not leaned)
+    assert ("the trunk leaned" in fell.ended) == leaned
+    assert ("the hip sank to" in fell.ended) == (not leaned)
     assert leaned or height_m < 0.62
     begins = {"png": b"\x89PNG", "mp4": b"", "json": b"{", "toml": b"runs", "csv": b"time_s,"}
     begins |= dict.fromkeys(("mot", "sto"), b"published\n")
     for wanted in NAMES:
-        name, content = file_of_walk(fallen, wanted)
+        name, content = file_of_walk(fell, wanted)
         assert name == wanted and len(content) > 100
         assert content.startswith(begins[name.rpartition(".")[2]])
 
@@ -120,21 +115,21 @@ def test_a_walk_that_never_was_finite_still_has_frames_or_says_so() -> None:
 
 @pytest.mark.slow
 def test_what_is_taken_walks_the_same_to_the_bit(
-    fallen: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    fell: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for wanted in ("gains.json", "walk.toml"):
-        name, content = file_of_walk(fallen, wanted)
+        name, content = file_of_walk(fell, wanted)
         Path(name).write_bytes(content)
-    words = command_line(fallen).split()
+    words = command_line(fell).split()
     assert words[:2] == ["taichi-nmm", "walk"]
     more = ("--movie-seconds", "0", "--json", "--out", "pictures")
     assert run_tool(monkeypatch, "walk", *words[2:], *more) == 0
     found = json.loads(capsys.readouterr().out)
     for field in ("duration_s", "distance_m", "phi_printed", "cost_of_transport_jpkgpm"):
-        assert found[field] == fallen.row[field], field
-    assert found["gains"] == dict(zip(GAIN_NAMES, fallen.gains.gains.tolist(), strict=True))
-    title, _, rest = file_of_walk(fallen, "walk.sto")[1].partition(b"\n")
+        assert found[field] == fell.row[field], field
+    assert found["gains"] == dict(zip(GAIN_NAMES, fell.gains.gains.tolist(), strict=True))
+    title, _, rest = file_of_walk(fell, "walk.sto")[1].partition(b"\n")
     assert title == b"published" and Path("walk.sto").read_bytes() == b"gains\n" + rest
 
 

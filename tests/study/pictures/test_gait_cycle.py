@@ -100,8 +100,5 @@ def test_a_shift_is_its_own_distance() -> None:
 def test_a_gait_cycle_is_drawn(tmp_path: Path, trajectory: Trajectory) -> None:
     path = write_gait_cycle(tmp_path / "cycle.png", trajectory, BODY_WEIGHT_N, "a title")
     picture = imread(path)
-    assert picture.shape[:2] == (
-        round(cycle.SIZE_IN[1] * PNG_DPI),
-        round(cycle.SIZE_IN[0] * PNG_DPI),
-    )
+    assert picture.shape[:2] == tuple(round(inches * PNG_DPI) for inches in cycle.SIZE_IN[::-1])
     assert picture[..., :3].std() > 0.03

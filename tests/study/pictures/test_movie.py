@@ -58,9 +58,7 @@ def fake_ffmpeg(folder: Path, script: str) -> Path:
 
 
 @pytest.mark.parametrize("program", ["/nowhere/ffmpeg", None], ids=["missing", "broken"])
-def test_ffmpeg_that_does_not_start(
-    program: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_ffmpeg(program: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     broken = program or str(fake_ffmpeg(tmp_path, "exit 1"))
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", broken)
     with pytest.raises(InputError, match=r"ffmpeg: .* cannot be used; allowed: a working ffmpeg"):

@@ -5,32 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.pictures.stick_figure import (
-    finite,
-    last_metres,
-    last_seconds,
-    leg,
-    muscle_outlines,
-    trunk,
-)
+from study.pictures import stick_figure
+from study.pictures.stick_figure import finite, last_metres, last_seconds, leg, muscle_outlines
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES
 from tests.study import synthetic_gait
 from tests.study.synthetic_gait import SPEED_MPS
 
 WALK = synthetic_gait.walk()
+TURNS = [(3, "knee", (-1, 1)), (4, "ankle", (-1, 1)), (5, "ball", (-1, -1))]
 
 
 def test_standing_upright_is_drawn_upright() -> None:
     q = np.array([2.0, 1.0, 0, 0, 0, 0, 0, 0, 0])
-    shoulder, head = trunk(q)
+    shoulder, head = stick_figure.trunk(q)
     expected = [[2.0, 1.0], [2.0, 0.5], [2.0, 0.0], [1.96, 0.0], [2.16, 0.0]]
     np.testing.assert_allclose(leg(q, 0).chain(), expected, atol=1e-12)
     np.testing.assert_allclose(shoulder, [2.0, 1.5])
     assert head[1] > shoulder[1]
-
-
-TURNS = [(3, "knee", (-1, 1)), (4, "ankle", (-1, 1)), (5, "ball", (-1, -1))]
 
 
 @pytest.mark.parametrize(("column", "point", "moves"), TURNS)

@@ -27,15 +27,12 @@ def test_a_strip_is_drawn(tmp_path: Path, trajectory: Trajectory, terrain: Terra
     assert picture[..., :3].std() > 0.03
 
 
-def test_ground_that_is_not_level_has_a_profile_below(tmp_path: Path) -> None:
+def test_uneven_ground_has_a_profile_below_and_pictures_are_the_same_twice(tmp_path: Path) -> None:
     level, uneven = (
         imread(write_strip(tmp_path / "strip.png", GLIMPSE, terrain, dpi=50)).shape[0]
         for terrain in (flat(), rough(1, flat_start_m=0.0))
     )
     assert uneven > level + 50  # an inch and more
-
-
-def test_pictures_are_the_same_every_time(tmp_path: Path) -> None:
     first, second = (write_strip(tmp_path / name, WALK, flat()) for name in ("1.png", "2.png"))
     assert first.read_bytes() == second.read_bytes()
 

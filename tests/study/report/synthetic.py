@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from study.report.runs import ArmRuns, Results
 from taichi_nmm.parameters import GAINS
 
+Chances = dict[str, tuple[float, float]]
 # Of each arm: how likely a trial walks at first, and how much likelier with every trial.
 ARMS = {
     "random": (0.007, 0.0), "cmaes-cold": (0.005, 0.0004), "cmaes-warm": (0.02, 0.0006),
@@ -22,11 +23,9 @@ ARMS = {
 }  # fmt: skip
 
 
-def columns(
-    arms: dict[str, tuple[float, float]], runs: int, trials: int, cost: str, seed: int = 0
-) -> dict[str, NDArray[Any]]:
+def columns(arms: Chances, runs: int, trials: int, cost: str) -> dict[str, NDArray[Any]]:
     """The columns of trials.parquet that a report reads, sorted by arm, run, trial."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     n = len(arms) * runs * trials
     arm = np.repeat(sorted(arms), runs * trials)
     run = np.tile(np.repeat(np.arange(runs, dtype=np.int32), trials), len(arms))
@@ -51,7 +50,7 @@ def columns(
 
 
 def write(
-    folder: Path, arms: dict[str, tuple[float, float]] = ARMS, runs: int = 50, trials: int = 100,
+    folder: Path, arms: Chances = ARMS, runs: int = 50, trials: int = 100,
     cost: str = "smooth", name: str = "made-up",
 ) -> Path:  # fmt: skip
     """Such a folder: trials.parquet and experiment.json."""

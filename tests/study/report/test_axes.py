@@ -27,9 +27,7 @@ def test_looks_tell_arms_apart_and_three_stand_in_front(results: Results) -> Non
     ([0.0, 0.0, 0.0], 4.0, 100.0, [0.0, 4.0, 8.0]), ([99.0, 100.0], 4.0, 100.0, [96.0, 100.0]),
     ([], 4.0, 1.0, []),
 ])  # fmt: skip
-def test_places_move_no_more_than_they_must(
-    places: list[float], apart: float, high: float, expected: list[float]
-) -> None:
+def test_spread_out(places: list[float], apart: float, high: float, expected: list[float]) -> None:
     assert spread_out(places, apart, 0.0, high) == expected
 
 

@@ -20,13 +20,8 @@ from taichi_nmm.terrain import Terrain, ramp, rough
 from tests.study import synthetic_gait
 from tests.study.report import synthetic
 
-CONFIG = """
-name = "tiny"
-seed = 3
-objective = {cost = "smooth"}
-body = {disturbance = 0.15}
-terrain = {kind = "rough"}
-"""
+CONFIG = "name = 'tiny'\nseed = 3\nobjective = {cost = 'smooth'}\nbody = {disturbance = 0.15}\n"
+CONFIG += "terrain = {kind = 'rough'}\n"
 FELL_COST, WALKED_COST = 0.5, 0.012
 
 
@@ -69,9 +64,7 @@ def test_without_a_walker_there_is_nothing_to_show(tmp_path: Path) -> None:
     assert before_and_after(results, experiment(tmp_path / "configs")) is None
 
 
-def test_both_walks_are_of_the_gains_and_the_run_of_the_table(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_walks_of_the_tables_gains_and_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     results = write(tmp_path / "data", {"best": [[0], [4]], "dog": [[5], [7]]})
     table = pq.read_table(tmp_path / "data" / "trials.parquet").to_pylist()
     seen = {}
