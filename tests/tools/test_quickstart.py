@@ -66,7 +66,8 @@ def test_the_line_for_a_film_makes_a_film(lines: list[str], tmp_path: Path) -> N
 
 def test_a_store_of_something_else(tmp_path: Path, tool: Tool, simulator: Simulator) -> None:
     fake_walker.write_plain_store(tmp_path / "store", samples=20)
-    tool.refuses("samples: 4000 ", "quickstart", "--out", tmp_path)
+    assert tool("quickstart", "--out", tmp_path) == 2
+    assert tool.err.startswith("error: samples: 4000 ") and tool.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("field", ["study", "storage"])
