@@ -35,11 +35,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     table = results(tiny)
     walk = synthetic_gait.walk(2.0, 50.0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            artifacts,
-            "simulate_trials",
-            lambda of, runs, *_, **__: Result(np.zeros(0), (walk,) * len(runs)),
-        )
+        simulate = lambda of, runs, *_, **__: Result(np.zeros(0), (walk,) * len(runs))  # noqa: E731
+        patch.setattr(artifacts, "simulate_trials", simulate)
         export(tiny, table, url, dashboard_summary, final=True)
         shown = pc.and_(pc.equal(table["arm"], "dog"), pc.equal(table["run"], 0))
         make_artifacts(tiny, table.filter(shown), url, out)

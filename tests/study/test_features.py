@@ -14,24 +14,7 @@ from study import features
 from study.experiment.arms import ARMS
 from study.experiment.samplers import Task
 from study.experiment.stores import candidates
-from study.features import (
-    COVERED_OPTIONS,
-    FAMILIES,
-    GROUNDS,
-    LONGER,
-    OPTIONS,
-    PLAINEST,
-    RELIABILITY,
-    Coverage,
-    Survival,
-    chances,
-    check_feature,
-    covered_table,
-    covering_order,
-    earliness,
-    feature_values,
-    survivals,
-)
+from study.features import Coverage, Survival, chances, covering_order, earliness, feature_values
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 from tests.study.fake_walker import WORLDS
@@ -47,9 +30,8 @@ def write(folder: Path, families: tuple[str, ...]) -> Store:
 
 def test_survival_is_the_mean_over_the_families_of_a_store(fake_simulator, tmp_path):
     store = write(tmp_path / "store", ("up", "down"))
-    up, down = (
-        store.table()[f"{name}_survived_fraction_mean"].to_numpy() for name in ("up", "down")
-    )
+    names = [f"{name}_survived_fraction_mean" for name in ("up", "down")]
+    up, down = (store.table()[name].to_numpy() for name in names)
     assert_allclose(feature_values(Survival(), store), (up + down) / 2)
     assert_array_equal(feature_values(Survival(("up",)), store), up)
 
@@ -83,11 +65,11 @@ def test_rows_that_a_search_bred_can_be_left_out(fake_simulator, tmp_path):
 
 @pytest.mark.filterwarnings("error:FeatureTable")
 def test_rows_that_no_family_ran_are_left_out(comparisons):
-    store = write(comparisons.folder / "strict", FAMILIES)
+    store = write(comparisons.folder / "strict", features.FAMILIES)
     ran = store.table()["rough_evaluated"].to_numpy()
     assert 30 < ran.sum() < len(store) - 30
-    survivors = replace(Survival(FAMILIES), survivors=True)
-    everyone = feature_values(Survival(FAMILIES), store)
+    survivors = replace(Survival(features.FAMILIES), survivors=True)
+    everyone = feature_values(Survival(features.FAMILIES), store)
     assert_array_equal(feature_values(survivors, store), np.where(ran, everyone, np.nan))
     stores = dict.fromkeys(comparisons.experiment.stores, store.path)
     experiment = replace(comparisons.experiment, stores=stores)
@@ -107,10 +89,10 @@ def test_rows_that_no_family_ran_are_left_out(comparisons):
 ])  # fmt: skip
 def test_a_store_without_what_a_feature_needs(feature, column, fake_simulator, tmp_path):
     store = write(tmp_path / "store", () if feature == Survival() else ("up",))
-    check_feature("mean_speed_mps", store)
+    features.check_feature("mean_speed_mps", store)
     assert feature_values("mean_speed_mps", store).shape == (len(store),)
     with pytest.raises(InputError) as caught:
-        check_feature(feature, store)
+        features.check_feature(feature, store)
     assert str(caught.value).endswith(f"a store with the column {column}")
     assert "\n" not in str(caught.value)
 
@@ -124,7 +106,8 @@ def test_the_order_begins_on_the_plainest_ground_and_goes_on_with_what_that_does
     survival = np.array([its_like, up, everywhere_but_up])
     assert covering_order(np.array([0.8, 0.0, 0.9]), survival).tolist() == [2, 1, 0]
     assert covering_order(np.ones(5), np.full((5, 2), 0.5)).tolist() == [0, 1, 2, 3, 4]  # equal
-    one, eighth = RELIABILITY, RELIABILITY / 8  # a chance is relative to the best on that ground
+    one = features.RELIABILITY  # a chance is relative to the best on that ground
+    eighth = one / 8
     found = chances(np.array([[1.0, 0.2, 0.0], [0.5, 0.4, 0.0]]))
     assert_allclose(found, [[one, eighth, 0.0], [eighth, one, 0.0]])
     plainest, survival = np.array([0.2, np.nan, 0.9]), np.array([[0.2], [1.0], [0.9]])
@@ -155,17 +138,17 @@ def test_the_next_row_is_the_likeliest_to_walk_after_so_many_falls():
 
 # The arms of the comparisons.
 def test_the_best_arm_is_what_its_definition_says():
-    assert ARMS["best"].definition["options"] == OPTIONS
-    each = [[name, name, "survivors only"] for name in FAMILIES]
-    features = [["survival", *FAMILIES, "survivors only"], *each, "mean_speed_mps"]
-    assert ARMS["best"].definition["features"] == features
+    assert ARMS["best"].definition["options"] == features.OPTIONS
+    each = [[name, name, "survivors only"] for name in features.FAMILIES]
+    expected = [["survival", *features.FAMILIES, "survivors only"], *each, "mean_speed_mps"]
+    assert ARMS["best"].definition["features"] == expected
 
 
 def test_the_arms_of_worlds_take_each_ground_by_few_and_long_walks_and_stairs_nothing_else():
-    each = [[name, name, f"{name}{LONGER}", "survivors only"] for name in WORLDS]
-    both = [family for name in PLAINEST for family in (name, f"{name}{LONGER}")]
+    each = [[name, name, f"{name}{features.LONGER}", "survivors only"] for name in WORLDS]
+    both = [family for name in features.PLAINEST for family in (name, f"{name}{features.LONGER}")]
     plainest = ["plainest", *both, "survivors only"]
-    longer = [["survival", f"{name}{LONGER}"] for name in GROUNDS]
+    longer = [["survival", f"{name}{features.LONGER}"] for name in features.GROUNDS]
     for name, ties in (("best-worlds", "mean_speed_mps"), ("score-first-worlds", "phi_corrected")):
         coverage, *_, last = ARMS[name].definition["features"]
         assert coverage == ["coverage", plainest, *longer] and last == ties
@@ -176,8 +159,9 @@ def test_the_arms_of_worlds_take_each_ground_by_few_and_long_walks_and_stairs_no
         assert isinstance(own, Survival) and own.grid_only
         assert replace(own, grid_only=False) == plain
     assert control.definition["features"][1][-1] == "grid only"
-    read = {name for each in survivals(ARMS["best-stairs"].features) for name in each.families}
-    assert read == {"stairs", f"stairs{LONGER}"}
+    read = features.survivals(ARMS["best-stairs"].features)
+    stairs = {"stairs", f"stairs{features.LONGER}"}
+    assert {name for each in read for name in each.families} == stairs
 
 
 # The sampler outside of the comparisons.
@@ -197,10 +181,10 @@ def proposals(sampler: optuna.samplers.BaseSampler, count: int) -> list[int]:
     return [trial.user_attrs["row"] for trial in made.trials]
 
 
-@pytest.mark.parametrize(
-    ("name", "table", "options"),
-    [("best", study.survival_table, OPTIONS), ("best-worlds", covered_table, COVERED_OPTIONS)],
-)
+@pytest.mark.parametrize(("name", "table", "options"), [
+    ("best", study.survival_table, features.OPTIONS),
+    ("best-worlds", features.covered_table, features.COVERED_OPTIONS),
+])  # fmt: skip
 def test_it_proposes_what_the_arm_of_the_comparisons_does(name, table, options, tmp_path, stores):
     experiment = fake_walker.experiment(tmp_path)
     arm = ARMS[name]
@@ -212,7 +196,7 @@ def test_it_proposes_what_the_arm_of_the_comparisons_does(name, table, options, 
 
 def test_rows_and_features_are_the_stores_and_options_may_differ(stores, tmp_path):
     table, rows = study.survival_table(stores), open_store(stores).table()
-    means = [rows[f"{name}_survived_fraction_mean"].to_numpy() for name in FAMILIES]
+    means = [rows[f"{name}_survived_fraction_mean"].to_numpy() for name in features.FAMILIES]
     ran = rows["rough_evaluated"].to_numpy()
     assert_allclose(table.rows.features[ran, 0], np.mean(means, axis=0)[ran])
     assert_allclose(table.rows.features[ran, 5], rows["mean_speed_mps"].to_numpy()[ran])

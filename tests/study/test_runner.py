@@ -340,9 +340,8 @@ def test_what_a_study_says(toy: Experiment) -> None:
 
 def test_the_lines_to_look_at_it_name_what_is_not_the_default() -> None:
     gains, out = Path("out/a best.json"), Path("out")
-    assert film_command(gains, Path("my.toml")).endswith(
-        "-m taichi_nmm walk --gains 'out/a best.json' --config my.toml"
-    )
+    words = "-m taichi_nmm walk --gains 'out/a best.json' --config my.toml"
+    assert film_command(gains, Path("my.toml")).endswith(words)
     shipped = film_command(gains, config_path("rough8"), 7, 3)
     assert shipped.endswith("--config rough8 --run 7 --seed 3")
     line = dashboard_command("sqlite:///x.db", out)

@@ -108,11 +108,9 @@ def test_anybodys_study_shows_it_by_one_line(tmp_path):
     names = ["a-feature-with-a-long-name-" * 8 + str(number) for number in range(30)]
     features = rng.normal(size=(50, 30))  # a note of more than the 2 kB that an attribute holds
     table = FeatureTable.from_arrays({"x": x}, features, names, bounds={"x": (0, 1)})
-    sampler, storage = (
-        FeatureKernelSampler(table, seed=1),
-        open_studies(f"sqlite:///{tmp_path}/s.db"),
-    )
-    study = optuna.create_study(sampler=sampler, storage=storage)
+    sampler = FeatureKernelSampler(table, seed=1)
+    url = f"sqlite:///{tmp_path}/s.db"
+    study = optuna.create_study(sampler=sampler, storage=open_studies(url))
     study.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=6)
     save_note(study, sampler.worth(study).markdown())
     assert get_note(study) == sampler.worth(study).markdown()

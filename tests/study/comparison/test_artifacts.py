@@ -109,7 +109,7 @@ def test_the_best_trial_of_each_study_gets_picture_and_film(made: tuple[Path, st
     assert len(list((folder / "artifacts").iterdir())) == 8
 
 
-def test_they_are_registered_as_optuna_does(made: tuple[Path, str], tmp_path: Path) -> None:
+def test_they_are_registered_and_noted(made: tuple[Path, str], tmp_path: Path) -> None:
     study, file = load(made[1]), tmp_path / "strip.png"
     file.touch()
     trial, store = study.ask(), FileSystemArtifactStore(tmp_path)
@@ -122,9 +122,6 @@ def test_they_are_registered_as_optuna_does(made: tuple[Path, str], tmp_path: Pa
     drop = {"artifact_id": ""}
     assert json.loads(ours) | drop == json.loads(theirs) | drop
     assert key == f"artifacts:{json.loads(ours)['artifact_id']}"
-
-
-def test_a_note_shows_the_picture(made: tuple[Path, str]) -> None:
     study = load(made[1])
     identity = found(made[1], STUDIES[0], study.best_trial.number)["strip.png"].artifact_id
     path = f"/artifacts/{study._study_id}/{study.best_trial._trial_id}/{identity}"
@@ -186,21 +183,17 @@ def test_all_are_simulated_together_from_the_start(
         assert options["record"] is True and options["duration_s"] == TINY.conditions.duration_s
 
 
-def times_of(files: list[Path]) -> list[int]:
-    return [file.stat().st_mtime_ns for file in files]
-
-
 def test_what_is_there_is_kept_and_the_rest_is_made(tmp_path: Path, url: str, fake: Fake) -> None:
     table = results(TINY)
     make(table, url, tmp_path)
     files = sorted((tmp_path / "artifacts").iterdir())
-    times = times_of(files)
+    times = {file: file.stat().st_mtime_ns for file in files}
     files[0].unlink()
     (tmp_path / "artifacts" / ".x.1.tmp").touch()  # of a call that was killed
     assert make(table, url, tmp_path) == [(3, 4), (4, 4)]
     assert fake.runs[1:] == [[fake.runs[1][0]]]
     assert sorted((tmp_path / "artifacts").iterdir()) == files
-    assert times_of(files)[1:] == times[1:]
+    assert all(file.stat().st_mtime_ns == times[file] for file in files[1:])
     assert make(table, url, tmp_path) == [(4, 4)] and len(fake.runs) == 2
     another = f"sqlite:///{tmp_path}/another.db"  # a new database, the files as they are
     assert make(table, another, tmp_path) == [(4, 4)]
@@ -232,10 +225,10 @@ def test_later_runs_get_a_film_where_it_is_asked_for(tmp_path: Path, url: str, f
     best = load(url, name).best_trial.number
     assert set(found(url, name, best)) == {"strip.png"}
     before = list((tmp_path / "artifacts").iterdir())
-    times = times_of(before)
+    times = {file: file.stat().st_mtime_ns for file in before}
     make_artifacts(TINY, table, url, tmp_path, film_runs=FILM_RUNS + 1)
     assert set(found(url, name, best)) == {"strip.png", "film.mp4"}
-    assert times_of(before) == times
+    assert {file: file.stat().st_mtime_ns for file in before} == times
     assert len(list((tmp_path / "artifacts").iterdir())) == len(before) + 1
 
 

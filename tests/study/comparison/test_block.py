@@ -35,9 +35,8 @@ def test_a_table_holds_what_the_simulator_said(toy: Experiment) -> None:
     assert table[NOTES].to_pylist() == ["{}"]
     dog = (("dog", 0),)
     first = advance(Block(toy, dog, NOTHING, 1))
-    (told,), (restored,) = (
-        advanced.studies[0].trials for advanced in (first, advance(Block(toy, dog, first.table, 1)))
-    )
+    again = advance(Block(toy, dog, first.table, 1))
+    (told,), (restored,) = (of.studies[0].trials for of in (first, again))
     assert restored.user_attrs == told.user_attrs  # with what its walk showed
     assert restored.user_attrs["shown"] == first.table["phi_printed"].to_pylist()
 

@@ -119,14 +119,10 @@ def test_an_order_that_covers_grounds_has_seen_them(tmp_path: Path, fake_simulat
     fake_walker.write_store(tmp_path / "worlds", families=families)
     stores = {"worlds": tmp_path / "worlds"}
     # The order reads all walks on the plainest grounds, and the long ones on those that it covers.
-    counts = {
-        "score-first-worlds": 2 * len(PLAINEST) + len(GROUNDS),
-        "best-worlds": 2 * len(WORLDS),
-    }
-    for name, count in counts.items():
-        seen = "bodies disturbed by 20 %, in worlds that differ: " + "; ".join(
-            ["level ground"] * count
-        )
+    ordered, all_walks = 2 * len(PLAINEST) + len(GROUNDS), 2 * len(WORLDS)
+    for name, count in (("score-first-worlds", ordered), ("best-worlds", all_walks)):
+        grounds = "; ".join(["level ground"] * count)
+        seen = f"bodies disturbed by 20 %, in worlds that differ: {grounds}"
         assert saw(ARMS[name], stores).endswith(seen)
     both = [family for name in PLAINEST for family in (name, f"{name}{LONGER}")]
     longer = [f"{name}{LONGER}" for name in GROUNDS]

@@ -7,14 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from study.experiment import experiment as experiments
 from study.experiment.arms import find_arm
-from study.experiment.experiment import (
-    Experiment,
-    as_written,
-    experiment_of,
-    read_experiment,
-    study_name,
-)
+from study.experiment.experiment import Experiment, as_written, read_experiment, study_name
 from study.experiment.stores import store_path
 from study.options import config_path, shipped_configs
 from taichi_nmm.config import Table
@@ -66,7 +61,7 @@ def test_an_experiment_pickles_and_hashes_and_is_read_back_from_what_it_writes()
     written = as_written(experiment)
     names = {"name", "seed", "searched", "objective", "simulation", "body", "terrain"}
     assert set(written) == names
-    assert as_written(experiment_of(Table(written), "")) == written
+    assert as_written(experiments.experiment_of(Table(written), "")) == written
     one_thread = experiment.on_one_thread()  # for one of several processes
     assert one_thread.conditions.settings.threads == 1 and as_written(one_thread) == written
 

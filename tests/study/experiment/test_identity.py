@@ -8,15 +8,10 @@ from typing import Any
 import pytest
 
 from storage.document import agree, difference
+from study.experiment import identity
 from study.experiment.arms import find_arm
 from study.experiment.experiment import CmaesOptions, Experiment, read_experiment
-from study.experiment.identity import (
-    GROWING,
-    document,
-    documented_experiment,
-    fingerprint,
-    versions,
-)
+from study.experiment.identity import document, documented_experiment, fingerprint, versions
 from study.options import config_path, shipped_configs
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.config import Table
@@ -184,11 +179,11 @@ def test_a_document_of_before_grounds_gives_none_and_is_agreed_upon(tmp_path: Pa
     assert documented_experiment(old) is None
     file = tmp_path / "experiment.json"
     file.write_text(json.dumps(old))
-    agreed = agree(file, ours, growing=GROWING, remedy="another --out")
+    agreed = agree(file, ours, growing=identity.GROWING, remedy="another --out")
     assert agreed == json.loads(file.read_text()) == ours
     other = ours | {"ground": ours["ground"] | {"amplitude_m": 0.03}}
     with refused(r"ground\.amplitude_m: 0\.03"):
-        agree(file, other, growing=GROWING, remedy="another --out")
+        agree(file, other, growing=identity.GROWING, remedy="another --out")
 
 
 @pytest.mark.parametrize(

@@ -102,11 +102,8 @@ def learned(covariance: gp.Covariance, x: Floats, y: Floats) -> Floats:
             theta[-1] += shift
             options = {"maxiter": gp.ITERATIONS, "ftol": 1e-5}
             theta = np.clip(theta, *bounds.T)
-            found.append(
-                minimize(
-                    penalised, theta, jac=True, method="L-BFGS-B", bounds=bounds, options=options
-                )
-            )
+            given = {"jac": True, "method": "L-BFGS-B", "bounds": bounds, "options": options}
+            found.append(minimize(penalised, theta, **given))
         best = min(found, key=lambda result: float(result.fun))
         return best.x, float(best.fun)
 

@@ -11,14 +11,8 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from study import FeatureTable
-from study.sampler.acquisition import (
-    MOST_CANDIDATES,
-    Model,
-    _exact_log_h,
-    argmax_random_tie,
-    log_expected_improvement,
-    log_kept,
-)
+from study.sampler import acquisition
+from study.sampler.acquisition import Model, argmax_random_tie, log_expected_improvement
 from study.sampler.gp import KERNELS
 from study.sampler.history import read_limits
 from study.sampler.transforms import SLOPE, Points, PriorMean, log_excess
@@ -30,9 +24,8 @@ from tests.study.sampler.studies import study_of
 @pytest.mark.parametrize("sd", [0.5, 1.0, 3.0])
 def test_expected_improvement_is_its_integral(mean, sd):
     best = 0.5
-    expected, _ = quad(
-        lambda cost: (best - cost) * norm.pdf(cost, mean, sd), mean - 12 * sd, best, epsabs=1e-15
-    )
+    gain = lambda cost: (best - cost) * norm.pdf(cost, mean, sd)  # noqa: E731
+    expected, _ = quad(gain, mean - 12 * sd, best, epsabs=1e-15)
     found = np.exp(log_expected_improvement(np.array([mean]), np.array([sd]), best))
     assert_allclose(found, expected, rtol=1e-6, atol=1e-13)
 
@@ -56,7 +49,7 @@ def test_log_improvement_is_finite_and_falls_and_is_between_nodes_what_it_is_at_
     assert norm.pdf(mean[-1]) == 0.0  # where the plain one underflows
     z = np.random.default_rng(0).uniform(-50.0, 20.0, 100_000)
     found = log_expected_improvement(-z, np.ones_like(z), best=0.0)
-    assert_allclose(found, _exact_log_h(z), rtol=0.0, atol=1e-9)
+    assert_allclose(found, acquisition._exact_log_h(z), rtol=0.0, atol=1e-9)
     with np.errstate(all="raise"):  # without doubt it is that of the gain
         found = log_expected_improvement(np.array([1.0, 3.0]), np.zeros(2), best=2.0)
     assert found.tolist() == [0.0, -np.inf]
@@ -188,10 +181,10 @@ def test_of_many_candidates_those_that_the_prior_ranks_first_are_looked_at():
     other, scores = seen.features.T
     cost, _ = costs_that_fall_by(-scores + 0.01 * other)
     model = model_of(seen, cost)
-    many = points(np.random.default_rng(1).standard_normal(2 * MOST_CANDIDATES), 2)
+    many = points(np.random.default_rng(1).standard_normal(2 * acquisition.MOST_CANDIDATES), 2)
     offered = np.ones(len(many), dtype=bool)
     looked_at = model._looked_at(many, offered, np.random.default_rng(0))
-    assert len(looked_at) == MOST_CANDIDATES
+    assert len(looked_at) == acquisition.MOST_CANDIDATES
     best = np.argsort(-many.features[:, 1])[:200]  # half of what is looked at: ten times as many
     assert set(best) <= set(looked_at)
 
@@ -204,7 +197,7 @@ def test_limits_are_the_constraints_that_trials_have_and_are_kept_with_the_norma
     assert read_limits([one]).shape == (1, 2)
     assert read_limits([optuna.create_trial(value=0.0)]).shape == (1, 0)
     mean, sd = np.array([-1.0, 0.0, 2.0, 60.0]), np.array([0.5, 1.0, 4.0, 1.0])
-    assert_allclose(log_kept(mean, sd**2), norm.logcdf(-mean / sd))
+    assert_allclose(acquisition.log_kept(mean, sd**2), norm.logcdf(-mean / sd))
 
 
 @pytest.mark.parametrize("kernel", KERNELS)

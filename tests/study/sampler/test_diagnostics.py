@@ -16,14 +16,9 @@ from optuna.trial import TrialState, create_trial
 from scipy import stats
 
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
+from study.sampler import diagnostics
 from study.sampler.acquisition import Model
-from study.sampler.diagnostics import (
-    RankCorrelation,
-    Worth,
-    percents,
-    residuals,
-    residuals_of_constant,
-)
+from study.sampler.diagnostics import RankCorrelation, residuals, residuals_of_constant
 from study.sampler.gp import condition
 from study.sampler.transforms import Points, Standard
 from taichi_nmm.errors import InputError
@@ -86,7 +81,7 @@ def drawn_rows(trials: int, rng: np.random.Generator | None = None) -> optuna.St
     return study
 
 
-def worth_of(study: optuna.Study, features: Any = TABLE, **options: Any) -> Worth:
+def worth_of(study: optuna.Study, features: Any = TABLE, **options: Any) -> diagnostics.Worth:
     return FeatureKernelSampler(features, seed=1, **options).worth(study)
 
 
@@ -96,7 +91,7 @@ def model_of(study: optuna.Study, **options: Any) -> Model:
     return present.model
 
 
-def weights(worth: Worth) -> tuple[float, ...]:
+def weights(worth: diagnostics.Worth) -> tuple[float, ...]:
     assert worth.weights is not None
     return (*worth.weights.features, worth.weights.parameters, worth.weights.noise)
 
@@ -172,7 +167,7 @@ def test_weights_are_shares(kernel, prior):
 
 @pytest.mark.parametrize("shares", [(1.0,), (0.5, 0.5), (1 / 3,) * 3, (0.005,) * 100 + (0.5,)])
 def test_percents_sum_to_100(shares):
-    found = percents(shares)
+    found = diagnostics.percents(shares)
     assert sum(found) == 100
     assert np.abs(np.array(found) - 100 * np.array(shares)).max() < 1
 
@@ -400,9 +395,7 @@ def test_the_sign_of_a_prior_is_held_against_the_trials(prior, is_wrong):
     error = good_features()[:, 0]
     ranked = np.argsort(error)[:: -1 if is_wrong else 1][:3]
     study = study_of(TABLE, prior=prior)
-    rows, first = (
-        ", ".join(words) for words in (map(str, ranked), (f"{error[r]:.4g}" for r in ranked))
-    )
+    rows, first = ", ".join(map(str, ranked)), ", ".join(f"{error[r]:.4g}" for r in ranked)
     expected = f"By the prior, rows {rows} come first (error: {first})."
     assert expected in str(worth_of(study, prior=prior))
     with warnings.catch_warnings(record=True) as said:

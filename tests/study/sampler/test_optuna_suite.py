@@ -28,9 +28,8 @@ FORMS = {
     "paper": {"features": TABLE, "strict": False, "kernel": "rbf"},
     "off grid": {"features": TABLE, "strict": False, **NEAR},
     "table of other names": {"features": OTHER, "strict": False},
-    "callable": {"features": two_features},
-    "plain": {},
-}
+    "callable": {"features": two_features}, "plain": {},
+}  # fmt: skip
 
 
 @pytest.mark.filterwarnings("ignore:.*the independent sampler takes over")

@@ -150,13 +150,11 @@ def kernels_asked(study: optuna.Study, objective: Any, trials: int) -> dict[int,
     return asked
 
 
-@pytest.mark.parametrize(
-    ("prior", "first"), [(None, 5), ("feature_0", 23)]  # 3, or 20, trials after number 1; then odd
-)  # fmt: skip
+# 3, or 20, trials after number 1; then odd
+@pytest.mark.parametrize(("prior", "first"), [(None, 5), ("feature_0", 23)])
 def test_a_doubtful_trial_looks_at_parameters_alone(prior, first):
-    asked = kernels_asked(
-        study_of(FeatureTable.from_arrays(XY, FEATURES), prior=prior), without_success, first + 5
-    )
+    study = study_of(FeatureTable.from_arrays(XY, FEATURES), prior=prior)
+    asked = kernels_asked(study, without_success, first + 5)
     for turn, (kernel, prior_mean) in asked.items():
         doubtful = turn >= first and turn % 2 == 1
         assert kernel is (NEARNESS if doubtful else ADDITIVE)
@@ -184,9 +182,8 @@ def test_it_proposes_the_same_whatever_the_features_are(number):
     chosen = set()
     for seed in range(8):
         features = np.random.default_rng(seed).standard_normal((60, 2))
-        study = study_of(
-            FeatureTable.from_arrays(XY, features), without_success, number + 1, enqueued=enqueued
-        )
+        table = FeatureTable.from_arrays(XY, features)
+        study = study_of(table, without_success, number + 1, enqueued=enqueued)
         chosen.add(rows_of(study)[number])
     assert (len(chosen) == 1) is (number == 5)
 

@@ -300,9 +300,7 @@ def test_where_no_row_is_left_points_off_the_table_are(kernel, unknown):
         study.enqueue_trial(table.rows.as_parameters(row))
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        study.optimize(
-            lambda t: t.suggest_float("a", 0.1, 0.4) + t.suggest_float("b", 0.1, 0.4), n_trials=9
-        )
+        study.optimize(lambda t: sum(t.suggest_float(name, 0.1, 0.4) for name in columns), 9)
     assert [trial.user_attrs["row"] for trial in study.trials[6:]] == [-1, -1, -1]
 
 
@@ -369,11 +367,9 @@ def test_a_proposal_from_100000_rows_takes_no_half_second():
     study = study_of(big, kernel="rbf")
     space = {name: FloatDistribution(0, 1) for name in columns}
     for row in range(100):
-        noted = {"distributions": space, "user_attrs": {"row": row}}
+        noted = {"params": big.rows.as_parameters(row), "user_attrs": {"row": row}}
         value = float(np.exp(-score[row] / 10) + 0.1 * rng.normal())
-        study.add_trial(
-            optuna.create_trial(params=big.rows.as_parameters(row), value=value, **noted)
-        )
+        study.add_trial(optuna.create_trial(distributions=space, value=value, **noted))
     times = []
     for _ in range(3):
         start = time.perf_counter()
@@ -423,8 +419,6 @@ SHOWN = FeatureTable.from_arrays(
     np.random.default_rng(0).random((600, 6)),
     ["survival", *"bcdef"],
 )
-
-
 TABLE = "FeatureTable(600 rows, 16 parameters, 6 features: survival, b, c, ...)"
 
 

@@ -3,16 +3,12 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from optuna.distributions import (
-    BaseDistribution,
-    CategoricalDistribution,
-    FloatDistribution,
-    IntDistribution,
-)
+from optuna import distributions
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
 from study.sampler.space import Space, anywhere, as_suggested, first_not_taken, nearby, not_among
 
-DISTRIBUTIONS: dict[str, BaseDistribution] = {
+DISTRIBUTIONS: dict[str, distributions.BaseDistribution] = {
     "plain": FloatDistribution(-2.0, 3.0), "log": FloatDistribution(1e-5, 10.0, log=True),
     "step": FloatDistribution(-1.0, 1.0, step=0.25), "int": IntDistribution(3, 9),
     "int_step": IntDistribution(0, 10, step=2), "int_log": IntDistribution(1, 1000, log=True),
@@ -117,9 +113,8 @@ def test_pinned_values_are_those_of_all_new_points():
 def test_the_unit_cube_has_ranges_of_one_choices_one_apart_and_edges_or_goes_on():
     space = Space.of({name: DISTRIBUTIONS[name] for name in ("plain", "log", "choice")})
     ends = (-2.0, 1e-5, "x"), (3.0, 10.0, "z")
-    a, b = space.unit(
-        np.array([space.row(dict(zip(space.names, end, strict=True))) for end in ends])
-    )
+    rows = [space.row(dict(zip(space.names, end, strict=True))) for end in ends]
+    a, b = space.unit(np.array(rows))
     assert_allclose(np.abs(a - b)[:2], 1.0)
     assert_allclose(np.linalg.norm((a - b)[2:]), 1.0)
     space = Space.of({name: DISTRIBUTIONS[name] for name in ("plain", "log", "int", "single")})

@@ -66,9 +66,8 @@ def test_any_parquet_file_or_folder_will_do(tmp_path):
         frame.assign(units=frame.units + 3 * part).to_parquet(tmp_path / f"part-{part}.parquet")
     whole = FeatureTable.from_parquet(tmp_path, features=["p"], parameters=list(MIXED))
     assert whole.rows.parameters[:, 1].tolist() == [3, 1, 2, 6, 4, 5]
-    one = FeatureTable.from_parquet(
-        tmp_path / "part-0.parquet", features=["p"], parameters=["rate"], bounds={"rate": (0, 2)}
-    )
+    given = {"features": ["p"], "parameters": ["rate"], "bounds": {"rate": (0, 2)}}
+    one = FeatureTable.from_parquet(tmp_path / "part-0.parquet", **given)
     assert one.rows.space.as_dict() == {"rate": FloatDistribution(0, 2)}
     assert len(pickle.dumps(whole)) < 2000
     assert pickle.loads(pickle.dumps(whole)).rows.as_parameters(4)["kind"] == "tanh"
@@ -200,9 +199,8 @@ def test_a_store_of_more_parameters_gives_them_all(tmp_path, monkeypatch):
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
     families, path = {"up": fake.family(settings=2, kind="ramp")}, tmp_path / "store"
     precompute(fake.specification(searched=["theta_ref"], families=families), path)
-    rows = FeatureTable.from_parquet(
-        path, features=["up_survived_fraction_mean", "phi_printed"]
-    ).rows
+    features = ["up_survived_fraction_mean", "phi_printed"]
+    rows = FeatureTable.from_parquet(path, features=features).rows
     theta_ref = LOW_LEVEL_GAINS[-1]
     assert rows.names == (*GAIN_NAMES, "theta_ref")
     assert rows.space.distributions[-1] == FloatDistribution(theta_ref.low, theta_ref.high)

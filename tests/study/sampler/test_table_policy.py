@@ -267,9 +267,7 @@ def test_features_of_a_point_that_was_not_run_are_taken_back():
     options = {"feature_function": lambda params: params.sum(axis=1), "off_grid": 50}
     study = study_of(ONE, both, 18, enqueued=map(row, range(18)), strict=False, **options)
     with pytest.warns(UserWarning, match="a: .* a range that holds all rows"):
-        study.optimize(
-            lambda trial: trial.suggest_float("b", 0, 5) + trial.suggest_float("a", 2, 3), 1
-        )
+        study.optimize(lambda t: t.suggest_float("b", 0, 5) + t.suggest_float("a", 2, 3), 1)
     assert study.trials[-1].user_attrs == {"row": -1, "score": None, "features": None}
     study = study_of(compute, both, 4, space=SPACE, strict=False)
     with pytest.warns(UserWarning, match="b: .* the independent sampler takes over"):

@@ -40,13 +40,11 @@ def test_the_order_of_large_costs_is_kept_and_infinities_become_the_extremes():
     found = log_excess(cost)
     assert np.isfinite(found).all()
     assert np.argsort(found).tolist() == np.argsort(cost).tolist()
-    assert transforms.clip_infinities(np.array([INF, 1.0, -INF, 3.0])).tolist() == [
-        3.0,
-        1.0,
-        1.0,
-        3.0,
-    ]
-    assert transforms.clip_infinities(np.array([INF, -INF])).tolist() == [0.0, 0.0]
+    for given, clipped in (
+        ([INF, 1.0, -INF, 3.0], [3.0, 1.0, 1.0, 3.0]),
+        ([INF, -INF], [0.0, 0.0]),
+    ):
+        assert transforms.clip_infinities(np.array(given)).tolist() == clipped
 
 
 # Scales of features.
@@ -188,10 +186,8 @@ def test_matrices_in_files_are_matrices(tiny_memory):
             column[:] = content
     assert in_a_file(matrix) and not in_a_file(new_matrix(33, 3))
     assert np.array_equal(matrix, values)
-    joined, doubled = (
-        transforms.side_by_side(matrix, other),
-        transforms.by_blocks(lambda rows: 2.0 * rows, matrix),
-    )
+    joined = transforms.side_by_side(matrix, other)
+    doubled = transforms.by_blocks(lambda rows: 2.0 * rows, matrix)
     assert in_a_file(joined) and np.array_equal(joined, np.hstack([values, more]))
     assert in_a_file(doubled) and np.array_equal(doubled, 2.0 * values)
     for index in (np.array([5, 299, 5]), values[:, 0] > 0.5):
