@@ -97,10 +97,10 @@ def test_the_digest_is_of_the_content_alone() -> None:
     assert table_digest(pieces) == table_digest(TABLE)
     others = (
         TABLE.slice(0, 1), TABLE.take([1, 0]), TABLE.rename_columns(["arm", "price", "walked"]),
-        TABLE.set_column(1, "cost", pa.array([1, 2])),
+        TABLE.set_column(1, "cost", pa.array([1, 2])), TABLE.set_column(0, "arm", [["a", "c"]]),
         TABLE.set_column(2, "walked", pa.array([True, True])),
     )  # fmt: skip
-    assert len({table_digest(each) for each in (TABLE, *others)}) == 6
+    assert len({table_digest(each) for each in (TABLE, *others)}) == 7
 
 
 @pytest.mark.parametrize("footer", [{}, {"seed": 2}, {"seed": 1, "arms": 3}])
