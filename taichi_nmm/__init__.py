@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from taichi_nmm.body import Bodies
     from taichi_nmm.controller import Controller, Muscles
     from taichi_nmm.errors import InputError
-    from taichi_nmm.forward import forward_dynamics
     from taichi_nmm.observation import Observation
     from taichi_nmm.parameters import (
         GAIN_NAMES,
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     )
     from taichi_nmm.result import END_REASONS, Result, Trajectory, smooth_cost, walking_cost
     from taichi_nmm.settings import Settings
-    from taichi_nmm.simulator import simulate
+    from taichi_nmm.simulator import forward_dynamics, simulate
     from taichi_nmm.terrain import Terrain
     from taichi_nmm.world import WorldRanges, Worlds
 
@@ -59,14 +58,13 @@ _PLACES = {
     "body": ("Bodies",),
     "controller": ("Controller", "Muscles"),
     "errors": ("InputError",),
-    "forward": ("forward_dynamics",),
     "parameters": (
         "GAINS", "GAIN_NAMES", "PUBLISHED_GAINS", "LOW_LEVEL_GAINS", "load_all_gains", "load_gains",
     ),
     "result": ("END_REASONS", "Result", "Trajectory", "smooth_cost", "walking_cost"),
     "observation": ("Observation",),
     "settings": ("Settings",),
-    "simulator": ("simulate",),
+    "simulator": ("forward_dynamics", "simulate"),
     "terrain": ("Terrain",),
     "world": ("WorldRanges", "Worlds"),
 }  # fmt: skip

@@ -8,7 +8,7 @@ import pytest
 import taichi_nmm
 from storage import open_store
 from storage.precompute import precompute
-from study.pictures.store_map import dots, draw_store
+from study.commands.draw_store import dots, draw_store
 from taichi_nmm.errors import InputError
 from tests.storage import fake
 
