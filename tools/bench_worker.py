@@ -27,13 +27,14 @@ STEADY_WALKERS, STEADY_S, STEADY_SPREAD = 512, 3.0, 0.02
 FEW_WALKERS, FEW_S, FEW_REPEATS = 400, 10.0, 5  # a round of a comparison
 SOBOL_POINTS, SOBOL_S = 2048, 5.0
 RUN_S = 5.0  # of the run of many samples
+PUBLISHED = "K_T"  # the gait `published` by its name of 0.2.0, which --against may run
 
 
 def main() -> None:
     options = parse()
     sys.path.insert(0, options.root)
     began_s = time.perf_counter()
-    from taichi_nmm import PUBLISHED_GAINS, Settings, simulate
+    from taichi_nmm import Settings, load_gains, simulate
 
     if options.lanes is not None:
         from taichi_nmm.kernel import backend
@@ -42,7 +43,7 @@ def main() -> None:
     threads = 1 if options.turns else options.threads
     arch = "cpu" if threads else options.arch
     run = partial(simulate, settings=Settings(arch=arch, threads=threads))
-    run(PUBLISHED_GAINS, duration_s=TICK_S)  # compiles
+    run(load_gains(PUBLISHED), duration_s=TICK_S)  # compiles
     start_s = time.perf_counter() - began_s
     if options.turns:
         take_turns(run)
@@ -117,10 +118,10 @@ def near_reference(walkers: int) -> "NDArray[np.float64]":
     """Gains near the published gains, all of which walk, [walkers, 16]."""
     import numpy as np
 
-    from taichi_nmm import PUBLISHED_GAINS
+    from taichi_nmm import load_gains
 
     spread = np.random.default_rng(SEED).uniform(-STEADY_SPREAD, STEADY_SPREAD, (walkers, 1))
-    return PUBLISHED_GAINS * (1.0 + spread)
+    return load_gains(PUBLISHED) * (1.0 + spread)
 
 
 def few_walkers_s(run: Simulate) -> float:

@@ -55,8 +55,8 @@ def test_what_the_page_starts_is_reached_by_the_given_address_alone(
     worker = [document["address"] if "8786" in word else word for word in worker]
     start(processes, tmp_path, ["1" if word == "16" else word for word in worker])
     found = [set[str](), set[str]()]
-    until(lambda: len(sockets(found[1], processes[1].pid)) >= 2)
-    sockets(found[0], processes[0].pid)
+    for addresses, process in zip(found, processes, strict=True):  # a page of its own comes last
+        until(lambda seen=addresses, pid=process.pid: sockets(seen, pid) and len(seen) >= 2)
     assert found[0] == {"127.0.0.1", HERE["10.0.0.1"]}
     assert found[1] == {"127.0.0.1", HERE["10.0.0.2"]}
     if first:
