@@ -98,10 +98,11 @@ def changed(source: str, number: int) -> tuple[str, str]:
 
 
 def tests_of(file: str) -> list[list[str]]:
-    """The tests to run one after another: those of the file's folder, and all."""
+    """The tests to run one after another: the folder's, of kernels also parity; and all."""
     folder = Path("tests", file).parent
     near = folder if (ROOT / folder).is_dir() else folder.parent
-    return [[near.as_posix()], ["tests"]]
+    others = ["tests/parity"] if file.startswith("taichi_nmm/") else []
+    return [[near.as_posix(), *others], ["tests"]]
 
 
 def tried(file: str, number: int, copy: Path, near_only: bool) -> dict[str, Any]:
