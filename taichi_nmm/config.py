@@ -170,7 +170,7 @@ def _file_and_variant(path: Path) -> tuple[Path, str]:
     """The file that is there, and the name of its variant; "" for the file itself."""
     if not is_file(path):
         for cut in reversed(range(1, len(path.stem))):
-            base = path.with_name(path.stem[:cut] + path.suffix)
+            base = path.parent / (path.stem[:cut] + path.suffix)  # of any text: it may be ".."
             if path.stem[cut] == "-" and is_file(base):
                 return base, path.stem[cut + 1 :]
     return path, ""

@@ -50,6 +50,12 @@ terrain.direction = "down"
 """
 
 
+@pytest.mark.parametrize("name", [".", "..", ".-x", "-x", "..-x"])
+def test_a_name_that_no_file_has_is_refused(name: str) -> None:
+    with pytest.raises(InputError, match=r"^config: "):
+        read_toml(Path(name))
+
+
 @pytest.mark.parametrize(("file", "terrain"), [
     ("hill", {"kind": "ramp", "increment": 0.04, "direction": "up"}),
     ("hill-steep", {"kind": "ramp", "increment": 0.08, "direction": "up"}),
