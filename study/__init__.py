@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from taichi_nmm.neighbours import require_neighbours
 
 if TYPE_CHECKING:
-    from study.features import SurvivalSampler, covered_table, survival_table
+    from study.experiment.features import SurvivalSampler, covered_table, survival_table
     from study.sampler.sampler import DoGSampler, FeatureKernelSampler
     from study.sampler.table import FeatureTable
 
@@ -26,9 +26,9 @@ _MODULES = {
     "DoGSampler": "study.sampler.sampler",
     "FeatureKernelSampler": "study.sampler.sampler",
     "FeatureTable": "study.sampler.table",
-    "SurvivalSampler": "study.features",
-    "covered_table": "study.features",
-    "survival_table": "study.features",
+    "SurvivalSampler": "study.experiment.features",
+    "covered_table": "study.experiment.features",
+    "survival_table": "study.experiment.features",
 }
 
 require_neighbours("storage")

@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("taichi_nmm", "storage", "study")
-LEFT_OUT = ("study/pictures", "study/explore", "study/hub", "study/options.py", "study/palette.py")
+LEFT_OUT = ("study/pictures", "study/explore", "study/hub", "study/options.py")
 LONGEST_S = 1200.0
 OTHER = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,

@@ -15,10 +15,11 @@ import pytest
 
 import taichi_nmm
 from storage.store import open_store
-from study import pictures, trajectory_files
+from study import pictures
 from study.commands import quickstart
 from study.comparison import artifacts
 from study.options import config_path, shipped_configs
+from study.pictures import trajectory_files
 from study.report import before_after
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker

@@ -36,18 +36,16 @@ ALLOWED = {
     "study": PACKAGES,
     "study.experiment": (
         "study.experiment",
-        "study.features",
         "study.sampler",
-        "study.draws",
         "storage",
         "taichi_nmm",
     ),
-    "study.features": ("study.features", "study.sampler", "storage", "taichi_nmm"),
+    "study.experiment.features": ("study.sampler", "storage", "taichi_nmm"),
     "study.comparison": (
         "study.comparison",
         "study.experiment",
         "study.sampler.history",
-        "study.draws",
+        "study.sampler.draws",
         "study.pictures",
         "storage",
         "taichi_nmm",
@@ -56,7 +54,6 @@ ALLOWED = {
     # For anybody: of the walker's package, only what says no to a user.
     "study.sampler": (
         "study.sampler",
-        "study.draws",
         "storage.store",
         "storage.tables",
         "taichi_nmm.checks",
@@ -130,7 +127,7 @@ def within(name: str, part: str) -> bool:
 def test_the_source_is_found() -> None:
     assert "study.sampler.space" in imported_by("study.sampler.columns")
     assert "storage.store" in imported_by("study.sampler.columns")  # in a function
-    assert "study.features" not in imported_by("study")  # for types only
+    assert "study.experiment.features" not in imported_by("study")  # for types only
 
 
 def first_circle() -> list[str]:

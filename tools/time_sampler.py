@@ -35,7 +35,7 @@ with guarded_imports():
 
     from storage.commit import require_folder
     from study.experiment.experiment import MOST_TRIALS
-    from study.features import MEAN, SurvivalSampler
+    from study.experiment.features import MEAN, SurvivalSampler
     from study.options import Options
     from study.sampler.history import ROW_ATTRIBUTE
     from study.sampler.sampler import FeatureKernelSampler

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from storage.schema import EVOLVED_ROW, ORIGIN, SOBOL_ROW, evaluated_name, family_names
 from storage.simulator import SURVIVED
 from storage.store import Store, open_store
-from study.palette import VERMILION
 from study.pictures import style
 from taichi_nmm.errors import InputError
 
 COLUMNS = 3  # of panels
 PANEL_IN = (2.6, 2.2)
 SPEED = "mean_speed_mps"  # on the base setting, level ground as a rule
-LOOKS = {SOBOL_ROW: (style.FAINT, "grid", 3.0), EVOLVED_ROW: (VERMILION, "evolved", 5.0)}
+LOOKS = {SOBOL_ROW: (style.FAINT, "grid", 3.0), EVOLVED_ROW: (style.VERMILION, "evolved", 5.0)}
 
 
 def main(args: Namespace) -> None:

@@ -24,17 +24,23 @@ from tqdm import tqdm
 
 import taichi_nmm
 from storage.commit import commit, writable
+from study.comparison.gains import (
+    NamedGains,
+    gains_of_row,
+    gains_of_source,
+    gains_of_trial,
+    recorded_walk,
+)
 from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
 from study.experiment.trials import MEASURES, row_text
-from study.gains import NamedGains, gains_of_row, gains_of_source, gains_of_trial, recorded_walk
 from study.options import BOTH_ENGINES
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
-from study.report.before_after import Pair, Shown, write_strips
-from study.trajectory_files import (
+from study.pictures.trajectory_files import (
     RECORD_RATE_HZ,
     require_trajectory_file,
     write_trajectory,
 )
+from study.report.before_after import Pair, Shown, write_strips
 from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco

@@ -29,12 +29,12 @@ from storage.pool import Cluster, Pool
 from storage.tables import write_table
 from study.comparison.compare import Request, compare, opened_pool, work_through
 from study.comparison.folder import in_order, schema_of, table_of
-from study.draws import Purpose, generator
 from study.experiment.arms import PAPER_ARM, check_arms
 from study.experiment.experiment import CmaesOptions, Experiment
 from study.experiment.identity import GROWING, document, machine
 from study.experiment.samplers import CmaEs
 from study.experiment.trials import OUTCOMES, costs, finite, simulate_trials, walked
+from study.sampler.draws import Purpose, generator
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS, lower_bounds, upper_bounds

@@ -11,12 +11,9 @@ from typing import Any, Literal
 from optuna.samplers import BaseSampler, TPESampler
 
 from storage.store import Store, open_store
-from study.draws import Purpose, seed_32bit
 from study.experiment import samplers
 from study.experiment.experiment import Experiment
-from study.experiment.samplers import Task
-from study.experiment.stores import candidates, check_store
-from study.features import (
+from study.experiment.features import (
     COVERED_OPTIONS,
     FAMILIES,
     Feature,
@@ -27,7 +24,10 @@ from study.features import (
     survival_features,
     survivals,
 )
-from study.features import OPTIONS as BEST
+from study.experiment.features import OPTIONS as BEST
+from study.experiment.samplers import Task
+from study.experiment.stores import candidates, check_store
+from study.sampler.draws import Purpose, seed_32bit
 from study.sampler.random_sampler import ReproducibleRandomSampler
 from study.sampler.sampler import PAPER, FeatureKernelSampler
 from taichi_nmm.errors import InputError

@@ -13,7 +13,7 @@ from typing import Any
 
 from optuna.distributions import FloatDistribution
 
-from study.draws import Purpose, stream
+from study.sampler.draws import Purpose, stream
 from taichi_nmm.body import Bodies
 from taichi_nmm.conditions import Conditions, read_conditions
 from taichi_nmm.config import Table, read_toml

@@ -15,12 +15,12 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, PartialFixedSampler, RandomSampler
 from optuna.trial import FrozenTrial, TrialState
 
-from study.draws import Purpose, name_key, seed_64bit
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment
 from study.experiment.samplers import Task
 from study.experiment.trials import KEPT, fell
 from study.sampler.diagnostics import TITLE, Worth
+from study.sampler.draws import Purpose, name_key, seed_64bit
 from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
 from taichi_nmm.errors import InputError

@@ -18,10 +18,10 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, CmaEsSampler
 from optuna.trial import FrozenTrial, TrialState
 
-from study.draws import Purpose, generator, seed_32bit, turn
 from study.experiment.experiment import Experiment
+from study.experiment.features import Feature
 from study.experiment.stores import candidates
-from study.features import Feature
+from study.sampler.draws import Purpose, generator, seed_32bit, turn
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from study.sampler.policy import set_attributes
 from study.sampler.random_sampler import ReproducibleRandomSampler

@@ -7,7 +7,7 @@ from pathlib import Path
 from storage.store import MANIFEST_NAME, Manifest, Store, open_store
 from storage.tables import file_hash
 from study.experiment.experiment import Experiment, search_space
-from study.features import Feature, check_feature, feature_table
+from study.experiment.features import Feature, check_feature, feature_table
 from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import Parameter

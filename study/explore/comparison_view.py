@@ -19,11 +19,11 @@ from bokeh.models import (
 from bokeh.models.tools import PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 
+from study.comparison.gains import NamedGains, gains_of_trial
 from study.experiment.experiment import Experiment, study_name
 from study.explore.server import Message
 from study.explore.stage import SCRIPTS
 from study.explore.walk import Setting
-from study.gains import NamedGains, gains_of_trial
 from study.pictures import style
 from study.report.axes import looks
 from study.report.figures import TrialScale, piles

@@ -14,7 +14,7 @@ from study.explore.store_view import Ranges, selected
 from study.explore.walk import Walk
 from study.explore.walk import walk as walk_again
 from study.pictures import write_gait_cycle, write_movie, write_strip
-from study.trajectory_files import FORMATS, RECORD_RATE_HZ, trajectory_text
+from study.pictures.trajectory_files import FORMATS, RECORD_RATE_HZ, trajectory_text
 
 FILM_S = 20.0  # of a walk's end
 GAINS, CONFIG = "gains.json", "walk.toml"  # what every command takes as --gains and --config

@@ -13,6 +13,7 @@ from bokeh.models import Div
 from storage.store import SHARD_PATTERN, Store, open_store
 from storage.store_folder import SPECIFICATION_NAME
 from study.comparison.folder import EXPERIMENT_NAME, RESULTS_NAME
+from study.comparison.gains import gains_at, gains_of_source
 from study.experiment.experiment import Experiment
 from study.experiment.identity import documented_experiment
 from study.explore.comparison_view import ComparisonView
@@ -20,7 +21,6 @@ from study.explore.downloads import file_of_selection
 from study.explore.server import Message
 from study.explore.store_view import StoreView
 from study.explore.walk_view import WalkView
-from study.gains import gains_at, gains_of_source
 from study.report.runs import Results, read_results
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_file, is_folder

@@ -33,9 +33,9 @@ from numpy.typing import NDArray
 
 from storage.schema import EVOLVED_ROW, ORIGIN
 from storage.store import Store
+from study.experiment.features import COLUMN_END
 from study.explore.server import Message
 from study.explore.stage import SCRIPTS
-from study.features import COLUMN_END
 from study.pictures import style
 from taichi_nmm.errors import InputError
 

@@ -9,9 +9,9 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
+from study.comparison.gains import NamedGains, gains_of_source, recorded_walk
 from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.trials import row_text
-from study.gains import NamedGains, gains_of_source, recorded_walk
 from study.pictures import style
 from study.pictures.scene import FORCE_M_PER_N, motion_of, pressure_point
 from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_outlines, trunk

@@ -23,6 +23,7 @@ from bokeh.models import (
     Spinner,
 )
 
+from study.comparison.gains import NamedGains, gains_of_source
 from study.explore.downloads import NAMES, command_line, file_of_walk
 from study.explore.server import Latest, Message
 from study.explore.stage import SCRIPTS, Cycle, Player, Score
@@ -36,7 +37,6 @@ from study.explore.walk import (
     chosen_setting,
     walk,
 )
-from study.gains import NamedGains, gains_of_source
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS
 from taichi_nmm.settings import ENGINES

@@ -10,10 +10,20 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from storage.commit import commit
-from study.palette import BLUE, GREY
+
+# The eight of Okabe and Ito survive colour blindness; two more where they are used up.
+BLACK = "#000000"
+ORANGE = "#E69F00"
+SKY_BLUE = "#56B4E9"
+GREEN = "#009E73"
+BLUE = "#0072B2"
+VERMILION = "#D55E00"
+PURPLE = "#CC79A7"
+BROWN, VIOLET = "#A0522D", "#6A3D9A"
+SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE, BLACK)  # of curves that are all alike
 
 INK = "#22262B"
-FAINT = GREY
+FAINT = "#8A9099"  # of what stands back, such as spines and peers
 GRID = "#E3E6EA"
 GROUND = "#CFC8BC"
 MODEL = BLUE

@@ -17,11 +17,16 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from storage.commit import commit
 from study.experiment.arms import BEST_ARM, PAPER_ARM
-from study.palette import BACK, BACK_DASH, BACK_TEXT, FRONT, FRONT_DASH
 from study.pictures import style
 from study.report.numbers import best_peer, kind_of, label_of
 from study.report.runs import ArmRuns
 
+# Of arms: three in front, by their role; all others by their kind, their labels in a darker shade.
+FRONT = {"paper": style.BLUE, "best": style.VERMILION, "peer": style.BLACK}
+FRONT_DASH: dict[str, Any] = {"paper": (0, (6, 1.6)), "best": "solid", "peer": (0, (2.2, 1.4))}
+BACK = {"ours": "#6F9FC6", "peer": style.FAINT, "control": "#C69250"}
+BACK_TEXT = {"ours": "#35658C", "peer": "#5A616A", "control": "#85591C"}
+BACK_DASH: dict[str, Any] = {"ours": "solid", "peer": (0, (4, 2)), "control": (0, (1, 1.5))}
 MARKERS = "osD^vPX<>ph*dH8"
 
 

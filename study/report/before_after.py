@@ -16,7 +16,6 @@ from matplotlib.axes import Axes
 from study.experiment.arms import BEST_ARM, PAPER_ARM
 from study.experiment.experiment import Experiment
 from study.experiment.trials import simulate_trials
-from study.palette import BLUE, VERMILION
 from study.pictures import style
 from study.pictures.stick_figure import activation_bar, draw_profile
 from study.pictures.strip import Stretch, last_stretch
@@ -144,7 +143,7 @@ SHOWN_M = 6.8
 SCALE_IN_PER_M = 1.05
 LEFT_IN, RIGHT_IN, PROFILE_IN = 0.75, 1.0, 0.85
 BELOW_GROUND_M = 0.14
-COLOURS = (VERMILION, BLUE)  # of the first walk and the second
+COLOURS = (style.VERMILION, style.BLUE)  # of the first walk and the second
 
 
 def write_strips(folder: Path, title: str, pair: Pair) -> list[Path]:

@@ -16,9 +16,9 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 from numpy.typing import NDArray
 
 from study.experiment.arms import BEST_ARM, PAPER_ARM
-from study.palette import FRONT
 from study.pictures import style
 from study.report.axes import (
+    FRONT,
     LABEL_SPACING_PT,
     POINTS_AN_INCH,
     End,

@@ -13,11 +13,11 @@ import pyarrow as pa
 
 from study.comparison.database import Summary
 from study.experiment.experiment import study_name
-from study.palette import SERIES, SERIES_DASHES
 from study.report.markdown import count_text, table
 from study.report.runs import ArmRuns, runs_of
 
 DASHBOARD = "/dashboard"  # where optuna-dashboard serves its pages
+DASHES = ("solid", "dash", "dot", "dashdot", "longdash")  # plotly's, once colours are used up
 FIGURE_POINTS = 50  # of a curve: attributes of a study hold 2 kB each
 
 
@@ -105,6 +105,8 @@ class BestCostFigure:
 
 def _trace(number: int, arm: ArmRuns) -> dict[str, Any]:
     """The curve of an arm, in the colour and dash of its number."""
+    from study.pictures.style import SERIES  # Matplotlib: a second
+
     median = np.median(arm.best, axis=0)
     shown = np.unique(np.linspace(0, len(median) - 1, FIGURE_POINTS).astype(int))
     return {
@@ -115,7 +117,7 @@ def _trace(number: int, arm: ArmRuns) -> dict[str, Any]:
         "y": [float(f"{value:.5g}") for value in median[shown]],
         "line": {
             "color": SERIES[number % len(SERIES)],
-            "dash": SERIES_DASHES[number // len(SERIES) % len(SERIES_DASHES)],
+            "dash": DASHES[number // len(SERIES) % len(DASHES)],
             "shape": "hv",
         },
     }

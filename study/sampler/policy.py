@@ -31,9 +31,9 @@ from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial
 from threadpoolctl import ThreadpoolController
 
-from study.draws import Purpose, generator
 from study.sampler.acquisition import Learned, Model
 from study.sampler.diagnostics import Present
+from study.sampler.draws import Purpose, generator
 from study.sampler.gp import ADDITIVE, NEARNESS, Kernel
 from study.sampler.history import History, read_limits
 from study.sampler.transforms import Points, PriorMean, Scale, is_doubtful

@@ -11,7 +11,7 @@ from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler, RandomSampler
 from optuna.trial import FrozenTrial
 
-from study.draws import Purpose, name_key, seed_32bit, turn
+from study.sampler.draws import Purpose, name_key, seed_32bit, turn
 from taichi_nmm import checks
 
 

@@ -10,9 +10,9 @@ from optuna.samplers import BaseSampler
 from optuna.search_space import intersection_search_space
 from optuna.trial import FrozenTrial
 
-from study.draws import Purpose, turn
 from study.sampler.acquisition import argmax_random_tie
 from study.sampler.diagnostics import Present
+from study.sampler.draws import Purpose, turn
 from study.sampler.history import (
     FEATURES_ATTRIBUTE,
     History,

@@ -17,9 +17,9 @@ from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
-from study.draws import Purpose, turn
 from study.sampler.acquisition import Model, argmax_random_tie
 from study.sampler.diagnostics import Present
+from study.sampler.draws import Purpose, turn
 from study.sampler.history import (
     FEATURES_ATTRIBUTE,
     OFF_TABLE,

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.experiment.experiment import Experiment, read_experiment
-from study.features import GROUNDS, LONGER, PLAINEST
+from study.experiment.features import GROUNDS, LONGER, PLAINEST
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table
 from taichi_nmm.parameters import gain_rows, lower_bounds, upper_bounds

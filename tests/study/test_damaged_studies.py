@@ -13,10 +13,10 @@ import pytest
 from storage.databases.studies import open_studies
 from study.comparison.compare import Request, compare
 from study.comparison.database import Summary
+from study.comparison.gains import gains_of_trial
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment
 from study.experiment.live_study import check_study, run_study
-from study.gains import gains_of_trial
 from taichi_nmm.errors import InputError
 
 OF_DOG = r"^(storage|study toy/dog/run-000)"

@@ -17,6 +17,13 @@ from optuna.trial import FrozenTrial, TrialState
 
 import taichi_nmm
 from storage.databases.studies import open_studies
+from study.commands.study import (
+    dashboard_command,
+    film_command,
+    progress_line,
+    summary,
+    summary_text,
+)
 from study.comparison.compare import Request, compare
 from study.experiment.arms import ARMS, find_arm
 from study.experiment.experiment import Experiment, study_name
@@ -25,7 +32,6 @@ from study.experiment.one_study import OneStudy, sampler_seed
 from study.experiment.samplers import Task
 from study.experiment.trials import ATTRIBUTES, simulate_trials
 from study.options import config_path
-from study.summary import dashboard_command, film_command, progress_line, summary, summary_text
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.terrain import Ground
 from tests.study import fake_walker

@@ -23,7 +23,7 @@ from storage.databases.studies import only_run
 from storage.store import open_store
 from study.experiment.arms import ARMS
 from study.experiment.experiment import read_experiment
-from study.features import FAMILIES
+from study.experiment.features import FAMILIES
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import Result
 from tests.study import fake_walker, synthetic_gait

@@ -15,16 +15,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from storage.commit import commit_text, writable
-from study import palette
 from tools.benchmarks.arms import Arm, Floats
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("numpy", "scipy", "scikit-learn", "optuna", "cmaes", "torch", "greenlet")
-
-# Okabe & Ito: our arms in colour and unbroken, peers dashed, controls grey and dotted.
-OUR_COLOURS = (palette.BLUE, palette.VERMILION, palette.GREEN, palette.PURPLE, palette.ORANGE,
-               palette.BLACK)  # fmt: skip
-PEER_COLOURS = (palette.GREY, palette.SKY_BLUE, palette.BROWN, palette.VIOLET, palette.ORANGE)
 
 
 class Report(Protocol):
@@ -151,12 +145,18 @@ def draw_panels(
 
 
 def line(arms: Mapping[str, Arm], name: str) -> dict[str, Any]:
-    """Colour, dashes and width of an arm's curve, by its kind and its place among its kind."""
+    """Colour, dashes and width of an arm's curve, by its kind and its place among its kind.
+
+    Our arms are in colour and unbroken, peers dashed, controls grey and dotted.
+    """
+    from study.pictures import style
+
     kind = arms[name].kind
     place = [other for other, arm in arms.items() if arm.kind == kind].index(name)
     if kind == "ours":
-        return {"color": OUR_COLOURS[place % len(OUR_COLOURS)], "linewidth": 1.8}
+        return {"color": style.SERIES[place % len(style.SERIES)], "linewidth": 1.8}
     if kind == "peer":
-        colour = PEER_COLOURS[place % len(PEER_COLOURS)]
+        colours = (style.FAINT, style.SKY_BLUE, style.BROWN, style.VIOLET, style.ORANGE)
+        colour = colours[place % len(colours)]
         return {"color": colour, "linestyle": "--", "linewidth": 1.3}
-    return {"color": palette.GREY, "linestyle": (0, (1, 1 + 2 * place)), "linewidth": 1.3}
+    return {"color": style.FAINT, "linestyle": (0, (1, 1 + 2 * place)), "linewidth": 1.3}

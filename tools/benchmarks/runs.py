@@ -32,7 +32,6 @@ from optuna.exceptions import ExperimentalWarning
 from tqdm import tqdm
 
 from storage.commit import commit_json, require_folder
-from study import draws
 from study.options import MOST_WORKERS, Options
 from taichi_nmm.errors import InputError
 from tools.benchmarks import arms
@@ -42,7 +41,7 @@ from tools.benchmarks.documents import ROOT, installed
 Costs = dict[tuple[str, str], Floats]  # of a problem and an arm, [seeds, trials]
 
 # The sources that decide our arms, beside a benchmark's own.
-OUR_SOURCES = (Path(draws.__file__), *sorted((ROOT / "study" / "sampler").glob("*.py")))
+OUR_SOURCES = sorted((ROOT / "study" / "sampler").glob("*.py"))
 OUR_PACKAGES = ("numpy", "scipy", "optuna", "scikit-learn")
 PEER_PACKAGES = ("numpy", "scipy", "optuna", "cmaes", "torch")
 # For the processes that are started: their BLAS reads it when NumPy is imported.

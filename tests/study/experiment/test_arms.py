@@ -10,8 +10,8 @@ from study import FeatureTable
 from study.experiment import samplers
 from study.experiment.arms import ARMS, NOTHING, REMOVED, find_arm, saw
 from study.experiment.experiment import Experiment
+from study.experiment.features import GROUNDS, LONGER, PLAINEST
 from study.experiment.samplers import Task, score_order
-from study.features import GROUNDS, LONGER, PLAINEST
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons, refused

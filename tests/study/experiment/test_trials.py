@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.draws import Purpose, stream
 from study.experiment import trials
 from study.experiment.experiment import Experiment
 from study.experiment.trials import costs, simulate_trials
+from study.sampler.draws import Purpose, stream
 from taichi_nmm import terrain as terrains
 from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import LOW_LEVEL_GAINS, PUBLISHED_GAINS

@@ -11,11 +11,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from storage.store import open_store
+from study.comparison.gains import gains_of_source
 from study.experiment.experiment import as_written, read_experiment
 from study.explore import walk as walking
 from study.explore.downloads import NAMES, command_line, file_of_selection, file_of_walk
 from study.explore.walk import Setting, Walk, chosen_setting, frames_of, to_toml, walk
-from study.gains import gains_of_source
 from study.options import config_path
 from taichi_nmm.config import read_toml
 from taichi_nmm.errors import InputError

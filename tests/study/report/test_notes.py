@@ -8,7 +8,7 @@ import pyarrow as pa
 
 from study.experiment.arms import ARMS
 from study.experiment.experiment import study_name
-from study.palette import SERIES
+from study.pictures.style import SERIES
 from study.report.notes import dashboard_summary
 from tests.study.report import synthetic
 

@@ -11,7 +11,7 @@ from optuna.distributions import FloatDistribution, IntDistribution
 from optuna.trial import TrialState
 
 from study import FeatureKernelSampler, FeatureTable
-from study.draws import Purpose, generator, turn
+from study.sampler.draws import Purpose, generator, turn
 from study.sampler.history import read_history
 from study.sampler.random_sampler import ReproducibleRandomSampler
 from taichi_nmm.errors import InputError

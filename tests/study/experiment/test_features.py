@@ -10,11 +10,18 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import study
 from storage.store import Store, open_store
-from study import features
+from study.experiment import features
 from study.experiment.arms import ARMS
+from study.experiment.features import (
+    Coverage,
+    Survival,
+    chances,
+    covering_order,
+    earliness,
+    feature_values,
+)
 from study.experiment.samplers import Task
 from study.experiment.stores import candidates
-from study.features import Coverage, Survival, chances, covering_order, earliness, feature_values
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 from tests.study.fake_walker import WORLDS

@@ -5,7 +5,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from study.trajectory_files import require_trajectory_file, trajectory_text, write_trajectory
+from study.pictures.trajectory_files import (
+    require_trajectory_file,
+    trajectory_text,
+    write_trajectory,
+)
 from taichi_nmm.result import MUSCLES
 from tests.study import synthetic_gait
 from tests.study.conftest import refused
