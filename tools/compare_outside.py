@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +28,9 @@ with guarded_imports():
     from scipy.stats import rankdata, spearmanr
 
     from study.report.numbers import wilcoxon
-    from tools.benchmarks import outside, runs
-    from tools.benchmarks.arms import Floats
-    from tools.benchmarks.documents import Bar, draw_panels, made_by, publish
-    from tools.benchmarks.outside import ARMS, OutsideProblem, outside_problem
-    from tools.benchmarks.runs import Costs
+    from tools import benchmark, outside
+    from tools.benchmark import Bar, Costs, Floats, draw_panels, made_by
+    from tools.outside import ARMS, OutsideProblem, outside_problem
 
 NAME = "sampler-outside"
 EXAMPLE = """python tools/compare_outside.py --seeds 3 --arms ours,tpe \\
@@ -46,8 +45,8 @@ BEHIND_P, AHEAD_P = 0.05, 0.01
 
 
 def main() -> None:
-    options = runs.parse(__file__, "outside", trials=40, cache="outside", groups=GROUPS)
-    publish(options, NAME, OutsideReport.of(runs.compared("outside", options)))
+    options = benchmark.parse(__file__, "outside", trials=40, cache="outside", groups=GROUPS)
+    benchmark.publish(options, NAME, OutsideReport.of(benchmark.compared("outside", options)))
 
 
 @dataclass(frozen=True)
@@ -93,27 +92,29 @@ class OutsideReport:
 
     Attributes:
         best: least cost so far, [seeds, trials] for each (problem, arm).
-        checkpoints: trials at which arms are compared.
         different: how many of the seeds' runs differ at all, for each (problem, arm); a sampler
             that draws nothing repeats one run, and its seeds are then no sample.
     """
 
     best: Costs
-    checkpoints: tuple[int, ...]
     different: dict[tuple[str, str], int]
 
     @classmethod
     def of(cls, costs: Costs) -> "OutsideReport":
         """The report of costs, [seeds, trials] for each (problem, arm)."""
-        trials = next(iter(costs.values())).shape[1]
         best = {key: np.minimum.accumulate(values, axis=1) for key, values in costs.items()}
-        checkpoints = (*(at for at in CHECKPOINTS if at < trials), trials)
-        return cls(best, checkpoints, {k: len(np.unique(v, axis=0)) for k, v in costs.items()})
+        return cls(best, {key: len(np.unique(values, axis=0)) for key, values in costs.items()})
 
     @property
     def seeds(self) -> int:
         """Number of seeds of each arm."""
         return len(next(iter(self.best.values())))
+
+    @property
+    def checkpoints(self) -> tuple[int, ...]:
+        """Trials at which arms are compared; the last are all."""
+        trials = next(iter(self.best.values())).shape[1]
+        return (*(at for at in CHECKPOINTS if at < trials), trials)
 
     @property
     def problems(self) -> list[OutsideProblem]:
@@ -144,44 +145,37 @@ class OutsideReport:
     @cached_property
     def tests(self) -> list[Versus]:
         """Each of our arms against every arm that is not ours, at every checkpoint."""
+        arms = product(self.arms(OUR_ARMS), self.arms(OTHERS), self.checkpoints)
         return [
-            self.versus(problem.name, ours, other, trial)
-            for problem in self.problems
-            for ours in self.arms(OUR_ARMS)
-            for other in self.arms(OTHERS)
-            for trial in self.checkpoints
+            self.versus(problem.name, *each) for problem, each in product(self.problems, list(arms))
         ]
 
     @cached_property
     def bars(self) -> list[Bar]:
         """The bars of our arms, as far as the runs allow to check them."""
-        found = []
+        first, last = 10, self.checkpoints[-1]
+        behind, ahead = f"(p < {BEHIND_P:g})", f"(p < {AHEAD_P:g})"
+        wanted: list[tuple[str, Callable[[Versus], bool], list[Versus]]] = []
         for ours in self.arms(OUR_ARMS):
-            label = ARMS[ours].label
-            rounds = [each for each in self.tests if each.ours == ours]
-            unhinted = [each for each in rounds if each.other in WITHOUT_HINT]
-            what = f"{label}: never behind a sampler without features (p < {BEHIND_P:g})"
-            found.append(bar(what, unhinted, lambda each: each.is_behind))
-            for at in (10, self.checkpoints[-1]):
-                tpe = [each for each in rounds if (each.other, each.trial) == ("tpe", at)]
-                if tpe:
-                    what = f"{label}: ahead of TPESampler after {at} (p < {AHEAD_P:g})"
-                    found.append(bar(what, tpe, lambda each: not each.is_ahead))
-        label = ARMS["ours-prior"].label
-        rounds = [
-            each for each in self.tests if (each.ours, each.other) == ("ours-prior", "ranking")
-        ]
-        if rounds:
-            what = f"{label}: never behind the ranking alone (p < {BEHIND_P:g})"
-            found.append(bar(what, rounds, lambda each: each.is_behind))
-        if {"ours", "ranking"} <= set(self.arms()) and {5, 10} <= set(self.checkpoints):
-            what = f"ours: after 10 not behind the ranking after 5 (p < {BEHIND_P:g})"
-            rounds = [self.versus(each.name, "ours", "ranking", 10, 5) for each in self.problems]
-            found.append(bar(what, rounds, lambda each: each.is_behind))
-        return found
+            label, own = ARMS[ours].label, [each for each in self.tests if each.ours == ours]
+            what = f"{label}: never behind a sampler without features {behind}"
+            rounds = [each for each in own if each.other in WITHOUT_HINT]
+            wanted.append((what, lambda each: each.is_behind, rounds))
+            for at in dict.fromkeys((first, last)):
+                rounds = [each for each in own if (each.other, each.trial) == ("tpe", at)]
+                what = f"{label}: ahead of TPESampler after {at} {ahead}"
+                wanted.append((what, lambda each: not each.is_ahead, rounds))
+        what = f"{ARMS['ours-prior'].label}: never behind the ranking alone {behind}"
+        rounds = [t for t in self.tests if (t.ours, t.other) == ("ours-prior", "ranking")]
+        wanted.append((what, lambda each: each.is_behind, rounds))
+        if {"ours", "ranking"} <= set(self.arms()) and {5, first} <= set(self.checkpoints):
+            what = f"ours: after {first} not behind the ranking after 5 {behind}"
+            rounds = [self.versus(each.name, "ours", "ranking", first, 5) for each in self.problems]
+            wanted.append((what, lambda each: each.is_behind, rounds))
+        return [bar(*each) for each in wanted if each[-1]]
 
     def as_dict(self) -> dict[str, Any]:
-        """Medians, tests and bars as plain values."""
+        """Medians and tests as plain values."""
         return {
             "seeds": self.seeds,
             "problems": [
@@ -190,16 +184,15 @@ class OutsideReport:
                 for problem in self.problems
             ],
             "medians": [
-                {"problem": problem.name, "arm": arm, "trial": trial,
-                 "median": self.median(problem.name, arm, trial)}
-                for problem in self.problems for arm in self.arms() for trial in self.checkpoints
+                {"problem": problem, "arm": arm, "trial": trial,
+                 "median": self.median(problem, arm, trial)}
+                for (problem, arm), trial in product(self.best, self.checkpoints)
             ],
             "different_runs": [
                 {"problem": problem, "arm": arm, "runs": count}
                 for (problem, arm), count in self.different.items()
             ],
             "tests": [asdict(test) for test in self.tests],
-            "bars": [asdict(bar) for bar in self.bars],
         }  # fmt: skip
 
     def markdown(self) -> str:
@@ -220,7 +213,7 @@ class OutsideReport:
             "## How to read the tables",
             "",
             "Each problem has a costly objective, whose cost was computed once for every candidate"
-            " of a pool (`tools/benchmarks/data`, one Parquet file each). A seed draws half of the"
+            " of a pool (`tools/data`, one Parquet file each). A seed draws half of the"
             " pool, which is then the problem of every sampler. Every sampler has"
             f" {self.seeds} seeds and its default options.",
             "",
@@ -287,14 +280,12 @@ class OutsideReport:
 
     def plot(self, path: Path) -> None:
         """How many rows are as good as the best found against trials, a panel a problem."""
-
-        def curve(problem: str, arm: str) -> Floats | None:
-            best = self.best.get((problem, arm))
-            return None if best is None else np.median(as_good(outside_problem(problem), best), 0)
-
-        names = [problem.name for problem in self.problems]
+        curves = {
+            (problem, arm): np.median(as_good(outside_problem(problem), best), axis=0)
+            for (problem, arm), best in self.best.items()
+        }
         label = "rows as good as the best found"
-        draw_panels(path, ARMS, names, curve, label, 3, (3.6, 3.0), legend_in=2.9, log=True)
+        draw_panels(path, ARMS, curves, label, 3, (3.6, 3.0), legend_in=2.9, log=True)
 
 
 def worth(problem: OutsideProblem) -> dict[str, float]:
@@ -307,7 +298,7 @@ def worth(problem: OutsideProblem) -> dict[str, float]:
     return {name: float(spearmanr(c, problem.cost).statistic) for name, c in columns.items()}
 
 
-def bar(what: str, rounds: list[Versus], fails: Callable[[Versus], bool]) -> Bar:
+def bar(what: str, fails: Callable[[Versus], bool], rounds: list[Versus]) -> Bar:
     """A bar that must fail in no round, with the rounds in which it does."""
     failed = [
         f"{each.problem}, {ARMS[each.other].label}, {each.trial} ({each.wins} : {each.losses})"

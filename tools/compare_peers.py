@@ -23,18 +23,9 @@ with guarded_imports():
     import numpy as np
 
     from study.report.numbers import ENDS, Interval, resamples
-    from tools.benchmarks import runs, synthetic
-    from tools.benchmarks.arms import Floats
-    from tools.benchmarks.documents import (
-        Bar,
-        draw_panels,
-        machine,
-        made_by,
-        publish,
-        versions,
-    )
-    from tools.benchmarks.runs import Costs
-    from tools.benchmarks.synthetic import ARMS
+    from tools import benchmark, synthetic
+    from tools.benchmark import Bar, Costs, Floats, draw_panels, made_by
+    from tools.synthetic import ARMS
 
 NAME = "sampler-comparison"
 RESAMPLES = 4000
@@ -46,8 +37,8 @@ FORMER_TRIALS = 60
 
 def main() -> None:
     groups = {"all": synthetic.PROBLEMS}
-    options = runs.parse(__file__, "synthetic", trials=60, cache="peers", groups=groups)
-    publish(options, NAME, Report.of(runs.compared("synthetic", options)))
+    options = benchmark.parse(__file__, "synthetic", trials=60, cache="peers", groups=groups)
+    benchmark.publish(options, NAME, Report.of(benchmark.compared("synthetic", options)))
 
 
 def over_seeds(statistic: Callable[..., Floats], *values: Floats) -> Interval:
@@ -73,50 +64,57 @@ def ratio(ours: Floats, theirs: Floats) -> Floats:
 class Report:
     """Simple regret of the runs, and the bars that the problems and arms at hand allow to check.
 
-    The least possible cost of every problem is 0: the regret is the least cost so far.
-
     Attributes:
-        regret: of each problem and arm, [seeds, trials].
-        checkpoints: half of the trials, and all of them.
-        bars: as far as they can be checked.
+        best: least cost so far of each problem and arm, [seeds, trials]: the regret, since the
+            least possible cost of every problem is 0.
     """
 
-    regret: Costs
-    checkpoints: tuple[int, int]
-    bars: tuple[Bar, ...]
+    best: Costs
 
     @classmethod
     def of(cls, costs: Costs) -> "Report":
         """The report of costs, [seeds, trials] for each (problem, arm)."""
-        regret = {key: np.minimum.accumulate(values, axis=-1) for key, values in costs.items()}
-        trials = next(iter(costs.values())).shape[1]
-        return cls(regret, (trials // 2, trials), tuple(bars(regret, trials)))
+        return cls({key: np.minimum.accumulate(found, axis=1) for key, found in costs.items()})
 
     @property
-    def seeds(self) -> int:
-        """Number of seeds of each arm."""
-        return len(next(iter(self.regret.values())))
+    def shape(self) -> tuple[int, int]:
+        """Number of seeds and of trials of each arm."""
+        seeds, trials = next(iter(self.best.values())).shape
+        return seeds, trials
 
-    def statistics(self, problem: str, arm: str, trial: int) -> tuple[Interval, Interval]:
+    @property
+    def checkpoints(self) -> tuple[int, int]:
+        """Half of the trials, and all of them."""
+        return self.shape[1] // 2, self.shape[1]
+
+    @property
+    def bars(self) -> list[Bar]:
+        """The figures that have a bar, where their problems and arms were run."""
+        (half, trials), found = self.checkpoints, []
+        for (problem, arm), theirs in self.best.items():
+            ours = self.best.get((problem, "ours"))
+            if problem == "informative" and ARMS[arm].kind == "peer" and ours is not None:
+                compared = over_seeds(ratio, ours[:, half - 1], theirs[:, -1])
+                what = f"{problem}: ours after {half} / {ARMS[arm].label} after {trials}"
+                found.append(at_most(what, compared, 1.0))
+            if problem in FORMER and arm == "ours" and trials == FORMER_TRIALS:
+                what = f"{problem}: mean regret of ours after {trials}"
+                found.append(at_most(what, over_seeds(mean, theirs[:, -1]), FORMER[problem]))
+        return found
+
+    def statistics(self, problem: str, arm: str, trial: int) -> dict[str, Interval]:
         """Mean and median regret of an arm after so many trials."""
-        regret = self.regret[problem, arm][:, trial - 1]
-        return over_seeds(mean, regret), over_seeds(median, regret)
+        regret = self.best[problem, arm][:, trial - 1]
+        return {"mean": over_seeds(mean, regret), "median": over_seeds(median, regret)}
 
     def as_dict(self) -> dict[str, Any]:
-        """Machine, versions, regret and bars as plain values."""
-        regret = []
-        for problem, arm in self.regret:
-            for trial in self.checkpoints:
-                mean, median = self.statistics(problem, arm, trial)
-                regret.append({"problem": problem, "arm": arm, "trial": trial,
-                               "mean": asdict(mean), "median": asdict(median)})  # fmt: skip
-        return {
-            "machine": machine(),
-            "versions": versions(),
-            "seeds": self.seeds,
-            "regret": regret,
-            "bars": [asdict(bar) for bar in self.bars],
-        }
+        """Seeds and regret as plain values."""
+        regret = [
+            {"problem": problem, "arm": arm, "trial": trial}
+            | {name: asdict(found) for name, found in self.statistics(problem, arm, trial).items()}
+            for problem, arm in self.best for trial in self.checkpoints
+        ]  # fmt: skip
+        return {"seeds": self.shape[0], "regret": regret}
 
     def markdown(self) -> str:
         """The document: a table for each problem, then the bars."""
@@ -127,46 +125,29 @@ class Report:
             "# Samplers on synthetic problems in 16 dimensions",
             "",
             made_by(),
-            f"Simple regret, mean and median of {self.seeds} instances, with bootstrapped 95 %"
-            " intervals. The problems are defined in `tools/benchmarks/synthetic.py`.",
+            f"Simple regret, mean and median of {self.shape[0]} instances, with bootstrapped 95 %"
+            " intervals. The problems are defined in `tools/synthetic.py`.",
             "",
             f"![Mean simple regret against trials]({NAME}.png)",
         ]
         above = ""
-        for problem, arm in self.regret:
+        for problem, arm in self.best:
             if problem != above:
                 lines += ["", f"## {problem}", "", f"| sampler | chooses from | {head} |",
                           "|---|---|---|---|---|---|"]  # fmt: skip
             above = problem
-            found = [each for at in self.checkpoints for each in self.statistics(problem, arm, at)]
-            cells = " | ".join(f"{i.value:.0f} ({i.low:.0f} to {i.high:.0f})" for i in found)
+            found = [self.statistics(problem, arm, at).values() for at in self.checkpoints]
+            cells = " | ".join(
+                f"{i.value:.0f} ({i.low:.0f} to {i.high:.0f})" for pair in found for i in pair
+            )
             lines.append(f"| {ARMS[arm].label} | {ARMS[arm].sees} | {cells} |")
         return "\n".join([*lines, *Bar.table(self.bars, "measured")]) + "\n"
 
     def plot(self, path: Path) -> None:
         """Mean regret against trials, a panel a problem."""
-
-        def curve(problem: str, arm: str) -> Floats | None:
-            regret = self.regret.get((problem, arm))
-            return None if regret is None else regret.mean(axis=0)
-
-        problems = list(dict.fromkeys(problem for problem, _ in self.regret))
-        label = "mean simple regret"
-        draw_panels(path, ARMS, problems, curve, label, len(problems), (4.2, 3.8), legend_in=2.0)
-
-
-def bars(regret: Costs, trials: int) -> list[Bar]:
-    """The figures that have a bar, where their problems and arms were run."""
-    half, found = trials // 2, []
-    for (problem, arm), theirs in regret.items():
-        if problem == "informative" and ARMS[arm].kind == "peer" and (problem, "ours") in regret:
-            compared = over_seeds(ratio, regret[problem, "ours"][:, half - 1], theirs[:, -1])
-            what = f"{problem}: ours after {half} / {ARMS[arm].label} after {trials}"
-            found.append(at_most(what, compared, 1.0))
-        if problem in FORMER and arm == "ours" and trials == FORMER_TRIALS:
-            what = f"{problem}: mean regret of ours after {trials}"
-            found.append(at_most(what, over_seeds(mean, theirs[:, -1]), FORMER[problem]))
-    return found
+        curves = {key: regret.mean(axis=0) for key, regret in self.best.items()}
+        label, across = "mean simple regret", len(synthetic.PROBLEMS)
+        draw_panels(path, ARMS, curves, label, across, (4.2, 3.8), legend_in=2.0)
 
 
 def at_most(what: str, measured: Interval, bar: float) -> Bar:

@@ -8,14 +8,11 @@ where PyTorch, which it needs, is installed; greenlet, where it is installed too
 Run it on an idle machine.
 """
 
-import multiprocessing
-import os
 import statistics
 import sys
 import time
 import warnings
 from argparse import Namespace
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,7 +30,7 @@ with guarded_imports():
     from optuna.samplers import BaseSampler, GPSampler
     from tqdm import tqdm
 
-    from storage.commit import require_folder
+    from storage.processes import Processes
     from study.experiment.experiment import MOST_TRIALS
     from study.experiment.features import MEAN, SurvivalSampler
     from study.options import Options
@@ -41,9 +38,7 @@ with guarded_imports():
     from study.sampler.sampler import FeatureKernelSampler
     from study.sampler.table import FeatureTable
     from taichi_nmm.errors import InputError
-    from tools.benchmarks import runs
-    from tools.benchmarks.arms import Floats
-    from tools.benchmarks.documents import ROOT, Bar, machine, made_by, publish, versions
+    from tools.benchmark import Bar, Floats, made_by, parsed, publish, torch_is_installed
 
 NAME = "sampler-timing"
 DIMENSION = 16
@@ -135,8 +130,7 @@ class Timings:
             {**asdict(each), "median_ms": each.median_ms, "median_cpu_ms": each.median_cpu_ms}
             for each in self.cases
         ]
-        bars = [asdict(bar) for bar in self.bars]
-        return {"machine": machine(), "versions": versions(), "cases": cases, "bars": bars}
+        return {"cases": cases}
 
     def markdown(self) -> str:
         """The document: a row for each case, then the bars."""
@@ -213,7 +207,6 @@ class Timings:
 
 def main() -> None:
     options = parse()
-    os.environ.update(runs.ONE_THREAD)
     publish(options, NAME, measure(options))
 
 
@@ -224,10 +217,7 @@ def parse() -> Namespace:
     parser.whole("--repeats", 1, MOST_TRIALS, default=11, help="of each proposal; %(default)s")
     parser.add_argument("--sweep", default="10,30,100,300,1000", help="observations; %(default)s")
     parser.whole("--large-rows", 1, MOST_ROWS, default=1_000_000, help="%(default)s")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs", help="of the table and plot")
-    parser.add_argument("--json", action="store_true", help="print one object, write no document")
-    options = parser.parse_args()
-    require_folder(options.out)
+    options = parsed(parser)
     options.sweep = counts("sweep", options.sweep)
     most = max(options.observations, *options.sweep) + options.repeats
     if min(options.rows, options.large_rows) <= most:
@@ -260,16 +250,16 @@ def measure(options: Namespace) -> Timings:
         replace(base, observations=options.sweep[-1], bars=(("median_ms", 1000.0),)),
         replace(base, rows=options.large_rows, features=MOST_FEATURES, repeats=1),
     ]
-    if runs.torch_is_installed():
+    if torch_is_installed():
         cases.append(replace(base, sampler="gp"))
     return Timings([fresh(case) for case in tqdm(cases, unit="case")])
 
 
 def fresh(case: Case) -> Measured:
     """Measure in a new process, so that memory is its own and nothing is warm."""
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context) as pool:
-        return pool.submit(measure_case, case).result()
+    with Processes(1) as pool:
+        measured: Measured = pool.submit(measure_case, case).result()
+        return measured
 
 
 def measure_case(case: Case) -> Measured:

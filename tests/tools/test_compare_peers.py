@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.tools.running import load_tool, run_tool
-from tools.benchmarks import runs, synthetic
-from tools.benchmarks.synthetic import ARMS
+from tools import benchmark, synthetic
+from tools.synthetic import ARMS
 
 pytestmark = pytest.mark.slow
 
@@ -90,7 +90,7 @@ def test_a_second_run_takes_everything_from_the_cache(
 
 
 def test_a_run_of_other_code_or_a_broken_file_is_not_current(folder: Path, tmp_path: Path) -> None:
-    run = runs.Run("synthetic", "informative", "random", 0, TRIALS)
+    run = benchmark.Run("synthetic", "informative", "random", 0, TRIALS)
     assert run.is_current(folder / "cache")
     assert not run.is_current(tmp_path)
     run.file(tmp_path).parent.mkdir(parents=True)
@@ -103,10 +103,10 @@ def test_a_run_of_other_code_or_a_broken_file_is_not_current(folder: Path, tmp_p
 def test_without_torch_gpsampler_is_left_out_with_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(runs.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(benchmark.importlib.util, "find_spec", lambda _: None)
     left_out = "GPSampler is left out: it needs PyTorch (pip install torch)\n"
     for arms, said in ((["random", "gp"], left_out), (["random"], "")):
-        assert (runs.runnable(arms), capsys.readouterr().err) == (["random"], said)
+        assert (benchmark.runnable(arms), capsys.readouterr().err) == (["random"], said)
 
 
 def test_an_interval_holds_the_mean_and_regret_is_the_best_so_far() -> None:
@@ -123,7 +123,7 @@ def test_an_interval_holds_the_mean_and_regret_is_the_best_so_far() -> None:
     assert (ratio.low, ratio.value, ratio.high) == pytest.approx((1.5, 1.5, 1.5))
     costs = np.array([[3.0, 5.0, 1.0, 2.0], [4.0, 2.0, 2.5, 3.0]])
     report = TOOL.Report.of({("useless", "random"): costs})
-    np.testing.assert_array_equal(report.regret["useless", "random"], [[3, 3, 1, 1], [4, 2, 2, 2]])
+    np.testing.assert_array_equal(report.best["useless", "random"], [[3, 3, 1, 1], [4, 2, 2, 2]])
 
 
 def constant(first: float, second: float, trials: int = 60) -> Any:
@@ -148,4 +148,4 @@ def test_bars_are_of_the_arms_and_trials_that_they_name() -> None:
         "| useless: mean regret of ours after 60 | 204.50 (204.50 to 204.50), at most 205 | yes |",
     ]
     other = {("misleading", "ours"): constant(240.0, 300.0, trials=40)}
-    assert TOOL.Report.of(other).bars == ()  # the bar is of 60 trials
+    assert TOOL.Report.of(other).bars == []  # the bar is of 60 trials

@@ -14,9 +14,9 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 from taichi_nmm.errors import InputError
 from tests.tools.running import load_tool, run_tool
 from tests.tools.test_compare_peers import costs_of, written
-from tools.benchmarks import outside, runs
-from tools.benchmarks.arms import study_costs
-from tools.benchmarks.outside import ARMS, PROBLEMS, Feature, outside_problem, rows_by_ranking
+from tools import benchmark, outside
+from tools.benchmark import study_costs
+from tools.outside import ARMS, PROBLEMS, Feature, outside_problem, rows_by_ranking
 
 # Digests of names, parameters, features and cost. After a change, figures must be made again.
 DIGESTS = {
@@ -104,7 +104,7 @@ def test_a_trial_costs_as_much_as_the_nearest_row_and_rows_are_ranked() -> None:
 def test_bad_files_and_unknown_problems_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "broken.parquet").write_text("PAR1")
     for name in ("broken.parquet", "missing.parquet"):
-        with pytest.raises(InputError, match=r"a file of tools/benchmarks/data"):
+        with pytest.raises(InputError, match=r"a file of tools/data"):
             outside.read(tmp_path / name)
     with pytest.raises(InputError, match=r"^problem: 'easy'.*digits-network.*stiff-reactions$"):
         outside.problem("easy", 1)
@@ -180,12 +180,12 @@ def test_the_same_command_takes_all_from_the_cache(
 
 @pytest.mark.slow
 def test_other_numbers_are_other_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = runs.Run("outside", PROBLEM, "random", 0, TRIALS)
+    run = benchmark.Run("outside", PROBLEM, "random", 0, TRIALS)
     assert run.is_current(folder / "cache")
     monkeypatch.setattr(outside, "digest", lambda _: "other")
-    runs.code.cache_clear()
+    benchmark.code.cache_clear()
     assert not run.is_current(folder / "cache")
-    runs.code.cache_clear()
+    benchmark.code.cache_clear()
 
 
 def test_a_seed_draws_half_of_the_pool_and_breaks_the_rankings_ties() -> None:
@@ -221,8 +221,8 @@ def report(ours: list[float], tpe: list[float], ranking: list[float]) -> Any:
 def test_bars_hold_where_ours_leads_and_name_where_it_does_not() -> None:
     good = report(ours=[2.0, 1.0], tpe=[3.0, 2.0], ranking=[1.5, 1.4])
     bad = report(ours=[2.0, 1.9], tpe=[1.0, 1.0], ranking=[1.5, 1.4])
-    assert [bar.holds for bar in good.bars] == [True] * 4
-    assert [bar.holds for bar in bad.bars] == [False] * 4
+    assert [bar.holds for bar in good.bars] == [True] * 3
+    assert [bar.holds for bar in bad.bars] == [False] * 3
     assert bad.bars[0].measured.startswith(f"{PROBLEM}, TPESampler, 5 (0 : 12)")
     test = bad.versus(PROBLEM, "ours", "tpe", 10)
     assert (test.wins, test.losses) == (0, 12) and test.is_behind and not test.is_ahead

@@ -5,9 +5,9 @@ import pytest
 from scipy.stats import spearmanr
 
 from taichi_nmm.errors import InputError
-from tools.benchmarks import synthetic
-from tools.benchmarks.arms import Floats
-from tools.benchmarks.synthetic import DIMENSION, NAMES, PROBLEMS, Problem, problem, shared
+from tools import synthetic
+from tools.benchmark import Floats
+from tools.synthetic import DIMENSION, NAMES, PROBLEMS, Problem, problem, shared
 
 SEEDS = range(5)
 

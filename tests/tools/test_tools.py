@@ -9,7 +9,8 @@ import pytest
 from study.options import COMMANDS, documentation
 from tests.tools.running import ROOT
 
-TOOLS = {path.stem for path in (ROOT / "tools").glob("*.py")} - {"bench_worker", "checkout"}
+PARTS = {"bench_worker", "checkout", "benchmark", "outside", "synthetic"}  # of other tools
+TOOLS = {path.stem for path in (ROOT / "tools").glob("*.py")} - PARTS
 
 
 @pytest.mark.slow

@@ -30,7 +30,7 @@ from scipy.stats import ortho_group, qmc
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
-from tools.benchmarks.arms import Arm, Floats, ours, peer
+from tools.benchmark import Arm, Floats, ours, peer
 
 Function = Callable[[Floats], Floats]
 

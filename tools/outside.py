@@ -30,7 +30,7 @@ from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import parse_json, reading
-from tools.benchmarks.arms import PEERS, Arm, Floats, ours, peer, study_costs
+from tools.benchmark import PEERS, Arm, Floats, ours, peer, study_costs
 
 Columns = dict[str, NDArray[Any]]
 Settings = Mapping[str, float | int | str]  # one candidate: its parameters by name
@@ -196,7 +196,7 @@ def read(path: Path) -> OutsideProblem:
     """
     import pyarrow.parquet as pq  # slow to load
 
-    with reading("problem", path, "a file of tools/benchmarks/data") as file:
+    with reading("problem", path, "a file of tools/data") as file:
         table = pq.read_table(file)
         document = parse_json(table.schema.metadata[METADATA_KEY])
     column = {name: np.array(table[name].to_pylist()) for name in table.column_names}
