@@ -102,13 +102,12 @@ def read_history(
     for trial in study.get_trials(deepcopy=False):
         if trial.number == before.number:
             continue
-        row, parameters = None, None
-        if table is not None and (row := row_of(table, trial)) is not None:
+        row, parameters = _looked_up(trial, space, table)
+        if row is not None:
             tried[row] = True
-            parameters = table.parameters[row]
         if trial.state not in placed:
             continue
-        if row is None and (parameters := space.row(trial.params)) is not None:
+        if row is None and parameters is not None:
             row = lend(trial, parameters)
         if row is not None and parameters is not None:
             placed[trial.state].append((trial, parameters, row))
@@ -133,6 +132,26 @@ def read_history(
         tuple(unplaced),
         {name: fixed[name] for name in space.names if name in fixed},
     )
+
+
+def _looked_up(
+    trial: FrozenTrial, space: Space, table: Rows | None
+) -> tuple[int | None, Floats | None]:
+    """The row of a table that a trial is, and its parameters [d]; None for either it has not.
+
+    A finished trial stays as it is, and is looked up in a table once. Storages give the same object
+    for it each time; another object under its number (of another study) is looked up anew.
+    """
+    if table is None:
+        return None, space.row(trial.params)
+    known = table.looked_up.get(trial.number)
+    if known is not None and known[0] is trial:
+        return known[1:]
+    row = row_of(table, trial)
+    parameters = space.row(trial.params) if row is None else table.parameters[row]
+    if trial.state.is_finished():
+        table.looked_up[trial.number] = trial, row, parameters
+    return row, parameters
 
 
 def values_of(trial: FrozenTrial) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from optuna.distributions import BaseDistribution
+from optuna.trial import FrozenTrial
 
 from study.sampler.columns import Bounds, FileColumns, checked_columns, feature_matrix
 from study.sampler.space import Space, first_not_taken
@@ -92,6 +93,11 @@ class Rows:
         return self._known & self._first
 
     @cached_property
+    def looked_up(self) -> dict[int, tuple[FrozenTrial, int | None, Floats | None]]:
+        """Finished trials by number, each with the row that it is and its parameters [d]."""
+        return {}
+
+    @cached_property
     def unit(self) -> Floats:
         """Parameters in the unit cube, [n, e]."""
         return by_blocks(self.space.unit, self.parameters)
@@ -113,7 +119,10 @@ class Rows:
             if coordinates:
                 bare = self.points(by_order=by_order, coordinates=False)
                 return Points(bare.features, self.chosen_unit)
-            features = self.scale(by_order=by_order).standard(self._chosen(self.features))
+            if by_order:
+                features = self.scores.own
+            else:
+                features = self.standard.standard(self._chosen(self.features))
             return Points(features, np.empty((len(features), 0)))
 
         return self._once((by_order, coordinates), made)
@@ -154,6 +163,8 @@ class Rows:
 
         def made() -> int | None:
             own = self.space.distributions[column]
+            if own == suggested:
+                return None
             found = first_not_taken(own, self.parameters[:, column], suggested)
             let_go(self.parameters)
             return found

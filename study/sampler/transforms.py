@@ -13,7 +13,7 @@ other, which ends with the process; memory holds what is used.
 import mmap
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
@@ -28,7 +28,7 @@ from taichi_nmm.errors import InputError
 Floats = NDArray[np.float64]
 
 MOST_IN_MEMORY = 2**26  # numbers: 512 MiB
-BLOCK = 2**18  # rows at a time
+BLOCK = 2**13  # rows at a time, to stay in the cache
 LARGEST = float(np.finfo(np.float64).max)
 MOST = 2.0**500
 LEAST_GAPS = 0.02  # share of missing values from which having none is a feature of its own
@@ -156,26 +156,39 @@ class NormalScores:
         known: values of each feature in ascending order, k of them, without gaps.
         sd: of each column of scores, [k]; infinite where it has one value only.
         gaps: features whose gaps are a column, and the share of rows that has them.
+        own: the columns of the rows themselves, [n, k + gaps].
     """
 
     known: tuple[Floats, ...]
     sd: Floats
     gaps: tuple[tuple[int, float], ...]
+    own: Floats
 
     @classmethod
     def of(cls, features: Floats) -> "NormalScores":
         """The scores among rows [n, k]; infinities are the extreme values."""
-        missing = np.isnan(features)
-        known = tuple(
-            np.sort(column[~gap]) for column, gap in zip(features.T, missing.T, strict=True)
-        )
-        sd = np.array([_spread(values) for values in known])
+        n = len(features)
+        untied = _at_ranks(np.arange(1.0, n + 1.0), n)
+        known, sds, own = [], [], []
         gaps: dict[bytes, tuple[int, float]] = {}
-        for column, gap in enumerate(missing.T):
-            share = float(gap.mean()) if len(gap) else 0.0
+        for place, column in enumerate(features.T):
+            missing = np.isnan(column)
+            order = np.argsort(column)[: n - int(missing.sum())]  # gaps come last
+            values = column[order]
+            varies = len(values) > 0 and values[0] != values[-1]
+            scores = _of_ascending(values, untied) if varies else np.zeros(len(values))
+            sd = float(scores.std()) if varies else np.inf
+            standard = np.zeros(n)
+            standard[order] = scores / sd
+            share = float(missing.mean()) if n else 0.0
             if LEAST_GAPS < share < 1.0 - LEAST_GAPS:
-                gaps.setdefault(gap.tobytes(), (column, share))
-        return cls(known, sd, tuple(gaps.values()))
+                gaps.setdefault(missing.tobytes(), (place, share))
+            known.append(values)
+            sds.append(sd)
+            own.append(standard)
+        found = tuple(gaps.values())
+        columns = np.column_stack([*own, *_gap_columns(features, found)])
+        return cls(tuple(known), np.array(sds), found, columns)
 
     def standard(self, features: Floats) -> Floats:
         """By the order alone, also of values that no row had, [m, k + gaps]; a gap becomes 0."""
@@ -183,10 +196,7 @@ class NormalScores:
             np.where(np.isnan(column), 0.0, _scores(values, column) / sd)
             for column, values, sd in zip(features.T, self.known, self.sd, strict=True)
         ]
-        for column, share in self.gaps:
-            missing = np.isnan(features[:, column])
-            columns.append((missing - share) / sqrt(share * (1.0 - share)))
-        return np.column_stack(columns)
+        return np.column_stack([*columns, *_gap_columns(features, self.gaps)])
 
     @property
     def owners(self) -> tuple[int, ...]:
@@ -202,8 +212,29 @@ def scale_of(features: Floats, *, by_order: bool) -> Scale:
     return NormalScores.of(features) if by_order else Standard.of(features)
 
 
+def _gap_columns(features: Floats, gaps: Iterable[tuple[int, float]]) -> Iterator[Floats]:
+    """A column for each pattern of gaps: which rows [m, k] have them, in standard units, [m]."""
+    for column, share in gaps:
+        missing = np.isnan(features[:, column])
+        yield (missing - share) / sqrt(share * (1.0 - share))
+
+
+def _at_ranks(rank: Floats, n: int) -> Floats:
+    """Phi^-1((rank - 3/8) / (n + 1/4))."""
+    return np.asarray(scipy.special.ndtri((rank - 0.375) / (n + 0.25)))
+
+
+def _of_ascending(values: Floats, untied: Floats) -> Floats:
+    """Scores of ascending values among themselves; `untied`: those of all rows if none are tied."""
+    first = np.flatnonzero(np.append(True, values[1:] != values[:-1]))  # of equal ones
+    if len(first) == len(untied):
+        return untied
+    end = np.append(first[1:], len(values))
+    return np.repeat(_at_ranks(0.5 * (first + end + 1.0), len(values)), end - first)
+
+
 def _scores(known: Floats, values: Floats) -> Floats:
-    """Phi^-1((rank - 3/8) / (n + 1/4)) of values [m] among known ones [n], ascending."""
+    """Scores of values [m] among known ones [n], ascending."""
     if not len(known):
         return np.zeros(len(values))
     order = np.argsort(values)  # neighbours are looked up one after the other: five times as fast
@@ -211,15 +242,7 @@ def _scores(known: Floats, values: Floats) -> Floats:
     rank = np.empty(len(values))
     rank[order] = np.searchsorted(known, ascending, side="left")
     rank[order] += np.searchsorted(known, ascending, side="right")
-    rank = np.clip(0.5 * (rank + 1.0), 1.0, len(known))
-    return np.asarray(scipy.special.ndtri((rank - 0.375) / (len(known) + 0.25)))
-
-
-def _spread(known: Floats) -> float:
-    """Standard deviation of the scores of ascending values; infinite where all are equal."""
-    if not len(known) or known[0] == known[-1]:
-        return np.inf
-    return float(_scores(known, known).std())
+    return _at_ranks(np.clip(0.5 * (rank + 1.0), 1.0, len(known)), len(known))
 
 
 @dataclass(frozen=True)
@@ -308,9 +331,7 @@ def new_matrix(rows: int, columns: int) -> Floats:
 
 
 def by_blocks(function: Callable[[Floats], Floats], matrix: Floats) -> Floats:
-    """A function of the rows of a matrix, [n, e]; of a large one, block by block."""
-    if matrix.size <= MOST_IN_MEMORY:
-        return function(matrix)
+    """A function of the rows of a matrix, [n, e], block by block."""
     made = new_matrix(len(matrix), function(matrix[:1]).shape[1])
     for first in range(0, len(matrix), BLOCK):
         block = slice(first, first + BLOCK)

@@ -11,8 +11,9 @@ from optuna.distributions import FloatDistribution, IntDistribution
 from optuna.trial import TrialState
 
 from study import FeatureKernelSampler, FeatureTable
+from study.sampler import history
 from study.sampler.draws import Purpose, generator, turn
-from study.sampler.history import read_history
+from study.sampler.history import next_trial, read_history, row_of
 from study.sampler.random_sampler import ReproducibleRandomSampler
 from taichi_nmm.errors import InputError
 from tests.study.sampler.studies import kill, params_of, resumed, rows_of, study_of, without_warning
@@ -66,6 +67,27 @@ def test_history_takes_finished_trials_and_counts_all_rows(table):
     assert history.rows.tolist() == [0]
     assert history.cost.tolist() == [-2.5]
     assert history.unplaced == ()
+
+
+def test_a_finished_trial_is_looked_up_once_and_another_of_its_number_anew(table, monkeypatch):
+    rows, looked_up = table.rows, []
+
+    def counted(*given):
+        looked_up.append(given)
+        return row_of(*given)
+
+    monkeypatch.setattr(history, "row_of", counted)
+    one, other = optuna.create_study(), optuna.create_study(storage="sqlite://")
+    foreign = {"a": 0.123, "b": 2.0}
+    space = rows.space.as_dict()
+    for study, order in ((one, 1), (other, -1)):
+        for params in [rows.as_parameters(3), foreign][::order]:
+            study.add_trial(optuna.create_trial(params=params, distributions=space, value=1.0))
+    for study, counts in ((one, [2, 2]), (other, [4, 4]), (one, [6, 6])):
+        for count in counts:
+            found = read_history(study, next_trial(study), rows.space, rows)
+            assert (found.rows[found.rows >= 0].tolist(), len(found.rows)) == ([3], 2)
+            assert np.flatnonzero(found.tried).tolist() == [3] and len(looked_up) == count
 
 
 # A table's parameters, suggested otherwise: it works where the values fit.

@@ -75,7 +75,8 @@ def test_normal_scores_are_scipys_of_each_column_alone(seed):
     rows, others = (np.column_stack([drawn(n), drawn(n + 50)]) for n in (seed, seed + 100))
     others = np.concatenate([others, rows, [[-1e9, 1e9], [1e9, -1e9]]])  # on, between, beyond them
     scores = NormalScores.of(rows)
-    found, own = scores.standard(others), scores.standard(rows)
+    found, own = scores.standard(others), scores.own
+    assert np.array_equal(own, scores.standard(rows))  # to the bit
     for column in range(2):
         assert_allclose(found[:, column], blom(rows[:, column], others[:, column]), atol=1e-12)
         assert_allclose(own[~np.isnan(rows[:, column]), column].std(), 1.0)
