@@ -203,7 +203,7 @@ def open_store(path: str | Path, verify: bool = False, unfinished: bool = False)
     elif len({footer["specification_hash"] for footer in footers}) > 1:
         raise InputError("store", str(path), "a folder of shards of one store")
     specification = footers[0]["specification"]
-    columns = tuple(column.partition(":")[0] for column in specification["columns"])
+    columns = tuple(column.rpartition(":")[0] for column in specification["columns"])
     if verify:
         for file in files:
             _verify(file)
@@ -290,7 +290,7 @@ def check_specification(specification: Any, where: str) -> None:
     if not isinstance(specification, dict):
         raise InputError(where, specification, "a specification, which is an object")
     table = Table(specification, where)
-    columns = [column.partition(":")[0] for column in table.texts("columns")]
+    columns = [column.rpartition(":")[0] for column in table.texts("columns")]
     gains = table.table("gains")
     if not gains.unread or not set(gains.unread) <= set(columns):
         raise InputError(f"{where}.gains", list(gains.unread), "names of columns, one at least")

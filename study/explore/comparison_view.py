@@ -16,6 +16,7 @@ from bokeh.models import (
     Select,
     Spinner,
 )
+from bokeh.models.text import PlainText
 from bokeh.models.tools import PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 
@@ -110,7 +111,7 @@ class ComparisonView:
         setting = Setting(self._experiment, run)
         near = GRID_X_M <= SHOWN_M
         self._ground.data = {"x": GRID_X_M[near], "y": setting.terrain.height_m[near]}
-        self._profile.title.text = f"ground of run {run}: {setting.terrain.name}"
+        self._profile.title.text = PlainText(f"ground of run {run}: {setting.terrain.name}")
         self._robot.text = robot_table(setting)
         self._watch(gains, setting)
 

@@ -65,7 +65,7 @@ def page_of(path: Path) -> Page:
             document.add_root(message.layout)
             return
         document.title = title
-        head = Div(text=f"<b>{html.escape(title)}</b>")
+        head = Div(text=f"<b>{html.escape(title)}</b>", disable_math=True)
         document.add_root(column(row(head, message.layout), row(left, view.layout), margin=8))
         message.safely(begin)()
 

@@ -138,7 +138,9 @@ class Message:
     """One line of the page: refusals of the calls that its models make."""
 
     def __init__(self) -> None:
-        self.layout = Div(text="", name="message", height=20, styles={"color": WARNING})
+        self.layout = Div(
+            text="", name="message", height=20, styles={"color": WARNING}, disable_math=True
+        )
 
     def tell(self, text: str) -> None:
         """Show this in place of the text before."""

@@ -51,7 +51,7 @@ class Stage:
 
     def __init__(self, name: str) -> None:
         self.frames = ColumnDataSource({}, name=f"{name}-frames")
-        self.words = Div(text="", styles={"font-size": "13px"})
+        self.words = Div(text="", styles={"font-size": "13px"}, disable_math=True)
         self._near, self._far = points(5), points(5)
         self._trunk, self._head = points(2), points(1)
         colour = [COLOURS[0]] * MUSCLE_COUNT

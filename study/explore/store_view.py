@@ -27,6 +27,7 @@ from bokeh.models import (
     TableColumn,
     TextInput,
 )
+from bokeh.models.text import PlainText
 from bokeh.models.tools import BoxSelectTool, PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 from numpy.typing import NDArray
@@ -301,18 +302,20 @@ class StoreView:
             "chosen": np.zeros(BINS),
         }  # fmt: skip
         plot = self._histograms[slot]
-        plot.title.text = name
+        plot.title.text = PlainText(name)  # a name between dollars would be drawn as TeX
         plot.x_range.start, plot.x_range.end = low, high
         if slot < 2:
             axis = (self._cloud.xaxis, self._cloud.yaxis)[slot]
-            axis.axis_label = name
+            axis.axis_label = PlainText(name)
             span = (self._cloud.x_range, self._cloud.y_range)[slot]
             margin = MARGIN * (high - low)
             span.update(start=low - margin, end=high + margin, reset_start=low - margin,
                         reset_end=high + margin)  # fmt: skip
         if slot == 2:
-            self._cloud.title.text = f"colour: {name}, {low:.3g} (dark) to {high:.3g} (light)"
-        self._lines.xaxis.major_label_overrides = dict(enumerate(self._names))
+            self._cloud.title.text = PlainText(
+                f"colour: {name}, {low:.3g} (dark) to {high:.3g} (light)"
+            )
+        self._lines.xaxis.major_label_overrides = dict(enumerate(map(PlainText, self._names)))
         self._source.data[f"c{slot}"] = values  # last: it makes the script paint
 
     def _script(self) -> None:

@@ -81,7 +81,7 @@ class WalkView:
             {"name": [""], "content": [np.zeros(0, np.uint8)]}, name="save"
         )
         self._save.js_on_change("data", CustomJS.from_file(SCRIPTS / "save.mjs", source=self._save))
-        self._command = Div(text="", name="command", width=700)
+        self._command = Div(text="", name="command", width=700, disable_math=True)
         self._parts = {
             "gains": self._hands.layout, "score": self._score.layout,
             "stride beside people": self._cycle.layout, "take it with you": self._taking(),

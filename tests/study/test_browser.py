@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import optuna
 import pyarrow.compute as pc
 import pytest
 
@@ -24,6 +25,7 @@ from tests.study.comparison.fake_results import experiment, results
 pytestmark = pytest.mark.slow
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+SCRIPT = "<img src=x onerror=window.ran=1>"  # whoever writes to a database names its studies
 BARS = ".js-plotly-plot .scatterlayer .trace"  # a curve or a cloud of points of plotly
 
 
@@ -40,6 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         export(tiny, table, url, dashboard_summary, final=True)
         shown = pc.and_(pc.equal(table["arm"], "dog"), pc.equal(table["run"], 0))
         make_artifacts(tiny, table.filter(shown), url, out)
+    optuna.create_study(storage=url, study_name=SCRIPT)
     return out
 
 
@@ -71,6 +74,8 @@ def test_the_list_shows_the_studies(page: Any, address: str) -> None:
     page.goto(f"{address}/dashboard")
     for name in ("tiny/dog/run-000", "tiny/random/run-001", "tiny/summary"):
         page.get_by_text(name).first.wait_for()
+    page.get_by_text(SCRIPT).first.wait_for()  # as text
+    assert page.evaluate("window.ran") is None
     save(page, "list")
     page.get_by_placeholder("Search study").fill("random")
     page.get_by_text("tiny/dog/run-000").wait_for(state="detached")
