@@ -144,25 +144,20 @@ def _locked_folder(new: Path, folder: Path) -> Iterator[None]:
         os.close(held)
 
 
-def lock_now(held: int, path: Path, field: str = "out") -> None:
+def lock_now(held: int, path: Path, field: str = "out", taken: InputError | None = None) -> None:
     """Lock an open file or folder, of descriptor `held`, as long as it is open.
 
     Raises:
-        InputError: naming `path` as `field`: another process holds the lock, or the file system has
-            no locks.
+        InputError: `taken`, or one that names `path` as `field`: another process holds the lock; or
+            the file system has no locks, as some network and FUSE file systems (errors 37, 95).
     """
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise InputError(field, str(path), UNHELD) from None
+        raise taken or InputError(field, str(path), UNHELD) from None
     except OSError as error:
-        raise without_locks(field, path, error) from None
-
-
-def without_locks(field: str, path: Path, error: OSError) -> InputError:
-    """The refusal of a place that cannot be locked: some network and FUSE file systems (37, 95)."""
-    allowed = f"a place on a file system with locks, such as a local disk ({error.strerror})"
-    return InputError(field, str(path), allowed)
+        allowed = f"a place on a file system with locks, such as a local disk ({error.strerror})"
+        raise InputError(field, str(path), allowed) from None
 
 
 def require_writable(path: Path, field: str = "out") -> None:

@@ -4,16 +4,13 @@ Why not `concurrent.futures.ProcessPoolExecutor`? Its processes share two queues
 is killed in the middle of a result blocks all for ever (before Python 3.11.5, also one killed while
 the next call is being written; CPython issue 94777). And before Python 3.14 it cannot end a process
 in the middle of a call, while Taichi compiles for half a minute without listening. Here every
-process has a pair of sockets of its own. A pipe of `multiprocessing` would read a table in dozens
-of small pieces, wait for the lock of Python after each, and copy them.
+process has a pipe of its own.
 """
 
 import multiprocessing
 import os
 import pickle
 import signal
-import socket
-import struct
 import threading
 import traceback
 from collections import deque
@@ -21,6 +18,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from queue import SimpleQueue
 from typing import Any
@@ -28,7 +26,7 @@ from typing import Any
 # For the processes that are started: their BLAS reads it when NumPy is imported.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
-LENGTH = struct.Struct("!Q")
+END = b""  # told to a process: to end
 END_S = 10.0  # that an idle one may take
 
 
@@ -42,8 +40,8 @@ class Processes(Executor):
     def __init__(self, most: int) -> None:
         """None is started yet."""
         self._threads = ThreadPoolExecutor(most)  # one waits for each process
-        self._idle: deque[socket.socket] = deque()
-        self._started: dict[socket.socket, BaseProcess] = {}
+        self._idle: deque[Connection] = deque()
+        self._started: dict[Connection, BaseProcess] = {}
         self._lock = threading.Lock()  # of starting and ending
         self._over = False
         resource_tracker.ensure_running()  # it would unblock SIGINT within `_quiet_child`
@@ -66,7 +64,7 @@ class Processes(Executor):
         for pipe, process in self._started.items():
             if pipe in idle:
                 with suppress(OSError):
-                    _send(pipe)
+                    pipe.send_bytes(END)
             else:
                 process.kill()
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
@@ -79,9 +77,8 @@ class Processes(Executor):
         words = pickle.dumps(call)
         try:
             pipe = self._idle.pop() if self._idle else self._start()
-            _send(pipe, words)
-            answer, *buffers = _receive(pipe)
-            result, error = pickle.loads(answer, buffers=buffers)
+            pipe.send_bytes(words)
+            result, error = pickle.loads(pipe.recv_bytes())
         except (EOFError, OSError):
             raise BrokenExecutor("a process was killed") from None
         self._idle.append(pipe)
@@ -89,9 +86,9 @@ class Processes(Executor):
             raise error
         return result
 
-    def _start(self) -> socket.socket:
+    def _start(self) -> Connection:
         context = multiprocessing.get_context("spawn")  # a fork does not survive Taichi's threads
-        ours, theirs = socket.socketpair()
+        ours, theirs = context.Pipe()
         with self._lock, _quiet_child():
             if self._over:
                 raise BrokenExecutor("the processes have been ended")
@@ -102,67 +99,35 @@ class Processes(Executor):
         return ours
 
 
-def _serve(pipe: socket.socket) -> None:
+def _serve(pipe: Connection) -> None:
     """In a process: answer calls in the main thread, until told to end or the other is gone."""
-    calls: SimpleQueue[list[memoryview]] = SimpleQueue()
+    calls: SimpleQueue[bytes] = SimpleQueue()
 
     def listen() -> None:
         try:
-            while call := _receive(pipe):
+            while call := pipe.recv_bytes():
                 calls.put(call)
-            calls.put([])
+            calls.put(END)
         except (EOFError, OSError):
             os._exit(1)
 
     threading.Thread(target=listen, daemon=True).start()
     with suppress(OSError):
         while call := calls.get():
-            _send(pipe, *_answer(call[0]))
+            pipe.send_bytes(_answer(call))
     # A parent that ends first, as a worker of a cluster does, terminates its processes; but Taichi
     # writes compiled kernels at the very end of this one.
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
-def _answer(words: memoryview) -> list[bytes | memoryview]:
-    """Result and error of a call, one of them None; the data of arrays and tables is not copied."""
-    held: list[pickle.PickleBuffer] = []
+def _answer(words: bytes) -> bytes:
+    """Result and error of a call, one of them None."""
     try:
         function, args, kwargs = pickle.loads(words)
-        outcome = (function(*args, **kwargs), None)
-        answer = pickle.dumps(outcome, protocol=5, buffer_callback=held.append)
+        return pickle.dumps((function(*args, **kwargs), None), protocol=5)
     except Exception as error:
         error.add_note(f"In a worker: {traceback.format_exc()}")
-        return [pickle.dumps((None, error))]
-    return [answer, *(buffer.raw() for buffer in held)]
-
-
-def _send(pipe: socket.socket, *parts: bytes | memoryview) -> None:
-    """Send a message; one of no parts tells a process to end."""
-    lengths = [len(parts), *map(len, parts)]
-    for part in (b"".join(map(LENGTH.pack, lengths)), *parts):
-        pipe.sendall(part)
-
-
-def _receive(pipe: socket.socket) -> list[memoryview]:
-    """The parts of a message, which lie in memory of their own.
-
-    Raises:
-        EOFError: the other side is gone.
-    """
-    (count,) = LENGTH.unpack(_filled(pipe, LENGTH.size))
-    lengths = [length for (length,) in LENGTH.iter_unpack(_filled(pipe, count * LENGTH.size))]
-    return [_filled(pipe, length) for length in lengths]
-
-
-def _filled(pipe: socket.socket, size: int) -> memoryview:
-    whole = memoryview(bytearray(size))
-    left = whole
-    while left:
-        received = pipe.recv_into(left, 0, socket.MSG_WAITALL)
-        if not received:
-            raise EOFError
-        left = left[received:]
-    return whole
+        return pickle.dumps((None, error))
 
 
 @contextmanager

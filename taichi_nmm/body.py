@@ -4,8 +4,9 @@ Source: Geyer & Herr 2010, as in the walker T (80 kg, 1.80 m); disturbances: Ant
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,8 +45,38 @@ SEGMENT_NAMES: tuple[str, ...] = (
 LARGEST_DISTURBANCE = 0.15  # of mass and inertia; of half the length for the centre of mass
 
 
+class Rows:
+    """A batch of bodies or worlds: a child is a frozen dataclass of arrays with a row each."""
+
+    def __len__(self) -> int:
+        return len(next(iter(vars(self).values())))
+
+    def take(self, index: ArrayLike) -> Self:
+        """Those of these rows, in this order (rows may repeat)."""
+        rows = checks.row_numbers("index", index, len(self))
+        return type(self)(*(values[rows] for values in vars(self).values()))
+
+    @classmethod
+    def stacked(cls, worlds: Iterable[Self]) -> Self:
+        """Several batches as one; they may be of bodies as well."""
+        parts = checks.each(checks.instance(cls), least=1)(cls.__name__.lower(), worlds)
+        return cls(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
+
+    def _check_shapes(self, one: str, of_a_row: Callable[[str], tuple[int, ...]]) -> None:
+        """Take the arrays as float64; `one` is a row, and `of_a_row` the shape of a field's row."""
+        name = type(self).__name__.lower()
+        for key, given in vars(self).items():
+            values, shape = checks.numbers(f"{name}.{key}", given), of_a_row(key)
+            if values.ndim != 1 + len(shape) or values.shape[1:] != shape:
+                allowed = "[" + ", ".join(["n", *map(str, shape)]) + "]"
+                raise InputError(f"{name}.{key}.shape", values.shape, allowed)
+            object.__setattr__(self, key, values)
+        if len({len(values) for values in vars(self).values()}) != 1:
+            raise InputError(name, "arrays of different length", f"one row a {one} in each")
+
+
 @dataclass(frozen=True, eq=False)
-class Bodies:
+class Bodies(Rows):
     """A batch of bodies, one row each, segments in the order of `SEGMENT_NAMES`.
 
     Attributes:
@@ -59,24 +90,11 @@ class Bodies:
     com_m: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        for name in ("mass_kg", "inertia_kgm2", "com_m"):
-            values = checks.numbers(f"bodies.{name}", getattr(self, name))
-            if values.ndim != 2 or values.shape[1] != len(SEGMENTS):
-                raise InputError(f"bodies.{name}.shape", values.shape, f"[n, {len(SEGMENTS)}]")
+        self._check_shapes("body", lambda name: (len(SEGMENTS),))
+        for name, values in vars(self).items():
             checks.finite(f"bodies.{name}", values)
             if name != "com_m" and not np.all(values > 0):
                 raise InputError(f"bodies.{name}", float(values.min()), "positive numbers")
-            object.__setattr__(self, name, values)
-        if not len(self.mass_kg) == len(self.inertia_kgm2) == len(self.com_m):
-            raise InputError("bodies", "arrays of different length", "one row a body in each")
-
-    def __len__(self) -> int:
-        return len(self.mass_kg)
-
-    def take(self, index: ArrayLike) -> "Bodies":
-        """The bodies of these rows, in this order (rows may repeat)."""
-        rows = checks.row_numbers("index", index, len(self))
-        return Bodies(self.mass_kg[rows], self.inertia_kgm2[rows], self.com_m[rows])
 
     @staticmethod
     @checks.checked(count=checks.whole(0, checks.MOST_ROWS))

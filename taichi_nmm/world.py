@@ -7,9 +7,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from taichi_nmm import checks
+from taichi_nmm.body import Rows
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES
@@ -36,7 +37,7 @@ LIMITS: dict[str, Range] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Worlds:
+class Worlds(Rows):
     """A batch of worlds, one row each.
 
     Attributes:
@@ -63,27 +64,12 @@ class Worlds:
     noise_seed: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            name, expected = f"worlds.{each.name}", _size(each.name)
-            values = checks.numbers(name, getattr(self, each.name))
-            if values.ndim != 1 + len(expected) or values.shape[1:] != expected:
-                allowed = "[" + ", ".join(["n", *map(str, expected)]) + "]"
-                raise InputError(f"{name}.shape", values.shape, allowed)
-            low, high = LIMITS[each.name]
+        self._check_shapes("world", _size)
+        for name, values in vars(self).items():
+            low, high = LIMITS[name]
             outside = values[~((values >= low) & (values <= high))]
             if outside.size:
-                raise InputError(name, float(outside[0]), f"{low:g} to {high:g}")
-            object.__setattr__(self, each.name, values)
-        if len({len(getattr(self, each.name)) for each in fields(self)}) != 1:
-            raise InputError("worlds", "arrays of different length", "one row a world in each")
-
-    def __len__(self) -> int:
-        return len(self.friction)
-
-    def take(self, index: ArrayLike) -> "Worlds":
-        """The worlds of these rows, in this order (rows may repeat)."""
-        rows = checks.row_numbers("index", index, len(self))
-        return Worlds(*(getattr(self, each.name)[rows] for each in fields(self)))
+                raise InputError(f"worlds.{name}", float(outside[0]), f"{low:g} to {high:g}")
 
     @staticmethod
     @checks.checked(count=checks.whole(0, checks.MOST_ROWS))
@@ -91,15 +77,6 @@ class Worlds:
         """`count` worlds of the published walker."""
         one, zero, strength = np.ones(count), np.zeros(count), np.ones((count, MUSCLE_COUNT))
         return Worlds(one, one, FRICTION_COEFFICIENT * one, strength, zero, zero, zero)
-
-    @staticmethod
-    def stacked(worlds: Iterable["Worlds"]) -> "Worlds":
-        """Several batches as one."""
-        parts = checks.each(checks.instance(Worlds))("worlds", worlds)
-        if not parts:
-            raise InputError("worlds", "none", "one batch at least")
-        columns = ([getattr(part, each.name) for part in parts] for each in fields(Worlds))
-        return Worlds(*map(np.concatenate, columns))
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from distributed import Future as Remote
 from distributed.comm import CommClosedError
 from distributed.security import Security
 
-from storage.cluster.worker import Freight, Workplace, answer, let_in, packed
+from storage.cluster.worker import Workplace, answer, let_in, packed
 from storage.document import agree
 from storage.pool import KIND_NAME, Cluster, Kind, Pool, differences, own_kind
 from storage.processes import Processes
@@ -68,7 +68,8 @@ class Session(Executor):
         self._there: dict[str, int] = {}  # threads of the scheduler's workers, by address
         self._refused: dict[str, str] = {}  # reasons, by address
         self._met = threading.Event()
-        self._pending: dict[Future[Any], Remote] = {}
+        self._pending: dict[asyncio.Task[Any], Remote] = {}
+        self._fault = "a scheduler that stays"  # of a call that is cancelled
         client.loop.add_callback(self._watch)
 
     def places(self) -> int:
@@ -127,35 +128,36 @@ class Session(Executor):
             key=f"{fn.__name__}-{uuid.uuid4().hex}",
             resources={self.name: 1},
         )
-        future: Future[Any] = Future()
-        self._pending[future] = remote
-        self._client.loop.add_callback(self._follow, remote, future)
-        return future
+        loop = self._client.loop.asyncio_loop
+        return asyncio.run_coroutine_threadsafe(self._outcome(remote), loop)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Drop the calls that are not over."""
-        pending, self._pending = list(self._pending.values()), {}
-        if pending and self._client.status == "running":
-            self._client.cancel(pending, force=True)
+        if self._pending and self._client.status == "running":
+            self._client.cancel(list(self._pending.values()), force=True)
 
     async def _look(self) -> None:
         """Read the list of workers from the scheduler."""
         self._there = dict(await self._client.scheduler.ncores())
 
-    async def _follow(self, remote: Remote, future: Future[Any]) -> None:
-        outcome, error = None, None
+    async def _outcome(self, remote: Remote) -> Any:
+        """The result of a call, which is let go."""
+        call = asyncio.current_task()
+        assert call is not None
+        self._pending[call] = remote
         try:
-            outcome = pickle.loads(await remote)
-        except InputError as refused:
-            error = refused
+            return pickle.loads(await remote)
+        except InputError:
+            raise
         except (asyncio.CancelledError, CancelledError, CommClosedError):
-            error = self._given_up("a scheduler that stays")
+            allowed = self._fault
         except KilledWorker as killed:
-            deaths = killed.allowed_failures + 1
-            error = self._given_up(f"workers that live: a call took {deaths} with it")
+            allowed = f"workers that live: a call took {killed.allowed_failures + 1} with it"
         except Exception as failed:
-            error = self._given_up(f"calls that do not fail there ({_in_a_line(failed)})")
-        self._settle(future, outcome, error)
+            allowed = f"calls that do not fail there ({_in_a_line(failed)})"
+        finally:
+            del self._pending[call]
+        raise InputError("cluster", self._asked.address, f"{allowed}; {GOES_ON}")
 
     async def _watch(self) -> None:
         """Give up calls when there has been no worker for long, or no answer."""
@@ -174,19 +176,9 @@ class Session(Executor):
                 self._give_up(f"a cluster that is not without a worker for {WORKERLESS_S:.0f} s")
 
     def _give_up(self, allowed: str) -> None:
-        for future in list(self._pending):
-            self._settle(future, None, self._given_up(allowed))
-
-    def _given_up(self, allowed: str) -> InputError:
-        return InputError("cluster", self._asked.address, f"{allowed}; {GOES_ON}")
-
-    def _settle(self, future: Future[Any], outcome: Any, error: InputError | None) -> None:
-        """End a call, if it has not ended; the remote result is let go."""
-        if self._pending.pop(future, None) is not None:
-            if error is None:
-                future.set_result(outcome)
-            else:
-                future.set_exception(error)
+        self._fault = allowed
+        for call in list(self._pending):
+            call.cancel()
 
 
 @dataclass(frozen=True)
@@ -194,11 +186,11 @@ class ClusterPool(Pool):
     """A pool whose places come and go.
 
     Attributes:
-        freights: stores that workers have, by their paths here.
+        places: of stores in the folder that units run in, by their paths here.
     """
 
     executor: Session
-    freights: dict[Path, Freight] = field(default_factory=dict)
+    places: dict[Path, Path] = field(default_factory=dict)
 
     def room(self) -> int:
         """One unit a place, and one that waits there."""
@@ -206,7 +198,7 @@ class ClusterPool(Pool):
 
     def there(self, store: Path) -> Path:
         """Its place in the folder that units run in."""
-        return self.freights[store].place if store in self.freights else store
+        return self.places.get(store, store)
 
     def agree(self, folder: Path) -> None:
         """Write the kind into a folder that has none yet."""
@@ -236,12 +228,12 @@ def cluster_pool(
             that cannot be read.
     """
     describe = partial(own_kind, simulator, packages)
-    freights = {store: packed(store) for store in stores}
+    places = {store: Path("stores", str(place), "store") for place, store in enumerate(stores)}
+    freights = {place: packed(store) for store, place in places.items()}
     kind = None if asked.mixed or folder is None else folder_kind(folder, describe)
     with _scheduler(asked) as where, _client(asked, *where) as client:
         session = Session(client, asked, kind)
-        different = {freight.digest: freight for freight in freights.values()}
-        plugin = Workplace(session.name, describe, tuple(different.values()))
+        plugin = Workplace(session.name, describe, freights)
         try:
             with _failures(asked):
                 for left in client.run_on_scheduler(left_behind):
@@ -250,7 +242,7 @@ def cluster_pool(
                 client.register_plugin(plugin)
                 session.wait_for_one()
             slots = AHEAD * session.places()
-            yield ClusterPool(session, slots, asked.mixed, freights)
+            yield ClusterPool(session, slots, asked.mixed, places)
         finally:
             session.shutdown()
             with suppress(Exception):  # a scheduler that is gone, or stalls

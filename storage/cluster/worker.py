@@ -5,7 +5,6 @@ processes that end with the worker. A worker that is started again, or joins lat
 likewise. Workers share no disk with the command, so stores are sent to them.
 """
 
-import hashlib
 import io
 import multiprocessing
 import os
@@ -18,7 +17,6 @@ import traceback
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Future
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,56 +31,25 @@ from taichi_nmm.reading import reading
 LIVES = 3  # processes of a worker that a call may lose
 
 
-@dataclass(frozen=True)
-class Freight:
-    """A store, packed.
-
-    Attributes:
-        digest: SHA-256 of the package, by which workers keep it.
-        package: a tar of the store's files.
-    """
-
-    digest: str
-    package: bytes
-
-    @property
-    def place(self) -> Path:
-        """Where calls find the store, seen from the folder that they run in."""
-        return Path("stores", self.digest, "store")
-
-    def unpack(self, folder: Path) -> None:
-        """Lay the store down at its place in a folder; nothing where it is there."""
-        target = folder / self.place.parent
-        if target.exists():
-            return
-        with tarfile.open(fileobj=io.BytesIO(self.package)) as tar:
-            tar.extractall(target, filter="data")
-
-
-def packed(path: Path) -> Freight:
-    """A store's folder, or the one file that it is.
+def packed(store: Path) -> bytes:
+    """A tar of "store": a store's folder, or the one file that it is.
 
     Raises:
         InputError: a file of it cannot be read.
     """
     whole = io.BytesIO()
+    names = (MANIFEST_NAME, *Manifest.read(store).hashes) if store.is_dir() else ("",)
     with tarfile.open(fileobj=whole, mode="w") as tar:
-        if path.is_dir():
-            for name in (MANIFEST_NAME, *Manifest.read(path).hashes):
-                _add(tar, path / name, f"store/{name}")
-        else:
-            _add(tar, path, "store")
-    package = whole.getvalue()
-    return Freight(hashlib.sha256(package).hexdigest(), package)
+        for name in names:
+            with reading("store", store / name, "a file that can be read") as file:
+                tar.add(file, Path("store", name))
+    return whole.getvalue()
 
 
-def _add(tar: tarfile.TarFile, path: Path, name: str) -> None:
-    """Add the content alone: dates and owners would make two packages of one store."""
-    with reading("store", path, "a file that can be read") as file:
-        content = file.read_bytes()
-    about = tarfile.TarInfo(name)
-    about.size = len(content)
-    tar.addfile(about, io.BytesIO(content))
+def unpack(package: bytes, place: Path) -> None:
+    """Lay a store down at a place that is called "store"."""
+    with tarfile.open(fileobj=io.BytesIO(package)) as tar:
+        tar.extractall(place.parent, filter="data")
 
 
 def dask_setup(worker: Any) -> None:
@@ -97,11 +64,11 @@ class Workplace(WorkerPlugin):  # type: ignore[misc]
         session: name of the session: of this plugin, of its events, and of the resource that a
             worker offers once it is let in.
         describe: makes the worker's kind; called in one of the processes.
-        freights: stores that calls read.
+        freights: packed stores that calls read, by their places in the folder that these run in.
     """
 
     def __init__(
-        self, session: str, describe: Callable[[], Kind], freights: tuple[Freight, ...]
+        self, session: str, describe: Callable[[], Kind], freights: dict[Path, bytes]
     ) -> None:
         self.name = session
         self._describe = describe
@@ -115,10 +82,10 @@ class Workplace(WorkerPlugin):  # type: ignore[misc]
         self._folder = Path(worker.local_directory) / self.name
         self._folder.mkdir(parents=True, exist_ok=True)
         self._processes = Processes(worker.state.nthreads)
-        for freight in self._freights:
-            freight.unpack(self._folder)
+        for place, package in self._freights.items():
+            unpack(package, self._folder / place)
 
-        def introduce(done: "Future[memoryview]") -> None:
+        def introduce(done: "Future[bytes]") -> None:
             event = {"worker": worker.address}
             try:
                 event["kind"] = pickle.loads(done.result())
@@ -138,18 +105,18 @@ class Workplace(WorkerPlugin):  # type: ignore[misc]
 
         threading.Thread(target=end, daemon=True).start()
 
-    def answer(self, words: bytes) -> memoryview:
+    def answer(self, words: bytes) -> bytes:
         """Make a call in a process, and in another one where that is killed."""
         for _ in range(LIVES - 1):
             with suppress(BrokenExecutor):
                 return self._call(words).result()
         return self._call(words).result()
 
-    def _call(self, words: bytes) -> "Future[memoryview]":
+    def _call(self, words: bytes) -> "Future[bytes]":
         return self._processes.submit(_within, self._folder, words)
 
 
-def answer(session: str, words: bytes) -> memoryview:
+def answer(session: str, words: bytes) -> bytes:
     """On a worker: the result of a call, pickled."""
     plugin: Workplace = get_worker().plugins[session]
     return plugin.answer(words)
@@ -161,11 +128,8 @@ async def let_in(session: str, dask_worker: Worker | None = None) -> None:
         await dask_worker.set_resources(**{session: dask_worker.state.nthreads})
 
 
-def _within(folder: Path, words: bytes) -> pickle.PickleBuffer:
-    """In a process: make a call whose relative paths begin in the session's folder.
-
-    The result is pickled, in a buffer that is not copied on its way.
-    """
+def _within(folder: Path, words: bytes) -> bytes:
+    """In a process: the pickled result of a call whose relative paths begin in this folder."""
     os.chdir(folder)
     function, args = pickle.loads(words)
-    return pickle.PickleBuffer(pickle.dumps(function(*args), protocol=5))
+    return pickle.dumps(function(*args), protocol=5)

@@ -20,8 +20,8 @@ from optuna.storages import RDBStorage
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial
 
-from storage.databases.look import known_tables
 from storage.databases.postgresql import copy_rows
+from storage.databases.studies import known_tables
 
 Row = dict[str, Any]
 Tables = dict[str, sql.Table]
@@ -38,7 +38,7 @@ class FinishedStudy:
         trials: finished, without intermediate values, in the order of their numbers.
         first: number of the first of them; those before it are in the database already.
         user_attrs: of the study, plain values; written when the study is made.
-        metric: name of its objective; written where the study has none. Empty: none.
+        metric: name of its objective; written when the study is made. Empty: none.
     """
 
     name: str
@@ -148,7 +148,6 @@ def _batches(studies: Iterable[FinishedStudy]) -> Iterator[list[FinishedStudy]]:
 
 def _write(connection: sql.Connection, tables: Tables, batch: list[FinishedStudy]) -> int:
     ids = _study_ids(connection, tables, batch)
-    _name_metrics(connection, tables["study_system_attributes"], ids, batch)
     trials = tables["trials"].c
     counted = sql.select(trials.study_id, sql.func.count()).group_by(trials.study_id)
     counts = _pairs(connection, counted.where(trials.study_id.in_(ids.values())))
@@ -169,8 +168,7 @@ def _write(connection: sql.Connection, tables: Tables, batch: list[FinishedStudy
     for study_id, number, trial in fresh:
         for table, row in _rows_of(trial):
             rows[table].append({"trial_id": trial_ids[study_id, number]} | row)
-    for table, of_table in rows.items():
-        _insert(connection, tables[table], of_table)
+    _insert_all(connection, tables, rows)
     return len(fresh)
 
 
@@ -233,32 +231,15 @@ def _study_ids(
         _insert(connection, table, [{"study_name": study.name} for study in new])
         ids = _pairs(connection, select)
         direction = {"objective": 0, "direction": StudyDirection.MINIMIZE.name}
-        directions = [{"study_id": ids[study.name], **direction} for study in new]
-        _insert(connection, tables["study_directions"], directions)
-        attributes = [
-            {"study_id": ids[study.name], **row}
-            for study in new
-            for row in _attributes(study.user_attrs)
-        ]
-        _insert(connection, tables["study_user_attributes"], attributes)
+        rows: dict[str, list[Row]] = defaultdict(list)
+        for study in new:
+            own = {"study_id": ids[study.name]}
+            rows["study_directions"].append(own | direction)
+            rows["study_user_attributes"] += [own | row for row in _attributes(study.user_attrs)]
+            metric = {METRIC_ATTRIBUTE: [study.metric]} if study.metric else {}
+            rows["study_system_attributes"] += [own | row for row in _attributes(metric)]
+        _insert_all(connection, tables, rows)
     return ids
-
-
-def _name_metrics(
-    connection: sql.Connection, table: sql.Table, ids: dict[str, int], batch: list[FinishedStudy]
-) -> None:
-    """Name the objectives of those studies that have no name for theirs."""
-    query = sql.select(table.c.study_id).where(
-        table.c.key == METRIC_ATTRIBUTE, table.c.study_id.in_(ids.values())
-    )
-    named = set(connection.execute(query).scalars())
-    rows = [
-        {"study_id": ids[study.name], **row}
-        for study in batch
-        if study.metric and ids[study.name] not in named
-        for row in _attributes({METRIC_ATTRIBUTE: [study.metric]})
-    ]
-    _insert(connection, table, rows)
 
 
 def _lock(connection: sql.Connection, studies: sql.Table, names: list[str]) -> None:
@@ -279,3 +260,8 @@ def _insert(connection: sql.Connection, table: sql.Table, rows: list[Row]) -> No
         copy_rows(connection, table, rows)
     elif rows:
         connection.execute(sql.insert(table), rows)
+
+
+def _insert_all(connection: sql.Connection, tables: Tables, rows: dict[str, list[Row]]) -> None:
+    for name, of_table in rows.items():
+        _insert(connection, tables[name], of_table)

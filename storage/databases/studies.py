@@ -3,9 +3,10 @@
 On SQLite, write-ahead logging lets the dashboard read while a study writes, and with
 synchronous=NORMAL a trial of 16 parameters costs about 60 ms instead of 450. A crash of the machine
 may lose the last transactions, never the file.
+
+A database is looked at before it is opened: nothing of a refused one is changed.
 """
 
-import fcntl
 import os
 import sqlite3
 import stat
@@ -16,6 +17,7 @@ from contextlib import closing, contextmanager, suppress
 from json import JSONDecodeError
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import optuna
 import sqlalchemy as sql
@@ -27,17 +29,41 @@ from sqlalchemy.exc import SQLAlchemyError
 from storage import commit
 from storage.commit import remove_orphans, require_writable, writable
 from storage.databases import postgresql
-from storage.databases.look import looked_at, sqlite_options
 from storage.databases.postgresql import unusable
 from storage.databases.urls import FORMS, SQLITE, file_url, is_postgresql
 from storage.databases.urls import public_url as public_url
 from taichi_nmm.errors import InputError
 
-URL_PREFIX = SQLITE
 MEMORY_NAME = ":memory:"  # which SQLite takes for no file
 NO_RECORD = "Record does not exist."  # Optuna's KeyError for a study or trial that was deleted
 ALONE = "a study that no other program changes while it runs"
 BUSY_TIMEOUT_S = 5.0  # a writer of ours holds the database for milliseconds
+
+SCHEMA_VERSION = 12  # Optuna 3.0 to 5.0, with the column types of revision v3.2.0.a and later
+TABLES: dict[str, set[str]] = {  # with their columns
+    "studies": {"study_id", "study_name"},
+    "study_directions": {"study_direction_id", "direction", "study_id", "objective"},
+    "study_user_attributes": {"study_user_attribute_id", "study_id", "key", "value_json"},
+    "study_system_attributes": {"study_system_attribute_id", "study_id", "key", "value_json"},
+    "trials": {"trial_id", "number", "study_id", "state", "datetime_start", "datetime_complete"},
+    "trial_values": {"trial_value_id", "trial_id", "objective", "value", "value_type"},
+    "trial_params": {"param_id", "trial_id", "param_name", "param_value", "distribution_json"},
+    "trial_user_attributes": {"trial_user_attribute_id", "trial_id", "key", "value_json"},
+    "trial_system_attributes": {"trial_system_attribute_id", "trial_id", "key", "value_json"},
+    "trial_intermediate_values": {
+        "trial_intermediate_value_id", "trial_id", "step", "intermediate_value",
+        "intermediate_value_type",
+    },
+    "trial_heartbeats": {"trial_heartbeat_id", "trial_id", "heartbeat"},
+    "version_info": {"version_info_id", "schema_version", "library_version"},
+}  # fmt: skip
+REVISION_TABLE = "alembic_version"
+OWNED = ("study_directions", "study_user_attributes", "study_system_attributes", "trials")
+OF_TRIALS = tuple(
+    name for name, columns in TABLES.items() if "trial_id" in columns and name != "trials"
+)
+NAMES = ("study_name", "key", "param_name")  # columns of texts
+COUNTED = ("studies", "version_info", REVISION_TABLE)  # the last two have a row, which Optuna adds
 
 
 def open_studies(url: str) -> RDBStorage:
@@ -76,7 +102,7 @@ def read_studies(url: str) -> Iterator[RDBStorage | None]:
     """
     shown = shown_url(url)
     if is_postgresql(url):
-        with looked_at(url, shown, postgresql.READING_OPTIONS) as storage:
+        with _looked_at(url, shown, postgresql.READING_OPTIONS) as storage:
             yield storage
         return
     path = studies_path(url)
@@ -84,8 +110,154 @@ def read_studies(url: str) -> Iterator[RDBStorage | None]:
     if not path.exists():
         yield None
         return
-    with looked_at(URL_PREFIX, shown, sqlite_options(path, BUSY_TIMEOUT_S)) as storage:
+    with _looked_at(SQLITE, shown, _sqlite_options(path)) as storage:
         yield storage
+
+
+def known_tables(storage: RDBStorage) -> dict[str, sql.Table]:
+    """The database's tables by name, as they are there.
+
+    Raises:
+        InputError: the schema is of another version of Optuna.
+    """
+    metadata = sql.MetaData()
+    metadata.reflect(storage.engine, only=lambda name, _: name in TABLES)
+    version, found = metadata.tables.get("version_info"), "an unknown schema"
+    if version is not None and len(metadata.tables) == len(TABLES):
+        with storage.engine.connect() as connection:
+            number = connection.execute(sql.select(version.c.schema_version)).scalar()
+        if number == SCHEMA_VERSION:
+            return dict(metadata.tables)
+        found = f"schema {number}"
+    allowed = f"a database with Optuna's schema {SCHEMA_VERSION} (Optuna 5.0 makes such)"
+    raise InputError("storage", found, allowed)
+
+
+@contextmanager
+def _looked_at(url: str, shown: str, options: dict[str, Any]) -> Iterator[RDBStorage | None]:
+    """The studies of a database, to be read; None where it has no tables.
+
+    Optuna trusts a database, and raises any error where it is damaged: so whatever the block raises
+    is reported as the database's fault, in one line.
+
+    Args:
+        url: of the database.
+        shown: its name in messages.
+        options: of SQLAlchemy's engine; with them nothing can be written.
+
+    Raises:
+        InputError: not to be read, somebody else's, an Optuna schema of another version, or the
+            block raised.
+    """
+    storage = None
+    verbosity = optuna.logging.get_verbosity()
+    try:
+        engine = sql.create_engine(url, **options)
+        try:
+            with engine.connect() as connection:
+                empty = _is_empty(connection, shown)
+                if not empty:
+                    _check_texts(connection, shown)
+                    _check_owners(connection, shown)
+        finally:
+            engine.dispose()
+        if not empty:
+            storage = RDBStorage(url, engine_kwargs=dict(options), skip_table_creation=True)
+        optuna.logging.set_verbosity(optuna.logging.ERROR)  # no warnings about damaged values
+        yield storage
+    except InputError:
+        raise
+    except Exception as error:
+        raise unusable(shown, error) from None
+    finally:
+        optuna.logging.set_verbosity(verbosity)
+        if storage is not None:
+            storage.engine.dispose()
+
+
+def _is_empty(connection: sql.Connection, shown: str) -> bool:
+    """Whether there is nothing yet: no tables, or Optuna's without a study and without a version.
+
+    A killed process may leave such tables, and Optuna finishes them. A database of another program
+    is refused.
+    """
+    columns = {
+        name: {column["name"] for column in listed}
+        for (_, name), listed in sql.inspect(connection).get_multi_columns().items()
+    }
+    if not columns:
+        return True
+    complete = all(columns.get(name, set()) >= known for name, known in TABLES.items())
+    rows = {name: _count(connection, name) for name in COUNTED if complete and name in columns}
+    complete &= REVISION_TABLE in rows and rows["version_info"] == rows[REVISION_TABLE] == 1
+    empty = not complete and rows.get("studies") == 0 and max(rows.values()) <= 1
+    empty = empty and not any(_count(connection, name) for name in (*OWNED, *OF_TRIALS))
+    if not (complete or empty):
+        raise InputError("storage", shown, "an Optuna database, or an empty one, or a new file")
+    return empty
+
+
+def _check_texts(connection: sql.Connection, shown: str) -> None:
+    """Refuse a SQLite file with a damaged page, or with a number for a name.
+
+    By itself SQLite reads the pages that it needs, and keeps any value; Optuna compares names with
+    texts.
+    """
+    if connection.dialect.name != "sqlite":
+        return
+    said = str(connection.execute(sql.text("PRAGMA quick_check(1)")).scalar())
+    if said != "ok":
+        allowed = f"a database that SQLite finds whole ({said.splitlines()[-1]})"
+        raise InputError("storage", shown, allowed)
+    for table, columns in TABLES.items():
+        for name in columns.intersection(NAMES):
+            other = f"SELECT {name} FROM {table} WHERE typeof({name}) <> 'text' LIMIT 1"
+            for (found,) in connection.execute(sql.text(other)):
+                allowed = f"a database whose {table} have texts for {name}, not {found!r}"
+                raise InputError("storage", shown, allowed)
+
+
+def _check_owners(connection: sql.Connection, shown: str) -> None:
+    """Refuse rows of a study or a trial that is gone: they would be given to the next one.
+
+    Trials have many rows; only rows after the last trial matter.
+    """
+    known = "SELECT 1 FROM studies WHERE studies.study_id = owned.study_id"
+    last = "SELECT COALESCE(MAX(trial_id), 0) FROM trials"
+    for name in (*OWNED, *OF_TRIALS):
+        owner, gone = "study", f"NOT EXISTS ({known})"
+        if name in OF_TRIALS:
+            owner, gone = "trial", f"trial_id > ({last})"
+        query = sql.text(f"SELECT 1 FROM {name} AS owned WHERE {gone} LIMIT 1")
+        if connection.execute(query).first():
+            allowed = f"a database without rows in {name} of a {owner} that is not there"
+            raise InputError("storage", shown, allowed)
+
+
+def _count(connection: sql.Connection, table: str) -> int:
+    query = sql.select(sql.func.count()).select_from(sql.table(table))
+    return int(connection.execute(query).scalar_one())
+
+
+def _sqlite_options(path: Path) -> dict[str, Any]:
+    """Options of an engine that reads a SQLite file.
+
+    When SQLite reads a database in WAL mode, it leaves files beside it, unless the database is
+    immutable: which it is, for a moment, where there is no log beside it. A journal that a crash
+    left is rolled back by SQLite before anything can be read.
+    """
+
+    def beside(ending: str) -> bool:
+        return path.with_name(path.name + ending).exists()
+
+    mode = "mode=ro" if beside("-wal") else "mode=ro&immutable=1"
+    name = quote(os.fsencode(path.absolute()).lstrip(b"/"))
+    uri = f"file:///{name}?{'mode=rw' if beside('-journal') else mode}"
+
+    def creator() -> sqlite3.Connection:
+        return sqlite3.connect(uri, uri=True, timeout=BUSY_TIMEOUT_S, check_same_thread=False)
+
+    return {"creator": creator, "poolclass": sql.NullPool}
 
 
 def shown_url(url: str) -> str:
@@ -97,7 +269,7 @@ def shown_url(url: str) -> str:
     if is_postgresql(url):
         return postgresql.require_server(url)
     studies_path(url)
-    return public_url(url).removeprefix(URL_PREFIX)
+    return public_url(url).removeprefix(SQLITE)
 
 
 def studies_path(url: str) -> Path:
@@ -106,15 +278,15 @@ def studies_path(url: str) -> Path:
     Raises:
         InputError: it names none, or something else than a file.
     """
-    name, shown = url.removeprefix(URL_PREFIX), public_url(url)
+    name, shown = url.removeprefix(SQLITE), public_url(url)
     if name == url or not name or "?" in name:
         raise InputError("storage", shown, FORMS)
     path = Path(sql.make_url(url).database or "")  # which undoes %20 and its like
     if "\0" in str(path) or path.name == MEMORY_NAME:
         raise InputError("storage", shown, FORMS)
-    with writable(Path(shown.removeprefix(URL_PREFIX)), "storage"), suppress(FileNotFoundError):
+    with writable(Path(shown.removeprefix(SQLITE)), "storage"), suppress(FileNotFoundError):
         if not stat.S_ISREG(path.stat().st_mode):
-            raise InputError("storage", shown.removeprefix(URL_PREFIX), "a file, not a folder")
+            raise InputError("storage", shown.removeprefix(SQLITE), "a file, not a folder")
     return path
 
 
@@ -174,12 +346,7 @@ def only_run(url: str, study_name: str) -> Iterator[None]:
     except OSError as error:
         raise unusable(shown_url(url), error) from None
     with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise taken from None
-        except OSError as error:
-            raise commit.without_locks("storage", lock, error) from None
+        commit.lock_now(file.fileno(), lock, "storage", taken)
         yield
 
 

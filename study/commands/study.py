@@ -22,7 +22,7 @@ import optuna
 from optuna.trial import FrozenTrial, TrialState
 
 from storage.commit import commit_json, writable
-from storage.databases.crew import Crew
+from storage.databases.postgresql import Crew
 from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.databases.urls import is_postgresql, public_url
 from study.comparison.folder import live_artifacts

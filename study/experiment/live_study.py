@@ -26,7 +26,7 @@ from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
 from storage.commit import require_folder
-from storage.databases.crew import Crew
+from storage.databases.postgresql import Crew
 from storage.databases.studies import name_metric, read_studies, require_lockable
 from storage.document import difference
 from study.experiment.arms import Arm

@@ -1,7 +1,6 @@
 """Trials of an experiment: simulated as one batch, what they cost, and whether they walked."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -53,15 +52,13 @@ def simulate_trials(
     """
     numbers, index = np.unique(np.asarray(runs, dtype=np.int64), return_inverse=True)
     different = numbers.tolist()
-    bodies = [experiment.body(run) for run in different]
-    columns = ([getattr(body, each.name) for body in bodies] for each in fields(Bodies))
     rows = range(len(gains)) if record is True else record or ()
     conditions = experiment.conditions
     own, low_level = split_points(gains, experiment.parameters[len(GAINS) :])
     return taichi_nmm.simulate(
         own,
         duration_s=conditions.duration_s if duration_s is None else duration_s,
-        bodies=Bodies(*map(np.vstack, columns)).take(index),
+        bodies=Bodies.stacked(experiment.body(run) for run in different).take(index),
         worlds=Worlds.stacked(experiment.world(run) for run in different).take(index),
         terrains=[experiment.terrain(run) for run in different],
         terrain_index=index.astype(np.int32),

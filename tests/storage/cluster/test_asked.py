@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 import taichi_nmm
-from storage.cluster.worker import packed
+from storage.cluster.worker import packed, unpack
 from storage.pool import Cluster, differences, own_kind, processor
 from storage.precompute import precompute
 from storage.store import open_store
@@ -72,15 +72,12 @@ def test_a_store_is_packed_and_unpacked(tmp_path: Path) -> None:
     precompute(fake.specification(), store)
     (store / "mine.txt").write_text("stays here")
     (tmp_path / "elsewhere").mkdir()
-    freight = packed(store)
-    for _ in range(2):
-        freight.unpack(tmp_path / "elsewhere")
-    found = open_store(tmp_path / "elsewhere" / freight.place, verify=True)
+    unpack(packed(store), tmp_path / "elsewhere" / "store")
+    found = open_store(tmp_path / "elsewhere" / "store", verify=True)
     assert found.table().equals(open_store(store).table())
-    assert packed(found.path) == freight
-    one = packed(store / "part-00000.parquet")
-    one.unpack(tmp_path / "elsewhere")
-    assert len(open_store(tmp_path / "elsewhere" / one.place)) == 8
+    assert not (found.path / "mine.txt").exists()
+    unpack(packed(store / "part-00000.parquet"), tmp_path / "one" / "store")
+    assert len(open_store(tmp_path / "one" / "store")) == 8
     with pytest.raises(InputError, match=r"part-00001\.parquet"):
         (store / "part-00001.parquet").unlink()
         packed(store)

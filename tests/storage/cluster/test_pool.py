@@ -1,5 +1,6 @@
 """Calls on a real scheduler's real workers, any of which may be killed."""
 
+import asyncio
 import json
 import os
 import signal
@@ -119,8 +120,8 @@ def test_a_connection_that_breaks_under_an_answer_is_the_schedulers(lent: Open) 
 
     with lent() as pool:
         executor: Any = pool.executor
-        future = executor.submit(units.asleep, 60.0)
-        executor._client.loop.add_callback(executor._follow, broken(), future)
+        loop = executor._client.loop.asyncio_loop
+        future = asyncio.run_coroutine_threadsafe(executor._outcome(broken()), loop)
         with pytest.raises(InputError, match="a scheduler that stays; the same command"):
             future.result(60.0)
 

@@ -13,8 +13,8 @@ import sqlalchemy as sql
 from optuna.storages import RDBStorage
 from optuna.trial import TrialState
 
-from storage.databases import crew
-from storage.databases.crew import Crew
+from storage.databases import postgresql
+from storage.databases.postgresql import Crew
 from storage.databases.studies import only_run, open_studies
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
@@ -29,7 +29,7 @@ TRIALS = 60
 STUDY = """
 import sys, time
 import taichi_nmm
-from storage.databases import crew
+from storage.databases import postgresql
 from study.cli import main
 from tests.study import fake_walker
 
@@ -37,7 +37,7 @@ def simulate(*args, **options):
     time.sleep(0.1)
     return fake_walker.simulate(*args, **options)
 
-crew.BEAT_S, crew.GRACE_S = 0.5, 4.0
+postgresql.BEAT_S, postgresql.GRACE_S = 0.5, 4.0
 vars(taichi_nmm)["simulate"] = simulate
 main(["study", *sys.argv[1:]])
 """
@@ -106,8 +106,8 @@ def test_a_new_file_is_opened_by_four_processes_at_once(tmp_path: Path) -> None:
 
 
 def test_a_trial_without_a_heart_is_dead(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(crew, "BEAT_S", 0.1)
-    monkeypatch.setattr(crew, "GRACE_S", grace_s := 3.0)  # a busy machine may miss some beats
+    monkeypatch.setattr(postgresql, "BEAT_S", 0.1)
+    monkeypatch.setattr(postgresql, "GRACE_S", grace_s := 3.0)  # a busy machine may miss some beats
     storage = open_studies(url)
     study = optuna.create_study(storage=storage, study_name="a")
     other = optuna.create_study(storage=storage, study_name="b")
@@ -130,7 +130,7 @@ def test_a_trial_without_a_heart_is_dead(url: str, monkeypatch: pytest.MonkeyPat
 
 def silence_s(storage: RDBStorage) -> float:
     """Since the one heart's last beat, by the server's clock."""
-    age = f"SELECT extract(epoch FROM {crew.NOW} - heartbeat) FROM trial_heartbeats"
+    age = f"SELECT extract(epoch FROM {postgresql.NOW} - heartbeat) FROM trial_heartbeats"
     with storage.engine.connect() as connection:
         return float(connection.execute(sql.text(age)).scalar_one())
 
@@ -142,7 +142,7 @@ def test_who_is_alone_takes_what_runs_for_dead(url: str, monkeypatch: pytest.Mon
         assert mine.dead() == []
     with Crew.joined(url, "a") as next_one:  # at once: nobody else can have it
         assert next_one.dead() == [number]
-    monkeypatch.setattr(crew, "JOIN_S", 1)
+    monkeypatch.setattr(postgresql, "JOIN_S", 1)
     refused = pytest.raises(InputError, match=r"^study: 'a' .* one is running this one")
     with only_run(url, "a"), Crew.joined(url, "b"), refused, Crew.joined(url, "a"):
         pass

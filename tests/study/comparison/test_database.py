@@ -1,8 +1,6 @@
 """Results of an experiment as studies that Optuna and its dashboard read."""
 
 import json
-import sqlite3
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,7 @@ import pytest
 from optuna_dashboard import get_note
 from optuna_dashboard._custom_plot_data import get_plotly_graph_objects
 
-from storage.databases.bulk import METRIC_ATTRIBUTE, study_ids, trial_counts
+from storage.databases.bulk import study_ids, trial_counts
 from storage.databases.studies import open_studies
 from study.comparison.database import check_database, export
 from study.comparison.folder import as_if_gone_on
@@ -58,13 +56,10 @@ def test_every_arm_and_run_is_a_study(url: str, tmp_path: Path) -> None:
 
 
 def test_studies_say_what_their_objective_is_called(url: str, tmp_path: Path) -> None:
-    """Also those of a database from before they did; a name of the user's stays."""
+    """A name of the user's stays."""
     put(url, results(TINY), final=False)
     names = (*SIX, "tiny/summary")
     assert [load(url, name).metric_names for name in names] == [["smooth_cost"]] * len(names)
-    with closing(sqlite3.connect(tmp_path / "studies.db")) as older:
-        older.execute(f"DELETE FROM study_system_attributes WHERE key = '{METRIC_ATTRIBUTE}'")
-        older.commit()
     load(url, SIX[1]).set_metric_names(["mine"])
     put(url, results(TINY))
     assert load(url, SIX[1]).metric_names == ["mine"]
