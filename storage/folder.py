@@ -46,11 +46,19 @@ class Folder:
     def claim(cls, path: Path, document: dict[str, Any], fresh: bool = False) -> Iterator[Self]:
         """Hold the folder: new, or begun with the same document, or emptied by `fresh`.
 
+        Files that were never finished are removed.
+
         Raises:
             InputError: in use by another process, of something else, of another document, or not
                 writable.
         """
-        with claimed(path, cls.FIRST, cls.KIND):
+        cls._require_claimable(path)
+        with writable(path):
+            path.mkdir(parents=True, exist_ok=True)
+            lock = (path / LOCK_NAME).open("a")  # never removed: another process may hold it
+        with lock:
+            lock_now(lock.fileno(), path)
+            remove(path, UNFINISHED)
             for pattern in (cls.FIRST, *cls.FILES):  # a folder would be met after the work
                 for file in sorted(path.glob(pattern)):
                     if file.is_dir():
@@ -67,7 +75,7 @@ class Folder:
         Raises:
             InputError: of something else, of another document, or not writable.
         """
-        _require_claimable(path, cls.FIRST, cls.KIND)
+        cls._require_claimable(path)
         return cls(path, cls._agree(path, document, write=False))
 
     def read_state(self, name: str, schema: pa.Schema, content: str) -> pa.Table:
@@ -94,44 +102,20 @@ class Folder:
         write_stamped(self.path / name, table, self.document)
 
     @classmethod
+    def _require_claimable(cls, path: Path) -> None:
+        """Refuse a folder that holds something else, whose files would be overwritten."""
+        with writable(path):
+            require_folder(path)
+            names = {file.name for file in path.iterdir()} if path.is_dir() else set()
+        foreign = sorted(names - {LOCK_NAME, *fnmatch.filter(names, UNFINISHED)})
+        if foreign and cls.FIRST not in names:
+            allowed = f"an empty folder or {cls.KIND} (this has {foreign[0]})"
+            raise InputError("out", str(path), allowed)
+
+    @classmethod
     def _agree(cls, path: Path, document: dict[str, Any], write: bool = True) -> dict[str, Any]:
         file, growing = path / cls.FIRST, cls.GROWING
         return agree(file, document, growing=growing, remedy=cls.REMEDY, write=write)
-
-
-@contextmanager
-def claimed(path: Path, first: str, kind: str) -> Iterator[None]:
-    """Hold a folder, made where it is missing, and remove files that were never finished.
-
-    Args:
-        path: of the folder.
-        first: the file that the work writes first.
-        kind: what such a folder is, for messages: "a store".
-
-    Raises:
-        InputError: in use by another process, not empty and without the first file, or not
-            writable.
-    """
-    _require_claimable(path, first, kind)
-    with writable(path):
-        path.mkdir(parents=True, exist_ok=True)
-        lock = (path / LOCK_NAME).open("a")  # never removed: another process may hold it
-    with lock:
-        lock_now(lock.fileno(), path)
-        remove(path, UNFINISHED)
-        yield
-
-
-def _require_claimable(path: Path, first: str, kind: str) -> None:
-    """Refuse a folder that holds something else, whose files would be overwritten."""
-    with writable(path):
-        require_folder(path)
-        names = {file.name for file in path.iterdir()} if path.is_dir() else set()
-    if first not in names:
-        foreign = sorted(names - {LOCK_NAME, *fnmatch.filter(names, UNFINISHED)})
-        if foreign:
-            allowed = f"an empty folder or {kind} (this has {foreign[0]})"
-            raise InputError("out", str(path), allowed)
 
 
 def remove(path: Path, *patterns: str) -> None:

@@ -8,7 +8,6 @@ import asyncio
 import logging
 import pickle
 import sys
-import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
@@ -67,7 +66,6 @@ class Session(Executor):
         self._inside: set[str] = set()
         self._there: dict[str, int] = {}  # threads of the scheduler's workers, by address
         self._refused: dict[str, str] = {}  # reasons, by address
-        self._met = threading.Event()
         self._pending: dict[asyncio.Task[Any], Remote] = {}
         self._fault = "a scheduler that stays"  # of a call that is cancelled
         client.loop.add_callback(self._watch)
@@ -96,7 +94,6 @@ class Session(Executor):
             await self._client.run(let_in, self.name, workers=[address])
             self._inside.add(address)
             await self._look()
-        self._met.set()
 
     def wait_for_one(self) -> None:
         """Return when a worker is in.
@@ -114,8 +111,7 @@ class Session(Executor):
             if time.monotonic() - began_s > START_S:
                 allowed = f"a scheduler that has a worker within {START_S:.0f} s"
                 raise InputError("cluster", self._asked.address, allowed)
-            self._met.wait(POLL_S)
-            self._met.clear()
+            time.sleep(POLL_S)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call a function of an importable module on some worker; arguments by place alone."""

@@ -12,7 +12,6 @@ import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
-from storage.folder import claimed
 from storage.tables import write_stamped
 from study.comparison import compare, optimum
 from study.comparison.optimum import CUT, asked_gains, ended, new_run
@@ -197,7 +196,7 @@ def test_a_folder_of_somebody_else_or_of_another_process(command: Search) -> Non
     command.refuses("out: ")
     assert [path.name for path in command.out.iterdir()] == ["thesis.tex"]
     filled = command.folder / "filled"
-    with claimed(filled, "search.json", "one of this command"):
+    with optimum.OptimumFolder.claim(filled, {}):
         command.refuses(".*no other process", out=filled)
 
 
