@@ -115,6 +115,9 @@ def _one_line() -> Iterator[None]:
     except MemoryError:
         _leave_refused(os.strerror(errno.ENOMEM), MEMORY)
     except OSError as error:
+        if error.errno == errno.EACCES and error.filename is not None:
+            refused = InputError("file", str(error.filename), "a file that this user may use")
+            _leave(f"error: {refused}", EXIT_BAD_INPUT)
         if error.errno not in REFUSALS:
             raise  # a mistake of ours
         try:

@@ -138,6 +138,19 @@ def test_a_read_only_folder_is_one_line_and_nothing_is_left(folder: Path, comman
     assert [path.name for path in folder.iterdir()] == ["toy.toml"]
 
 
+@pytest.mark.parametrize("command", [
+    ("explore", "store", "--no-browser", "--port", 0), ("report", "store"), ("draw-store", "store"),
+    ("walk", "--store", "store", "--row", 0), ("walk", "--gains", "store/manifest.json"),
+    ("precompute", "--config", "store/toy.toml"), (*COMPARE[:-1], "store/out"),
+])  # fmt: skip
+def test_a_folder_of_somebody_else_is_one_line(made: Path, folder: Path, command: Words) -> None:
+    shutil.copytree(made / "store", folder / "store")
+    (folder / "store").chmod(0o000)
+    done = run(command, without_the_rights_of_root())
+    (folder / "store").chmod(0o755)
+    assert (done.code, done.out, len(done.lines)) == (2, "", 1), done.error
+
+
 @contextmanager
 def stopped(command: Iterable[object]) -> Iterator[None]:
     """A command that is stopped in its second simulation; after the block it goes on to its end."""
