@@ -174,6 +174,13 @@ def by_study(table: pa.Table) -> Iterator[tuple[str, int, pa.Table]]:
         yield *keys[start], ordered.slice(start, end - start)
 
 
+def table_files(folder: Path) -> list[Path]:
+    """The final table of a comparison, if there is one, and the checkpoints of its arms."""
+    final = folder / RESULTS_NAME
+    checkpoints = sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))
+    return [*([final] if final.exists() else []), *checkpoints]
+
+
 def live_artifacts(url: str, out: Path) -> Path:
     """The folder of pictures of live studies: beside their database's file, or else in `out`.
 

@@ -17,7 +17,7 @@ from storage.databases.studies import read_studies, shown_url, studies_path
 from storage.databases.urls import SQLITE
 from storage.store import Store, open_store
 from storage.tables import read_columns
-from study.comparison.folder import ARMS_NAME, RESULTS_NAME
+from study.comparison.folder import RESULTS_NAME, table_files
 from study.experiment.experiment import Experiment
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
@@ -107,8 +107,7 @@ def gains_of_trial(trial: str, where: str) -> NamedGains:
 
 
 def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
-    final = folder / RESULTS_NAME
-    paths = [final] if final.is_file() else sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))
+    paths = table_files(folder)
     if not paths:
         raise InputError("storage", str(folder), f"a comparison's folder, with {RESULTS_NAME}")
     named = TRIAL.fullmatch(trial)
@@ -123,7 +122,7 @@ def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
             if len(table):
                 row: dict[str, Any] = table.to_pylist()[0]
                 return row
-    where = final if final in paths else folder / ARMS_NAME
+    where = paths[0] if paths[0].parent == folder else paths[0].parent
     raise InputError("trial", trial, f"a finished trial of {where}: {TRIAL_FORM}")
 
 

@@ -1,23 +1,22 @@
 """A strip of stick figures over the ground they walk on, to scale."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from study.pictures import style
 from study.pictures.stick_figure import (
     LEFT,
-    StickFigure,
     activation_bar,
     at_times,
-    draw_ground,
-    draw_profile,
+    draw_walker,
     finite,
     last_metres,
     leg,
@@ -36,6 +35,7 @@ ABOVE_HIP_M = 0.95
 BELOW_GROUND_M = 0.16
 SCALE_IN_PER_M = 1.12
 KEY = f"Left leg in front. Thin: left leg every {1e3 * GHOST_INTERVAL_S:.0f} ms. Blue: hip."
+GROUND_LAYER = 100.0  # over the soles: a foot is a line, and half its drawn width is below it
 LEVEL_M = 0.01  # ground that varies by less is level
 
 
@@ -61,8 +61,8 @@ class Stretch:
         low_x, high_x, low_z, high_z = self.frame
         return high_x - low_x, high_z - low_z
 
-    def draw(self, axes: Axes, hip_colour: str) -> StickFigure:
-        """Draw poses, ghosts and ground to the frame; the last pose is returned."""
+    def draw(self, axes: Axes, hip_colour: str) -> PolyCollection:
+        """Draw poses, ghosts and ground to the frame; return muscles, for `activation_bar`."""
         style.tidy(axes)
         axes.grid(False)
         low_x, high_x, low_z, high_z = self.frame
@@ -70,13 +70,12 @@ class Stretch:
         q = at_times(self.trajectory, self.trajectory.q, self.poses_s)
         activation = at_times(self.trajectory, self.trajectory.activation, self.poses_s)
         for number in range(len(q)):
-            figure = StickFigure(axes, layer=3.0 + number)
-            figure.pose(q[number], activation[number])
+            muscles = draw_walker(axes, q[number], activation[number], layer=3.0 + number)
         self._draw_ghosts(axes, hip_colour)
         x = np.linspace(low_x, high_x, 2000)
-        draw_ground(axes, x, self.terrain.height(x), low_z)
+        _draw_ground(axes, x, self.terrain.height(x), low_z)
         axes.set_ylabel("height (m)", fontsize=style.TEXT_PT, color=style.INK)
-        return figure
+        return muscles
 
     def _draw_ghosts(self, axes: Axes, hip_colour: str) -> None:
         """The left leg and the hip's path between the poses, as in a chronophotograph."""
@@ -148,7 +147,8 @@ def write_strip(
     figure, axes, bar, profile = _layout(shown.size_m, bool(np.ptp(ground) > LEVEL_M), dpi)
     activation_bar(bar, shown.draw(axes, style.MODEL))
     if profile is not None:
-        _draw_profile(profile, shown)
+        draw_profile(profile, [shown], [style.MODEL])
+        profile.set_xlabel("from the start: distance (m)", fontsize=style.TEXT_PT, color=style.INK)
     axes.set_title(title, loc="left", fontsize=style.TITLE_PT, color=style.INK, pad=20)
     axes.text(0.0, 1.012, KEY, transform=axes.transAxes, fontsize=style.SMALL_PT, color=style.INK)
     return style.save_png(figure, path)
@@ -172,11 +172,23 @@ def _layout(
     return figure, axes, bar, profile
 
 
-def _draw_profile(axes: Axes, shown: Stretch) -> None:
-    """The ground of the whole walk, with the part above marked."""
-    q = shown.trajectory.q
-    x = np.linspace(q[0, 0], q[:, 0].max() + 1.0, 4000)
-    height = shown.terrain.height(x)
-    draw_profile(axes, x, height, margin_m=0.1 * np.ptp(height))
-    axes.axvspan(*shown.frame[:2], color=style.MODEL, alpha=0.18, linewidth=0, zorder=3)
-    axes.set_xlabel("from the start: distance (m)", fontsize=style.TEXT_PT, color=style.INK)
+def draw_profile(axes: Axes, parts: Sequence[Stretch], colours: Sequence[str]) -> None:
+    """The ground as far as walks on it came, small, with the stretches marked in their colours."""
+    low = min(min(part.trajectory.q[0, 0], part.frame[0]) for part in parts)
+    high = max(max(part.trajectory.q[:, 0].max() + 1.0, part.frame[1]) for part in parts)
+    x = np.linspace(low, high, 4000)
+    height = parts[0].terrain.height(x)
+    margin = 0.1 * max(float(np.ptp(height)), 0.5)
+    bottom = height.min() - margin
+    style.tidy(axes)
+    _draw_ground(axes, x, height, bottom)
+    axes.set(xlim=(low, high), ylim=(bottom, height.max() + margin))
+    axes.set_ylabel("ground (m)", fontsize=style.TEXT_PT, color=style.INK)
+    for part, colour in zip(parts, colours, strict=True):
+        axes.axvspan(*part.frame[:2], color=colour, alpha=0.25, linewidth=0, zorder=3)
+
+
+def _draw_ground(axes: Axes, x_m: Array, height_m: Array, bottom_m: float) -> None:
+    """The ground's profile, filled down to `bottom_m`."""
+    axes.fill_between(x_m, height_m, bottom_m, color=style.GROUND, linewidth=0, zorder=GROUND_LAYER)
+    axes.plot(x_m, height_m, color=style.INK, linewidth=1.0, zorder=GROUND_LAYER)

@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from scipy.optimize import isotonic_regression
 
 from storage.commit import commit
 from study.experiment.arms import BEST_ARM, PAPER_ARM
@@ -168,21 +169,13 @@ def spread_out(places: Sequence[float], apart: float, low: float, high: float) -
 
     Places that push each other form a group about the mean of their own places.
     """
-    span = apart * (len(places) - 1)
-    high = max(high, low + span)
-    groups: list[tuple[float, int]] = []  # mean place of the group's first, members
-    for place in places:
-        mean, size = float(place), 1
-        while groups and groups[-1][0] + groups[-1][1] * apart > mean:
-            before, count = groups.pop()
-            mean = (before * count + (mean - count * apart) * size) / (count + size)
-            size += count
-        groups.append((mean, size))
-    spread = [mean + apart * step for mean, size in groups for step in range(size)]
-    count = len(spread)
-    for index, place in enumerate(spread):  # into the frame, from both ends
-        spread[index] = max(place, low + apart * index)
-    return [min(place, high - apart * (count - 1 - index)) for index, place in enumerate(spread)]
+    if not len(places):
+        return []
+    steps = apart * np.arange(len(places))
+    spread = isotonic_regression(np.asarray(places) - steps).x + steps
+    high = max(high, low + steps[-1])
+    spread = np.minimum(np.maximum(spread, low + steps), high - steps[::-1])
+    return [float(place) for place in spread]
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:

@@ -17,11 +17,11 @@ from study.experiment.arms import BEST_ARM, PAPER_ARM
 from study.experiment.experiment import Experiment
 from study.experiment.trials import simulate_trials
 from study.pictures import style
-from study.pictures.stick_figure import activation_bar, draw_profile
-from study.pictures.strip import Stretch, last_stretch
+from study.pictures.stick_figure import activation_bar
+from study.pictures.strip import draw_profile, last_stretch
 from study.report.axes import save
 from study.report.numbers import by_rank, label_of
-from study.report.runs import Results, read_trials, table_files
+from study.report.runs import Results, read_arms
 from taichi_nmm.result import COMPLETED, Trajectory
 from taichi_nmm.terrain import Terrain
 
@@ -94,7 +94,7 @@ def choose(results: Results, names: tuple[str, ...]) -> tuple[Row, Row] | None:
     order = by_rank(results.arms)
     last = BEST_ARM if BEST_ARM in results.arms else order[0]
     firsts = dict.fromkeys([last, *(arm for arm in (PAPER_ARM,) if arm in order), *order[::-1]])
-    tables = _trials(results, ("arm", "run", "trial", "cost", "walked", *names))
+    tables = read_arms(results.folder, ("arm", "run", "trial", "cost", "walked", *names))
     for arm in firsts:
         for run in results.arms[last].runs.tolist():
             before = _cheapest(tables[arm], run, FIRST_TRIALS)
@@ -102,18 +102,6 @@ def choose(results: Results, names: tuple[str, ...]) -> tuple[Row, Row] | None:
             if before and after and after["walked"] and not before["walked"]:
                 return before, after
     return None
-
-
-def _trials(results: Results, columns: tuple[str, ...]) -> dict[str, pa.Table]:
-    """The rows of each arm, from the table or its checkpoint, whichever has more."""
-    found: dict[str, pa.Table] = {}
-    for path in table_files(results.folder):
-        table = read_trials(path, columns)
-        for arm in results.arms:
-            rows = table.filter(pc.equal(table["arm"], arm))
-            if arm not in found or len(found[arm]) < len(rows):
-                found[arm] = rows
-    return found
 
 
 def _cheapest(table: pa.Table, run: int, trials: int | None) -> Row | None:
@@ -177,25 +165,17 @@ def write_strips(folder: Path, title: str, pair: Pair) -> list[Path]:
         top += high_in + 0.32
     box = ((width - 0.75) / width, 1.0 - (0.9 + 1.6) / height, 0.12 / width, 1.6 / height)
     activation_bar(figure.add_axes(box), last)
-    _draw_profile(axes_at(top + 0.1, PROFILE_IN), pair, parts)
+    profile = axes_at(top + 0.1, PROFILE_IN)
+    draw_profile(profile, parts, COLOURS)
+    profile.set_xlabel("distance (m)", fontsize=style.TEXT_PT, color=style.INK)
+    for walk, part, colour in zip(walks, parts, COLOURS, strict=True):
+        profile.annotate(
+            walk.label, xy=(np.mean(part.frame[:2]), 1.0), xytext=(0, 2),
+            xycoords=("data", "axes fraction"), textcoords="offset points", ha="center",
+            fontsize=style.SMALL_PT, color=colour,
+        )  # fmt: skip
     figure.text(
         LEFT_IN / width, 1.0 - 0.25 / height, title,
         fontsize=style.TITLE_PT, color=style.INK, va="center",
     )  # fmt: skip
     return save(figure, folder, "strips")
-
-
-def _draw_profile(axes: Axes, pair: Pair, parts: list[Stretch]) -> None:
-    """The ground as far as the walks came, with the parts above marked."""
-    end = max(float(part.trajectory.q[:, 0].max()) for part in parts) + 2.0
-    x = np.linspace(min(0.0, *(part.frame[0] for part in parts)), max(end, WIDTH_M), 4000)
-    height = pair.terrain.height(x)
-    draw_profile(axes, x, height, margin_m=0.1 * max(float(np.ptp(height)), 0.5))
-    for walk, part, colour in zip((pair.first, pair.second), parts, COLOURS, strict=True):
-        axes.axvspan(*part.frame[:2], color=colour, alpha=0.25, linewidth=0, zorder=3)
-        axes.annotate(
-            walk.label, xy=(np.mean(part.frame[:2]), 1.0), xytext=(0, 2),
-            xycoords=("data", "axes fraction"), textcoords="offset points", ha="center",
-            fontsize=style.SMALL_PT, color=colour,
-        )  # fmt: skip
-    axes.set_xlabel("distance (m)", fontsize=style.TEXT_PT, color=style.INK)

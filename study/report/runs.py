@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 
 from storage.tables import read_any
 from study.comparison.folder import (
-    ARMS_NAME,
     EXPERIMENT_NAME,
     RESULTS_NAME,
     RUN_NAME,
     TIMES_NAME,
     as_if_gone_on,
+    in_order,
+    table_files,
 )
 from study.experiment.experiment import COST_FUNCTIONS, NAME_PATTERN
 from study.experiment.stores import store_digest
@@ -131,17 +132,11 @@ class Results:
 def read_results(folder: str | Path) -> Results:
     """Read the folder of a comparison, finished or not.
 
-    An arm is read from the table or from its checkpoint, whichever has more trials.
-
     Raises:
         InputError: no such folder, no trials in it, or a table or document that cannot be used.
     """
     folder = Path(folder)
-    arms: dict[str, pa.Table] = {}
-    for path in table_files(folder):
-        for arm, rows in _by_arm(read_trials(path, COLUMNS)).items():
-            if arm not in arms or len(arms[arm]) < len(rows):
-                arms[arm] = rows
+    arms = read_arms(folder, COLUMNS)
     if not arms:
         allowed = f"the output of taichi-nmm compare: {RESULTS_NAME}, with trials"
         raise InputError("folder", str(folder), allowed)
@@ -170,15 +165,29 @@ def runs_of(trials: pa.Table) -> dict[str, ArmRuns]:
     return {arm: _arm_runs("trials", arm, rows, None, len(rows)) for arm, rows in arms.items()}
 
 
+def read_arms(folder: Path, columns: Sequence[str]) -> dict[str, pa.Table]:
+    """Columns of each arm's trials, by run and trial.
+
+    An arm is read from the table or from its checkpoint, whichever has more trials.
+
+    Raises:
+        InputError: no such folder, or as `read_trials`.
+    """
+    if not is_folder(folder):
+        raise InputError("folder", str(folder), "the output folder of taichi-nmm compare")
+    arms: dict[str, pa.Table] = {}
+    for path in table_files(folder):
+        for arm, rows in _by_arm(read_trials(path, columns)).items():
+            if arm not in arms or len(arms[arm]) < len(rows):
+                arms[arm] = rows
+    return arms
+
+
 def _by_arm(table: pa.Table) -> dict[str, pa.Table]:
-    """The rows of each arm, in the order of the runs and trials."""
-    ordered = table.sort_by([("arm", "ascending"), ("run", "ascending"), ("trial", "ascending")])
-    arms, starts = np.unique(ordered["arm"].to_numpy(), return_index=True)
-    ends = np.append(starts, len(ordered))[1:]
-    return {
-        str(arm): ordered.slice(start, end - start)
-        for arm, start, end in zip(arms, starts, ends, strict=True)
-    }
+    """The rows of each arm, in the order of the arms' names, runs and trials."""
+    ordered = in_order([table])
+    arms = pc.unique(ordered["arm"]).to_pylist()
+    return {arm: ordered.filter(pc.equal(ordered["arm"], arm)) for arm in arms}
 
 
 def _arm_runs(
@@ -319,19 +328,6 @@ def _require_column(column: pa.ChunkedArray, name: str, path: Path) -> None:
     for name in pc.unique(column).to_pylist() if kind is NAMES else ():
         if not re.fullmatch(NAME_PATTERN, name):
             raise InputError(field, name, allowed)
-
-
-def table_files(folder: Path) -> list[Path]:
-    """The final table of a folder, if there is one, and the checkpoints of its arms.
-
-    Raises:
-        InputError: no such folder.
-    """
-    if not is_folder(folder):
-        raise InputError("folder", str(folder), "the output folder of taichi-nmm compare")
-    final = folder / RESULTS_NAME
-    checkpoints = sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))
-    return ([final] if final.exists() else []) + checkpoints
 
 
 def known_stores(results: Results) -> dict[str, Path]:
