@@ -27,18 +27,12 @@ from storage.databases.studies import (
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.cli import ProgressBar
-from study.commands.study import (
-    command_line,
-    dashboard_command,
-    film_command,
-    progress_line,
-    study_line,
-)
+from study.commands.study import command_line, dashboard_command, film_command
 from study.comparison.folder import live_artifacts
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, read_experiment, study_name
 from study.experiment.live_study import run_study
-from study.experiment.trials import simulate_trials
+from study.experiment.trials import progress_line, simulate_trials, study_line
 from study.options import config_path
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.config import read_toml

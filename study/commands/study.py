@@ -13,13 +13,11 @@ import os
 import shlex
 import sys
 from argparse import Namespace
-from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
 
 import optuna
-from optuna.trial import FrozenTrial, TrialState
+from optuna.trial import FrozenTrial
 
 from storage.commit import commit_json, writable
 from storage.databases.postgresql import Crew
@@ -29,9 +27,8 @@ from study.comparison.folder import live_artifacts
 from study.experiment.arms import check_arms, with_store
 from study.experiment.experiment import read_experiment, study_name
 from study.experiment.live_study import check_study, run_study
-from study.experiment.trials import MEASURES, outcome_text
+from study.experiment.trials import progress_line, study_facts, study_line
 from study.options import config_path
-from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from taichi_nmm.walker_simulator import require_engine
 
 
@@ -70,70 +67,14 @@ def main(args: Namespace) -> None:
             "film": film_command(gains, args.config, args.run, args.seed),
             "dashboard": dashboard_command(args.storage, live_artifacts(args.storage, folder)),
         }
+        database = public_url(args.storage)
         if args.json:
-            print(json.dumps(summary(study, args.storage, gains, commands)))
-        else:
-            print(summary_text(study, args.storage, gains, commands))
-
-
-def progress_line(study: optuna.Study, trial: FrozenTrial, trials: int) -> str:
-    """One finished trial, and the best so far."""
-    best = study.best_trial
-    return (
-        f"{study.study_name}  {len(_finished(study)):>{len(str(trials))}}/{trials}  "
-        f"cost {trial.values[0]:8.4f}  {outcome_text(trial.user_attrs):<44}  "
-        f"best {best.values[0]:.4f} (trial {best.number})"
-    )
-
-
-def study_line(study: optuna.Study) -> str:
-    """A study in one line: how many trials walked, and the best."""
-    best, walkers = study.best_trial, _walkers(study)
-    row = ""
-    if ROW_ATTRIBUTE in best.user_attrs:
-        score = best.user_attrs.get(SCORE_ATTRIBUTE)  # of arms that compare rows by one number
-        scored = "" if score is None else f", score {score:.1f}"
-        row = f" (row {best.user_attrs[ROW_ATTRIBUTE]}{scored})"
-    first = f", the first in trial {walkers[0]}" if walkers else ""
-    return (
-        f"{study.study_name}: {len(walkers)} of {len(_finished(study))} trials walked{first}; "
-        f"best trial {best.number}{row}: cost {best.values[0]:.4f}, {outcome_text(best.user_attrs)}"
-    )
-
-
-def summary(
-    study: optuna.Study, url: str, gains: Path, commands: Mapping[str, str]
-) -> dict[str, Any]:
-    """A study and its best trial, for programs: one object of plain values.
-
-    Args:
-        study: with a finished trial.
-        url: of its database.
-        gains: file of the best gains.
-        commands: command lines that show the study, by name.
-    """
-    best, walkers = study.best_trial, _walkers(study)
-    return {
-        "study": study.study_name,
-        "trials": len(_finished(study)),
-        "walkers": len(walkers),
-        "first_walker": walkers[0] if walkers else None,
-        "best_trial": best.number,
-        "best_cost": best.values[0],
-        "row": best.user_attrs.get(ROW_ATTRIBUTE),
-        "score": best.user_attrs.get(SCORE_ATTRIBUTE),
-        **{name: best.user_attrs[name] for name in (*MEASURES, "end_reason")},
-        "gains": str(gains),
-        "storage": public_url(url),
-        **commands,
-    }
-
-
-def summary_text(study: optuna.Study, url: str, gains: Path, commands: Mapping[str, str]) -> str:
-    """The same, for people."""
-    named = {"gains": gains, "database": public_url(url), **commands}
-    lines = [f"{name + ':':<10} {value}" for name, value in named.items()]
-    return "\n".join([study_line(study), *lines])
+            known = study_facts(study) | {"gains": str(gains), "storage": database}
+            print(json.dumps(known | commands))
+            return
+        print(study_line(study))
+        for what, where in {"gains": gains, "database": database, **commands}.items():
+            print(f"{what + ':':<10} {where}")
 
 
 def film_command(gains: Path, config: Path, run: int = 0, seed: int | None = None) -> str:
@@ -155,12 +96,3 @@ def command_line(*words: str) -> str:
     here = Path(sys.executable).is_relative_to(Path.cwd())
     program = os.path.relpath(sys.executable) if here else sys.executable
     return shlex.join([program, "-m", "taichi_nmm", *words])
-
-
-def _finished(study: optuna.Study) -> list[FrozenTrial]:
-    return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-
-
-def _walkers(study: optuna.Study) -> list[int]:
-    """Numbers of the trials that walked."""
-    return [trial.number for trial in _finished(study) if trial.user_attrs["walked"]]

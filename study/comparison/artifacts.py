@@ -7,7 +7,7 @@ several arms share their files. A file that is there is whole, and is not made a
 import json
 import uuid
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,40 +46,6 @@ Drawn = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Drawing:
-    """A unit of work for any pool: a walk, the paths of its picture and film, and the encoder.
-
-    If `film` is None, only the picture is drawn.
-    """
-
-    trajectory: Trajectory
-    terrain: Terrain
-    title: str
-    strip: Path
-    film: Path | None
-    program: str
-
-
-def draw(drawing: Drawing) -> bool:
-    """Draw the files that are missing.
-
-    Returns:
-        Whether there was anything to draw: a walk that diverged before its first sample has none.
-
-    Raises:
-        InputError: a file cannot be written, or the encoder failed.
-    """
-    if not np.isfinite(drawing.trajectory.q).all(axis=1).any():
-        return False
-    walk = (drawing.trajectory, drawing.terrain)
-    if not drawing.strip.exists():
-        write_strip(drawing.strip, *walk, drawing.title, STRIP_DPI)
-    if drawing.film is not None and not drawing.film.exists():
-        write_movie(drawing.film, *walk, FILM_S, drawing.title, film=SMALL, program=drawing.program)
-    return True
-
-
-@dataclass(frozen=True, eq=False)
 class Walk:
     """A body, a ground and gains; the best trial of one study or of several.
 
@@ -97,8 +63,9 @@ class Walk:
     trials: tuple[tuple[str, int], ...]
     files: dict[str, str]
 
-    @staticmethod
+    @classmethod
     def of(
+        cls,
         experiment: Experiment,
         run: int,
         gains: NDArray[np.float64],
@@ -111,7 +78,42 @@ class Walk:
         kinds = (STRIP, FILM) if film else (STRIP,)
         files = {kind: str(uuid.uuid5(NAMESPACE, f"{walk}/{kind}")) for kind in kinds}
         title = f"{experiment.name}, run {run}: {outcome_text(outcome)}"
-        return Walk(run, gains, title, trials, files)
+        return cls(run, gains, title, trials, files)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """A unit of work for any pool: a walk as it was simulated, its folder, and the encoder."""
+
+    walk: Walk
+    trajectory: Trajectory
+    terrain: Terrain
+    folder: Path
+    encoder: str
+
+
+def draw(drawing: Drawing) -> bool:
+    """Draw the files that are missing.
+
+    Returns:
+        Whether there was anything to draw: a walk that diverged before its first sample has none.
+
+    Raises:
+        InputError: a file cannot be written, or the encoder failed.
+    """
+    walk, trajectory, terrain = drawing.walk, drawing.trajectory, drawing.terrain
+    if not np.isfinite(trajectory.q).all(axis=1).any():
+        return False
+    missing = {kind: drawing.folder / name for kind, name in walk.files.items()}
+    missing = {kind: path for kind, path in missing.items() if not path.exists()}
+    if STRIP in missing:
+        write_strip(missing[STRIP], trajectory, terrain, walk.title, STRIP_DPI)
+    if FILM in missing:
+        write_movie(
+            missing[FILM], trajectory, terrain, FILM_S, walk.title,
+            film=SMALL, program=drawing.encoder,
+        )  # fmt: skip
+    return True
 
 
 def make_artifacts(
@@ -165,7 +167,7 @@ def _draw_walks(
     drawn: Drawn | None = None,
 ) -> None:
     """Draw walks that are not drawn yet, and attach them to their trials."""
-    program = find_ffmpeg() if any(FILM in walk.files for walk in walks) else ""
+    encoder = find_ffmpeg() if any(FILM in walk.files for walk in walks) else ""
     with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
     remove(folder, f".*{TEMPORARY_SUFFIX}")
@@ -177,13 +179,24 @@ def _draw_walks(
     tell(finished, len(walks))
     for first in range(0, len(missing), WALKS_PER_BATCH):
         batch = missing[first : first + WALKS_PER_BATCH]
-        drawings = _drawings(experiment, batch, folder, program)
-        found = {}
-        for drawing, is_drawn in pool.results(draw, deque(drawings)):
-            found[drawing.strip.name] = is_drawn
+        result = simulate_trials(
+            experiment,
+            [walk.run for walk in batch],
+            np.array([walk.gains for walk in batch]),
+            record=True,
+            duration_s=min(RECORDED_S, experiment.conditions.duration_s),
+            record_rate_hz=RECORD_RATE_HZ,
+        )
+        drawings = deque(
+            Drawing(walk, trajectory, experiment.terrain(walk.run), folder, encoder)
+            for walk, trajectory in zip(batch, result.trajectories, strict=True)
+        )
+        drawn_now = []
+        for drawing, is_drawn in pool.results(draw, drawings):
+            drawn_now += [drawing.walk] * is_drawn
             finished += 1
             tell(finished, len(walks))
-        _attach([walk for walk in batch if found[walk.files[STRIP]]], url)
+        _attach(drawn_now, url)
 
 
 def best_walks(experiment: Experiment, trials: pa.Table, film_runs: int = FILM_RUNS) -> list[Walk]:
@@ -199,24 +212,6 @@ def best_walks(experiment: Experiment, trials: pa.Table, film_runs: int = FILM_R
         same = (*found[key].trials, trial) if key in found else (trial,)
         found[key] = Walk.of(experiment, run, gains, same, row, film=run < film_runs)
     return list(found.values())
-
-
-def _drawings(
-    experiment: Experiment, walks: Sequence[Walk], folder: Path, program: str
-) -> Iterator[Drawing]:
-    """Simulate the walks together; each is then a picture and a film to draw."""
-    result = simulate_trials(
-        experiment,
-        [walk.run for walk in walks],
-        np.array([walk.gains for walk in walks]),
-        record=True,
-        duration_s=min(RECORDED_S, experiment.conditions.duration_s),
-        record_rate_hz=RECORD_RATE_HZ,
-    )
-    for walk, trajectory in zip(walks, result.trajectories, strict=True):
-        film = folder / walk.files[FILM] if FILM in walk.files else None
-        ground = experiment.terrain(walk.run)
-        yield Drawing(trajectory, ground, walk.title, folder / walk.files[STRIP], film, program)
 
 
 def _attach(walks: Sequence[Walk], url: str) -> None:

@@ -221,13 +221,25 @@ def compare(
         chosen.agree(folder.path)
         studies = [(arm.name, run) for run in runs for arm in arms]
         finished = FinishedTrials(folder, studies, experiment.until_walker)
-        session = _Session(experiment, folder, finished, chosen)
-        exported_s = time.monotonic()
+        before, began_s = finished.count, time.monotonic()
+        started, exported_s = datetime.now(UTC).isoformat(timespec="milliseconds"), began_s
+
+        def note_session() -> None:
+            """A line of run.json; a session that computed nothing leaves none."""
+            if computed := finished.count - before:
+                session = {
+                    "started": started,
+                    "trials": computed,
+                    "wall_s": round(time.monotonic() - began_s, 1),
+                    "machine": machine(),
+                    "stores": {key: str(path) for key, path in experiment.stores.items()},
+                }
+                folder.note_session(session | ({"cluster": chosen.kinds} if chosen.kinds else {}))
 
         def commit(goes_on: bool) -> None:
             nonlocal exported_s
             finished.commit()
-            session.note()
+            note_session()
             if goes_on and time.monotonic() - exported_s >= EXPORT_S:
                 export(experiment, finished.results(), url, summarise, final=False)
                 exported_s = time.monotonic()
@@ -236,15 +248,16 @@ def compare(
         _go_on(experiment, finished, trials, chosen, report, commit)
         results = folder.write_results()
         export(experiment, results, url, summarise, final=True)
-        note_worths(experiment, arms, runs, url, renew=session.computed > 0)
-        session.note()
+        computed = finished.count - before
+        note_worths(experiment, arms, runs, url, renew=computed > 0)
+        note_session()
         if request.artifacts:
             from study.comparison.artifacts import FILM_RUNS, make_artifacts  # Matplotlib
 
             filmed = len(runs) if request.films == "all" else FILM_RUNS
             with local_pool(request.workers) if request.cluster else nullcontext(chosen) as here:
                 make_artifacts(experiment, results, url, folder.path, here, drawn, filmed)
-        return Outcome(results, url, session.computed, session.wall_s)
+        return Outcome(results, url, computed, time.monotonic() - began_s)
 
 
 def opened_pool(
@@ -329,40 +342,3 @@ def cut(studies: Sequence[Key], slots: int) -> list[tuple[Key, ...]]:
     rounds = -(-len(studies) // (slots * BLOCK_STUDIES))
     size = -(-len(studies) // (slots * rounds)) if rounds else 1
     return [tuple(studies[first : first + size]) for first in range(0, len(studies), size)]
-
-
-class _Session:
-    """A line of run.json: when, on what machine, how long, how much, and with which stores."""
-
-    def __init__(
-        self, experiment: Experiment, folder: ExperimentFolder, finished: FinishedTrials, pool: Pool
-    ) -> None:
-        self._folder, self._finished, self._pool = folder, finished, pool
-        self._stores = {key: str(path) for key, path in experiment.stores.items()}
-        self._started = datetime.now(UTC).isoformat(timespec="milliseconds")
-        self._began_s = time.monotonic()
-        self._before = finished.count
-
-    @property
-    def computed(self) -> int:
-        """Trials of this session."""
-        return self._finished.count - self._before
-
-    @property
-    def wall_s(self) -> float:
-        """Seconds since it began."""
-        return time.monotonic() - self._began_s
-
-    def note(self) -> None:
-        """Write the line; a session that computed nothing leaves none."""
-        if self.computed:
-            self._folder.note_session(
-                {
-                    "started": self._started,
-                    "trials": self.computed,
-                    "wall_s": round(self.wall_s, 1),
-                    "machine": machine(),
-                    "stores": self._stores,
-                    **({"cluster": self._pool.kinds} if self._pool.kinds else {}),
-                }
-            )

@@ -4,10 +4,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import optuna
 from numpy.typing import ArrayLike, NDArray
+from optuna.trial import FrozenTrial, TrialState
 
 import taichi_nmm
 from study.experiment.experiment import COST_FUNCTIONS, Experiment
+from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import GAINS, split_points
 from taichi_nmm.result import COMPLETED, END_REASONS, SCORE_FIELDS, Result
@@ -120,3 +123,44 @@ def outcome_text(shown: Mapping[str, Any]) -> str:
     how = "walked" if reason == END_REASONS[COMPLETED] else f"{reason} after"
     reached = f"{shown['duration_s']:.1f} s, {shown['distance_m']:.1f} m"
     return f"{how} {reached} at {shown['mean_speed_mps']:.2f} m/s"
+
+
+def progress_line(study: optuna.Study, trial: FrozenTrial, trials: int) -> str:
+    """One finished trial, and the best so far."""
+    known = study_facts(study)
+    return (
+        f"{known['study']}  {known['trials']:>{len(str(trials))}}/{trials}  "
+        f"cost {trial.values[0]:8.4f}  {outcome_text(trial.user_attrs):<44}  "
+        f"best {known['best_cost']:.4f} (trial {known['best_trial']})"
+    )
+
+
+def study_line(study: optuna.Study) -> str:
+    """A study in one line: how many trials walked, and the best."""
+    known = study_facts(study)
+    scored = "" if known["score"] is None else f", score {known['score']:.1f}"
+    row = "" if known["row"] is None else f" (row {known['row']}{scored})"
+    first = f", the first in trial {known['first_walker']}" if known["walkers"] else ""
+    return (
+        f"{known['study']}: {known['walkers']} of {known['trials']} trials walked{first}; "
+        f"best trial {known['best_trial']}{row}: cost {known['best_cost']:.4f}, "
+        f"{outcome_text(known)}"
+    )
+
+
+def study_facts(study: optuna.Study) -> dict[str, Any]:
+    """A study with a finished trial, and its best trial, as plain values."""
+    finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    walkers = [trial.number for trial in finished if trial.user_attrs["walked"]]
+    best = study.best_trial
+    return {
+        "study": study.study_name,
+        "trials": len(finished),
+        "walkers": len(walkers),
+        "first_walker": walkers[0] if walkers else None,
+        "best_trial": best.number,
+        "best_cost": best.values[0],
+        "row": best.user_attrs.get(ROW_ATTRIBUTE),
+        "score": best.user_attrs.get(SCORE_ATTRIBUTE),  # of arms that compare rows by one number
+        **{name: best.user_attrs[name] for name in (*MEASURES, "end_reason")},
+    }

@@ -72,10 +72,11 @@ class Stage:
 
     def show(self, walk: Walk) -> None:
         """Begin to play a walk."""
-        x, y = walk.frames.ground.T
+        x, y = walk.frames["ground"].T
         self._ground.data = {"x": x, "y": y}
         self.words.text = f"<b>{html.escape(walk.gains.name)}</b>: {html.escape(walk.ended)}"
-        self.frames.data = walk.frames.columns()
+        # Each as the one entry of a column, as Bokeh sends arrays of any shape.
+        self.frames.data = {name: [values] for name, values in walk.frames.items()}
 
     def _drawn(self, name: str) -> Any:
         plot = figure(

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import matplotlib
@@ -105,8 +105,6 @@ def to_toml(tables: dict[str, Any], name: str = "") -> str:
     return "\n".join(["\n".join(lines) + "\n", *texts])
 
 
-Array = NDArray[np.float32]
-
 RATE_HZ = 30
 BEFORE_M, BEYOND_M = 4.0, 6.0  # of ground, drawn beyond the hip's first and last place
 COLOURS = [
@@ -115,11 +113,13 @@ COLOURS = [
 ]
 
 
-@dataclass(frozen=True, eq=False)
-class Frames:
-    """f frames; points are x and z in metres.
+Frames = dict[str, NDArray[Any]]
 
-    Attributes:
+
+def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
+    """All of a walk in f frames, as far as its poses are finite; points are x and z in metres.
+
+    Returns:
         time_s: [f].
         camera_m: where the hip is, and the ground there, smoothed, [f, 2].
         near, far: hip, knee, ankle, heel and ball of the left and the right leg, [f, 5, 2].
@@ -129,26 +129,6 @@ class Frames:
         activation: of these, in 255ths, [f, 14].
         forces: foot and tip of the arrow of the ground's force, left and right, [f, 2, 2, 2].
         ground: profile, [k, 2].
-    """
-
-    time_s: Array
-    camera_m: Array
-    near: Array
-    far: Array
-    trunk: Array
-    head: Array
-    muscles: Array
-    activation: NDArray[np.uint8]
-    forces: Array
-    ground: Array
-
-    def columns(self) -> dict[str, list[NDArray[np.generic]]]:
-        """By name, each as the one entry of a column, as Bokeh sends arrays of any shape."""
-        return {each.name: [getattr(self, each.name)] for each in fields(self)}
-
-
-def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
-    """All of a walk, as far as its poses are finite.
 
     Raises:
         InputError: no pose is finite.
@@ -164,22 +144,20 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
     ]
     outlines = [*muscle_outlines(q, LEFT), *muscle_outlines(q, RIGHT)]
     x = np.arange(q[:, 0].min() - BEFORE_M, q[:, 0].max() + BEYOND_M, GRID_SPACING_M)
-    return Frames(
-        time_s=_float(motion.time_s),
-        camera_m=_float(np.stack([q[:, 0], motion.level_m], axis=1)),
-        near=_float(leg(q, LEFT).chain()),
-        far=_float(leg(q, RIGHT).chain()),
-        trunk=_float(np.stack([q[:, :2], shoulder], axis=1)),
-        head=_float(head[:, None]),
-        muscles=_float(np.stack(outlines, axis=1)),
-        activation=np.clip(255.0 * motion.activation, 0, 255).astype(np.uint8),
-        forces=_float(np.stack(arrows, axis=1)),
-        ground=_float(np.stack([x, terrain.height(x)], axis=1)),
-    )
-
-
-def _float(values: NDArray[np.float64]) -> Array:
-    return np.ascontiguousarray(values, dtype=np.float32)
+    drawn = {
+        "time_s": motion.time_s,
+        "camera_m": np.stack([q[:, 0], motion.level_m], axis=1),
+        "near": leg(q, LEFT).chain(),
+        "far": leg(q, RIGHT).chain(),
+        "trunk": np.stack([q[:, :2], shoulder], axis=1),
+        "head": head[:, None],
+        "muscles": np.stack(outlines, axis=1),
+        "forces": np.stack(arrows, axis=1),
+        "ground": np.stack([x, terrain.height(x)], axis=1),
+    }
+    activation = np.clip(255.0 * motion.activation, 0, 255).astype(np.uint8)
+    sent = {name: np.ascontiguousarray(part, dtype=np.float32) for name, part in drawn.items()}
+    return sent | {"activation": activation}
 
 
 SEEN_RATE_HZ = 100.0  # a sample costs as much as ten steps; enough for a gait cycle

@@ -17,20 +17,14 @@ from optuna.trial import FrozenTrial, TrialState
 
 import taichi_nmm
 from storage.databases.studies import open_studies
-from study.commands.study import (
-    dashboard_command,
-    film_command,
-    progress_line,
-    summary,
-    summary_text,
-)
+from study.commands.study import dashboard_command, film_command
 from study.comparison.compare import Request, compare
 from study.experiment.arms import ARMS, find_arm
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.live_study import open_study, run_study
 from study.experiment.one_study import OneStudy, sampler_seed
 from study.experiment.samplers import Task
-from study.experiment.trials import ATTRIBUTES, simulate_trials
+from study.experiment.trials import ATTRIBUTES, progress_line, simulate_trials, study_facts
 from study.options import config_path
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.terrain import Ground
@@ -335,13 +329,9 @@ def test_what_a_study_says(toy: Experiment) -> None:
     )  # fmt: skip
     assert len(lines) == 6
     assert lines[5].startswith("toy/dog/run-002  6/6  cost ")
-    given = "sqlite:///x.db", Path("out/best.json"), {"film": "film it", "dashboard": "show it"}
-    found = summary(study, *given)
+    found = study_facts(study)
     assert found["study"] == study_name("toy", "dog", 2)
     assert found["best_cost"] == study.best_value
-    assert (found["film"], found["dashboard"]) == ("film it", "show it")
-    words = [line.split(":")[0] for line in summary_text(study, *given).splitlines()]
-    assert words[1:] == ["gains", "database", "film", "dashboard"]
 
 
 def test_the_lines_to_look_at_it_name_what_is_not_the_default() -> None:

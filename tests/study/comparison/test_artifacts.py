@@ -234,7 +234,8 @@ def test_later_runs_get_a_film_where_it_is_asked_for(tmp_path: Path, url: str, f
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_process_that_cannot_write_says_so_in_one_line(tmp_path: Path, workers: int) -> None:
-    drawing = Drawing(GLIMPSE, TINY.terrain(0), "", tmp_path / "no" / "s", tmp_path / "f", "")
+    walk = best_walks(TINY, results(TINY))[0]
+    drawing = Drawing(walk, GLIMPSE, TINY.terrain(0), tmp_path / "no", "")
     with local_pool(workers) as pool, refused("out: .* a place that can be written"):
         list(pool.results(draw, deque([drawing, drawing])))
 
@@ -249,10 +250,13 @@ def test_a_missing_ffmpeg_is_told_before_anything_is_drawn(
     assert movie.FIXING  # one line names what to install
 
 
-def test_the_real_simulator_repeats_the_trial(tmp_path: Path, url: str) -> None:
-    table = results(TINY, arms=("dog",), runs=1)
-    (walk,) = best_walks(TINY, table)
-    (drawing,) = artifacts._drawings(TINY, [walk], tmp_path, "ffmpeg")
+def test_the_real_simulator_repeats_the_trial(
+    tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawings: list[Drawing] = []
+    monkeypatch.setattr(artifacts, "draw", lambda drawing: bool(drawings.append(drawing)))
+    make(results(TINY, arms=("dog",), runs=1), url, tmp_path)
+    (drawing,) = drawings
     assert np.isfinite(drawing.trajectory.q).all() and len(drawing.trajectory.time_s) > 5
     assert drawing.trajectory.time_s[1] - drawing.trajectory.time_s[0] == pytest.approx(0.02)
     assert drawing.terrain is TINY.terrain(0)

@@ -81,14 +81,13 @@ def fell() -> Walk:
 @pytest.mark.slow
 def test_a_fall_has_frames_a_reason_and_files(fell: Walk) -> None:
     frames, trajectory = fell.frames, fell.trajectory
-    count = len(frames.time_s)
+    count = len(frames["time_s"])
     assert count == pytest.approx(walking.RATE_HZ * trajectory.time_s[-1], abs=1)
-    assert frames.muscles.shape[:2] == (count, 14) and frames.forces.shape == (count, 2, 2, 2)
-    hip = np.interp(frames.time_s, trajectory.time_s, trajectory.q[:, 0])
-    np.testing.assert_allclose(frames.near[:, 0, 0], hip, atol=1e-4)
-    np.testing.assert_allclose(frames.far[:, 0, 0], hip, atol=1e-4)
-    assert np.ptp(frames.ground[:, 1]) > 0.1  # steps
-    assert all(len(column) == 1 for column in frames.columns().values())
+    assert frames["muscles"].shape[:2] == (count, 14) and frames["forces"].shape == (count, 2, 2, 2)
+    hip = np.interp(frames["time_s"], trajectory.time_s, trajectory.q[:, 0])
+    np.testing.assert_allclose(frames["near"][:, 0, 0], hip, atol=1e-4)
+    np.testing.assert_allclose(frames["far"][:, 0, 0], hip, atol=1e-4)
+    assert np.ptp(frames["ground"][:, 1]) > 0.1  # steps
     assert fell.ended.startswith("fell after ")
     pose = fell.trajectory.q[-1]
     height_m = pose[1] - fell.setting.terrain.height(pose[0])
@@ -110,7 +109,7 @@ def test_a_walk_that_never_was_finite_still_has_frames_or_says_so() -> None:
     q[50:] = np.nan
     terrain = chosen_setting("flat", "nominal", 0, "nominal", "taichi", 5.0).experiment.terrain(0)
     frames = frames_of(replace(trajectory, q=q), terrain)
-    assert np.isfinite(frames.near).all() and frames.time_s[-1] <= trajectory.time_s[50]
+    assert np.isfinite(frames["near"]).all() and frames["time_s"][-1] <= trajectory.time_s[50]
 
 
 @pytest.mark.slow
