@@ -8,13 +8,13 @@ where PyTorch, which it needs, is installed; greenlet, where it is installed too
 Run it on an idle machine.
 """
 
-import statistics
 import sys
 import time
 import warnings
 from argparse import Namespace
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 # The repository comes before tools/, where study.py would hide the package of its name.
@@ -31,12 +31,11 @@ with guarded_imports():
     from tqdm import tqdm
 
     from storage.processes import Processes
+    from study import FeatureKernelSampler, FeatureTable, SurvivalSampler
     from study.experiment.experiment import MOST_TRIALS
-    from study.experiment.features import MEAN, SurvivalSampler
+    from study.experiment.features import MEAN
     from study.options import Options
     from study.sampler.history import ROW_ATTRIBUTE
-    from study.sampler.sampler import FeatureKernelSampler
-    from study.sampler.table import FeatureTable
     from taichi_nmm.errors import InputError
     from tools.benchmark import Bar, Floats, made_by, parsed, publish, torch_is_installed
 
@@ -48,21 +47,16 @@ SPACE: dict[str, BaseDistribution] = {
 SEED = 16
 NOISE = 0.3  # of the cost, in standard deviations of what the features explain
 STANDING = 0.1  # of the rows of a table like that of `best`: the others fell, and have no features
-WARM_UP = 1  # proposals that are not counted: the first one loads libraries
 
 MOST_FEATURES = 5
 MOST_ROWS = 10_000_000
 GP_RATIO_BAR = 5.0  # GPSampler's time over ours with one feature
 LABELS = {
     "ours": "ours",
+    "foreign": "ours, trials that are no rows of the table",
     "rbf": "ours, the paper's kernel",
     "best": "`SurvivalSampler`, a tenth of the rows are candidates",
     "gp": "GPSampler",
-}
-QUANTITIES = {
-    "median_ms": ("median", "ms"),
-    "median_cpu_ms": ("median of the processor", "ms"),
-    "peak_grown_mib": ("memory at the peak", "MiB"),
 }
 
 
@@ -71,14 +65,13 @@ class Case:
     """A sampler, a table and a study whose proposals are timed.
 
     Attributes:
-        sampler: "ours", with its defaults; "rbf", ours with the paper's kernel; "best",
-            `SurvivalSampler` on a table of which a tenth may be proposed; or "gp" (Optuna's
-            GPSampler, in the box of the table).
+        sampler: one of `LABELS`; ours with its defaults, unless the label says otherwise, and
+            GPSampler in the box of the table.
         rows: of the table.
         features: of a row.
         observations: finished trials before the first proposal.
-        repeats: proposals, after one that is not counted.
-        bars: the most that is allowed, by the names of `QUANTITIES`.
+        repeats: proposals after the first one.
+        bars: the most that is allowed, by the names of `Measured`.
     """
 
     sampler: str
@@ -95,27 +88,23 @@ class Measured:
 
     Attributes:
         case: that was measured.
-        seconds: of each proposal.
-        cpu_seconds: of the processor: on a busy machine a proposal waits for it.
-        grown_mib: by which the process grew from before the table was made; NaN but on Linux.
-        peak_grown_mib: the same at the peak.
+        median_ms: of a proposal after the first.
+        fastest_ms: of these.
+        slowest_ms: of these.
+        median_cpu_ms: on the processor: on a busy machine a proposal waits for it.
+        first_cpu_ms: of the first proposal, which puts the table on the scales of the model.
+        kept_mib: by which the process grew from before the table was made; NaN but on Linux.
+        peak_mib: the same at the peak.
     """
 
     case: Case
-    seconds: tuple[float, ...]
-    cpu_seconds: tuple[float, ...]
-    grown_mib: float
-    peak_grown_mib: float
-
-    @property
-    def median_ms(self) -> float:
-        """Median time of a proposal, milliseconds."""
-        return 1e3 * statistics.median(self.seconds)
-
-    @property
-    def median_cpu_ms(self) -> float:
-        """Median processor time of a proposal, milliseconds."""
-        return 1e3 * statistics.median(self.cpu_seconds)
+    median_ms: float
+    fastest_ms: float
+    slowest_ms: float
+    median_cpu_ms: float
+    first_cpu_ms: float
+    kept_mib: float
+    peak_mib: float
 
 
 @dataclass(frozen=True)
@@ -126,36 +115,31 @@ class Timings:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for programs."""
-        cases = [
-            {**asdict(each), "median_ms": each.median_ms, "median_cpu_ms": each.median_cpu_ms}
-            for each in self.cases
-        ]
-        return {"cases": cases}
+        return asdict(self)
 
     def markdown(self) -> str:
         """The document: a row for each case, then the bars."""
         lines = [
             "# One proposal of the feature-kernel sampler",
             "",
+            "Time and memory of one proposal, for looking up;"
+            " [the benchmarks](sampler-benchmarks.md#fast-enough) have the conclusions.",
+            "",
             made_by(),
-            "One thread; studies of 16 parameters. Ours with its defaults unless stated otherwise.",
+            "One thread; studies of 16 parameters. Ours has its defaults unless the row says"
+            " otherwise. Times are in ms, memory in MiB. *First* is the first proposal of a process"
+            " that has loaded the libraries; the other times are of later proposals.",
             "",
             f"![Time of a proposal against finished trials]({NAME}.png)",
             "",
             "| sampler | rows | features | finished trials | proposals | median | fastest | slowest"
-            " | processor, median | memory kept | at the peak |",
-            "|---|" + "--:|" * 10,
+            " | processor: median | processor: first | memory kept | at the peak |",
+            "|---|" + "--:|" * 11,
         ]
         for each in self.cases:
-            case = each.case
-            times_ms = (each.median_ms, 1e3 * min(each.seconds), 1e3 * max(each.seconds))
-            cells = [
-                LABELS[case.sampler], f"{case.rows:,}", f"{case.features}",
-                f"{case.observations:,}", f"{case.repeats}",
-                *(f"{time_ms:.0f} ms" for time_ms in (*times_ms, each.median_cpu_ms)),
-                f"{each.grown_mib:,.0f} MiB", f"{each.peak_grown_mib:,.0f} MiB",
-            ]  # fmt: skip
-            lines.append(f"| {' | '.join(cells)} |")
+            (sampler, *sizes, _), *measured = astuple(each)
+            cells = " | ".join(f"{number:,.0f}" for number in (*sizes, *measured))
+            lines.append(f"| {LABELS[sampler]} | {cells} |")
         if all(each.case.sampler != "gp" for each in self.cases):
             lines += ["", "GPSampler was not measured: no PyTorch."]
         return "\n".join([*lines, *Bar.table(self.bars, "measured")]) + "\n"
@@ -165,39 +149,36 @@ class Timings:
         """The bars of all cases, and of GPSampler's time over ours."""
         found = []
         for each in self.cases:
-            case, ratio = each.case, each.median_ms / self.cases[0].median_ms
-            label = (
-                f"{LABELS[case.sampler]}, {case.features} features, {case.observations:,} trials"
-            )
+            case = each.case
+            size = f"{case.rows:,} rows, {case.features} features, {case.observations:,} trials"
             for name, most in case.bars:
-                what, unit = QUANTITIES[name]
-                value = getattr(each, name)
-                measured = f"{value:.0f} {unit}, at most {most:.0f} {unit}"
-                found.append(Bar(f"{label}: {what}", measured, value <= most))
+                value, what = getattr(each, name), name.replace("_", " ")
+                measured = f"{value:.0f}, at most {most:.0f}"
+                found.append(
+                    Bar(f"{LABELS[case.sampler]}, {size}: {what}", measured, value <= most)
+                )
             if case.sampler == "gp":
+                ratio = each.median_ms / self.cases[0].median_ms
                 measured = f"{ratio:.1f}, at least {GP_RATIO_BAR:g}"
                 found.append(Bar("GPSampler's median over ours", measured, ratio >= GP_RATIO_BAR))
         return found
 
     def plot(self, path: Path) -> None:
-        """Time of a proposal against finished trials."""
+        """Time of a proposal against finished trials, with one feature."""
         from study.pictures import style  # not in the processes that are measured
 
         figure = style.new_figure(5.0, 3.4)
         axes = figure.add_subplot()
         style.tidy(axes)
-        first = self.cases[0].case
-        for name, label, colour, marker in (
-            ("ours", "ours, 1 feature", style.MODEL, "o-"),
-            ("gp", "GPSampler", style.INK, "s"),
-        ):
+        rows = self.cases[0].case.rows
+        for name, colour, marker in (("ours", style.MODEL, "o-"), ("gp", style.INK, "s")):
             points = sorted(
                 (each.case.observations, each.median_ms)
                 for each in self.cases
-                if (each.case.sampler, each.case.rows, each.case.features) == (name, first.rows, 1)
+                if (each.case.sampler, each.case.rows, each.case.features) == (name, rows, 1)
             )
             if points:
-                axes.loglog(*zip(*points, strict=True), marker, color=colour, label=label)
+                axes.loglog(*zip(*points, strict=True), marker, color=colour, label=LABELS[name])
         axes.set_xlabel("finished trials", fontsize=style.TEXT_PT)
         axes.set_ylabel("median time of a proposal (ms)", fontsize=style.TEXT_PT)
         axes.legend(fontsize=style.SMALL_PT, frameon=False)
@@ -240,15 +221,19 @@ def measure(options: Namespace) -> Timings:
     """Every case in a process of its own, one after the other."""
     base = Case("ours", options.rows, 1, options.observations, options.repeats)
 
-    memory = ("peak_grown_mib", 200e6 / 2**20)  # 200 MB
+    few, some, many = ((("median_cpu_ms", most),) for most in (6.0, 10.0, 15.0))
+    memory, first = ("peak_mib", 200e6 / 2**20), ("first_cpu_ms", 500.0)  # 200 MB
+    most = options.sweep[-1]
     cases = [
-        replace(base, bars=(("median_cpu_ms", 10.0),)),
-        replace(base, features=MOST_FEATURES, bars=(("median_cpu_ms", 45.0), memory)),
-        replace(base, sampler="rbf", bars=(("median_cpu_ms", 10.0),)),
-        replace(base, sampler="best", features=6, bars=(("median_cpu_ms", 10.0),)),
+        replace(base, bars=few),
+        replace(base, features=MOST_FEATURES, bars=(*many, memory)),
+        replace(base, sampler="foreign", bars=many),
+        replace(base, sampler="foreign", observations=most, bars=many),
+        replace(base, sampler="rbf", bars=some),
+        replace(base, sampler="best", features=6, bars=some),
         *(replace(base, observations=n) for n in options.sweep[:-1] if n != base.observations),
-        replace(base, observations=options.sweep[-1], bars=(("median_ms", 1000.0),)),
-        replace(base, rows=options.large_rows, features=MOST_FEATURES, repeats=1),
+        replace(base, observations=most, bars=(("median_ms", 1000.0),)),
+        replace(base, rows=options.large_rows, features=MOST_FEATURES, bars=(first,)),
     ]
     if torch_is_installed():
         cases.append(replace(base, sampler="gp"))
@@ -265,12 +250,14 @@ def fresh(case: Case) -> Measured:
 def measure_case(case: Case) -> Measured:
     """Propose `repeats` times; each proposal sees one finished trial more than the one before."""
     optuna.logging.set_verbosity(optuna.logging.ERROR)
+    small = replace(case, sampler="ours", rows=1000, observations=10)
+    _propose(_prepare(small), case.features)  # loads the libraries
     before_mib = memory_mib("VmRSS")
     study = _prepare(case)
-    spent = [_propose(study, case.features) for _ in range(WARM_UP + case.repeats)][WARM_UP:]
-    seconds, cpu_seconds = zip(*spent, strict=True)
-    kept, most = memory_mib("VmRSS") - before_mib, memory_mib("VmHWM") - before_mib
-    return Measured(case, seconds, cpu_seconds, kept, most)
+    (_, first), *later = (_propose(study, case.features) for _ in range(1 + case.repeats))
+    ms, cpu_ms = zip(*later, strict=True)
+    kept, peak = memory_mib("VmRSS") - before_mib, memory_mib("VmHWM") - before_mib
+    return Measured(case, median(ms), min(ms), max(ms), median(cpu_ms), first, kept, peak)
 
 
 def _prepare(case: Case) -> optuna.Study:
@@ -286,14 +273,14 @@ def _prepare(case: Case) -> optuna.Study:
     known = np.full_like(features, np.nan)
     known[standing] = features[standing]
     study = optuna.create_study(sampler=_sampler(case, points, known))
+    foreign = case.sampler == "foreign"
     for row, cost in zip(seen, costs, strict=True):
-        params = dict(zip(SPACE, points[row].tolist(), strict=True))
-        note = {ROW_ATTRIBUTE: int(row)}  # as in the trials that the sampler proposes
-        study.add_trial(
-            optuna.create_trial(
-                params=params, distributions=SPACE, user_attrs=note, value=float(cost)
-            )
-        )
+        point = rng.uniform(size=DIMENSION) if foreign else points[row]
+        trial = optuna.create_trial(
+            params=dict(zip(SPACE, point.tolist(), strict=True)), distributions=SPACE,
+            user_attrs={} if foreign else {ROW_ATTRIBUTE: int(row)}, value=float(cost),
+        )  # fmt: skip
+        study.add_trial(trial)
     return study
 
 
@@ -305,30 +292,27 @@ def _features(points: Floats, k: int) -> Floats:
 
 def _sampler(case: Case, points: Floats, features: Floats) -> BaseSampler:
     """The sampler of a case, over points [n, 16] with features [n, k]."""
+    warnings.simplefilter("ignore", ExperimentalWarning)
+    warnings.simplefilter("ignore", UserWarning)  # of rows without features, of foreign trials
+    if case.sampler == "gp":
+        return GPSampler(seed=SEED)
     names = [f"feature_{column}" for column in range(case.features)]
+    columns = dict(zip(SPACE, points.T, strict=True))
     if case.sampler == "best":
-        names[0] = MEAN
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ExperimentalWarning)
-        warnings.simplefilter("ignore", UserWarning)  # of the rows without features
-        if case.sampler == "gp":
-            return GPSampler(seed=SEED)
-        columns = dict(zip(SPACE, points.T, strict=True))
-        table = FeatureTable.from_arrays(columns, features, names, space=SPACE)
-    if case.sampler == "best":
+        table = FeatureTable.from_arrays(columns, features, [MEAN, *names[1:]], space=SPACE)
         return SurvivalSampler(table, seed=SEED)
-    kernel = "rbf" if case.sampler == "rbf" else None
-    return FeatureKernelSampler(table, seed=SEED, kernel=kernel)
+    table = FeatureTable.from_arrays(columns, features, names, space=SPACE)
+    return FeatureKernelSampler(table, seed=SEED, kernel="rbf" if case.sampler == "rbf" else None)
 
 
 def _propose(study: optuna.Study, features: int) -> tuple[float, float]:
-    """Seconds, and seconds of the processor, from asking for a trial to its last parameter.
+    """Milliseconds, and those of the processor, from asking for a trial to its last parameter.
 
     Then the trial finishes.
     """
     began, cpu_began = time.perf_counter(), time.process_time()
     trial = study.ask(SPACE)
-    spent = (time.perf_counter() - began, time.process_time() - cpu_began)
+    spent = (1e3 * (time.perf_counter() - began), 1e3 * (time.process_time() - cpu_began))
     point = [trial.params[name] for name in SPACE]
     study.tell(trial, float(_features(np.array([point]), features).sum()))
     return spent
