@@ -24,8 +24,8 @@ from study.cli import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np
+    import scipy
     from numpy.typing import NDArray
-    from scipy.stats import rankdata, spearmanr
 
     from study.report.numbers import wilcoxon
     from tools import benchmark, outside
@@ -138,7 +138,7 @@ class OutsideReport:
         mine, theirs = self.best[problem, ours][:, trial - 1], self.best[problem, other][:, at - 1]
         wins, losses = int((mine < theirs).sum()), int((mine > theirs).sum())
         more = (mine - theirs)[mine != theirs]
-        ahead = bool((rankdata(np.abs(more)) * np.sign(more)).sum() <= 0)
+        ahead = bool((scipy.stats.rankdata(np.abs(more)) * np.sign(more)).sum() <= 0)
         p = wilcoxon(mine, theirs).p
         return Versus(problem, ours, other, trial, at, wins, losses, p, ahead)
 
@@ -295,7 +295,9 @@ def worth(problem: OutsideProblem) -> dict[str, float]:
     """
     columns = dict(zip(problem.feature_meanings, problem.ranks.T, strict=True))
     columns["ranking"] = problem.ranking
-    return {name: float(spearmanr(c, problem.cost).statistic) for name, c in columns.items()}
+    return {
+        name: float(scipy.stats.spearmanr(c, problem.cost).statistic) for name, c in columns.items()
+    }
 
 
 def bar(what: str, fails: Callable[[Versus], bool], rounds: list[Versus]) -> Bar:

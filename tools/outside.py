@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 from optuna.distributions import (
     BaseDistribution,
@@ -24,7 +25,6 @@ from optuna.distributions import (
     json_to_distribution,
 )
 from optuna.samplers import BaseSampler
-from scipy.stats import rankdata
 
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
@@ -102,7 +102,7 @@ class OutsideProblem:
         """
         signs = [1.0 if each.good == "low" else -1.0 for each in self.feature_meanings.values()]
         badness = np.where(np.isnan(self.features), np.inf, self.features * signs)
-        return np.asarray(rankdata(badness, axis=0))
+        return np.asarray(scipy.stats.rankdata(badness, axis=0))
 
     @cached_property
     def ranking(self) -> Floats:

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+import scipy
 from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.samplers import BaseSampler
-from scipy.stats import ortho_group, qmc
 
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
@@ -140,7 +140,7 @@ def _schwefel(rng: np.random.Generator) -> Function:
 def _rastrigin(rng: np.random.Generator) -> Function:
     """Rastrigin's terms about a point of the box's inner half, in turned coordinates."""
     optimum = rng.uniform(-0.5, 0.5, DIMENSION) * RASTRIGIN_HALF_WIDTH
-    rotation = ortho_group.rvs(DIMENSION, random_state=rng)
+    rotation = scipy.stats.ortho_group.rvs(DIMENSION, random_state=rng)
 
     def terms(points: Floats) -> Floats:
         u = (points - optimum) @ rotation
@@ -176,7 +176,7 @@ def _feature(name: str, seed: int, half_width: float, terms: Function) -> Functi
 
 def _sobol(half_width: float, bits: int, rng: np.random.Generator) -> Floats:
     """2^bits scrambled Sobol points of the box, [2^bits, 16]."""
-    unit = qmc.Sobol(DIMENSION, rng=rng).random_base2(bits)
+    unit = scipy.stats.qmc.Sobol(DIMENSION, rng=rng).random_base2(bits)
     return np.asarray(half_width * (2.0 * unit - 1.0))
 
 

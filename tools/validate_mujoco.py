@@ -29,16 +29,7 @@ with guarded_imports():
     from study.commands.validate import Figure, show
     from study.experiment.trials import walked
     from study.options import LARGEST_SEED, Options
-    from taichi_nmm import (
-        GAINS,
-        PUBLISHED_GAINS,
-        Bodies,
-        Controller,
-        Observation,
-        Settings,
-        load_gains,
-        terrain,
-    )
+    from taichi_nmm import GAINS, PUBLISHED_GAINS, Bodies, Settings, load_gains, terrain
     from taichi_nmm.walker_simulator import require_engine
 
 LONG_S = 100.0
@@ -151,11 +142,12 @@ def tick_us() -> float:
     """Median time of `Controller.step` for `WALKERS` standing walkers."""
     pairs, joints = np.ones((WALKERS, 2)), np.zeros((WALKERS, 6))
     zeros = np.zeros(WALKERS)
-    sensed = Observation(
+    sensed = taichi_nmm.Observation(
         joints, joints, zeros, zeros, pairs, 400.0 * pairs,
         pairs, 0.5 * np.pi * pairs, 0.0 * pairs, zeros,
     )  # fmt: skip
-    controller = Controller(np.tile(PUBLISHED_GAINS, (WALKERS, 1)), settings=Settings(threads=1))
+    gains, settings = np.tile(PUBLISHED_GAINS, (WALKERS, 1)), Settings(threads=1)
+    controller = taichi_nmm.Controller(gains, settings=settings)
     controller.step(sensed)
     took = []
     for _ in range(TIMED_TICKS):

@@ -16,7 +16,6 @@ from datetime import date
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.metrics import roc_auc_score
 from tqdm import tqdm
 
 import taichi_nmm
@@ -87,6 +86,8 @@ def main(args: Namespace) -> None:
 
 def measure(samples: int, draws: int, seed: int) -> Iterator[Figure]:
     """All figures, as they are measured."""
+    from sklearn.metrics import roc_auc_score  # a second
+
     yield from published_gait()
     gains = sobol_points(seed, 0, samples, GAINS)
     short = taichi_nmm.simulate(gains, duration_s=SHORT_S).rows

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import PchipInterpolator
 
 from study.pictures import style
 from study.pictures.stick_figure import finite
@@ -42,7 +42,7 @@ class HumanRange:
     def at(self, percent: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean and standard deviation at these percentages, each of their shape."""
         table = np.array(self.rows)
-        curves = PchipInterpolator(table[:, 0], table[:, 1:])(percent)
+        curves = scipy.interpolate.PchipInterpolator(table[:, 0], table[:, 1:])(percent)
         return curves[..., 0], curves[..., 1]
 
 
