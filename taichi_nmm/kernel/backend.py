@@ -10,8 +10,10 @@ physics is plain scalar code; on a GPU the same code runs with one walker a thre
 import contextlib
 import io
 import os
+import sys
 import threading
 from collections.abc import Callable
+from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -24,6 +26,7 @@ os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # standard output is t
 with settled_environment(), contextlib.redirect_stdout(io.StringIO()):
     import taichi as ti
     from taichi._lib import core as _core
+    from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
 __all__ = [
@@ -276,4 +279,17 @@ def _short_position(context: Any, node: Any) -> str:
     return f'File "{context.file}", line {line}, in {context.func.func.__name__}:\n'
 
 
+def _inside_class(level_of_class_stackframe: int) -> bool:
+    """Whether a function is a method: none of ours is, and finding it out takes Taichi long."""
+    level = level_of_class_stackframe
+    if sys._getframe(level - 1).f_globals["__name__"].startswith("taichi_nmm."):
+        return False
+    return bool(_taichis_inside_class(level + 1))
+
+
 ASTTransformerContext.get_pos_info = _short_position
+_taichis_inside_class = kernel_impl._inside_class
+kernel_impl._inside_class = _inside_class
+# A function is inlined at each of its calls, and Taichi would look for its source each time.
+kernel_impl.getsourcefile = cache(kernel_impl.getsourcefile)
+kernel_impl.getsourcelines = cache(kernel_impl.getsourcelines)

@@ -2,10 +2,13 @@
 
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from taichi_nmm.errors import InputError
 from taichi_nmm.kernel import backend
+from taichi_nmm.kernel.backend import ti
+from taichi_nmm.settings import Settings
 
 REFUSAL = "no shader float64\nin driver"
 
@@ -48,3 +51,17 @@ def test_an_error_on_the_cpu_or_after_a_launch_is_no_ones_input(on: Callable[[st
     backend.launch(fails_later)
     with pytest.raises(RuntimeError, match=REFUSAL):
         backend.launch(fails_later)
+
+
+def test_a_kernel_in_a_class_of_the_user_is_still_a_method() -> None:
+    @ti.data_oriented
+    class Doubling:
+        @ti.kernel
+        def run(self, values: ti.types.ndarray()):  # type: ignore[no-untyped-def, valid-type]
+            for i in range(values.shape[0]):
+                values[i] = 2.0 * values[i]
+
+    backend.start(Settings(arch="cpu"))
+    values = np.ones(3, np.float32)
+    Doubling().run(values)
+    assert values.tolist() == [2.0, 2.0, 2.0]
