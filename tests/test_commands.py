@@ -17,7 +17,7 @@ import taichi_nmm
 from storage.store import open_store
 from study import pictures
 from study.commands import quickstart
-from study.comparison import artifacts
+from study.experiment import artifacts
 from study.options import config_path, shipped_configs
 from study.pictures import trajectory_files
 from study.report import before_after

@@ -37,19 +37,11 @@ ALLOWED = {
     "study.experiment": (
         "study.experiment",
         "study.sampler",
-        "storage",
-        "taichi_nmm",
-    ),
-    "study.experiment.features": ("study.sampler", "storage", "taichi_nmm"),
-    "study.comparison": (
-        "study.comparison",
-        "study.experiment",
-        "study.sampler.history",
-        "study.sampler.draws",
         "study.pictures",
         "storage",
         "taichi_nmm",
     ),
+    "study.experiment.features": ("study.sampler", "storage", "taichi_nmm"),
     "study.commands": PACKAGES,  # the top, which nobody but the door imports
     # For anybody: of the walker's package, only what says no to a user.
     "study.sampler": (

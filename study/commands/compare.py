@@ -19,8 +19,8 @@ import optuna
 from storage.databases.studies import public_url
 from storage.pool import cores
 from study.cli import ProgressBar
-from study.comparison.compare import Outcome, Progress, Request, compare
 from study.experiment.arms import with_store
+from study.experiment.compare import Outcome, Progress, Request, compare
 from study.experiment.experiment import Experiment, read_experiment
 from study.options import asked_cluster
 from study.report.markdown import arms_documents, arms_text

@@ -21,8 +21,8 @@ from optuna.storages import BaseStorage
 from storage.databases.bulk import study_ids
 from storage.databases.studies import open_studies, read_studies, shown_url, studies_path
 from storage.databases.urls import SQLITE, file_url
-from study.comparison.folder import ARTIFACTS_NAME, DATABASE_NAME
 from study.experiment.experiment import SUMMARY
+from study.experiment.folder import ARTIFACTS_NAME, DATABASE_NAME
 from study.loopback import HOST, Application, guarded, listening
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_file, is_folder

@@ -18,8 +18,8 @@ from typing import Any
 import optuna
 
 from storage.pool import cores
-from study.comparison.optimum import OPTIMUM_NAME, estimate
 from study.experiment.experiment import read_experiment
+from study.experiment.optimum import OPTIMUM_NAME, estimate
 from study.options import asked_cluster
 from taichi_nmm.walker_simulator import Walker, require_engine
 

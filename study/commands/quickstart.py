@@ -28,9 +28,9 @@ from storage.precompute import precompute
 from storage.specification import read_specification
 from study.cli import ProgressBar
 from study.commands.study import command_line, dashboard_command, film_command
-from study.comparison.folder import live_artifacts
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, read_experiment, study_name
+from study.experiment.folder import live_artifacts
 from study.experiment.live_study import run_study
 from study.experiment.trials import progress_line, simulate_trials, study_line
 from study.options import config_path
@@ -66,7 +66,7 @@ def run_arm(experiment: Experiment, name: str, url: str, out: Path) -> optuna.St
             experiment, arm, RUN, trials, storage,
             report=lambda study, trial: say(progress_line(study, trial, trials)),
         )  # fmt: skip
-        from study.comparison.artifacts import draw_best  # Matplotlib
+        from study.experiment.artifacts import draw_best  # Matplotlib
 
         draw_best(experiment, RUN, study, url, out)
         return study

@@ -23,9 +23,9 @@ from storage.commit import commit_json, writable
 from storage.databases.postgresql import Crew
 from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.databases.urls import is_postgresql, public_url
-from study.comparison.folder import live_artifacts
 from study.experiment.arms import check_arms, with_store
 from study.experiment.experiment import read_experiment, study_name
+from study.experiment.folder import live_artifacts
 from study.experiment.live_study import check_study, run_study
 from study.experiment.trials import progress_line, study_facts, study_line
 from study.options import config_path
@@ -59,7 +59,7 @@ def main(args: Namespace) -> None:
         with writable(folder):
             folder.mkdir(parents=True, exist_ok=True)
         commit_json(gains, study.best_params)
-        from study.comparison.artifacts import draw_best  # Matplotlib: a second
+        from study.experiment.artifacts import draw_best  # Matplotlib: a second
 
         with crew.turn() if crew else nullcontext():
             draw_best(experiment, args.run, study, args.storage, folder)

@@ -24,14 +24,14 @@ from tqdm import tqdm
 
 import taichi_nmm
 from storage.commit import commit, writable
-from study.comparison.gains import (
+from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
+from study.experiment.gains import (
     NamedGains,
     gains_of_row,
     gains_of_source,
     gains_of_trial,
     recorded_walk,
 )
-from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
 from study.experiment.trials import MEASURES, row_text
 from study.options import BOTH_ENGINES
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip

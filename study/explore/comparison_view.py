@@ -20,8 +20,8 @@ from bokeh.models.text import PlainText
 from bokeh.models.tools import PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 
-from study.comparison.gains import NamedGains, gains_of_trial
 from study.experiment.experiment import Experiment, study_name
+from study.experiment.gains import NamedGains, gains_of_trial
 from study.explore.server import Message
 from study.explore.stage import SCRIPTS
 from study.explore.walk import Setting

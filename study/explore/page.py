@@ -12,9 +12,9 @@ from bokeh.models import Div
 
 from storage.store import SHARD_PATTERN, Store, open_store
 from storage.store_folder import SPECIFICATION_NAME
-from study.comparison.folder import EXPERIMENT_NAME, RESULTS_NAME
-from study.comparison.gains import gains_at, gains_of_source
 from study.experiment.experiment import Experiment
+from study.experiment.folder import EXPERIMENT_NAME, RESULTS_NAME
+from study.experiment.gains import gains_at, gains_of_source
 from study.experiment.identity import documented_experiment
 from study.explore.comparison_view import ComparisonView
 from study.explore.downloads import file_of_selection

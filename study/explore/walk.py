@@ -9,8 +9,8 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
-from study.comparison.gains import NamedGains, gains_of_source, recorded_walk
 from study.experiment.experiment import Experiment, as_written, experiment_of
+from study.experiment.gains import NamedGains, gains_of_source, recorded_walk
 from study.experiment.trials import row_text
 from study.pictures import style
 from study.pictures.scene import FORCE_M_PER_N, motion_of, pressure_point

@@ -23,7 +23,7 @@ from bokeh.models import (
     Spinner,
 )
 
-from study.comparison.gains import NamedGains, gains_of_source
+from study.experiment.gains import NamedGains, gains_of_source
 from study.explore.downloads import NAMES, command_line, file_of_walk
 from study.explore.server import Latest, Message
 from study.explore.stage import SCRIPTS, Cycle, Player, Score

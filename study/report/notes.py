@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from study.comparison.database import Summary
+from study.experiment.database import Summary
 from study.experiment.experiment import study_name
 from study.report.markdown import count_text, table
 from study.report.runs import ArmRuns, runs_of

@@ -18,7 +18,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from storage.tables import read_any
-from study.comparison.folder import (
+from study.experiment.experiment import COST_FUNCTIONS, NAME_PATTERN
+from study.experiment.folder import (
     EXPERIMENT_NAME,
     RESULTS_NAME,
     RUN_NAME,
@@ -27,7 +28,6 @@ from study.comparison.folder import (
     in_order,
     table_files,
 )
-from study.experiment.experiment import COST_FUNCTIONS, NAME_PATTERN
 from study.experiment.stores import store_digest
 from taichi_nmm.checks import Check, anything, by_name, each, flag, number, text, word
 from taichi_nmm.errors import InputError

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from storage.commit import commit_json, commit_text, together
-from study.comparison.optimum import OPTIMUM_NAME
+from study.experiment.optimum import OPTIMUM_NAME
 from study.report.before_after import Pair, write_strips
 from study.report.figures import write_best_cost, write_first_walker, write_grid, write_walkers
 from study.report.markdown import NO_STORES, condensed_table, overview_text, report_text

@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 import taichi_nmm
 from storage.tables import DIGEST_KEY, FOOTER_KEY, write_stamped, write_table
 from study.cli import main
-from study.comparison.folder import TIME_COLUMNS, in_order
+from study.experiment.folder import TIME_COLUMNS, in_order
 from study.options import CONFIGS
 from tests.study import fake_walker
 

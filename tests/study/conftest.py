@@ -13,8 +13,8 @@ import pytest
 
 import taichi_nmm
 from study import FeatureTable
-from study.comparison import compare as comparing
-from study.comparison.compare import Outcome, Request, compare
+from study.experiment import compare as comparing
+from study.experiment.compare import Outcome, Request, compare
 from study.experiment.experiment import Experiment
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker

@@ -13,14 +13,14 @@ import optuna
 import pyarrow.compute as pc
 import pytest
 
-from study.comparison import artifacts
-from study.comparison.artifacts import make_artifacts
-from study.comparison.database import export
+from study.experiment import artifacts
+from study.experiment.artifacts import make_artifacts
+from study.experiment.database import export
 from study.report.notes import dashboard_summary
 from taichi_nmm.result import Result
 from tests.browser import save
 from tests.study import synthetic_gait
-from tests.study.comparison.fake_results import experiment, results
+from tests.study.experiment.fake_results import experiment, results
 
 pytestmark = pytest.mark.slow
 

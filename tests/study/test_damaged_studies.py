@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 
 from storage.databases.studies import open_studies
-from study.comparison.compare import Request, compare
-from study.comparison.database import Summary
-from study.comparison.gains import gains_of_trial
 from study.experiment.arms import find_arm
+from study.experiment.compare import Request, compare
+from study.experiment.database import Summary
 from study.experiment.experiment import Experiment
+from study.experiment.gains import gains_of_trial
 from study.experiment.live_study import check_study, run_study
 from taichi_nmm.errors import InputError
 

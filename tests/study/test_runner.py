@@ -18,8 +18,8 @@ from optuna.trial import FrozenTrial, TrialState
 import taichi_nmm
 from storage.databases.studies import open_studies
 from study.commands.study import dashboard_command, film_command
-from study.comparison.compare import Request, compare
 from study.experiment.arms import ARMS, find_arm
+from study.experiment.compare import Request, compare
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.live_study import open_study, run_study
 from study.experiment.one_study import OneStudy, sampler_seed

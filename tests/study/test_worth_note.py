@@ -12,8 +12,8 @@ from optuna_dashboard import get_note, save_note
 from storage.databases.bulk import trial_counts
 from storage.databases.studies import load_whole, open_studies
 from study import FeatureKernelSampler, FeatureTable
-from study.comparison.compare import Request, compare
 from study.experiment.arms import ARMS, find_arm
+from study.experiment.compare import Request, compare
 from study.experiment.experiment import study_name
 from study.experiment.live_study import run_study
 from study.experiment.one_study import worth_of_study
@@ -83,9 +83,9 @@ def test_each_study_of_a_comparison_over_features_has_its_own(toy, tmp_path, mon
     assert get_note(live) == dogs[1]  # to the letter
     before = (tmp_path / "out" / "trials.parquet").read_bytes()
     with monkeypatch.context() as context:
-        context.setattr("study.comparison.database.note_worth", None)  # or it is called
+        context.setattr("study.experiment.database.note_worth", None)  # or it is called
         read = Mock(wraps=load_whole)
-        context.setattr("study.comparison.database.load_whole", read)
+        context.setattr("study.experiment.database.load_whole", read)
         outcome(arms=("dog",))  # no new trials, no new notes
         assert read.call_count == 2  # each study once
     assert notes(url) == first

@@ -14,7 +14,7 @@ import pytest
 
 from storage import open_store
 from study import FeatureTable
-from study.comparison.gains import gains_of_row
+from study.experiment.gains import gains_of_row
 from taichi_nmm import load_all_gains, load_gains, reading, terrain
 from taichi_nmm.config import read_toml
 from taichi_nmm.errors import InputError

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import taichi_nmm
 from study.cli import main
-from study.comparison import compare
+from study.experiment import compare
 from tests.study import fake_walker
 
 vars(taichi_nmm)["simulate"] = fake_walker.simulate

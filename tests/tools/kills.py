@@ -39,9 +39,9 @@ import taichi_nmm
 from storage.databases.urls import file_url
 from study.cli import main as command_line
 from study.cli import run_command
-from study.comparison import compare, optimum
-from study.comparison.folder import PROPOSAL_TIME, RUN_NAME, TIMES_NAME
-from study.comparison.optimum import OPTIMUM_NAME
+from study.experiment import compare, optimum
+from study.experiment.folder import PROPOSAL_TIME, RUN_NAME, TIMES_NAME
+from study.experiment.optimum import OPTIMUM_NAME
 from study.options import COMMANDS, LARGEST_SEED, Options
 from tests.study import fake_walker
 

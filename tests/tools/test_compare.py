@@ -13,7 +13,7 @@ import optuna
 import pyarrow.parquet as pq
 import pytest
 
-from study.comparison import compare
+from study.experiment import compare
 from study.experiment.stores import store_digest
 from tests.study import fake_walker
 from tests.tools.conftest import Command, Simulator, Tool

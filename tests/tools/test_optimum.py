@@ -13,9 +13,9 @@ import pytest
 
 import taichi_nmm
 from storage.tables import write_stamped
-from study.comparison import compare, optimum
-from study.comparison.optimum import CUT, asked_gains, ended, new_run
+from study.experiment import compare, optimum
 from study.experiment.experiment import CmaesOptions
+from study.experiment.optimum import CUT, asked_gains, ended, new_run
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 from tests.study import fake_walker

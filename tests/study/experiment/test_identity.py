@@ -19,8 +19,8 @@ from taichi_nmm.settings import MujocoSettings, Settings
 from taichi_nmm.terrain import KINDS, Ground, read_ground
 from taichi_nmm.world import WorldRanges
 from tests.study import fake_walker
-from tests.study.comparison.fake_results import experiment
 from tests.study.conftest import refused
+from tests.study.experiment.fake_results import experiment
 
 TINY = experiment()
 

@@ -16,7 +16,7 @@ from storage.document import document_hash
 from storage.schema import columns_of
 from storage.store import open_store
 from storage.tables import write_table
-from study.comparison.compare import Request, compare
+from study.experiment.compare import Request, compare
 from study.explore.walk import RATE_HZ
 from tests.browser import opened_page, save
 from tests.storage.fake import content

@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from storage.store import open_store
-from study.comparison.gains import gains_of_source
 from study.experiment.experiment import as_written, read_experiment
+from study.experiment.gains import gains_of_source
 from study.explore import walk as walking
 from study.explore.downloads import NAMES, command_line, file_of_selection, file_of_walk
 from study.explore.walk import Setting, Walk, chosen_setting, frames_of, to_toml, walk

@@ -8,8 +8,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from study.comparison import compare as comparing
-from study.comparison.compare import Progress, Request, compare
+from study.experiment import compare as comparing
+from study.experiment.compare import Progress, Request, compare
 from study.report.runs import read_results
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons

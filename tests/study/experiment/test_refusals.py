@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from storage.tables import DIGEST_KEY, write_table
-from study.comparison.folder import ExperimentFolder
 from study.experiment import arms
 from study.experiment.experiment import Experiment, read_experiment
+from study.experiment.folder import ExperimentFolder
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons, refused
 

@@ -14,9 +14,11 @@ import pyarrow as pa
 from storage.cluster import open_pool
 from storage.databases.urls import file_url
 from storage.pool import Cluster, Pool, local_pool
-from study.comparison.block import Advanced, Block, advance
-from study.comparison.database import Summarise, check_database, export, note_worths
-from study.comparison.folder import (
+from study.experiment.arms import Arm, check_arms
+from study.experiment.block import Advanced, Block, advance
+from study.experiment.database import Summarise, check_database, export, note_worths
+from study.experiment.experiment import Experiment
+from study.experiment.folder import (
     DATABASE_NAME,
     RESULT_SCHEMA,
     STATE_SCHEMA,
@@ -26,8 +28,6 @@ from study.comparison.folder import (
     in_order,
     walkers,
 )
-from study.experiment.arms import Arm, check_arms
-from study.experiment.experiment import Experiment
 from study.experiment.identity import deciding_packages, document, machine
 from study.experiment.stores import store_path
 from taichi_nmm import checks
@@ -252,7 +252,7 @@ def compare(
         note_worths(experiment, arms, runs, url, renew=computed > 0)
         note_session()
         if request.artifacts:
-            from study.comparison.artifacts import FILM_RUNS, make_artifacts  # Matplotlib
+            from study.experiment.artifacts import FILM_RUNS, make_artifacts  # Matplotlib
 
             filmed = len(runs) if request.films == "all" else FILM_RUNS
             with local_pool(request.workers) if request.cluster else nullcontext(chosen) as here:

@@ -27,10 +27,10 @@ from storage.commit import commit_json
 from storage.folder import Folder
 from storage.pool import Cluster, Pool
 from storage.tables import write_table
-from study.comparison.compare import Request, compare, opened_pool, work_through
-from study.comparison.folder import in_order, schema_of, table_of
 from study.experiment.arms import PAPER_ARM, check_arms
+from study.experiment.compare import Request, compare, opened_pool, work_through
 from study.experiment.experiment import CmaesOptions, Experiment
+from study.experiment.folder import in_order, schema_of, table_of
 from study.experiment.identity import GROWING, document, machine
 from study.experiment.samplers import CmaEs
 from study.experiment.trials import OUTCOMES, costs, finite, simulate_trials, walked

@@ -30,9 +30,9 @@ from storage.databases.studies import (
     shown_url,
     storage_errors,
 )
-from study.comparison.folder import as_if_gone_on, by_study
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name, summary_name
+from study.experiment.folder import as_if_gone_on, by_study
 from study.experiment.identity import LIVE_ATTRIBUTE, fingerprint
 from study.experiment.live_study import require_notes, require_written
 from study.experiment.one_study import note_worth

@@ -13,16 +13,16 @@ from optuna_dashboard._custom_plot_data import get_plotly_graph_objects
 
 from storage.databases.bulk import study_ids, trial_counts
 from storage.databases.studies import open_studies
-from study.comparison.database import check_database, export
-from study.comparison.folder import as_if_gone_on
+from study.experiment.database import check_database, export
 from study.experiment.experiment import Experiment
+from study.experiment.folder import as_if_gone_on
 from study.experiment.identity import fingerprint
 from study.report.notes import dashboard_summary
 from taichi_nmm.parameters import GAINS
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Ground
-from tests.study.comparison.fake_results import experiment, results
 from tests.study.conftest import refused
+from tests.study.experiment.fake_results import experiment, results
 
 TINY = experiment()
 SIX = ("tiny/dog/run-000", "tiny/dog/run-001", "tiny/random/run-000", "tiny/random/run-001")

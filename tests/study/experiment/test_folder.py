@@ -6,8 +6,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from study.comparison.folder import as_if_gone_on, by_study
 from study.experiment.arms import ARMS
+from study.experiment.folder import as_if_gone_on, by_study
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -14,17 +14,17 @@ import pytest
 
 import taichi_nmm
 from storage.pool import InProcess, Pool
-from study.comparison import compare as comparing
-from study.comparison.compare import Progress, Request, compare, cut
-from study.comparison.folder import RESULT_SCHEMA
+from study.experiment import compare as comparing
+from study.experiment.compare import Progress, Request, compare, cut
 from study.experiment.experiment import Experiment
+from study.experiment.folder import RESULT_SCHEMA
 from study.experiment.one_study import OneStudy
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings
 from tests.study import fake_walker
-from tests.study.comparison.fake_results import experiment
 from tests.study.conftest import Comparisons, refused
+from tests.study.experiment.fake_results import experiment
 
 pytestmark = pytest.mark.slow
 

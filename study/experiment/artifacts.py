@@ -23,9 +23,9 @@ from storage.databases.bulk import attach
 from storage.databases.studies import read_errors
 from storage.folder import remove
 from storage.pool import IN_PROCESS, Pool
-from study.comparison.database import opened
-from study.comparison.folder import ARTIFACTS_NAME, gains_of, in_order, live_artifacts
+from study.experiment.database import opened
 from study.experiment.experiment import Experiment, study_name
+from study.experiment.folder import ARTIFACTS_NAME, gains_of, in_order, live_artifacts
 from study.experiment.identity import fingerprint
 from study.experiment.trials import outcome_text, simulate_trials
 from study.pictures import SMALL, find_ffmpeg, write_movie, write_strip

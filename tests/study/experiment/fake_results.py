@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from study.comparison.folder import RESULT_SCHEMA
 from study.experiment.experiment import Experiment
+from study.experiment.folder import RESULT_SCHEMA
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
 from taichi_nmm.settings import Settings

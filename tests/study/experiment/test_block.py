@@ -5,10 +5,10 @@ import pickle
 import pyarrow as pa
 import pytest
 
-from study.comparison.block import Block, advance
-from study.comparison.folder import NOTES, PROPOSAL_TIME, STATE_SCHEMA, in_order, outcomes_of
 from study.experiment.arms import ARMS
+from study.experiment.block import Block, advance
 from study.experiment.experiment import Experiment
+from study.experiment.folder import NOTES, PROPOSAL_TIME, STATE_SCHEMA, in_order, outcomes_of
 from study.experiment.trials import KEPT
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import COMPLETED

@@ -13,9 +13,9 @@ import pytest
 import taichi_nmm
 from storage.databases.studies import open_studies
 from storage.store import open_store
-from study.comparison.compare import Request, compare
-from study.comparison.gains import gains_of_row, gains_of_source, gains_of_trial
 from study.experiment.arms import find_arm
+from study.experiment.compare import Request, compare
+from study.experiment.gains import gains_of_row, gains_of_source, gains_of_trial
 from study.experiment.live_study import run_study
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, PUBLISHED_GAINS, load_all_gains

@@ -17,7 +17,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from optuna.exceptions import ExperimentalWarning
 
-from study.comparison.folder import (
+from study.experiment.arms import find_arm
+from study.experiment.experiment import Experiment
+from study.experiment.folder import (
     NOTES,
     STATE_SCHEMA,
     Key,
@@ -27,8 +29,6 @@ from study.comparison.folder import (
     state_table,
     walkers,
 )
-from study.experiment.arms import find_arm
-from study.experiment.experiment import Experiment
 from study.experiment.one_study import OneStudy, shown
 from study.experiment.trials import costs, finite, simulate_trials
 from study.sampler.history import OFF_TABLE, ROW_ATTRIBUTE

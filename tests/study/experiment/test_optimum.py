@@ -7,12 +7,12 @@ import pyarrow.compute as pc
 import pytest
 
 from storage.pool import IN_PROCESS, InProcess, Pool
-from study.comparison import optimum
-from study.comparison.optimum import EVALUATIONS, OptimumFolder, Stretch, evolve, run_cmaes
+from study.experiment import optimum
 from study.experiment.experiment import CmaesOptions, Experiment
+from study.experiment.optimum import EVALUATIONS, OptimumFolder, Stretch, evolve, run_cmaes
 from taichi_nmm.terrain import Ground
 from tests.study import fake_walker
-from tests.study.comparison.fake_results import experiment
+from tests.study.experiment.fake_results import experiment
 
 RUNS = 3
 DOCUMENT = {"arms": {}, "stores": {}, "ground": {}}

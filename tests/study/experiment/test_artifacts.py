@@ -14,15 +14,15 @@ from optuna_dashboard import get_note, save_note
 
 from storage.databases.studies import open_studies
 from storage.pool import IN_PROCESS, Pool, local_pool
-from study.comparison import artifacts
-from study.comparison.artifacts import FILM_RUNS, Drawing, best_walks, draw, make_artifacts
-from study.comparison.database import export
-from study.comparison.folder import gains_of
+from study.experiment import artifacts
+from study.experiment.artifacts import FILM_RUNS, Drawing, best_walks, draw, make_artifacts
+from study.experiment.database import export
+from study.experiment.folder import gains_of
 from study.pictures import movie
 from taichi_nmm.result import Result
 from tests.study import synthetic_gait
-from tests.study.comparison.fake_results import experiment, results
 from tests.study.conftest import refused
+from tests.study.experiment.fake_results import experiment, results
 
 pytestmark = pytest.mark.slow
 

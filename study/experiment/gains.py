@@ -17,8 +17,8 @@ from storage.databases.studies import read_studies, shown_url, studies_path
 from storage.databases.urls import SQLITE
 from storage.store import Store, open_store
 from storage.tables import read_columns
-from study.comparison.folder import RESULTS_NAME, table_files
 from study.experiment.experiment import Experiment
+from study.experiment.folder import RESULTS_NAME, table_files
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
     GAIN_NAMES,
