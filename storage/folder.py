@@ -13,8 +13,7 @@ from typing import Any, ClassVar, Self
 import pyarrow as pa
 
 from storage.commit import TEMPORARY_SUFFIX, lock_now, require_folder, writable
-from storage.document import agree
-from storage.tables import read_stamped, write_stamped
+from storage.tables import agree, read_stamped, write_stamped
 from taichi_nmm.errors import InputError
 
 LOCK_NAME = ".lock"

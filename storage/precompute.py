@@ -14,11 +14,17 @@ from numpy.typing import NDArray
 
 from storage.points import sobol_points
 from storage.pool import IN_PROCESS, Pool, own_kind
-from storage.schema import EVOLVED_ROW, SOBOL_ROW, evaluated_name, family_names, shard_table
 from storage.search import evolved_points
 from storage.simulator import Report, run_points
 from storage.specification import Family, Specification
-from storage.store import open_store
+from storage.store import (
+    EVOLVED_ROW,
+    SOBOL_ROW,
+    evaluated_name,
+    family_names,
+    open_store,
+    shard_table,
+)
 from storage.store_folder import StoreFolder
 
 TYPICAL_ALIVE = 0.1  # of random points, at the age from which families run them

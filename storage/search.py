@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from storage.points import in_unit_cube, within_bounds
 from storage.pool import Pool
-from storage.schema import evaluated_name, family_names
 from storage.simulator import Simulator, judge_rows, run_points
 from storage.specification import BATCH, EMITTERS, STARTS, Family, Repertoire, Specification
+from storage.store import evaluated_name, family_names
 from storage.store_folder import StoreFolder, Tried
 from taichi_nmm.errors import InputError
 

@@ -18,9 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from storage import points
-from storage.document import FORMAT, document_hash
 from storage.points import LARGEST_SEQUENCE, seed_sequence
-from storage.schema import ORIGIN, arrow_schema, columns_of
 from storage.simulator import (
     SIMULATOR_KEY,
     WALKER,
@@ -30,6 +28,8 @@ from storage.simulator import (
     check_simulator,
     find_simulator,
 )
+from storage.store import ORIGIN, arrow_schema, columns_of
+from storage.tables import FORMAT, document_hash
 from taichi_nmm import checks
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError

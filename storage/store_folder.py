@@ -18,13 +18,18 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from storage.document import FORMAT, document_hash
 from storage.folder import Folder, remove
 from storage.pool import KIND_NAME
-from storage.schema import columns_of
 from storage.specification import Layout
-from storage.store import MANIFEST_NAME, SHARD_PATTERN, Manifest, read_footer, shard_name
-from storage.tables import file_hash, read_columns, read_own, write_table
+from storage.store import (
+    MANIFEST_NAME,
+    SHARD_PATTERN,
+    Manifest,
+    columns_of,
+    read_footer,
+    shard_name,
+)
+from storage.tables import FORMAT, document_hash, file_hash, read_columns, read_own, write_table
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import reading
 

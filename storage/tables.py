@@ -1,8 +1,9 @@
-"""Parquet files with a footer of ours: written whole, checked when read.
+"""Parquet files with a footer of ours: written whole, checked when read; documents of folders.
 
-The footer of a *stamped* table has the document of its folder and a digest of its content. Both are
-checked when the table is read again, so that a file of another folder, or one that was edited, is
-refused. They find mistakes, not malice: anybody who edits a table can make its digest too.
+A document is of JSON values: hashed, compared, agreed upon. The footer of a *stamped* table has the
+document of its folder and a digest of its content. Both are checked when the table is read again,
+so that a file of another folder, or one that was edited, is refused. They find mistakes, not
+malice: anybody who edits a table can make its digest too.
 """
 
 import hashlib
@@ -15,11 +16,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from storage.commit import commit
-from storage.document import differs
+from storage.commit import commit, commit_json
 from taichi_nmm.errors import InputError
-from taichi_nmm.reading import parse_json, reading
+from taichi_nmm.reading import json_document, parse_json, reading
 
+FORMAT = 1  # of specification.json, manifest.json and the footers
 FOOTER_KEY = b"taichi_nmm"
 DIGEST_KEY = "content_sha256"  # in a stamped table's footer; files older than the key have none
 HASH_BLOCK_BYTES = 1 << 20
@@ -166,3 +167,72 @@ def table_digest(table: pa.Table) -> str:
         else:
             digest.update(np.ascontiguousarray(column.to_numpy()).tobytes())
     return digest.hexdigest()
+
+
+def document_hash(document: dict[str, Any]) -> str:
+    """SHA-256 of a document, whatever its layout in a file."""
+    return hashlib.sha256(json.dumps(document, separators=(",", ":")).encode()).hexdigest()
+
+
+def difference(document: Any, other: Any, name: str = "") -> tuple[str, Any, Any] | None:
+    """The first field in which two documents differ, as (dotted name, value, other value)."""
+    if isinstance(document, list) and isinstance(other, list):
+        document, other = dict(enumerate(document)), dict(enumerate(other))
+    if not (isinstance(document, dict) and isinstance(other, dict)):
+        return None if document == other else (name, document, other)
+    for key in dict.fromkeys([*document, *other]):
+        path = f"{name}.{key}" if name else str(key)
+        found = difference(document.get(key), other.get(key), path)
+        if found:
+            return found
+    return None
+
+
+def differs(
+    document: dict[str, Any], known: dict[str, Any], growing: tuple[str, ...] = ()
+) -> tuple[str, Any, Any] | None:
+    """As `difference`; a key that one side of a `growing` dictionary lacks is no difference."""
+    ours = document | {key: known.get(key, {}) | document[key] for key in growing}
+    theirs = known | {key: document[key] | known.get(key, {}) for key in growing}
+    return difference(ours, theirs)
+
+
+def agree(
+    path: Path,
+    document: dict[str, Any],
+    *,
+    growing: tuple[str, ...] = (),
+    remedy: str,
+    write: bool = True,
+) -> dict[str, Any]:
+    """Write the document into a new folder; in an old one, check that it is the same.
+
+    Args:
+        path: the document's file, which need not be there.
+        document: of this call.
+        growing: dictionaries of the document to which calls add; where missing in the file, empty.
+        remedy: advice for messages: "another --out".
+        write: whether the file is made, or gets what the call adds.
+
+    Returns:
+        The document that is then in the file, or would be.
+
+    Raises:
+        InputError: the file cannot be read or written, or has another document.
+    """
+    known: dict[str, Any] = {}
+    if path.exists():
+        allowed = f"a readable {path.stem}; or {remedy}"
+        known = json_document("out", path, allowed)
+        with reading("out", path, allowed):
+            found = differs(document, known, growing)
+            grown = {key: known.get(key, {}) | document[key] for key in growing}
+        if found:
+            name, here, there = found
+            raise InputError(name or path.stem, here, f"{there!r}, as {path} says; or {remedy}")
+    else:
+        grown = {key: document[key] for key in growing}
+    whole = document | {key: dict(sorted(values.items())) for key, values in grown.items()}
+    if write and (not path.exists() or (growing and whole != known)):
+        commit_json(path, whole)
+    return whole

@@ -25,10 +25,10 @@ from distributed.comm import CommClosedError
 from distributed.security import Security
 
 from storage.cluster.worker import Workplace, answer, let_in, packed
-from storage.document import agree
 from storage.pool import KIND_NAME, Cluster, Kind, Pool, differences, own_kind
 from storage.processes import Processes
 from storage.simulator import Simulator
+from storage.tables import agree
 from taichi_nmm.errors import InputError, one_line, shortened
 from taichi_nmm.reading import json_document
 

@@ -13,9 +13,16 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from storage.schema import EVOLVED_ROW, ORIGIN, SOBOL_ROW, evaluated_name, family_names
 from storage.simulator import SURVIVED
-from storage.store import Store, open_store
+from storage.store import (
+    EVOLVED_ROW,
+    ORIGIN,
+    SOBOL_ROW,
+    Store,
+    evaluated_name,
+    family_names,
+    open_store,
+)
 from study.pictures import style
 from taichi_nmm.errors import InputError
 

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.schema import ORIGIN, SOBOL_ROW, evaluated_name
-from storage.store import Store, open_store
+from storage.store import ORIGIN, SOBOL_ROW, Store, evaluated_name, open_store
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks

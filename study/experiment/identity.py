@@ -11,7 +11,7 @@ from functools import cache, lru_cache
 from importlib.metadata import version
 from typing import Any
 
-from storage.document import FORMAT, document_hash
+from storage.tables import FORMAT, document_hash
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.stores import store_digest, store_path

@@ -28,7 +28,7 @@ from optuna.trial import FrozenTrial, TrialState
 from storage.commit import require_folder
 from storage.databases.postgresql import Crew
 from storage.databases.studies import name_metric, read_studies, require_lockable
-from storage.document import difference
+from storage.tables import difference
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.identity import LIVE_ATTRIBUTE, document

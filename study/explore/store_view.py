@@ -32,8 +32,7 @@ from bokeh.models.tools import BoxSelectTool, PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from storage.schema import EVOLVED_ROW, ORIGIN
-from storage.store import Store
+from storage.store import EVOLVED_ROW, ORIGIN, Store
 from study.experiment.features import COLUMN_END
 from study.explore.server import Message
 from study.explore.stage import SCRIPTS

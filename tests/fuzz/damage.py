@@ -15,8 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.random import Generator
 
-from storage.document import document_hash
-from storage.tables import DIGEST_KEY, FOOTER_KEY, table_digest
+from storage.tables import DIGEST_KEY, FOOTER_KEY, document_hash, table_digest
 
 HUGE = 10**400
 SURROGATE = "\udcff"  # of a name that is not UTF-8, as Python has it

@@ -8,11 +8,11 @@ import pytest
 
 import taichi_nmm
 from storage import merge, open_store
-from storage.document import difference, document_hash
 from storage.points import sobol_points
 from storage.precompute import precompute, progress_parts, score_shard
-from storage.schema import columns_of, family_names
 from storage.specification import Specification, read_specification
+from storage.store import columns_of, family_names
+from storage.tables import difference, document_hash
 from taichi_nmm import walker_simulator
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError

@@ -11,9 +11,15 @@ import pyarrow.parquet as pq
 import pytest
 
 from storage import tables
-from storage.document import agree
 from storage.store import FOOTER_NEEDS, read_footer
-from storage.tables import read_columns, read_stamped, table_digest, write_stamped, write_table
+from storage.tables import (
+    agree,
+    read_columns,
+    read_stamped,
+    table_digest,
+    write_stamped,
+    write_table,
+)
 from study import FeatureTable
 from study.report.runs import read_trials
 from taichi_nmm.errors import InputError

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage.document import difference, document_hash
 from storage.specification import read_specification
+from storage.tables import difference, document_hash
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
 from tests.storage.fake import configuration, specification

@@ -16,10 +16,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from storage import merge, open_store
-from storage.document import document_hash
 from storage.precompute import precompute
 from storage.specification import read_specification
-from storage.tables import FOOTER_KEY
+from storage.tables import FOOTER_KEY, document_hash
 from study import FeatureTable, covered_table, survival_table
 from taichi_nmm import walker_simulator
 from taichi_nmm.config import Table

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from storage.document import agree, difference
+from storage.tables import agree, difference
 from study.experiment import identity
 from study.experiment.arms import find_arm
 from study.experiment.experiment import CmaesOptions, Experiment, read_experiment

@@ -12,10 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
-from storage.document import document_hash
-from storage.schema import columns_of
-from storage.store import open_store
-from storage.tables import write_table
+from storage.store import columns_of, open_store
+from storage.tables import document_hash, write_table
 from study.experiment.compare import Request, compare
 from study.explore.walk import RATE_HZ
 from tests.browser import opened_page, save
