@@ -31,7 +31,7 @@ from storage.simulator import (
 from storage.store import ORIGIN, arrow_schema, columns_of
 from storage.tables import FORMAT, document_hash
 from taichi_nmm import checks
-from taichi_nmm.config import Table
+from taichi_nmm.config import REQUIRED, Table
 from taichi_nmm.errors import InputError
 
 HORIZON_S = 5.0  # of the base setting, where the configuration names none
@@ -358,15 +358,26 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
         InputError: a name that cannot begin columns, a setting out of range, or a family after one
             that does not exist.
     """
-    robust, others = table.table(ROBUST), table.table("families")
-    count = robust.integer("settings", 0, 0, MOST_WORLDS)
-    families = [_read_family(ROBUST, robust, count, simulator, horizon_s)] if count else []
-    robust.done()
-    for name in sorted(others.unread):
+    others, families = table.table("families"), []
+    named = {name: others.table(name) for name in sorted(others.unread)}
+    for name in named:
         _check_name(name, arrow_schema(simulator).names)
-        own = others.table(name)
-        count = own.integer("settings", low=1, high=MOST_WORLDS)
-        families.append(_read_family(name, own, count, simulator, horizon_s))
+    for name, own in {ROBUST: table.table(ROBUST), **named}.items():
+        default, least = (0, 0) if name == ROBUST else (REQUIRED, 1)
+        if count := own.integer("settings", default, least, MOST_WORLDS):
+            after = own.text("after", "") if name != ROBUST else ""
+            last = own.number("min_survived_fraction", low=0.0, high=1.0) if after else 0.0
+            family = Family(
+                name=name,
+                settings=count,
+                after=after,
+                min_survived_fraction=last,
+                min_survival_s=own.number("min_survival_s", 3.0, 0.0, horizon_s),
+                horizon_s=own.number("horizon_s", 8.0, SHORTEST_HORIZON_S, LONGEST_HORIZON_S),
+                seed=own.integer("seed", 0),
+                rule=simulator.read_worlds(own),
+            )
+            families.append(family)
         own.done()
     first = [family for family in families if not family.after]
     later = [family for family in families if family.after]
@@ -387,24 +398,6 @@ def _check_name(name: str, columns: Sequence[str]) -> None:
     for column in columns:
         if f"{column}_".startswith(f"{name}_"):
             raise InputError("families", name, f"a name that does not begin a column's ({column})")
-
-
-def _read_family(
-    name: str, table: Table, count: int, simulator: Simulator, horizon_s: float
-) -> Family:
-    after = table.text("after", "") if name != ROBUST else ""
-    return Family(
-        name=name,
-        settings=count,
-        after=after,
-        min_survived_fraction=table.number("min_survived_fraction", low=0.0, high=1.0)
-        if after
-        else 0.0,
-        min_survival_s=table.number("min_survival_s", 3.0, 0.0, horizon_s),
-        horizon_s=table.number("horizon_s", 8.0, SHORTEST_HORIZON_S, LONGEST_HORIZON_S),
-        seed=table.integer("seed", 0),
-        rule=simulator.read_worlds(table),
-    )
 
 
 def _read_repertoire(

@@ -23,7 +23,6 @@ from taichi_nmm.reading import json_document, parse_json, reading
 FORMAT = 1  # of specification.json, manifest.json and the footers
 FOOTER_KEY = b"taichi_nmm"
 DIGEST_KEY = "content_sha256"  # in a stamped table's footer; files older than the key have none
-HASH_BLOCK_BYTES = 1 << 20
 MOST_ROWS = 10**8  # 0.8 GB a column; a hundred times the largest store of docs/
 
 
@@ -107,11 +106,8 @@ def file_hash(path: Path) -> str:
     Raises:
         InputError: the file cannot be read.
     """
-    digest = hashlib.sha256()
     with reading("store", path, "a file that can be read") as whole, whole.open("rb") as file:
-        while block := file.read(HASH_BLOCK_BYTES):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_stamped(path: Path, table: pa.Table, document: dict[str, Any]) -> None:

@@ -55,12 +55,12 @@ class Observation:
         checks.whole(0)("count", count)
         arrays = {}
         for name, width in WIDTHS.items():
-            shape = (count, width) if width else (count,)
-            array = arrays[name] = _array(name, getattr(self, name), shape)
+            field, shape = f"observation.{name}", (count, width) if width else (count,)
+            array = arrays[name] = checks.numbers(field, getattr(self, name))
             if array.shape != shape:
-                raise InputError(f"observation.{name}.shape", array.shape, f"{list(shape)}")
-            if array.dtype.kind not in "biuf" or not np.isfinite(array).all():
-                raise InputError(f"observation.{name}", "nan, inf or no number", "finite numbers")
+                raise InputError(f"{field}.shape", array.shape, f"{list(shape)}")
+            if not np.isfinite(array).all():
+                raise InputError(field, "nan or inf", "finite numbers")
         contact = arrays["contact"]
         if not np.all((contact == 0) | (contact == 1)):
             other = contact[(contact != 0) & (contact != 1)][0].item()
@@ -68,13 +68,6 @@ class Observation:
                 "observation.contact", other, "0 or 1: whether, not how many or how much"
             )
         return arrays
-
-
-def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    try:
-        return np.asarray(values)
-    except ValueError:  # rows of different lengths
-        raise InputError(f"observation.{name}.shape", "ragged", f"{list(shape)}") from None
 
 
 WIDTHS = {

@@ -84,27 +84,25 @@ PUBLISHED_GAINS: NDArray[np.float64] = np.array([parameter.default for parameter
 NAMED_GAINS_DIRECTORY = Path(__file__).parent / "gains"
 
 
-def lower_bounds(group: tuple[Parameter, ...] = GAINS) -> NDArray[np.float64]:
-    """Lower bounds of a group of parameters, in its order."""
-    return np.array([parameter.low for parameter in group])
+def lower_bounds() -> NDArray[np.float64]:
+    """Lower bounds of the searched gains, [16]."""
+    return np.array([parameter.low for parameter in GAINS])
 
 
-def upper_bounds(group: tuple[Parameter, ...] = GAINS) -> NDArray[np.float64]:
-    """Upper bounds of a group of parameters, in its order."""
-    return np.array([parameter.high for parameter in group])
+def upper_bounds() -> NDArray[np.float64]:
+    """Upper bounds of the searched gains, [16]."""
+    return np.array([parameter.high for parameter in GAINS])
 
 
-def searched_parameters(names: Sequence[str], field: str = "searched") -> tuple[Parameter, ...]:
-    """The low-level gains of these names, in the order of `LOW_LEVEL_GAINS`.
+def searched_parameters(names: Sequence[str]) -> tuple[Parameter, ...]:
+    """The low-level gains of these names, each once, in the order of `LOW_LEVEL_GAINS`.
 
     Raises:
-        InputError: an unknown name, or one given twice; `field` is the user's name of the list.
+        InputError: an unknown name.
     """
     for name in names:
         if name not in LOW_LEVEL_NAMES:
-            raise InputError(field, name, f"any of {', '.join(LOW_LEVEL_NAMES)}")
-        if list(names).count(name) > 1:
-            raise InputError(field, name, "each name once")
+            raise InputError("searched", name, f"any of {', '.join(LOW_LEVEL_NAMES)}")
     return tuple(parameter for parameter in LOW_LEVEL_GAINS if parameter.name in names)
 
 

@@ -162,12 +162,9 @@ def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
 def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generator]:
     """A stream for each of a world's numbers, so that a new number changes no other's."""
     known = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-    return {
-        name: np.random.default_rng(
-            np.random.SeedSequence(known.entropy, spawn_key=(*known.spawn_key, place))
-        )
-        for place, name in enumerate(STREAMS)
-    }
+    unused = np.random.SeedSequence(known.entropy, spawn_key=known.spawn_key)  # of no child yet
+    streams = map(np.random.default_rng, unused.spawn(len(STREAMS)))
+    return dict(zip(STREAMS, streams, strict=True))
 
 
 def _size(name: str) -> tuple[int, ...]:

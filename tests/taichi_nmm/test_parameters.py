@@ -25,8 +25,8 @@ def test_names_are_in_the_papers_order_and_bounds_those_of_the_specification() -
     assert not set(LOW_LEVEL_NAMES) & set(GAIN_NAMES)
     for group in (GAINS, LOW_LEVEL_GAINS):
         default = np.array([parameter.default for parameter in group])
-        assert np.all(parameters.lower_bounds(group) < default)
-        assert np.all(default < parameters.upper_bounds(group))
+        assert np.all(np.array([each.low for each in group]) < default)
+        assert np.all(default < np.array([each.high for each in group]))
         assert all(p.unit and p.meaning and p.source for p in group)
     high = [8, 3, 3, 24, 8, 9, 8, 9, 2, 3.5, 300, 45, np.deg2rad(92), 0.5, 0.5, 0.99]
     low = [0] * 10 + [5, 0, np.deg2rad(55), 0, 0, 0.55]

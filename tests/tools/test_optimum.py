@@ -196,7 +196,7 @@ def test_a_folder_of_somebody_else_or_of_another_process(command: Search) -> Non
     command.refuses("out: ")
     assert [path.name for path in command.out.iterdir()] == ["thesis.tex"]
     filled = command.folder / "filled"
-    with optimum.OptimumFolder.claim(filled, {}):
+    with optimum.OptimumFolder.claim(filled, {key: {} for key in optimum.GROWING}):
         command.refuses(".*no other process", out=filled)
 
 

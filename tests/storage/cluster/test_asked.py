@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 import taichi_nmm
-from storage.cluster.worker import packed, unpack
+from storage.dask_session import packed, unpack
 from storage.pool import Cluster, differences, own_kind, processor
 from storage.precompute import precompute
 from storage.store import open_store

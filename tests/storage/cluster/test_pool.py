@@ -37,7 +37,7 @@ Open = Callable[..., AbstractContextManager[Pool]]
 @pytest.fixture(autouse=True)
 def kinds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Workers send at once of what kind they are."""
-    monkeypatch.setattr("storage.cluster.session.own_kind", units.own_kind)
+    monkeypatch.setattr("storage.dask_session.own_kind", units.own_kind)
 
 
 @contextmanager
@@ -105,7 +105,7 @@ def test_a_worker_that_joins_late_gets_work(cluster: Cluster, opened: Open) -> N
 
 
 def test_a_dying_scheduler(cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("storage.cluster.session.CONNECT_S", 6.0)
+    monkeypatch.setattr("storage.dask_session.CONNECT_S", 6.0)
     line = r"cluster: 'tcp.* a scheduler that stays; the same command"
     with pytest.raises(InputError, match=line), opened() as pool:
         for _ in pool.results(units.slow_square, deque(range(100))):
@@ -127,8 +127,8 @@ def test_a_connection_that_breaks_under_an_answer_is_the_schedulers(lent: Open) 
 
 
 def test_without_workers(cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("storage.cluster.session.WORKERLESS_S", 1.0)
-    monkeypatch.setattr("storage.cluster.session.WATCH_S", 0.2)
+    monkeypatch.setattr("storage.dask_session.WORKERLESS_S", 1.0)
+    monkeypatch.setattr("storage.dask_session.WATCH_S", 0.2)
     line = r"cluster: 'tcp.* not without a worker for 1 s; the same command goes on"
     with pytest.raises(InputError, match=line), opened() as pool:
         for _ in pool.results(units.slow_square, deque(range(100))):
@@ -154,8 +154,8 @@ def stall() -> Iterator[Callable[[int], None]]:
 def test_a_scheduler_that_stalls_is_one_line(
     cluster: Cluster, opened: Open, stall: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("storage.cluster.session.ANSWER_S", 2.0)
-    monkeypatch.setattr("storage.cluster.session.CLOSE_S", 1.0)
+    monkeypatch.setattr("storage.dask_session.ANSWER_S", 2.0)
+    monkeypatch.setattr("storage.dask_session.CLOSE_S", 1.0)
     line = r"cluster: 'tcp.* a scheduler that answers within 2 s; the same command goes on"
     began_s = time.monotonic()
     with pytest.raises(InputError, match=line), opened() as pool:
@@ -181,8 +181,8 @@ def test_what_stalls_and_goes_on_loses_nothing(
 
 
 def test_calls_longer_than_workerless_time(lent: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("storage.cluster.session.WORKERLESS_S", 1.0)
-    monkeypatch.setattr("storage.cluster.session.WATCH_S", 0.2)
+    monkeypatch.setattr("storage.dask_session.WORKERLESS_S", 1.0)
+    monkeypatch.setattr("storage.dask_session.WATCH_S", 0.2)
     with lent() as pool:
         assert results(pool, units.asleep, [4.0]) == {4.0: "awake"}
 
@@ -191,7 +191,7 @@ CLIENT = """
 import sys
 from collections import deque
 from pathlib import Path
-import storage.cluster.session as connection
+import storage.dask_session as connection
 from storage.pool import Cluster
 from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import Walker
@@ -253,7 +253,7 @@ def test_stores_travel(lent: Open, tmp_path: Path) -> None:
 
 
 def test_nobody_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("storage.cluster.session.CONNECT_S", 1.0)
+    monkeypatch.setattr("storage.dask_session.CONNECT_S", 1.0)
     opening = open_pool(1, Asked("127.0.0.1:9"), tmp_path / "out", WALKER)
     with pytest.raises(InputError, match=r"'127.0.0.1:9' .* a scheduler that answers"), opening:
         pass

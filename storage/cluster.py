@@ -1,8 +1,4 @@
-"""Work spread over a Dask cluster: a scheduler that runs already, or processes of this machine.
-
-`session` connects to it, and `worker` is what a session puts on its workers. Both need the package
-distributed, an extra, and are imported when a cluster is asked for.
-"""
+"""The pool of a command: processes of this machine, or a Dask cluster, which needs an extra."""
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -35,6 +31,6 @@ def open_pool(
     """
     if cluster is None:
         return local_pool(workers)
-    from storage.cluster.session import cluster_pool  # Dask: a second, and an extra
+    from storage.dask_session import cluster_pool  # Dask: a second, and an extra
 
     return cluster_pool(cluster, folder, simulator, tuple(packages), stores)
