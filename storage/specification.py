@@ -131,12 +131,10 @@ class Repertoire:
 
         A candidate is chosen for what it does in these, and measured in the family's own.
         """
-        trials = []
-        for family in self.families:  # each has a seed of its own, whatever the others are
-            sequence = seed_sequence(self.seed, points.TRIAL_WORLDS, crc32(family.name.encode()))
-            seed = int(sequence.generate_state(1, np.uint64)[0])
-            trials.append(replace(family, settings=self.settings, seed=seed))
-        return tuple(trials)
+        streams = [self.stream(each.name, points.TRIAL_WORLDS) for each in self.families]
+        seeds = [int(stream.generate_state(1, np.uint64)[0]) for stream in streams]
+        pairs = zip(self.families, seeds, strict=True)
+        return tuple(replace(each, settings=self.settings, seed=seed) for each, seed in pairs)
 
     @property
     def generations(self) -> int:
@@ -149,9 +147,9 @@ class Repertoire:
         """Runs of the whole search; fewer than were asked for: generations are whole."""
         return (STARTS * len(self.families) + self.generations * GENERATION) * self.settings
 
-    def stream(self, family: str) -> np.random.SeedSequence:
-        """The random stream of the search for a family."""
-        return seed_sequence(self.seed, points.EVOLUTION, crc32(family.encode()))
+    def stream(self, family: str, purpose: int = points.EVOLUTION) -> np.random.SeedSequence:
+        """A random stream of the search for a family, whatever the other families are."""
+        return seed_sequence(self.seed, purpose, crc32(family.encode()))
 
     @property
     def document(self) -> dict[str, Any]:
@@ -312,6 +310,8 @@ def read_specification(
         InputError: an unknown key, a wrong type or a value out of range.
     """
     configured = table.integer("samples", low=1, high=LARGEST_SEQUENCE)
+    if samples is not None:
+        checks.whole(1, LARGEST_SEQUENCE)("samples", samples)
     seed = table.integer("seed", 0)
     shard_rows = table.integer("shard_rows", SHARD_ROWS, 1, LARGEST_SEQUENCE)
     simulation = table.table("simulation")
@@ -327,9 +327,7 @@ def read_specification(
     table.done()
     return Specification(
         simulator=simulator,
-        samples=configured
-        if samples is None
-        else checks.whole(1, LARGEST_SEQUENCE)("samples", samples),
+        samples=samples or configured,
         shard_rows=shard_rows,
         seed=seed,
         horizon_s=horizon_s,

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from storage.commit import commit_json
 from storage.simulator import SIMULATOR_KEY, WALKER, Simulator, known_simulator
-from storage.tables import FORMAT, document_hash, file_hash, footer_of, read_columns, write_table
+from storage.tables import FORMAT, document_hash, file_hash, read_about, read_columns, write_table
 from taichi_nmm import checks
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
@@ -337,10 +336,7 @@ def read_footer(path: Path) -> tuple[dict[str, Any], pa.Schema]:
     Raises:
         InputError: missing, truncated, not Parquet, or not of this project.
     """
-    allowed = "a Parquet file that is whole"
-    with reading("store", path, allowed) as whole, pq.ParquetFile(whole) as file:
-        footer, schema, rows = footer_of(file), file.schema_arrow, file.metadata.num_rows
-        schema.names  # noqa: B018  # refuses those that are no text
+    footer, schema, rows = read_about(path)
     if footer is None or not footer.keys() >= FOOTER_NEEDS:
         raise InputError("store", str(path), "a file whose footer has a store's specification")
     if footer["format"] != FORMAT:
@@ -348,7 +344,7 @@ def read_footer(path: Path) -> tuple[dict[str, Any], pa.Schema]:
     if footer["rows"] != rows:
         raise InputError("store", str(path), f"a file of {footer['rows']!r} rows, not {rows}")
     footer["rows"] = rows  # a whole number, which 1.0 or true are not
-    return footer, schema.remove_metadata()
+    return footer, schema
 
 
 def check_specification(specification: Any, where: str) -> None:

@@ -29,9 +29,8 @@ from storage.store import (
     read_footer,
     shard_name,
 )
-from storage.tables import FORMAT, document_hash, file_hash, read_columns, read_own, write_table
+from storage.tables import FORMAT, document_hash, file_hash, read_about, read_columns, write_table
 from taichi_nmm.errors import InputError
-from taichi_nmm.reading import reading
 
 SPECIFICATION_NAME = "specification.json"
 REPERTOIRE_NAME = "repertoire.parquet"
@@ -143,11 +142,13 @@ class StoreFolder(Folder):
 
     def _read(self, name: str, footer: dict[str, Any], columns: Sequence[str]) -> Tried | None:
         """Columns of a file with this footer; None where there is none, or a damaged one."""
+        path = self.path / name
         try:
-            with reading("store", self.path / name, "a table of this store") as path:
-                table = read_own(path, footer)
-                return {column: table[column].to_numpy() for column in columns}
-        except InputError:
+            if read_about(path)[0] != footer:
+                return None
+            table = read_columns(path)
+            return {column: table[column].to_numpy() for column in columns}
+        except (InputError, KeyError):
             return None
 
     def _expected_footer(self, number: int) -> dict[str, Any]:

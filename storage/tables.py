@@ -87,17 +87,16 @@ def read_columns(path: Path, columns: list[str] | None = None) -> pa.Table:
     return table.replace_schema_metadata(None)
 
 
-def read_own(path: Path, footer: dict[str, Any]) -> pa.Table:
-    """All columns of a file that has exactly this footer.
+def read_about(path: Path) -> tuple[dict[str, Any] | None, pa.Schema, int]:
+    """Footer, as of `footer_of`, schema and number of rows of a file.
 
     Raises:
-        InputError: the file cannot be read, is damaged, or is something else.
+        InputError: the file cannot be read, or is damaged.
     """
     allowed = "a Parquet file that is whole"
     with reading("store", path, allowed) as whole, pq.ParquetFile(whole) as file:
-        if footer_of(file) != footer:
-            raise ValueError("of something else")
-    return read_columns(path)
+        file.schema_arrow.names  # noqa: B018  # refuses those that are no text
+        return footer_of(file), file.schema_arrow.remove_metadata(), file.metadata.num_rows
 
 
 def file_hash(path: Path) -> str:
@@ -131,8 +130,7 @@ def read_stamped(path: Path, document: dict[str, Any], growing: tuple[str, ...] 
         InputError: damaged, without a document, of another one, or with other content.
     """
     table = read_columns(path)
-    with pq.ParquetFile(path) as file:
-        footer = footer_of(file)
+    footer, _, _ = read_about(path)
     digest = None if footer is None else footer.pop(DIGEST_KEY, None)
     found: tuple[str, Any, Any] | None = ("document", "", "missing")
     if footer is not None:

@@ -79,16 +79,6 @@ class Table:
             self._tables[key] = Table(value, self.path(key), self.folder)
         return self._tables[key]
 
-    def tables(self, key: str) -> list["Table"]:
-        """An array of tables; empty where it is missing."""
-        value = self._take(key, [])
-        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-            raise InputError(self.path(key), value, "an array of tables")
-        return [
-            Table(item, f"{self.path(key)}[{index}]", self.folder)
-            for index, item in enumerate(value)
-        ]
-
     @property
     def unread(self) -> dict[str, Any]:
         """The values that nothing has read yet, by key, as they are written."""

@@ -18,12 +18,10 @@ def refused(call: Callable[[], object]) -> InputError:
 
 def test_a_file_is_read_into_tables(tmp_path: Path) -> None:
     path = tmp_path / "config.toml"
-    path.write_text('name = "x"\n[body]\ndisturbance = 0.1\n[[trial]]\nseed = 1\n[[trial]]\n')
+    path.write_text('name = "x"\n[body]\ndisturbance = 0.1\n')
     table = read_toml(path)
     assert table.text("name") == "x"
     assert table.table("body").number("disturbance") == 0.1
-    trials = table.tables("trial")
-    assert [trial.integer("seed", 0) for trial in trials] == [1, 0]
     table.done()
 
 
@@ -98,7 +96,6 @@ def test_values_within_range_are_returned_and_defaults_of_missing_keys() -> None
     assert table.boolean("d", True) is True
     assert (table.range("e", (1, 2), 0, 9), table.texts("f")) == ((1.0, 2.0), ())
     table.table("g").done()
-    assert table.tables("h") == []
     table.done()
 
 
@@ -118,7 +115,6 @@ BAD_VALUES: list[tuple[list[object], Callable[[Table], object], str]] = [
     ([1], lambda t: t.boolean("key"), "true or false"),
     (["x", ["x", "x"]], lambda t: t.texts("key"), "a list of names, each once"),
     ([1], lambda t: t.table("key"), "a table"),
-    ([{}, [1]], lambda t: t.tables("key"), "an array of tables"),
 ]  # fmt: skip
 
 
@@ -143,6 +139,5 @@ def test_an_unknown_key_is_named_by_its_path_with_the_known_ones() -> None:
     error = refused(table.done)
     assert error.field == "body.sed"
     assert "seed" in error.allowed
-    outer = Table({"a": {"b": {"c": 1}}, "list": [{}, {"x": 1}]})
+    outer = Table({"a": {"b": {"c": 1}}})
     assert refused(outer.table("a").table("b").done).field == "a.b.c"
-    assert refused(outer.tables("list")[1].done).field == "list[1].x"
