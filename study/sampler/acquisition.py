@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -18,11 +18,7 @@ TIE_TOLERANCE = 1e-9  # relative: below this, two candidates differ by rounding
 LOG_SQRT_2PI = 0.5 * np.log(2.0 * np.pi)
 SQRT_HALF = np.sqrt(0.5)
 SQRT_HALF_PI = np.sqrt(0.5 * np.pi)
-EI_BLOCK = 4096  # candidates at a time, to stay in the cache
-# Standard deviations.
-FAR_BELOW, FAR_ABOVE = -1e3, 1e1
-NODES_FROM, NODES_TO = -40, 10
-NODES_A_UNIT = 64
+FAR_BELOW, FAR_ABOVE = -1e3, 1e1  # standard deviations
 # A squared exponential bends by 1 / (8 x 100^2) = 1.3e-5 of its height between two nodes.
 NODES_A_LENGTH = 100
 WORK = 1e10  # multiplications for the variance of all candidates; beyond, a part of them
@@ -79,7 +75,10 @@ class Model:
         seen = self._looked_at(points, offered, rng)
         some = points if len(seen) == len(points) else points.take(seen)
         utility = np.full(len(points), -np.inf)
-        utility[seen] = self._values(some)
+        if self.one_dimensional:
+            utility[seen] = along_feature(self.posterior, some, self._utility)
+        else:
+            utility[seen] = self._utility(some)
         return np.where(offered, utility, -np.inf)
 
     @cached_property
@@ -179,12 +178,6 @@ class Model:
         learned = self.posterior.cost_sd * (points.features @ slopes)
         return np.asarray(-(learned + self.expected(points, self.cost())))
 
-    def _values(self, points: Points) -> Floats:
-        """The utility of candidates, [m]."""
-        if self.one_dimensional:
-            return along_feature(self.posterior, points, self._utility)
-        return self._utility(points)
-
     def _utility(self, points: Points) -> Floats:
         """log expected improvement plus the log of the chance that all limits are kept, [m]."""
         visible = self._visible(points)
@@ -245,39 +238,6 @@ def log_expected_improvement(mean: Floats, sd: Floats, best: float) -> Floats:
 
 
 def _log_h(z: Floats) -> Floats:
-    """log h(z), h(z) = phi(z) + z Phi(z), within 1e-9, [m]: by a cubic between nodes."""
-    nodes = _nodes()
-    log_h = np.empty_like(z)
-    for start in range(0, len(z), EI_BLOCK):
-        block = slice(start, start + EI_BLOCK)
-        place = NODES_A_UNIT * (np.fmin(np.fmax(z[block], NODES_FROM), NODES_TO) - NODES_FROM)
-        node = place.astype(np.intp)
-        place -= node
-        log_h[block] = nodes[3][node]
-        for coefficients in nodes[2::-1]:
-            log_h[block] *= place
-            log_h[block] += coefficients[node]
-    outside = (z < NODES_FROM) | (z > NODES_TO)
-    log_h[outside] = _exact_log_h(z[outside])
-    return log_h
-
-
-@cache
-def _nodes() -> Floats:
-    """Coefficients of the cubic from each node to the next, by ascending power, [4, nodes].
-
-    It has the value and the slope of log h at both ends (Hermite); the slope is Phi / h.
-    """
-    count = int((NODES_TO - NODES_FROM) * NODES_A_UNIT)
-    z = NODES_FROM + np.arange(count + 2) / NODES_A_UNIT
-    value = _exact_log_h(z)
-    slope = np.exp(scipy.special.log_ndtr(z) - value) / NODES_A_UNIT
-    rise, first, last = np.diff(value), slope[:-1], slope[1:]
-    square, cube = 3.0 * rise - 2.0 * first - last, first + last - 2.0 * rise
-    return np.array([value[:-1], first, square, cube])
-
-
-def _exact_log_h(z: Floats) -> Floats:
     """log h(z) as log phi(z) + log(1 + z Phi(z) / phi(z)), [m].
 
     Phi(z) / phi(z) = sqrt(pi/2) erfcx(-z / sqrt 2). Far below, 1 + ... is a difference of equals,

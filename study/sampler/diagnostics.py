@@ -408,8 +408,6 @@ def residuals(posterior: Posterior) -> Floats:
     """
     k = posterior.gram()
     n, y = len(posterior.y), posterior.y  # whose mean is zero
-    if n < 2:
-        return np.full(n, np.nan)
     inverse = np.linalg.inv(k + (posterior.noise + JITTER) * np.eye(n))
     others = -y / (n - 1)  # mean of the others
     missed = (inverse @ y - others * inverse.sum(axis=1)) / np.diag(inverse)
@@ -418,10 +416,7 @@ def residuals(posterior: Posterior) -> Floats:
 
 def residuals_of_constant(cost: Floats) -> Floats:
     """Costs less the mean of the other costs, [n]."""
-    n = len(cost)
-    if n < 2:
-        return np.full(n, np.nan)
-    return np.asarray((cost - cost.mean()) * n / (n - 1))
+    return np.asarray((cost - cost.mean()) * len(cost) / (len(cost) - 1))
 
 
 def rms(values: Floats) -> float:

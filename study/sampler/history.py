@@ -7,7 +7,7 @@ another way than the table has it: by another kind, scale or range. Its values c
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -65,11 +65,6 @@ class History:
     tried: NDArray[np.bool_]
     unplaced: tuple[FrozenTrial, ...]
     fixed: Mapping[str, Any]
-
-    @property
-    def finished(self) -> "History":
-        """This history without the running trials."""
-        return replace(self, running=self.running[:0], running_rows=self.running_rows[:0])
 
 
 def next_trial(study: optuna.Study) -> FrozenTrial:

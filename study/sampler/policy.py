@@ -75,11 +75,6 @@ class Proposal:
     values: Mapping[str, Any]
     notes: Mapping[str, Any]
 
-    def other_in(self, params: Mapping[str, Any]) -> str | None:
-        """The first parameter that a trial of these had with another value; None without any."""
-        others = (name for name, v in self.values.items() if name in params and params[name] != v)
-        return next(others, None)
-
 
 NOTHING = Proposal({}, {})
 

@@ -31,7 +31,7 @@ from study.sampler.policy import (
     set_attributes,
 )
 from study.sampler.space import Space, anywhere, nearby, not_among
-from study.sampler.transforms import Points, PriorMean, Scale, scale_of
+from study.sampler.transforms import NormalScores, Points, PriorMean, Scale, Standard
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -99,7 +99,7 @@ class SpacePolicy(Policy):
         if not known or self.function is None:
             return None
         space = Space.of(known)
-        history = read_history(study, trial, space).finished
+        history = read_history(study, trial, space)
         if not len(history.cost):
             return None
         rng = self.rng(Purpose.CANDIDATES, turn(study, trial))
@@ -225,7 +225,8 @@ class SpacePolicy(Policy):
 
     def _scale(self, features: Floats) -> Scale:
         """The scale of features [m, k] of points anywhere."""
-        return scale_of(features, by_order=self.options.kernel.by_order)
+        by_order = self.options.kernel.by_order
+        return NormalScores.of(features) if by_order else Standard.of(features)
 
     def _prior_mean(self, features: Floats) -> PriorMean | None:
         """The prior mean by one of the features [m, k]."""

@@ -8,7 +8,7 @@ make a `FeatureTable`; `Rows` is its content, with derived arrays; `columns` rea
 import hashlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -99,13 +99,8 @@ class Rows:
 
     @cached_property
     def unit(self) -> Floats:
-        """Parameters in the unit cube, [n, e]."""
-        return by_blocks(self.space.unit, self.parameters)
-
-    @cached_property
-    def chosen_unit(self) -> Floats:
-        """`unit` of rows that may be proposed, [m, e]."""
-        return self._chosen(self.unit)
+        """Rows that may be proposed in the unit cube, [m, e]."""
+        return by_blocks(self.space.unit, self._chosen(self.parameters))
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
@@ -116,26 +111,17 @@ class Rows:
         """Rows that may be proposed as points, on one of the scales; made once."""
 
         def made() -> Points:
-            if coordinates:
-                bare = self.points(by_order=by_order, coordinates=False)
-                return Points(bare.features, self.chosen_unit)
-            if by_order:
-                features = self.scores.own
-            else:
-                features = self.standard.standard(self._chosen(self.features))
-            return Points(features, np.empty((len(features), 0)))
+            chosen = self._chosen(self.features)
+            features = self.scores.own if by_order else self.standard.standard(chosen)
+            return Points(features, self.unit if coordinates else np.empty((len(features), 0)))
 
         return self._once((by_order, coordinates), made)
 
     def as_parameters(self, row: int) -> dict[str, Any]:
         """One row as Optuna takes it: native values by name."""
-
-        def made() -> dict[str, Any]:
-            values = self.space.values(self.parameters[row])
-            let_go(self.parameters)
-            return values
-
-        return dict(self._once(row, made))
+        values = self.space.values(self.parameters[row])
+        let_go(self.parameters)
+        return values
 
     def find(self, values: Mapping[str, Any]) -> int | None:
         """The first row with exactly these values; None where there is none."""
@@ -160,25 +146,20 @@ class Rows:
 
     def outside(self, column: int, suggested: BaseDistribution) -> int | None:
         """The first row whose value of one parameter a distribution has not; None: it has all."""
+        own = self.space.distributions[column]
 
         def made() -> int | None:
-            own = self.space.distributions[column]
-            if own == suggested:
-                return None
             found = first_not_taken(own, self.parameters[:, column], suggested)
             let_go(self.parameters)
             return found
 
-        return self._once((column, suggested), made)
+        return None if suggested == own else self._once((column, suggested), made)
 
     def with_distributions(self, distributions: tuple[BaseDistribution, ...]) -> "Rows":
         """The same rows with other distributions of the same values."""
         if distributions == self.space.distributions:
             return self
-        rows = Rows(
-            Space(self.names, distributions), self.parameters, self.feature_names, self.features
-        )
-        known = self.__dict__
+        rows, known = replace(self, space=Space(self.names, distributions)), self.__dict__
         rows.__dict__.update({name: known[name] for name in SHARED if name in known})
         return rows
 
@@ -214,7 +195,7 @@ class Rows:
         point = self.space.unit(parameters[None], beyond=True)[0]
         squares = np.zeros(len(self.numbers))
         for column, value in enumerate(point):  # column by column: no second table is made
-            squares += (self.chosen_unit[:, column] - value) ** 2
+            squares += (self.unit[:, column] - value) ** 2
         best = int(np.argmin(squares))
         return int(self.numbers[best]), float(np.sqrt(squares[best] / len(parameters)))
 

@@ -312,7 +312,8 @@ class TablePolicy(Policy):
         """
         rows = self.rows
         self._warn_of_prior(history)
-        seen = self._placed(history.parameters, self._shown(history))
+        features = self._features(history.parameters, history.rows, history.trials)
+        seen = self._placed(history.parameters, features)
         features = self._features(history.running, history.running_rows, ())
         running = self._placed(history.running, features)
         model = self.model(self.prior_mean, len(rows.space), history, seen, running, own_turn)
@@ -376,10 +377,6 @@ class TablePolicy(Policy):
         if self.options.kernel.of_parameters:
             unit = self.rows.space.unit(parameters)
         return Points(self._scale.standard(features), unit)
-
-    def _shown(self, history: History) -> Floats:
-        """Features of the finished trials, [n, k]."""
-        return self._features(history.parameters, history.rows, history.trials)
 
     def _features(
         self, parameters: Floats, numbers: NDArray[np.int64], trials: Sequence[FrozenTrial]
@@ -449,8 +446,9 @@ class TablePolicy(Policy):
     def present(self, study: optuna.Study) -> Present:
         """See `Present`; candidates are all rows that may be proposed, tried or not."""
         self._adopt(suggested_so_far(self.own_rows.names, study))
-        history = self._history(study, next_trial(study)).finished
-        shown, first = self._shown(history), {}
+        history = self._history(study, next_trial(study))
+        shown = self._features(history.parameters, history.rows, history.trials)
+        first = {}
         seen = self._placed(history.parameters, shown)
         model = self.plain_model(self.prior_mean, len(self.rows.space), seen, history.cost)
         if self.prior_mean is not None:
@@ -483,7 +481,8 @@ class TablePolicy(Policy):
             return
         rows, noted = self.own_rows, trial.user_attrs.get(ROW_ATTRIBUTE)
         missing = not_suggested(rows.names, trial) if is_complete else None
-        other = proposal.other_in(trial.params)
+        ran = trial.params
+        other = next((name for name, v in proposal.values.items() if ran.get(name, v) != v), None)
         row, known = rows.find(trial.params), row_of(rows, trial)
         if row is not None and known != noted:
             set_attributes(study, trial, notes_of(row, rows.features[row]))

@@ -41,15 +41,12 @@ def test_the_largest_value_wins_and_equal_ones_are_drawn_evenly(value):
     assert {argmax_random_tie(np.full(3, -np.inf), rng) for _ in range(40)} == {0, 1, 2}
 
 
-def test_log_improvement_is_finite_and_falls_and_is_between_nodes_what_it_is_at_them():
+def test_log_improvement_is_finite_and_falls():
     mean = np.concatenate([np.linspace(0, 50, 400), np.logspace(1.71, 9, 400)])
     found = log_expected_improvement(mean, np.ones_like(mean), best=0.0)
     assert np.isfinite(found).all()
     assert np.all(np.diff(found) < 0)
     assert norm.pdf(mean[-1]) == 0.0  # where the plain one underflows
-    z = np.random.default_rng(0).uniform(-50.0, 20.0, 100_000)
-    found = log_expected_improvement(-z, np.ones_like(z), best=0.0)
-    assert_allclose(found, acquisition._exact_log_h(z), rtol=0.0, atol=1e-9)
     with np.errstate(all="raise"):  # without doubt it is that of the gain
         found = log_expected_improvement(np.array([1.0, 3.0]), np.zeros(2), best=2.0)
     assert found.tolist() == [0.0, -np.inf]
