@@ -25,7 +25,10 @@ from tqdm import tqdm
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("taichi_nmm", "storage", "study")
-LEFT_OUT = ("study/pictures", "study/explore", "study/hub", "study/options.py")
+LEFT_OUT = (
+    "study/pictures", "study/explore", "study/hub", "study/options.py", "study/report/figures.py",
+    "study/report/axes.py",
+)  # fmt: skip
 LONGEST_S = 1200.0
 OTHER = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,
@@ -101,8 +104,9 @@ def tests_of(file: str) -> list[list[str]]:
     """The tests to run one after another: the folder's, of kernels also parity; and all."""
     folder = Path("tests", file).parent
     near = folder if (ROOT / folder).is_dir() else folder.parent
-    others = ["tests/parity"] if file.startswith("taichi_nmm/") else []
-    return [[near.as_posix(), *others], ["tests"]]
+    physics = ["tests/parity/test_frozen_walks.py", "tests/parity"]
+    first = physics if file.startswith("taichi_nmm/") else []
+    return [[*first, near.as_posix()], ["tests"]]
 
 
 def tried(file: str, number: int, copy: Path, near_only: bool) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Walks of version 0.2.0 on both engines, frozen: every sum and score of a result.
 
-Parity with NumPy and MuJoCo covers forces and torques; what a walk is scored by has no second source.
+Parity with NumPy and MuJoCo covers forces and torques; the scores of a walk have no second source.
 
     python -m tests.parity.test_frozen_walks    # freezes the walks anew: after a change of physics
 
