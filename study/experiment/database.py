@@ -3,10 +3,12 @@
 The database gets all trials, a study that compares the arms, and notes on the features' worth.
 """
 
+import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import product
+from types import SimpleNamespace
 from typing import Any
 
 import optuna
@@ -50,11 +52,11 @@ class Summary:
 
     Attributes:
         note: in Markdown.
-        figure: with a method `to_json()`, as plotly reads it.
+        figure: data and layout, as plotly reads them.
     """
 
     note: str
-    figure: Any
+    figure: dict[str, Any]
 
 
 Summarise = Callable[[str, pa.Table, bool, Mapping[str, int]], Summary]
@@ -172,7 +174,8 @@ def _show(experiment: Experiment, storage: RDBStorage, url: str, summary: Summar
         study.set_user_attr(CONFIG_ATTRIBUTE, fingerprint(experiment))
     save_note(study, summary.note)
     # Of a figure the dashboard needs `to_json` alone: plotly itself is not needed.
-    save_plotly_graph_object(study, summary.figure, graph_object_id=FIGURE_ID)
+    figure = SimpleNamespace(to_json=lambda: json.dumps(summary.figure))
+    save_plotly_graph_object(study, figure, graph_object_id=FIGURE_ID)
 
 
 def note_worths(

@@ -26,8 +26,8 @@ from study.explore.server import Message
 from study.explore.stage import SCRIPTS
 from study.explore.walk import Setting
 from study.pictures import style
-from study.report.axes import looks
-from study.report.figures import TrialScale, piles
+from study.report.axes import TICKS, looks
+from study.report.figures import piles, trial_places
 from study.report.numbers import by_rank
 from study.report.runs import ArmRuns, Results
 from taichi_nmm.body import Bodies
@@ -121,7 +121,7 @@ class ComparisonView:
         self.watch_chosen()
 
     def _drawn_dots(self) -> tuple[Any, list[Any]]:
-        arms, scale = self._results.arms, TrialScale(self._results.trials)
+        arms, trials = self._results.arms, self._results.trials
         count = len(self._arms)
         plot = figure(
             name="dots", width=WIDTH_PX, height=ROW_PX * count + 80,
@@ -130,17 +130,17 @@ class ComparisonView:
             title="trials to the first walker, a dot a run; a click watches it",
         )  # fmt: skip
         plot.toolbar.logo = None
-        ticks = [tick for tick in (1, 3, 10, 30, 100, 300, 1000) if tick <= self._results.trials]
-        plot.xaxis.ticker = [*(scale.place(tick) for tick in ticks), NONE_AT]
-        plot.xaxis.major_label_overrides = {
-            **{scale.place(tick): str(tick) for tick in ticks}, NONE_AT: "none: best trial",
-        }  # fmt: skip
+        ticks = [tick for tick in TICKS if tick <= trials]
+        places = [*trial_places(ticks, trials).tolist(), NONE_AT]
+        words = [*map(str, ticks), "none: best trial"]
+        plot.xaxis.ticker = places
+        plot.xaxis.major_label_overrides = dict(zip(places, words, strict=True))
         plot.yaxis.ticker = list(range(count))
         plot.yaxis.major_label_overrides = dict(enumerate(self._arms))
         styles = looks(arms)
         dots = []
         for place, name in enumerate(self._arms):
-            source = ColumnDataSource(_dots_of(arms[name], scale, place), name=f"dots-{name}")
+            source = ColumnDataSource(_dots_of(arms[name], trials, place), name=f"dots-{name}")
             dots.append(plot.scatter("x", "y", source=source, size=DOT_PX, fill_alpha=0.8,
                                      color=styles[name].colour))  # fmt: skip
         return plot, dots
@@ -180,12 +180,12 @@ def robot_table(setting: Setting) -> str:
     return f"<b>robot of run {setting.run}</b><table>{lines}</table>"
 
 
-def _dots_of(arm: ArmRuns, scale: TrialScale, place: int) -> dict[str, Any]:
+def _dots_of(arm: ArmRuns, trials: int, place: int) -> dict[str, Any]:
     """Places of an arm's dots, and the trial of each: the first walker, or else the best."""
     first = arm.first_walker
     walks = np.isfinite(first)
     order = np.argsort(np.where(walks, first, np.inf), kind="stable")
-    places = np.where(walks, [scale.place(t) if np.isfinite(t) else 0.0 for t in first], NONE_AT)
+    places = np.where(walks, trial_places(first, trials), NONE_AT)
     x, y = piles(places[order])
     trial = np.where(walks, first - 1, arm.best.argmin(axis=1))[order]
     return {"x": x, "y": place + y, "run": arm.runs[order], "trial": trial.astype(np.int64)}

@@ -2,8 +2,8 @@
 
 import subprocess
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import IO
 
 from storage.commit import commit
 from study.pictures.scene import LARGE, Film, frames
@@ -79,26 +79,16 @@ def _encode(program: str, pictures: Iterator[bytes], path: Path, film: Film) -> 
         "-threads", str(film.threads), "-pix_fmt", "yuv420p",
         "-movflags", "+faststart", "-f", "mp4", str(path),
     ]  # fmt: skip
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
-    assert process.stdin is not None and process.stderr is not None
-    try:
-        _feed(process.stdin, pictures)
-        complaint = process.stderr.read().decode(errors="replace").strip()
-        status = process.wait()
-    finally:
-        if process.poll() is None:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdin is not None and process.stderr is not None
+        try:
+            with suppress(BrokenPipeError), process.stdin:  # its exit code tells why it has ended
+                for picture in pictures:
+                    process.stdin.write(picture)
+            complaint = process.stderr.read().decode(errors="replace").strip()
+        except BaseException:
             process.kill()
-            process.wait()
-    if status != 0:
-        reason = complaint.splitlines()[-1] if complaint else f"exit code {status}"
+            raise
+    if process.returncode != 0:
+        reason = complaint.splitlines()[-1] if complaint else f"exit code {process.returncode}"
         raise InputError("ffmpeg", reason, FIXING)
-
-
-def _feed(pipe: IO[bytes], pictures: Iterator[bytes]) -> None:
-    """Send the frames; if ffmpeg has ended, its exit code will tell."""
-    try:
-        with pipe:
-            for picture in pictures:
-                pipe.write(picture)
-    except BrokenPipeError:
-        pass

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator, PercentFormatter
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from study.experiment.arms import BEST_ARM, PAPER_ARM
 from study.pictures import style
@@ -196,25 +196,18 @@ def write_first_walker(folder: Path, results: Results) -> list[Path]:
     figure = style.new_figure(WIDTH_IN, height)
     wide, high = WIDTH_IN - DOTS_LEFT_IN - DOTS_RIGHT_IN, ROW_IN * len(order)
     axes = style.axes_at(figure, DOTS_LEFT_IN, DOTS_BOTTOM_IN, wide, high)
-    scale = TrialScale(results.trials)
-    _frame_dots(axes, scale, len(order))
+    _frame_dots(axes, results.trials, len(order))
     for row, arm in enumerate(order):
-        _draw_row(axes, scale, row, results.arms[arm], styles[arm])
+        _draw_row(axes, results.trials, row, results.arms[arm], styles[arm])
     title = f"{results.name}: trials to the first walker, a dot a run"
     remark = "diamond: median with its 95 % bootstrap interval; open dots: runs without a walker"
     headline(figure, 0.15, title, remark)
     return save(figure, folder, "first-walker")
 
 
-class TrialScale:
-    """Places on the axis: trials on a logarithmic scale, from 0 to 1."""
-
-    def __init__(self, trials: int) -> None:
-        self.trials = trials
-
-    def place(self, trial: float) -> float:
-        """Where a trial lies, counted from 1."""
-        return float(np.log(trial) / np.log(max(self.trials, 2)))
+def trial_places(which: ArrayLike, trials: int) -> Floats:
+    """Where trials, counted from 1, lie on a logarithmic axis of so many, from 0 to 1, [n]."""
+    return np.asarray(np.log(which) / np.log(max(trials, 2)))
 
 
 def piles(places: Floats) -> tuple[Floats, Floats]:
@@ -239,14 +232,14 @@ def piles(places: Floats) -> tuple[Floats, Floats]:
     return x, y
 
 
-def _draw_row(axes: Axes, scale: TrialScale, row: int, arm: ArmRuns, look: Look) -> None:
+def _draw_row(axes: Axes, trials: int, row: int, arm: ArmRuns, look: Look) -> None:
     """The dots of an arm, with its label, median and count."""
     found = np.sort(arm.first_walker[np.isfinite(arm.first_walker)])
-    x, y = piles(np.array([scale.place(trial) for trial in found]))
+    x, y = piles(trial_places(found, trials))
     axes.plot(x, row + y, "o", ms=DOT_PT, color=look.colour, markeredgewidth=0.0, zorder=3)
     _draw_none(axes, row, len(arm.runs) - len(found), look)
     interval = median(arm.first_walker)
-    _draw_median(axes, scale, row, interval)
+    _draw_median(axes, trials, row, interval)
     middle = count_text(interval.value, arm.trials)
     weight = "bold" if look.front else "normal"
     for place, words, side in (
@@ -269,27 +262,27 @@ def _draw_none(axes: Axes, row: int, count: int, look: Look) -> None:
               zorder=3)  # fmt: skip
 
 
-def _draw_median(axes: Axes, scale: TrialScale, row: int, interval: Interval) -> None:
+def _draw_median(axes: Axes, trials: int, row: int, interval: Interval) -> None:
     """Below the dots; with an arrow if the interval has no upper end, none without a lower end."""
     if not np.isfinite(interval.low):
         return
     y, closed = row + MEDIAN_BELOW, bool(np.isfinite(interval.high))
-    low = scale.place(interval.low)
-    high = scale.place(interval.high) if closed else NONE_FROM - 0.01
+    low, middle, high = trial_places([interval.low, interval.value, interval.high], trials)
+    high = high if closed else NONE_FROM - 0.01
     axes.plot([low, high], [y, y], color=style.INK, linewidth=1.1, zorder=4, solid_capstyle="butt")
     axes.plot([low], [y], "|", color=style.INK, ms=4, zorder=4)
     axes.plot([high], [y], "|" if closed else ">", color=style.INK, ms=4 if closed else 3, zorder=4)
     if np.isfinite(interval.value):
-        axes.plot([scale.place(interval.value)], [y], "D", color=style.INK, ms=4, zorder=5)
+        axes.plot([middle], [y], "D", color=style.INK, ms=4, zorder=5)
 
 
-def _frame_dots(axes: Axes, scale: TrialScale, rows: int) -> None:
+def _frame_dots(axes: Axes, trials: int, rows: int) -> None:
     style.tidy(axes)
     axes.grid(axis="y", visible=False)
     axes.set(xlim=(FROM, TO), ylim=(rows - 0.5, -0.5))
-    ticks = trial_ticks(scale.trials)
+    ticks = trial_ticks(trials)
     none = 0.5 * (NONE_FROM + TO)
-    axes.xaxis.set_major_locator(FixedLocator([*(scale.place(tick) for tick in ticks), none]))
+    axes.xaxis.set_major_locator(FixedLocator([*trial_places(ticks, trials), none]))
     axes.set_xticklabels([*(f"{tick:g}" for tick in ticks), "none"])
     axes.yaxis.set_major_locator(NullLocator())
     axes.spines["left"].set_visible(False)

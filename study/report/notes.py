@@ -4,7 +4,6 @@ It is renewed once a minute while the experiment runs: medians only, no resampli
 links to the studies, of which the dashboard lists hundreds.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -49,7 +48,7 @@ of the first runs its film too.
 {_links(name, arms, studies)}
 
 Each best cost links to its study; bold: the study has a walker."""
-    return Summary(note, BestCostFigure(arms))
+    return Summary(note, best_cost_figure(arms))
 
 
 def _row(arm: ArmRuns) -> list[str]:
@@ -81,26 +80,15 @@ def _cell(arm: ArmRuns, run: int, number: int | None) -> str:
     return cost if number is None else f"[{cost}]({DASHBOARD}/studies/{number})"
 
 
-class BestCostFigure:
-    """Median over runs of the best cost so far against trials, an arm a curve.
-
-    Plotly itself is not needed: the dashboard only calls `to_json` of a figure.
-    """
-
-    def __init__(self, arms: Sequence[ArmRuns]) -> None:
-        """A figure of these arms, coloured in their order."""
-        self._arms = arms
-
-    def to_json(self) -> str:
-        """The figure as plotly reads it."""
-        layout = {
-            "title": {"text": "best cost so far, median over runs"},
-            "xaxis": {"title": {"text": "trials"}},
-            "yaxis": {"title": {"text": "cost"}, "type": "log"},
-            "template": {"layout": {"plot_bgcolor": "white"}},
-        }
-        traces = [_trace(number, arm) for number, arm in enumerate(self._arms)]
-        return json.dumps({"data": traces, "layout": layout})
+def best_cost_figure(arms: Sequence[ArmRuns]) -> dict[str, Any]:
+    """Median over runs of the best cost so far against trials, an arm a curve, as plotly has it."""
+    layout = {
+        "title": {"text": "best cost so far, median over runs"},
+        "xaxis": {"title": {"text": "trials"}},
+        "yaxis": {"title": {"text": "cost"}, "type": "log"},
+        "template": {"layout": {"plot_bgcolor": "white"}},
+    }
+    return {"data": [_trace(number, arm) for number, arm in enumerate(arms)], "layout": layout}
 
 
 def _trace(number: int, arm: ArmRuns) -> dict[str, Any]:
