@@ -41,7 +41,7 @@ from study.pictures.trajectory_files import (
     write_trajectory,
 )
 from study.report.before_after import Pair, Shown, write_strips
-from taichi_nmm.body import GRAVITY_MPS2
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.settings import ENGINES
@@ -82,20 +82,8 @@ def read(args: Namespace) -> Experiment:
         experiment = replace(experiment, conditions=conditions)
     if args.engine is None:
         return experiment
-    return on_engine(experiment, "taichi" if args.engine == BOTH_ENGINES else args.engine)
-
-
-def on_engine(experiment: Experiment, engine: str) -> Experiment:
-    """The same experiment on another engine, whose own settings stay as configured."""
-    conditions = experiment.conditions
-    settings = replace(conditions.settings, engine=engine)
-    return replace(experiment, conditions=replace(conditions, settings=settings))
-
-
-def check_range(name: str, value: float, low: float, high: float) -> None:
-    """Refuse a number outside of [low, high]."""
-    if not low <= value <= high:
-        raise InputError(name, value, f"{low:g} to {high:g}")
+    first = ENGINES[0] if args.engine == BOTH_ENGINES else args.engine
+    return experiment.with_settings(engine=first)
 
 
 def make_folder(folder: Path) -> None:
@@ -140,7 +128,7 @@ def write_engines(
     gains: NamedGains, result: taichi_nmm.Result, experiment: Experiment, run: int, folder: Path
 ) -> dict[str, str]:
     """Simulate the same gains on MuJoCo, and draw both walks one above the other."""
-    other = simulate(gains, on_engine(experiment, "mujoco"), run)
+    other = simulate(gains, experiment.with_settings(engine="mujoco"), run)
     first, second = (
         Shown(engine, f"{engine}: {row_text(walk.rows[0])}", walk.trajectories[0])
         for engine, walk in zip(ENGINES, (result, other), strict=True)
@@ -161,7 +149,7 @@ def write_pictures(
 ) -> dict[str, str]:
     """Draw, and return the paths of the pictures by their names."""
     trajectory, terrain = result.trajectories[0], experiment.terrain(run)
-    weight_n = float(experiment.body(run).mass_kg[0].sum() * GRAVITY_MPS2)
+    weight_n = experiment.weight_n(run)
     paths = {
         "strip": write_strip(folder / "strip.png", trajectory, terrain, title),
         "gait_cycle": write_gait_cycle(folder / "gait_cycle.png", trajectory, weight_n, title),
@@ -209,8 +197,8 @@ def main(args: Namespace) -> None:
     """Walk and draw."""
     gains = find_gains(args)
     if args.duration is not None:
-        check_range("duration", args.duration, 0.1, LONGEST_TRIAL_S)
-    check_range("movie-seconds", args.movie_seconds, 0.0, LONGEST_MOVIE_S)
+        checks.number(0.1, LONGEST_TRIAL_S)("duration", args.duration)
+    checks.number(0.0, LONGEST_MOVIE_S)("movie-seconds", args.movie_seconds)
     experiment = read(args)
     if args.movie_seconds > 0:
         find_ffmpeg()

@@ -14,7 +14,7 @@ from typing import Any
 from optuna.distributions import FloatDistribution
 
 from study.sampler.draws import Purpose, stream
-from taichi_nmm.body import Bodies
+from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.conditions import Conditions, read_conditions
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
@@ -113,9 +113,18 @@ class Experiment:
         """The ground of a run."""
         return _terrain(self.conditions, self.seed, run)
 
+    def weight_n(self, run: int) -> float:
+        """The weight of the body of a run."""
+        return float(self.body(run).mass_kg[0].sum() * GRAVITY_MPS2)
+
     def on_one_thread(self) -> "Experiment":
         """The same for one of several processes of a machine; no result depends on it."""
         return replace(self, conditions=self.conditions.on_one_thread())
+
+    def with_settings(self, **changed: Any) -> "Experiment":
+        """The same with some settings of the simulation changed."""
+        settings = replace(self.conditions.settings, **changed)
+        return replace(self, conditions=replace(self.conditions, settings=settings))
 
     def require_run(self, run: int) -> None:
         """Refuse a run that the experiment does not have.

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import matplotlib
@@ -15,7 +15,6 @@ from study.experiment.trials import row_text
 from study.pictures import style
 from study.pictures.scene import FORCE_M_PER_N, motion_of, pressure_point
 from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_outlines, trunk
-from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.config import Table
 from taichi_nmm.result import COMPLETED, DIVERGED, END_REASONS, Trajectory
 from taichi_nmm.terrain import GRID_SPACING_M, Terrain
@@ -70,7 +69,7 @@ class Setting:
     @property
     def weight_n(self) -> float:
         """Of the robot."""
-        return float(self.experiment.body(self.run).mass_kg[0].sum() * GRAVITY_MPS2)
+        return self.experiment.weight_n(self.run)
 
     def toml(self) -> str:
         """The configuration that every command takes for it."""
@@ -191,10 +190,7 @@ def walk(gains: NamedGains, setting: Setting, rate_hz: float = SEEN_RATE_HZ) -> 
         InputError: what the simulator refuses.
     """
     experiment = setting.experiment.on_one_thread()  # other tabs' walks run beside this one
-    conditions = experiment.conditions
-    on_cpu = replace(conditions, settings=replace(conditions.settings, arch="cpu"))
-    experiment = replace(experiment, conditions=on_cpu)
-    result = recorded_walk(gains, experiment, setting.run, rate_hz)
+    result = recorded_walk(gains, experiment.with_settings(arch="cpu"), setting.run, rate_hz)
     row, trajectory, terrain = result.rows[0], result.trajectories[0], setting.terrain
     ended = f"{row_text(row)}{_why(row, trajectory, terrain)}"
     return Walk(gains, setting, row, trajectory, frames_of(trajectory, terrain), ended)
