@@ -110,9 +110,17 @@ def together(folder: Path) -> Iterator[Path]:
     """
     require_named(folder)
     new = folder.resolve().with_name(f".{folder.resolve().name}.new")
+    taken = InputError("out", str(folder), UNHELD)
     with writable(folder):
-        new.parent.mkdir(parents=True, exist_ok=True)
-    with _locked_folder(new, folder):
+        new.mkdir(parents=True, exist_ok=True)
+    try:
+        held = os.open(new, os.O_RDONLY)
+    except FileNotFoundError:  # its holder has just finished
+        raise taken from None
+    try:
+        lock_now(held, folder)
+        if not new.exists() or not os.path.samestat(os.fstat(held), new.stat()):
+            raise taken
         try:
             with writable(folder):
                 for left in new.iterdir():  # by a process that was killed
@@ -124,22 +132,6 @@ def together(folder: Path) -> Iterator[Path]:
                     file.replace(folder / file.name)
         finally:
             shutil.rmtree(new, ignore_errors=True)
-
-
-@contextmanager
-def _locked_folder(new: Path, folder: Path) -> Iterator[None]:
-    """Hold `new`, made where it is missing, for the process that fills `folder` by it."""
-    with writable(folder):
-        new.mkdir(exist_ok=True)
-    try:
-        held = os.open(new, os.O_RDONLY)
-    except FileNotFoundError:  # its holder has just finished
-        raise InputError("out", str(folder), UNHELD) from None
-    try:
-        lock_now(held, folder)
-        if not new.exists() or not os.path.samestat(os.fstat(held), new.stat()):
-            raise InputError("out", str(folder), UNHELD)
-        yield
     finally:
         os.close(held)
 

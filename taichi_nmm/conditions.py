@@ -3,13 +3,10 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
-from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table
 from taichi_nmm.settings import ENGINES, MujocoSettings, Settings
-from taichi_nmm.terrain import Ground, Terrain, read_ground
-from taichi_nmm.world import NOMINAL, WorldRanges, Worlds, read_world
+from taichi_nmm.terrain import Ground, read_ground
+from taichi_nmm.world import NOMINAL, WorldRanges, read_world
 
 MOST_DISTURBANCE = 0.9  # of a configuration; beyond it masses come near zero
 
@@ -31,18 +28,6 @@ class Conditions:
     disturbance: float
     ground: Ground
     world_ranges: WorldRanges = NOMINAL
-
-    def body(self, seed: int | np.random.SeedSequence) -> Bodies:
-        """The one body of this seed."""
-        return Bodies.disturbed([seed], self.disturbance)
-
-    def world(self, seed: int | np.random.SeedSequence) -> Worlds:
-        """The one world of this seed."""
-        return self.world_ranges.draw([seed])
-
-    def terrain(self, seed: int | np.random.SeedSequence) -> Terrain:
-        """The terrain of this seed."""
-        return self.ground.draw(seed)
 
     def on_one_thread(self) -> "Conditions":
         """The same on one thread, for one of several processes; no result depends on it."""

@@ -26,6 +26,8 @@ from taichi_nmm.packs import Packs
 from taichi_nmm.result import EVENT_DTYPE, MUSCLES, RESULT_DTYPE, Trajectory
 from taichi_nmm.settings import CONTROL_TICK_S
 
+Array = NDArray[np.float64]
+
 TICKS_PER_SECOND = round(1.0 / CONTROL_TICK_S)
 SCORE_SUMS = {
     "m1": "m1_sum", "m2": "m2_sum", "m3": "m3_sum", "m4": "m4_sum", "m5": "m5_sum_mps",
@@ -40,9 +42,7 @@ STEP_MEANS = {
 }  # fmt: skip
 
 
-def result_rows(
-    final: NDArray[np.float64], sums: NDArray[np.float64], bodies: Bodies, duration_s: float
-) -> NDArray[np.void]:
+def result_rows(final: Array, sums: Array, bodies: Bodies, duration_s: float) -> NDArray[np.void]:
     """Result rows from state rows [n, State.count] and summed rows [n, Sums.count].
 
     A quotient over nothing (no step, no distance) is zero.
@@ -73,9 +73,7 @@ def result_rows(
     return rows
 
 
-def _summary(
-    rows: NDArray[np.void], sums: NDArray[np.float64], weight_n: NDArray[np.float64]
-) -> None:
+def _summary(rows: NDArray[np.void], sums: Array, weight_n: Array) -> None:
     ticks = sums[:, Sums.ticks]
     moments = {
         ("trunk_mean_rad", "trunk_sd_rad"): (Sums.trunk, ticks),
@@ -100,7 +98,7 @@ def _summary(
         rows[f"activation_{muscle.lower()}_mean"] = _quotient(sums[:, Sums.activation + m], ticks)
 
 
-def _quotient(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def _quotient(a: Array, b: Array) -> Array:
     return np.divide(a, b, out=np.zeros(len(a)), where=b > 0)
 
 
@@ -108,12 +106,11 @@ class Recorder:
     """Cuts chunks of ticks at the sample times, and keeps the rows of chosen walkers there."""
 
     def __init__(self, walkers: Sequence[int], rate_hz: float, count: int) -> None:
-        self._walkers: list[int] = checks.row_numbers("record", walkers, count).tolist()
+        self._walkers = tuple(checks.row_numbers("record", walkers, count).tolist())
         if not 0 < rate_hz <= TICKS_PER_SECOND or TICKS_PER_SECOND % rate_hz:
             raise InputError("record_rate_hz", rate_hz, f"a divisor of {TICKS_PER_SECOND}")
         self._interval = round(TICKS_PER_SECOND / rate_hz)
-        self._ticks: dict[int, list[int]] = {walker: [] for walker in self._walkers}
-        self._rows: dict[int, list[NDArray[np.float64]]] = {walker: [] for walker in self._walkers}
+        self._samples: dict[int, dict[int, Array]] = {walker: {} for walker in self._walkers}
 
     def parts(self, tick: int, ticks: int) -> Iterator[int]:
         """Lengths into which a chunk that starts at `tick` is cut."""
@@ -129,28 +126,28 @@ class Recorder:
         """At a sample time, keep the rows of the recorded walkers that are up."""
         if tick % self._interval:
             return
-        for walker in self._rows:
+        for walker, samples in self._samples.items():
             seat = packs.lane_of(walker)
             if seat is None:
                 continue
             rows = packs.rows[seat[0], :, seat[1]].astype(np.float64)
             if rows[State.end_tick] >= tick:
-                self._ticks[walker].append(tick)
-                self._rows[walker].append(rows)
+                samples[tick] = rows
 
     def trajectories(self) -> tuple[Trajectory, ...]:
         """The trajectories, in the order of `walkers`."""
-        return tuple(self._trajectory(walker) for walker in self._walkers)
+        return tuple(map(self._trajectory, self._walkers))
 
     def _trajectory(self, walker: int) -> Trajectory:
         # Empty for a walker that diverged before the first sample.
-        rows = np.array(self._rows[walker]).reshape(-1, WALKER_ROWS)
+        samples = self._samples[walker]
+        rows = np.array(list(samples.values())).reshape(-1, WALKER_ROWS)
         q, fibres = rows[:, State.q : State.q + COORDINATES], rows[:, FIRST_FIBRE:]
         touching = rows[:, State.touching : State.touching + 2 * LEGS].reshape(-1, LEGS, 2)
         force = fibres[:, Muscle.force : Muscle.force + MUSCLE_COUNT]
         return Trajectory(
             walker=walker,
-            time_s=np.array(self._ticks[walker], dtype=np.float64) * CONTROL_TICK_S,
+            time_s=np.array(list(samples), dtype=np.float64) * CONTROL_TICK_S,
             q=q,
             qdot=rows[:, State.qdot : State.qdot + COORDINATES],
             joint_rad=q[:, 3:] - q[:, [2, 3, 4, 2, 6, 7]],
@@ -162,7 +159,7 @@ class Recorder:
         )
 
 
-def _mean_forces(rows: NDArray[np.float64], interval: int) -> NDArray[np.float64]:
+def _mean_forces(rows: Array, interval: int) -> Array:
     """Forces over each sample interval, from the running impulses (drained at every chunk)."""
     first = FIRST_SUM + Sums.impulse
     impulse = rows[:, first : first + 2 * LEGS]
@@ -173,7 +170,7 @@ def _mean_forces(rows: NDArray[np.float64], interval: int) -> NDArray[np.float64
     return (impulse - before) / (interval * CONTROL_TICK_S)
 
 
-def _events(rows: NDArray[np.float64]) -> NDArray[np.void]:
+def _events(rows: Array) -> NDArray[np.void]:
     """Strikes and take-offs, from the ticks that the legs remember."""
     events = []
     for kind, row in enumerate((Gait.tick_strike, Gait.tick_takeoff)):

@@ -103,11 +103,12 @@ class Experiment:
 
     def body(self, run: int) -> Bodies:
         """The one body of a run."""
-        return self.conditions.body(stream(self.seed, Purpose.BODY, run))
+        seed = stream(self.seed, Purpose.BODY, run)
+        return Bodies.disturbed([seed], self.conditions.disturbance)
 
     def world(self, run: int) -> Worlds:
         """The one world of a run."""
-        return self.conditions.world(stream(self.seed, Purpose.WORLD, run))
+        return self.conditions.world_ranges.draw([stream(self.seed, Purpose.WORLD, run)])
 
     def terrain(self, run: int) -> Terrain:
         """The ground of a run."""
@@ -138,7 +139,7 @@ class Experiment:
 
 @lru_cache(maxsize=1024)  # 50 kB each
 def _terrain(conditions: Conditions, seed: int, run: int) -> Terrain:
-    return conditions.terrain(stream(seed, Purpose.TERRAIN, run))
+    return conditions.ground.draw(stream(seed, Purpose.TERRAIN, run))
 
 
 def search_space(parameters: Iterable[Parameter]) -> dict[str, FloatDistribution]:

@@ -6,12 +6,10 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import taichi_nmm
-from taichi_nmm import mujoco_engine, terrain
-from taichi_nmm.body import Bodies
+from taichi_nmm import mujoco_engine
 from taichi_nmm.conditions import Conditions, read_conditions, read_disturbance, read_settings
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
@@ -83,18 +81,8 @@ def test_tables_become_conditions() -> None:
     assert hash(read(ALL)) == hash(expected)
 
 
-def test_missing_tables_are_nominal_and_body_and_terrain_follow_their_seeds() -> None:
+def test_missing_tables_are_nominal() -> None:
     assert read({}) == Conditions(5.0, Settings(), 0.0, Ground())
-    found, nominal = read({}).body(SEED), Bodies.nominal()
-    for name, values in vars(nominal).items():
-        assert getattr(found, name).tobytes() == values.tobytes()
-
-    conditions = read(ALL)
-    seed = np.random.SeedSequence(SEED, spawn_key=(1,))
-    body = Bodies.disturbed([seed], 0.15)
-    np.testing.assert_array_equal(conditions.body(seed).mass_kg, body.mass_kg)
-    ground = terrain.rough(seed, 0.03)
-    np.testing.assert_array_equal(conditions.terrain(seed).height_m, ground.height_m)
 
 
 def test_mujoco_computes_on_the_processor_and_the_command_line_overrides_the_file() -> None:
