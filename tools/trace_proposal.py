@@ -14,8 +14,7 @@ from types import FrameType
 from typing import Any
 
 # The repository comes before tools/, where study.py would hide the package of its name.
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from study.cli import guarded_imports, run_command
 
@@ -26,6 +25,7 @@ with guarded_imports():
     from study import FeatureKernelSampler, FeatureTable
     from study.options import Options
 
+ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = tuple(str(ROOT / package) for package in ("study", "storage", "taichi_nmm"))
 ROWS, TRIALS_BEFORE = 200, 10
 
