@@ -4,7 +4,8 @@ An *arm* is a function from a problem, a seed and a number of trials to the cost
 problem has a `space`, as Optuna has it, and `cost_at(settings)`. `study_costs` makes an arm of a
 sampler of Optuna; another optimizer needs a function of its own.
 
-A *benchmark* is a module of this folder with `PROBLEMS`, `ARMS`, and three functions:
+A *benchmark* is a module of this folder with `PROBLEMS`, `GROUPS` of them by the names that the
+option `--problems` takes, of which the first is the default, `ARMS`, and three functions:
 `problem(name, seed)`; `shared(name)`, the folder of runs without features; and `digest(name)`, a
 fingerprint of a problem's numbers.
 
@@ -190,9 +191,7 @@ def compared(name: str, options: Namespace) -> Costs:
     return {key: np.array(costs) for key, costs in found.items()}
 
 
-def parse(
-    file: str, name: str, trials: int, cache: str, groups: Mapping[str, Sequence[str]]
-) -> Namespace:
+def parse(file: str, name: str, trials: int, cache: str) -> Namespace:
     """The options of a comparison, with lists of problems and arms.
 
     Args:
@@ -200,7 +199,6 @@ def parse(
         name: of its benchmark.
         trials: of a run, by default.
         cache: folder of finished runs within `out`, by default.
-        groups: of problems, by the names that `--problems` takes; the first is the default.
 
     Raises:
         InputError: an unknown problem or arm, a number out of range, or no place to write.
@@ -214,12 +212,12 @@ def parse(
     parser.whole("--processes", 1, MOST_WORKERS, default=2, help="runs at a time; %(default)s")
     parser.add_argument("--cache", type=Path, default=ROOT / "out" / cache, help="of the runs")
     parser.add_argument(
-        "--problems", default=next(iter(groups)),
-        help=f"{', '.join(groups)}, or some of {problems}; %(default)s",
+        "--problems", default=next(iter(module.GROUPS)),
+        help=f"{', '.join(module.GROUPS)}, or some of {problems}; %(default)s",
     )  # fmt: skip
     found = parsed(parser)
     require_folder(found.cache, "cache")
-    listed = groups.get(found.problems)
+    listed = module.GROUPS.get(found.problems)
     found.problems = listed or chosen("problems", found.problems, module.PROBLEMS)
     found.arms = runnable(chosen("arms", found.arms, tuple(module.ARMS)))
     return found

@@ -28,7 +28,7 @@ with guarded_imports():
     from numpy.typing import NDArray
 
     from study.report.numbers import wilcoxon
-    from tools import benchmark, outside
+    from tools import benchmark
     from tools.benchmark import Bar, Costs, Floats, draw_panels, made_by
     from tools.outside import ARMS, OutsideProblem, outside_problem
 
@@ -36,7 +36,6 @@ NAME = "sampler-outside"
 EXAMPLE = """python tools/compare_outside.py --seeds 3 --arms ours,tpe \\
     --problems transport-solver --out out/outside
 """
-GROUPS = {"tuning": outside.TUNING, "reported": outside.REPORTED, "all": outside.PROBLEMS}
 CHECKPOINTS = (5, 10, 20, 40)  # trials
 OUR_ARMS = tuple(name for name, arm in ARMS.items() if arm.kind == "ours")
 OTHERS = tuple(name for name, arm in ARMS.items() if arm.kind != "ours")
@@ -45,7 +44,7 @@ BEHIND_P, AHEAD_P = 0.05, 0.01
 
 
 def main() -> None:
-    options = benchmark.parse(__file__, "outside", trials=40, cache="outside", groups=GROUPS)
+    options = benchmark.parse(__file__, "outside", trials=40, cache="outside")
     benchmark.publish(options, NAME, OutsideReport.of(benchmark.compared("outside", options)))
 
 

@@ -36,8 +36,7 @@ FORMER_TRIALS = 60
 
 
 def main() -> None:
-    groups = {"all": synthetic.PROBLEMS}
-    options = benchmark.parse(__file__, "synthetic", trials=60, cache="peers", groups=groups)
+    options = benchmark.parse(__file__, "synthetic", trials=60, cache="peers")
     benchmark.publish(options, NAME, Report.of(benchmark.compared("synthetic", options)))
 
 

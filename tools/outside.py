@@ -38,6 +38,7 @@ Settings = Mapping[str, float | int | str]  # one candidate: its parameters by n
 TUNING = ("digits-network", "transport-solver", "cluster-evolution")  # our defaults saw them
 REPORTED = ("tumour-boosting", "cart-pole", "stiff-reactions")  # looked at once, at the end
 PROBLEMS = (*TUNING, *REPORTED)
+GROUPS = {"tuning": TUNING, "reported": REPORTED, "all": PROBLEMS}
 
 DATA = Path(__file__).parent / "data"
 METADATA_KEY = b"outside"

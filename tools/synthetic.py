@@ -37,6 +37,7 @@ Function = Callable[[Floats], Floats]
 DIMENSION = 16
 NAMES = tuple(f"p{number:02d}" for number in range(DIMENSION))
 PROBLEMS = ("informative", "misleading", "useless", "informative-bowl")
+GROUPS = {"all": PROBLEMS}
 SOBOL_BITS = 12  # 4,096 rows in a table
 
 # Schwefel 1981: sum of 418.98... - x sin sqrt|x|; the constant makes the least value zero.

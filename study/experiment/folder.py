@@ -82,15 +82,7 @@ TIME_COLUMNS = ("arm", "run", "trial", PROPOSAL_TIME)
 
 def table_of(schema: pa.Schema, columns: dict[str, Any]) -> pa.Table:
     """The columns of a schema, each a list or an array [n]; others are left out."""
-    made = []
-    for field in schema:
-        values = columns[field.name]
-        made.append(
-            pa.array(
-                values if isinstance(values, list) else np.ascontiguousarray(values), field.type
-            )
-        )
-    return pa.Table.from_arrays(made, schema=schema)
+    return pa.table({name: columns[name] for name in schema.names}, schema=schema)
 
 
 def state_table(
