@@ -138,6 +138,7 @@ def test_a_command_that_is_named_is_taken(
     made: Path, words: Words, tmp_path: Path, no_painters: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+    monkeypatch.setattr("storage.specification.Repertoire.generations", 20)  # and not 520
     monkeypatch.chdir(tmp_path)
     for name in ("configs", "out", *TAKEN_AWAY):
         (tmp_path / name).symlink_to(made / name)

@@ -37,7 +37,7 @@ def elsewhere(plan: Plan, name: str) -> Plan:
     return replace(plan, scratch=plan.scratch / name)
 
 
-@pytest.mark.parametrize("cases", [120, pytest.param(CASES, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("cases", [60, pytest.param(CASES, marks=pytest.mark.campaign)])
 def test_damaged_input_ends_in_one_line(cases: int, plan: Plan) -> None:
     outcomes = run_cases(elsewhere(plan, str(cases)), range(cases), cores())
     failed = [each for each in outcomes if each.verdict.wrong]

@@ -64,15 +64,6 @@ def test_variables_are_as_they_were_afterwards(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.slow
-def test_a_walk_is_the_same_in_an_odd_environment_and_without_docstrings(tmp_path: Path) -> None:
-    words = [WALK, "--duration", "2", "--movie-seconds", "0", "--json", "--out", tmp_path]
-    plain = python(*words)
-    odd = python("-OO", *words, env={**os.environ, **ODD})
-    assert (plain.returncode, odd.returncode) == (0, 0), plain.stderr + odd.stderr
-    assert plain.stdout == odd.stdout
-
-
-@pytest.mark.slow
 def test_nothing_is_printed_where_standard_output_is_a_notebooks() -> None:
     done = python("-c", NOTEBOOK)
     assert (done.returncode, done.stderr) == (0, "")

@@ -120,7 +120,9 @@ def test_a_database_that_is_refused_leaves_no_folder(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "ending", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.campaign)]
+)
 def test_all_processes_end_and_the_table_is_the_same(ending: int, command: Comparison) -> None:
     arms = {"arms": "random,dog,score-first-diverse,cmaes-cold,cmaes-warm", "trials": 45}
     process = command.start(**arms, workers=2)

@@ -88,7 +88,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
 
 @pytest.fixture(scope="module")
 def shared_cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    """A cluster whose processes no test kills, stops or adds to."""
+    """A cluster that each test leaves with two workers, which a nanny may have started again."""
     with running(tmp_path_factory.mktemp("shared") / "cluster") as made:
         yield made
 

@@ -82,34 +82,38 @@ def test_calls_are_made_on_workers_and_what_fails_is_one_line(lent: Open, tmp_pa
         assert results(pool, units.die_once, [mark]) == {mark: "lives"}
 
 
-def test_a_killed_worker_loses_nothing_and_its_children_end(opened: Open, cluster: Cluster) -> None:
-    with opened() as pool:
+def test_a_killed_worker_loses_nothing_and_its_children_end(
+    lent: Open, shared_cluster: Cluster
+) -> None:
+    with lent() as pool:
         found, killed = {}, []
         for number, (square, _) in pool.results(units.slow_square, deque(range(30))):
             found[number] = square
             if len(found) == 5:
-                worker, *killed = children(cluster.processes[1].pid)
+                worker, *killed = children(shared_cluster.processes[1].pid)
                 kill(worker)
         assert found == {n: n**2 for n in range(30)} and killed
         until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in killed))
 
 
-def test_a_worker_that_joins_late_gets_work(cluster: Cluster, opened: Open) -> None:
-    with opened() as pool:
+def test_workers_come_and_go(
+    cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that joins late gets work; after the last one has gone there is one line."""
+    monkeypatch.setattr("storage.dask_session.WORKERLESS_S", 1.0)
+    monkeypatch.setattr("storage.dask_session.WATCH_S", 0.2)
+    line = r"cluster: 'tcp.* not without a worker for 1 s; the same command goes on"
+    with pytest.raises(InputError, match=line), opened() as pool:
         before = {pid for _, pid in results(pool, units.slow_square, list(range(8))).values()}
         assert len(before) == 2
         cluster.start_worker()
         until(lambda: pool.room() == 6)
         after = {pid for _, pid in results(pool, units.slow_square, list(range(12))).values()}
         assert len(after) == 3
-
-
-def test_a_dying_scheduler(cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("storage.dask_session.CONNECT_S", 6.0)
-    line = r"cluster: 'tcp.* a scheduler that stays; the same command"
-    with pytest.raises(InputError, match=line), opened() as pool:
         for _ in pool.results(units.slow_square, deque(range(100))):
-            kill(cluster.scheduler.pid)
+            for worker in cluster.processes[1:]:
+                with suppress(ProcessLookupError):
+                    os.killpg(worker.pid, signal.SIGKILL)
 
 
 def test_a_connection_that_breaks_under_an_answer_is_the_schedulers(lent: Open) -> None:
@@ -126,17 +130,6 @@ def test_a_connection_that_breaks_under_an_answer_is_the_schedulers(lent: Open) 
             future.result(60.0)
 
 
-def test_without_workers(cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("storage.dask_session.WORKERLESS_S", 1.0)
-    monkeypatch.setattr("storage.dask_session.WATCH_S", 0.2)
-    line = r"cluster: 'tcp.* not without a worker for 1 s; the same command goes on"
-    with pytest.raises(InputError, match=line), opened() as pool:
-        for _ in pool.results(units.slow_square, deque(range(100))):
-            for worker in cluster.processes[1:]:
-                with suppress(ProcessLookupError):
-                    os.killpg(worker.pid, signal.SIGKILL)
-
-
 @pytest.fixture
 def stall() -> Iterator[Callable[[int], None]]:
     """Stops a process, whose connections stay open; it goes on when the test is over."""
@@ -148,33 +141,41 @@ def stall() -> Iterator[Callable[[int], None]]:
 
     yield stop
     for pid in stopped:
-        os.kill(pid, signal.SIGCONT)
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGCONT)
 
 
-def test_a_scheduler_that_stalls_is_one_line(
+def test_a_scheduler_that_stalls_or_dies_is_one_line(
     cluster: Cluster, opened: Open, stall: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("storage.dask_session.ANSWER_S", 2.0)
-    monkeypatch.setattr("storage.dask_session.CLOSE_S", 1.0)
     line = r"cluster: 'tcp.* a scheduler that answers within 2 s; the same command goes on"
     began_s = time.monotonic()
+    with monkeypatch.context() as patch:
+        patch.setattr("storage.dask_session.ANSWER_S", 2.0)
+        patch.setattr("storage.dask_session.CLOSE_S", 1.0)
+        with pytest.raises(InputError, match=line), opened() as pool:
+            for _ in pool.results(units.slow_square, deque(range(100))):
+                stall(cluster.scheduler.pid)
+    assert time.monotonic() - began_s < 30.0
+    os.kill(cluster.scheduler.pid, signal.SIGCONT)
+    monkeypatch.setattr("storage.dask_session.CONNECT_S", 6.0)
+    line = r"cluster: 'tcp.* a scheduler that stays; the same command"
     with pytest.raises(InputError, match=line), opened() as pool:
         for _ in pool.results(units.slow_square, deque(range(100))):
-            stall(cluster.scheduler.pid)
-    assert time.monotonic() - began_s < 30.0
+            kill(cluster.scheduler.pid)
 
 
 @pytest.mark.parametrize("who", ["scheduler", "worker"])
 def test_what_stalls_and_goes_on_loses_nothing(
-    cluster: Cluster, opened: Open, stall: Callable[[int], None], who: str
+    shared_cluster: Cluster, lent: Open, stall: Callable[[int], None], who: str
 ) -> None:
-    with opened() as pool:
+    with lent() as pool:
         found = {}
         for number, (square, _) in pool.results(units.slow_square, deque(range(20))):
             found[number] = square
             if len(found) == 5:
-                worker = children(cluster.processes[1].pid)[0]
-                pid = cluster.scheduler.pid if who == "scheduler" else worker
+                worker = children(shared_cluster.processes[1].pid)[0]
+                pid = shared_cluster.scheduler.pid if who == "scheduler" else worker
                 stall(pid)
                 threading.Timer(3.0, os.kill, (pid, signal.SIGCONT)).start()
         assert found == {n: n**2 for n in range(20)}
@@ -204,13 +205,15 @@ with connection.cluster_pool(asked, Path(sys.argv[2], "out"), Walker(Settings(ar
 """
 
 
-def test_a_killed_clients_calls_are_dropped(cluster: Cluster, opened: Open, tmp_path: Path) -> None:
-    words = [sys.executable, "-c", CLIENT, cluster.address, str(tmp_path)]
+def test_a_killed_clients_calls_are_dropped(
+    shared_cluster: Cluster, lent: Open, tmp_path: Path
+) -> None:
+    words = [sys.executable, "-c", CLIENT, shared_cluster.address, str(tmp_path)]
     client = subprocess.Popen(words, cwd=REPOSITORY)
     until(lambda: len(list(tmp_path.glob("*.begun"))) == 2)
     kill(client.pid)
     client.wait()
-    with opened() as pool:  # what the killed one left on the workers goes
+    with lent() as pool:  # what the killed one left on the workers goes
         assert results(pool, units.square, [1, 2]) == {1: 1, 2: 4}
     assert len(list(tmp_path.glob("*.begun"))) == 2  # the other four were never begun
 
@@ -252,12 +255,18 @@ def test_stores_travel(lent: Open, tmp_path: Path) -> None:
         assert pool.there(tmp_path) == tmp_path
 
 
-def test_nobody_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("storage.dask_session.CONNECT_S", 1.0)
-    opening = open_pool(1, Asked("127.0.0.1:9"), tmp_path / "out", WALKER)
-    with pytest.raises(InputError, match=r"'127.0.0.1:9' .* a scheduler that answers"), opening:
-        pass
-    assert not (tmp_path / "out").exists()
+def assert_unheard(address: str, out: Path) -> None:
+    """Nobody answers at an address, or not to us: one line, and nothing is made."""
+    opening = open_pool(1, Asked(address), out, WALKER)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("storage.dask_session.CONNECT_S", 3.0)
+        with pytest.raises(InputError, match=rf"'{address}' .* a scheduler that answers"), opening:
+            pass
+    assert not out.exists()
+
+
+def test_nobody_there(tmp_path: Path) -> None:
+    assert_unheard("127.0.0.1:9", tmp_path / "out")
 
 
 def test_a_cluster_of_this_machine_is_heard_by_nobody_else(tmp_path: Path) -> None:
@@ -272,9 +281,7 @@ def test_a_cluster_of_this_machine_is_heard_by_nobody_else(tmp_path: Path) -> No
         assert set(heard) == {"127.0.0.1"} and len(heard) >= 3
         address = pool.executor._client.scheduler.address  # type: ignore[attr-defined]
         assert address.startswith("tls://127.0.0.1:")
-        stranger = open_pool(1, Asked(address), tmp_path / "other", WALKER)
-        with pytest.raises(InputError, match=r"a scheduler that answers"), stranger:
-            pass
+        assert_unheard(address, tmp_path / "other")
     trackers = [one for one in me.children() if "resource_tracker" in " ".join(one.cmdline())]
     left = {child.pid for child in me.children(recursive=True)}
     assert left <= before | {child.pid for child in trackers}
@@ -295,9 +302,8 @@ def test_certificates_of_ones_own(tmp_path: Path) -> None:
     with closing(Cluster(folder, options=("--protocol", "tls", *options))) as cluster:
         assert cluster.start_scheduler().startswith("tls://")
         cluster.start_worker()
-        opening = (1, Asked(cluster.address), tmp_path / "out", WALKER)
-        with pytest.raises(InputError, match=r"a scheduler that answers"), open_pool(*opening):
-            pass
+        assert_unheard(cluster.address, tmp_path / "out")
         dask = pytest.importorskip("dask")
-        with dask.config.set(files), open_pool(*opening) as pool:
+        opening = open_pool(1, Asked(cluster.address), tmp_path / "out", WALKER)
+        with dask.config.set(files), opening as pool:
             assert results(pool, units.square, [1, 2]) == {1: 1, 2: 4}
