@@ -133,6 +133,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reader", READERS)
 def test_a_small_file_of_too_many_rows_is_not_unpacked(tmp_path: Path, reader: str) -> None:
     """A value that is repeated for ever takes no room in a file, and all of it in memory."""

@@ -105,6 +105,7 @@ def test_a_store_that_was_stopped_goes_on_to_the_same_bytes(number: int, tmp_pat
     assert content(tmp_path / "store") == content(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_a_repertoire_of_another_simulator(tmp_path: Path) -> None:
     pytest.importorskip("ribs")
     families = {"gale": CONFIGURATION["families"]["gale"]}
@@ -253,6 +254,7 @@ def test_machines_differ_by_the_simulators_own_batch(monkeypatch: pytest.MonkeyP
     assert own_kind(toy.Cart()) != kind
 
 
+@pytest.mark.slow
 def test_a_file_of_the_working_directory_is_a_simulator_of_the_command(tmp_path: Path) -> None:
     """Worker processes find it, too."""
     shutil.copy(toy.__file__, tmp_path / "my_robot.py")

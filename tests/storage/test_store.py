@@ -211,6 +211,7 @@ def test_a_store_of_other_bounds_is_refused(folder: Path, monkeypatch: pytest.Mo
     assert caught.value.field == f"store.gains.{GAIN_NAMES[-1]}"
 
 
+@pytest.mark.slow
 def test_reading_loads_no_simulator(folder: Path) -> None:
     code = "import sys, storage; storage.open_store(sys.argv[1]).numpy()\n"
     code += "print({'taichi', 'matplotlib', 'optuna'}.intersection(sys.modules))"
@@ -284,6 +285,7 @@ def test_every_edit_of_a_manifest(folder: Path) -> None:
     assert refused >= count - 1  # true counts as the format 1
 
 
+@pytest.mark.slow
 def test_every_edit_of_a_footer(folder: Path) -> None:
     shard = folder / "part-00000.parquet"
     table = pq.read_table(shard, partitioning=None)

@@ -132,6 +132,7 @@ def test_live_study_as_compared(comparisons: Comparisons, monkeypatch: pytest.Mo
             assert len(study.trials) == TRIALS + 4
 
 
+@pytest.mark.slow
 def test_every_arm_of_the_registry_runs_live_as_compared(comparisons: Comparisons) -> None:
     toy = comparisons.experiment
     comparisons.run("compared", arms=tuple(ARMS), runs=2, trials=3)
@@ -184,6 +185,7 @@ class Marks:
         return Path.touch, (self.file,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", [arm.name for arm in ARMS.values() if arm.replayed])
 def test_nothing_of_a_database_is_unpickled(toy: Experiment, arm: str, tmp_path: Path) -> None:
     """Optuna's CMA-ES looks for its state in the latest trial that has one."""

@@ -69,6 +69,7 @@ def notes(url: str) -> dict[str, str]:
     return {name: get_note(optuna.load_study(study_name=name, storage=storage)) for name in names}
 
 
+@pytest.mark.slow
 def test_each_study_of_a_comparison_over_features_has_its_own(toy, tmp_path, monkeypatch):
     def outcome(**changes):
         request = {"artifacts": False, "runs": 2, "trials": 6} | changes

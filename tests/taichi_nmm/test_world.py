@@ -52,6 +52,7 @@ def test_draws_fill_their_ranges_by_the_documented_rule() -> None:
     assert related.max() < 5 / np.sqrt(4000)
 
 
+@pytest.mark.slow
 def test_a_strength_that_all_muscles_share_multiplies_each_of_them() -> None:
     seeds = np.random.SeedSequence(3).spawn(4000)
     own = ALL.draw(seeds)
@@ -122,6 +123,7 @@ def walk(worlds: Worlds | None, count: int) -> Any:
     ).rows
 
 
+@pytest.mark.slow
 def test_each_walker_walks_in_its_own_world() -> None:
     worlds = ALL.draw(range(9))
     together = walk(worlds, 9)

@@ -17,6 +17,8 @@ from study.cli import main
 from study.options import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
+PARTS = {"bench_worker", "checkout", "benchmark", "outside", "synthetic"}  # of other tools
+TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - PARTS)
 WAIT_S = 300.0  # of a process, which may compile the simulator first
 
 

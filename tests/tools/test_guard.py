@@ -10,14 +10,14 @@ import pytest
 from study.options import COMMANDS
 from tests.tools.accidents import run_with_accident
 from tests.tools.running import ROOT
+from tests.tools.running import TOOLS as ALL_TOOLS
 
 pytestmark = pytest.mark.slow
 
 WALK = ("walk", "--duration", 1, "--movie-seconds", 0)
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes\n"
 # The tools beside the commands, and one command: all commands begin in study/cli.py.
-OTHERS = {"bench_worker", "checkout", *(name.replace("-", "_") for name in COMMANDS)}
-TOOLS = ["walk", *sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - OTHERS)]
+TOOLS = ["walk", *(tool for tool in ALL_TOOLS if tool not in COMMANDS)]
 FIRST = dict.fromkeys(TOOLS, "numpy") | {"bench": "taichi_nmm.settings"}
 
 

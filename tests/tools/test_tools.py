@@ -10,12 +10,10 @@ import pytest
 
 from study.options import COMMANDS, documentation
 from tests.taichi_nmm.test_kernel_cache import ODD
-from tests.tools.running import ROOT
+from tests.tools.running import ROOT, TOOLS
 
 pytestmark = pytest.mark.slow
 
-PARTS = {"bench_worker", "checkout", "benchmark", "outside", "synthetic"}  # of other tools
-TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - PARTS)
 WALK = (ROOT / "tools" / "walk.py", "--duration", "2", "--movie-seconds", "0", "--json")
 # Runs one line of words after the other, each with the paths of a process of its own; prints what
 # each printed. That Python compiles all anew takes ten seconds, so there is one process for all.

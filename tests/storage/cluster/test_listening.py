@@ -17,9 +17,9 @@ from tests.storage.cluster.conftest import REPOSITORY, WAIT_S, until
 
 psutil = pytest.importorskip("psutil", reason="psutil is not installed: the extra cluster")
 pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
-pytestmark = pytest.mark.skipif(
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(
     sys.platform != "linux", reason="only Linux has all of 127.0.0.0/8 without asking"
-)
+)]  # fmt: skip
 
 PAGE = (REPOSITORY / "docs" / "cluster.md").read_text(encoding="utf-8")
 HERE = {"10.0.0.1": "127.0.0.21", "10.0.0.2": "127.0.0.22"}  # the page's machines, on this one

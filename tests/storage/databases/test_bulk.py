@@ -112,6 +112,7 @@ def test_a_gap_and_a_running_trial_are_refused(storage) -> None:
         write_studies(storage, [gap])
 
 
+@pytest.mark.slow
 def test_a_study_goes_on_in_optunas_way(storage) -> None:
     write_studies(storage, [STUDY])
     study = load(storage, STUDY.name)
@@ -181,6 +182,7 @@ def committed(path: Path) -> int:
         return int(connection.execute("SELECT count(*) FROM trials").fetchone()[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay_s", [0.0, 0.1])
 def test_a_kill_leaves_no_trial_half_written(tmp_path: Path, delay_s: float) -> None:
     url = f"sqlite:///{tmp_path}/studies.db"

@@ -70,6 +70,7 @@ def simulated() -> int:
     return sum(len(call["gains"]) for call in fake_walker.calls)
 
 
+@pytest.mark.slow
 def test_what_several_arms_try_is_simulated_once(toy: Experiment) -> None:
     """Also when it was tried in the stretch or the session before."""
     fake_walker.calls.clear()

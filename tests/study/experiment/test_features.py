@@ -188,6 +188,7 @@ def proposals(sampler: optuna.samplers.BaseSampler, count: int) -> list[int]:
     return [trial.user_attrs["row"] for trial in made.trials]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "table", "options"), [
     ("best", study.survival_table, features.OPTIONS),
     ("best-worlds", features.covered_table, features.COVERED_OPTIONS),

@@ -202,6 +202,7 @@ def test_a_feature_that_tells_the_cost_is_worth_something(kernel):
     assert found[2] == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_features_without_worth_are_rarely_praised(kernel):
     """One in ten may be mistaken: 5 % by their correlations, as many by the model."""

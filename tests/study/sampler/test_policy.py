@@ -206,6 +206,7 @@ def useless(unit: Floats, rng: np.random.Generator) -> Floats:
     return rng.standard_cauchy(len(unit))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("feature", [useless, misleading])
 def test_features_that_are_worth_nothing_leave_the_parameters_to_learn_from(feature):
     """Half the regret of rows at random, of which 24 of 400 are expected to hold the best 4 %.
@@ -292,6 +293,7 @@ optuna.create_study(sampler=sampler).optimize(lambda t: t.suggest_float("x", 0.0
 """
 
 
+@pytest.mark.slow
 def test_scipys_own_library_is_limited_too():
     """It is loaded by the first proposal of a process, after NumPy's."""
     done = run_code(PROGRAM, OPENBLAS_NUM_THREADS="2")

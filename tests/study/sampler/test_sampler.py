@@ -3,7 +3,6 @@
 import json
 import pickle
 import re
-import signal
 import time
 import warnings
 from collections.abc import Callable
@@ -19,7 +18,6 @@ from optuna.samplers import RandomSampler
 from optuna.trial import TrialState
 
 import study
-from storage.databases.studies import open_studies
 from study import DoGSampler, FeatureKernelSampler, FeatureTable, SurvivalSampler
 from study.sampler.acquisition import Model
 from study.sampler.gp import KERNELS
@@ -80,31 +78,6 @@ print(json.dumps({form: run(form) for form in FORMS}))
 def test_another_process_proposes_the_same():
     there = run_code(ELSEWHERE)
     assert json.loads(there.stdout) == {form: run(form) for form in FORMS}, there.stderr
-
-
-SCRIPT = """
-import os, signal, sys, optuna
-optuna.logging.set_verbosity(optuna.logging.ERROR)
-from storage.databases.studies import open_studies
-from tests.study.sampler.test_sampler import FORMS, bowl
-url, form = sys.argv[1:]
-study = optuna.create_study(
-    study_name="s", storage=open_studies(url), sampler=FORMS[form](), load_if_exists=True
-)
-study.optimize(bowl, n_trials=5)
-os.kill(os.getpid(), signal.SIGKILL)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("form", ["table", "ranked", "off_grid"])
-def test_killed_between_trials_and_resumed(form, tmp_path):
-    url = f"sqlite:///{tmp_path / 'studies.db'}"
-    assert run_code(SCRIPT, url, form).returncode == -signal.SIGKILL
-    study = optuna.load_study(study_name="s", storage=open_studies(url), sampler=FORMS[form]())
-    assert len(study.trials) == 5
-    study.optimize(bowl, n_trials=4)
-    assert params_of(study) == run(form)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -278,6 +251,7 @@ print(study.best_value)
 """
 
 
+@pytest.mark.slow
 def test_it_works_where_there_is_no_posix():
     """As on Windows: stores and commands lock files, the sampler does not."""
     done = run_code(NO_POSIX)

@@ -32,6 +32,7 @@ def felt(nerves: Any, signals: Any, blend: Any, amplitude: Any, seeds: Any) -> A
     return np.array(heard)
 
 
+@pytest.mark.slow
 def test_a_lag_is_of_first_order_flags_have_none_without_it_nothing_changes(nerves: Any) -> None:
     lag_s = 0.05
     heard = felt(nerves, 1.0, 1.0 - np.exp(-1e-3 / lag_s), 0.0, np.zeros(1))[:, :, 0]

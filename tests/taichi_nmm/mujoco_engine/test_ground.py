@@ -112,6 +112,7 @@ def assert_near(distances: Array, seen: Array) -> None:
     assert (np.abs(distances - seen) <= between + 1e-9).all(), (distances, seen)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_soles_touch_the_nearest_points(kind: str, model: mujoco.MjModel, tmp_path: Path) -> None:
     """Above the ground a plane is as far as the nearest point, a second one as the next valley."""
@@ -134,6 +135,7 @@ def test_soles_touch_the_nearest_points(kind: str, model: mujoco.MjModel, tmp_pa
     assert hollows > 0 or kind in ("flat", "ramp")  # a ramp's slope changes by little
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_sole_in_the_ground_is_led_out(kind: str, model: mujoco.MjModel, tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
