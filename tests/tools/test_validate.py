@@ -12,9 +12,7 @@ FIGURES = (
 )  # fmt: skip
 
 
-def test_figures_are_a_table_or_one_list(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_figures_are_a_table_or_one_list(capsys: pytest.CaptureFixture[str]) -> None:
     show(iter(FIGURES), "20 points", as_json=False)
     head, _, *table = capsys.readouterr().out.splitlines()
     assert head.startswith("20 points; 20") and "Python 3." in head
