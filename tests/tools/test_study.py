@@ -120,15 +120,6 @@ def test_lines_are_taken(command: Study, walks: list[int], monkeypatch: pytest.M
     assert served and "artifacts" in command.tool.out
 
 
-def test_trials_are_a_total(command: Study) -> None:
-    assert command.run() == 0
-    first = command.rows()
-    assert command.run(trials=7) == 0
-    assert "7/7" in command.tool.err
-    assert command.run(trials=7) == 0
-    assert len(command.rows()) == 7 and command.rows()[:4] == first
-
-
 def test_what_is_not_said_is_the_configs(command: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     """Trials, store and folder; and the study of another run and seed is another one."""
     config = fake_walker.write_config(command.folder / "out")

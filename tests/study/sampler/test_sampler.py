@@ -190,14 +190,6 @@ def test_a_thousand_trials_are_no_trouble():
     assert time.perf_counter() - start < 5.0  # a second on an idle machine
 
 
-def test_a_million_rows_work():
-    rng = np.random.default_rng(0)
-    columns = {f"x{i}": rng.uniform(size=1_000_000) for i in range(2)}
-    table = FeatureTable.from_arrays(columns, rng.normal(size=1_000_000))
-    study = study_of(table, lambda t: sum(t.suggest_float(x, 0, 1) for x in columns), 5, seed=0)
-    assert len({trial.user_attrs["row"] for trial in study.trials}) == 5
-
-
 MEMORY = """
 import numpy as np, optuna
 from study import FeatureKernelSampler, FeatureTable
