@@ -113,7 +113,10 @@ def read_toml(path: str | Path) -> Table:
         InputError: no such file, one that cannot be read, or no such variant.
     """
     file, name = _file_and_variant(Path(path))
-    data, variants = read_variants(file)
+    data = _completed(toml_document("config", file, READABLE))
+    variants = data.pop("variants", {})
+    if not isinstance(variants, dict) or not all(isinstance(v, dict) for v in variants.values()):
+        raise InputError("variants", variants, "tables by name")
     allowed = f"a variant of {file}: {', '.join(variants)}"
     if data.pop("only_variants", False) and not name:
         raise InputError("config", str(path), allowed)
@@ -127,19 +130,6 @@ def read_toml(path: str | Path) -> Table:
         if isinstance(data.get("name"), str):
             data["name"] += f"-{name}"
     return Table(data, folder=file.parent)
-
-
-def read_variants(file: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """The tables of a TOML file without its variants, and the tables of each variant by its name.
-
-    Raises:
-        InputError: as `read_toml`, of a file that is there.
-    """
-    data = _completed(toml_document("config", file, READABLE))
-    variants = data.pop("variants", {})
-    if not isinstance(variants, dict) or not all(isinstance(v, dict) for v in variants.values()):
-        raise InputError("variants", variants, "tables by name")
-    return data, variants
 
 
 def laid_over(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

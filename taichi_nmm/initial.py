@@ -42,11 +42,6 @@ def initial_rows(terrain: Terrain) -> NDArray[np.float64]:
     return np.concatenate([state, fibres, delay, events])
 
 
-def _segment_angles() -> NDArray[np.float64]:
-    """Absolute angles of HAT and both legs, [7]."""
-    return np.concatenate([[0.0], np.cumsum(JOINTS_RAD, axis=1).ravel()])
-
-
 def _foot_points(angles: NDArray[np.float64]) -> NDArray[np.float64]:
     """Heel and ball of both feet relative to the hip, [leg, point, xz]."""
     legs = angles[1:].reshape(LEGS, 3)
@@ -62,7 +57,7 @@ def _foot_points(angles: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _state(terrain: Terrain) -> NDArray[np.float64]:
     """Rows of `State`: the stance foot just in the ground, both feet's flags as they touch."""
-    angles = _segment_angles()
+    angles = np.concatenate([[0.0], np.cumsum(JOINTS_RAD, axis=1).ravel()])  # HAT, then both legs
     points = _foot_points(angles)
     depth = terrain.height(points[0, :, 0]) - points[0, :, 1]  # with the hip at height zero
     state = np.zeros(State.count)

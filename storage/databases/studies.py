@@ -97,60 +97,21 @@ def open_studies(url: str) -> RDBStorage:
 def read_studies(url: str) -> Iterator[RDBStorage | None]:
     """The study database as it is, to be read alone; None where there is none yet, or an empty one.
 
-    Raises:
-        InputError: as `open_studies`, which would open it or make it.
-    """
-    shown = shown_url(url)
-    if is_postgresql(url):
-        with _looked_at(url, shown, postgresql.READING_OPTIONS) as storage:
-            yield storage
-        return
-    path = studies_path(url)
-    require_writable(path, "storage")
-    if not path.exists():
-        yield None
-        return
-    with _looked_at(SQLITE, shown, _sqlite_options(path)) as storage:
-        yield storage
-
-
-def known_tables(storage: RDBStorage) -> dict[str, sql.Table]:
-    """The database's tables by name, as they are there.
-
-    Raises:
-        InputError: the schema is of another version of Optuna.
-    """
-    metadata = sql.MetaData()
-    metadata.reflect(storage.engine, only=lambda name, _: name in TABLES)
-    version, found = metadata.tables.get("version_info"), "an unknown schema"
-    if version is not None and len(metadata.tables) == len(TABLES):
-        with storage.engine.connect() as connection:
-            number = connection.execute(sql.select(version.c.schema_version)).scalar()
-        if number == SCHEMA_VERSION:
-            return dict(metadata.tables)
-        found = f"schema {number}"
-    allowed = f"a database with Optuna's schema {SCHEMA_VERSION} (Optuna 5.0 makes such)"
-    raise InputError("storage", found, allowed)
-
-
-@contextmanager
-def _looked_at(url: str, shown: str, options: dict[str, Any]) -> Iterator[RDBStorage | None]:
-    """The studies of a database, to be read; None where it has no tables.
-
     Optuna trusts a database, and raises any error where it is damaged: so whatever the block raises
     is reported as the database's fault, in one line.
 
-    Args:
-        url: of the database.
-        shown: its name in messages.
-        options: of SQLAlchemy's engine; with them nothing can be written.
-
     Raises:
-        InputError: not to be read, somebody else's, an Optuna schema of another version, or the
-            block raised.
+        InputError: as `open_studies`, which would open it or make it; or the block raised.
     """
-    storage = None
-    verbosity = optuna.logging.get_verbosity()
+    shown, options = shown_url(url), postgresql.READING_OPTIONS
+    if not is_postgresql(url):
+        path = studies_path(url)
+        require_writable(path, "storage")
+        if not path.exists():
+            yield None
+            return
+        url, options = SQLITE, _sqlite_options(path)
+    storage, verbosity = None, optuna.logging.get_verbosity()
     try:
         engine = sql.create_engine(url, **options)
         try:
@@ -173,6 +134,25 @@ def _looked_at(url: str, shown: str, options: dict[str, Any]) -> Iterator[RDBSto
         optuna.logging.set_verbosity(verbosity)
         if storage is not None:
             storage.engine.dispose()
+
+
+def known_tables(storage: RDBStorage) -> dict[str, sql.Table]:
+    """The database's tables by name, as they are there.
+
+    Raises:
+        InputError: the schema is of another version of Optuna.
+    """
+    metadata = sql.MetaData()
+    metadata.reflect(storage.engine, only=lambda name, _: name in TABLES)
+    version, found = metadata.tables.get("version_info"), "an unknown schema"
+    if version is not None and len(metadata.tables) == len(TABLES):
+        with storage.engine.connect() as connection:
+            number = connection.execute(sql.select(version.c.schema_version)).scalar()
+        if number == SCHEMA_VERSION:
+            return dict(metadata.tables)
+        found = f"schema {number}"
+    allowed = f"a database with Optuna's schema {SCHEMA_VERSION} (Optuna 5.0 makes such)"
+    raise InputError("storage", found, allowed)
 
 
 def _is_empty(connection: sql.Connection, shown: str) -> bool:

@@ -47,7 +47,9 @@ class Herd:
     def __init__(self, batch: Batch, settings: Settings) -> None:
         everybody = np.arange(len(batch))
         self._planes = ContactPlanes(batch.terrains, batch.terrain_index)
-        self._seat(everybody, [model_of(batch, n, settings) for n in range(len(batch))])
+        bodies = np.hstack(list(vars(batch.bodies).values())).tolist()
+        each = zip(map(tuple, bodies), batch.worlds.friction.tolist(), strict=True)
+        self._seat(everybody, [_model(body, friction, settings) for body, friction in each])
         starts = np.array([start_state(ground) for ground in batch.terrains])[batch.terrain_index]
         self._qpos[:], self._qvel[:] = np.split(starts, 2, axis=1)
 
@@ -82,14 +84,6 @@ class Herd:
         self._torque, self._sensors = bind("ctrl"), bind("sensordata")
         self._qpos, self._qvel = bind("qpos"), bind("qvel")
         self._plane_position, self._plane_quaternion = bind("mocap_pos"), bind("mocap_quat")
-
-
-def model_of(batch: Batch, walker: int, settings: Settings) -> mujoco.MjModel:
-    """The model of a walker of a batch."""
-    bodies = batch.bodies
-    columns = (bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m)
-    body = tuple(float(x) for values in columns for x in values[walker])
-    return _model(body, float(batch.worlds.friction[walker]), settings)
 
 
 @lru_cache(maxsize=CACHED)
