@@ -170,6 +170,17 @@ class Cluster:
             allowed = "an environment with distributed: pip install 'taichi-nmm[cluster]'"
             raise InputError("cluster", self.address, allowed)
 
+    @staticmethod
+    def asked(address: str | None, mixed: bool) -> "Cluster | None":
+        """The cluster of `--cluster` and `--mixed`; None where no address is given.
+
+        Raises:
+            InputError: no address, no Dask, or --mixed without a cluster.
+        """
+        if address is None and mixed:
+            raise InputError("mixed", True, "only beside --cluster")
+        return None if address is None else Cluster(address, mixed)
+
     @property
     def local_processes(self) -> int:
         """Processes of this machine to start; 0: the cluster is there already."""

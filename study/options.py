@@ -15,13 +15,10 @@ import unicodedata
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from taichi_nmm.errors import InputError, one_line, shortened
 from taichi_nmm.settings import ARCHITECTURES, ENGINES
-
-if TYPE_CHECKING:
-    from storage.pool import Cluster
 
 PROGRAM = "taichi-nmm"
 HERE = Path(__file__).resolve().parent
@@ -345,21 +342,6 @@ def file_of(command: str) -> Path:
 def documentation(file: Path) -> str:
     """The docstring of a Python file, which is not imported."""
     return ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
-
-
-def asked_cluster(options: argparse.Namespace) -> "Cluster | None":
-    """The cluster of `--cluster` and `--mixed`.
-
-    Raises:
-        InputError: no address, no Dask, or --mixed without a cluster.
-    """
-    from storage.pool import Cluster
-
-    if options.cluster is not None:
-        return Cluster(options.cluster, options.mixed)
-    if options.mixed:
-        raise InputError("mixed", True, "only beside --cluster")
-    return None
 
 
 def config_path(name: str | Path) -> Path:

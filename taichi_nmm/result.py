@@ -1,5 +1,6 @@
 """What a simulation returns: a structured row a walker, trajectories on request; costs of rows."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +14,8 @@ END_REASONS = ("completed", "fell", "diverged")
 """How a walk ends: `"completed"`, `"fell"`, or `"diverged"` (to NaN, or beyond 10^6)."""
 
 COMPLETED, FELL, DIVERGED = range(len(END_REASONS))
+FALL_HEIGHT_M = 0.6  # hip over the ground
+FALL_LEAN_RAD = math.radians(60.0)
 
 HUMAN_SPEED_MPS = 1.3  # Winter; the paper's v_human and target speed
 

@@ -17,12 +17,11 @@ from typing import Any
 import optuna
 
 from storage.databases.studies import public_url
-from storage.pool import cores
+from storage.pool import Cluster, cores
 from study.cli import ProgressBar
 from study.experiment.arms import with_store
 from study.experiment.compare import Outcome, Progress, Request, compare
 from study.experiment.experiment import Experiment, read_experiment
-from study.options import asked_cluster
 from study.report.markdown import arms_documents, arms_text
 from study.report.notes import dashboard_summary
 from study.report.numbers import numbers
@@ -52,7 +51,7 @@ def main(args: Namespace) -> None:
         workers,
         not args.no_artifacts,
         args.films,
-        asked_cluster(args),
+        Cluster.asked(args.cluster, args.mixed),
     )
     with closing(ProgressBar()) as bar:
 

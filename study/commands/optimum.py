@@ -17,10 +17,9 @@ from typing import Any
 
 import optuna
 
-from storage.pool import cores
+from storage.pool import Cluster, cores
 from study.experiment.experiment import read_experiment
 from study.experiment.optimum import OPTIMUM_NAME, estimate
-from study.options import asked_cluster
 from taichi_nmm.walker_simulator import Walker, require_engine
 
 
@@ -35,7 +34,8 @@ def main(args: Namespace) -> None:
     settings = experiment.conditions.settings
     require_engine(settings)
     workers = Walker(settings).processes(cores()) if args.workers is None else args.workers
-    document = estimate(experiment, out, args.runs, workers, tell, asked_cluster(args))
+    cluster = Cluster.asked(args.cluster, args.mixed)
+    document = estimate(experiment, out, args.runs, workers, tell, cluster)
     print(json.dumps(document) if args.json else text(document, out))
 
 

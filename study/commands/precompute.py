@@ -16,11 +16,10 @@ from functools import partial
 from pathlib import Path
 
 from storage.cluster import open_pool
-from storage.pool import cores
+from storage.pool import Cluster, cores
 from storage.precompute import Summary, precompute
 from storage.specification import read_specification
 from study.cli import ProgressBar
-from study.options import asked_cluster
 from taichi_nmm.config import read_toml
 
 
@@ -32,7 +31,8 @@ def main(args: Namespace) -> None:
     out = args.out or Path("out") / args.config.stem
     workers = simulator.processes(cores()) if args.workers is None else args.workers
     folder = None if args.fresh else out
-    opened = open_pool(workers, asked_cluster(args), folder, simulator.on_one_thread())
+    cluster = Cluster.asked(args.cluster, args.mixed)
+    opened = open_pool(workers, cluster, folder, simulator.on_one_thread())
     with opened as pool, closing(ProgressBar()) as bar:
         progress = partial(bar.move, "walker", total=specification.walkers)
         summary = precompute(specification, out, args.fresh, progress, pool)

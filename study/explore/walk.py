@@ -16,7 +16,14 @@ from study.pictures import style
 from study.pictures.scene import FORCE_M_PER_N, motion_of, pressure_point
 from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_outlines, trunk
 from taichi_nmm.config import Table
-from taichi_nmm.result import COMPLETED, DIVERGED, END_REASONS, Trajectory
+from taichi_nmm.result import (
+    COMPLETED,
+    DIVERGED,
+    END_REASONS,
+    FALL_HEIGHT_M,
+    FALL_LEAN_RAD,
+    Trajectory,
+)
 from taichi_nmm.terrain import GRID_SPACING_M, Terrain
 
 GROUNDS: dict[str, dict[str, Any]] = {
@@ -202,8 +209,6 @@ def _why(row: np.void, trajectory: Trajectory, terrain: Terrain) -> str:
         return ""
     if row["end_reason"] == DIVERGED:
         return f": the simulation {END_REASONS[DIVERGED]}"
-    from taichi_nmm.kernel.walker import FALL_HEIGHT_M, FALL_LEAN_RAD  # needs Taichi
-
     last: NDArray[np.float64] = finite(trajectory).q[-1]
     lean, height_m = float(last[2]), float(last[1] - terrain.height(last[0]))
     if abs(lean) / FALL_LEAN_RAD > FALL_HEIGHT_M / max(height_m, 1e-6):

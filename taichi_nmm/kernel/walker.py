@@ -5,8 +5,6 @@ over the lanes whose body has no branch, so that the compiler turns it into SIMD
 and delays are the same for all lanes, since a batch starts together.
 """
 
-import math
-
 from taichi_nmm.kernel import (
     contact,
     dynamics,
@@ -29,13 +27,12 @@ from taichi_nmm.kernel.layout import (
     State,
     Work,
 )
+from taichi_nmm.result import FALL_HEIGHT_M, FALL_LEAN_RAD
 
 # The first solve and at most four more. The cap is part of the model: with fewer, or with many
 # more, the verdict 'alive at 5 s' changes for some per cent of the search space.
 CONTACT_PASSES = 1 + 4
 
-FALL_HEIGHT_M = 0.6  # hip over the ground
-FALL_LEAN_RAD = math.radians(60.0)
 LARGEST_SANE = 1e6  # a sum of |q| and |qdot| beyond this, or NaN, is a diverged walker
 FELL, DIVERGED = 1.0, 2.0  # result.END_REASONS; 0 completes
 
