@@ -128,7 +128,8 @@ class Timings:
             made_by(),
             "One thread; studies of 16 parameters. Ours has its defaults unless the row says"
             " otherwise. Times are in ms, memory in MiB. *First* is the first proposal of a process"
-            " that has loaded the libraries; the other times are of later proposals.",
+            " that has loaded the libraries; the other times are of later proposals. On a machine"
+            " that other work shares, only the processor's times count.",
             "",
             f"![Time of a proposal against finished trials]({NAME}.png)",
             "",
