@@ -5,7 +5,6 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -131,10 +130,9 @@ def refuses_before_it_works(
     """A finished comparison whose table is gone, and whose database is damaged, writes nothing."""
     out = folder / "out"
     request = Request(out, arms=(arm,), runs=1, trials=2, artifacts=False)
-    figure: Any = SimpleNamespace(to_json=lambda: "{}")  # as plotly would make it
 
     def run() -> None:
-        compare(toy, request, lambda progress: None, summarise=lambda *_: Summary("", figure))
+        compare(toy, request, lambda progress: None, summarise=lambda *_: Summary("", {}))
 
     run()
     (out / "trials.parquet").unlink()
