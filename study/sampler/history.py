@@ -38,6 +38,8 @@ OFF_TABLE = -1
 # Of a trial that is no row, with its parameters [d]: the row whose features it is taken to have,
 # OFF_TABLE if it has its own (or none are needed), None if it cannot be learned from.
 Lend = Callable[[FrozenTrial, Floats], int | None]
+LookedUp = dict[int, tuple[FrozenTrial, int | None, Floats | None]]
+"""Finished trials by number, each with the row that it is and its parameters [d]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +82,7 @@ def read_history(
     space: Space,
     table: Rows | None = None,
     lend: Lend = lambda trial, parameters: OFF_TABLE,
+    known: LookedUp | None = None,
 ) -> History:
     """The history that the trial `before` is proposed from.
 
@@ -89,7 +92,9 @@ def read_history(
         space: parameters that a trial must have to be learned from.
         table: where rows are looked up.
         lend: features to trials that are no row of the table.
+        known: trials that were looked up before in this table; new ones are added.
     """
+    known = {} if known is None else known
     tried = np.zeros(0 if table is None else len(table), dtype=bool)
     placed: dict[TrialState, list[tuple[FrozenTrial, Floats, int]]]
     placed = {TrialState.COMPLETE: [], TrialState.RUNNING: []}
@@ -97,7 +102,7 @@ def read_history(
     for trial in study.get_trials(deepcopy=False):
         if trial.number == before.number:
             continue
-        row, parameters = _looked_up(trial, space, table)
+        row, parameters = _looked_up(trial, space, table, known)
         if row is not None:
             tried[row] = True
         if trial.state not in placed:
@@ -130,22 +135,22 @@ def read_history(
 
 
 def _looked_up(
-    trial: FrozenTrial, space: Space, table: Rows | None
+    trial: FrozenTrial, space: Space, table: Rows | None, known: LookedUp
 ) -> tuple[int | None, Floats | None]:
     """The row of a table that a trial is, and its parameters [d]; None for either it has not.
 
-    A finished trial stays as it is, and is looked up in a table once. Storages give the same object
-    for it each time; another object under its number (of another study) is looked up anew.
+    A finished trial stays as it is, and is looked up once. Storages give the same object for it
+    each time; another object under its number (of another study) is looked up anew.
     """
     if table is None:
         return None, space.row(trial.params)
-    known = table.looked_up.get(trial.number)
-    if known is not None and known[0] is trial:
-        return known[1:]
+    found = known.get(trial.number)
+    if found is not None and found[0] is trial:
+        return found[1:]
     row = row_of(table, trial)
     parameters = space.row(trial.params) if row is None else table.parameters[row]
     if trial.state.is_finished():
-        table.looked_up[trial.number] = trial, row, parameters
+        known[trial.number] = trial, row, parameters
     return row, parameters
 
 

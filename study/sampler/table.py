@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from optuna.distributions import BaseDistribution
-from optuna.trial import FrozenTrial
 
 from study.sampler.columns import Bounds, FileColumns, checked_columns, feature_matrix
 from study.sampler.space import Space, first_not_taken
@@ -91,11 +90,6 @@ class Rows:
     def offered(self) -> NDArray[np.bool_]:
         """Rows that may be proposed: half of the features known, parameters of no earlier row."""
         return self._known & self._first
-
-    @cached_property
-    def looked_up(self) -> dict[int, tuple[FrozenTrial, int | None, Floats | None]]:
-        """Finished trials by number, each with the row that it is and its parameters [d]."""
-        return {}
 
     @cached_property
     def unit(self) -> Floats:

@@ -26,6 +26,7 @@ from study.sampler.history import (
     ROW_ATTRIBUTE,
     SCORE_ATTRIBUTE,
     History,
+    LookedUp,
     as_suggested_rows,
     distribution_misfit,
     next_trial,
@@ -100,6 +101,7 @@ class TablePolicy(Policy):
         self._table = table
         self.function = function
         self._suggested: Rows | None = None
+        self._looked_up: LookedUp = {}
         self.prior_mean = PriorMean.of(options.prior, self.own_rows.feature_names)
 
     @cached_property
@@ -113,8 +115,8 @@ class TablePolicy(Policy):
         return self.own_rows if self._suggested is None else self._suggested
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without rows, which follow from the table and the study."""
-        state = super().__getstate__() | {"_suggested": None}
+        """Without rows and trials, which follow from the table and the study."""
+        state = super().__getstate__() | {"_suggested": None, "_looked_up": {}}
         return {name: value for name, value in state.items() if name != "own_rows"}
 
     def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
@@ -283,7 +285,7 @@ class TablePolicy(Policy):
             row, distance = rows.nearest(parameters)
             return row if distance <= nearest else None
 
-        return read_history(study, trial, rows.space, rows, lend)
+        return read_history(study, trial, rows.space, rows, lend, self._looked_up)
 
     @property
     def _places_all(self) -> bool:

@@ -13,7 +13,7 @@ from optuna.trial import TrialState
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import history
 from study.sampler.draws import Purpose, generator, turn
-from study.sampler.history import next_trial, read_history, row_of
+from study.sampler.history import OFF_TABLE, next_trial, read_history, row_of
 from study.sampler.random_sampler import ReproducibleRandomSampler
 from taichi_nmm.errors import InputError
 from tests.study.sampler.studies import kill, params_of, resumed, rows_of, study_of, without_warning
@@ -70,7 +70,7 @@ def test_history_takes_finished_trials_and_counts_all_rows(table):
 
 
 def test_a_finished_trial_is_looked_up_once_and_another_of_its_number_anew(table, monkeypatch):
-    rows, looked_up = table.rows, []
+    rows, looked_up, known = table.rows, [], {}
 
     def counted(*given):
         looked_up.append(given)
@@ -85,7 +85,8 @@ def test_a_finished_trial_is_looked_up_once_and_another_of_its_number_anew(table
             study.add_trial(optuna.create_trial(params=params, distributions=space, value=1.0))
     for study, counts in ((one, [2, 2]), (other, [4, 4]), (one, [6, 6])):
         for count in counts:
-            found = read_history(study, next_trial(study), rows.space, rows)
+            before = next_trial(study)
+            found = read_history(study, before, rows.space, rows, lambda *_: OFF_TABLE, known)
             assert (found.rows[found.rows >= 0].tolist(), len(found.rows)) == ([3], 2)
             assert np.flatnonzero(found.tried).tolist() == [3] and len(looked_up) == count
 
