@@ -1,5 +1,6 @@
 """Study databases that somebody has edited: each is refused in one line, and stays as it is."""
 
+import shutil
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
@@ -9,6 +10,7 @@ from typing import Any
 
 import pytest
 
+import taichi_nmm
 from storage.databases.studies import open_studies
 from study.experiment.arms import find_arm
 from study.experiment.compare import Request, compare
@@ -17,18 +19,33 @@ from study.experiment.experiment import Experiment
 from study.experiment.gains import gains_of_trial
 from study.experiment.live_study import check_study, run_study
 from taichi_nmm.errors import InputError
+from tests.study import fake_walker
 
+Refuses = Callable[[str, Callable[[str], bytes], str], None]
 OF_DOG = r"^(storage|study toy/dog/run-000)"
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a live study of two trials, and two finished comparisons by their arms."""
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
+        toy, url = fake_walker.experiment(folder), f"sqlite:///{folder}/studies.db"
+        storage = open_studies(url)
+        run_study(toy, find_arm("dog"), 0, 2, storage)
+        storage.engine.dispose()
+        edit(url)
+        for arm in ("dog", "random"):
+            compared(toy, folder / arm, arm)
+            edit(f"sqlite:///{folder}/{arm}/studies.db")
+    return folder
+
+
 @pytest.fixture
-def url(toy: Experiment, tmp_path: Path) -> str:
-    """Of a study of two trials."""
-    url = f"sqlite:///{tmp_path}/studies.db"
-    storage = open_studies(url)
-    run_study(toy, find_arm("dog"), 0, 2, storage)
-    storage.engine.dispose()
-    return url
+def url(made: Path, tmp_path: Path) -> str:
+    """Of a copy of the study."""
+    return f"sqlite:///{shutil.copy(made / 'studies.db', tmp_path)}"
 
 
 @pytest.fixture
@@ -124,22 +141,24 @@ def test_a_name_too_long_for_a_lock_is_refused_at_once(toy: Experiment, tmp_path
 # Databases of comparisons.
 
 
-def refuses_before_it_works(
-    toy: Experiment, folder: Path, arm: str, damage: Callable[[str], bytes], message: str
-) -> None:
-    """A finished comparison whose table is gone, and whose database is damaged, writes nothing."""
-    out = folder / "out"
+def compared(toy: Experiment, out: Path, arm: str) -> None:
     request = Request(out, arms=(arm,), runs=1, trials=2, artifacts=False)
+    compare(toy, request, lambda progress: None, summarise=lambda *_: Summary("", {}))
 
-    def run() -> None:
-        compare(toy, request, lambda progress: None, summarise=lambda *_: Summary("", {}))
 
-    run()
-    (out / "trials.parquet").unlink()
-    before = damage(f"sqlite:///{out}/studies.db")
-    assert_refused(run, message)
-    assert not (out / "trials.parquet").exists()
-    assert (out / "studies.db").read_bytes() == before
+@pytest.fixture
+def refuses_before_it_works(toy: Experiment, made: Path, tmp_path: Path) -> Refuses:
+    """A finished comparison whose table is gone, and whose database is damaged, writes nothing."""
+
+    def refuses(arm: str, damage: Callable[[str], bytes], message: str) -> None:
+        out = Path(shutil.copytree(made / arm, tmp_path / "out"))
+        (out / "trials.parquet").unlink()
+        before = damage(f"sqlite:///{out}/studies.db")
+        assert_refused(lambda: compared(toy, out, arm), message)
+        assert not (out / "trials.parquet").exists()
+        assert (out / "studies.db").read_bytes() == before
+
+    return refuses
 
 
 OF_SUMMARY = r"^(storage|study toy/summary: note): "
@@ -165,16 +184,15 @@ OF_SUMMARY = r"^(storage|study toy/summary: note): "
     ("random", OF_SUMMARY, NOTE.format("value_json = 'null'", "ver")),
 ])  # fmt: skip
 def test_a_comparison_writes_no_table_before_its_database_is_refused(
-    toy: Experiment, tmp_path: Path, arm: str, message: str, command: str
+    refuses_before_it_works: Refuses, arm: str, message: str, command: str
 ) -> None:
-    refuses_before_it_works(toy, tmp_path, arm, lambda url: edit(url, command), message)
+    refuses_before_it_works(arm, lambda url: edit(url, command), message)
 
 
-def test_a_damaged_page_is_refused_before_the_work(toy: Experiment, tmp_path: Path) -> None:
+def test_a_damaged_page_is_refused_before_the_work(refuses_before_it_works: Refuses) -> None:
     def damage(url: str) -> bytes:
         content = edit(url)[:-4096] + b"\xff" * 4096  # SQLite's page
         Path(url.removeprefix("sqlite:///")).write_bytes(content)
         return content
 
-    message = "^storage: .*SQLite finds whole"
-    refuses_before_it_works(toy, tmp_path, "random", damage, message)
+    refuses_before_it_works("random", damage, "^storage: .*SQLite finds whole")
