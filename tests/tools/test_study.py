@@ -163,13 +163,6 @@ def test_the_best_sampler_proposes_rows_that_walked(command: Study) -> None:
     assert walked[rows].all() and not walked.all()
 
 
-def test_another_configuration_is_refused_by_name(command: Study) -> None:
-    assert command.run() == 0
-    new = command.folder / "new"
-    command.refuses(f"study {NAME}: seed: 2", seed=2, trials=6, out=new)
-    assert not new.exists() and len(command.rows()) == 4
-
-
 def test_a_database_locked_half_way_is_one_line_and_resumes(
     command: Study, database: sqlite3.Connection, simulator: Simulator
 ) -> None:

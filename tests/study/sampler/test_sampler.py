@@ -325,25 +325,6 @@ def test_an_informative_score_beats_random_search():
     assert dog < np.quantile(1.0 - np.exp(-8.0 * depth), 0.01)
 
 
-def test_a_proposal_from_100000_rows_takes_no_half_second():
-    rng = np.random.default_rng(0)
-    score = np.maximum(0.0, rng.normal(-3, 8, 100_000))  # two thirds are zero
-    columns = {f"x{i}": rng.uniform(size=100_000) for i in range(16)}
-    big = FeatureTable.from_arrays(columns, score)
-    study = study_of(big, kernel="rbf")
-    space = {name: FloatDistribution(0, 1) for name in columns}
-    for row in range(100):
-        noted = {"params": big.rows.as_parameters(row), "user_attrs": {"row": row}}
-        value = float(np.exp(-score[row] / 10) + 0.1 * rng.normal())
-        study.add_trial(optuna.create_trial(distributions=space, value=value, **noted))
-    times = []
-    for _ in range(3):
-        start = time.perf_counter()
-        study.ask(space)
-        times.append(time.perf_counter() - start)
-    assert min(times) < 0.5
-
-
 # Extreme numbers.
 LARGEST = np.finfo(np.float64).max
 LINE = np.linspace(0.0, 1.0, 30)
