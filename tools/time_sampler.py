@@ -151,7 +151,7 @@ class Timings:
         found = []
         for each in self.cases:
             case = each.case
-            size = f"{case.rows:,} rows, {case.features} features, {case.observations:,} trials"
+            size = f"{case.rows:,} rows x {case.features}, {case.observations:,} trials"
             for name, most in case.bars:
                 value, what = getattr(each, name), name.replace("_", " ")
                 measured = f"{value:.0f}, at most {most:.0f}"
@@ -222,14 +222,14 @@ def measure(options: Namespace) -> Timings:
     """Every case in a process of its own, one after the other."""
     base = Case("ours", options.rows, 1, options.observations, options.repeats)
 
-    few, some, many = ((("median_cpu_ms", most),) for most in (6.0, 10.0, 15.0))
+    few, some, more, many = ((("median_cpu_ms", most),) for most in (6.0, 10.0, 13.0, 15.0))
     memory, first = ("peak_mib", 200e6 / 2**20), ("first_cpu_ms", 500.0)  # 200 MB
     most = options.sweep[-1]
     cases = [
         replace(base, bars=few),
         replace(base, features=MOST_FEATURES, bars=(*many, memory)),
-        replace(base, sampler="foreign", bars=many),
-        replace(base, sampler="foreign", observations=most, bars=many),
+        replace(base, sampler="foreign", bars=more),
+        replace(base, sampler="foreign", observations=most, bars=more),
         replace(base, sampler="rbf", bars=some),
         replace(base, sampler="best", features=6, bars=some),
         *(replace(base, observations=n) for n in options.sweep[:-1] if n != base.observations),
