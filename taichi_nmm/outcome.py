@@ -1,6 +1,7 @@
 """From the kernel's rows to result rows and recorded trajectories."""
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,9 @@ STEP_MEANS = {
 }  # fmt: skip
 
 
-def result_rows(final: Array, sums: Array, bodies: Bodies, duration_s: float) -> NDArray[np.void]:
+def result_rows(
+    final: NDArray[Any], sums: Array, bodies: Bodies, duration_s: float
+) -> NDArray[np.void]:
     """Result rows from state rows [n, State.count] and summed rows [n, Sums.count].
 
     A quotient over nothing (no step, no distance) is zero.
@@ -51,7 +54,7 @@ def result_rows(final: Array, sums: Array, bodies: Bodies, duration_s: float) ->
     # A diverged walker's last numbers may be NaN; finite sums are kept.
     sums = np.nan_to_num(sums, nan=0.0, posinf=0.0, neginf=0.0)
     rows["end_reason"] = final[:, State.end_reason].astype(np.uint8)
-    rows["duration_s"] = np.round(final[:, State.end_tick]) * CONTROL_TICK_S
+    rows["duration_s"] = np.round(final[:, State.end_tick].astype(np.float64)) * CONTROL_TICK_S
     rows["hip_x_m"] = final[:, State.end_x]
     rows["hip_z_m"] = final[:, State.end_z]
     rows["distance_m"] = rows["hip_x_m"]

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.layout import FIRST_SUM, State, Sums
 
-FULL_ENOUGH = 0.9  # compacting copies every row: not worth it for a few fallen walkers
-
 
 class Packs:
     """Rows of the walkers that still walk, and the final rows of those that have ended.
@@ -21,7 +19,7 @@ class Packs:
         rows: [pack, row, lane], advanced by the kernel.
         constants: [pack, row, lane].
         terrains: [pack, lane].
-        walkers: batch row of each occupied lane, in order; the last pack's rest are idle copies.
+        walkers: batch row of each occupied lane; the last pack's rest are idle copies.
     """
 
     def __init__(
@@ -29,24 +27,24 @@ class Packs:
         rows: NDArray[Any],
         constants: NDArray[np.float64],
         terrains: NDArray[np.int32] | None = None,
+        starts: NDArray[Any] | None = None,
     ) -> None:
-        self.lanes, real = backend.lanes(), backend.real_dtype()
-        grounds = np.zeros(len(rows), dtype=np.int32) if terrains is None else terrains
-        self._seat(np.arange(len(rows)), rows.astype(real), constants.astype(real), grounds)
-        self._final = np.zeros((len(rows), State.count))
-        self._sums = np.zeros((len(rows), Sums.count))
+        """Walkers in the order of the batch.
 
-    def _seat(
-        self,
-        walkers: NDArray[np.intp],
-        rows: NDArray[Any],
-        constants: NDArray[Any],
-        terrains: NDArray[np.int32],
-    ) -> None:
-        self.walkers = walkers
-        self.rows = self.fold(rows)
-        self.constants = self.fold(constants)
-        self.terrains = self.fold(terrains[:, None])[:, 0, :].copy()
+        Args:
+            rows: [n, row]; or of fewer walkers, if many start alike.
+            constants: [n, row].
+            terrains: row of the table of heights, [n]; None is 0.
+            starts: for each walker, which of `rows` it starts with, [n]; None is its own.
+        """
+        self.lanes, real, count = backend.lanes(), backend.real_dtype(), len(constants)
+        grounds = np.zeros(count, dtype=np.int32) if terrains is None else terrains
+        self.walkers = np.arange(count)
+        self.rows = self.fold(rows.astype(real), starts)
+        self.constants = self.fold(constants.astype(real))
+        self.terrains = self.fold(grounds[:, None])[:, 0, :].copy()
+        self._final = np.zeros((count, State.count), dtype=real)
+        self._sums = np.zeros((count, Sums.count))
 
     def drain(self) -> None:
         """Move the kernel's sums into float64 totals, so that long walks lose no digits."""
@@ -54,41 +52,63 @@ class Packs:
         self.rows[:, FIRST_SUM:, :] = 0.0
 
     def compact(self) -> None:
-        """Let the walkers that have ended go once they leave enough lanes idle."""
-        up = self.up()
-        if np.count_nonzero(up) > FULL_ENOUGH * len(up):
-            return
-        self._keep_final(~up)
-        unfolded = (self.rows, self.constants, self.terrains[:, None, :])
-        rows, constants, terrains = (self.unfold(folded)[up] for folded in unfolded)
-        self._seat(self.walkers[up], rows, constants, terrains[:, 0])
+        """Let the walkers that have ended go where this empties a pack.
 
-    def collect(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        Walkers of the last packs take their lanes: no other row is copied.
+        """
+        up = self.up()
+        count = int(np.count_nonzero(up))
+        packs = -(-count // self.lanes)
+        if packs == len(self.rows):
+            return
+        self._keep_final(np.flatnonzero(~up))
+        last, free = count + np.flatnonzero(up[count:]), np.flatnonzero(~up[:count])
+        self._copy(last, free)
+        self._copy(np.array([count - 1]), np.arange(count, packs * self.lanes))
+        self.walkers[free] = self.walkers[last]
+        self.walkers = self.walkers[:count]
+        self.rows, self.constants = self.rows[:packs], self.constants[:packs]
+        self.terrains = self.terrains[:packs]
+
+    def collect(self) -> tuple[NDArray[Any], NDArray[np.float64]]:
         """Final state rows [n, State.count] and summed rows [n, Sums.count] of every walker."""
-        self._keep_final(np.ones(len(self.walkers), dtype=bool))
+        self._keep_final(np.arange(len(self.walkers)))
         return self._final, self._sums
 
     def lane_of(self, walker: int) -> tuple[int, int] | None:
         """Pack and lane of a walker, None once it has gone."""
-        position = int(np.searchsorted(self.walkers, walker))
-        if position == len(self.walkers) or self.walkers[position] != walker:
-            return None
-        return divmod(position, self.lanes)
+        places = np.flatnonzero(self.walkers == walker)
+        return divmod(int(places[0]), self.lanes) if len(places) else None
 
     def up(self) -> NDArray[np.bool_]:
         """Which of `walkers` have neither fallen nor diverged."""
         return self.unfold(self.rows[:, State.active : State.active + 1, :])[:, 0] > 0.5
 
-    def _keep_final(self, which: NDArray[np.bool_]) -> None:
-        final = self.unfold(self.rows[:, : State.count, :])
-        self._final[self.walkers[which]] = final[which]
+    def _keep_final(self, places: NDArray[np.intp]) -> None:
+        pack, lane = np.divmod(places, self.lanes)
+        self._final[self.walkers[places]] = self.rows[pack, : State.count, lane]
 
-    def fold(self, flat: NDArray[Any]) -> NDArray[Any]:
-        """[n, row] to [pack, row, lane]; the last pack is filled up with its last walker."""
-        count = -(-len(flat) // self.lanes) * self.lanes
-        padded = flat[np.minimum(np.arange(count), len(flat) - 1)] if len(flat) else flat
-        folded = padded.reshape(-1, self.lanes, flat.shape[1]).transpose(0, 2, 1)
-        return np.ascontiguousarray(folded)
+    def _copy(self, sources: NDArray[np.intp], places: NDArray[np.intp]) -> None:
+        """Copy the rows of some places to others, or of one to all of them."""
+        pack, lane = np.divmod(places, self.lanes)
+        from_pack, from_lane = np.divmod(sources, self.lanes)
+        for folded in (self.rows, self.constants, self.terrains):
+            folded[pack, ..., lane] = folded[from_pack, ..., from_lane]
+
+    def fold(self, flat: NDArray[Any], which: NDArray[Any] | None = None) -> NDArray[Any]:
+        """[n, row] to [pack, row, lane]; the last pack is filled up with its last walker.
+
+        Args:
+            flat: [n, row].
+            which: rows of `flat` to fold, [n], if there are others than all.
+        """
+        which = np.arange(len(flat)) if which is None else which
+        packs = -(-len(which) // self.lanes)
+        folded = np.empty((packs, flat.shape[1], self.lanes), dtype=flat.dtype)
+        for lane in range(self.lanes):  # one at a time: no second copy of all rows
+            places = lane + self.lanes * np.arange(packs)
+            folded[:, :, lane] = flat[which[np.minimum(places, len(which) - 1)]]
+        return folded
 
     def unfold(self, folded: NDArray[Any]) -> NDArray[Any]:
         """[pack, row, lane] to [n, row], without the fill."""

@@ -114,10 +114,10 @@ def _start(batch: Batch, settings: Settings) -> tuple[Launch, Packs, Callable[[]
 
 def start_packs(batch: Batch, settings: Settings) -> Packs:
     """The walkers at the start. The backend runs already: it sets lanes and precision."""
-    rows = np.zeros((len(batch), WALKER_ROWS))
-    starts = np.array([initial_rows(terrain) for terrain in batch.terrains])
-    rows[:, :FIRST_SUM] = starts[batch.terrain_index]
-    return Packs(rows, constant_rows(batch, settings), batch.terrain_index)
+    rows = np.zeros((len(batch.terrains), WALKER_ROWS))
+    rows[:, :FIRST_SUM] = [initial_rows(terrain) for terrain in batch.terrains]
+    index = batch.terrain_index
+    return Packs(rows, constant_rows(batch, settings), index, starts=index)
 
 
 def launcher(batch: Batch, settings: Settings) -> Launch:
@@ -127,13 +127,19 @@ def launcher(batch: Batch, settings: Settings) -> Launch:
     step_s = settings.physics_step_s
     muscles = muscle_table(step_s).astype(real)
 
+    bound: tuple[NDArray[Any], backend.BoundKernel] | None = None
+
     def launch(packs: Packs, first_tick: int, ticks: int) -> None:
-        backend.launch(
-            advance,
-            packs.lanes, packs.rows, packs.constants, packs.terrains, heights, muscles,
-            first_tick, ticks, settings.substeps, step_s,
-            *blends(step_s),
-        )  # fmt: skip
+        nonlocal bound
+        if bound is None or bound[0] is not packs.rows or bound[1].stale:
+            kernel = backend.BoundKernel(
+                advance,
+                packs.lanes, packs.rows, packs.constants, packs.terrains, heights, muscles,
+                first_tick, ticks, settings.substeps, step_s,
+                *blends(step_s),
+            )  # fmt: skip
+            bound = packs.rows, kernel
+        bound[1].launch(first_tick=first_tick, ticks=ticks)
 
     return launch
 

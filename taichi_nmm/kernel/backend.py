@@ -120,7 +120,8 @@ class BoundKernel:
     """A kernel whose arrays stay the same from launch to launch: only whole numbers change.
 
     Taichi looks at every argument of every launch, which takes longer than a control tick of some
-    walkers. Here that happens once; the arrays must stay contiguous, where they are.
+    walkers. Here that happens once; the arrays must stay contiguous, where they are. On a GPU it
+    happens in every launch, which would leave the GPU's own addresses behind.
     """
 
     def __init__(self, kernel: Callable[..., None], *arguments: Any) -> None:
@@ -131,8 +132,10 @@ class BoundKernel:
         """
         if kernel.__name__ not in _compiled:
             _require_main_thread()
-        self._session = _session
+        self._session, self._kernel = _session, kernel
         self._arguments = arguments  # the arrays must outlive the launches
+        if _arch != "cpu":
+            return
         primal = kernel._primal  # type: ignore[attr-defined]
         function = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
         self._program = ti.lang.impl.get_runtime().prog
@@ -158,6 +161,11 @@ class BoundKernel:
     def launch(self, **numbers: int) -> None:
         """Run the kernel with these whole numbers in place of those it was bound with."""
         assert not self.stale
+        if _arch != "cpu":
+            names = [argument.name for argument in self._kernel._primal.arguments]  # type: ignore[attr-defined]
+            given = dict(zip(names, self._arguments, strict=True)) | numbers
+            launch(self._kernel, *given.values())
+            return
         for name, value in numbers.items():
             self._context.set_arg_int(self._slots[name], value)
         self._program.launch_kernel(self._compiled, self._context)

@@ -171,6 +171,7 @@ class _Engine:
     def _seat(self, packs: Packs) -> None:
         """Let the fallen walkers go, and note in which pack and lane the others are."""
         places = np.flatnonzero(packs.up())
+        places = places[np.argsort(packs.walkers[places])]  # the herd's order
         self._active = np.count_nonzero(packs.rows[:, State.active])
         self._up = len(places)
         if 0 < self._up < len(self._herd.numbers):
