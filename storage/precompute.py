@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -39,9 +39,25 @@ The runs of a search count as points.
 ScoredShard = tuple[pa.Table, dict[str, Any]]
 """A shard's table, and names and versions of the software that computed it."""
 
-Unit = tuple[Specification, int, NDArray[np.float64] | None, bool]
-"""A store, a shard's number, its points if they are no Sobol points; and whether to name the kind
-of machine that computes it."""
+
+class Unit(NamedTuple):
+    """A unit of work: a part of a shard.
+
+    Attributes:
+        specification: of the store.
+        number: of the shard.
+        part: which of its parts.
+        parts: that the shard is cut into.
+        evolved: the part's points, [n, p], if they are no Sobol points.
+        name_kind: whether to name the kind of machine that computes it.
+    """
+
+    specification: Specification
+    number: int
+    part: int
+    parts: int
+    evolved: NDArray[np.float64] | None
+    name_kind: bool
 
 
 @dataclass(frozen=True)
@@ -106,11 +122,11 @@ def precompute(
         computed = sum(layout.shard_range(number)[1] for number in missing)
         start_s = time.perf_counter()
         tally = Tally(progress, layout.rows - computed)
-        asked = specification.on_one_thread() if pool.shares_machine else specification
-        _fill(folder, asked, grid, tally, pool)
+        _fill(folder, specification, grid, tally, pool)
         if specification.repertoire is not None:
+            asked = _asked(specification, pool)
             points = evolved_points(folder, asked, specification.repertoire, pool, tally.walked)
-            _fill(folder, asked, missing[len(grid) :], tally, pool, points)
+            _fill(folder, specification, missing[len(grid) :], tally, pool, points)
         wall_s = time.perf_counter() - start_s
         folder.write_manifest()
         return _summary(specification, path, computed, tally.walks, wall_s)
@@ -143,7 +159,7 @@ class Tally:
 
 def _fill(
     folder: StoreFolder,
-    asked: Specification,
+    specification: Specification,
     missing: list[int],
     tally: Tally,
     pool: Pool,
@@ -153,34 +169,61 @@ def _fill(
 
     Args:
         folder: of the store.
-        asked: the store's specification, as units of work are to be run.
+        specification: of the store.
         missing: numbers of the shards.
         tally: of finished points.
-        pool: that computes them; a single shard is computed in this process.
+        pool: that computes them; a single shard of the grid is computed in this process.
         evolved: points of all rows after the grid's, [candidates, p].
     """
-    layout, code = folder.layout, {"code_version": asked.simulator.code_version}
-    pool = pool if len(missing) > 1 or pool.kinds else IN_PROCESS
-    units: deque[Unit] = deque()
-    for number in missing:
-        first, size = layout.shard_range(number)
-        points = None if evolved is None else evolved[first - layout.samples :][:size]
-        units.append((asked, number, points, pool.mixed))
+    code = {"code_version": specification.simulator.code_version}
+    if len(missing) == 1 and evolved is None and not pool.kinds:
+        pool = IN_PROCESS
+    units = _units(_asked(specification, pool), missing, pool, evolved)
+    done: dict[int, dict[int, pa.Table]] = {number: {} for number in missing}
 
     def score_here(unit: Unit) -> ScoredShard:
-        _, size = layout.shard_range(unit[1])
+        _, size = folder.layout.shard_range(*unit[1:4])
         return _score(unit, lambda part: tally.progress(tally.done + part * size))
 
     tally.add(0)
     score = score_here if pool.in_process else _score
-    for (_, number, _, _), (table, computed_by) in pool.results(score, units):
-        folder.write_shard(number, table, code | computed_by)
+    for unit, (table, computed_by) in pool.results(score, units):
+        tables = done[unit.number]
+        tables[unit.part] = table
+        if len(tables) == unit.parts:
+            whole = pa.concat_tables(tables[part] for part in range(unit.parts)).combine_chunks()
+            folder.write_shard(unit.number, whole, code | computed_by)
+            del done[unit.number]
         tally.add(len(table))
 
 
+def _units(
+    asked: Specification, missing: list[int], pool: Pool, evolved: NDArray[np.float64] | None
+) -> deque[Unit]:
+    """The shards; the last ones in parts, if they are fewer than the pool has slots.
+
+    A mixed pool cuts none: a shard is of one machine.
+    """
+    layout, last = asked.layout, len(missing) % pool.slots
+    units: deque[Unit] = deque()
+    for left, number in zip(range(len(missing), 0, -1), missing, strict=True):
+        _, size = layout.shard_range(number)
+        parts = 1 if left > last or pool.mixed else min(pool.slots // last, size)
+        for part in range(parts):
+            first, size = layout.shard_range(number, part, parts)
+            points = None if evolved is None else evolved[first - layout.samples :][:size]
+            units.append(Unit(asked, number, part, parts, points, pool.mixed))
+    return units
+
+
+def _asked(specification: Specification, pool: Pool) -> Specification:
+    """The specification as units of work are to be run."""
+    return specification.on_one_thread() if pool.shares_machine else specification
+
+
 def _score(unit: Unit, report: Report = lambda part: None) -> ScoredShard:
-    specification, number, evolved, name_kind = unit
-    table, computed_by = score_shard(specification, number, report, evolved)
+    specification, number, part, parts, evolved, name_kind = unit
+    table, computed_by = score_shard(specification, number, report, evolved, part, parts)
     return table, computed_by | ({"kind": own_kind(specification.simulator)} if name_kind else {})
 
 
@@ -189,34 +232,39 @@ def score_shard(
     number: int,
     report: Report,
     evolved: NDArray[np.float64] | None = None,
+    part: int = 0,
+    parts: int = 1,
 ) -> ScoredShard:
     """Run the points of a shard in the base setting, and those that last in the families' worlds.
 
-    A shard depends on no other shard.
+    A row depends on no other row.
 
     Args:
         specification: of the store.
         number: of the shard.
         report: called with the fraction of the shard that is done.
-        evolved: the shard's points, [n, p], if it comes after the grid's.
+        evolved: the points, [n, p], if the shard comes after the grid's.
+        part: which part of the shard.
+        parts: that it is cut into.
     """
     simulator, families = specification.simulator, specification.families
-    first, count = specification.layout.shard_range(number)
+    first, count = specification.layout.shard_range(number, part, parts)
     points = evolved
     if points is None:
         points = sobol_points(specification.seed, first, count, simulator.parameters)
-    parts = progress_parts(specification, report)
+    reports = progress_parts(specification, report)
     horizon_s = specification.horizon_s
-    rows, computed_by = run_points(simulator, points, specification.worlds, 1, horizon_s, parts[0])
+    worlds = specification.worlds
+    rows, computed_by = run_points(simulator, points, worlds, 1, horizon_s, reports[0])
     base = rows[:, 0]
     columns: dict[str, NDArray[Any]] = {}
-    for family, part in zip(families, parts[1:], strict=True):
+    for family, own in zip(families, reports[1:], strict=True):
         chosen = base[simulator.survived] >= family.min_survival_s / horizon_s
         if family.after:
             survived = columns[family_names(family.after, simulator.survived)[0]]
             chosen &= survived >= family.min_survived_fraction
-        columns |= score_family(specification, family, points, chosen, part)
-        part(1.0)
+        columns |= score_family(specification, family, points, chosen, own)
+        own(1.0)
     origin = SOBOL_ROW if evolved is None else EVOLVED_ROW
     table = shard_table(specification.schema, simulator, first, points, base, columns, origin)
     return table, dict(computed_by)

@@ -7,7 +7,6 @@ of its own, so one goes on while another waits; each generation is a file until 
 
 from collections import deque
 from collections.abc import Callable, Generator
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -74,6 +73,7 @@ class Unit:
     simulator: Simulator
     family: Family
     part: int
+    parts: int
     points: NDArray[np.float64]
 
 
@@ -113,30 +113,34 @@ def _search(
 ) -> dict[str, list[Generation]]:
     """All generations of all families, those of earlier calls included."""
     starts = _grid_starts(folder, asked, repertoire)
-    count = -(-pool.slots // len(repertoire.trials))  # units of a generation
     found: dict[str, list[Generation]] = {}
     searches: dict[str, Search] = {}
     done: dict[str, dict[int, Generation]] = {}
     units: deque[Unit] = deque()
 
     def go_on(family: Family, tried: Generation | None) -> None:
-        with suppress(StopIteration):  # the search for this family is over
+        try:
             points = searches[family.name].send(tried)
-            done[family.name] = {}
-            pieces = enumerate(np.array_split(points, count))
-            units.extend(Unit(asked.simulator, family, part, piece) for part, piece in pieces)
+        except StopIteration:
+            del searches[family.name]
+            return
+        done[family.name] = {}
+        count = min(len(points), -(-pool.slots // len(searches)))  # more where fewer go on
+        for part, piece in enumerate(np.array_split(points, count)):
+            units.append(Unit(asked.simulator, family, part, count, piece))
 
     for family in repertoire.trials:
         own = found[family.name] = []
         evolution = Evolution(asked.simulator, repertoire.stream(family.name))
         start, length = starts[family.name]
         searches[family.name] = _search_for(family, folder, evolution, start, length, own, walked)
+    for family in repertoire.trials:
         go_on(family, None)
     for unit, tried in pool.results(try_points, units):
         parts = done[unit.family.name]
         parts[unit.part] = tried
-        if len(parts) == count:
-            ordered = (parts[part] for part in range(count))
+        if len(parts) == unit.parts:
+            ordered = (parts[part] for part in range(unit.parts))
             go_on(unit.family, Generation(*map(np.concatenate, zip(*ordered, strict=True))))
     return found
 
