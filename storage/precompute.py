@@ -36,26 +36,24 @@ Progress = Callable[[float], None]
 The runs of a search count as points.
 """
 
-ScoredShard = tuple[pa.Table, dict[str, Any]]
-"""A shard's table, and names and versions of the software that computed it."""
+ScoredRows = tuple[pa.Table, dict[str, Any]]
+"""A table of rows, and names and versions of the software that computed it."""
 
 
 class Unit(NamedTuple):
-    """A unit of work: a part of a shard.
+    """A unit of work: a shard, or a part of one.
 
     Attributes:
         specification: of the store.
-        number: of the shard.
-        part: which of its parts.
-        parts: that the shard is cut into.
-        evolved: the part's points, [n, p], if they are no Sobol points.
+        shard: its number.
+        rows: of the store.
+        evolved: their points, [n, p], if they are no Sobol points.
         name_kind: whether to name the kind of machine that computes it.
     """
 
     specification: Specification
-    number: int
-    part: int
-    parts: int
+    shard: int
+    rows: range
     evolved: NDArray[np.float64] | None
     name_kind: bool
 
@@ -179,40 +177,38 @@ def _fill(
     if len(missing) == 1 and evolved is None and not pool.kinds:
         pool = IN_PROCESS
     units = _units(_asked(specification, pool), missing, pool, evolved)
-    done: dict[int, dict[int, pa.Table]] = {number: {} for number in missing}
+    parts: dict[int, list[pa.Table]] = {number: [] for number in missing}
 
-    def score_here(unit: Unit) -> ScoredShard:
-        _, size = folder.layout.shard_range(*unit[1:4])
-        return _score(unit, lambda part: tally.progress(tally.done + part * size))
+    def score_here(unit: Unit) -> ScoredRows:
+        return _score(unit, lambda part: tally.progress(tally.done + part * len(unit.rows)))
 
     tally.add(0)
     score = score_here if pool.in_process else _score
     for unit, (table, computed_by) in pool.results(score, units):
-        tables = done[unit.number]
-        tables[unit.part] = table
-        if len(tables) == unit.parts:
-            whole = pa.concat_tables(tables[part] for part in range(unit.parts)).combine_chunks()
-            folder.write_shard(unit.number, whole, code | computed_by)
-            del done[unit.number]
+        parts[unit.shard].append(table)
+        if sum(map(len, parts[unit.shard])) == folder.layout.shard_range(unit.shard)[1]:
+            whole = pa.concat_tables(parts.pop(unit.shard)).sort_by("row").combine_chunks()
+            folder.write_shard(unit.shard, whole, code | computed_by)
         tally.add(len(table))
 
 
 def _units(
     asked: Specification, missing: list[int], pool: Pool, evolved: NDArray[np.float64] | None
 ) -> deque[Unit]:
-    """The shards; the last ones in parts, if they are fewer than the pool has slots.
+    """The shards; those of the last round in parts, two a slot, so that all slots end together.
 
     A mixed pool cuts none: a shard is of one machine.
     """
-    layout, last = asked.layout, len(missing) % pool.slots
+    layout, last = asked.layout, len(missing) % pool.slots or pool.slots
+    cut = 2 * pool.slots // last if pool.shares_machine and not pool.mixed else 1
     units: deque[Unit] = deque()
-    for left, number in zip(range(len(missing), 0, -1), missing, strict=True):
-        _, size = layout.shard_range(number)
-        parts = 1 if left > last or pool.mixed else min(pool.slots // last, size)
-        for part in range(parts):
-            first, size = layout.shard_range(number, part, parts)
-            points = None if evolved is None else evolved[first - layout.samples :][:size]
-            units.append(Unit(asked, number, part, parts, points, pool.mixed))
+    for place, number in enumerate(missing):
+        first, size = layout.shard_range(number)
+        step = -(-size // cut) if place >= len(missing) - last else size
+        for start in range(first, first + size, step):
+            rows = range(start, min(start + step, first + size))
+            points = None if evolved is None else evolved[start - layout.samples :][: len(rows)]
+            units.append(Unit(asked, number, rows, points, pool.mixed))
     return units
 
 
@@ -221,52 +217,46 @@ def _asked(specification: Specification, pool: Pool) -> Specification:
     return specification.on_one_thread() if pool.shares_machine else specification
 
 
-def _score(unit: Unit, report: Report = lambda part: None) -> ScoredShard:
-    specification, number, part, parts, evolved, name_kind = unit
-    table, computed_by = score_shard(specification, number, report, evolved, part, parts)
-    return table, computed_by | ({"kind": own_kind(specification.simulator)} if name_kind else {})
+def _score(unit: Unit, report: Report = lambda part: None) -> ScoredRows:
+    table, computed_by = score_rows(unit.specification, unit.rows, report, unit.evolved)
+    kind = {"kind": own_kind(unit.specification.simulator)} if unit.name_kind else {}
+    return table, computed_by | kind
 
 
-def score_shard(
+def score_rows(
     specification: Specification,
-    number: int,
+    rows: range,
     report: Report,
     evolved: NDArray[np.float64] | None = None,
-    part: int = 0,
-    parts: int = 1,
-) -> ScoredShard:
-    """Run the points of a shard in the base setting, and those that last in the families' worlds.
+) -> ScoredRows:
+    """Run the points of rows in the base setting, and those that last in the families' worlds.
 
     A row depends on no other row.
 
     Args:
         specification: of the store.
-        number: of the shard.
-        report: called with the fraction of the shard that is done.
-        evolved: the points, [n, p], if the shard comes after the grid's.
-        part: which part of the shard.
-        parts: that it is cut into.
+        rows: of the store.
+        report: called with the fraction that is done.
+        evolved: the rows' points, [n, p], if they come after the grid's.
     """
     simulator, families = specification.simulator, specification.families
-    first, count = specification.layout.shard_range(number, part, parts)
     points = evolved
     if points is None:
-        points = sobol_points(specification.seed, first, count, simulator.parameters)
-    reports = progress_parts(specification, report)
+        points = sobol_points(specification.seed, rows.start, len(rows), simulator.parameters)
+    parts = progress_parts(specification, report)
     horizon_s = specification.horizon_s
-    worlds = specification.worlds
-    rows, computed_by = run_points(simulator, points, worlds, 1, horizon_s, reports[0])
-    base = rows[:, 0]
+    run, computed_by = run_points(simulator, points, specification.worlds, 1, horizon_s, parts[0])
+    base = run[:, 0]
     columns: dict[str, NDArray[Any]] = {}
-    for family, own in zip(families, reports[1:], strict=True):
+    for family, part in zip(families, parts[1:], strict=True):
         chosen = base[simulator.survived] >= family.min_survival_s / horizon_s
         if family.after:
             survived = columns[family_names(family.after, simulator.survived)[0]]
             chosen &= survived >= family.min_survived_fraction
-        columns |= score_family(specification, family, points, chosen, own)
-        own(1.0)
+        columns |= score_family(specification, family, points, chosen, part)
+        part(1.0)
     origin = SOBOL_ROW if evolved is None else EVOLVED_ROW
-    table = shard_table(specification.schema, simulator, first, points, base, columns, origin)
+    table = shard_table(specification.schema, simulator, rows.start, points, base, columns, origin)
     return table, dict(computed_by)
 
 

@@ -193,16 +193,14 @@ class Layout:
         """Shards of the finished store."""
         return self.grid_shards - (-self.candidates // self._candidate_rows)
 
-    def shard_range(self, number: int, part: int = 0, parts: int = 1) -> tuple[int, int]:
-        """First row of a shard, or of one of its parts, and how many it has."""
+    def shard_range(self, number: int) -> tuple[int, int]:
+        """First row of a shard, and how many it has."""
         start, rows, end = 0, self.shard_rows, self.samples
         if number >= self.grid_shards:
             start, rows, end = self.samples, self._candidate_rows, self.rows
             number -= self.grid_shards
         first = start + number * rows
-        count = min(rows, end - first)
-        before, after = count * part // parts, count * (part + 1) // parts
-        return first + before, after - before
+        return first, min(rows, end - first)
 
     @property
     def _candidate_rows(self) -> int:
