@@ -53,6 +53,24 @@ def test_an_error_on_the_cpu_or_after_a_launch_is_no_ones_input(on: Callable[[st
         backend.launch(fails_later)
 
 
+def test_a_bound_kernel_takes_other_numbers_and_a_gpu_looks_at_its_arrays_anew(
+    on: Callable[[str], None],
+) -> None:
+    @ti.kernel
+    def add(values: ti.types.ndarray(), amount: int):  # type: ignore[no-untyped-def, valid-type]
+        for i in range(values.shape[0]):
+            values[i] += amount
+
+    backend.start(Settings(arch="cpu"))
+    values = np.zeros(3, np.float32)
+    for arch in ("cpu", "cuda"):
+        on(arch)
+        bound = backend.BoundKernel(add, values, 1)
+        bound.launch(amount=2)
+        bound.launch(amount=5)
+    assert values.tolist() == [14.0, 14.0, 14.0]
+
+
 def test_a_kernel_in_a_class_of_the_user_is_still_a_method() -> None:
     @ti.data_oriented
     class Doubling:
