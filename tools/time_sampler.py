@@ -131,7 +131,7 @@ class Timings:
             " that has loaded the libraries; the other times are of later proposals. On a machine"
             " that other work shares, only the processor's times count.",
             "",
-            f"![Time of a proposal against finished trials]({NAME}.png)",
+            f"![Processor time of a proposal against finished trials]({NAME}.png)",
             "",
             "| sampler | rows | features | finished trials | proposals | median | fastest | slowest"
             " | processor: median | processor: first | memory kept | at the peak |",
@@ -165,7 +165,7 @@ class Timings:
         return found
 
     def plot(self, path: Path) -> None:
-        """Time of a proposal against finished trials, with one feature."""
+        """Processor time of a proposal against finished trials, with one feature."""
         from study.pictures import style  # not in the processes that are measured
 
         figure = style.new_figure(5.0, 3.4)
@@ -174,14 +174,15 @@ class Timings:
         rows = self.cases[0].case.rows
         for name, colour, marker in (("ours", style.MODEL, "o-"), ("gp", style.INK, "s")):
             points = sorted(
-                (each.case.observations, each.median_ms)
+                (each.case.observations, each.median_cpu_ms)
                 for each in self.cases
                 if (each.case.sampler, each.case.rows, each.case.features) == (name, rows, 1)
             )
             if points:
-                axes.loglog(*zip(*points, strict=True), marker, color=colour, label=LABELS[name])
+                axes.semilogx(*zip(*points, strict=True), marker, color=colour, label=LABELS[name])
         axes.set_xlabel("finished trials", fontsize=style.TEXT_PT)
-        axes.set_ylabel("median time of a proposal (ms)", fontsize=style.TEXT_PT)
+        axes.set_ylim(bottom=0.0)
+        axes.set_ylabel("processor time of a proposal (ms)", fontsize=style.TEXT_PT)
         axes.legend(fontsize=style.SMALL_PT, frameon=False)
         figure.tight_layout()
         style.save_png(figure, path)
