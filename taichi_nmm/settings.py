@@ -58,6 +58,8 @@ class Settings:
         threads: CPU threads; None takes every core. Results do not depend on it.
         engine: the engine that moves the bodies: "taichi", this simulator's own, or "mujoco".
         mujoco: MuJoCo's own settings.
+        wide_registers: whether a CPU may take as many walkers side by side as its registers hold.
+            Results do not depend on it.
     """
 
     physics_step_s: float = 1e-3
@@ -67,6 +69,7 @@ class Settings:
     threads: int | None = None
     engine: str = OWN_ENGINE
     mujoco: MujocoSettings = MujocoSettings()
+    wide_registers: bool = True
 
     def __post_init__(self) -> None:
         cores = os.cpu_count() or 1
@@ -80,6 +83,7 @@ class Settings:
             threads=checks.optional(checks.whole(1, cores)),
             engine=checks.word(*ENGINES),
             mujoco=checks.instance(MujocoSettings),
+            wide_registers=checks.instance(bool),
         )
         if self.physics_step_s not in PHYSICS_STEPS_S:
             raise InputError("simulation.physics_step_s", self.physics_step_s, f"{PHYSICS_STEPS_S}")

@@ -37,9 +37,10 @@ def main() -> None:
     from taichi_nmm import Settings, load_gains, simulate
 
     if options.lanes is not None:
-        from taichi_nmm.kernel import backend
+        from taichi_nmm.kernel import backend, registers
 
         backend.LANES_CPU = options.lanes
+        registers.WIDTHS = dict.fromkeys(registers.WIDTHS, options.lanes)
     threads = 1 if options.turns else options.threads
     arch = "cpu" if threads else options.arch
     run = partial(simulate, settings=Settings(arch=arch, threads=threads))

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from taichi_nmm.errors import InputError
+from taichi_nmm.kernel import registers
 from taichi_nmm.kernel_cache import settled_environment
 from taichi_nmm.settings import Settings
 
@@ -34,7 +35,7 @@ __all__ = [
     "start", "ti",
 ]  # fmt: skip
 
-LANES_CPU = 8  # float32 lanes of a 256-bit register; measured against 1, 4, 16 by tools/bench.py
+LANES_CPU = 8  # where the registers' width is unknown
 LANES_GPU = 1  # a thread is a walker
 
 # Measured, not assumed: with Taichi's control-flow-graph pass a loop nest holding a comparison lost
@@ -59,6 +60,7 @@ else:
 
 _running: Settings | None = None
 _arch = "cpu"
+_lanes = LANES_CPU
 _compiled: set[str] = set()
 _process = 0  # number of the process that initialised Taichi
 _session = 0  # how often Taichi was initialised; kernels bound in an earlier session are gone
@@ -73,20 +75,20 @@ def start(settings: Settings) -> None:
         InputError: the architecture asked for is not on this machine; or this process was forked
             from one that had started Taichi.
     """
-    global _running, _arch, _session, _process
+    global _running, _arch, _lanes, _session, _process
     if _process not in (0, os.getpid()):  # a fork has none of Taichi's threads: it would hang
         allowed = (
             "one started by multiprocessing.get_context('spawn'), not forked after a simulation"
         )
         raise InputError("process", os.getpid(), allowed)
-    engine = (settings.precision, settings.arch, settings.threads)
-    if _running and engine == (_running.precision, _running.arch, _running.threads):
+    if _running and _engine(settings) == _engine(_running):
         return
     _require_main_thread()
     _compiled.clear()
     _session += 1
     for arch in ("cuda", "cpu") if settings.arch == "auto" else (settings.arch,):
         if _initialise(arch, settings):
+            _lanes = _settle_lanes(arch, settings.wide_registers)
             _running = settings
             _arch = arch
             _process = os.getpid()
@@ -106,7 +108,8 @@ def launch(kernel: Callable[..., None], *arguments: Any) -> None:
         return
     _require_main_thread()
     try:
-        kernel(*arguments)
+        with registers.without_remarks():
+            kernel(*arguments)
     except RuntimeError as error:
         if _arch == "cpu":  # there is no driver: the error is ours
             raise
@@ -148,9 +151,10 @@ class BoundKernel:
             self._slots[argument.name] = (slot,)
             self._set(argument.name, value)
             slot += 1
-        self._compiled = self._program.compile_kernel(
-            self._program.config(), self._program.get_device_caps(), function
-        )
+        with registers.without_remarks():
+            self._compiled = self._program.compile_kernel(
+                self._program.config(), self._program.get_device_caps(), function
+            )
         _compiled.add(kernel.__name__)
 
     @property
@@ -195,7 +199,7 @@ def _require_main_thread() -> None:
 
 def lanes() -> int:
     """Walkers side by side in a pack on the machine that runs."""
-    return LANES_CPU if _arch == "cpu" else LANES_GPU
+    return _lanes
 
 
 def is_double() -> bool:
@@ -217,6 +221,19 @@ def metadata() -> dict[str, Any]:
         "precision": _running.precision if _running else "",
         "fast_math": FAST_MATH,
     }
+
+
+def _engine(settings: Settings) -> tuple[Any, ...]:
+    """The settings that Taichi is initialised for."""
+    return settings.precision, settings.arch, settings.threads, settings.wide_registers
+
+
+def _settle_lanes(arch: str, wide: bool) -> int:
+    """How many walkers a pack has; kernels compiled from now on are vectorised by this number."""
+    on_cpu = arch == "cpu"
+    width = registers.width() if on_cpu and wide else 0
+    told = registers.tell_vectoriser(width, _core.__file__, ti.__version__)
+    return (told and width) or (LANES_CPU if on_cpu else LANES_GPU)
 
 
 def _initialise(arch: str, settings: Settings) -> bool:

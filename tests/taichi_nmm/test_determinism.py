@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 import taichi_nmm
 from taichi_nmm import terrain
 from taichi_nmm.body import Bodies
+from taichi_nmm.kernel import backend, registers
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
@@ -57,11 +58,12 @@ def test_batch_of_one(whole: NDArray[np.void], walker: int) -> None:
     assert rows(np.array([walker])).tobytes() == whole[[walker]].tobytes()
 
 
-def test_one_and_two_threads(whole: NDArray[np.void]) -> None:
-    index = np.arange(200)
-    for threads in (1, 2):
-        settings = Settings(arch="cpu", threads=threads)
+def test_threads_and_width_of_registers(whole: NDArray[np.void]) -> None:
+    index, width = np.arange(200), registers.width()
+    for threads, wide in ((1, True), (2, True), (1, False)):
+        settings = Settings(arch="cpu", threads=threads, wide_registers=wide)
         assert rows(index, settings).tobytes() == whole[:200].tobytes()
+        assert backend.lanes() == (width if wide and width else backend.LANES_CPU)
 
 
 def test_new_process(whole: NDArray[np.void], tmp_path: Path) -> None:

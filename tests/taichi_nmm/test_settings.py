@@ -54,7 +54,7 @@ def test_defaults_are_those_the_gaits_converge_with_and_steps_fill_a_tick() -> N
     assert vars(Settings()) == {
         "physics_step_s": 1e-3, "contact_relaxation_speed_mps": 0.10, "precision": "float32",
         "arch": "auto", "threads": None, "engine": "taichi",
-        "mujoco": MujocoSettings(0.02, 1.0, "stops"),
+        "mujoco": MujocoSettings(0.02, 1.0, "stops"), "wide_registers": True,
     }  # fmt: skip
     assert Settings(contact_relaxation_speed_mps=0.03)  # the published one is allowed
     assert [Settings(physics_step_s=step_s).substeps for step_s in PHYSICS_STEPS_S] == [1, 2, 4]
@@ -65,6 +65,7 @@ def test_defaults_are_those_the_gaits_converge_with_and_steps_fill_a_tick() -> N
     ("contact_relaxation_speed_mps", 11.0), ("contact_relaxation_speed_mps", NAN),
     ("precision", "float16"), ("arch", "tpu"), ("threads", 0), ("threads", 10_000),
     ("engine", "bullet"), ("engine", "MuJoCo"), ("engine", ""), ("engine", 1),
+    ("wide_registers", 1),
 ])  # fmt: skip
 def test_settings_out_of_range_are_named(field: str, value: object) -> None:
     with pytest.raises(InputError) as caught:
@@ -195,7 +196,8 @@ def test_the_document_leaves_the_machine_and_the_other_engine_out() -> None:
     # Every setting but the machine's is in one of the documents.
     documents = (Settings(threads=1).document(), Settings(engine="mujoco").document())
     found = {name for document in documents for name in document}
-    assert found == {field.name for field in fields(Settings)} - {"arch", "threads"}
+    of_the_machine = {"arch", "threads", "wide_registers"}
+    assert found == {field.name for field in fields(Settings)} - of_the_machine
 
 
 def test_the_document_of_mujoco_comes_back() -> None:
