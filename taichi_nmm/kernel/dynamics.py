@@ -14,7 +14,11 @@ from taichi_nmm.body import (
 )
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.elementary import larger
-from taichi_nmm.kernel.layout import CONTACTS, COORDINATES, LEGS, STOPS, Const, State, Work
+from taichi_nmm.kernel.layout import CONTACTS, COORDINATES, LEGS, STOPS, Const, State, Work, blocks
+
+# A leg's equations: m11, m22, m33, m12, m13, m23, coupling to the base in x, in z, right-hand side.
+# They and the base's are local vectors, which the compiler keeps in registers: `Work` is memory.
+Leg = blocks(inertia=6, coupling=6, rhs=3)
 
 
 @ti.func
@@ -109,15 +113,10 @@ def solve(lane, step_s, const: Rows, work: Rows):
     HAT and legs are eliminated one after another (Schur complement), which leaves two equations in
     the base's velocity; the rest follows from it.
     """
-    eliminate_hat(lane, const, work)
-    for leg in ti.static(range(LEGS)):
-        start_leg(lane, leg, const, work)
-        add_foot(lane, leg, step_s, work)
-        add_stops(lane, leg, step_s, work)
-        eliminate_leg(lane, leg, work)
-    b = ti.static(Work.base)
-    hxx, hxz, hzz = work[b, lane], work[b + 1, lane], work[b + 2, lane]
-    px, pz = work[b + 3, lane], work[b + 4, lane]
+    base = without_hat(lane, const, work)
+    left = eliminate_leg(lane, 0, step_s, base, const, work)
+    right = eliminate_leg(lane, 1, step_s, base, const, work)
+    hxx, hxz, hzz, px, pz = base[0], base[1], base[2], base[3], base[4]
     determinant = 1.0 / (hxx * hzz - hxz * hxz)
     vx = (px * hzz - pz * hxz) * determinant
     vz = (pz * hxx - px * hxz) * determinant
@@ -128,42 +127,41 @@ def solve(lane, step_s, const: Rows, work: Rows):
     work[Work.new_qdot + 2, lane] = (work[Work.momentum + 2, lane] - coupling) / const[
         Const.b_hat, lane
     ]
-    for leg in ti.static(range(LEGS)):
-        for i in ti.static(range(3)):
-            s = ti.static(Work.leg_solution + 9 * leg + i)
-            work[Work.new_qdot + 3 + 3 * leg + i, lane] = (
-                work[s + 6, lane] - work[s, lane] * vx - work[s + 3, lane] * vz
-            )
+    for i in ti.static(range(3)):
+        work[Work.new_qdot + 3 + i, lane] = left[6 + i] - left[i] * vx - left[3 + i] * vz
+        work[Work.new_qdot + 6 + i, lane] = right[6 + i] - right[i] * vx - right[3 + i] * vz
 
 
 @ti.func
-def eliminate_hat(lane, const: Rows, work: Rows):
-    """The base's equations hxx, hxz, hzz, px, pz without the HAT."""
+def without_hat(lane, const: Rows, work: Rows):
+    """The base's equations hxx, hxz, hzz, px, pz once the HAT is eliminated."""
     a0, mass = const[Const.a_hat, lane], const[Const.total_mass, lane]
     e0x, e0z = slope_vector(lane, 0, work)
     k = a0 / const[Const.b_hat, lane]
     p0 = work[Work.momentum + 2, lane]
-    b = ti.static(Work.base)
-    work[b + 0, lane] = mass - k * a0 * e0x * e0x
-    work[b + 1, lane] = 0.0 - k * a0 * e0x * e0z
-    work[b + 2, lane] = mass - k * a0 * e0z * e0z
-    work[b + 3, lane] = work[Work.momentum + 0, lane] - k * e0x * p0
-    work[b + 4, lane] = work[Work.momentum + 1, lane] - k * e0z * p0
+    return ti.Vector([
+        mass - k * a0 * e0x * e0x,
+        0.0 - k * a0 * e0x * e0z,
+        mass - k * a0 * e0z * e0z,
+        work[Work.momentum + 0, lane] - k * e0x * p0,
+        work[Work.momentum + 1, lane] - k * e0z * p0,
+    ])  # fmt: skip
 
 
 @ti.func
-def start_leg(lane, leg: Rows, const: Rows, work: Rows):
-    """A leg's equations in the air: inertia, coupling to the base in x and z, right-hand side."""
-    m, g, r = ti.static(Work.leg_inertia, Work.leg_coupling, Work.leg_rhs)
-    inertia = leg_inertia(lane, leg, const, work)
-    for i in ti.static(range(6)):
-        work[m + i, lane] = inertia[i]
-    for i in ti.static(range(3)):
-        x, z = slope_vector(lane, 1 + 3 * leg + i, work)
-        a = const[Const.a_leg + 3 * leg + i, lane]
-        work[g + i, lane] = a * x
-        work[g + 3 + i, lane] = a * z
-        work[r + i, lane] = work[Work.momentum + 3 + 3 * leg + i, lane]
+def in_the_air(lane, leg: Rows, const: Rows, work: Rows):
+    """A leg's equations without contacts and stops."""
+    m11, m22, m33, m12, m13, m23 = leg_inertia(lane, leg, const, work)
+    x1, z1 = slope_vector(lane, 1 + 3 * leg, work)
+    x2, z2 = slope_vector(lane, 2 + 3 * leg, work)
+    x3, z3 = slope_vector(lane, 3 + 3 * leg, work)
+    a, p = ti.static(Const.a_leg + 3 * leg, Work.momentum + 3 + 3 * leg)
+    a1, a2, a3 = const[a, lane], const[a + 1, lane], const[a + 2, lane]
+    return ti.Vector([
+        m11, m22, m33, m12, m13, m23,
+        a1 * x1, a2 * x2, a3 * x3, a1 * z1, a2 * z2, a3 * z3,
+        work[p, lane], work[p + 1, lane], work[p + 2, lane],
+    ])  # fmt: skip
 
 
 @ti.func
@@ -188,7 +186,7 @@ def point_spring(lane, c: Rows, step_s, work: Rows):
 
 
 @ti.func
-def add_foot(lane, leg: Rows, step_s, work: Rows):
+def add_foot(lane, leg: Rows, step_s, equations: Rows, base: Rows, work: Rows):
     """Heel and ball of a leg: J^T C J and J^T f, where J = (1, L1 e1, L2 e2, r e3) moves a point.
 
     They differ in r alone, so C, r C, r^2 C, f and r f are summed over both first.
@@ -208,31 +206,31 @@ def add_foot(lane, leg: Rows, step_s, work: Rows):
     ux1, uz1 = xx * lx1 + xz * lz1, xz * lx1 + zz * lz1
     ux2, uz2 = xx * lx2 + xz * lz2, xz * lx2 + zz * lz2
     ux3, uz3 = rxx * x3 + rxz * z3, rxz * x3 + rzz * z3
-    m, g, r, b = ti.static(Work.leg_inertia, Work.leg_coupling, Work.leg_rhs, Work.base)
-    work[m + 0, lane] += ux1 * lx1 + uz1 * lz1
-    work[m + 1, lane] += ux2 * lx2 + uz2 * lz2
-    work[m + 2, lane] += (
+    m, g, r = ti.static(Leg.inertia, Leg.coupling, Leg.rhs)
+    equations[m + 0] += ux1 * lx1 + uz1 * lz1
+    equations[m + 1] += ux2 * lx2 + uz2 * lz2
+    equations[m + 2] += (
         (rh * rh * hxx + rb * rb * bxx) * x3 * x3
         + 2.0 * (rh * rh * hxz + rb * rb * bxz) * x3 * z3
         + (rh * rh * hzz + rb * rb * bzz) * z3 * z3
     )
-    work[m + 3, lane] += ux1 * lx2 + uz1 * lz2
-    work[m + 4, lane] += ux3 * lx1 + uz3 * lz1
-    work[m + 5, lane] += ux3 * lx2 + uz3 * lz2
-    work[g + 0, lane] += ux1
-    work[g + 1, lane] += ux2
-    work[g + 2, lane] += ux3
-    work[g + 3, lane] += uz1
-    work[g + 4, lane] += uz2
-    work[g + 5, lane] += uz3
-    work[r + 0, lane] += fx * lx1 + fz * lz1
-    work[r + 1, lane] += fx * lx2 + fz * lz2
-    work[r + 2, lane] += (rh * hx + rb * bx) * x3 + (rh * hz + rb * bz) * z3
-    work[b + 0, lane] += xx
-    work[b + 1, lane] += xz
-    work[b + 2, lane] += zz
-    work[b + 3, lane] += fx
-    work[b + 4, lane] += fz
+    equations[m + 3] += ux1 * lx2 + uz1 * lz2
+    equations[m + 4] += ux3 * lx1 + uz3 * lz1
+    equations[m + 5] += ux3 * lx2 + uz3 * lz2
+    equations[g + 0] += ux1
+    equations[g + 1] += ux2
+    equations[g + 2] += ux3
+    equations[g + 3] += uz1
+    equations[g + 4] += uz2
+    equations[g + 5] += uz3
+    equations[r + 0] += fx * lx1 + fz * lz1
+    equations[r + 1] += fx * lx2 + fz * lz2
+    equations[r + 2] += (rh * hx + rb * bx) * x3 + (rh * hz + rb * bz) * z3
+    base[0] += xx
+    base[1] += xz
+    base[2] += zz
+    base[3] += fx
+    base[4] += fz
 
 
 @ti.func
@@ -250,9 +248,9 @@ def point_velocity(lane, c: Rows, work: Rows):
 
 
 @ti.func
-def add_stops(lane, leg: Rows, step_s, work: Rows):
+def add_stops(lane, leg: Rows, step_s, equations: Rows, work: Rows):
     """Active stops of knee and ankle: J = +1 on the child, -1 on the parent."""
-    m, r = ti.static(Work.leg_inertia, Work.leg_rhs)
+    m, r = ti.static(Leg.inertia, Leg.rhs)
     knee, ankle = ti.static(2 * leg, 2 * leg + 1)
     knee_on = step_s * work[Work.stop_on + knee, lane]
     ankle_on = step_s * work[Work.stop_on + ankle, lane]
@@ -260,46 +258,47 @@ def add_stops(lane, leg: Rows, step_s, work: Rows):
     ankle_weight = ankle_on * work[Work.stop_damping + ankle, lane]
     knee_torque = knee_on * work[Work.stop_torque_0 + knee, lane]
     ankle_torque = ankle_on * work[Work.stop_torque_0 + ankle, lane]
-    work[m + 0, lane] += knee_weight
-    work[m + 1, lane] += knee_weight + ankle_weight
-    work[m + 2, lane] += ankle_weight
-    work[m + 3, lane] -= knee_weight
-    work[m + 5, lane] -= ankle_weight
-    work[r + 0, lane] -= knee_torque
-    work[r + 1, lane] += knee_torque - ankle_torque
-    work[r + 2, lane] += ankle_torque
+    equations[m + 0] += knee_weight
+    equations[m + 1] += knee_weight + ankle_weight
+    equations[m + 2] += ankle_weight
+    equations[m + 3] -= knee_weight
+    equations[m + 5] -= ankle_weight
+    equations[r + 0] -= knee_torque
+    equations[r + 1] += knee_torque - ankle_torque
+    equations[r + 2] += ankle_torque
 
 
 @ti.func
-def eliminate_leg(lane, leg: Rows, work: Rows):
+def eliminate_leg(lane, leg: Rows, step_s, base: Rows, const: Rows, work: Rows):
     """Factor a leg's matrix as L D L^T and take the leg out of the base's equations.
 
-    Keeps the inverse applied to the coupling (x, z) and the right-hand side in `leg_solution`.
+    Returns the inverse on the coupling in x, in z, and on the right-hand side.
     """
-    m, b, s = ti.static(Work.leg_inertia, Work.base, Work.leg_solution + 9 * leg)
-    m12, m13, m23 = work[m + 3, lane], work[m + 4, lane], work[m + 5, lane]
-    i1 = 1.0 / work[m, lane]
+    equations = in_the_air(lane, leg, const, work)
+    add_foot(lane, leg, step_s, equations, base, work)
+    add_stops(lane, leg, step_s, equations, work)
+    m, g, r = ti.static(Leg.inertia, Leg.coupling, Leg.rhs)
+    m12, m13, m23 = equations[m + 3], equations[m + 4], equations[m + 5]
+    i1 = 1.0 / equations[m]
     l21 = m12 * i1
     l31 = m13 * i1
-    i2 = 1.0 / (work[m + 1, lane] - l21 * m12)
+    i2 = 1.0 / (equations[m + 1] - l21 * m12)
     rest = m23 - l21 * m13
     l32 = rest * i2
-    i3 = 1.0 / (work[m + 2, lane] - l31 * m13 - l32 * rest)
-    for column in ti.static(range(3)):  # coupling in x, coupling in z, right-hand side
-        y = ti.static(Work.leg_coupling + 3 * column)
-        x1, x2, x3 = substitute(
-            work[y, lane], work[y + 1, lane], work[y + 2, lane], l21, l31, l32, i1, i2, i3
-        )
-        work[s + 3 * column, lane] = x1
-        work[s + 3 * column + 1, lane] = x2
-        work[s + 3 * column + 2, lane] = x3
-    gx, gz = ti.static(Work.leg_coupling, Work.leg_coupling + 3)
-    for i in ti.static(range(3)):
-        work[b + 0, lane] -= work[gx + i, lane] * work[s + i, lane]
-        work[b + 1, lane] -= work[gx + i, lane] * work[s + 3 + i, lane]
-        work[b + 2, lane] -= work[gz + i, lane] * work[s + 3 + i, lane]
-        work[b + 3, lane] -= work[gx + i, lane] * work[s + 6 + i, lane]
-        work[b + 4, lane] -= work[gz + i, lane] * work[s + 6 + i, lane]
+    i3 = 1.0 / (equations[m + 2] - l31 * m13 - l32 * rest)
+    gx1, gx2, gx3 = equations[g], equations[g + 1], equations[g + 2]
+    gz1, gz2, gz3 = equations[g + 3], equations[g + 4], equations[g + 5]
+    x1, x2, x3 = substitute(gx1, gx2, gx3, l21, l31, l32, i1, i2, i3)
+    z1, z2, z3 = substitute(gz1, gz2, gz3, l21, l31, l32, i1, i2, i3)
+    p1, p2, p3 = substitute(
+        equations[r], equations[r + 1], equations[r + 2], l21, l31, l32, i1, i2, i3
+    )
+    base[0] = base[0] - gx1 * x1 - gx2 * x2 - gx3 * x3
+    base[1] = base[1] - gx1 * z1 - gx2 * z2 - gx3 * z3
+    base[2] = base[2] - gz1 * z1 - gz2 * z2 - gz3 * z3
+    base[3] = base[3] - gx1 * p1 - gx2 * p2 - gx3 * p3
+    base[4] = base[4] - gz1 * p1 - gz2 * p2 - gz3 * p3
+    return ti.Vector([x1, x2, x3, z1, z2, z3, p1, p2, p3])
 
 
 @ti.func

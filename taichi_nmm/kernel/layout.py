@@ -144,11 +144,6 @@ Work = blocks(
     stop_on=STOPS,
     stop_torque_0=STOPS,
     stop_damping=STOPS,
-    base=5,  # equations of the base: hxx, hxz, hzz, right-hand side px, pz
-    leg_inertia=6,  # of the leg being eliminated: m11, m22, m33, m12, m13, m23
-    leg_coupling=6,  # to the base, x then z; `leg_rhs` must follow
-    leg_rhs=3,
-    leg_solution=9 * LEGS,  # a leg's inverse on its coupling (x, z) and right-hand side
     new_qdot=COORDINATES,
     changed=1,
 )
