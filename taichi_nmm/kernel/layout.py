@@ -20,9 +20,9 @@ COORDINATES = 9
 SOL, TA, GAS, VAS, HAM, GLU, HFL = range(MUSCLES_PER_LEG)
 
 
-def blocks(**sizes: int) -> SimpleNamespace:
-    """First rows of consecutive named blocks, and their total as `count`."""
-    rows, first = SimpleNamespace(), 0
+def blocks(first: int = 0, /, **sizes: int) -> SimpleNamespace:
+    """First rows of consecutive named blocks, and the row after them as `count`."""
+    rows = SimpleNamespace()
     for name, size in sizes.items():
         setattr(rows, name, first)
         first += size
@@ -94,16 +94,14 @@ Const = blocks(
 GAIN_ROWS = [getattr(Const, name) for name in GAIN_NAMES]
 LOW_LEVEL_ROWS = [getattr(Const, name) for name in LOW_LEVEL_NAMES]
 
-# Scratch of one step.
-Work = blocks(
+# Scratch of one step. First comes what several of its parts use. After it lies what one part alone
+# uses, in rows that the next part overwrites: the more rows, the longer a kernel compiles.
+_shared = blocks(
     sine=SEGMENT_COUNT,
     cosine=SEGMENT_COUNT,
     point_x=CONTACTS,
     point_z=CONTACTS,
-    cell=CONTACTS + 1,  # of the terrain's grid under each contact point, and under the hip
-    along_cell=CONTACTS + 1,  # how far along it, 0 to 1
-    slope_per_rise=CONTACTS + 1,  # 1/m; 0 outside of the grid
-    height_left=CONTACTS + 1,  # of the ground at the cell's ends, m
+    height_left=CONTACTS + 1,  # of the ground at the ends of a cell (`cell`), m
     height_right=CONTACTS + 1,
     ground=CONTACTS,  # ground height under a contact point
     slope=CONTACTS,  # of the ground there
@@ -113,25 +111,40 @@ Work = blocks(
     normal_z=CONTACTS,
     leg_length=LEGS,
     leg_angle=LEGS,
-    leg_angle_rate=LEGS,
     ankle_x=LEGS,
-    com_x=1,
-    com_z=1,
-    com_speed=1,
     joint=3 * LEGS,  # hip, knee, ankle of the left leg, then the right
     joint_rate=3 * LEGS,
     joint_torque=3 * LEGS,
     sine_joint=2 * LEGS,  # knee, ankle
     cosine_joint=2 * LEGS,
-    sensed=Signal.count,  # delayed signals
     strain=MUSCLE_COUNT,  # of the tendon over its reference, before the fibre moves
-    squeeze=MUSCLE_COUNT,  # root of the buffer's force, likewise
+    metabolic_power=MUSCLE_COUNT,  # W
+)
+_look_up = blocks(
+    _shared.count,
+    cell=CONTACTS + 1,  # of the terrain's grid under each contact point, and under the hip
+    along_cell=CONTACTS + 1,  # how far along it, 0 to 1
+    slope_per_rise=CONTACTS + 1,  # 1/m; 0 outside of the grid
+)
+_control = blocks(
+    _shared.count,
+    com_x=1,
+    com_z=1,
+    com_speed=1,
+    leg_angle_rate=LEGS,
+    sensed=Signal.count,  # delayed signals
+)
+_contraction = blocks(
+    _shared.count,
+    squeeze=MUSCLE_COUNT,  # root of the buffer's force, before the fibre moves
     slowest=MUSCLE_COUNT,  # range of the fibre's speed
     fastest=MUSCLE_COUNT,
     pull=MUSCLE_COUNT,  # the fibre's force over Fmax is (pull + pull_slope v)/(1 + hyperbola v)
     pull_slope=MUSCLE_COUNT,
     hyperbola=MUSCLE_COUNT,
-    metabolic_power=MUSCLE_COUNT,  # W
+)
+_dynamics = blocks(
+    _shared.count,
     momentum=COORDINATES,  # M qdot + h Q, without contacts
     normal_on=CONTACTS,  # 1 while the complementarity passes keep the contact
     slip=CONTACTS,  # 0 sticks; +-1 slips with friction of that sign
@@ -147,6 +160,9 @@ Work = blocks(
     new_qdot=COORDINATES,
     changed=1,
 )
+_parts = (_shared, _look_up, _control, _contraction, _dynamics)
+Work = SimpleNamespace(**{name: row for part in _parts for name, row in vars(part).items()})
+Work.count = max(part.count for part in _parts)
 
 LONG, MID = Signal.force_vas, Signal.force_ham - Signal.force_vas  # how many signals
 SHORT = Signal.count - LONG - MID
