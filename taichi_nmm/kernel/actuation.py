@@ -6,20 +6,17 @@ come from outside. The host launches `actuate`.
 
 from taichi_nmm.kernel import joints, kinematics, walker
 from taichi_nmm.kernel.backend import Array, Rows, local_rows, ti
-from taichi_nmm.kernel.entry_points import load, load_slots, save, save_slots
+from taichi_nmm.kernel.entry_points import load, load_slots, load_table, save, save_slots
 from taichi_nmm.kernel.layout import (
     FIRST_FIBRE,
     LEGS,
-    MUSCLES_PER_LEG,
     SEGMENT_COUNT,
     Const,
-    Delay,
     Muscle,
     Sense,
     State,
     Work,
 )
-from taichi_nmm.kernel.muscle_table import TABLE_COLUMNS
 
 
 @ti.func
@@ -80,21 +77,13 @@ def actuate(
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for p in range(packs.shape[0]):
-        state = local_rows(State.count, lanes)
-        fibres = local_rows(Muscle.count, lanes)
-        delay = local_rows(Delay.count, lanes)
-        const = local_rows(Const.count, lanes)
         work = local_rows(Work.count, lanes)
-        senses = local_rows(Sense.count, lanes)
-        table = local_rows(MUSCLES_PER_LEG, TABLE_COLUMNS)
-        for m in ti.static(range(MUSCLES_PER_LEG)):
-            for c in ti.static(range(TABLE_COLUMNS)):
-                table[m, c] = muscles[m, c]
-        load(packs, p, 0, State.count, lanes, state)
-        load(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
-        load_slots(packs, p, tick, lanes, delay)
-        load(constants, p, 0, Const.count, lanes, const)
-        load(sensed, p, 0, Sense.count, lanes, senses)
+        table = load_table(muscles)
+        state = load(packs, p, 0, State.count, lanes)
+        fibres = load(packs, p, FIRST_FIBRE, Muscle.count, lanes)
+        delay = load_slots(packs, p, tick, lanes)
+        const = load(constants, p, 0, Const.count, lanes)
+        senses = load(sensed, p, 0, Sense.count, lanes)
         step(
             tick, commands, activation_blend, load_blend,
             lanes, table, senses, state, fibres, delay, const, work,

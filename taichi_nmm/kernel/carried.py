@@ -6,7 +6,14 @@ torques of a physics step, `follow` takes in where the bodies are after it.
 
 from taichi_nmm.kernel import contact, gait, joints, walker
 from taichi_nmm.kernel.backend import Array, Rows, local_rows, ti
-from taichi_nmm.kernel.entry_points import load, load_slots, save, save_slots
+from taichi_nmm.kernel.entry_points import (
+    load,
+    load_slots,
+    load_table,
+    load_terrains,
+    save,
+    save_slots,
+)
 from taichi_nmm.kernel.layout import (
     COORDINATES,
     FIRST_EVENT,
@@ -14,9 +21,7 @@ from taichi_nmm.kernel.layout import (
     FIRST_SUM,
     LEGS,
     MUSCLE_COUNT,
-    MUSCLES_PER_LEG,
     Const,
-    Delay,
     Drive,
     Gait,
     Motion,
@@ -25,7 +30,6 @@ from taichi_nmm.kernel.layout import (
     Sums,
     Work,
 )
-from taichi_nmm.kernel.muscle_table import TABLE_COLUMNS
 
 
 @ti.func
@@ -88,26 +92,15 @@ def drive(
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for p in range(packs.shape[0]):
-        state = local_rows(State.count, lanes)
-        fibres = local_rows(Muscle.count, lanes)
-        delay = local_rows(Delay.count, lanes)
-        events = local_rows(Gait.count, lanes)
-        sums = local_rows(Sums.count, lanes)
-        const = local_rows(Const.count, lanes)
         work = local_rows(Work.count, lanes)
-        table = local_rows(MUSCLES_PER_LEG, TABLE_COLUMNS)
-        for m in ti.static(range(MUSCLES_PER_LEG)):
-            for c in ti.static(range(TABLE_COLUMNS)):
-                table[m, c] = muscles[m, c]
-        terrain = ti.Vector.zero(ti.i32, lanes)
-        load(packs, p, 0, State.count, lanes, state)
-        load(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
-        load_slots(packs, p, tick, lanes, delay)
-        load(packs, p, FIRST_EVENT, Gait.count, lanes, events)
-        load(packs, p, FIRST_SUM, Sums.count, lanes, sums)
-        load(constants, p, 0, Const.count, lanes, const)
-        for lane in range(lanes):
-            terrain[lane] = terrains[p, lane]
+        table = load_table(muscles)
+        state = load(packs, p, 0, State.count, lanes)
+        fibres = load(packs, p, FIRST_FIBRE, Muscle.count, lanes)
+        delay = load_slots(packs, p, tick, lanes)
+        events = load(packs, p, FIRST_EVENT, Gait.count, lanes)
+        sums = load(packs, p, FIRST_SUM, Sums.count, lanes)
+        const = load(constants, p, 0, Const.count, lanes)
+        terrain = load_terrains(terrains, p, lanes)
         before(
             tick, commands, activation_blend, lanes, terrain, heights, table,
             state, fibres, delay, events, sums, const, work,
@@ -146,17 +139,12 @@ def follow(
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for p in range(packs.shape[0]):
-        state = local_rows(State.count, lanes)
-        sums = local_rows(Sums.count, lanes)
-        const = local_rows(Const.count, lanes)
         work = local_rows(Work.count, lanes)
-        drive_rows = local_rows(Drive.count, lanes)
-        motion = local_rows(Motion.count, lanes)
-        load(packs, p, 0, State.count, lanes, state)
-        load(packs, p, FIRST_SUM, Sums.count, lanes, sums)
-        load(constants, p, 0, Const.count, lanes, const)
-        load(drives, p, 0, Drive.count, lanes, drive_rows)
-        load(motions, p, 0, Motion.count, lanes, motion)
+        state = load(packs, p, 0, State.count, lanes)
+        sums = load(packs, p, FIRST_SUM, Sums.count, lanes)
+        const = load(constants, p, 0, Const.count, lanes)
+        drive_rows = load(drives, p, 0, Drive.count, lanes)
+        motion = load(motions, p, 0, Motion.count, lanes)
         after(
             tick, ends, step_s, load_blend,
             lanes, drive_rows, motion, state, sums, const, work,

@@ -52,9 +52,9 @@ def smaller(x, y):
 
 @ti.func
 def polynomial(x, coefficients: Rows):
-    """Horner's rule; `coefficients` is a tuple, highest power first."""
-    value = x * 0.0 + coefficients[0]
-    for coefficient in ti.static(coefficients[1:]):
+    """Horner's rule; `coefficients` is a tuple of two or more, highest power first."""
+    value = coefficients[0] * x + coefficients[1]
+    for coefficient in ti.static(coefficients[2:]):
         value = value * x + coefficient
     return value
 

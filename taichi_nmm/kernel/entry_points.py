@@ -28,11 +28,32 @@ PACKS_PER_TASK = 1  # of the CPU's thread pool; packs are few and long
 
 
 @ti.func
-def load(packs: Rows, p, first: Rows, count: Rows, lanes: Rows, target: Rows):
-    """Copy a block of a pack's rows into a local array."""
+def load(packs: Rows, p, first: Rows, count: Rows, lanes: Rows):
+    """A block of a pack's rows in a local array."""
+    rows = local_rows(count, lanes)
     for row in range(count):
         for lane in range(lanes):
-            target[row, lane] = packs[p, first + row, lane]
+            rows[row, lane] = packs[p, first + row, lane]
+    return rows
+
+
+@ti.func
+def load_table(muscles: Rows):
+    """The muscles' constants in a local array."""
+    table = local_rows(MUSCLES_PER_LEG, TABLE_COLUMNS)
+    for m in ti.static(range(MUSCLES_PER_LEG)):
+        for c in ti.static(range(TABLE_COLUMNS)):
+            table[m, c] = muscles[m, c]
+    return table
+
+
+@ti.func
+def load_terrains(terrains: Rows, p, lanes: Rows):
+    """The ground of each lane."""
+    terrain = ti.Vector.zero(ti.i32, lanes)
+    for lane in range(lanes):
+        terrain[lane] = terrains[p, lane]
+    return terrain
 
 
 @ti.func
@@ -44,13 +65,15 @@ def save(packs: Rows, p, first: Rows, count: Rows, lanes: Rows, source: Rows):
 
 
 @ti.func
-def load_slots(packs: Rows, p, tick, lanes: Rows, delay: Rows):
-    """Copy the slots of a pack's delay rings that a tick exchanges into a local array."""
+def load_slots(packs: Rows, p, tick, lanes: Rows):
+    """A local array of a pack's delay rings, with the slots that a tick exchanges."""
+    delay = local_rows(Delay.count, lanes)
     for lane in range(lanes):
         for _signal, count, ticks, first in ti.static(RINGS):
             for i in ti.static(range(count)):
                 row = first + i * ticks + ti.raw_mod(tick, ticks)
                 delay[row, lane] = packs[p, FIRST_DELAY + row, lane]
+    return delay
 
 
 @ti.func
@@ -85,26 +108,15 @@ def advance(
     """
     ti.loop_config(block_dim=PACKS_PER_TASK)
     for p in range(packs.shape[0]):
-        state = local_rows(State.count, lanes)
-        fibres = local_rows(Muscle.count, lanes)
-        delay = local_rows(Delay.count, lanes)
-        events = local_rows(Gait.count, lanes)
-        sums = local_rows(Sums.count, lanes)
-        const = local_rows(Const.count, lanes)
         work = local_rows(Work.count, lanes)
-        table = local_rows(MUSCLES_PER_LEG, TABLE_COLUMNS)
-        for m in ti.static(range(MUSCLES_PER_LEG)):
-            for c in ti.static(range(TABLE_COLUMNS)):
-                table[m, c] = muscles[m, c]
-        terrain = ti.Vector.zero(ti.i32, lanes)
-        load(packs, p, 0, State.count, lanes, state)
-        load(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
-        load(packs, p, FIRST_DELAY, Delay.count, lanes, delay)
-        load(packs, p, FIRST_EVENT, Gait.count, lanes, events)
-        load(packs, p, FIRST_SUM, Sums.count, lanes, sums)
-        load(constants, p, 0, Const.count, lanes, const)
-        for lane in range(lanes):
-            terrain[lane] = terrains[p, lane]
+        table = load_table(muscles)
+        state = load(packs, p, 0, State.count, lanes)
+        fibres = load(packs, p, FIRST_FIBRE, Muscle.count, lanes)
+        delay = load(packs, p, FIRST_DELAY, Delay.count, lanes)
+        events = load(packs, p, FIRST_EVENT, Gait.count, lanes)
+        sums = load(packs, p, FIRST_SUM, Sums.count, lanes)
+        const = load(constants, p, 0, Const.count, lanes)
+        terrain = load_terrains(terrains, p, lanes)
         for tick in range(first_tick, first_tick + ticks):
             walker.step(
                 tick, substeps, step_s, activation_blend, load_blend,
@@ -132,11 +144,9 @@ def accelerate(
     """
     ti.loop_config(block_dim=PACKS_PER_TASK)
     for p in range(states.shape[0]):
-        state = local_rows(State.count, lanes)
-        const = local_rows(Const.count, lanes)
         work = local_rows(Work.count, lanes)
-        load(states, p, 0, 2 * COORDINATES, lanes, state)
-        load(constants, p, 0, Const.count, lanes, const)
+        state = load(states, p, 0, 2 * COORDINATES, lanes)
+        const = load(constants, p, 0, Const.count, lanes)
         for lane in range(lanes):
             for i in ti.static(range(6)):
                 work[Work.joint_torque + i, lane] = torques[p, i, lane]
