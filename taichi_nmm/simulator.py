@@ -124,7 +124,7 @@ def launcher(batch: Batch, settings: Settings) -> Launch:
     """The kernel with everything that stays the same from launch to launch."""
     real = backend.real_dtype()
     heights = np.array([terrain.height_m for terrain in batch.terrains], dtype=real)
-    step_s = settings.physics_step_s
+    step_s, rough = settings.physics_step_s, int(heights.any())
     muscles = muscle_table(step_s).astype(real)
 
     bound: tuple[NDArray[Any], backend.BoundKernel] | None = None
@@ -136,7 +136,7 @@ def launcher(batch: Batch, settings: Settings) -> Launch:
                 advance,
                 packs.lanes, packs.rows, packs.constants, packs.terrains, heights, muscles,
                 first_tick, ticks, settings.substeps, step_s,
-                *blends(step_s),
+                *blends(step_s), rough,
             )  # fmt: skip
             bound = packs.rows, kernel
         bound[1].launch(first_tick=first_tick, ticks=ticks)

@@ -38,7 +38,7 @@ def before(tick, commands, activation_blend,
            state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
            const: Rows, work: Rows):  # fmt: skip
     """Senses, control where `commands` is 1, muscles: the joint torques of a physics step."""
-    walker.locate(lanes, terrain, heights, state, work)
+    walker.locate(1, lanes, terrain, heights, state, work)
     for lane in range(lanes):
         contact.ground_heights(lane, work)
     if commands == 1:

@@ -100,8 +100,9 @@ def advance(
     step_s: float,
     activation_blend: float,
     load_blend: float,
+    rough: int,
 ):
-    """Advance all packs by `ticks` control ticks.
+    """Advance all packs by `ticks` control ticks; `rough` is 0 where all terrains have height 0.
 
     packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], terrains [p, lanes] (rows of
     `heights` [terrain, node]), muscles [7, TABLE_COLUMNS].
@@ -119,7 +120,7 @@ def advance(
         terrain = load_terrains(terrains, p, lanes)
         for tick in range(first_tick, first_tick + ticks):
             walker.step(
-                tick, substeps, step_s, activation_blend, load_blend,
+                tick, substeps, step_s, activation_blend, load_blend, rough,
                 lanes, terrain, heights, table,
                 state, fibres, delay, events, sums, const, work,
             )  # fmt: skip

@@ -38,13 +38,13 @@ FELL, DIVERGED = 1.0, 2.0  # result.END_REASONS; 0 completes
 
 
 @ti.func
-def step(tick, substeps, step_s, activation_blend, load_blend,
+def step(tick, substeps, step_s, activation_blend, load_blend, rough,
          lanes: Rows, terrain: Rows, heights: Rows, muscles: Rows,
          state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
          const: Rows, work: Rows):  # fmt: skip
     """One control tick of 1 ms of all walkers in a pack: senses and control, then the physics."""
     for substep in range(substeps):
-        locate(lanes, terrain, heights, state, work)
+        locate(rough, lanes, terrain, heights, state, work)
         for lane in range(lanes):
             contact.ground_heights(lane, work)
             contact.gaps(lane, state, work)
@@ -75,16 +75,17 @@ def step(tick, substeps, step_s, activation_blend, load_blend,
 
 
 @ti.func
-def locate(lanes: Rows, terrain: Rows, heights: Rows, state: Rows, work: Rows):
-    """Where the links, the joints and the tendons are, and the table's heights around the feet."""
+def locate(rough, lanes: Rows, terrain: Rows, heights: Rows, state: Rows, work: Rows):
+    """Where the links, the joints and the tendons are, and the ground's heights below them."""
     for lane in range(lanes):
         kinematics.directions(lane, state, work)
         kinematics.contact_points(lane, state, work)
         contact.find_cells(lane, state, work)
         kinematics.joints(lane, state, work)
         joints.stretch_tendons(lane, work)
-    for lane in range(lanes):
-        contact.read_terrain(lane, terrain[lane], heights, work)
+    if rough == 1:  # else all heights are and stay zero
+        for lane in range(lanes):
+            contact.read_terrain(lane, terrain[lane], heights, work)
 
 
 @ti.func

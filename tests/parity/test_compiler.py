@@ -103,7 +103,7 @@ def test_a_walk(step_s: float) -> None:
     with np.errstate(all="ignore"):
         for tick in range(WALK_TICKS):
             walker.step(
-                tick, both.substeps, step_s, *both.blends, both.lanes, both.index, both.heights,
+                tick, both.substeps, step_s, *both.blends, 1, both.lanes, both.index, both.heights,
                 both.table, *both.blocks, both.const, both.work,
             )  # fmt: skip
     ours, numpys = both.rows(), np.vstack(both.blocks).T

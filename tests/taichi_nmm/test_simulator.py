@@ -163,6 +163,7 @@ def test_every_kind_of_input_reaches_the_walker() -> None:
         terrain_index=[0, 0, 1, 0],
     )  # fmt: skip
     assert len(set(result["hip_x_m"].tolist())) == 4
+    assert result.rows[:1].tobytes() == walked(duration_s=3.0).rows.tobytes()  # alone on the flat
 
 
 def test_settings_change_the_walk() -> None:

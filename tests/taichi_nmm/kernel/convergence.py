@@ -56,7 +56,7 @@ def walk(walker: Any, ticks: int) -> Iterator[Array]:
     for tick in range(ticks):
         with np.errstate(all="ignore"):
             walker.step(
-                tick, 1, step_s, *blends(step_s), AllLanes(GAINS), batch.terrain_index,
+                tick, 1, step_s, *blends(step_s), 0, AllLanes(GAINS), batch.terrain_index,
                 flat.height_m[None, :], muscle_table(step_s), *blocks, sums, const, work,
             )  # fmt: skip
         yield blocks[0]
