@@ -1,15 +1,14 @@
 """Small faults in the product, one at a time: do the tests notice them?
 
-    python -m tests.faults --count 80 --seed 1
+    python tools/faults.py --count 80 --seed 1
 
 draws places of the product's source (an operator, a constant, a condition), changes one in a copy
 of the checkout, and runs the tests there until one fails: first those of the same folder, then all.
 Pictures, messages, command lines and annotations are left out. A run of the tests that takes longer
 than LONGEST_S counts as noticed. What was found is kept in out/faults-SEED.jsonl: the same command
-goes on where it was stopped, with any number of --workers.
+goes on where it was stopped, with any number of --workers. Exit codes: 0, 2 bad input.
 """
 
-import argparse
 import ast
 import json
 import shutil
@@ -20,8 +19,16 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from tqdm import tqdm
+# The repository comes before tools/, where study.py would hide the package of its name.
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from study.cli import guarded_imports, run_command
+
+with guarded_imports():
+    import numpy as np
+    from tqdm import tqdm
+
+    from study.options import MOST_WORKERS, Options
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("taichi_nmm", "storage", "study")
@@ -132,10 +139,11 @@ def tried(file: str, number: int, copy: Path, near_only: bool) -> dict[str, Any]
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("--count", type=int, default=80)
-    options.add_argument("--seed", type=int, default=1)
-    options.add_argument("--workers", type=int, default=2)
+    """Try the faults, and list those that the tests did not notice."""
+    options = Options(__file__)
+    options.whole("--count", 1, 10_000, default=80, help="faults; %(default)s")
+    options.whole("--seed", 0, 2**32, default=1, help="of the drawn places; %(default)s")
+    options.whole("--workers", 1, MOST_WORKERS, default=2, help="copies; %(default)s")
     options.add_argument("--near-only", action="store_true", help="only tests of the same folder")
     args = options.parse_args()
     kept = ROOT / "out" / f"faults-{args.seed}.jsonl"
@@ -167,4 +175,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)
