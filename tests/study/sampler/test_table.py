@@ -41,8 +41,8 @@ def test_arrays_make_rows_of_native_values():
     rows = FeatureTable.from_arrays(MIXED, [1, 2, 3], space=given).rows
     assert rows.space.distributions[:2] == tuple(given.values())
     assert type(rows.as_parameters(0)["units"]) is float
-    space = {"a": FloatDistribution(0, 1, step=0.25)}
-    assert len(FeatureTable.from_arrays({"a": [0.25, 0.75]}, [1, 2], space=space)) == 2
+    space = {"a": FloatDistribution(0.1, 1.1, step=0.25)}
+    assert len(FeatureTable.from_arrays({"a": [0.35, 0.85]}, [1, 2], space=space)) == 2
 
 
 def test_rows_are_found_by_exact_values():
