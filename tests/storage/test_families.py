@@ -9,8 +9,7 @@ import pytest
 import taichi_nmm
 from storage import merge, open_store
 from storage.points import sobol_points
-from storage.precompute import ScoredRows, precompute, progress_parts, score_rows
-from storage.simulator import Report
+from storage.precompute import precompute, progress_parts, score_rows
 from storage.specification import Specification, read_specification
 from storage.store import columns_of, family_names
 from storage.tables import difference, document_hash
@@ -29,6 +28,7 @@ ROBUST_DOCUMENT_HASH = "e62d67c3e6b80aa6aceb94e5a54bbdbf4963e8c84ca7509b7cb6c63d
 THETA_REF = LOW_LEVEL_GAINS[-1]
 POINT_3 = [5.53585406, 1.44055244, 1.84605681]  # of the sequence 7, row 16, before groups
 WORLD = {"friction": [0.3, 0.9], "contact_stiffness": [0.5, 4.0]}
+FIRST = range(8)  # rows of a shard
 LATER = {"after": "down", "min_survived_fraction": 0.6}
 
 
@@ -36,16 +36,9 @@ def families(**changes: object) -> Specification:
     return fake.specification(families=RAMPS, **changes)
 
 
-def shard(
-    specification: Specification, number: int = 0, report: Report = lambda part: None
-) -> ScoredRows:
-    first, size = specification.layout.shard_range(number)
-    return score_rows(specification, range(first, first + size), report)
-
-
 def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
     specification = fake.specification()
-    table, computed_by = shard(specification, 2)
+    table, computed_by = score_rows(specification, range(16, 24), lambda _: None)
     assert columns_of(table.schema) == specification.document["columns"]
     assert table.column_names == ["row", *GAIN_NAMES, *(RESULT_DTYPE.names or ())]
     assert table["row"].to_pylist() == list(range(16, 24))
@@ -55,7 +48,7 @@ def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
     assert computed_by == fake.ENGINE
     specification = fake.specification(robust=True, samples=8, simulation={"duration_s": 60.0})
     object.__setattr__(specification.families[0], "min_survival_s", 60.0)
-    table, _ = shard(specification)
+    table, _ = score_rows(specification, FIRST, lambda _: None)
     assert not table["robust_evaluated"].to_numpy().any()
 
 
@@ -94,7 +87,7 @@ def test_documents_of_stores_without_other_families_are_what_they_were() -> None
 def test_family_columns_are_mean_and_spread_over_its_settings() -> None:
     """And zero for points that were not run in it."""
     specification = families(robust=True)
-    table, _ = shard(specification)
+    table, _ = score_rows(specification, FIRST, lambda _: None)
     points = sobol_points(specification.seed, 0, 8, GAINS)
     alive = table["duration_s"].to_numpy() >= 3.0
     assert 0 < alive.sum() < 8
@@ -123,7 +116,7 @@ def test_numbers_of_a_store_are_those_of_the_simulator(monkeypatch: pytest.Monke
         samples=32, shard_rows=32, simulation={"duration_s": 2.0, "arch": "cpu"},
         searched=["theta_ref"], families={"up": up},
     )  # fmt: skip
-    table, _ = shard(specification)
+    table, _ = score_rows(specification, range(32), lambda _: None)
     points = sobol_points(specification.seed, 0, 32, specification.simulator.parameters)
     low_level = np.tile([gain.default for gain in taichi_nmm.LOW_LEVEL_GAINS], (32, 1))
     low_level[:, 7] = points[:, 16]
@@ -159,7 +152,7 @@ def test_a_family_draws_a_world_for_each_setting() -> None:
     assert base.document["world"]["friction"] == [0.5, 0.5]
     assert base.worlds.surroundings.friction[0] == 0.5
     ours, theirs = (
-        shard(one)[0]["up_survived_fraction_mean"].to_numpy()
+        score_rows(one, FIRST, lambda _: None)[0]["up_survived_fraction_mean"].to_numpy()
         for one in (nominal, fake.specification(families=ramps))
     )
     assert np.all(theirs <= ours) and np.any(theirs < ours)
@@ -170,7 +163,7 @@ def test_a_later_family_is_run_on_the_survivors_of_another() -> None:
     late = RAMPS | {"a_late": fake.family(settings=3, seed=4) | LATER}
     specification = fake.specification(families=late)
     assert [family.name for family in specification.families] == ["down", "up", "a_late"]
-    table, _ = shard(specification)
+    table, _ = score_rows(specification, FIRST, lambda _: None)
     down, evaluated = table["down_survived_fraction_mean"].to_numpy(), table["a_late_evaluated"]
     assert np.array_equal(evaluated.to_numpy(), table["down_evaluated"].to_numpy() & (down >= 0.6))
     assert 0 < evaluated.to_numpy().sum() < table["down_evaluated"].to_numpy().sum()
@@ -189,7 +182,7 @@ def test_each_family_draws_from_its_own_seed() -> None:
     assert not np.any(a.worlds.bodies.mass_kg == b.worlds.bodies.mass_kg)
     strict = RAMPS["up"] | {"min_survival_s": 4.5}
     store = fake.specification(families={"up": strict, "down": RAMPS["down"]})
-    table, _ = shard(store)
+    table, _ = score_rows(store, FIRST, lambda _: None)
     up, down = (table[f"{name}_evaluated"].to_numpy() for name in ("up", "down"))
     assert np.array_equal(up, table["duration_s"].to_numpy() >= 4.5)
     assert up.sum() < down.sum() and np.all(down[up])
@@ -205,7 +198,7 @@ def test_progress_is_shared_by_work_and_rises_to_one() -> None:
     assert down == pytest.approx(up) and robust == pytest.approx(3 * up)  # six settings, not two
     assert 0.3 < base < 0.5 and seen[-1] == 1.0
     seen.clear()
-    shard(store, report=seen.append)
+    score_rows(store, FIRST, seen.append)
     assert seen == sorted(seen) and seen[-1] == 1.0
 
 
@@ -273,7 +266,7 @@ def test_the_simulator_gets_each_walkers_low_level_gains(monkeypatch: pytest.Mon
         return fake.simulate(gains, **options)
 
     monkeypatch.setitem(vars(taichi_nmm), "simulate", spy)
-    table, _ = shard(specification)
+    table, _ = score_rows(specification, FIRST, lambda _: None)
     expected, evaluated = (table[name].to_numpy() for name in ("theta_ref", "robust_evaluated"))
     assert np.array_equal(angles[0], expected)
     assert np.array_equal(angles[1], np.repeat(expected[evaluated], 6))
