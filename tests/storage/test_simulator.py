@@ -95,16 +95,6 @@ def test_the_document_names_the_simulator_and_its_worlds() -> None:
     assert specification(simulator={"name": CART, "mass_kg": 3.0}).hash != specification().hash
 
 
-@pytest.mark.parametrize("number", [0, 5, 9])
-def test_a_store_that_was_stopped_goes_on_to_the_same_bytes(number: int, tmp_path: Path) -> None:
-    precompute(specification(), tmp_path / "whole")
-    stop(number, specification(), tmp_path / "store")
-    before = len(toy.runs)
-    precompute(specification(), tmp_path / "store")
-    assert len(toy.runs) - before < 12 + (number == 0)  # four shards, on three settings each
-    assert content(tmp_path / "store") == content(tmp_path / "whole")
-
-
 @pytest.mark.slow
 def test_a_repertoire_of_another_simulator(tmp_path: Path) -> None:
     pytest.importorskip("ribs")
