@@ -48,6 +48,18 @@ def test_contact_of_our_own_engine_is_refused_with_mujoco() -> None:
     assert Walker(Settings()).read_worlds(Table(tables)).ranges.contact_stiffness == (0.5, 2.0)
 
 
+@pytest.mark.parametrize(
+    ("purpose", "digest"), [(101, "252a701f14610652"), (103, "5b901e815c7f3fc5")]
+)
+def test_worlds_of_a_seed_are_those_of_0_2_0(purpose: int, digest: str) -> None:
+    family = {"terrain": {"kind": "rough"}, "world": {"strength": [0.8, 1.2], "friction": [0.5, 1]}}
+    seeds = [np.random.SeedSequence(7, spawn_key=(purpose, index)) for index in range(2)]
+    drawn = Walker(Settings()).read_worlds(Table(family)).draw(seeds)
+    heights = [terrain.height_m for terrain in drawn.terrains]
+    parts = (*vars(drawn.bodies).values(), *vars(drawn.surroundings).values(), *heights)
+    assert array_digest(*parts)[:16] == digest
+
+
 def test_a_search_selects_for_distance_walked_and_not_for_standing() -> None:
     rows = np.zeros((3, 2), RESULT_DTYPE)
     rows["duration_s"] = [[8.0, 4.0], [8.0, 8.0], [8.0, 2.0]]
