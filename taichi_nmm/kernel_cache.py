@@ -9,16 +9,19 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 from taichi_nmm.errors import InputError
 
-CACHE_VARIABLE = "TI_OFFLINE_CACHE_FILE_PATH"  # Taichi's own
-DEFAULT_CACHE = Path(".cache") / "taichi"  # of the home
-PREFIX = "TI_"
+# Quadrants is Taichi's fork; Python 3.14 has no Taichi.
+COMPILER = "quadrants" if find_spec("quadrants") and not find_spec("taichi") else "taichi"
+PREFIX = {"taichi": "TI_", "quadrants": "QD_"}[COMPILER]
+CACHE_VARIABLE = f"{PREFIX}OFFLINE_CACHE_FILE_PATH"  # the compiler's own
+DEFAULT_CACHE = Path(".cache") / COMPILER  # of the home
 SETTLED = {
     "LC_ALL": "C.UTF-8",  # Taichi decodes its own path: an unknown locale is an exception
-    "TI_ENABLE_PYBUF": "0",  # else it prints in a notebook, and reads a buffer at every launch
+    f"{PREFIX}ENABLE_PYBUF": "0",  # else it prints in a notebook, and reads a buffer at every launch
 }
 
 

@@ -161,4 +161,5 @@ def leg_coefficients(
 
 def blends(step_s: float) -> tuple[float, float]:
     """Blends of a physics step: to a new activation, and of the low pass of the loads."""
-    return 1.0 - np.exp(-step_s / ACTIVATION_TIME_S), 1.0 - np.exp(-step_s / LOAD_FILTER_S)
+    activation, load = 1.0 - np.exp(-step_s / np.array([ACTIVATION_TIME_S, LOAD_FILTER_S]))
+    return float(activation), float(load)

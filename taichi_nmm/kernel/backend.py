@@ -1,4 +1,4 @@
-"""The one place that imports and initialises Taichi; every other module takes `ti` from here.
+"""The one place that initialises Taichi; every other module takes `ti` from here.
 
 How a CPU is kept busy: the state of LANES walkers lies side by side in small local arrays, and each
 phase of the step is an innermost loop over them. LLVM's loop vectoriser turns that loop into SIMD
@@ -10,29 +10,21 @@ physics is plain scalar code; on a GPU the same code runs with one walker a thre
 import contextlib
 import io
 import os
-import sys
 import threading
 from collections.abc import Callable
-from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from taichi_nmm.errors import InputError
-from taichi_nmm.kernel import registers
-from taichi_nmm.kernel_cache import settled_environment
+from taichi_nmm.kernel import compiler, registers
+from taichi_nmm.kernel.compiler import local_rows, ti
+from taichi_nmm.kernel_cache import COMPILER, settled_environment
 from taichi_nmm.settings import Settings
 
-os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # standard output is the commands'
-with settled_environment(), contextlib.redirect_stdout(io.StringIO()):
-    import taichi as ti
-    from taichi._lib import core as _core
-    from taichi.lang import kernel_impl
-    from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
-
 __all__ = [
-    "Array", "BoundKernel", "Rows", "is_double", "lanes", "launch", "metadata", "real_dtype",
-    "start", "ti",
+    "Array", "BoundKernel", "Rows", "is_double", "lanes", "launch", "local_rows", "metadata",
+    "real_dtype", "start", "ti",
 ]  # fmt: skip
 
 LANES_CPU = 8  # where the registers' width is unknown
@@ -46,10 +38,6 @@ FAST_MATH = False
 # Taichi's own simplifications take most of a compilation, since their time grows with the square of
 # a kernel's size. LLVM, which follows, finds the same in seconds (docs/speed.md).
 TAICHI_OPTIMIZATION = False
-
-# Taichi cuts a parallel loop into blocks of at least 512 turns, and a turn of the kernels is a
-# pack: 4,096 walkers and fewer would run on one thread. Without that cut, a turn is a task.
-SPLIT_LOOPS = False
 
 if TYPE_CHECKING:
     Rows: TypeAlias = Any
@@ -140,21 +128,17 @@ class BoundKernel:
         if _arch != "cpu":
             return
         primal = kernel._primal  # type: ignore[attr-defined]
-        function = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
+        function = compiler.specialised(primal, arguments)
         self._program = ti.lang.impl.get_runtime().prog
         self._context = function.make_launch_context()
-        self._slots: dict[str, tuple[int]] = {}
-        slot = 0
-        for argument, value in zip(primal.arguments, arguments, strict=True):
+        self._slots: dict[str, Any] = {}
+        for argument, value in zip(compiler.parameters(primal), arguments, strict=True):
             if argument.annotation is Rows:
                 continue
-            self._slots[argument.name] = (slot,)
+            self._slots[argument.name] = compiler.slot(len(self._slots))
             self._set(argument.name, value)
-            slot += 1
         with registers.without_remarks():
-            self._compiled = self._program.compile_kernel(
-                self._program.config(), self._program.get_device_caps(), function
-            )
+            self._compiled = compiler.compiled(function)
         _compiled.add(kernel.__name__)
 
     @property
@@ -166,7 +150,8 @@ class BoundKernel:
         """Run the kernel with these whole numbers in place of those it was bound with."""
         assert not self.stale
         if _arch != "cpu":
-            names = [argument.name for argument in self._kernel._primal.arguments]  # type: ignore[attr-defined]
+            primal = self._kernel._primal  # type: ignore[attr-defined]
+            names = [argument.name for argument in compiler.parameters(primal)]
             given = dict(zip(names, self._arguments, strict=True)) | numbers
             launch(self._kernel, *given.values())
             return
@@ -215,8 +200,8 @@ def real_dtype() -> type[np.floating[Any]]:
 def metadata() -> dict[str, Any]:
     """Engine, version, machine and numerics of a result."""
     return {
-        "engine": "taichi",
-        "engine_version": ".".join(str(part) for part in ti.__version__),
+        "engine": COMPILER,
+        "engine_version": compiler.VERSION,
         "arch": _arch,
         "precision": _running.precision if _running else "",
         "fast_math": FAST_MATH,
@@ -232,14 +217,14 @@ def _settle_lanes(arch: str, wide: bool) -> int:
     """How many walkers a pack has; kernels compiled from now on are vectorised by this number."""
     on_cpu = arch == "cpu"
     width = registers.width() if on_cpu and wide else 0
-    told = registers.tell_vectoriser(width, _core.__file__, ti.__version__)
+    told = registers.tell_vectoriser(width, compiler.core.__file__, ti.__version__)
     return (told and width) or (LANES_CPU if on_cpu else LANES_GPU)
 
 
 def _initialise(arch: str, settings: Settings) -> bool:
     """Start Taichi on `arch` and see that it computes there; False where the machine lacks it."""
     ti.set_logging_level(ti.ERROR)  # Taichi warns about every driver that is not there
-    if arch == "cuda" and not _core.with_cuda():
+    if arch == "cuda" and not compiler.core.with_cuda():
         return False
     threads = {} if settings.threads is None else {"cpu_max_num_threads": settings.threads}
     try:
@@ -251,10 +236,10 @@ def _initialise(arch: str, settings: Settings) -> bool:
                 default_ip=ti.i32,
                 cfg_optimization=CFG_OPTIMIZATION,
                 advanced_optimization=TAICHI_OPTIMIZATION,
-                make_cpu_multithreading_loop=SPLIT_LOOPS,
                 fast_math=FAST_MATH,
                 offline_cache=True,
                 log_level=ti.ERROR,
+                **compiler.WHOLE_LOOPS,
                 **threads,
             )
         values = np.ones(4, dtype=np.float32)
@@ -265,56 +250,7 @@ def _initialise(arch: str, settings: Settings) -> bool:
         return False
 
 
-@ti.data_oriented  # Taichi leaves an object of such a class as it is
-class LocalRows:
-    """A local array [row, lane] of a kernel, which Taichi holds as one column.
-
-    While Taichi compiles, it walks through the whole kernel for each constant that it folds.
-    `array[3, lane]` has three such constants in two dimensions and one in a column: a kernel
-    compiles in a quarter of the time, to the same bits.
-    """
-
-    def __init__(self, rows: int, lanes: int) -> None:
-        self._lanes = lanes
-        self._column = ti.lang.impl.expr_init(ti.lang.matrix.make_matrix([0.0] * (rows * lanes)))
-
-    def __getitem__(self, index: tuple[Any, Any]) -> Any:
-        row, lane = index
-        builder = ti.lang.impl.get_runtime().compiling_callable.ast_builder()
-        return ti.lang.impl.subscript(builder, self._column, row * self._lanes + lane)
-
-
-def local_rows(rows: int, lanes: int) -> Any:
-    """Zeros [rows, lanes]; to be called in a kernel."""
-    return LocalRows(rows, lanes)
-
-
-local_rows._is_taichi_function = False  # type: ignore[attr-defined]  # known to Taichi: no warning
-
-
 @ti.kernel
 def _double(values: Array):
     for i in range(values.shape[0]):
         values[i] = 2.0 * values[i]
-
-
-def _short_position(context: Any, node: Any) -> str:
-    """Name a source line instead of drawing it, which takes half of a warm start."""
-    line = node.lineno + context.lineno_offset
-    return f'File "{context.file}", line {line}, in {context.func.func.__name__}:\n'
-
-
-def _inside_class(level_of_class_stackframe: int) -> bool:
-    """Whether a function is a method: none of ours is, and finding it out takes Taichi long."""
-    level = level_of_class_stackframe
-    if sys._getframe(level - 1).f_globals["__name__"].startswith("taichi_nmm."):
-        return False
-    return bool(_taichis_inside_class(level + 1))
-
-
-ASTTransformerContext.get_pos_info = _short_position
-_taichis_inside_class = kernel_impl._inside_class
-kernel_impl._inside_class = _inside_class
-# A function is inlined at each of its calls, and Taichi would look for its source each time.
-kernel_impl.getsourcefile = cache(kernel_impl.getsourcefile)
-kernel_impl.getsourcelines = cache(kernel_impl.getsourcelines)

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from taichi_nmm.errors import InputError
-from taichi_nmm.kernel import backend, registers
+from taichi_nmm.kernel import compiler, registers
 
-LIBRARY, VERSION = backend._core.__file__, registers.TAICHI_VERSION
+LIBRARY, VERSION = compiler.core.__file__, registers.TAICHI_VERSION
 
 
 @pytest.mark.skipif(not registers._address_of_setting(LIBRARY), reason="another system")

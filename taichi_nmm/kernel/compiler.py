@@ -1,0 +1,131 @@
+"""The compiler of the kernels and its insides: Taichi or, where it is not to be had, its fork.
+
+This file alone imports them. Quadrants, the fork, runs the same kernels; what this project uses of
+a compiler's insides differs, and stands here twice. Each number of version is pinned with it.
+"""
+
+import contextlib
+import io
+import os
+import sys
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+from taichi_nmm.kernel_cache import COMPILER, settled_environment
+
+os.environ.setdefault(f"ENABLE_{COMPILER.upper()}_HEADER_PRINT", "0")  # the output is the commands'
+with settled_environment(), contextlib.redirect_stdout(io.StringIO()):
+    ti: Any = import_module(COMPILER)
+
+VERSION = ".".join(str(part) for part in ti.__version__)
+core, impl, kernel_impl = ti._lib.core, ti.lang.impl, ti.lang.kernel_impl
+
+@ti.data_oriented  # the compiler leaves an object of such a class as it is
+class LocalRows:
+    """A local array [row, lane] of a kernel, which the compiler holds as one column.
+
+    While Taichi compiles, it walks through the whole kernel for each constant that it folds.
+    `array[3, lane]` has three such constants in two dimensions and one in a column: a kernel
+    compiles in a quarter of the time, to the same bits.
+    """
+
+    def __init__(self, rows: int, lanes: int) -> None:
+        self._lanes = lanes
+        self._column = impl.expr_init(ti.lang.matrix.make_matrix([0.0] * (rows * lanes)))
+
+    def __getitem__(self, index: tuple[Any, Any]) -> Any:
+        row, lane = index
+        builder = impl.get_runtime().compiling_callable.ast_builder()
+        return impl.subscript(builder, self._column, row * self._lanes + lane)
+
+
+def local_rows(rows: int, lanes: int) -> Any:
+    """Zeros [rows, lanes]; to be called in a kernel."""
+    return LocalRows(rows, lanes)
+
+
+# Known to the compiler: no warning.
+setattr(local_rows, f"_is_{COMPILER}_function", False)
+
+
+def _short_position(context: Any, node: Any) -> str:
+    """Name a source line instead of drawing it, which takes half of a warm start."""
+    line = node.lineno + context.lineno_offset
+    return f'File "{context.file}", line {line}, in {context.func.func.__name__}:\n'
+
+
+def _inside_class(level_of_class_stackframe: int) -> bool:
+    """Whether a function is a method: none of ours is, and finding it out takes the compiler long."""
+    level = level_of_class_stackframe
+    if sys._getframe(level - 1).f_globals["__name__"].startswith("taichi_nmm."):
+        return False
+    return bool(_compilers_inside_class(level + 1))
+
+
+_compilers_inside_class = kernel_impl._inside_class
+kernel_impl._inside_class = _inside_class
+transformer = ti.lang.ast.ast_transformer_utils
+
+# Here the two differ. A function is inlined at each of its calls, and a compiler would look for its
+# source each time. Both cut a parallel loop into blocks of at least 512 turns, and a turn of the
+# kernels is a pack: 4,096 walkers and fewer would run on one thread. So WHOLE_LOOPS, options of
+# `ti.init`, make a turn a task.
+if COMPILER == "taichi":
+    WHOLE_LOOPS = {"make_cpu_multithreading_loop": False}
+    transformer.ASTTransformerContext.get_pos_info = _short_position
+    kernel_impl.getsourcefile = cache(kernel_impl.getsourcefile)
+    kernel_impl.getsourcelines = cache(kernel_impl.getsourcelines)
+
+    def parameters(primal: Any) -> Any:
+        """The parameters of a kernel, each with a name and an annotation."""
+        return primal.arguments
+
+    def specialised(primal: Any, arguments: tuple[Any, ...]) -> Any:
+        """The kernel for arguments of these types."""
+        return primal.compiled_kernels[primal.ensure_compiled(*arguments)]
+
+    def slot(number: int) -> Any:
+        """The place of an argument in a launch."""
+        return (number,)
+
+    def compiled(function: Any) -> Any:
+        """What a program launches."""
+        program = impl.get_runtime().prog
+        return program.compile_kernel(program.config(), program.get_device_caps(), function)
+
+else:
+    WHOLE_LOOPS = {"cpu_work_scheduling": core.CPUWorkScheduling.FIXED_SIZE}
+    transformer.ASTTransformerFuncContext._build_pos_info = _short_position
+    for module in map(import_module, ("quadrants.lang._func_base", "quadrants.lang.kernel")):
+        module.get_source_info_and_src = cache(module.get_source_info_and_src)
+
+    def _one_pass(primal: Any, arguments: Any, key: Any) -> set[str] | None:
+        """Leave out the pass that looks for unused members of dataclasses: ours have none."""
+        known: set[str] | None = _look_up(primal, arguments, key)
+        if primal.func.__module__.startswith("taichi_nmm."):
+            known = primal.used_py_dataclass_parameters_by_key_enforcing[key] = set()
+        return known
+
+    _look_up = kernel_impl.Kernel._try_load_fastcache
+    kernel_impl.Kernel._try_load_fastcache = _one_pass
+
+    def parameters(primal: Any) -> Any:
+        """The parameters of a kernel, each with a name and an annotation."""
+        return primal.arg_metas
+
+    def specialised(primal: Any, arguments: tuple[Any, ...]) -> Any:
+        """The kernel for arguments of these types."""
+        primal.raise_on_templated_floats = False  # else unset before a launch
+        return primal.materialized_kernels[primal.ensure_compiled(*arguments)]
+
+    def slot(number: int) -> Any:
+        """The place of an argument in a launch."""
+        return number
+
+    def compiled(function: Any) -> Any:
+        """What a program launches."""
+        program = impl.get_runtime().prog
+        result = program.compile_kernel(program.config(), program.get_device_caps(), function)
+        return result.compiled_kernel_data
