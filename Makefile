@@ -8,7 +8,7 @@
 # make docs         builds the site, out/site/index.html: runs the notebooks, needs no network
 # make lint         checks style and types, as CI does
 # make hooks        lets git run the lint before every commit
-# Needs Python 3.11 to 3.13 and make; everything else goes into .venv.
+# Needs Python 3.11 to 3.14 and make; everything else goes into .venv.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -73,7 +73,7 @@ hooks: .venv/lint-installed
 # Each set of packages has a stamp file. `make quickstart` installs the package and the explorer; it needs no packages of tests,
 # documents or lint.
 .venv/installed: pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14) and "error: Python 3.11 to 3.13 is needed: make PYTHON=python3.12")'
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 15) and "error: Python 3.11 to 3.14 is needed: make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
 	@echo "Installing the pinned packages into .venv (half a minute) ..."
 	$(INSTALL) -e '.[explore]'

@@ -2,26 +2,26 @@
 
 Taichi checks neither. Without a home it aborts the process, and where the folder cannot be written
 it compiles for half a minute at every start. TI_ARCH and its like override the arguments of
-`ti.init`, or abort the process where they are misspelt.
+`ti.init`, or abort the process where they are misspelt. Python 3.14 has no Taichi but its fork,
+Quadrants, which does the same under other names.
 """
 
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 
 from taichi_nmm.errors import InputError
 
-# Quadrants is Taichi's fork; Python 3.14 has no Taichi.
-COMPILER = "quadrants" if find_spec("quadrants") and not find_spec("taichi") else "taichi"
-PREFIX = {"taichi": "TI_", "quadrants": "QD_"}[COMPILER]
+COMPILER = "quadrants" if sys.version_info >= (3, 14) else "taichi"  # as in pyproject.toml
+PREFIX = {"taichi": "TI_", "quadrants": "QD_"}[COMPILER]  # of its variables
 CACHE_VARIABLE = f"{PREFIX}OFFLINE_CACHE_FILE_PATH"  # the compiler's own
 DEFAULT_CACHE = Path(".cache") / COMPILER  # of the home
 SETTLED = {
     "LC_ALL": "C.UTF-8",  # Taichi decodes its own path: an unknown locale is an exception
-    f"{PREFIX}ENABLE_PYBUF": "0",  # else it prints in a notebook, and reads a buffer at every launch
+    f"{PREFIX}ENABLE_PYBUF": "0",  # else it prints in a notebook, and at every launch
 }
 
 

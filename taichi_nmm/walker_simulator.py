@@ -18,7 +18,7 @@ from taichi_nmm import __version__
 from taichi_nmm.body import Bodies
 from taichi_nmm.conditions import read_disturbance, read_settings
 from taichi_nmm.config import Table
-from taichi_nmm.kernel_cache import require_kernel_cache
+from taichi_nmm.kernel_cache import COMPILER, require_kernel_cache
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.parameters import (
     GAINS,
@@ -122,7 +122,7 @@ class Walker:
 
     name: ClassVar[str] = "walker"
     code_version: ClassVar[str] = __version__
-    packages: ClassVar[tuple[str, ...]] = ("taichi", "numpy")
+    packages: ClassVar[tuple[str, ...]] = (COMPILER, "numpy")
     columns: ClassVar[np.dtype[np.void]] = RESULT_DTYPE
     survived: ClassVar[str] = "survived_fraction"
     words: ClassVar[Mapping[str, Sequence[str]]] = {"end_reason": END_REASONS}

@@ -19,11 +19,11 @@ from typing import Any
 
 import pytest
 
+from taichi_nmm.kernel_cache import CACHE_VARIABLE, COMPILER
 from tests.browser import opened_page
 
 ROOT = Path(__file__).resolve().parent.parent
-CACHE_VARIABLE = "TI_OFFLINE_CACHE_FILE_PATH"
-os.environ.setdefault(CACHE_VARIABLE, str(ROOT / ".pytest_cache" / "taichi"))
+os.environ.setdefault(CACHE_VARIABLE, str(ROOT / ".pytest_cache" / COMPILER))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

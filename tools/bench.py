@@ -26,12 +26,12 @@ from study.cli import guarded_imports, run_command
 with guarded_imports():
     from study.options import Options
     from taichi_nmm.errors import InputError
+    from taichi_nmm.kernel_cache import CACHE_VARIABLE
     from taichi_nmm.settings import ARCHITECTURES
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKER = ROOT / "tools" / "bench_worker.py"
 MUJOCO_MODULE = "tests.parity.mujoco_bench_model"
-CACHE_VARIABLE = "TI_OFFLINE_CACHE_FILE_PATH"  # Taichi's own
 
 LARGEST_LANES = 64
 MOST_SAMPLES = 10_000_000

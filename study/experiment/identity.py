@@ -17,9 +17,10 @@ from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.stores import store_digest, store_path
 from taichi_nmm import __version__
 from taichi_nmm.config import Table
+from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.walker_simulator import terrain_document
 
-PACKAGES = ("taichi", "optuna", "cma", "cmaes", "numpy", "scipy")
+PACKAGES = (COMPILER, "optuna", "cma", "cmaes", "numpy", "scipy")
 GROWING = ("ground", "arms", "stores")  # parts that later calls add to
 FINGERPRINT_LENGTH = 16
 LIVE_ATTRIBUTE = "experiment"  # of a live study: its document; of a comparison's: a name

@@ -217,7 +217,9 @@ def _settle_lanes(arch: str, wide: bool) -> int:
     """How many walkers a pack has; kernels compiled from now on are vectorised by this number."""
     on_cpu = arch == "cpu"
     width = registers.width() if on_cpu and wide else 0
-    told = registers.tell_vectoriser(width, compiler.core.__file__, ti.__version__)
+    told = compiler.KNOWS_WIDTH or registers.tell_vectoriser(
+        width, compiler.core.__file__, ti.__version__
+    )
     return (told and width) or (LANES_CPU if on_cpu else LANES_GPU)
 
 

@@ -1,14 +1,13 @@
-"""The compiler of the kernels and its insides: Taichi or, where it is not to be had, its fork.
+"""The compiler of the kernels and its insides: Taichi or, on Python 3.14, its fork, Quadrants.
 
-This file alone imports them. Quadrants, the fork, runs the same kernels; what this project uses of
-a compiler's insides differs, and stands here twice. Each number of version is pinned with it.
+This file alone imports them, as `ti`. Both run the same kernels to the same bits. What is used of
+their insides stands here, twice where they differ; pyproject.toml pins their versions.
 """
 
 import contextlib
 import io
 import os
 import sys
-from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -21,6 +20,7 @@ with settled_environment(), contextlib.redirect_stdout(io.StringIO()):
 
 VERSION = ".".join(str(part) for part in ti.__version__)
 core, impl, kernel_impl = ti._lib.core, ti.lang.impl, ti.lang.kernel_impl
+
 
 @ti.data_oriented  # the compiler leaves an object of such a class as it is
 class LocalRows:
@@ -46,8 +46,7 @@ def local_rows(rows: int, lanes: int) -> Any:
     return LocalRows(rows, lanes)
 
 
-# Known to the compiler: no warning.
-setattr(local_rows, f"_is_{COMPILER}_function", False)
+setattr(local_rows, f"_is_{COMPILER}_function", False)  # known to the compiler: no warning
 
 
 def _short_position(context: Any, node: Any) -> str:
@@ -57,7 +56,7 @@ def _short_position(context: Any, node: Any) -> str:
 
 
 def _inside_class(level_of_class_stackframe: int) -> bool:
-    """Whether a function is a method: none of ours is, and finding it out takes the compiler long."""
+    """Whether a function is a method: none of ours is, and finding it out takes long."""
     level = level_of_class_stackframe
     if sys._getframe(level - 1).f_globals["__name__"].startswith("taichi_nmm."):
         return False
@@ -70,9 +69,10 @@ transformer = ti.lang.ast.ast_transformer_utils
 
 # Here the two differ. A function is inlined at each of its calls, and a compiler would look for its
 # source each time. Both cut a parallel loop into blocks of at least 512 turns, and a turn of the
-# kernels is a pack: 4,096 walkers and fewer would run on one thread. So WHOLE_LOOPS, options of
-# `ti.init`, make a turn a task.
+# kernels is a pack: 4,096 walkers and fewer would run on one thread. With WHOLE_LOOPS, options of
+# `ti.init`, a turn is a task. KNOWS_WIDTH: whether LLVM knows the width of registers by itself.
 if COMPILER == "taichi":
+    KNOWS_WIDTH = False  # LLVM 15
     WHOLE_LOOPS = {"make_cpu_multithreading_loop": False}
     transformer.ASTTransformerContext.get_pos_info = _short_position
     kernel_impl.getsourcefile = cache(kernel_impl.getsourcefile)
@@ -96,9 +96,11 @@ if COMPILER == "taichi":
         return program.compile_kernel(program.config(), program.get_device_caps(), function)
 
 else:
+    KNOWS_WIDTH = True  # LLVM 22
     WHOLE_LOOPS = {"cpu_work_scheduling": core.CPUWorkScheduling.FIXED_SIZE}
     transformer.ASTTransformerFuncContext._build_pos_info = _short_position
-    for module in map(import_module, ("quadrants.lang._func_base", "quadrants.lang.kernel")):
+    modules: Any = map(import_module, ("quadrants.lang._func_base", "quadrants.lang.kernel"))
+    for module in modules:
         module.get_source_info_and_src = cache(module.get_source_info_and_src)
 
     def _one_pass(primal: Any, arguments: Any, key: Any) -> set[str] | None:

@@ -40,6 +40,7 @@ from storage.pool import cores
 from study.cli import EXIT_BAD_INPUT, main, run_command
 from study.options import LARGEST_SEED, Options
 from taichi_nmm.errors import InputError
+from taichi_nmm.kernel_cache import CACHE_VARIABLE
 from taichi_nmm.reading import is_folder
 from tests.fuzz.cases import Case, make_case
 from tests.fuzz.world import Words, make_world
@@ -268,7 +269,7 @@ def begin(place: Path) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears Ctrl-C
     os.environ |= ONE_THREAD
     (place / "cache").mkdir(exist_ok=True)
-    os.environ["TI_OFFLINE_CACHE_FILE_PATH"] = str(place / "cache")
+    os.environ[CACHE_VARIABLE] = str(place / "cache")
     files_for_output(place)
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (MOST_BYTES, most))

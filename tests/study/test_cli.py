@@ -9,7 +9,7 @@ from study.cli import main
 from study.options import COMMANDS, Options, config_path, parser_of
 from taichi_nmm.errors import InputError
 
-SLOW_TO_LOAD = ("taichi", "matplotlib", "optuna", "pyarrow", "scipy", "sklearn")
+SLOW_TO_LOAD = ("taichi", "quadrants", "matplotlib", "optuna", "pyarrow", "scipy", "sklearn")
 QUICK = [["--help"], [], *([name, "--help"] for name in COMMANDS), ["walk", "--list-configs"]]
 
 

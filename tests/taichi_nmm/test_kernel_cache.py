@@ -9,14 +9,20 @@ from pathlib import Path
 import pytest
 
 from taichi_nmm.errors import InputError
-from taichi_nmm.kernel_cache import CACHE_VARIABLE, require_kernel_cache, settled_environment
+from taichi_nmm.kernel_cache import (
+    CACHE_VARIABLE,
+    COMPILER,
+    PREFIX,
+    require_kernel_cache,
+    settled_environment,
+)
 
 ROOT = Path(__file__).parents[2]
 WALK = ROOT / "tools" / "walk.py"
 SIMULATE = "import taichi_nmm; taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.1)"
 NOTEBOOK = "import io, sys; sys.stdout = io.StringIO(); import taichi_nmm.simulator"
-ODD = {"LC_ALL": "xx", "LANG": "xx", "TI_ARCH": "zzz", "TI_LOG_LEVEL": "zzz"}
-ODD |= {"TI_FAST_MATH": "maybe", "TI_DEFAULT_FP": "7"}
+ODD = {"LC_ALL": "xx", "LANG": "xx", f"{PREFIX}ARCH": "zzz", f"{PREFIX}LOG_LEVEL": "zzz"}
+ODD |= {f"{PREFIX}FAST_MATH": "maybe", f"{PREFIX}DEFAULT_FP": "7"}
 
 
 def python(*words: object, env: Mapping[str, str] = os.environ) -> subprocess.CompletedProcess[str]:
@@ -35,7 +41,7 @@ def test_a_cache_must_be_writable(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.delenv(CACHE_VARIABLE)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     require_kernel_cache()
-    assert (tmp_path / "home" / ".cache" / "taichi").is_dir()
+    assert (tmp_path / "home" / ".cache" / COMPILER).is_dir()
     monkeypatch.setenv("HOME", str(tmp_path / "file"))
     with pytest.raises(InputError, match=r"HOME: .* can be written"):
         require_kernel_cache()
@@ -58,8 +64,8 @@ def test_variables_are_as_they_were_afterwards(monkeypatch: pytest.MonkeyPatch) 
     before = dict(os.environ)
     with settled_environment():
         assert not set(ODD) - {"LC_ALL", "LANG"} & set(os.environ)
-        os.environ["TI_OF_TAICHI"] = "kept"
-    assert os.environ.pop("TI_OF_TAICHI") == "kept"
+        os.environ[f"{PREFIX}OF_TAICHI"] = "kept"
+    assert os.environ.pop(f"{PREFIX}OF_TAICHI") == "kept"
     assert dict(os.environ) == before
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from study.options import COMMANDS
+from taichi_nmm.kernel_cache import COMPILER
 from tests.tools.accidents import run_with_accident
 from tests.tools.running import ROOT
 from tests.tools.running import TOOLS as ALL_TOOLS
@@ -34,14 +35,14 @@ def last_line(done: "subprocess.CompletedProcess[str]", code: int) -> str:
     return done.stderr.splitlines(keepends=True)[-1]
 
 
-@pytest.mark.parametrize("package", ["taichi", "matplotlib"])
+@pytest.mark.parametrize("package", [COMPILER, "matplotlib"])
 def test_ctrl_c_during_a_late_import_is_one_line(package: str, tmp_path: Path) -> None:
     done = run_with_accident(tmp_path, ("-m", "taichi_nmm", *WALK), interrupted=package)
     assert last_line(done, 130) == INTERRUPTED
 
 
 @pytest.mark.parametrize(("words", "package"), [
-    (("walk",), "taichi"), (WALK, "matplotlib"), (("walk",), "imageio_ffmpeg"),
+    (("walk",), COMPILER), (WALK, "matplotlib"), (("walk",), "imageio_ffmpeg"),
     (("dashboard",), "optuna_dashboard"),
 ])  # fmt: skip
 def test_a_missing_package_is_said(words: tuple[object, ...], package: str, tmp_path: Path) -> None:
@@ -61,9 +62,9 @@ def test_a_system_without_posix_is_one_line(words: Sequence[str] | str, tmp_path
 
 def test_a_library_that_a_package_needs_and_the_machine_lacks(tmp_path: Path) -> None:
     """As Taichi without libX11."""
-    package = tmp_path / "site" / "taichi"
+    package = tmp_path / "site" / COMPILER
     package.mkdir(parents=True)
-    (package / "__init__.py").write_text("print('advice')\nfrom taichi import core\n")
+    (package / "__init__.py").write_text(f"print('advice')\nfrom {COMPILER} import core\n")
     (package / "core.abi3.so").write_bytes(b"")
     done = run_with_accident(tmp_path, ("-m", "taichi_nmm", *WALK))
     assert last_line(done, 2) == (

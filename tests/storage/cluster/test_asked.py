@@ -11,6 +11,7 @@ from storage.pool import Cluster, differences, own_kind, processor
 from storage.precompute import precompute
 from storage.store import open_store
 from taichi_nmm.errors import InputError
+from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.result import Result
 from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import Walker
@@ -57,7 +58,7 @@ def test_a_kind_says_what_computes(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     walker = Walker(Settings(arch="cpu"))
     kind = own_kind(walker, ("numpy", "scipy"))
     assert kind == own_kind(walker, ("scipy",))
-    assert list(kind) == ["canary", "processor", "taichi-nmm", "taichi", "numpy", "scipy"]
+    assert list(kind) == ["canary", "processor", "taichi-nmm", COMPILER, "numpy", "scipy"]
     assert differences(kind, kind) == ""
     speed_mps = 1.0
     found = differences(own_kind(walker), kind)

@@ -15,6 +15,7 @@ from study.experiment.identity import document, documented_experiment, fingerpri
 from study.options import config_path, shipped_configs
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.config import Table
+from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.settings import MujocoSettings, Settings
 from taichi_nmm.terrain import KINDS, Ground, read_ground
 from taichi_nmm.world import WorldRanges
@@ -104,7 +105,7 @@ def test_what_decides_nothing_changes_nothing(other: Experiment) -> None:
 def test_the_document_is_json_and_says_the_versions_and_the_space() -> None:
     ours = document(TINY, ())
     assert json.loads(json.dumps(ours)) == ours
-    assert ours["versions"] == versions("taichi", "optuna", "cma", "cmaes", "numpy", "scipy")
+    assert ours["versions"] == versions(COMPILER, "optuna", "cma", "cmaes", "numpy", "scipy")
     assert list(ours["parameters"]) == list(TINY.names)
     assert ours["terrain"]["name"] == "rough +-0.02 m every 1 m"
     assert ours["ground"] == {"kind": "rough", "amplitude_m": 0.02}

@@ -13,6 +13,7 @@ from mujoco.batch import SimulationError
 import taichi_nmm
 from taichi_nmm import terrain
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
+from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.parameters import PUBLISHED_GAINS, load_gains, lower_bounds, upper_bounds
 from taichi_nmm.result import Result, Trajectory
 from taichi_nmm.settings import MujocoSettings, Settings
@@ -41,7 +42,7 @@ def test_gaits_walk_at_their_speeds_and_metadata_name_the_engines(long_walk: Res
     assert metadata["engine"] == "mujoco" and metadata["engine_version"] == mujoco.__version__
     assert metadata["mujoco"] == {"time_constant_s": 0.02, "damping_ratio": 1.0, "limits": "stops"}
     assert metadata["physics_step_s"] == 1e-3 and metadata["precision"] == "float32"
-    assert metadata["controller"]["engine"] == "taichi"
+    assert metadata["controller"]["engine"] == COMPILER
 
 
 def test_a_trajectory_is_recorded(long_walk: Result) -> None:
