@@ -20,6 +20,8 @@ class Accident:
             signal.raise_signal(signal.SIGINT)
 
 sys.meta_path.insert(0, Accident())
+for name in os.environ.get("MISSING", "").split(","):
+    sys.modules.pop(name, None)  # Python itself may have imported it
 """
 
 
