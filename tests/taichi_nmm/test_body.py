@@ -31,6 +31,8 @@ def test_segments_are_those_of_the_publication_in_order_and_weigh_80_kg() -> Non
     length_m = body.BALL_OFFSET_M - body.HEEL_OFFSET_M
     assert length_m == pytest.approx(body.FOOT.length_m)
     assert body.BALL_OFFSET_M - body.FOOT.com_m == pytest.approx(0.14)
+    with pytest.raises(AttributeError):  # a body that was checked stays as it is
+        bodies.mass_kg = bodies.mass_kg  # type: ignore[misc]
 
 
 def relative_disturbances(bodies: Bodies) -> NDArray[np.float64]:

@@ -48,7 +48,10 @@ IDLE: dict[type, dict[str, Any]] = {
     },
     Conditions: {},
     # Of another engine than the tiny experiment's.
-    Settings: {"arch": "cuda", "threads": 1, "mujoco": MujocoSettings(limits="mujoco")},
+    Settings: {
+        "arch": "cuda", "threads": 1, "wide_registers": False,
+        "mujoco": MujocoSettings(limits="mujoco"),
+    },
 }  # fmt: skip
 PARTS = {Experiment: "", Conditions: "conditions", Settings: "settings"}
 
