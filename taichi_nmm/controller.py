@@ -145,7 +145,7 @@ class Controller:
         self._senses = np.zeros((len(packs.rows), Sense.count, packs.lanes), dtype=real)
         self._torques = np.zeros((len(packs.rows), JOINTS, packs.lanes), dtype=real)
         self._kernel = backend.BoundKernel(
-            actuate, packs.lanes, packs.rows, packs.constants,
+            actuate, backend.lanes_a_turn(), packs.rows, packs.constants,
             muscle_table(step_s).astype(real), self._senses, self._torques, 0, 1, *blends(step_s),
         )  # fmt: skip
         return packs

@@ -133,8 +133,8 @@ def launcher(batch: Batch, settings: Settings) -> Launch:
         nonlocal bound
         if bound is None or bound[0] is not packs.rows or bound[1].stale:
             kernel = backend.BoundKernel(
-                advance,
-                packs.lanes, packs.rows, packs.constants, packs.terrains, heights, muscles,
+                advance, backend.lanes_a_turn(),
+                packs.rows, packs.constants, packs.terrains, heights, muscles,
                 first_tick, ticks, settings.substeps, step_s,
                 *blends(step_s), rough,
             )  # fmt: skip

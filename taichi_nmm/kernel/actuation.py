@@ -6,7 +6,7 @@ come from outside. The host launches `actuate`.
 
 from taichi_nmm.kernel import joints, kinematics, walker
 from taichi_nmm.kernel.backend import Array, Rows, local_rows, ti
-from taichi_nmm.kernel.entry_points import load, load_slots, load_table, save, save_slots
+from taichi_nmm.kernel.entry_points import load, load_slots, load_table, save, save_slots, seat
 from taichi_nmm.kernel.layout import (
     FIRST_FIBRE,
     LEGS,
@@ -72,25 +72,26 @@ def actuate(
 ):
     """Joint torques of all packs for one physics step, N m.
 
-    packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], muscles [7, TABLE_COLUMNS],
-    sensed [p, Sense.count, lanes], torques [p, 6, lanes].
+    packs [p, WALKER_ROWS, lane], constants [p, Const.count, lane], muscles [7, TABLE_COLUMNS],
+    sensed [p, Sense.count, lane], torques [p, 6, lane]. A turn takes `lanes` lanes of a pack.
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
-    for p in range(packs.shape[0]):
+    for turn in range(packs.shape[0] * (packs.shape[2] // lanes)):
         work = local_rows(Work.count, lanes)
         table = load_table(muscles)
-        state = load(packs, p, 0, State.count, lanes)
-        fibres = load(packs, p, FIRST_FIBRE, Muscle.count, lanes)
-        delay = load_slots(packs, p, tick, lanes)
-        const = load(constants, p, 0, Const.count, lanes)
-        senses = load(sensed, p, 0, Sense.count, lanes)
+        state = load(packs, turn, 0, State.count, lanes)
+        fibres = load(packs, turn, FIRST_FIBRE, Muscle.count, lanes)
+        delay = load_slots(packs, turn, tick, lanes)
+        const = load(constants, turn, 0, Const.count, lanes)
+        senses = load(sensed, turn, 0, Sense.count, lanes)
         step(
             tick, commands, activation_blend, load_blend,
             lanes, table, senses, state, fibres, delay, const, work,
         )  # fmt: skip
-        save(packs, p, 0, State.count, lanes, state)
-        save(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
-        save_slots(packs, p, tick, lanes, delay)
+        save(packs, turn, 0, State.count, lanes, state)
+        save(packs, turn, FIRST_FIBRE, Muscle.count, lanes, fibres)
+        save_slots(packs, turn, tick, lanes, delay)
+        p, place = seat(turn, packs.shape[2], lanes)
         for lane in range(lanes):
             for joint in ti.static(range(3 * LEGS)):
-                torques[p, joint, lane] = work[Work.joint_torque + joint, lane]
+                torques[p, joint, place + lane] = work[Work.joint_torque + joint, lane]

@@ -4,7 +4,8 @@ How a CPU is kept busy: the state of LANES walkers lies side by side in small lo
 phase of the step is an innermost loop over them. LLVM's loop vectoriser turns that loop into SIMD
 instructions, as long as its body has no branch, calls no library function and touches no memory but
 local arrays (a field access reloads a pointer in every turn, which halves the vector width). So the
-physics is plain scalar code; on a GPU the same code runs with one walker a thread.
+physics is plain scalar code; on a GPU the same code runs with one walker a thread, and a pack holds
+the walkers of a warp, whose threads read side by side.
 """
 
 import contextlib
@@ -23,12 +24,12 @@ from taichi_nmm.kernel_cache import COMPILER, settled_environment
 from taichi_nmm.settings import Settings
 
 __all__ = [
-    "Array", "BoundKernel", "Rows", "is_double", "lanes", "launch", "local_rows", "metadata",
-    "real_dtype", "start", "ti",
+    "Array", "BoundKernel", "Rows", "is_double", "lanes", "lanes_a_turn", "launch", "local_rows",
+    "metadata", "real_dtype", "start", "ti",
 ]  # fmt: skip
 
 LANES_CPU = 8  # where the registers' width is unknown
-LANES_GPU = 1  # a thread is a walker
+LANES_GPU = 32  # a warp
 
 # Measured, not assumed: with Taichi's control-flow-graph pass a loop nest holding a comparison lost
 # its stores without an error. Strict floating point keeps NaN checks honest and results portable.
@@ -185,6 +186,11 @@ def _require_main_thread() -> None:
 def lanes() -> int:
     """Walkers side by side in a pack on the machine that runs."""
     return _lanes
+
+
+def lanes_a_turn() -> int:
+    """How many lanes of a pack a turn of the kernels' loop takes: all; on a GPU one."""
+    return _lanes if _arch == "cpu" else 1
 
 
 def is_double() -> bool:

@@ -1,7 +1,8 @@
-"""The kernels that the host launches: packs side by side, one pack a task of the parallel loop.
+"""The kernels that the host launches: packs side by side, in turns of the parallel loop.
 
 A pack's rows live in NumPy arrays [pack, row, lane] between launches and in local arrays within
-one, since only local arrays let the compiler vectorise (`backend`).
+one, since only local arrays let the compiler vectorise (`backend`). On a CPU a turn takes all lanes
+of a pack, on a GPU one: neighbouring threads then read neighbouring numbers.
 """
 
 from taichi_nmm.kernel import dynamics, kinematics, walker
@@ -24,16 +25,25 @@ from taichi_nmm.kernel.layout import (
 )
 from taichi_nmm.kernel.muscle_table import TABLE_COLUMNS
 
-PACKS_PER_TASK = 1  # of the CPU's thread pool; packs are few and long
+TURNS_PER_TASK = 1  # of the CPU's thread pool; packs are few and long
+TURNS_PER_BLOCK = 64  # of a GPU: two warps
 
 
 @ti.func
-def load(packs: Rows, p, first: Rows, count: Rows, lanes: Rows):
-    """A block of a pack's rows in a local array."""
+def seat(turn, lanes_of_pack, lanes: Rows):
+    """The pack of a turn, and the first of its lanes there."""
+    turns = lanes_of_pack // lanes
+    return turn // turns, turn % turns * lanes
+
+
+@ti.func
+def load(packs: Rows, turn, first: Rows, count: Rows, lanes: Rows):
+    """A block of a turn's rows in a local array."""
     rows = local_rows(count, lanes)
+    p, place = seat(turn, packs.shape[2], lanes)
     for row in range(count):
         for lane in range(lanes):
-            rows[row, lane] = packs[p, first + row, lane]
+            rows[row, lane] = packs[p, first + row, place + lane]
     return rows
 
 
@@ -48,42 +58,46 @@ def load_table(muscles: Rows):
 
 
 @ti.func
-def load_terrains(terrains: Rows, p, lanes: Rows):
+def load_terrains(terrains: Rows, turn, lanes: Rows):
     """The ground of each lane."""
     terrain = ti.Vector.zero(ti.i32, lanes)
+    p, place = seat(turn, terrains.shape[1], lanes)
     for lane in range(lanes):
-        terrain[lane] = terrains[p, lane]
+        terrain[lane] = terrains[p, place + lane]
     return terrain
 
 
 @ti.func
-def save(packs: Rows, p, first: Rows, count: Rows, lanes: Rows, source: Rows):
-    """Copy a local array back into a block of a pack's rows."""
+def save(packs: Rows, turn, first: Rows, count: Rows, lanes: Rows, source: Rows):
+    """Copy a local array back into a block of a turn's rows."""
+    p, place = seat(turn, packs.shape[2], lanes)
     for row in range(count):
         for lane in range(lanes):
-            packs[p, first + row, lane] = source[row, lane]
+            packs[p, first + row, place + lane] = source[row, lane]
 
 
 @ti.func
-def load_slots(packs: Rows, p, tick, lanes: Rows):
-    """A local array of a pack's delay rings, with the slots that a tick exchanges."""
+def load_slots(packs: Rows, turn, tick, lanes: Rows):
+    """A local array of a turn's delay rings, with the slots that a tick exchanges."""
     delay = local_rows(Delay.count, lanes)
+    p, place = seat(turn, packs.shape[2], lanes)
     for lane in range(lanes):
         for _signal, count, ticks, first in ti.static(RINGS):
             for i in ti.static(range(count)):
                 row = first + i * ticks + ti.raw_mod(tick, ticks)
-                delay[row, lane] = packs[p, FIRST_DELAY + row, lane]
+                delay[row, lane] = packs[p, FIRST_DELAY + row, place + lane]
     return delay
 
 
 @ti.func
-def save_slots(packs: Rows, p, tick, lanes: Rows, delay: Rows):
+def save_slots(packs: Rows, turn, tick, lanes: Rows, delay: Rows):
     """Copy them back."""
+    p, place = seat(turn, packs.shape[2], lanes)
     for lane in range(lanes):
         for _signal, count, ticks, first in ti.static(RINGS):
             for i in ti.static(range(count)):
                 row = first + i * ticks + ti.raw_mod(tick, ticks)
-                packs[p, FIRST_DELAY + row, lane] = delay[row, lane]
+                packs[p, FIRST_DELAY + row, place + lane] = delay[row, lane]
 
 
 @ti.kernel
@@ -104,31 +118,31 @@ def advance(
 ):
     """Advance all packs by `ticks` control ticks; `rough` is 0 where all terrains have height 0.
 
-    packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], terrains [p, lanes] (rows of
-    `heights` [terrain, node]), muscles [7, TABLE_COLUMNS].
+    packs [p, WALKER_ROWS, lane], constants [p, Const.count, lane], terrains [p, lane] (rows of
+    `heights` [terrain, node]), muscles [7, TABLE_COLUMNS]. A turn takes `lanes` lanes of a pack.
     """
-    ti.loop_config(block_dim=PACKS_PER_TASK)
-    for p in range(packs.shape[0]):
+    ti.loop_config(block_dim=ti.static(TURNS_PER_BLOCK if lanes == 1 else TURNS_PER_TASK))
+    for turn in range(packs.shape[0] * (packs.shape[2] // lanes)):
         work = local_rows(Work.count, lanes)
         table = load_table(muscles)
-        state = load(packs, p, 0, State.count, lanes)
-        fibres = load(packs, p, FIRST_FIBRE, Muscle.count, lanes)
-        delay = load(packs, p, FIRST_DELAY, Delay.count, lanes)
-        events = load(packs, p, FIRST_EVENT, Gait.count, lanes)
-        sums = load(packs, p, FIRST_SUM, Sums.count, lanes)
-        const = load(constants, p, 0, Const.count, lanes)
-        terrain = load_terrains(terrains, p, lanes)
+        state = load(packs, turn, 0, State.count, lanes)
+        fibres = load(packs, turn, FIRST_FIBRE, Muscle.count, lanes)
+        delay = load(packs, turn, FIRST_DELAY, Delay.count, lanes)
+        events = load(packs, turn, FIRST_EVENT, Gait.count, lanes)
+        sums = load(packs, turn, FIRST_SUM, Sums.count, lanes)
+        const = load(constants, turn, 0, Const.count, lanes)
+        terrain = load_terrains(terrains, turn, lanes)
         for tick in range(first_tick, first_tick + ticks):
             walker.step(
                 tick, substeps, step_s, activation_blend, load_blend, rough,
                 lanes, terrain, heights, table,
                 state, fibres, delay, events, sums, const, work,
             )  # fmt: skip
-        save(packs, p, 0, State.count, lanes, state)
-        save(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
-        save(packs, p, FIRST_DELAY, Delay.count, lanes, delay)
-        save(packs, p, FIRST_EVENT, Gait.count, lanes, events)
-        save(packs, p, FIRST_SUM, Sums.count, lanes, sums)
+        save(packs, turn, 0, State.count, lanes, state)
+        save(packs, turn, FIRST_FIBRE, Muscle.count, lanes, fibres)
+        save(packs, turn, FIRST_DELAY, Delay.count, lanes, delay)
+        save(packs, turn, FIRST_EVENT, Gait.count, lanes, events)
+        save(packs, turn, FIRST_SUM, Sums.count, lanes, sums)
 
 
 @ti.kernel
@@ -143,7 +157,7 @@ def accelerate(
 
     states [p, 18, lanes] (q, then qdot), torques [p, 6, lanes], accelerations [p, 9, lanes].
     """
-    ti.loop_config(block_dim=PACKS_PER_TASK)
+    ti.loop_config(block_dim=TURNS_PER_TASK)
     for p in range(states.shape[0]):
         work = local_rows(Work.count, lanes)
         state = load(states, p, 0, 2 * COORDINATES, lanes)

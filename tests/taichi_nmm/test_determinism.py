@@ -66,6 +66,14 @@ def test_threads_and_width_of_registers(whole: NDArray[np.void]) -> None:
         assert backend.lanes() == (width if wide and width else backend.LANES_CPU)
 
 
+def test_a_lane_a_turn_as_on_a_gpu(
+    whole: NDArray[np.void], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert backend.lanes_a_turn() == backend.lanes() > 1
+    monkeypatch.setattr(backend, "lanes_a_turn", lambda: 1)
+    assert rows(np.arange(200)).tobytes() == whole[:200].tobytes()
+
+
 def test_new_process(whole: NDArray[np.void], tmp_path: Path) -> None:
     file, root = tmp_path / "rows.npy", Path(__file__).resolve().parents[2]
     code = "import sys, numpy as np; from tests.taichi_nmm.test_determinism import rows; "
