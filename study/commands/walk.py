@@ -40,7 +40,6 @@ from study.pictures.trajectory_files import (
     require_trajectory_file,
     write_trajectory,
 )
-from study.report.before_after import Pair, Shown, write_strips
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
@@ -128,6 +127,8 @@ def write_engines(
     gains: NamedGains, result: taichi_nmm.Result, experiment: Experiment, run: int, folder: Path
 ) -> dict[str, str]:
     """Simulate the same gains on MuJoCo, and draw both walks one above the other."""
+    from study.report.before_after import Pair, Shown, write_strips  # the report: 0.4 s
+
     other = simulate(gains, experiment.with_settings(engine="mujoco"), run)
     first, second = (
         Shown(engine, f"{engine}: {row_text(walk.rows[0])}", walk.trajectories[0])

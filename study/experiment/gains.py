@@ -8,17 +8,12 @@ from typing import Any
 
 import numpy as np
 import optuna
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 from optuna.trial import TrialState
 
+import storage
 import taichi_nmm
-from storage.databases.studies import read_studies, shown_url, studies_path
-from storage.databases.urls import SQLITE
-from storage.store import Store, open_store
-from storage.tables import read_columns
 from study.experiment.experiment import Experiment
-from study.experiment.folder import RESULTS_NAME, table_files
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
     GAIN_NAMES,
@@ -74,13 +69,13 @@ def gains_of_row(store: Path, row: int) -> NamedGains:
     Raises:
         InputError: no such store or row.
     """
-    opened = open_store(store)
+    opened = storage.open_store(store)
     if not 0 <= row < len(opened):
         raise InputError("row", row, f"0 to {len(opened) - 1}, the rows of {store}")
     return gains_at(opened, row, row)
 
 
-def gains_at(store: Store, place: int, row: int) -> NamedGains:
+def gains_at(store: storage.Store, place: int, row: int) -> NamedGains:
     """The point at a place among a store's rows, called by the number of its row."""
     values = store.table(store.gain_names).slice(place, 1).to_pylist()[0]
     return _named_gains(f"{store.path.name}-row-{row}", values)
@@ -107,6 +102,11 @@ def gains_of_trial(trial: str, where: str) -> NamedGains:
 
 
 def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
+    import pyarrow.compute as pc  # what takes long to load, here and below, is loaded where used
+
+    from storage.tables import read_columns
+    from study.experiment.folder import RESULTS_NAME, table_files
+
     paths = table_files(folder)
     if not paths:
         raise InputError("storage", str(folder), f"a comparison's folder, with {RESULTS_NAME}")
@@ -127,6 +127,9 @@ def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
 
 
 def _of_database(url: str, name: str, number: int) -> dict[str, Any]:
+    from storage.databases.studies import read_studies, shown_url, studies_path
+    from storage.databases.urls import SQLITE
+
     shown = shown_url(url)  # refuses what is no such URL
     if url.startswith(SQLITE) and not studies_path(url).is_file():
         raise InputError("storage", shown, "a database that is there, or a comparison's folder")
