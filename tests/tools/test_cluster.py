@@ -100,7 +100,7 @@ def test_a_comparison_that_was_begun_here_goes_on_there(folder: Path, engine: st
     expected = tables(folder / f"{engine}-here")
     assert list(expected) == ["trials.parquet"]
     run(folder, *words, f"{engine}-both", "--trials", "2", *HERE)
-    run(folder, *words, f"{engine}-both", *THERE)
+    run(folder, *words, f"{engine}-both", "--cluster", "local:1")
     assert tables(folder / f"{engine}-both") == expected
 
 

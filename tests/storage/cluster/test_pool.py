@@ -158,7 +158,7 @@ def test_a_scheduler_that_stalls_or_dies_is_one_line(
                 stall(cluster.scheduler.pid)
     assert time.monotonic() - began_s < 30.0
     os.kill(cluster.scheduler.pid, signal.SIGCONT)
-    monkeypatch.setattr("storage.dask_session.CONNECT_S", 6.0)
+    monkeypatch.setattr("storage.dask_session.CONNECT_S", 3.0)
     line = r"cluster: 'tcp.* a scheduler that stays; the same command"
     with pytest.raises(InputError, match=line), opened() as pool:
         for _ in pool.results(units.slow_square, deque(range(100))):
@@ -177,7 +177,7 @@ def test_what_stalls_and_goes_on_loses_nothing(
                 worker = children(shared_cluster.processes[1].pid)[0]
                 pid = shared_cluster.scheduler.pid if who == "scheduler" else worker
                 stall(pid)
-                threading.Timer(3.0, os.kill, (pid, signal.SIGCONT)).start()
+                threading.Timer(1.5, os.kill, (pid, signal.SIGCONT)).start()
         assert found == {n: n**2 for n in range(20)}
 
 
