@@ -103,6 +103,7 @@ def test_the_repertoire_says_what_was_tried_and_whence_a_row_comes(finished: Fin
     assert sorted(file.name for file in path.iterdir() if "search" in file.name) == []
 
 
+@pytest.mark.slow
 def test_two_runs_on_any_executor_are_the_same_bytes(finished: Finished, tmp_path: Path) -> None:
     seen: list[float] = []
     with ThreadPoolExecutor(3) as executor:  # where the fake simulator is seen

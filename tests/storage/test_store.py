@@ -181,6 +181,7 @@ def test_a_wrong_hash_is_found_when_verified(folder: Path) -> None:
             open_store(path, verify=True)
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_changes_no_value(folder: Path, tmp_path: Path) -> None:
     """Wherever it lies, the values are those that were written, or one line refuses the file."""
     truth, rng = open_store(folder).table(), np.random.default_rng(34)

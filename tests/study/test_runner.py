@@ -309,6 +309,7 @@ def test_a_study_of_an_earlier_version_or_another_program_is_refused(toy: Experi
         assert len(run(toy, "random", 1, storage, 1)) == 1
 
 
+@pytest.mark.slow
 def test_live_studies_and_comparisons_leave_each_other(toy: Experiment, tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path}/studies.db"
     request = Request(tmp_path / "out", url, ("dog",), runs=1, trials=2, artifacts=False)

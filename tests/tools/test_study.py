@@ -98,6 +98,7 @@ def test_the_best_trial_has_its_picture_in_the_dashboard(command: Study, walks: 
     assert find_artifacts(None, command.url, None) == file.parent
 
 
+@pytest.mark.slow
 def test_lines_are_taken(command: Study, walks: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     """Film and dashboard, as a user pastes them."""
     config = fake_walker.write_config(command.folder)
@@ -120,6 +121,7 @@ def test_lines_are_taken(command: Study, walks: list[int], monkeypatch: pytest.M
     assert served and "artifacts" in command.tool.out
 
 
+@pytest.mark.slow
 def test_what_is_not_said_is_the_configs(command: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     """Trials, store and folder; and the study of another run and seed is another one."""
     config = fake_walker.write_config(command.folder / "out")

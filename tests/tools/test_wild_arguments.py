@@ -84,6 +84,7 @@ def refuse_work(*_: Any, **__: Any) -> NoReturn:
     raise AssertionError("it went on to work")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_it_is_refused_in_one_line(
     command: str, places: dict[str, Path], tmp_path: Path,

@@ -55,6 +55,7 @@ def test_every_arm_and_run_is_a_study(url: str, tmp_path: Path) -> None:
     assert trial_counts(open_studies(without)) == dict.fromkeys(SIX, 3)
 
 
+@pytest.mark.slow
 def test_studies_say_what_their_objective_is_called(url: str, tmp_path: Path) -> None:
     """A name of the user's stays."""
     put(url, results(TINY), final=False)
@@ -86,6 +87,7 @@ def test_trials_are_the_rows(url: str, searched: tuple[str, ...]) -> None:
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_later_exports_add_what_is_new(url: str) -> None:
     put(url, results(TINY, runs=1, trials=2, arms=("dog",)), final=False)
     before = load(url, SIX[0]).trials
@@ -141,6 +143,7 @@ def test_a_long_note_and_a_long_figure_come_back_whole(url: str) -> None:
     assert len(wanted.figure["data"]) == 30
 
 
+@pytest.mark.slow
 def test_another_configuration_is_refused_and_nothing_written(url: str) -> None:
     put(url, results(TINY, trials=1), final=False)
     changes: tuple[dict[str, Any], ...] = (

@@ -53,6 +53,7 @@ def test_coverage_is_of_the_survival_of_each_ground(fake_simulator, tmp_path):
     assert np.isnan(covered).any()
 
 
+@pytest.mark.slow
 def test_rows_that_a_search_bred_can_be_left_out(fake_simulator, tmp_path):
     bred = {"evaluations": 2304, "candidates": 12, "seed": 3}
     families = {"up": STRICT | {"min_survival_s": 1.0}}
