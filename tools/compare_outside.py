@@ -9,7 +9,6 @@ or the numbers that made it have changed. GPSampler needs PyTorch, which this pr
 install: without it that arm is left out.
 """
 
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -17,10 +16,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-# The repository comes before tools/, where study.py would hide the package of its name.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from study.cli import guarded_imports, run_command
+from checkout import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np

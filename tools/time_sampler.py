@@ -8,7 +8,6 @@ where PyTorch, which it needs, is installed; greenlet, where it is installed too
 Run it on an idle machine.
 """
 
-import sys
 import time
 import warnings
 from argparse import Namespace
@@ -17,10 +16,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-# The repository comes before tools/, where study.py would hide the package of its name.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from study.cli import guarded_imports, run_command
+from checkout import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np

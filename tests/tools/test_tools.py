@@ -24,6 +24,7 @@ from contextlib import redirect_stdout
 paths, found = sys.path[1:], []
 for sys.argv in json.load(sys.stdin):
     sys.path[:] = [sys.argv[0].rpartition("/")[0], *paths]
+    sys.modules.pop("checkout", None)  # which prepares the paths
     with redirect_stdout(io.StringIO()) as said:
         try:
             runpy.run_path(sys.argv[0], run_name="__main__")
