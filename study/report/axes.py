@@ -32,7 +32,16 @@ MARKERS = "osD^vPX<>ph*dH8"
 
 @dataclass(frozen=True)
 class Look:
-    """How one arm is drawn: `text` is the colour of its label; an arm in `front` has a band."""
+    """How one arm is drawn.
+
+    Attributes:
+        label: its name for readers.
+        colour: of its line.
+        text: colour of its label.
+        dash: of its line, in Matplotlib's form.
+        marker: of its points, in Matplotlib's form.
+        front: whether it is one of the three in front, with a band.
+    """
 
     label: str
     colour: str
@@ -81,7 +90,14 @@ SVG: dict[Any, Any] = {"svg.hashsalt": "taichi-nmm", "svg.fonttype": "path"}  # 
 
 @dataclass(frozen=True)
 class End:
-    """The end of a line, and its label; of those at one place, the higher `rank` is above."""
+    """The end of a line, and its label.
+
+    Attributes:
+        y: the end.
+        look: of the arm.
+        text: the label.
+        rank: of lines that end at one place, the higher is written above.
+    """
 
     y: float
     look: Look

@@ -118,10 +118,13 @@ def mcnemar(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
 
 def holm(p_values: Sequence[float]) -> list[float]:
     """Holm's adjusted p-values, in the order given."""
+    count = len(p_values)
     order = np.argsort(p_values, kind="stable")
-    factors = np.arange(len(order), 0, -1)
+    factors = count - np.arange(count)
     adjusted = np.minimum(np.maximum.accumulate(np.asarray(p_values)[order] * factors), 1.0)
-    return [float(p) for p in adjusted[np.argsort(order)]]
+    result = np.empty(count)
+    result[order] = adjusted
+    return [float(p) for p in result]
 
 
 def label_of(arm: str) -> str:
@@ -160,7 +163,9 @@ class ArmNumbers:
     """The results of an arm.
 
     Attributes:
+        arm: its name.
         family: its kind.
+        runs: their number.
         trials: of every run; all other numbers but `found` are of these.
         found: trials of all runs together.
         walkers: runs with a walker.
@@ -192,6 +197,7 @@ class Comparison:
     """An arm against the paper's method, on the runs that both have.
 
     Attributes:
+        arm: its name.
         after: trials after which the best costs are compared.
         cost: Wilcoxon's signed-rank test of the best costs.
         cost_p_holm: its p, adjusted for all arms of the experiment.
@@ -214,6 +220,7 @@ class Numbers:
     """All numbers of an experiment.
 
     Attributes:
+        experiment: its name.
         arms: best first.
         peer: the best of the peers; None without peers.
         comparisons: with the paper's method, if it was run; in the order of the arms.

@@ -42,6 +42,7 @@ class ArmRuns:
     """The runs of one arm, as far as all of them have come: r runs of t trials.
 
     Attributes:
+        arm: its name.
         runs: their numbers, ascending, [r].
         best: the best cost so far, [r, t].
         walks: whether a trial walked, bool [r, t].
@@ -85,6 +86,8 @@ class Results:
     """One experiment.
 
     Attributes:
+        folder: where it lies.
+        name: of the experiment.
         cost: "smooth" or "walking".
         arms: by name, in the order of the table.
         facts: of experiment.json and run.json; empty where there are none.

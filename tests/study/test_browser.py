@@ -106,17 +106,6 @@ def test_a_best_trial_shows_its_pictures(page: Any, address: str, studies: dict[
     save(page, "trial")
 
 
-def test_the_compare_page_draws_two_arms(page: Any, address: str, studies: dict[str, int]) -> None:
-    names = ("tiny/dog/run-000", "tiny/random/run-000")
-    chosen = ",".join(str(studies[name]) for name in names)
-    page.goto(f"{address}/dashboard/compare-studies?ids={chosen}")
-    for name in names:
-        page.get_by_text(f"Best Value of {name}").first.wait_for()
-    curves(page, 4 + 2)  # trials and best so far of each; their distributions
-    assert all(page.get_by_text(f"Best Value of {name}").first.is_visible() for name in names)
-    save(page, "compare")
-
-
 def test_the_summary_has_table_and_figure(page: Any, address: str, studies: dict[str, int]) -> None:
     page.goto(f"{address}/dashboard/studies/{studies['tiny/summary']}/note")
     row = page.locator("tr", has_text="dog").first

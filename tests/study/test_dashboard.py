@@ -1,8 +1,4 @@
-"""The dashboard's answers: to whom, which files, and what its pages draw of a study of the sampler.
-
-The history page draws each trial's number and values; the parallel-coordinate page draws values and
-`param_internal_value` on axes taken from the search space; the table offers user attributes.
-"""
+"""The dashboard's answers: to whom, and which files."""
 
 import io
 import json
@@ -11,13 +7,10 @@ from typing import Any
 from wsgiref.util import setup_testing_defaults
 from wsgiref.validate import validator
 
-import numpy as np
 import optuna
 import pytest
 from optuna.storages import InMemoryStorage
 
-from storage.databases.studies import open_studies
-from study import FeatureKernelSampler, FeatureTable
 from study.commands.dashboard import guarded_dashboard
 from study.loopback import Application, guarded
 
@@ -116,79 +109,3 @@ def test_without_a_folder_there_are_no_files(storage: InMemoryStorage) -> None:
     dashboard = guarded_dashboard(storage, None)
     assert get(dashboard, f"{PLACE}/{PICTURE}")[0] == 404
     assert get(dashboard, "/api/studies")[0] == 200
-
-
-TRIALS = 12
-BOUNDS = {"speed": (0.0, 1.0), "angle": (-5.0, 5.0)}
-
-
-@pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> optuna.Study:
-    """A finished study of 12 trials, one that failed and one that is running, in SQLite."""
-    path = tmp_path_factory.mktemp("dashboard") / "studies.db"
-    rng = np.random.default_rng(0)
-    columns = {name: rng.uniform(low, high, 80) for name, (low, high) in BOUNDS.items()}
-    features = np.abs(columns["speed"] - 0.3)[:, None]
-    sampler = FeatureKernelSampler(FeatureTable.from_arrays(columns, features), seed=1)
-    study = optuna.create_study(
-        sampler=sampler, storage=open_studies(f"sqlite:///{path}"), study_name="throw/features"
-    )
-    study.optimize(distance, n_trials=TRIALS)
-    study.tell(study.ask(), state=optuna.trial.TrialState.FAIL)
-    study.ask().suggest_float("speed", *BOUNDS["speed"])
-    return study
-
-
-def distance(trial: optuna.Trial) -> float:
-    speed, angle = (trial.suggest_float(name, *BOUNDS[name]) for name in BOUNDS)
-    return abs(speed - 0.3) + 0.01 * abs(angle)
-
-
-def seen(study: optuna.Study, path: str) -> Any:
-    """What the dashboard's own API says."""
-    status, _, body = get(guarded_dashboard(study._storage, None), path)
-    assert status == 200
-    return json.loads(body)
-
-
-@pytest.fixture(scope="module")
-def detail(study: optuna.Study) -> Any:
-    return seen(study, f"/api/studies/{study._study_id}")
-
-
-@pytest.mark.slow
-def test_the_history_page_has_every_value(study: optuna.Study, detail: Any) -> None:
-    (listed,) = seen(study, "/api/studies")["study_summaries"]
-    assert (listed["study_name"], listed["directions"]) == ("throw/features", ["minimize"])
-    shown = {trial["number"]: trial for trial in detail["trials"]}
-    assert len(shown) == TRIALS + 2
-    for trial in study.trials[:TRIALS]:
-        assert shown[trial.number]["state"] == "Complete"
-        assert shown[trial.number]["values"] == [trial.value]
-        assert shown[trial.number]["datetime_complete"]
-    assert [shown[TRIALS]["state"], shown[TRIALS + 1]["state"]] == ["Fail", "Running"]
-    assert [best["number"] for best in detail["best_trials"]] == [study.best_trial.number]
-
-
-@pytest.mark.slow
-def test_the_parallel_page_has_all_axes_the_table_notes(study: optuna.Study, detail: Any) -> None:
-    axes = {axis["name"]: axis["distribution"] for axis in detail["union_search_space"]}
-    assert {name: (axis["low"], axis["high"]) for name, axis in axes.items()} == BOUNDS
-    assert all(axis["type"] == "FloatDistribution" for axis in axes.values())
-    for trial, shown in zip(study.trials[:TRIALS], detail["trials"][:TRIALS], strict=True):
-        drawn = {param["name"]: param["param_internal_value"] for param in shown["params"]}
-        assert drawn == trial.params
-        assert all(BOUNDS[name][0] <= value <= BOUNDS[name][1] for name, value in drawn.items())
-    sortable = {column["key"] for column in detail["union_user_attrs"] if column["sortable"]}
-    assert "row" in sortable
-    first = {item["key"]: item["value"] for item in detail["trials"][0]["user_attrs"]}
-    assert first["row"] == str(study.trials[0].user_attrs["row"])
-
-
-@pytest.mark.slow
-def test_importances_are_computed_and_the_page_itself_is_served(study: optuna.Study) -> None:
-    (found,) = seen(study, f"/api/studies/{study._study_id}/param_importances")["param_importances"]
-    importance = {item["name"]: item["importance"] for item in found}
-    assert importance["speed"] > importance["angle"]
-    path = f"/dashboard/studies/{study._study_id}"
-    assert b"<html" in get(guarded_dashboard(study._storage, None), path)[2].lower()

@@ -142,18 +142,6 @@ def test_every_arm_of_the_registry_runs_live_as_compared(comparisons: Comparison
         assert_same(run(toy, arm, 3, InMemoryStorage(), 1), frame, arm, toy.names)
 
 
-def test_17_parameters_are_alike(comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = comparisons.folder / "torso"
-    folder.mkdir()
-    torso = fake_walker.experiment(folder, 'searched = ["theta_ref"]')
-    comparisons.run("out", experiment=torso, arms=("dog", "cmaes-cold"), runs=2, trials=TRIALS)
-    frame = comparisons.table("out").to_pandas()
-    for arm in ("dog", "cmaes-cold"):
-        storage = InMemoryStorage()
-        interrupted(torso, arm, storage, monkeypatch)
-        assert_same(run(torso, arm, TRIALS, storage, 1), frame, arm, torso.names)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", LIVE)
 def test_a_trial_found_running_is_run_again(toy: Experiment, arm: str, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from unittest.mock import Mock
 
-import numpy as np
 import optuna
 import pytest
 from optuna.storages import InMemoryStorage
@@ -11,7 +10,6 @@ from optuna_dashboard import get_note, save_note
 
 from storage.databases.bulk import trial_counts
 from storage.databases.studies import load_whole, open_studies
-from study import FeatureKernelSampler, FeatureTable
 from study.experiment.arms import ARMS, find_arm
 from study.experiment.compare import Request, compare
 from study.experiment.experiment import study_name
@@ -101,18 +99,3 @@ def test_arms_of_earlier_sessions_need_no_store(toy, tmp_path):
     without = replace(toy, stores={})
     outcome = compare(without, replace(request, arms=("random",)), lambda progress: None)
     assert TITLE in notes(outcome.storage)[study_name("toy", "dog", 0)]
-
-
-def test_anybodys_study_shows_it_by_one_line(tmp_path):
-    rng = np.random.default_rng(0)
-    x = rng.uniform(0, 1, 50)
-    names = ["a-feature-with-a-long-name-" * 8 + str(number) for number in range(30)]
-    features = rng.normal(size=(50, 30))  # a note of more than the 2 kB that an attribute holds
-    table = FeatureTable.from_arrays({"x": x}, features, names, bounds={"x": (0, 1)})
-    sampler = FeatureKernelSampler(table, seed=1)
-    url = f"sqlite:///{tmp_path}/s.db"
-    study = optuna.create_study(sampler=sampler, storage=open_studies(url))
-    study.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=6)
-    save_note(study, sampler.worth(study).markdown())
-    assert get_note(study) == sampler.worth(study).markdown()
-    assert all(f"| {name} | " in get_note(study) for name in names)

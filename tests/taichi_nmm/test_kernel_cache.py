@@ -20,6 +20,7 @@ from taichi_nmm.kernel_cache import (
 ROOT = Path(__file__).parents[2]
 WALK = ROOT / "tools" / "walk.py"
 SIMULATE = "import taichi_nmm; taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.1)"
+WALKED = "import taichi_nmm as t; print(t.simulate(t.PUBLISHED_GAINS, duration_s=0.5).rows)"
 NOTEBOOK = "import io, sys; sys.stdout = io.StringIO(); import taichi_nmm.simulator"
 ODD = {"LC_ALL": "xx", "LANG": "xx", f"{PREFIX}ARCH": "zzz", f"{PREFIX}LOG_LEVEL": "zzz"}
 ODD |= {f"{PREFIX}FAST_MATH": "maybe", f"{PREFIX}DEFAULT_FP": "7"}
@@ -67,6 +68,13 @@ def test_variables_are_as_they_were_afterwards(monkeypatch: pytest.MonkeyPatch) 
         os.environ[f"{PREFIX}OF_TAICHI"] = "kept"
     assert os.environ.pop(f"{PREFIX}OF_TAICHI") == "kept"
     assert dict(os.environ) == before
+
+
+@pytest.mark.slow
+def test_a_walk_is_the_same_in_an_odd_environment_and_without_docstrings() -> None:
+    plain, odd = python("-c", WALKED), python("-OO", "-c", WALKED, env=os.environ | ODD)
+    assert (odd.returncode, odd.stderr) == (0, "")
+    assert odd.stdout == plain.stdout != ""
 
 
 @pytest.mark.slow

@@ -20,10 +20,7 @@ from optuna_dashboard import get_note
 
 import taichi_nmm
 from storage.databases.studies import only_run
-from storage.store import open_store
-from study.experiment.arms import ARMS
 from study.experiment.experiment import read_experiment
-from study.experiment.features import FAMILIES
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import Result
 from tests.study import fake_walker, synthetic_gait
@@ -138,31 +135,6 @@ def test_what_is_not_said_is_the_configs(command: Study, monkeypatch: pytest.Mon
     assert len({each["row"] for each in found}) > 1
     assert (Path("out") / "toy" / "dog-run-000-best.json").is_file()
     assert (Path("out") / "toy" / "dog-run-002-best.json").is_file()
-
-
-@pytest.mark.slow
-def test_every_arm_can_be_run(command: Study) -> None:
-    (command.folder / "toy").mkdir()
-    config = fake_walker.write_config(command.folder / "toy")
-    assert ARMS
-    for arm in ARMS:
-        assert command.run(config=config, arm=arm, store="", trials=2) == 0, (arm, command.tool.err)
-        assert f"toy/{arm}/run-000: " in command.tool.out
-        trials = command.study(f"toy/{arm}/run-000").trials
-        assert [trial.state for trial in trials] == [TrialState.COMPLETE] * 2, arm
-        assert trials[0].params != trials[1].params, arm
-
-
-def test_the_best_sampler_proposes_rows_that_walked(command: Study) -> None:
-    strict = {"settings": 1, "min_survival_s": 2.8, "body": {"disturbance": 0.15}}
-    families = command.folder / "families"  # a third of its rows fell too soon
-    fake_walker.write_store(families, families=dict.fromkeys(FAMILIES, strict))
-    for trials in (5, 8):
-        assert command.run(arm="best", store=families, trials=trials) == 0
-    rows = command.rows("rough8/best/run-000")
-    assert len(set(rows)) == 8
-    walked = open_store(families).table()["rough_evaluated"].to_numpy()
-    assert walked[rows].all() and not walked.all()
 
 
 def test_a_database_locked_half_way_is_one_line_and_resumes(
