@@ -50,10 +50,7 @@ ENQUEUED = 3  # rows that are tried before a peer's own first trial
 
 @dataclass(frozen=True)
 class Feature:
-    """A cheap number that a practitioner has of each candidate: the preferred end, and a meaning.
-
-    The meaning names the unit.
-    """
+    """A cheap number of each candidate: the preferred end, and a meaning that names the unit."""
 
     good: Literal["low", "high"]
     meaning: str
@@ -66,9 +63,7 @@ class OutsideProblem:
     Attributes:
         name: one of `PROBLEMS`.
         purpose: "tuning" or "reported".
-        field: of the problem, in words.
         cost_meaning: the minimised quantity, with its unit.
-        space: of the d parameters, as Optuna has it.
         columns: of the parameters, [n] each: floats, integers, or words.
         feature_meanings: of k features by name.
         features: as they came, [n, k]; infinite or NaN where the cheap run failed.
