@@ -69,19 +69,14 @@ PEERS: dict[str, tuple[str, Callable[[int], BaseSampler]]] = {
 class Arm:
     """A way of choosing trials that is compared with others.
 
-    Attributes:
-        label: for tables and plots.
-        sees: the points it may choose from, or its information beside the costs.
-        kind: "ours", "peer" or "control".
-        costs: of a problem, a seed and a number of trials: costs in the order of trials, [trials].
-        features: whether it is told features.
+    Its costs are of a problem, a seed and a number of trials: in the order of trials, [trials].
     """
 
-    label: str
-    sees: str
+    label: str  # for tables and plots
+    sees: str  # the points it may choose from, or its information beside the costs
     kind: Literal["ours", "peer", "control"]
     costs: Callable[[Any, int, int], Floats]
-    features: bool = False
+    features: bool = False  # whether it is told features
 
 
 def peer(name: str, sees: str) -> Arm:

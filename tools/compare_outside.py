@@ -45,23 +45,17 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Versus:
-    """One of our arms against another, which may be compared after fewer trials; seeds in pairs.
-
-    Attributes:
-        wins, losses: seeds on which ours, or the other, had found a lower cost.
-        p: Wilcoxon's signed-rank test, two-sided, not corrected for the number of tests.
-        ahead: whether ours leads, by the test's sum of signed ranks, or neither does.
-    """
+    """One of our arms against another, seeds in pairs, after so many trials."""
 
     problem: str
     ours: str
     other: str
-    trial: int
-    other_trial: int
-    wins: int
-    losses: int
-    p: float
-    ahead: bool
+    trial: int  # of ours
+    other_trial: int  # of the other, which may be compared after fewer
+    wins: int  # seeds on which ours had found a lower cost
+    losses: int  # seeds on which the other had
+    p: float  # Wilcoxon's signed-rank test, two-sided, not corrected for the number of tests
+    ahead: bool  # whether ours leads, by the test's sum of signed ranks, or neither does
 
     @property
     def is_behind(self) -> bool:

@@ -58,21 +58,13 @@ _OF_COST, _OF_TABLE, _OF_FEATURE, _OF_FOLD = range(4)  # purposes of draws: spaw
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A cost to minimise over a box, and a feature of every point of it.
+    """A cost to minimise over a box, and a feature of every point of it."""
 
-    Attributes:
-        name: one of `PROBLEMS`.
-        seed: of the instance.
-        half_width: every parameter lies in [-half_width, half_width].
-        terms: of the cost, [n, 16] -> [n, 16], each at least 0.
-        feature: [n, 16] -> [n].
-    """
-
-    name: str
-    seed: int
-    half_width: float
-    terms: Function
-    feature: Function
+    name: str  # one of `PROBLEMS`
+    seed: int  # of the instance
+    half_width: float  # every parameter lies in [-half_width, half_width]
+    terms: Function  # of the cost, [n, 16] -> [n, 16], each at least 0
+    feature: Function  # [n, 16] -> [n]
 
     def cost(self, points: Floats) -> Floats:
         """Cost of points [n, 16], [n]; the least possible is 0, so it is the regret as well."""

@@ -60,42 +60,29 @@ LABELS = {
 class Case:
     """A sampler, a table and a study whose proposals are timed.
 
-    Attributes:
-        sampler: one of `LABELS`; ours with its defaults, unless the label says otherwise, and
-            GPSampler in the box of the table.
-        observations: finished trials before the first proposal.
-        repeats: proposals after the first one.
-        bars: the most that is allowed, by the names of `Measured`.
+    Ours has its defaults, unless its label says otherwise; GPSampler is in the box of the table.
     """
 
-    sampler: str
-    rows: int
-    features: int
-    observations: int
-    repeats: int
-    bars: tuple[tuple[str, float], ...] = ()
+    sampler: str  # one of `LABELS`
+    rows: int  # of the table
+    features: int  # of a row
+    observations: int  # finished trials before the first proposal
+    repeats: int  # proposals after the first one
+    bars: tuple[tuple[str, float], ...] = ()  # the most that is allowed, by names of `Measured`
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Times and memory of one case.
-
-    Attributes:
-        median_ms, fastest_ms, slowest_ms: of a proposal after the first.
-        median_cpu_ms: on the processor: on a busy machine a proposal waits for it.
-        first_cpu_ms: of the first proposal, which puts the table on the scales of the model.
-        kept_mib: by which the process grew from before the table was made; NaN but on Linux.
-        peak_mib: the same at the peak.
-    """
+    """Times and memory of one case."""
 
     case: Case
-    median_ms: float
+    median_ms: float  # of a proposal after the first, as the next two
     fastest_ms: float
     slowest_ms: float
-    median_cpu_ms: float
-    first_cpu_ms: float
-    kept_mib: float
-    peak_mib: float
+    median_cpu_ms: float  # on the processor: on a busy machine a proposal waits for it
+    first_cpu_ms: float  # of the first proposal, which puts the table on the scales of the model
+    kept_mib: float  # by which the process grew from before the table was made; NaN but on Linux
+    peak_mib: float  # the same at the peak
 
 
 @dataclass(frozen=True)
