@@ -12,7 +12,6 @@ import optuna
 import pytest
 from PIL import Image
 
-import taichi_nmm
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
 from tests.study import fake_walker
 from tests.tools.running import ROOT
@@ -115,11 +114,10 @@ def test_walks_of_the_readme_and_the_start_page_print_what_is_promised(printed: 
 @pytest.mark.slow
 @pytest.mark.parametrize(("page", "block"), [(README, 1), (DOCS / "store.md", 0)])
 def test_examples_that_read_a_store_run_on_a_small_one(
-    page: Path, block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, printed: Printed
+    page: Path, block: int, tmp_path: Path, printed: Printed
 ) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "store").symlink_to(ROOT / "tests" / "assets" / "store-v1")
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     fake_walker.write_store(tmp_path / "out" / "store-diverse")
     printed(page, block)
 

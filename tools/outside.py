@@ -50,7 +50,10 @@ ENQUEUED = 3  # rows that are tried before a peer's own first trial
 
 @dataclass(frozen=True)
 class Feature:
-    """A cheap number of each candidate: the preferred end, and a meaning that names the unit."""
+    """A cheap number that a practitioner has of each candidate: the preferred end, and a meaning.
+
+    The meaning names the unit.
+    """
 
     good: Literal["low", "high"]
     meaning: str
@@ -58,18 +61,31 @@ class Feature:
 
 @dataclass(frozen=True, eq=False)
 class OutsideProblem:
-    """A pool of n candidates, of which everything is known."""
+    """A pool of n candidates, of which everything is known.
 
-    name: str  # one of `PROBLEMS`
-    purpose: str  # "tuning" or "reported"
-    field: str  # of the problem, in words
-    cost_meaning: str  # the minimised quantity, with its unit
-    space: dict[str, BaseDistribution]  # of the d parameters, as Optuna has it
-    columns: Columns  # of the parameters, [n] each: floats, integers, or words
-    feature_meanings: dict[str, Feature]  # of k features by name
-    features: Floats  # as they came, [n, k]; infinite or NaN where the cheap run failed
-    cost: Floats  # [n], finite; less is better
-    made_by: str  # the command that computed the file
+    Attributes:
+        name: one of `PROBLEMS`.
+        purpose: "tuning" or "reported".
+        field: of the problem, in words.
+        cost_meaning: the minimised quantity, with its unit.
+        space: of the d parameters, as Optuna has it.
+        columns: of the parameters, [n] each: floats, integers, or words.
+        feature_meanings: of k features by name.
+        features: as they came, [n, k]; infinite or NaN where the cheap run failed.
+        cost: [n], finite; less is better.
+        made_by: the command that computed the file.
+    """
+
+    name: str
+    purpose: str
+    field: str
+    cost_meaning: str
+    space: dict[str, BaseDistribution]
+    columns: Columns
+    feature_meanings: dict[str, Feature]
+    features: Floats
+    cost: Floats
+    made_by: str
 
     def __len__(self) -> int:
         return len(self.cost)

@@ -103,30 +103,33 @@ def read_studies(url: str) -> Iterator[RDBStorage | None]:
     Raises:
         InputError: as `open_studies`, which would open it or make it; or the block raised.
     """
-    shown, address, options = shown_url(url), url, postgresql.READING_OPTIONS
+    shown, options = shown_url(url), postgresql.READING_OPTIONS
     if not is_postgresql(url):
         path = studies_path(url)
         require_writable(path, "storage")
         if not path.exists():
             yield None
             return
-        address, options = SQLITE, _sqlite_options(path)
+        url, options = SQLITE, _sqlite_options(path)
     storage, verbosity = None, optuna.logging.get_verbosity()
     try:
-        with read_errors(url):
-            engine = sql.create_engine(address, **options)
-            try:
-                with engine.connect() as connection:
-                    empty = _is_empty(connection, shown)
-                    if not empty:
-                        _check_texts(connection, shown)
-                        _check_owners(connection, shown)
-            finally:
-                engine.dispose()
-            if not empty:
-                storage = RDBStorage(address, engine_kwargs=dict(options), skip_table_creation=True)
-            optuna.logging.set_verbosity(optuna.logging.ERROR)  # no warnings about damaged values
-            yield storage
+        engine = sql.create_engine(url, **options)
+        try:
+            with engine.connect() as connection:
+                empty = _is_empty(connection, shown)
+                if not empty:
+                    _check_texts(connection, shown)
+                    _check_owners(connection, shown)
+        finally:
+            engine.dispose()
+        if not empty:
+            storage = RDBStorage(url, engine_kwargs=dict(options), skip_table_creation=True)
+        optuna.logging.set_verbosity(optuna.logging.ERROR)  # no warnings about damaged values
+        yield storage
+    except InputError:
+        raise
+    except Exception as error:
+        raise unusable(shown, error) from None
     finally:
         optuna.logging.set_verbosity(verbosity)
         if storage is not None:
@@ -296,7 +299,8 @@ def read_errors(url: str) -> Iterator[None]:
 def load_whole(storage: RDBStorage, name: str) -> optuna.Study:
     """A study that has been read completely: for an edited value, Optuna raises its error here."""
     study = optuna.load_study(study_name=name, storage=storage)
-    _ = study.directions, study.user_attrs, study.metric_names
+    for _ in (study.directions, study.user_attrs, study.metric_names):
+        pass
     study.get_trials(deepcopy=False)
     return study
 

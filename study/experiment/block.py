@@ -73,27 +73,39 @@ class Walks:
 
 @dataclass(frozen=True)
 class Block:
-    """Some studies as they stand, and how many trials each is to have."""
+    """Some studies as they stand, and how many trials each is to have.
+
+    Attributes:
+        experiment: of the studies.
+        studies: arm and run of each.
+        known: their finished trials, `STATE_SCHEMA`; of studies that are handed on, none.
+        trials: that each is to have.
+        handed_on: the studies themselves, of an earlier `Advanced`; empty: made of what is known.
+        walks: of that `Advanced`.
+    """
 
     experiment: Experiment
     studies: tuple[Key, ...]
-    known: pa.Table  # their finished trials, `STATE_SCHEMA`; of studies that are handed on, none
+    known: pa.Table
     trials: int
-    handed_on: tuple[optuna.Study, ...] = ()  # of an earlier `Advanced`; empty: made of the known
-    walks: Walks = field(default_factory=Walks)  # of that `Advanced`
+    handed_on: tuple[optuna.Study, ...] = ()
+    walks: Walks = field(default_factory=Walks)
 
 
 @dataclass(frozen=True)
 class Advanced:
     """The outcome of a block.
 
-    With the studies the next stretch need not repeat the trials of libraries that keep a state, and
-    with the walks it need not simulate them again.
+    Attributes:
+        table: the trials that its studies lacked, `STATE_SCHEMA`.
+        studies: with all their trials, in the block's order. With them the next stretch need not
+            repeat the trials of libraries that keep a state.
+        walks: all of the block so far. With them the next stretch need not simulate them again.
     """
 
-    table: pa.Table  # the trials that its studies lacked, `STATE_SCHEMA`
-    studies: tuple[optuna.Study, ...]  # with all their trials, in the block's order
-    walks: Walks  # all of the block so far
+    table: pa.Table
+    studies: tuple[optuna.Study, ...]
+    walks: Walks
 
 
 def advance(block: Block) -> Advanced:

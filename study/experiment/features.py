@@ -30,12 +30,19 @@ COVERING = 128  # candidates that are placed by the rule; the others follow by t
 
 @dataclass(frozen=True)
 class Survival:
-    """The mean share of the time that a row survives in the settings of a store's families."""
+    """The share of the time that a row survives in the settings of a store's families, on average.
 
-    families: tuple[str, ...] = ()  # of settings; () are all that the store has
-    name: str = "survival"  # of the feature
-    survivors: bool = False  # rows that no family ran (they fell on level ground) are left out
-    grid_only: bool = False  # rows that a search bred are left out
+    Attributes:
+        families: names of families of settings; () are all that the store has.
+        name: of the feature.
+        survivors: rows that no family ran (they fell on level ground) are left out.
+        grid_only: rows that a search bred are left out.
+    """
+
+    families: tuple[str, ...] = ()
+    name: str = "survival"
+    survivors: bool = False
+    grid_only: bool = False
 
     def families_of(self, store: Store) -> tuple[str, ...]:
         """The families that are averaged, or an InputError: the store lacks one, or has none."""
@@ -50,10 +57,16 @@ class Survival:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How early a row comes in the order that covers several grounds (`covering_order`)."""
+    """How early a row comes in the order that covers several grounds (`covering_order`).
 
-    plainest: Survival  # of the ground that the first row is for; rows that it leaves out are
-    grounds: tuple[Survival, ...]  # survival of each ground that is to be covered
+    Attributes:
+        plainest: survival of the ground that the first row is for; rows that it leaves out are.
+        grounds: survival of each ground that is to be covered.
+        name: of the feature.
+    """
+
+    plainest: Survival
+    grounds: tuple[Survival, ...]
     name: str = "coverage"
 
     @property
@@ -126,8 +139,11 @@ def feature_table(
 ) -> FeatureTable:
     """The rows of a store as candidates; those that a feature leaves out are not proposed.
 
-    `parameters` are columns that studies suggest, `ranges` are `bounds` or `space` of
-    `FeatureTable.from_arrays`.
+    Args:
+        store: whose rows.
+        features: to compare them by.
+        parameters: columns that studies suggest.
+        **ranges: `bounds` or `space` of `FeatureTable.from_arrays`.
     """
     columns = store.table(parameters)
     with warnings.catch_warnings():

@@ -32,11 +32,17 @@ TRIAL_FORM = "EXPERIMENT/ARM/run-NNN/NUMBER, such as rough8-smooth/dog/run-007/1
 
 @dataclass(frozen=True, eq=False)
 class NamedGains:
-    """All gains of a controller, and their name."""
+    """All gains of a controller, and their name.
 
-    name: str  # for titles and file names
-    gains: NDArray[np.float64]  # [16]
-    low_level: NDArray[np.float64]  # [8]
+    Attributes:
+        name: for titles and file names.
+        gains: [16].
+        low_level: [8].
+    """
+
+    name: str
+    gains: NDArray[np.float64]
+    low_level: NDArray[np.float64]
 
     def as_document(self) -> dict[str, float]:
         """By name, as a gains file has them; low-level gains where they are not the defaults."""
@@ -76,9 +82,11 @@ def gains_at(store: storage.Store, place: int, row: int) -> NamedGains:
 
 
 def gains_of_trial(trial: str, where: str) -> NamedGains:
-    """The parameters of a finished trial, STUDY/NUMBER.
+    """The parameters of a finished trial.
 
-    `where` is the URL of a study database, or a comparison's folder.
+    Args:
+        trial: name of the study, and number of the trial.
+        where: URL of a study database, or a comparison's folder.
 
     Raises:
         InputError: no such database or folder, study or trial.
@@ -149,9 +157,14 @@ def recorded_walk(
     rate_hz: float,
     progress: Callable[[float, int], None] | None = None,
 ) -> taichi_nmm.Result:
-    """The result of one walker on the body and the ground of a run, with its trajectory.
+    """The result of one walker in a run of an experiment, with its trajectory.
 
-    `progress` is as `taichi_nmm.simulate` takes it.
+    Args:
+        gains: of the walker.
+        experiment: for the conditions.
+        run: for the body, the world and the ground.
+        rate_hz: samples of the trajectory a second.
+        progress: as `taichi_nmm.simulate` takes it.
 
     Raises:
         InputError: what the simulator refuses.

@@ -35,7 +35,14 @@ def sampler_seed(experiment_seed: int, arm: str, run: int) -> int:
 
 
 class OneStudy:
-    """An arm in a run, over a study of this project's making; None: a new one in memory."""
+    """An arm in a run, over an Optuna study.
+
+    Args:
+        experiment: of the study.
+        arm: that proposes its trials.
+        run: whose body and ground it is about.
+        study: where its trials are kept, made by this project alone; None: a new one in memory.
+    """
 
     def __init__(
         self, experiment: Experiment, arm: Arm, run: int, study: optuna.Study | None = None
@@ -77,9 +84,12 @@ class OneStudy:
     def tell(
         self, cost: float, rows: NDArray[np.void], attributes: dict[str, Any] | None = None
     ) -> FrozenTrial:
-        """Finish the trial that was asked for: a finite cost, and the simulator's row of it, [1].
+        """Finish the trial that was asked for.
 
-        Attributes are further ones, for readers of the study.
+        Args:
+            cost: of the trial, finite.
+            rows: the simulator's row of it, [1].
+            attributes: further ones, for readers of the study.
         """
         return self._tell(cost, shown(self.arm, rows) | (attributes or {}))
 
@@ -91,7 +101,10 @@ class OneStudy:
     def restore(self, gains: list[float], cost: float, noted: dict[str, Any]) -> None:
         """Add a trial of an earlier session; where the library keeps a state, by asking again.
 
-        It has searched parameters, a cost, and all user attributes that it had.
+        Args:
+            gains: the searched parameters.
+            cost: of the trial.
+            noted: all user attributes that the trial had.
 
         Raises:
             InputError: the sampler now proposes other gains.

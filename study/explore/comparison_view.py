@@ -42,7 +42,14 @@ DOT_PX = 7
 
 
 class ComparisonView:
-    """The left half of a comparison's page; it calls `watch` with a trial's gains and setting."""
+    """The left half of a comparison's page.
+
+    Args:
+        results: of the folder.
+        experiment: of the folder.
+        message: for refusals.
+        watch: called with the gains of a trial and where it was tried.
+    """
 
     def __init__(
         self,

@@ -35,9 +35,10 @@ FIRST_GAIT = "reference"
 
 
 def page_of(path: Path) -> Page:
-    """What fills the document of a tab with a store or a comparison, finished or not.
+    """What fills the document of a tab. Each tab reads the folder anew: it may be growing.
 
-    Each tab reads the folder anew: it may be growing.
+    Args:
+        path: of a store or a comparison, finished or not.
 
     Raises:
         InputError: neither a store nor a comparison, or one that cannot be read.

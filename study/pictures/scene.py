@@ -44,7 +44,11 @@ FONT = "fonts/ttf/DejaVuSans.ttf"
 
 
 class Canvas:
-    """A part of the plane: draw the shapes, call `finish`, write the text on `picture`."""
+    """A picture of a part of the plane: draw the shapes, call `finish`, write the text.
+
+    Attributes:
+        picture: at its size, once finished.
+    """
 
     picture: Image.Image
 
@@ -295,9 +299,11 @@ def _draw_bones(canvas: Canvas, joints: Leg, colour: str) -> None:
 
 
 def pressure_point(q: Array, side: int) -> Array:
-    """A place to draw the ground's force in poses q [..., 9], of the left (0) or right (1) foot.
+    """A place to draw the ground's force: the lower end of a tilted foot, the middle of a flat one.
 
-    It is the lower end of a tilted foot, the middle of a flat one.
+    Args:
+        q: poses, [..., 9].
+        side: left (0) or right (1).
     """
     joints = leg(q, side)
     lower = joints.heel[..., 1:] - joints.ball[..., 1:]

@@ -23,9 +23,13 @@ FIGURE_POINTS = 50  # of a curve: attributes of a study hold 2 kB each
 def dashboard_summary(
     name: str, trials: pa.Table, final: bool, studies: Mapping[str, int]
 ) -> Summary:
-    """Note and figure of an experiment's trials, as `study.experiment.database.Summarise`.
+    """Note and figure of an experiment's trials.
 
-    Of each arm those rows of the results table count that all its runs have.
+    Args:
+        name: of the experiment.
+        trials: rows of the results table; of each arm those count that all its runs have.
+        final: whether these are all.
+        studies: numbers that the dashboard's addresses have for studies, by name.
     """
     arms = list(runs_of(trials).values())
     state = "all trials" if final else "so far; the experiment is running or was stopped"

@@ -12,10 +12,12 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import count
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+import taichi_nmm
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.experiment.experiment import Experiment, read_experiment
@@ -101,9 +103,15 @@ def stopped_in_call(
     return stopping
 
 
+def fill(path: Path, data: dict[str, Any]) -> None:
+    """Fill a store with fake scores."""
+    with mock.patch.dict(vars(taichi_nmm), simulate=simulate):
+        precompute(read_specification(Table(data)), path)
+
+
 def write_plain_store(path: Path, samples: int = 200) -> None:
-    """A store of fake scores on level ground alone; `taichi_nmm.simulate` must be the fake."""
-    precompute(read_specification(Table({"samples": samples, "seed": 3})), path)
+    """A store of fake scores on level ground alone."""
+    fill(path, {"samples": samples, "seed": 3})
 
 
 def longer(first: dict[str, Any], names: Iterable[str]) -> dict[str, Any]:
@@ -113,15 +121,15 @@ def longer(first: dict[str, Any], names: Iterable[str]) -> dict[str, Any]:
 
 
 def write_store(path: Path, **changes: Any) -> None:
-    """A store of fake scores with families; `taichi_nmm.simulate` must be the fake."""
+    """A store of fake scores with families."""
     settings = {
         "settings": 1, "min_survival_s": 1.0, "terrain": {"kind": "rough", "amplitude_m": 0.08},
         "body": {"disturbance": 0.15},
     }  # fmt: skip
     families = {name: settings | {"seed": seed} for seed, name in enumerate(KINDS)}
     families |= longer(settings, KINDS)
-    data = {"samples": STORE_ROWS, "seed": 3, "robust": settings, "families": families} | changes
-    precompute(read_specification(Table(data)), path)
+    data = {"samples": STORE_ROWS, "seed": 3, "robust": settings, "families": families}
+    fill(path, data | changes)
 
 
 CONFIG = """

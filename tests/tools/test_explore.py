@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-import taichi_nmm
 from tests.study import fake_walker
 from tests.tools.conftest import Tool
 from tests.tools.running import load_command
@@ -26,9 +25,7 @@ FOLDER = "folder: .*the folder of a store or of a comparison"
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("bokeh", reason="no bokeh: pip install 'taichi-nmm[explore]'")
     path = tmp_path_factory.mktemp("made") / "store"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-        fake_walker.write_plain_store(path)
+    fake_walker.write_plain_store(path)
     return path
 
 

@@ -17,7 +17,6 @@ import optuna
 import pytest
 from optuna.trial import TrialState
 
-import taichi_nmm
 from tests.study import fake_walker
 from tests.tools.running import ROOT, WAIT_S, Done, finish, start
 
@@ -37,9 +36,7 @@ REDIRECTED = 'exec "$@" {}'
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A configuration and its store."""
     folder = tmp_path_factory.mktemp("made")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-        fake_walker.write_config(folder)
+    fake_walker.write_config(folder)
     return folder
 
 

@@ -1,7 +1,6 @@
 """Problems from outside: their files, what a study meets, and how samplers are compared on them."""
 
 import hashlib
-import json
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 
 from taichi_nmm.errors import InputError
 from tests.tools.running import load_tool, run_tool
-from tests.tools.test_compare_peers import costs_of, written
+from tests.tools.test_compare_peers import costs_of
 from tools import outside
 from tools.benchmark import study_costs
 from tools.outside import ARMS, PROBLEMS, Feature, outside_problem, rows_by_ranking
@@ -160,18 +159,6 @@ def test_every_arm_shows_costs_of_the_pool(folder: Path) -> None:
     first = problem.cost[rows_by_ranking(problem, 1)]
     np.testing.assert_array_equal(kept(folder, "ranking", 1), first[:TRIALS])
     np.testing.assert_array_equal(kept(folder, "tpe-ranking", 1)[:3], first[:3])
-
-
-@pytest.mark.slow
-def test_the_same_command_takes_all_from_the_cache(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = written(folder)
-    assert compare(monkeypatch, folder, "--json") == 0 and written(folder) == before
-    medians = json.loads(capsys.readouterr().out)["medians"]
-    last = [row for row in medians if row["arm"] == "ranking"][-1]
-    costs = [kept(folder, "ranking", seed) for seed in range(SEEDS)]
-    assert (last["trial"], last["median"]) == (TRIALS, np.median(np.min(costs, axis=1)))
 
 
 def test_a_seed_draws_half_of_the_pool_and_breaks_the_rankings_ties() -> None:

@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 
-import taichi_nmm
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 from taichi_nmm.settings import Settings
@@ -158,9 +157,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("refusals")
     for name, content in FILES.items():
         (folder / name).write_text(content if isinstance(content, str) else json.dumps(content))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-        fake_walker.write_plain_store(folder / "store", 20)
+    fake_walker.write_plain_store(folder / "store", 20)
     return folder
 
 

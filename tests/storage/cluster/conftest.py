@@ -29,14 +29,13 @@ class Cluster:
     """Processes of `dask scheduler` and `dask worker`, and where they may write."""
 
     folder: Path
-    options: tuple[str, ...] = ()
     processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     def start_scheduler(self) -> str:
         """Its address."""
         file = self.folder / "scheduler.json"
         file.unlink(missing_ok=True)
-        options = ("--port", "0", "--no-dashboard", "--scheduler-file", str(file), *self.options)
+        options = ("--port", "0", "--no-dashboard", "--scheduler-file", str(file))
         self.scheduler = self._dask("scheduler", *options)
         until(lambda: file.exists() and file.read_text().endswith("}"))
         self.address = str(json.loads(file.read_text())["address"])
@@ -45,7 +44,7 @@ class Cluster:
     def start_worker(self) -> subprocess.Popen[bytes]:
         """With a thread, and a nanny that starts it again."""
         scratch = ("--local-directory", str(self.folder / f"worker-{len(self.processes)}"))
-        options = ("--nthreads", "1", "--no-dashboard", *scratch, *self.options)
+        options = ("--nthreads", "1", "--no-dashboard", *scratch)
         return self._dask("worker", self.address, *options)
 
     def close(self) -> None:

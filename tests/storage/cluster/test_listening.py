@@ -1,6 +1,7 @@
 """Who can reach a cluster: the sockets of what the lines of docs/cluster.md start."""
 
 import json
+import os
 import re
 import shlex
 import shutil
@@ -8,11 +9,17 @@ import socket
 import ssl
 import subprocess
 import sys
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from storage.cluster import open_pool
+from storage.pool import Cluster
+from taichi_nmm.settings import Settings
+from taichi_nmm.walker_simulator import Walker
+from tests.storage.cluster import units
 from tests.storage.cluster.conftest import REPOSITORY, WAIT_S, until
 
 psutil = pytest.importorskip("psutil", reason="psutil is not installed: the extra cluster")
@@ -24,6 +31,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(
 PAGE = (REPOSITORY / "docs" / "cluster.md").read_text(encoding="utf-8")
 HERE = {"10.0.0.1": "127.0.0.21", "10.0.0.2": "127.0.0.22"}  # the page's machines, on this one
 LINES = re.findall(r"^dask (?:scheduler|worker) .*$", PAGE.replace("\\\n", " "), re.MULTILINE)
+EXPORTS = re.findall(r"DASK_(DISTRIBUTED\w+)=(\w+\.pem)", PAGE)  # of the command's own machine
 
 
 @pytest.fixture
@@ -43,8 +51,9 @@ def test_the_page_starts_a_scheduler_and_a_worker_without_and_with_certificates(
 
 @pytest.mark.parametrize("first", [0, 2], ids=["tcp", "tls"])
 def test_what_the_page_starts_is_reached_by_the_given_address_alone(
-    first: int, processes: list[subprocess.Popen[bytes]], tmp_path: Path
-) -> None:
+    first: int, processes: list[subprocess.Popen[bytes]], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     """Nothing listens on all interfaces, which would let anybody run code in a worker."""
     certificates(tmp_path)
     scheduler, worker = (here(line) for line in LINES[first : first + 2])
@@ -62,26 +71,12 @@ def test_what_the_page_starts_is_reached_by_the_given_address_alone(
     if first:
         assert answers(document["address"], tmp_path, "cert.pem")
         assert not answers(document["address"], tmp_path, None)
-    words = [sys.executable, "-c", ASK, document["address"]]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=WAIT_S)
-    assert done.stdout == "42\n", done.stderr
-
-
-# Ends at once when it has its answer: the client's threads need not end in order.
-ASK = """
-import os
-import sys
-from distributed import Client
-from distributed.security import Security
-
-how = {}
-if sys.argv[1].startswith("tls"):
-    how["security"] = Security(tls_ca_file="ca.pem", tls_client_cert="cert.pem",
-                               tls_client_key="key.pem", require_encryption=True)
-client = Client(sys.argv[1], timeout=60, set_as_default=False, **how)
-print(client.submit(int.__mul__, 6, 7).result(60), flush=True)
-os._exit(0)
-"""
+    dask = pytest.importorskip("dask")
+    ours = {name.lower().replace("__", "."): str(tmp_path / file) for name, file in EXPORTS}
+    monkeypatch.setattr("storage.dask_session.own_kind", units.own_kind)
+    opening = open_pool(1, Cluster(document["address"]), tmp_path / "out", Walker(Settings()))
+    with dask.config.set(ours), opening as pool:
+        assert dict(pool.results(units.square, deque([6, 7]))) == {6: 36, 7: 49}
 
 
 def answers(address: str, folder: Path, certificate: str | None) -> bool:
@@ -122,7 +117,8 @@ def here(line: str) -> list[str]:
 def start(processes: list[subprocess.Popen[bytes]], folder: Path, words: list[str]) -> None:
     log = (folder / f"{len(processes)}.log").open("wb")
     program = [sys.executable, "-m", *words]
-    processes.append(subprocess.Popen(program, cwd=folder, stdout=log, stderr=log))
+    path = os.environ | {"PYTHONPATH": str(REPOSITORY)}  # of units
+    processes.append(subprocess.Popen(program, cwd=folder, env=path, stdout=log, stderr=log))
 
 
 def sockets(found: set[str], process: int) -> set[tuple[str, int]]:

@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -285,25 +285,3 @@ def test_a_cluster_of_this_machine_is_heard_by_nobody_else(tmp_path: Path) -> No
     trackers = [one for one in me.children() if "resource_tracker" in " ".join(one.cmdline())]
     left = {child.pid for child in me.children(recursive=True)}
     assert left <= before | {child.pid for child in trackers}
-
-
-def test_certificates_of_ones_own(tmp_path: Path) -> None:
-    """By Dask's settings, as docs/cluster.md says."""
-    security = pytest.importorskip("distributed.security").Security.temporary()
-    folder = tmp_path / "tls"
-    folder.mkdir()
-    (folder / "ca.pem").write_text(security.tls_ca_file)
-    (folder / "cert.pem").write_text(security.tls_scheduler_cert)
-    (folder / "key.pem").write_text(security.tls_scheduler_key)
-    names = {"--tls-ca-file": "ca", "--tls-cert": "cert", "--tls-key": "key"}
-    options = tuple(word for name, file in names.items() for word in (name, f"{folder}/{file}.pem"))
-    names = {"ca-file": "ca", "client.cert": "cert", "client.key": "key"}
-    files = {f"distributed.comm.tls.{key}": f"{folder}/{file}.pem" for key, file in names.items()}
-    with closing(Cluster(folder, options=("--protocol", "tls", *options))) as cluster:
-        assert cluster.start_scheduler().startswith("tls://")
-        cluster.start_worker()
-        assert_unheard(cluster.address, tmp_path / "out")
-        dask = pytest.importorskip("dask")
-        opening = open_pool(1, Asked(cluster.address), tmp_path / "out", WALKER)
-        with dask.config.set(files), opening as pool:
-            assert results(pool, units.square, [1, 2]) == {1: 1, 2: 4}

@@ -367,10 +367,8 @@ def test_a_tab_that_is_closed_leaves_others_alone(page: Any, store: Path) -> Non
 
 def test_a_store_that_is_being_filled(folders: Path, page: Any, tmp_path: Path) -> None:
     """The first shard is there, the manifest is not; then another one comes."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-        whole = tmp_path / "whole"
-        fake_walker.write_store(whole, shard_rows=100)
+    whole = tmp_path / "whole"
+    fake_walker.write_store(whole, shard_rows=100)
     growing = tmp_path / "growing"
     growing.mkdir()
     shards = sorted(whole.glob("part-*.parquet"))

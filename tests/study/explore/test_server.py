@@ -11,7 +11,6 @@ from urllib.parse import urlsplit
 
 import pytest
 
-import taichi_nmm
 from study.explore.server import OURS, Latest, Message
 from tests.study import fake_walker
 from tests.study.explore.serving import explorer
@@ -35,9 +34,7 @@ def errors(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def address(tmp_path_factory: pytest.TempPathFactory, errors: Path) -> Iterator[str]:
     pytest.importorskip("bokeh", reason="no bokeh: pip install 'taichi-nmm[explore]'")
     store = tmp_path_factory.mktemp("served") / "store"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-        fake_walker.write_plain_store(store)
+    fake_walker.write_plain_store(store)
     with errors.open("w") as printed, explorer(store, printed) as found:
         yield found
 

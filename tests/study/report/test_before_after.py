@@ -10,7 +10,6 @@ import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
-from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.identity import document, documented_experiment
 from study.report.before_after import Pair, Shown, before_and_after, choose, write_strips
 from study.report.runs import Results, read_results
@@ -18,17 +17,10 @@ from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 from taichi_nmm.terrain import Terrain, ramp, rough
 from tests.study import synthetic_gait
+from tests.study.experiment.fake_results import experiment
 from tests.study.report import synthetic
 
-CONFIG = "name = 'tiny'\nseed = 3\nobjective = {cost = 'smooth'}\nbody = {disturbance = 0.15}\n"
-CONFIG += "terrain = {kind = 'rough'}\n"
 FELL_COST, WALKED_COST = 0.5, 0.012
-
-
-def experiment(folder: Path) -> Experiment:
-    folder.mkdir()
-    (folder / "tiny.toml").write_text(CONFIG)
-    return read_experiment(folder / "tiny.toml")
 
 
 def write(folder: Path, walks: dict[str, list[list[int]]]) -> Results:
@@ -61,7 +53,7 @@ def test_which_trials_are_shown(tmp_path: Path, walks: dict[str, Any], shown: li
 def test_without_a_walker_there_is_nothing_to_show(tmp_path: Path) -> None:
     results = write(tmp_path / "data", {"best": [[], []], "dog": [[], []]})
     assert choose(results, GAIN_NAMES) is None
-    assert before_and_after(results, experiment(tmp_path / "configs")) is None
+    assert before_and_after(results, experiment()) is None
 
 
 def test_walks_of_the_tables_gains_and_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -78,7 +70,7 @@ def test_walks_of_the_tables_gains_and_run(tmp_path: Path, monkeypatch: pytest.M
         return Result(rows, (synthetic_gait.walk(2.0), synthetic_gait.walk(8.0)))
 
     monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate)
-    made = experiment(tmp_path / "configs")
+    made = experiment()
     documented = documented_experiment(json.loads(json.dumps(document(made, ()))))
     assert documented is not None
     pair = before_and_after(results, documented)

@@ -66,20 +66,6 @@ def test_the_state_is_in_the_trials_also_after_reseeding(form):
     assert params_of(study) == params_of(pieces) == run(form)
 
 
-ELSEWHERE = """
-import json, optuna
-from tests.study.sampler.test_sampler import FORMS, run
-optuna.logging.set_verbosity(optuna.logging.ERROR)
-print(json.dumps({form: run(form) for form in FORMS}))
-"""
-
-
-@pytest.mark.slow
-def test_another_process_proposes_the_same():
-    there = run_code(ELSEWHERE)
-    assert json.loads(there.stdout) == {form: run(form) for form in FORMS}, there.stderr
-
-
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("prior", [None, "-size"])
 @pytest.mark.parametrize(("direction", "sign"), [("minimize", 1.0), ("maximize", -1.0)])
