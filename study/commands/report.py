@@ -12,22 +12,13 @@ import sys
 from argparse import Namespace
 
 from storage.commit import require_named
-from study.experiment.experiment import Experiment
 from study.experiment.identity import documented_experiment
-from study.report.before_after import Pair, before_and_after
-from study.report.runs import Results, known_stores, read_results
+from study.report.before_after import before_and_after
+from study.report.runs import known_stores, read_results
 from study.report.writing import REPORT_NAME, find_optimum, write_overview, write_report
 from taichi_nmm.errors import InputError
 
 NO_GROUND = "the folder is of version 0.1.0 and does not name its ground"
-
-
-def strips_of(results: Results, experiment: Experiment | None) -> Pair | None:
-    """The two walks to draw; None for a folder of 0.1.0, which does not name its ground."""
-    if experiment is None:
-        print(f"{results.name}: no strips ({NO_GROUND})", file=sys.stderr)
-        return None
-    return before_and_after(results, experiment)
 
 
 def main(args: Namespace) -> None:
@@ -43,7 +34,11 @@ def main(args: Namespace) -> None:
         require_named(args.out)
     found = []
     for results, experiment, optimum in zip(everything, experiments, optima, strict=True):
-        pair = None if args.no_strips else strips_of(results, experiment)
+        pair = None
+        if not args.no_strips and experiment is not None:
+            pair = before_and_after(results, experiment)
+        elif not args.no_strips:
+            print(f"{results.name}: no strips ({NO_GROUND})", file=sys.stderr)
         found.append(write_report(results, optimum, pair, stores=known_stores(results)))
         state = "" if results.complete else f" ({results.found:,} of {results.planned:,} trials)"
         print(f"{results.folder / REPORT_NAME}: {results.name}{state}", flush=True)

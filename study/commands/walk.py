@@ -85,13 +85,6 @@ def read(args: Namespace) -> Experiment:
     return experiment.with_settings(engine=first)
 
 
-def make_folder(folder: Path) -> None:
-    """Create the folder and check that it can be written, before the work."""
-    with writable(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-
-
 def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.Result:
     """The one walk, recorded."""
     with tqdm(
@@ -163,21 +156,20 @@ def write_pictures(
 def summary(title: str, row: np.void) -> str:
     """For people, a line each."""
     degrees = {field: float(np.rad2deg(row[field])) for field in ANGLES}
-    return "\n".join(
-        (
-            title,
-            f"cost of transport   {row['cost_of_transport_jpkgpm']:.2f} J/(kg m)",
-            f"scored steps        {row['step_count']}, {row['step_length_mean_m']:.3f} m"
-            f" and {row['step_duration_mean_s']:.3f} s each,"
-            f" double support {100 * row['double_support_fraction']:.0f} %",
-            f"knee peak in swing  {degrees['knee_peak_swing_rad']:.0f} deg flexed",
-            f"ankle               {degrees['ankle_strike_rad']:+.0f} deg at strike,"
-            f" {degrees['ankle_takeoff_rad']:+.0f} deg at take-off (plantarflexion +)",
-            f"trunk               {degrees['trunk_mean_rad']:+.1f} deg (forward +)",
-            f"score               phi {row['phi_printed']:.1f} as printed,"
-            f" {row['phi_corrected']:.1f} corrected",
-        )
+    lines = (
+        title,
+        f"cost of transport   {row['cost_of_transport_jpkgpm']:.2f} J/(kg m)",
+        f"scored steps        {row['step_count']}, {row['step_length_mean_m']:.3f} m"
+        f" and {row['step_duration_mean_s']:.3f} s each,"
+        f" double support {100 * row['double_support_fraction']:.0f} %",
+        f"knee peak in swing  {degrees['knee_peak_swing_rad']:.0f} deg flexed",
+        f"ankle               {degrees['ankle_strike_rad']:+.0f} deg at strike,"
+        f" {degrees['ankle_takeoff_rad']:+.0f} deg at take-off (plantarflexion +)",
+        f"trunk               {degrees['trunk_mean_rad']:+.1f} deg (forward +)",
+        f"score               phi {row['phi_printed']:.1f} as printed,"
+        f" {row['phi_corrected']:.1f} corrected",
     )
+    return "\n".join(lines)
 
 
 def report(
@@ -211,7 +203,9 @@ def main(args: Namespace) -> None:
         require_trajectory_file(file)
     if args.mjcf is not None:
         write_model(args.mjcf, experiment, args.run)
-    make_folder(folder)
+    with writable(folder):  # before the work
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
     result = simulate(gains, experiment, args.run)
     row, end_reason = result.rows[0], str(result.end_reason[0])
     title = f"{gains.name} on {experiment.terrain(args.run).name}: {row_text(row)}"
