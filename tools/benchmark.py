@@ -69,19 +69,14 @@ PEERS: dict[str, tuple[str, Callable[[int], BaseSampler]]] = {
 class Arm:
     """A way of choosing trials that is compared with others.
 
-    Attributes:
-        label: for tables and plots.
-        sees: the points it may choose from, or its information beside the costs.
-        kind: "ours", "peer" or "control".
-        costs: of a problem, a seed and a number of trials: costs in the order of trials, [trials].
-        features: whether it is told features.
+    Its costs are of a problem, a seed and a number of trials: in the order of trials, [trials].
     """
 
-    label: str
-    sees: str
+    label: str  # for tables and plots
+    sees: str  # the points it may choose from, or its information beside the costs
     kind: Literal["ours", "peer", "control"]
     costs: Callable[[Any, int, int], Floats]
-    features: bool = False
+    features: bool = False  # whether it is told features
 
 
 def peer(name: str, sees: str) -> Arm:
@@ -194,11 +189,7 @@ def compared(name: str, options: Namespace) -> Costs:
 def parse(file: str, name: str, trials: int, cache: str) -> Namespace:
     """The options of a comparison, with lists of problems and arms.
 
-    Args:
-        file: of the command.
-        name: of its benchmark.
-        trials: of a run, by default.
-        cache: folder of finished runs within `out`, by default.
+    By default a run has so many `trials`, and the cache is a folder of this name within `out`.
 
     Raises:
         InputError: an unknown problem or arm, a number out of range, or no place to write.
@@ -239,7 +230,7 @@ def chosen(field: str, listed: str, known: Sequence[str]) -> list[str]:
         InputError: a name that is not known.
     """
     names = set(listed.split(","))
-    for name in sorted(names - set(known)):
+    for name in sorted(names.difference(known)):
         raise InputError(field, name, f"some of {','.join(known)}")
     return [name for name in known if name in names]
 
@@ -334,8 +325,8 @@ def machine() -> str:
 
 def versions() -> str:
     """Python and the packages that decide the figures."""
-    known = {name: installed(name) for name in NAMED_PACKAGES}
-    found = [f"{name} {known[name]}" if known[name] else f"no {name}" for name in known]
+    known = ((name, installed(name)) for name in NAMED_PACKAGES)
+    found = [f"{name} {number}" if number else f"no {name}" for name, number in known]
     return ", ".join([f"Python {platform.python_version()}", *found])
 
 
@@ -359,15 +350,8 @@ def draw_panels(
 ) -> None:
     """Draw a panel for each problem, with a curve for each arm that has one.
 
-    Args:
-        path: of the picture.
-        arms: by name.
-        curves: values after so many trials, [trials] for each (problem, arm).
-        ylabel: of these values.
-        across: panels in a row, at most.
-        panel_in: width and height of a panel, inches.
-        legend_in: width of the legend at the right, inches.
-        log: whether the axis of values is logarithmic.
+    Curves are values after so many trials, [trials] for each (problem, arm). A row has at most
+    `across` panels, of a width and height in inches; the legend stands at the right.
     """
     from study.pictures import style  # not in the processes that are measured
 

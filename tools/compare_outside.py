@@ -9,7 +9,6 @@ or the numbers that made it have changed. GPSampler needs PyTorch, which this pr
 install: without it that arm is left out.
 """
 
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -17,19 +16,15 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-# The repository comes before tools/, where study.py would hide the package of its name.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from study.cli import guarded_imports, run_command
+from checkout import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np
     import scipy
-    from numpy.typing import NDArray
 
     from study.report.numbers import wilcoxon
     from tools import benchmark
-    from tools.benchmark import Bar, Costs, Floats, draw_panels, made_by
+    from tools.benchmark import Bar, Costs, draw_panels, made_by
     from tools.outside import ARMS, OutsideProblem, outside_problem
 
 NAME = "sampler-outside"
@@ -50,29 +45,17 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Versus:
-    """One of our arms against another, seeds in pairs, after so many trials.
-
-    Attributes:
-        problem: by name.
-        ours: arm.
-        other: arm.
-        trial: of ours.
-        other_trial: of the other, which may be compared after fewer.
-        wins: seeds on which ours had found a lower cost.
-        losses: seeds on which the other had.
-        p: Wilcoxon's signed-rank test, two-sided, not corrected for the number of tests.
-        ahead: whether ours leads, by the test's sum of signed ranks, or neither does.
-    """
+    """One of our arms against another, seeds in pairs, after so many trials."""
 
     problem: str
     ours: str
     other: str
-    trial: int
-    other_trial: int
-    wins: int
-    losses: int
-    p: float
-    ahead: bool
+    trial: int  # of ours
+    other_trial: int  # of the other, which may be compared after fewer
+    wins: int  # seeds on which ours had found a lower cost
+    losses: int  # seeds on which the other had
+    p: float  # Wilcoxon's signed-rank test, two-sided, not corrected for the number of tests
+    ahead: bool  # whether ours leads, by the test's sum of signed ranks, or neither does
 
     @property
     def is_behind(self) -> bool:
@@ -279,10 +262,11 @@ class OutsideReport:
 
     def plot(self, path: Path) -> None:
         """How many rows are as good as the best found against trials, a panel a problem."""
-        curves = {
-            (problem, arm): np.median(as_good(outside_problem(problem), best), axis=0)
-            for (problem, arm), best in self.best.items()
-        }
+        curves = {}
+        for (problem, arm), best in self.best.items():
+            sorted_costs = np.sort(outside_problem(problem).cost)
+            as_good = np.searchsorted(sorted_costs, best, side="right")  # 1: the best row
+            curves[problem, arm] = np.median(as_good, axis=0)
         label = "rows as good as the best found"
         draw_panels(path, ARMS, curves, label, 3, (3.6, 3.0), legend_in=2.9, log=True)
 
@@ -313,11 +297,6 @@ def cells_of(test: Versus) -> str:
     """Seeds won, seeds lost and p, in three cells; p is bold where ours is behind."""
     p = f"**{test.p:.2g}**" if test.is_behind else f"{test.p:.2g}"
     return f"{test.wins} | {test.losses} | {p}"
-
-
-def as_good(problem: OutsideProblem, best: Floats) -> NDArray[np.int64]:
-    """Rows of the pool that cost no more than the best found, [seeds, trials]; 1: the best row."""
-    return np.searchsorted(np.sort(problem.cost), best, side="right")
 
 
 if __name__ == "__main__":

@@ -8,16 +8,12 @@ that made it has changed. GPSampler needs PyTorch, which this project does not i
 that arm is left out.
 """
 
-import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-# The repository comes before tools/, where study.py would hide the package of its name.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from study.cli import guarded_imports, run_command
+from checkout import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np
@@ -76,15 +72,15 @@ class Report:
         return cls({key: np.minimum.accumulate(found, axis=1) for key, found in costs.items()})
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Number of seeds and of trials of each arm."""
-        seeds, trials = next(iter(self.best.values())).shape
-        return seeds, trials
+    def seeds(self) -> int:
+        """Number of seeds of each arm."""
+        return len(next(iter(self.best.values())))
 
     @property
     def checkpoints(self) -> tuple[int, int]:
         """Half of the trials, and all of them."""
-        return self.shape[1] // 2, self.shape[1]
+        trials = next(iter(self.best.values())).shape[1]
+        return trials // 2, trials
 
     @property
     def bars(self) -> list[Bar]:
@@ -113,7 +109,7 @@ class Report:
             | {name: asdict(found) for name, found in self.statistics(problem, arm, trial).items()}
             for problem, arm in self.best for trial in self.checkpoints
         ]  # fmt: skip
-        return {"seeds": self.shape[0], "regret": regret}
+        return {"seeds": self.seeds, "regret": regret}
 
     def markdown(self) -> str:
         """The document: a table for each problem, then the bars."""
@@ -124,7 +120,7 @@ class Report:
             "# Samplers on synthetic problems in 16 dimensions",
             "",
             made_by(),
-            f"Simple regret, mean and median of {self.shape[0]} instances, with bootstrapped 95 %"
+            f"Simple regret, mean and median of {self.seeds} instances, with bootstrapped 95 %"
             " intervals. The problems are defined in `tools/synthetic.py`.",
             "",
             f"![Mean simple regret against trials]({NAME}.png)",

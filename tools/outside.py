@@ -50,10 +50,7 @@ ENQUEUED = 3  # rows that are tried before a peer's own first trial
 
 @dataclass(frozen=True)
 class Feature:
-    """A cheap number that a practitioner has of each candidate: the preferred end, and a meaning.
-
-    The meaning names the unit.
-    """
+    """A cheap number of each candidate: the preferred end, and a meaning that names the unit."""
 
     good: Literal["low", "high"]
     meaning: str
@@ -61,31 +58,18 @@ class Feature:
 
 @dataclass(frozen=True, eq=False)
 class OutsideProblem:
-    """A pool of n candidates, of which everything is known.
+    """A pool of n candidates, of which everything is known."""
 
-    Attributes:
-        name: one of `PROBLEMS`.
-        purpose: "tuning" or "reported".
-        field: of the problem, in words.
-        cost_meaning: the minimised quantity, with its unit.
-        space: of the d parameters, as Optuna has it.
-        columns: of the parameters, [n] each: floats, integers, or words.
-        feature_meanings: of k features by name.
-        features: as they came, [n, k]; infinite or NaN where the cheap run failed.
-        cost: [n], finite; less is better.
-        made_by: the command that computed the file.
-    """
-
-    name: str
-    purpose: str
-    field: str
-    cost_meaning: str
-    space: dict[str, BaseDistribution]
-    columns: Columns
-    feature_meanings: dict[str, Feature]
-    features: Floats
-    cost: Floats
-    made_by: str
+    name: str  # one of `PROBLEMS`
+    purpose: str  # "tuning" or "reported"
+    field: str  # of the problem, in words
+    cost_meaning: str  # the minimised quantity, with its unit
+    space: dict[str, BaseDistribution]  # of the d parameters, as Optuna has it
+    columns: Columns  # of the parameters, [n] each: floats, integers, or words
+    feature_meanings: dict[str, Feature]  # of k features by name
+    features: Floats  # as they came, [n, k]; infinite or NaN where the cheap run failed
+    cost: Floats  # [n], finite; less is better
+    made_by: str  # the command that computed the file
 
     def __len__(self) -> int:
         return len(self.cost)
@@ -150,7 +134,11 @@ class OutsideProblem:
 
 
 def problem(name: str, seed: int) -> OutsideProblem:
-    """Half of a problem's candidates, which the seed draws."""
+    """Half of a problem's candidates, which the seed draws.
+
+    Raises:
+        InputError: no such problem, or its file is missing or broken.
+    """
     return outside_problem(name).drawn(seed)
 
 
@@ -165,7 +153,11 @@ def digest(name: str) -> str:
 
 
 def file_of(name: str) -> Path:
-    """The file of a problem; an unknown one is an `InputError`."""
+    """The file of a problem.
+
+    Raises:
+        InputError: no such problem.
+    """
     if name not in PROBLEMS:
         raise InputError("problem", name, f"one of {', '.join(PROBLEMS)}")
     return DATA / f"{name}.parquet"
@@ -230,7 +222,8 @@ def table(problem: OutsideProblem, ranking: bool) -> FeatureTable:
     features, names = problem.features, [*problem.feature_meanings]
     if ranking:
         features, names = np.column_stack([features, problem.ranking]), [*names, RANKING]
-    with warnings.catch_warnings(action="ignore", category=UserWarning):  # of infinite features
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of features that are not finite
         return FeatureTable.from_arrays(problem.columns, features, names, space=problem.space)
 
 

@@ -5,13 +5,9 @@
 The walkers are simulated anew, so a change of the model shows here. Exit codes: 0, 2 bad input.
 """
 
-import sys
 from pathlib import Path
 
-# The repository comes before tools/, where study.py would hide the package of its name.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from study.cli import guarded_imports, run_command
+from checkout import guarded_imports, run_command
 
 with guarded_imports():
     from PIL import Image

@@ -20,7 +20,6 @@ and rotated at random. `ARMS` are the samplers that are compared on it.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 import scipy
@@ -54,33 +53,18 @@ FOLDED_SHARE = 0.1  # of the space, the best by the cheap simulation
 WAVES = 50.0  # across the width of the box
 OFF_GRID = 256  # perturbations a trial, of the arm that may leave the table
 
-
-class _Draw(IntEnum):
-    """Purposes of random draws: the spawn key beside the seed."""
-
-    COST = 0
-    TABLE = 1
-    FEATURE = 2
-    FOLD = 3
+_OF_COST, _OF_TABLE, _OF_FEATURE, _OF_FOLD = range(4)  # purposes of draws: spawn keys
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A cost to minimise over a box, and a feature of every point of it.
+    """A cost to minimise over a box, and a feature of every point of it."""
 
-    Attributes:
-        name: one of `PROBLEMS`.
-        seed: of the instance.
-        half_width: every parameter lies in [-half_width, half_width].
-        terms: of the cost, [n, 16] -> [n, 16], each at least 0.
-        feature: [n, 16] -> [n].
-    """
-
-    name: str
-    seed: int
-    half_width: float
-    terms: Function
-    feature: Function
+    name: str  # one of `PROBLEMS`
+    seed: int  # of the instance
+    half_width: float  # every parameter lies in [-half_width, half_width]
+    terms: Function  # of the cost, [n, 16] -> [n, 16], each at least 0
+    feature: Function  # [n, 16] -> [n]
 
     def cost(self, points: Floats) -> Floats:
         """Cost of points [n, 16], [n]; the least possible is 0, so it is the regret as well."""
@@ -97,7 +81,7 @@ class Problem:
 
     def rows(self, bits: int = SOBOL_BITS) -> Floats:
         """2^bits scrambled Sobol points of the box, [2^bits, 16]: the rows of a table."""
-        return _sobol(self.half_width, bits, _rng(self.seed, _Draw.TABLE))
+        return _sobol(self.half_width, bits, _rng(self.seed, _OF_TABLE))
 
     def cost_at(self, settings: Mapping[str, float]) -> float:
         """The cost of a point of the box, by the names of its parameters."""
@@ -113,7 +97,7 @@ def problem(name: str, seed: int) -> Problem:
     if name not in PROBLEMS:
         raise InputError("problem", name, f"one of {', '.join(PROBLEMS)}")
     make, half_width = LANDSCAPES[shared(name)]
-    terms = make(_rng(seed, _Draw.COST))
+    terms = make(_rng(seed, _OF_COST))
     return Problem(name, seed, half_width, terms, _feature(name, seed, half_width, terms))
 
 
@@ -158,7 +142,7 @@ LANDSCAPES = {
 
 def _feature(name: str, seed: int, half_width: float, terms: Function) -> Function:
     """The feature of a problem, by its name."""
-    rng = _rng(seed, _Draw.FEATURE)
+    rng = _rng(seed, _OF_FEATURE)
     if name == "useless":  # a sine along a random direction, `WAVES` periods across the box
         direction = rng.standard_normal(DIMENSION)
         direction *= np.pi * WAVES / (half_width * np.linalg.norm(direction))
@@ -170,7 +154,7 @@ def _feature(name: str, seed: int, half_width: float, terms: Function) -> Functi
 
     if name != "misleading":
         return cheap
-    space = _sobol(half_width, SOBOL_BITS, _rng(seed, _Draw.FOLD))
+    space = _sobol(half_width, SOBOL_BITS, _rng(seed, _OF_FOLD))
     fold = float(np.quantile(cheap(space), FOLDED_SHARE))
     return lambda points: np.abs(cheap(points) - fold)
 
@@ -181,9 +165,8 @@ def _sobol(half_width: float, bits: int, rng: np.random.Generator) -> Floats:
     return np.asarray(half_width * (2.0 * unit - 1.0))
 
 
-def _rng(seed: int, draw: _Draw) -> np.random.Generator:
-    """The generator of one kind of draw."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(draw),)))
+def _rng(seed: int, purpose: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(purpose,)))
 
 
 def _table(found: Problem) -> FeatureTable:

@@ -8,7 +8,6 @@ where PyTorch, which it needs, is installed; greenlet, where it is installed too
 Run it on an idle machine.
 """
 
-import sys
 import time
 import warnings
 from argparse import Namespace
@@ -17,10 +16,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-# The repository comes before tools/, where study.py would hide the package of its name.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from study.cli import guarded_imports, run_command
+from checkout import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np
@@ -64,47 +60,29 @@ LABELS = {
 class Case:
     """A sampler, a table and a study whose proposals are timed.
 
-    Attributes:
-        sampler: one of `LABELS`; ours with its defaults, unless the label says otherwise, and
-            GPSampler in the box of the table.
-        rows: of the table.
-        features: of a row.
-        observations: finished trials before the first proposal.
-        repeats: proposals after the first one.
-        bars: the most that is allowed, by the names of `Measured`.
+    Ours has its defaults, unless its label says otherwise; GPSampler is in the box of the table.
     """
 
-    sampler: str
-    rows: int
-    features: int
-    observations: int
-    repeats: int
-    bars: tuple[tuple[str, float], ...] = ()
+    sampler: str  # one of `LABELS`
+    rows: int  # of the table
+    features: int  # of a row
+    observations: int  # finished trials before the first proposal
+    repeats: int  # proposals after the first one
+    bars: tuple[tuple[str, float], ...] = ()  # the most that is allowed, by names of `Measured`
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Times and memory of one case.
-
-    Attributes:
-        case: that was measured.
-        median_ms: of a proposal after the first.
-        fastest_ms: of these.
-        slowest_ms: of these.
-        median_cpu_ms: on the processor: on a busy machine a proposal waits for it.
-        first_cpu_ms: of the first proposal, which puts the table on the scales of the model.
-        kept_mib: by which the process grew from before the table was made; NaN but on Linux.
-        peak_mib: the same at the peak.
-    """
+    """Times and memory of one case."""
 
     case: Case
-    median_ms: float
+    median_ms: float  # of a proposal after the first, as the next two
     fastest_ms: float
     slowest_ms: float
-    median_cpu_ms: float
-    first_cpu_ms: float
-    kept_mib: float
-    peak_mib: float
+    median_cpu_ms: float  # on the processor: on a busy machine a proposal waits for it
+    first_cpu_ms: float  # of the first proposal, which puts the table on the scales of the model
+    kept_mib: float  # by which the process grew from before the table was made; NaN but on Linux
+    peak_mib: float  # the same at the peak
 
 
 @dataclass(frozen=True)
@@ -153,11 +131,9 @@ class Timings:
             case = each.case
             size = f"{case.rows:,} rows x {case.features}, {case.observations:,} trials"
             for name, most in case.bars:
-                value, what = getattr(each, name), name.replace("_", " ")
-                measured = f"{value:.0f}, at most {most:.0f}"
-                found.append(
-                    Bar(f"{LABELS[case.sampler]}, {size}: {what}", measured, value <= most)
-                )
+                value = getattr(each, name)
+                what = f"{LABELS[case.sampler]}, {size}: {name.replace('_', ' ')}"
+                found.append(Bar(what, f"{value:.0f}, at most {most:.0f}", value <= most))
             if case.sampler == "gp":
                 ratio = each.median_ms / self.cases[0].median_ms
                 measured = f"{ratio:.1f}, at least {GP_RATIO_BAR:g}"

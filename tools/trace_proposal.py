@@ -13,10 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-# The repository comes before tools/, where study.py would hide the package of its name.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from study.cli import guarded_imports, run_command
+from checkout import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np

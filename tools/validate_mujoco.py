@@ -7,17 +7,12 @@ input, 130 interrupted.
 """
 
 import argparse
-import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from pathlib import Path
 
-# The repository comes before tools/, where study.py would hide the package of its name.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from study.cli import guarded_imports, run_command
+from checkout import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np

@@ -33,19 +33,14 @@ TRIALS_PER_TRANSACTION = 2000  # 30 rows each: some 20 MB of memory, half a seco
 class FinishedStudy:
     """A study of one objective to be minimised, and finished trials for it.
 
-    Attributes:
-        name: in the database; once in a call.
-        trials: finished, without intermediate values, in the order of their numbers.
-        first: number of the first of them; those before it are in the database already.
-        user_attrs: of the study, plain values; written when the study is made.
-        metric: name of its objective; written when the study is made. Empty: none.
+    Attributes and metric are written when the study is made.
     """
 
-    name: str
-    trials: Sequence[FrozenTrial]
-    first: int = 0
-    user_attrs: dict[str, Any] = field(default_factory=dict)
-    metric: str = ""
+    name: str  # in the database; once in a call
+    trials: Sequence[FrozenTrial]  # without intermediate values, in the order of their numbers
+    first: int = 0  # number of the first of them; those before it are in the database already
+    user_attrs: dict[str, Any] = field(default_factory=dict)  # of the study, plain values
+    metric: str = ""  # name of its objective; empty: none
 
 
 def trial_counts(storage: RDBStorage) -> dict[str, int]:
@@ -100,13 +95,8 @@ def attach(
 ) -> set[tuple[str, int]]:
     """Add system attributes to finished trials, which Optuna itself does not let anyone do.
 
-    A key that the trial has already is left as it is.
-
-    Args:
-        storage: of the trials.
-        attributes: name of the study, number of the trial, key, plain value.
-
-    Returns which trials got something: name of the study, number.
+    Of each: name of the study, number of the trial, key, plain value. A key that the trial has
+    already is left as it is. Returns which trials got something: name of the study, number.
 
     Raises:
         InputError: a database of another Optuna version.

@@ -95,12 +95,8 @@ def open_database(url: str) -> RDBStorage:
 def locked(url: str, name: str, wait: bool = False) -> Iterator[bool]:
     """Hold an advisory lock of the server on a study's name; yields whether it was free.
 
-    The server gives the lock back when the connection ends, however this process ends.
-
-    Args:
-        url: of the database.
-        name: of the study, or of other work that one process does at a time.
-        wait: until it is free.
+    The server gives the lock back when the connection ends, however this process ends. The name may
+    also be of other work that one process does at a time; `wait` until it is free.
     """
     take = "pg_advisory_lock" if wait else "pg_try_advisory_lock"
     with connected(url) as engine, _own(engine) as connection:

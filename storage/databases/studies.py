@@ -87,8 +87,7 @@ def open_studies(url: str) -> RDBStorage:
         storage = _storage(url)
     except (OSError, sqlite3.Error, SQLAlchemyError, RuntimeError) as error:
         raise unusable(shown_url(url), error) from None
-    relaxed = "PRAGMA synchronous=NORMAL"
-    event.listen(storage.engine, "connect", lambda connection, _: connection.execute(relaxed))
+    event.listen(storage.engine, "connect", _relax_synchronous)
     event.listen(storage.engine, "begin", _stays(path))
     storage.engine.dispose()  # connections made before the listener
     return storage
@@ -104,33 +103,30 @@ def read_studies(url: str) -> Iterator[RDBStorage | None]:
     Raises:
         InputError: as `open_studies`, which would open it or make it; or the block raised.
     """
-    shown, options = shown_url(url), postgresql.READING_OPTIONS
+    shown, address, options = shown_url(url), url, postgresql.READING_OPTIONS
     if not is_postgresql(url):
         path = studies_path(url)
         require_writable(path, "storage")
         if not path.exists():
             yield None
             return
-        url, options = SQLITE, _sqlite_options(path)
+        address, options = SQLITE, _sqlite_options(path)
     storage, verbosity = None, optuna.logging.get_verbosity()
     try:
-        engine = sql.create_engine(url, **options)
-        try:
-            with engine.connect() as connection:
-                empty = _is_empty(connection, shown)
-                if not empty:
-                    _check_texts(connection, shown)
-                    _check_owners(connection, shown)
-        finally:
-            engine.dispose()
-        if not empty:
-            storage = RDBStorage(url, engine_kwargs=dict(options), skip_table_creation=True)
-        optuna.logging.set_verbosity(optuna.logging.ERROR)  # no warnings about damaged values
-        yield storage
-    except InputError:
-        raise
-    except Exception as error:
-        raise unusable(shown, error) from None
+        with read_errors(url):
+            engine = sql.create_engine(address, **options)
+            try:
+                with engine.connect() as connection:
+                    empty = _is_empty(connection, shown)
+                    if not empty:
+                        _check_texts(connection, shown)
+                        _check_owners(connection, shown)
+            finally:
+                engine.dispose()
+            if not empty:
+                storage = RDBStorage(address, engine_kwargs=dict(options), skip_table_creation=True)
+            optuna.logging.set_verbosity(optuna.logging.ERROR)  # no warnings about damaged values
+            yield storage
     finally:
         optuna.logging.set_verbosity(verbosity)
         if storage is not None:
@@ -300,8 +296,7 @@ def read_errors(url: str) -> Iterator[None]:
 def load_whole(storage: RDBStorage, name: str) -> optuna.Study:
     """A study that has been read completely: for an edited value, Optuna raises its error here."""
     study = optuna.load_study(study_name=name, storage=storage)
-    for _ in (study.directions, study.user_attrs, study.metric_names):
-        pass
+    _ = study.directions, study.user_attrs, study.metric_names
     study.get_trials(deepcopy=False)
     return study
 
@@ -385,7 +380,8 @@ def _stays(path: Path) -> Callable[[sql.Connection], None]:
 def name_metric(study: optuna.Study, metric: str) -> None:
     """Name the one objective of a study, unless it has a name."""
     if study.metric_names is None:
-        with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
             study.set_metric_names([metric])
 
 
@@ -437,3 +433,8 @@ def _claim(connection: sqlite3.Connection) -> None:
             time.sleep(0.01)
     connection.execute("BEGIN IMMEDIATE")
     connection.rollback()
+
+
+def _relax_synchronous(connection: Any, _record: Any) -> None:
+    """Called by SQLAlchemy with each new connection."""
+    connection.execute("PRAGMA synchronous=NORMAL")

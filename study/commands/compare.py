@@ -42,16 +42,9 @@ def main(args: Namespace) -> None:
     settings = experiment.conditions.settings
     require_engine(settings)
     workers = Walker(settings).processes(cores()) if args.workers is None else args.workers
+    drawn, cluster = not args.no_artifacts, Cluster.asked(args.cluster, args.mixed)
     request = Request(
-        out,
-        args.storage,
-        arms,
-        args.runs,
-        args.trials,
-        workers,
-        not args.no_artifacts,
-        args.films,
-        Cluster.asked(args.cluster, args.mixed),
+        out, args.storage, arms, args.runs, args.trials, workers, drawn, args.films, cluster
     )
     with closing(ProgressBar()) as bar:
 

@@ -30,21 +30,13 @@ AGREEMENT_POINTS = 4096
 
 @dataclass(frozen=True)
 class Figure:
-    """A measured number beside its bar.
+    """A measured number beside its bar."""
 
-    Attributes:
-        what: name of the quantity.
-        value: the measured number.
-        low: the least that is allowed; None: no lower bound.
-        high: the most that is allowed; with both None, the number is only reported.
-        unit: of the number and its bar.
-    """
-
-    what: str
+    what: str  # name of the quantity
     value: float
-    low: float | None = None
-    high: float | None = None
-    unit: str = ""
+    low: float | None = None  # the least that is allowed; None: no lower bound
+    high: float | None = None  # the most; with both None, the number is only reported
+    unit: str = ""  # of the number and its bar
 
     @property
     def holds(self) -> bool:

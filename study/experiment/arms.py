@@ -34,7 +34,7 @@ from taichi_nmm.errors import InputError
 
 PAPER_ARM = "dog"  # the paper's, to which all others are compared
 BEST_ARM = "best"  # our best combination
-Kind = Literal["ours", "peer", "control"]
+Kind = Literal["ours", "peer", "control"]  # peers are of others, or plain; controls: no model
 
 PRINTED = ("phi_printed",)
 TIES = "phi_corrected"
@@ -53,31 +53,18 @@ REMOVED = {
 
 @dataclass(frozen=True)
 class Arm:
-    """A way of choosing trials.
+    """A way of choosing trials."""
 
-    Attributes:
-        name: of the arm, in commands and files.
-        label: of the arm, in figures and tables.
-        kind: "ours", "peer" (of others, or plain) or "control" (no model).
-        summary: in a line.
-        new_sampler: makes one.
-        store: key of the store that it reads, in the configuration's [stores]; "" for none.
-        features: columns of that store, or features computed of several.
-        fresh: its sampler is made anew for each trial, since the library keeps a state in it.
-        replayed: the library keeps a state in the trials, which a resumed study must repeat.
-        options: further settings that decide its proposals.
-    """
-
-    name: str
-    label: str
+    name: str  # in commands and files
+    label: str  # in figures and tables
     kind: Kind
-    summary: str
+    summary: str  # in a line
     new_sampler: Callable[[Task], BaseSampler]
-    store: str = ""
-    features: tuple[Feature, ...] = ()
-    fresh: bool = False
-    replayed: bool = False
-    options: Mapping[str, Any] = field(default_factory=dict)
+    store: str = ""  # key of the store that it reads, in the configuration's [stores]; "" for none
+    features: tuple[Feature, ...] = ()  # columns of that store, or computed of several
+    fresh: bool = False  # a new sampler for each trial, since the library keeps a state in it
+    replayed: bool = False  # the library keeps a state in trials, which a resumed study repeats
+    options: Mapping[str, Any] = field(default_factory=dict)  # that decide its proposals as well
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -232,10 +219,8 @@ def with_store(experiment: Experiment, names: Sequence[str], path: Path) -> Expe
 def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
     """The bodies and grounds that an arm's store had seen before the first trial, in words.
 
-    Args:
-        arm: that reads the store.
-        stores: folders of stores by key. If the arm's store is missing or cannot be read, only the
-            names of the families that the arm reads are given.
+    `stores` are folders by key. If the arm's store is missing or cannot be read, only the names of
+    the families that the arm reads are given.
     """
     if not arm.store:
         return NOTHING

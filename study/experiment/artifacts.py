@@ -47,21 +47,13 @@ Drawn = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """A body, a ground and gains; the best trial of one study or of several.
+    """A body, a ground and gains; the best trial of one study or of several."""
 
-    Attributes:
-        run: whose body and ground.
-        gains: the searched parameters, [16 + k].
-        title: how the walk ended.
-        trials: name of the study and number of the trial, of each.
-        files: names of its files by their kind; the same walk has the same ones in all calls.
-    """
-
-    run: int
-    gains: NDArray[np.float64]
-    title: str
-    trials: tuple[tuple[str, int], ...]
-    files: dict[str, str]
+    run: int  # whose body and ground
+    gains: NDArray[np.float64]  # the searched parameters, [16 + k]
+    title: str  # how the walk ended
+    trials: tuple[tuple[str, int], ...]  # name of the study and number of the trial, of each
+    files: dict[str, str]  # names by kind; the same walk has the same ones in all calls
 
     @classmethod
     def of(
@@ -127,14 +119,9 @@ def make_artifacts(
 ) -> None:
     """Draw the best trial of each study and attach picture and film to it.
 
-    Args:
-        experiment: whose results.
-        trials: rows of the results table, exported to the database before.
-        url: of the study database.
-        out: folder of the experiment; the files go to its folder artifacts.
-        pool: that draws.
-        drawn: called with the number of walks that are done, and of all.
-        film_runs: runs, from run 0 on, whose walks get a film; the others a picture alone.
+    The trials are rows of the results table, exported to the database before; the files go to the
+    folder artifacts in `out`. `drawn` is called with the number of walks that are done, and of all.
+    Walks of the first `film_runs` runs get a film, the others a picture alone.
 
     Raises:
         InputError: no ffmpeg that works (before anything is drawn), or no place to write.

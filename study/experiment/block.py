@@ -45,6 +45,7 @@ class Walks:
     """
 
     def __init__(self) -> None:
+        """None yet."""
         self._found: dict[tuple[int, bytes], tuple[np.void, float]] = {}
 
     def add(self, runs: Sequence[int], gains: Floats, rows: Rows, cost: Floats) -> None:
@@ -72,39 +73,27 @@ class Walks:
 
 @dataclass(frozen=True)
 class Block:
-    """Some studies as they stand, and how many trials each is to have.
-
-    Attributes:
-        experiment: of the studies.
-        studies: arm and run of each.
-        known: their finished trials, `STATE_SCHEMA`; of studies that are handed on, none.
-        trials: that each is to have.
-        handed_on: the studies themselves, of an earlier `Advanced`; empty: made of what is known.
-        walks: of that `Advanced`.
-    """
+    """Some studies as they stand, and how many trials each is to have."""
 
     experiment: Experiment
     studies: tuple[Key, ...]
-    known: pa.Table
+    known: pa.Table  # their finished trials, `STATE_SCHEMA`; of studies that are handed on, none
     trials: int
-    handed_on: tuple[optuna.Study, ...] = ()
-    walks: Walks = field(default_factory=Walks)
+    handed_on: tuple[optuna.Study, ...] = ()  # of an earlier `Advanced`; empty: made of the known
+    walks: Walks = field(default_factory=Walks)  # of that `Advanced`
 
 
 @dataclass(frozen=True)
 class Advanced:
     """The outcome of a block.
 
-    Attributes:
-        table: the trials that its studies lacked, `STATE_SCHEMA`.
-        studies: with all their trials, in the block's order. With them the next stretch need not
-            repeat the trials of libraries that keep a state.
-        walks: all of the block so far. With them the next stretch need not simulate them again.
+    With the studies the next stretch need not repeat the trials of libraries that keep a state, and
+    with the walks it need not simulate them again.
     """
 
-    table: pa.Table
-    studies: tuple[optuna.Study, ...]
-    walks: Walks
+    table: pa.Table  # the trials that its studies lacked, `STATE_SCHEMA`
+    studies: tuple[optuna.Study, ...]  # with all their trials, in the block's order
+    walks: Walks  # all of the block so far
 
 
 def advance(block: Block) -> Advanced:
@@ -177,7 +166,8 @@ def _quiet() -> Iterator[None]:
     verbosity = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     try:
-        with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
             yield
     finally:
         optuna.logging.set_verbosity(verbosity)

@@ -47,33 +47,25 @@ STRETCH_TRIALS = 5
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a comparison is.
+    """How far a comparison is."""
 
-    Attributes:
-        trials: finished, those of earlier sessions included.
-        total: that there are to be.
-        studies: that there are.
-        walkers: studies with a trial that walked.
-    """
-
-    trials: int
-    total: int
-    studies: int
-    walkers: int
+    trials: int  # finished, those of earlier sessions included
+    total: int  # that there are to be
+    studies: int  # that there are
+    walkers: int  # studies with a trial that walked
 
 
 class FinishedTrials:
     """Finished trials by study; each `commit` writes all trials of the arms that have new ones.
 
-    Args:
-        folder: whose arms are read and written.
-        studies: arm and run of each study of this call; others of their arms are kept too.
-        until_walker: whether a study ends with its first walker.
+    The studies, by arm and run, are those of this call; others of their arms are kept too. With
+    `until_walker` a study ends with its first walker.
     """
 
     def __init__(
         self, folder: ExperimentFolder, studies: Iterable[Key], until_walker: bool = False
     ) -> None:
+        """Read what is finished."""
         self.studies = tuple(studies)
         self._until_walker = until_walker
         self._walkers: set[Key] = set()
@@ -131,46 +123,27 @@ class FinishedTrials:
 
 @dataclass(frozen=True)
 class Request:
-    """A user's request; None: the configuration's value.
+    """A user's request; None: the configuration's value."""
 
-    Attributes:
-        out: folder of the experiment.
-        storage: URL of the study database; None is a file in the folder.
-        arms: names.
-        runs: at least 1.
-        trials: at least 1, of each arm in each run, in total.
-        workers: processes of this machine that try trials and draw pictures.
-        cluster: that tries trials in their place.
-        artifacts: whether the best trial of each study gets its picture, those of some runs a film.
-        films: "few", of the first runs of each arm, or "all".
-    """
-
-    out: Path
-    storage: str | None = None
-    arms: tuple[str, ...] | None = None
-    runs: int | None = None
-    trials: int | None = None
-    workers: int = 1
-    artifacts: bool = True
-    films: str = "few"
-    cluster: Cluster | None = None
+    out: Path  # folder of the experiment
+    storage: str | None = None  # URL of the study database; None is a file in the folder
+    arms: tuple[str, ...] | None = None  # by name
+    runs: int | None = None  # at least 1
+    trials: int | None = None  # at least 1, of each arm in each run, in total
+    workers: int = 1  # processes of this machine that try trials and draw pictures
+    artifacts: bool = True  # whether the best trial of each study gets a picture, of some a film
+    films: str = "few"  # of the first runs of each arm, or "all"
+    cluster: Cluster | None = None  # that tries trials in place of the workers
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """The results of a comparison.
+    """The results of a comparison."""
 
-    Attributes:
-        trials: the table of results: all arms of the folder.
-        storage: URL of the study database.
-        computed: trials of this session.
-        wall_s: of this session.
-    """
-
-    trials: pa.Table
-    storage: str
-    computed: int
-    wall_s: float
+    trials: pa.Table  # of results: all arms of the folder
+    storage: str  # URL of the study database
+    computed: int  # trials of this session
+    wall_s: float  # of this session
 
 
 def compare(
@@ -183,13 +156,9 @@ def compare(
 ) -> Outcome:
     """Run an experiment, or what is missing of it, and write its tables.
 
-    Args:
-        experiment: what is compared on what.
-        request: how much of it, and where to.
-        report: called whenever a stretch of trials is finished.
-        drawn: called with the number of walks that have their pictures, and of all.
-        summarise: makes the content of the summary study in the database; None: there is none.
-        pool: that does the work, in place of the request's workers.
+    `report` is called whenever a stretch of trials is finished, `drawn` with the number of walks
+    that have their pictures, and of all. Without `summarise` the database has no summary study. A
+    pool does the work in place of the request's workers.
 
     Raises:
         InputError: before anything is written: see `check_arms`, `ExperimentFolder.check` and
@@ -316,13 +285,9 @@ def work_through(
 ) -> None:
     """Do units of work, and those that follow from them.
 
-    Args:
-        pool: that works.
-        work: does a unit.
-        units: to begin with.
-        take: keeps the outcome of a unit, and gives the units that follow from it.
-        commit: writes all that was taken, every `CHECKPOINT_S` and at the end, however this ends;
-            its argument is whether the work goes on.
+    `take` keeps the outcome of a unit, and gives the units that follow from it. `commit` writes all
+    that was taken, every `CHECKPOINT_S` and at the end, however this ends; it is told whether the
+    work goes on.
     """
     queue = deque(units)
     written_s = time.monotonic()

@@ -48,15 +48,10 @@ FIGURE_ID = "best-cost"
 
 @dataclass(frozen=True)
 class Summary:
-    """The content of an experiment's summary study in the dashboard.
+    """The content of an experiment's summary study in the dashboard."""
 
-    Attributes:
-        note: in Markdown.
-        figure: data and layout, as plotly reads them.
-    """
-
-    note: str
-    figure: dict[str, Any]
+    note: str  # in Markdown
+    figure: dict[str, Any]  # data and layout, as plotly reads them
 
 
 Summarise = Callable[[str, pa.Table, bool, Mapping[str, int]], Summary]
@@ -69,12 +64,8 @@ def export(
 ) -> None:
     """Add new results to the study database, and renew the experiment's summary.
 
-    Args:
-        experiment: whose results.
-        trials: rows of the results table, every study from its trial 0 on without a gap.
-        url: of the database.
-        summarise: makes the content of the summary study; None: there is no such study.
-        final: whether these are all.
+    The trials are rows of the results table, every study from its trial 0 on without a gap; `final`
+    says whether these are all. Without `summarise` there is no summary study.
 
     Raises:
         InputError: the database cannot be used, or has the experiment with another configuration.

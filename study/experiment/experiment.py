@@ -41,48 +41,33 @@ DECIDES_NOTHING = {"decides": False}  # of a field: it may grow, or its content 
 class CmaesOptions:
     """Options of CMA-ES where the optimum is estimated: the table [cmaes].
 
-    Attributes:
-        sigma: first spread, of each range.
-        population: of a generation; 0 is the library's, 4 + 3 ln(number of parameters).
-        tolerance: pycma's `tolfun`: converged when the cost has changed by less in 50 generations
-            or so. Its other criteria are as they are by default.
-        max_generations: where a run is cut that has not converged.
+    A run has converged when the cost has changed by less than the tolerance, pycma's `tolfun`, in
+    50 generations or so. Its other criteria are as they are by default.
     """
 
-    sigma: float = 0.3
-    population: int = 0
+    sigma: float = 0.3  # first spread, of each range
+    population: int = 0  # of a generation; 0: the library's, 4 + 3 ln(number of parameters)
     tolerance: float = 1e-11
-    max_generations: int = 400
+    max_generations: int = 400  # where a run is cut that has not converged
 
 
 @dataclass(frozen=True)
 class Experiment:
     """All that the studies of an experiment share. It pickles; processes draw bodies and grounds.
 
-    Attributes:
-        name: of the experiment; a study is called name/arm/run-NNN.
-        seed: of bodies, grounds and samplers: run r draws from (seed, purpose, r).
-        searched: low-level gains that are searched beside the 16 gains.
-        cost: "smooth" or "walking", the paper's two.
-        conditions: of every trial: its length, the simulation, and what bodies and grounds are
-            drawn from.
-        until_walker: a study ends with its first trial that walks, where others have all trials.
-        runs: how many, each a body and a ground.
-        trials: of each arm in each run, at most.
-        arms: names of `study.experiment.arms` that a comparison takes.
-        stores: folders of scores, by the name that arms know them by.
-        cmaes: of the estimate of the optimum.
+    Conditions are of every trial: its length, the simulation, and what bodies and grounds are drawn
+    from. Stores are folders of scores, by the name that arms know them by.
     """
 
-    name: str
-    seed: int
-    searched: tuple[str, ...]
-    cost: str = field(metadata={TABLE: "objective"})
+    name: str  # a study is called name/arm/run-NNN
+    seed: int  # of bodies, grounds and samplers: run r draws from (seed, purpose, r)
+    searched: tuple[str, ...]  # low-level gains that are searched beside the 16 gains
+    cost: str = field(metadata={TABLE: "objective"})  # "smooth" or "walking", the paper's two
     conditions: Conditions
-    until_walker: bool = False
-    runs: int = field(default=50, metadata=DECIDES_NOTHING)
-    trials: int = field(default=100, metadata=DECIDES_NOTHING)
-    arms: tuple[str, ...] = field(default=(), metadata=DECIDES_NOTHING)
+    until_walker: bool = False  # a study ends with its first walker, where others have all trials
+    runs: int = field(default=50, metadata=DECIDES_NOTHING)  # each a body and a ground
+    trials: int = field(default=100, metadata=DECIDES_NOTHING)  # of each arm in each run, at most
+    arms: tuple[str, ...] = field(default=(), metadata=DECIDES_NOTHING)  # that are compared
     stores: Mapping[str, Path] = field(default_factory=dict, hash=False, metadata=DECIDES_NOTHING)
     cmaes: CmaesOptions = field(default=CmaesOptions(), metadata=DECIDES_NOTHING)
 

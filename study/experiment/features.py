@@ -30,19 +30,12 @@ COVERING = 128  # candidates that are placed by the rule; the others follow by t
 
 @dataclass(frozen=True)
 class Survival:
-    """The share of the time that a row survives in the settings of a store's families, on average.
+    """The mean share of the time that a row survives in the settings of a store's families."""
 
-    Attributes:
-        families: names of families of settings; () are all that the store has.
-        name: of the feature.
-        survivors: rows that no family ran (they fell on level ground) are left out.
-        grid_only: rows that a search bred are left out.
-    """
-
-    families: tuple[str, ...] = ()
-    name: str = "survival"
-    survivors: bool = False
-    grid_only: bool = False
+    families: tuple[str, ...] = ()  # of settings; () are all that the store has
+    name: str = "survival"  # of the feature
+    survivors: bool = False  # rows that no family ran (they fell on level ground) are left out
+    grid_only: bool = False  # rows that a search bred are left out
 
     def families_of(self, store: Store) -> tuple[str, ...]:
         """The families that are averaged, or an InputError: the store lacks one, or has none."""
@@ -57,16 +50,10 @@ class Survival:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How early a row comes in the order that covers several grounds (`covering_order`).
+    """How early a row comes in the order that covers several grounds (`covering_order`)."""
 
-    Attributes:
-        plainest: survival of the ground that the first row is for; rows that it leaves out are.
-        grounds: survival of each ground that is to be covered.
-        name: of the feature.
-    """
-
-    plainest: Survival
-    grounds: tuple[Survival, ...]
+    plainest: Survival  # of the ground that the first row is for; rows that it leaves out are
+    grounds: tuple[Survival, ...]  # survival of each ground that is to be covered
     name: str = "coverage"
 
     @property
@@ -139,11 +126,8 @@ def feature_table(
 ) -> FeatureTable:
     """The rows of a store as candidates; those that a feature leaves out are not proposed.
 
-    Args:
-        store: whose rows.
-        features: to compare them by.
-        parameters: columns that studies suggest.
-        **ranges: `bounds` or `space` of `FeatureTable.from_arrays`.
+    `parameters` are columns that studies suggest, `ranges` are `bounds` or `space` of
+    `FeatureTable.from_arrays`.
     """
     columns = store.table(parameters)
     with warnings.catch_warnings():
@@ -312,5 +296,6 @@ class SurvivalSampler(FeatureKernelSampler):
 
     @checks.checked(table=checks.instance(FeatureTable))
     def __init__(self, table: FeatureTable, *, seed: int | None = None, **options: Any) -> None:
+        """As `FeatureKernelSampler`, with other defaults."""
         covered = COVERED_OPTIONS["prior"] in table.rows.feature_names
         super().__init__(table, seed=seed, **(COVERED_OPTIONS if covered else OPTIONS) | options)

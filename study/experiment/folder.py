@@ -116,9 +116,8 @@ def walkers(table: pa.Table) -> set[Key]:
 def as_if_gone_on(table: pa.Table) -> pa.Table:
     """The table as if studies that ended with a walker had gone on, repeating their last trial.
 
-    Args:
-        table: trials of an experiment with `until_walker`, of any columns with arm, run, trial and
-            walked, without gaps; in any order.
+    Its trials are of an experiment with `until_walker`, without gaps, in any order; it has the
+    columns arm, run, trial and walked, and any others.
     """
     ordered = in_order([table])
     arm, run, trial = (ordered[name].to_numpy() for name in ("arm", "run", "trial"))

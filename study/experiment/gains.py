@@ -32,17 +32,11 @@ TRIAL_FORM = "EXPERIMENT/ARM/run-NNN/NUMBER, such as rough8-smooth/dog/run-007/1
 
 @dataclass(frozen=True, eq=False)
 class NamedGains:
-    """All gains of a controller, and their name.
+    """All gains of a controller, and their name."""
 
-    Attributes:
-        name: for titles and file names.
-        gains: [16].
-        low_level: [8].
-    """
-
-    name: str
-    gains: NDArray[np.float64]
-    low_level: NDArray[np.float64]
+    name: str  # for titles and file names
+    gains: NDArray[np.float64]  # [16]
+    low_level: NDArray[np.float64]  # [8]
 
     def as_document(self) -> dict[str, float]:
         """By name, as a gains file has them; low-level gains where they are not the defaults."""
@@ -82,11 +76,9 @@ def gains_at(store: storage.Store, place: int, row: int) -> NamedGains:
 
 
 def gains_of_trial(trial: str, where: str) -> NamedGains:
-    """The parameters of a finished trial.
+    """The parameters of a finished trial, STUDY/NUMBER.
 
-    Args:
-        trial: name of the study, and number of the trial.
-        where: URL of a study database, or a comparison's folder.
+    `where` is the URL of a study database, or a comparison's folder.
 
     Raises:
         InputError: no such database or folder, study or trial.
@@ -157,14 +149,9 @@ def recorded_walk(
     rate_hz: float,
     progress: Callable[[float, int], None] | None = None,
 ) -> taichi_nmm.Result:
-    """The result of one walker in a run of an experiment, with its trajectory.
+    """The result of one walker on the body and the ground of a run, with its trajectory.
 
-    Args:
-        gains: of the walker.
-        experiment: for the conditions.
-        run: for the body, the world and the ground.
-        rate_hz: samples of the trajectory a second.
-        progress: as `taichi_nmm.simulate` takes it.
+    `progress` is as `taichi_nmm.simulate` takes it.
 
     Raises:
         InputError: what the simulator refuses.

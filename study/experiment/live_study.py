@@ -68,15 +68,9 @@ def run_study(
     run again, with the same parameters, before anything else. Of a crew that is done with trials
     whose heart has stopped, and a process that finds enough of them begun waits for the others.
 
-    Args:
-        experiment: of the study.
-        arm: that proposes; found able to by `study.experiment.arms`.
-        run: whose body and ground it is about.
-        trials: the total, not the number to add; an experiment may end a study before, with its
-            first walker.
-        storage: of Optuna.
-        report: called after each finished trial.
-        crew: the processes that work on the study; None: this one alone.
+    Trials are the total, not the number to add; an experiment may end a study before, with its
+    first walker. `report` is called after each finished trial. Without a crew this process works on
+    the study alone.
 
     Raises:
         InputError: the run is none of the experiment's, or a study of that name was made otherwise.
@@ -224,7 +218,8 @@ def _repeat(experiment: Experiment, study: optuna.Study, dead: list[FrozenTrial]
         given = copy(trial)
         if set(trial.params) != set(experiment.names):
             given.params, given.distributions = {}, {}
-        with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
             retry = RetryHeartbeatStaleTrialCallback()
             # First the successor: killed between the two steps, the next run must not lose it.
             waiting = study.get_trials(deepcopy=False, states=(TrialState.WAITING,))

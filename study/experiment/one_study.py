@@ -35,18 +35,12 @@ def sampler_seed(experiment_seed: int, arm: str, run: int) -> int:
 
 
 class OneStudy:
-    """An arm in a run, over an Optuna study.
-
-    Args:
-        experiment: of the study.
-        arm: that proposes its trials.
-        run: whose body and ground it is about.
-        study: where its trials are kept, made by this project alone; None: a new one in memory.
-    """
+    """An arm in a run, over a study of this project's making; None: a new one in memory."""
 
     def __init__(
         self, experiment: Experiment, arm: Arm, run: int, study: optuna.Study | None = None
     ) -> None:
+        """The study as it stands; its sampler is made with the next trial."""
         self.arm = arm
         self.run = run
         self.study = study or optuna.create_study(direction="minimize")
@@ -83,12 +77,9 @@ class OneStudy:
     def tell(
         self, cost: float, rows: NDArray[np.void], attributes: dict[str, Any] | None = None
     ) -> FrozenTrial:
-        """Finish the trial that was asked for.
+        """Finish the trial that was asked for: a finite cost, and the simulator's row of it, [1].
 
-        Args:
-            cost: of the trial, finite.
-            rows: the simulator's row of it, [1].
-            attributes: further ones, for readers of the study.
+        Attributes are further ones, for readers of the study.
         """
         return self._tell(cost, shown(self.arm, rows) | (attributes or {}))
 
@@ -100,10 +91,7 @@ class OneStudy:
     def restore(self, gains: list[float], cost: float, noted: dict[str, Any]) -> None:
         """Add a trial of an earlier session; where the library keeps a state, by asking again.
 
-        Args:
-            gains: the searched parameters.
-            cost: of the trial.
-            noted: all user attributes that the trial had.
+        It has searched parameters, a cost, and all user attributes that it had.
 
         Raises:
             InputError: the sampler now proposes other gains.
@@ -169,6 +157,7 @@ class LiveStudy(OneStudy):
     """
 
     def __init__(self, experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> None:
+        """The study as it stands; a twin is told its trials."""
         super().__init__(experiment, arm, run, study)
         self._given: dict[str, float] = {}
         self._twin = OneStudy(experiment, arm, run) if arm.replayed else None
@@ -194,7 +183,8 @@ class LiveStudy(OneStudy):
     def _sampler_of_turn(self) -> BaseSampler:
         if self._twin is None:
             return super()._sampler_of_turn()
-        with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
             return PartialFixedSampler(self._given, RandomSampler(seed=0))
 
     def _tell(self, cost: float, attributes: dict[str, Any]) -> FrozenTrial:

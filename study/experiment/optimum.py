@@ -83,19 +83,12 @@ class OptimumFolder(Folder):
 
 @dataclass(frozen=True)
 class Stretch:
-    """A unit of work: some runs of CMA-ES, to be taken on by some generations.
-
-    Attributes:
-        experiment: of the runs.
-        runs: their numbers.
-        known: the points that they have tried, `EVALUATIONS`.
-        where: their folder, for messages.
-    """
+    """A unit of work: some runs of CMA-ES, to be taken on by some generations."""
 
     experiment: Experiment
-    runs: tuple[int, ...]
-    known: pa.Table
-    where: str
+    runs: tuple[int, ...]  # their numbers
+    known: pa.Table  # the points that they have tried, `EVALUATIONS`
+    where: str  # their folder, for messages
 
 
 def estimate(
@@ -106,18 +99,11 @@ def estimate(
     report: Callable[[str], None],
     cluster: Cluster | None = None,
 ) -> dict[str, Any]:
-    """Run CMA-ES and the paper's arm, or what is missing of them, and write the result.
+    """Run CMA-ES and the paper's arm, or what is missing of them; return optimum.json's document.
 
-    Args:
-        experiment: level ground and the undisturbed body; its seed is also that of CMA-ES.
-        out: folder of the estimate.
-        runs: of each arm; None: the configuration's. A later call may ask for more.
-        workers: processes of this machine.
-        report: called with a line on the progress.
-        cluster: that works in place of the processes.
-
-    Returns:
-        The document of optimum.json.
+    The experiment has level ground and the undisturbed body; its seed is also that of CMA-ES. Runs
+    are of each arm, None: the configuration's; a later call may ask for more. `report` is called
+    with a line on the progress, and a cluster works in place of the processes of this machine.
 
     Raises:
         InputError: another ground or body, a folder of something else, and see `check_arms`,
@@ -200,8 +186,7 @@ def run_cmaes(
 ) -> tuple[pa.Table, list[str]]:
     """Go on until every run has stopped; each finished stretch is reported, and kept.
 
-    Returns:
-        The evaluations by run, generation, member; and why each run has ended.
+    Returns the evaluations by run, generation, member; and why each run has ended.
 
     Raises:
         InputError: as `evolve`, or a disk that is full.
@@ -242,8 +227,7 @@ def run_cmaes(
 def evolve(stretch: Stretch) -> tuple[pa.Table, dict[int, str]]:
     """Take the runs of a stretch on.
 
-    Returns:
-        The points tried beyond those known, `EVALUATIONS`; and why runs have ended, by number.
+    Returns the points tried beyond those known, `EVALUATIONS`; and why runs have ended, by number.
 
     Raises:
         InputError: the known points are not those that these runs try, or what the simulator

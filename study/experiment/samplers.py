@@ -39,21 +39,13 @@ SOURCE_ROWS = 1000  # Optuna's warm start takes the best tenth of them
 
 @dataclass(frozen=True)
 class Task:
-    """One study of an experiment, and, of samplers that are new every trial, one trial.
-
-    Attributes:
-        experiment: of the study.
-        seed: of the sampler.
-        turn: number of the trial.
-        store: key of the arm's store; "" for none.
-        features: of the arm.
-    """
+    """One study of an experiment, and, of samplers that are new every trial, one trial."""
 
     experiment: Experiment
-    seed: int
-    turn: int
-    store: str
-    features: tuple[Feature, ...]
+    seed: int  # of the sampler
+    turn: int  # number of the trial
+    store: str  # key of the arm's store; "" for none
+    features: tuple[Feature, ...]  # of the arm
 
     @property
     def table(self) -> FeatureTable:
@@ -65,6 +57,7 @@ class RowSampler(ReproducibleRandomSampler):
     """Proposes all parameters of a table at once; parameters that are not in it are uniform."""
 
     def __init__(self, task: Task) -> None:
+        """Nothing is computed."""
         super().__init__(seed=task.seed)
         self._table = task.table
 
@@ -106,13 +99,8 @@ def score_order(table: FeatureTable) -> NDArray[np.int64]:
 class CmaEs:
     """pycma in the unit cube, a generation at a time: `ask`, `tell`, `ask`, ...
 
-    The same start, draws and costs give the same points.
-
-    Args:
-        start: mean of the first generation, in the unit cube, [d].
-        sigma: its spread, of each range.
-        draws: all random numbers.
-        **options: of pycma, such as popsize and tolfun.
+    The first generation has its mean [d] at the start, in the unit cube, and a spread of sigma, of
+    each range. The same start, draws and costs give the same points. Options are pycma's.
     """
 
     def __init__(
@@ -152,11 +140,7 @@ class TurnCmaEsSampler(CmaEsSampler):
     """Optuna's CMA-ES, whose draws depend on the trial's number; here it is the trial's turn.
 
     It keeps its state in the trials. A new object with a seed of its own for each trial makes it
-    draw alike after a restart. Trial 0 is random.
-
-    Args:
-        task: study and trial.
-        **start: where the search starts, as options of Optuna's.
+    draw alike after a restart. Trial 0 is random. The search starts as options of Optuna's say.
     """
 
     def __init__(self, task: Task, **start: Any) -> None:
@@ -219,6 +203,7 @@ class WarmCmaEsSampler(RowSampler):
     """
 
     def __init__(self, task: Task) -> None:
+        """Draw the start of the run; pycma is loaded when it is first needed."""
         super().__init__(task)
         best = score_order(self._table)[:START_ROWS]
         self._row = int(generator(task.seed, Purpose.STARTUP_ROW).choice(best))

@@ -35,10 +35,9 @@ FIRST_GAIT = "reference"
 
 
 def page_of(path: Path) -> Page:
-    """What fills the document of a tab. Each tab reads the folder anew: it may be growing.
+    """What fills the document of a tab with a store or a comparison, finished or not.
 
-    Args:
-        path: of a store or a comparison, finished or not.
+    Each tab reads the folder anew: it may be growing.
 
     Raises:
         InputError: neither a store nor a comparison, or one that cannot be read.

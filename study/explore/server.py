@@ -53,11 +53,7 @@ class TokenMatches(Matcher):  # type: ignore[misc]  # Tornado may lack types
 
 
 def serve(page: Callable[[Document], None], port: int) -> tuple[IOLoop, str]:
-    """A loop that serves once it is started, and the page's address.
-
-    Args:
-        page: fills the document of each tab.
-        port: 0 takes a free one.
+    """A loop that serves once it is started, and the page's address; port 0 takes a free one.
 
     Raises:
         InputError: the port is in use, or not ours to take.
@@ -77,11 +73,8 @@ def serve(page: Callable[[Document], None], port: int) -> tuple[IOLoop, str]:
 class Latest:
     """Calls of another process: one at a time, and only the newest of those that wait.
 
-    Args:
-        document: of the tab; once the tab is closed, results are dropped.
-        executor: of all tabs.
-        done: called with each result, in the page's own loop.
-        failed: called with what was raised.
+    `done` is called with each result, in the page's own loop, `failed` with what was raised. Once
+    the tab of the document is closed, results are dropped.
     """
 
     def __init__(

@@ -43,11 +43,7 @@ def outlines(parts: int, count: int, **more: Any) -> ColumnDataSource:
 
 
 class Stage:
-    """One walker, drawn as in films: muscles by activation, forces of the ground.
-
-    Args:
-        name: of the figure.
-    """
+    """One walker, drawn as in films: muscles by activation, forces of the ground."""
 
     def __init__(self, name: str) -> None:
         self.frames = ColumnDataSource({}, name=f"{name}-frames")

@@ -192,11 +192,8 @@ def first_columns(store: Store) -> list[str]:
 class StoreView:
     """The left half of a store's page.
 
-    Args:
-        store: finished or not.
-        message: for refusals.
-        pick: called with the place of a clicked row among the store's rows, and with its number.
-        save: called with a selection and the suffix of a file.
+    It calls `pick` with the place of a clicked row among the store's rows and with its number, and
+    `save` with a selection and the suffix of a file.
     """
 
     def __init__(
@@ -318,12 +315,13 @@ class StoreView:
         self._source.data[f"c{slot}"] = values  # last: it makes the script paint
 
     def _script(self) -> None:
+        rgba = matplotlib.colormaps[PALETTE](np.arange(256), bytes=True)
         script = CustomJS.from_file(
             SCRIPTS / "brush.mjs",
             source=self._source, columns=self._columns, selection=self.selection, image=self._image,
             plot=self._cloud, histograms=self._histograms, bars=self._bars, bounds=self._bounds,
             parallel=self._parallel, table=self._listed, count=self._count, row=self.row,
-            palette=_packed_palette(),
+            palette=rgba.view("<u4").ravel().tolist(),
         )  # fmt: skip
         for plot in (self._cloud, *self._histograms, self._lines):
             plot.js_on_event("selectiongeometry", script)
@@ -342,10 +340,3 @@ def _ends(values: Floats) -> tuple[float, float]:
     finite = values[np.isfinite(values)]
     low, high = map(float, np.percentile(finite, SHOWN_PERCENT)) if len(finite) else (0.0, 1.0)
     return (low, high) if high > low else (low - 0.5, low + 0.5)
-
-
-def _packed_palette() -> list[int]:
-    """Colours as ABGR, as pixels lie in memory."""
-    colours = matplotlib.colormaps[PALETTE](np.arange(256), bytes=True).astype(np.int64)
-    shifts = np.array([0, 8, 16, 24])
-    return [int(value) for value in (colours << shifts).sum(axis=1)]

@@ -7,6 +7,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from study.experiment.experiment import Experiment, as_written, experiment_of
@@ -58,12 +59,7 @@ NAME = "walk"  # of the configuration
 
 @dataclass(frozen=True)
 class Setting:
-    """One run of an experiment: a robot on its ground.
-
-    Attributes:
-        experiment: whose.
-        run: its number.
-    """
+    """One run of an experiment: a robot on its ground."""
 
     experiment: Experiment
     run: int = 0
@@ -113,10 +109,7 @@ def to_toml(tables: dict[str, Any], name: str = "") -> str:
 
 RATE_HZ = 30
 BEFORE_M, BEYOND_M = 4.0, 6.0  # of ground, drawn beyond the hip's first and last place
-COLOURS = [
-    matplotlib.colors.to_hex(matplotlib.colormaps[style.ACTIVATION_MAP](level))
-    for level in range(256)
-]
+COLOURS = [to_hex(each) for each in matplotlib.colormaps[style.ACTIVATION_MAP](np.arange(256))]
 
 
 Frames = dict[str, NDArray[Any]]
@@ -171,23 +164,14 @@ SEEN_RATE_HZ = 100.0  # a sample costs as much as ten steps; enough for a gait c
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """A walk that was simulated.
-
-    Attributes:
-        gains: of the walker.
-        setting: the robot and its ground.
-        row: of the simulator's result.
-        trajectory: of the whole walk.
-        frames: for the page to draw.
-        ended: how the walk ended, and why, in words.
-    """
+    """A walk that was simulated."""
 
     gains: NamedGains
-    setting: Setting
-    row: np.void
-    trajectory: Trajectory
-    frames: Frames
-    ended: str
+    setting: Setting  # the robot and its ground
+    row: np.void  # of the simulator's result
+    trajectory: Trajectory  # of the whole walk
+    frames: Frames  # for the page to draw
+    ended: str  # how the walk ended, and why, in words
 
 
 def walk(gains: NamedGains, setting: Setting, rate_hz: float = SEEN_RATE_HZ) -> Walk:

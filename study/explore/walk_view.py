@@ -47,12 +47,8 @@ AS_TRIED = "as it was tried"
 class WalkView:
     """Choices of a setting, the stages, the gains, and files to save.
 
-    Args:
-        document: of the tab.
-        walkers: processes that simulate.
-        makers: processes that make files.
-        message: for refusals.
-        tried: whether walks may be shown as a comparison tried them.
+    Of processes, `walkers` simulate and `makers` make files. `tried`: walks may be shown as a
+    comparison tried them.
     """
 
     def __init__(
@@ -196,10 +192,7 @@ SLIDER_PX, NUMBER_PX = 225, 95
 class Hands:
     """A slider and a number for each gain of a walker.
 
-    Args:
-        message: for a number that is out of its bounds.
-        changed: called when a person has changed `gains`.
-        start: called with the gains of a starting point.
+    `changed` is called when a person has changed `gains`, `start` with those of a starting point.
     """
 
     def __init__(

@@ -31,13 +31,9 @@ EMG_SOURCE = "human EMG on, approximate, after Perry (1992)"
 
 @dataclass(frozen=True)
 class HumanRange:
-    """Mean and standard deviation of a quantity over a stride, 0 % = heel strike.
+    """Mean and standard deviation of a quantity over a stride, 0 % = heel strike."""
 
-    Attributes:
-        rows: (percent of stride, mean, standard deviation), percent from 0 to 100.
-    """
-
-    rows: tuple[tuple[float, float, float], ...]
+    rows: tuple[tuple[float, float, float], ...]  # percent (0 to 100), mean, standard deviation
 
     def at(self, percent: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean and standard deviation at these percentages, each of their shape."""
@@ -108,24 +104,16 @@ STRIKE, TAKE_OFF = EVENT_KINDS.index("strike"), EVENT_KINDS.index("takeoff")
 
 @dataclass(frozen=True, eq=False)
 class Strides:
-    """n strides of the left leg at `PERCENT` [p], in clinical signs.
+    """n strides of the left leg at `PERCENT` [p], in clinical signs."""
 
-    Attributes:
-        hip_flexion_deg, knee_flexion_deg, dorsiflexion_deg: [n, p].
-        vertical_bw, forward_bw: ground force on the left foot over body weight, [n, p].
-        activation: [7, n, p] in the order of `MUSCLES`.
-        take_off_percent: when the foot leaves the ground, [k] of strides that have it.
-        duration_s: [n].
-    """
-
-    hip_flexion_deg: Array
+    hip_flexion_deg: Array  # [n, p], as the other angles
     knee_flexion_deg: Array
     dorsiflexion_deg: Array
-    vertical_bw: Array
+    vertical_bw: Array  # ground force on the left foot over body weight, [n, p]
     forward_bw: Array
-    activation: Array
-    take_off_percent: Array
-    duration_s: Array
+    activation: Array  # [7, n, p] in the order of `MUSCLES`
+    take_off_percent: Array  # when the foot leaves the ground, [k] of strides that have it
+    duration_s: Array  # [n]
 
     def __len__(self) -> int:
         """Number of strides."""
@@ -332,16 +320,10 @@ ACCURACY = {"deg": 3.0, "bw": 0.05}  # of the published tables: `study.pictures.
 
 @dataclass(frozen=True)
 class Distance:
-    """The distance of a walker's mean stride from the mean of people.
+    """The distance of a walker's mean stride from the mean of people."""
 
-    Attributes:
-        rmse: root of the mean squared difference, in the curve's unit.
-        deviations: the same in standard deviations of people, or in the tables' accuracy where that
-            is larger.
-    """
-
-    rmse: float
-    deviations: float
+    rmse: float  # root of the mean squared difference, in the curve's unit
+    deviations: float  # in standard deviations of people, or the tables' accuracy if that is larger
 
 
 def human_distances(strides: Strides) -> dict[str, Distance]:

@@ -44,11 +44,7 @@ FONT = "fonts/ttf/DejaVuSans.ttf"
 
 
 class Canvas:
-    """A picture of a part of the plane: draw the shapes, call `finish`, write the text.
-
-    Attributes:
-        picture: at its size, once finished.
-    """
+    """A part of the plane: draw the shapes, call `finish`, write the text on `picture`."""
 
     picture: Image.Image
 
@@ -197,6 +193,7 @@ class Scene:
     def __init__(
         self, motion: Motion, terrain: Terrain, title: str, size_px: tuple[int, int]
     ) -> None:
+        """A scene of a motion over a ground."""
         self._motion, self._terrain, self._title, self._size_px = motion, terrain, title, size_px
         self._unit_px = size_px[0] / FULL_WIDTH_PX
         self._outlines = [muscle_outlines(motion.q, side) for side in (LEFT, RIGHT)]
@@ -298,11 +295,9 @@ def _draw_bones(canvas: Canvas, joints: Leg, colour: str) -> None:
 
 
 def pressure_point(q: Array, side: int) -> Array:
-    """A place to draw the ground's force: the lower end of a tilted foot, the middle of a flat one.
+    """A place to draw the ground's force in poses q [..., 9], of the left (0) or right (1) foot.
 
-    Args:
-        q: poses, [..., 9].
-        side: left (0) or right (1).
+    It is the lower end of a tilted foot, the middle of a flat one.
     """
     joints = leg(q, side)
     lower = joints.heel[..., 1:] - joints.ball[..., 1:]

@@ -28,16 +28,10 @@ TRUNK_WIDTH_M, THIGH_WIDTH_M, SHANK_WIDTH_M, FOOT_WIDTH_M = 0.15, 0.09, 0.06, 0.
 
 
 def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> PolyCollection:
-    """Draw a pose on axes whose limits are set; the left leg is the near one.
+    """Draw a pose q [9] on axes whose limits are set; return the near muscles, the left leg's.
 
-    Args:
-        axes: of any scale, alike in both directions.
-        q: coordinates, [9].
-        activation: of the muscles, left leg first, [14].
-        layer: of the far leg; all else is less than one above it.
-
-    Returns:
-        The near muscles, for `activation_bar`.
+    The scale is alike in both directions. `activation` is of the muscles, left leg first, [14];
+    `layer` is that of the far leg, and all else is less than one above it.
     """
     near, far = leg(q, LEFT), leg(q, RIGHT)
     shoulder, head = trunk(q)

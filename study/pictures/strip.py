@@ -41,19 +41,12 @@ LEVEL_M = 0.01  # ground that varies by less is level
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """The last metres of a walk, as they are drawn.
-
-    Attributes:
-        terrain: its ground.
-        trajectory: the whole walk, as far as its pose is finite.
-        poses_s: times of the poses, [n].
-        frame: limits of the picture in m: x from, to; z from, to.
-    """
+    """The last metres of a walk, as they are drawn."""
 
     terrain: Terrain
-    trajectory: Trajectory
-    poses_s: Array
-    frame: tuple[float, float, float, float]
+    trajectory: Trajectory  # the whole walk, as far as its pose is finite
+    poses_s: Array  # times of the poses, [n]
+    frame: tuple[float, float, float, float]  # limits of the picture in m: x from, to; z from, to
 
     @property
     def size_m(self) -> tuple[float, float]:
@@ -96,14 +89,10 @@ def last_stretch(
     width_m: float | None = None,
     below_m: float = BELOW_GROUND_M,
 ) -> Stretch:
-    """The last `shown_m` metres; poses are evenly spaced, about `POSE_SPACING_M` apart.
+    """The last `shown_m` metres of the hip's way; poses are about `POSE_SPACING_M` apart, evenly.
 
-    Args:
-        trajectory: of the walk.
-        terrain: its ground.
-        shown_m: how far the hip moves.
-        width_m: of the frame; by default as wide as the poses.
-        below_m: ground that is shown below its lowest point.
+    The frame is by default as wide as the poses, and shows `below_m` of ground below its lowest
+    point.
     """
     trajectory = finite(trajectory)
     start_s, end_s = last_metres(trajectory, shown_m)

@@ -3,6 +3,7 @@
 Figures are made with Matplotlib's object-oriented interface; its global state is never touched.
 """
 
+from functools import partial
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -73,11 +74,7 @@ def save_png(figure: Figure, path: str | Path) -> Path:
         InputError: the folder cannot be written, or the disk is full.
     """
     path = Path(path)
-
-    def write(temporary: Path) -> None:
-        figure.savefig(temporary, format="png")
-
-    commit(path, write, _check_png)
+    commit(path, partial(figure.savefig, format="png"), _check_png)
     return path
 
 

@@ -97,10 +97,7 @@ def forces(trajectory: Trajectory) -> Columns:
 def trajectory_text(trajectory: Trajectory, suffix: str, name: str = "walk") -> str:
     """A walk as the text of a file: .csv everything, .mot coordinates, .sto forces.
 
-    Args:
-        trajectory: of any length.
-        suffix: of the file, which selects the format.
-        name: of the walk, a line of .mot and .sto.
+    The name is a line of .mot and .sto.
 
     Raises:
         InputError: another suffix.

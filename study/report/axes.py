@@ -32,23 +32,14 @@ MARKERS = "osD^vPX<>ph*dH8"
 
 @dataclass(frozen=True)
 class Look:
-    """How one arm is drawn.
-
-    Attributes:
-        label: its name for readers.
-        colour: of its line.
-        text: colour of its label.
-        dash: of its line, in Matplotlib's form.
-        marker: of its points, in Matplotlib's form.
-        front: whether it is one of the three in front, with a band.
-    """
+    """How one arm is drawn."""
 
     label: str
-    colour: str
-    text: str
-    dash: Any
+    colour: str  # of the line
+    text: str  # colour of the label
+    dash: Any  # in Matplotlib's form, and so is the marker
     marker: str
-    front: bool
+    front: bool  # whether it is one of the three in front, with a band
 
     def line(self) -> dict[str, Any]:
         """Keyword arguments of `Axes.plot`."""
@@ -90,19 +81,12 @@ SVG: dict[Any, Any] = {"svg.hashsalt": "taichi-nmm", "svg.fonttype": "path"}  # 
 
 @dataclass(frozen=True)
 class End:
-    """The end of a line, and its label.
-
-    Attributes:
-        y: the end.
-        look: of the arm.
-        text: the label.
-        rank: of lines that end at one place, the higher is written above.
-    """
+    """The end of a line, and its label."""
 
     y: float
-    look: Look
+    look: Look  # of the arm
     text: str
-    rank: int
+    rank: int  # of lines that end at one place, the higher is written above
 
 
 def trial_axis(axes: Axes, trials: int) -> None:

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 from matplotlib.axes import Axes
 
 from study.experiment.arms import BEST_ARM, PAPER_ARM
-from study.experiment.experiment import Experiment
+from study.experiment.experiment import MOST_TRIALS, Experiment
 from study.experiment.trials import simulate_trials
 from study.pictures import style
 from study.pictures.stick_figure import activation_bar
@@ -33,29 +33,16 @@ Row = dict[str, Any]  # of the table of trials
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A walk as it was simulated for a figure.
+    """A walk as it was simulated for a figure."""
 
-    Attributes:
-        label: a word for it, such as "before".
-        title: which walk it is, and how it ended.
-        trajectory: 50 samples a second.
-    """
-
-    label: str
-    title: str
-    trajectory: Trajectory
+    label: str  # a word for it, such as "before"
+    title: str  # which walk it is, and how it ended
+    trajectory: Trajectory  # 50 samples a second
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two walks of one run, to be drawn together.
-
-    Attributes:
-        run: its number.
-        terrain: its ground.
-        first: drawn above.
-        second: drawn below.
-    """
+    """Two walks of one run on its ground; the first is drawn above."""
 
     run: int
     terrain: Terrain
@@ -64,12 +51,7 @@ class Pair:
 
 
 def before_and_after(results: Results, experiment: Experiment) -> Pair | None:
-    """The two walks, simulated again; None where no run has both.
-
-    Args:
-        results: of the experiment.
-        experiment: its bodies, grounds and conditions.
-    """
+    """The two walks, simulated again; None where no run has both."""
     chosen = choose(results, experiment.names)
     if chosen is None:
         return None
@@ -98,30 +80,23 @@ def choose(results: Results, names: tuple[str, ...]) -> tuple[Row, Row] | None:
     for arm in firsts:
         for run in results.arms[last].runs.tolist():
             before = _cheapest(tables[arm], run, FIRST_TRIALS)
-            after = _cheapest(tables[last], run, None)
+            after = _cheapest(tables[last], run)
             if before and after and after["walked"] and not before["walked"]:
                 return before, after
     return None
 
 
-def _cheapest(table: pa.Table, run: int, trials: int | None) -> Row | None:
+def _cheapest(table: pa.Table, run: int, trials: int = MOST_TRIALS) -> Row | None:
     """The cheapest trial of a run, or of its first ones."""
-    mask = pc.equal(table["run"], run)
-    if trials is not None:
-        mask = pc.and_(mask, pc.less(table["trial"], trials))
-    own = table.filter(mask)
-    if not len(own):
-        return None
-    row: Row = own.slice(int(np.argmin(own["cost"].to_numpy())), 1).to_pylist()[0]
-    return row
+    own = table.filter((pc.field("run") == run) & (pc.field("trial") < trials))
+    place = int(np.argmin(own["cost"].to_numpy())) if len(own) else 0
+    return next(iter(own.slice(place, 1).to_pylist()), None)
 
 
 def _title(when: str, chosen: Row, row: np.void) -> str:
     ended = f"{row['duration_s']:.3g} s, {row['distance_m']:.3g} m"
-    if row["end_reason"] == COMPLETED:
-        ended = f"{ended} at {row['mean_speed_mps']:.2f} m/s"
-    else:
-        ended = f"fell after {ended}"
+    walked = row["end_reason"] == COMPLETED
+    ended = f"{ended} at {row['mean_speed_mps']:.2f} m/s" if walked else f"fell after {ended}"
     arm, trial = label_of(chosen["arm"]), chosen["trial"] + 1
     return f"{when.capitalize()}: {arm}, trial {trial}: {ended}"
 
@@ -135,13 +110,7 @@ COLOURS = (style.VERMILION, style.BLUE)  # of the first walk and the second
 
 
 def write_strips(folder: Path, title: str, pair: Pair) -> list[Path]:
-    """Draw both walks and, below them, the profile of the ground, as strips.png and .svg.
-
-    Args:
-        folder: of the files.
-        title: of the figure.
-        pair: the walks and their ground.
-    """
+    """Draw both walks and, below them, the profile of the ground, as strips.png and .svg."""
     walks = (pair.first, pair.second)
     parts = [
         last_stretch(walk.trajectory, pair.terrain, SHOWN_M, WIDTH_M, BELOW_GROUND_M)

@@ -4,8 +4,7 @@ The overview has an experiment in each row and an arm in each column; the darker
 a walker.
 """
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -63,12 +62,9 @@ IN_FRONT = "bold: the paper's method, our best, the best peer; their bands are 9
 
 
 def write_best_cost(folder: Path, results: Results, optimum: float | None) -> list[Path]:
-    """Best cost so far against trials, median beside mean, bands of the arms in front.
+    """Best cost so far against trials, median beside mean, as best-cost.png and .svg.
 
-    Args:
-        folder: for best-cost.png and .svg.
-        results: of one experiment.
-        optimum: the estimated optimum of this cost, drawn as a line.
+    The arms in front have bands; the estimated optimum of this cost is a line.
     """
     figure = style.new_figure(2.0 * (PANEL_IN + LABELS_IN) + LEFT_IN, _height_in(results))
     for panel, (title, statistic) in enumerate(STATISTICS):
@@ -76,7 +72,8 @@ def write_best_cost(folder: Path, results: Results, optimum: float | None) -> li
         _cost_axis(axes, results, optimum)
         if panel:
             axes.set_ylabel("")
-        ends = _draw_arms(axes, results, partial(_best_cost, statistic), "{:.3g}", up=1)
+        curves = {name: curve(arm.best, statistic) for name, arm in results.arms.items()}
+        ends = _draw_arms(axes, results, curves, "{:.3g}", up=1)
         axes.set_title(title, fontsize=style.TEXT_PT, loc="left", color=style.INK)
         label_ends(axes, ends, results.trials)
     title = f"{results.name}: best {results.cost} cost so far"
@@ -92,15 +89,12 @@ def write_walkers(folder: Path, results: Results) -> list[Path]:
     axes.set_ylim(-0.02, 1.02)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
     axes.set_ylabel("runs with a walker", fontsize=style.TEXT_PT, color=style.INK)
-    ends = _draw_arms(axes, results, _walker_share, "{:.0%}", up=-1)
+    curves = {name: _walker_share(arm) for name, arm in results.arms.items()}
+    ends = _draw_arms(axes, results, curves, "{:.0%}", up=-1)
     label_ends(axes, ends, results.trials)
     title = f"{results.name}: runs that have found a walker"
     headline(figure, LEFT_IN, title, f"{IN_FRONT} Wilson intervals")
     return save(figure, folder, "walkers")
-
-
-def _best_cost(statistic: Statistic, arm: ArmRuns) -> Curve:
-    return curve(arm.best, statistic)
 
 
 def _walker_share(arm: ArmRuns) -> Curve:
@@ -111,7 +105,7 @@ def _walker_share(arm: ArmRuns) -> Curve:
 
 
 def _draw_arms(
-    axes: Axes, results: Results, curve_of: Callable[[ArmRuns], Curve], number: str, up: int
+    axes: Axes, results: Results, curves: Mapping[str, Curve], number: str, up: int
 ) -> list[End]:
     """Draw the line of each arm, worst first, with bands for those in front; return their ends.
 
@@ -120,7 +114,7 @@ def _draw_arms(
     styles, ends = looks(results.arms), []
     order = by_rank(results.arms)
     for arm in sorted(order[::-1], key=lambda name: styles[name].front):
-        values, low, high = curve_of(results.arms[arm])
+        values, low, high = curves[arm]
         look, rank = styles[arm], order.index(arm)
         trials = np.arange(1, len(values) + 1)
         axes.plot(trials, values, markevery=marked(len(values), rank), **look.line())
@@ -185,11 +179,9 @@ DOTS_AT, MEDIAN_BELOW = -0.08, 0.35
 
 
 def write_first_walker(folder: Path, results: Results) -> list[Path]:
-    """A row an arm, best first: dots, median with its interval, runs with a walker.
+    """Dots, median with its interval, runs with a walker: a row an arm, best first.
 
-    Args:
-        folder: for first-walker.png and .svg.
-        results: of one experiment.
+    As first-walker.png and .svg.
     """
     order, styles = by_rank(results.arms), looks(results.arms)
     height = ROW_IN * len(order) + DOTS_TOP_IN + DOTS_BOTTOM_IN
@@ -303,12 +295,7 @@ FRONT_OF = {PAPER_ARM: FRONT["paper"], BEST_ARM: FRONT["best"]}
 
 
 def write_grid(folder: Path, experiments: Sequence[Numbers]) -> list[Path]:
-    """Runs with a walker and median trial of the first, as overview.png and .svg.
-
-    Args:
-        folder: of the files.
-        experiments: their numbers, one row each.
-    """
+    """Runs with a walker and median trial of the first, as overview.png and .svg."""
     arms = arms_of(experiments)
     wide, high = CELL_IN[0] * len(arms), CELL_IN[1] * len(experiments)
     figure = style.new_figure(

@@ -112,12 +112,8 @@ def report_text(
 ) -> str:
     """The document; it links the figures beside it.
 
-    Args:
-        results: of the experiment.
-        numbers: of the same.
-        optimum: the estimated optimum, where it is known.
-        strips: words below the figure of stick figures; "" where there is none.
-        stores: folders of the stores that the arms read, by key, where they are known.
+    `strips` are the words below the figure of stick figures, "" where there is none. `stores` are
+    folders of the stores that the arms read, by key, where they are known.
     """
     figures = FIGURES | ({"strips": strips} if strips else {})
     known = facts(results)
@@ -341,11 +337,9 @@ def _line(arm: ArmNumbers) -> str:
 
 
 def arms_documents(numbers: Numbers, stores: Mapping[str, Path]) -> list[dict[str, Any]]:
-    """The same as plain values; a first walker that most runs lack is None.
+    """The same as plain values, with what each arm's store (of `stores`, folders by key) saw.
 
-    Args:
-        numbers: of the comparison.
-        stores: folders of the experiment's stores, by key.
+    A first walker that most runs lack is None.
     """
     return [
         {

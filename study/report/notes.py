@@ -23,13 +23,9 @@ FIGURE_POINTS = 50  # of a curve: attributes of a study hold 2 kB each
 def dashboard_summary(
     name: str, trials: pa.Table, final: bool, studies: Mapping[str, int]
 ) -> Summary:
-    """Note and figure of an experiment's trials.
+    """Note and figure of an experiment's trials, as `study.experiment.database.Summarise`.
 
-    Args:
-        name: of the experiment.
-        trials: rows of the results table; of each arm those count that all its runs have.
-        final: whether these are all.
-        studies: numbers that the dashboard's addresses have for studies, by name.
+    Of each arm those rows of the results table count that all its runs have.
     """
     arms = list(runs_of(trials).values())
     state = "all trials" if final else "so far; the experiment is running or was stopped"

@@ -39,17 +39,11 @@ class Interval:
 
 @dataclass(frozen=True)
 class PairedTest:
-    """Two arms on the same runs.
+    """Two arms on the same runs."""
 
-    Attributes:
-        pairs: runs that both have, n.
-        unequal: pairs that differ; the test rests on these.
-        p: two-sided; 1 where no pair differs.
-    """
-
-    pairs: int
-    unequal: int
-    p: float
+    pairs: int  # runs that both have, n
+    unequal: int  # pairs that differ; the test rests on these
+    p: float  # two-sided; 1 where no pair differs
 
 
 @cache
@@ -118,13 +112,10 @@ def mcnemar(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
 
 def holm(p_values: Sequence[float]) -> list[float]:
     """Holm's adjusted p-values, in the order given."""
-    count = len(p_values)
     order = np.argsort(p_values, kind="stable")
-    factors = count - np.arange(count)
+    factors = np.arange(len(order), 0, -1)
     adjusted = np.minimum(np.maximum.accumulate(np.asarray(p_values)[order] * factors), 1.0)
-    result = np.empty(count)
-    result[order] = adjusted
-    return [float(p) for p in result]
+    return [float(p) for p in adjusted[np.argsort(order)]]
 
 
 def label_of(arm: str) -> str:
@@ -162,74 +153,45 @@ COMPARED_AFTER = 30  # trials
 class ArmNumbers:
     """The results of an arm.
 
-    Attributes:
-        arm: its name.
-        family: its kind.
-        runs: their number.
-        trials: of every run; all other numbers but `found` are of these.
-        found: trials of all runs together.
-        walkers: runs with a walker.
-        share: the same as a proportion, Wilson's interval.
-        first_walker: median trial of the first walker; infinite where most runs have none.
-        within: runs with a walker within so many trials, for limits up to `trials`; for all limits
-            if every run has a walker.
-        cost_after: median best cost after so many trials, for limits up to `trials`.
-        best_cost: median best cost after the last of the trials.
-        proposal_ms: median time of a proposal of the sampler; None where it is not known.
+    `within` and `cost_after` have limits up to `trials`; `within` has all limits if every run has a
+    walker.
     """
 
     arm: str
     family: Kind
     runs: int
-    trials: int
-    found: int
-    walkers: int
-    share: Interval
-    first_walker: Interval
-    within: dict[int, int]
-    cost_after: dict[int, Interval]
-    best_cost: Interval
-    proposal_ms: float | None
+    trials: int  # of every run; all other numbers but `found` are of these
+    found: int  # trials of all runs together
+    walkers: int  # runs with a walker
+    share: Interval  # the same as a proportion, Wilson's interval
+    first_walker: Interval  # median trial of the first walker; infinite where most runs have none
+    within: dict[int, int]  # runs with a walker within so many trials
+    cost_after: dict[int, Interval]  # median best cost after so many trials
+    best_cost: Interval  # median best cost after the last of the trials
+    proposal_ms: float | None  # median time of a proposal; None where it is not known
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """An arm against the paper's method, on the runs that both have.
-
-    Attributes:
-        arm: its name.
-        after: trials after which the best costs are compared.
-        cost: Wilcoxon's signed-rank test of the best costs.
-        cost_p_holm: its p, adjusted for all arms of the experiment.
-        difference: of the best costs, median over runs; below 0 the arm is better.
-        walkers: McNemar's exact test of having a walker by the last trial that both have.
-        walkers_p_holm: its p, adjusted likewise.
-    """
+    """An arm against the paper's method, on the runs that both have."""
 
     arm: str
-    after: int
-    cost: PairedTest
-    cost_p_holm: float
-    difference: Interval
-    walkers: PairedTest
-    walkers_p_holm: float
+    after: int  # trials after which the best costs are compared
+    cost: PairedTest  # Wilcoxon's signed-rank test of the best costs
+    cost_p_holm: float  # its p, adjusted for all arms of the experiment
+    difference: Interval  # of the best costs, median over runs; below 0 the arm is better
+    walkers: PairedTest  # McNemar's exact test of a walker by the last trial that both have
+    walkers_p_holm: float  # its p, adjusted likewise
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """All numbers of an experiment.
-
-    Attributes:
-        experiment: its name.
-        arms: best first.
-        peer: the best of the peers; None without peers.
-        comparisons: with the paper's method, if it was run; in the order of the arms.
-    """
+    """All numbers of an experiment."""
 
     experiment: str
-    arms: tuple[ArmNumbers, ...]
-    peer: str | None
-    comparisons: tuple[Comparison, ...]
+    arms: tuple[ArmNumbers, ...]  # best first
+    peer: str | None  # the best of the peers; None without peers
+    comparisons: tuple[Comparison, ...]  # with the paper's method, if it was run; order of `arms`
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for programs; infinities are null."""

@@ -39,25 +39,15 @@ LARGEST_SMOOTH_COST = 20.0  # the smooth cost is below 1.4 unless a walker races
 
 @dataclass(frozen=True, eq=False)
 class ArmRuns:
-    """The runs of one arm, as far as all of them have come: r runs of t trials.
-
-    Attributes:
-        arm: its name.
-        runs: their numbers, ascending, [r].
-        best: the best cost so far, [r, t].
-        walks: whether a trial walked, bool [r, t].
-        found: trials in the table.
-        proposal_ms: median time of a proposal of the sampler; None where it is not known.
-        repeated: further trials in the arrays: the first walker of a run that ended with it.
-    """
+    """The runs of one arm, as far as all of them have come: r runs of t trials."""
 
     arm: str
-    runs: NDArray[np.int64]
-    best: NDArray[np.float64]
-    walks: NDArray[np.bool_]
-    found: int
-    proposal_ms: float | None = None
-    repeated: int = 0
+    runs: NDArray[np.int64]  # their numbers, ascending, [r]
+    best: NDArray[np.float64]  # the best cost so far, [r, t]
+    walks: NDArray[np.bool_]  # whether a trial walked, [r, t]
+    found: int  # trials in the table
+    proposal_ms: float | None = None  # median time of a proposal; None where it is not known
+    repeated: int = 0  # further trials in the arrays: the first walker of a run that ended with it
 
     @property
     def trials(self) -> int:
@@ -83,21 +73,13 @@ class ArmRuns:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """One experiment.
-
-    Attributes:
-        folder: where it lies.
-        name: of the experiment.
-        cost: "smooth" or "walking".
-        arms: by name, in the order of the table.
-        facts: of experiment.json and run.json; empty where there are none.
-    """
+    """One experiment."""
 
     folder: Path
     name: str
-    cost: str
-    arms: dict[str, ArmRuns]
-    facts: dict[str, Any]
+    cost: str  # "smooth" or "walking"
+    arms: dict[str, ArmRuns]  # by name, in the order of the table
+    facts: dict[str, Any]  # of experiment.json and run.json; empty where there are none
 
     @property
     def runs(self) -> int:

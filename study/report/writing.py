@@ -26,12 +26,8 @@ def write_report(
 ) -> Numbers:
     """Write report.md, summary.json and the figures of one experiment, all of them or none.
 
-    Args:
-        results: of the experiment.
-        optimum: the estimated optimum of its cost, where it is known.
-        pair: two walks to show before and after.
-        folder: by default `report` in the experiment's own.
-        stores: folders of the stores that its arms read, by key, where they are known.
+    The folder is by default `report` in the experiment's own. `optimum` is the estimated optimum of
+    its cost, and `stores` are folders of the stores that its arms read, where they are known.
 
     Raises:
         InputError: the folder cannot be written.
