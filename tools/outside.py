@@ -134,11 +134,7 @@ class OutsideProblem:
 
 
 def problem(name: str, seed: int) -> OutsideProblem:
-    """Half of a problem's candidates, which the seed draws.
-
-    Raises:
-        InputError: no such problem, or its file is missing or broken.
-    """
+    """Half of a problem's candidates, which the seed draws."""
     return outside_problem(name).drawn(seed)
 
 
@@ -153,11 +149,7 @@ def digest(name: str) -> str:
 
 
 def file_of(name: str) -> Path:
-    """The file of a problem.
-
-    Raises:
-        InputError: no such problem.
-    """
+    """The file of a problem; an unknown one is an `InputError`."""
     if name not in PROBLEMS:
         raise InputError("problem", name, f"one of {', '.join(PROBLEMS)}")
     return DATA / f"{name}.parquet"
@@ -222,8 +214,7 @@ def table(problem: OutsideProblem, ranking: bool) -> FeatureTable:
     features, names = problem.features, [*problem.feature_meanings]
     if ranking:
         features, names = np.column_stack([features, problem.ranking]), [*names, RANKING]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of features that are not finite
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # of infinite features
         return FeatureTable.from_arrays(problem.columns, features, names, space=problem.space)
 
 

@@ -87,7 +87,8 @@ def open_studies(url: str) -> RDBStorage:
         storage = _storage(url)
     except (OSError, sqlite3.Error, SQLAlchemyError, RuntimeError) as error:
         raise unusable(shown_url(url), error) from None
-    event.listen(storage.engine, "connect", _relax_synchronous)
+    relaxed = "PRAGMA synchronous=NORMAL"
+    event.listen(storage.engine, "connect", lambda connection, _: connection.execute(relaxed))
     event.listen(storage.engine, "begin", _stays(path))
     storage.engine.dispose()  # connections made before the listener
     return storage
@@ -380,8 +381,7 @@ def _stays(path: Path) -> Callable[[sql.Connection], None]:
 def name_metric(study: optuna.Study, metric: str) -> None:
     """Name the one objective of a study, unless it has a name."""
     if study.metric_names is None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ExperimentalWarning)
+        with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
             study.set_metric_names([metric])
 
 
@@ -433,8 +433,3 @@ def _claim(connection: sqlite3.Connection) -> None:
             time.sleep(0.01)
     connection.execute("BEGIN IMMEDIATE")
     connection.rollback()
-
-
-def _relax_synchronous(connection: Any, _record: Any) -> None:
-    """Called by SQLAlchemy with each new connection."""
-    connection.execute("PRAGMA synchronous=NORMAL")

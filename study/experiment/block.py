@@ -45,7 +45,6 @@ class Walks:
     """
 
     def __init__(self) -> None:
-        """None yet."""
         self._found: dict[tuple[int, bytes], tuple[np.void, float]] = {}
 
     def add(self, runs: Sequence[int], gains: Floats, rows: Rows, cost: Floats) -> None:
@@ -166,8 +165,7 @@ def _quiet() -> Iterator[None]:
     verbosity = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ExperimentalWarning)
+        with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
             yield
     finally:
         optuna.logging.set_verbosity(verbosity)

@@ -65,7 +65,6 @@ class FinishedTrials:
     def __init__(
         self, folder: ExperimentFolder, studies: Iterable[Key], until_walker: bool = False
     ) -> None:
-        """Read what is finished."""
         self.studies = tuple(studies)
         self._until_walker = until_walker
         self._walkers: set[Key] = set()

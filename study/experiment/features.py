@@ -296,6 +296,5 @@ class SurvivalSampler(FeatureKernelSampler):
 
     @checks.checked(table=checks.instance(FeatureTable))
     def __init__(self, table: FeatureTable, *, seed: int | None = None, **options: Any) -> None:
-        """As `FeatureKernelSampler`, with other defaults."""
         covered = COVERED_OPTIONS["prior"] in table.rows.feature_names
         super().__init__(table, seed=seed, **(COVERED_OPTIONS if covered else OPTIONS) | options)

@@ -218,8 +218,7 @@ def _repeat(experiment: Experiment, study: optuna.Study, dead: list[FrozenTrial]
         given = copy(trial)
         if set(trial.params) != set(experiment.names):
             given.params, given.distributions = {}, {}
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ExperimentalWarning)
+        with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
             retry = RetryHeartbeatStaleTrialCallback()
             # First the successor: killed between the two steps, the next run must not lose it.
             waiting = study.get_trials(deepcopy=False, states=(TrialState.WAITING,))

@@ -40,7 +40,6 @@ class OneStudy:
     def __init__(
         self, experiment: Experiment, arm: Arm, run: int, study: optuna.Study | None = None
     ) -> None:
-        """The study as it stands; its sampler is made with the next trial."""
         self.arm = arm
         self.run = run
         self.study = study or optuna.create_study(direction="minimize")
@@ -157,7 +156,6 @@ class LiveStudy(OneStudy):
     """
 
     def __init__(self, experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> None:
-        """The study as it stands; a twin is told its trials."""
         super().__init__(experiment, arm, run, study)
         self._given: dict[str, float] = {}
         self._twin = OneStudy(experiment, arm, run) if arm.replayed else None
@@ -183,8 +181,7 @@ class LiveStudy(OneStudy):
     def _sampler_of_turn(self) -> BaseSampler:
         if self._twin is None:
             return super()._sampler_of_turn()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ExperimentalWarning)
+        with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
             return PartialFixedSampler(self._given, RandomSampler(seed=0))
 
     def _tell(self, cost: float, attributes: dict[str, Any]) -> FrozenTrial:

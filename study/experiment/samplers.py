@@ -57,7 +57,6 @@ class RowSampler(ReproducibleRandomSampler):
     """Proposes all parameters of a table at once; parameters that are not in it are uniform."""
 
     def __init__(self, task: Task) -> None:
-        """Nothing is computed."""
         super().__init__(seed=task.seed)
         self._table = task.table
 
@@ -203,7 +202,6 @@ class WarmCmaEsSampler(RowSampler):
     """
 
     def __init__(self, task: Task) -> None:
-        """Draw the start of the run; pycma is loaded when it is first needed."""
         super().__init__(task)
         best = score_order(self._table)[:START_ROWS]
         self._row = int(generator(task.seed, Purpose.STARTUP_ROW).choice(best))

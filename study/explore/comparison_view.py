@@ -26,7 +26,7 @@ from study.explore.server import Message
 from study.explore.stage import SCRIPTS
 from study.explore.walk import Setting
 from study.pictures import style
-from study.report.axes import TICKS, looks
+from study.report.axes import TICKS, Look, looks
 from study.report.figures import piles, trial_places
 from study.report.numbers import by_rank
 from study.report.runs import ArmRuns, Results
@@ -62,8 +62,9 @@ class ComparisonView:
             title="trial, from 0", step=1, value=0, mode="int", width=100, name="trial"
         )
         shown = MultiChoice(options=self._arms, value=self._arms, width=WIDTH_PX, name="arms")
-        self._dots, dots = self._drawn_dots()
-        curves, lines = self._drawn_curves()
+        styles = looks(results.arms)
+        self._dots, dots = self._drawn_dots(styles)
+        curves, lines = self._drawn_curves(styles)
         for name, *renderers in zip(self._arms, dots, lines, strict=True):
             shown.js_on_change("value", CustomJS(
                 args={"renderers": renderers, "name": name},
@@ -113,7 +114,7 @@ class ComparisonView:
         self._arm.value, self._run.value, self._trial.value = arm, int(run), int(trial)
         self.watch_chosen()
 
-    def _drawn_dots(self) -> tuple[Any, list[Any]]:
+    def _drawn_dots(self, styles: dict[str, Look]) -> tuple[Any, list[Any]]:
         arms, trials = self._results.arms, self._results.trials
         count = len(self._arms)
         plot = figure(
@@ -130,7 +131,6 @@ class ComparisonView:
         plot.xaxis.major_label_overrides = dict(zip(places, words, strict=True))
         plot.yaxis.ticker = list(range(count))
         plot.yaxis.major_label_overrides = dict(enumerate(self._arms))
-        styles = looks(arms)
         dots = []
         for place, name in enumerate(self._arms):
             source = ColumnDataSource(_dots_of(arms[name], trials, place), name=f"dots-{name}")
@@ -138,14 +138,14 @@ class ComparisonView:
                                      color=styles[name].colour))  # fmt: skip
         return plot, dots
 
-    def _drawn_curves(self) -> tuple[Any, list[Any]]:
+    def _drawn_curves(self, styles: dict[str, Look]) -> tuple[Any, list[Any]]:
         plot = figure(
             name="curves", width=WIDTH_PX, height=240, tools="pan,wheel_zoom,reset",
             x_axis_label="trials", y_axis_label=f"best {self._results.cost} cost, median",
             x_axis_type="log", y_axis_type="log",
         )  # fmt: skip
         plot.toolbar.logo = None
-        styles, lines = looks(self._results.arms), []
+        lines = []
         for name in self._arms:
             best = np.median(self._results.arms[name].best, axis=0)
             trials = np.arange(1, len(best) + 1)

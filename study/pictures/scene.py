@@ -193,7 +193,6 @@ class Scene:
     def __init__(
         self, motion: Motion, terrain: Terrain, title: str, size_px: tuple[int, int]
     ) -> None:
-        """A scene of a motion over a ground."""
         self._motion, self._terrain, self._title, self._size_px = motion, terrain, title, size_px
         self._unit_px = size_px[0] / FULL_WIDTH_PX
         self._outlines = [muscle_outlines(motion.q, side) for side in (LEFT, RIGHT)]
