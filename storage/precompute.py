@@ -23,6 +23,7 @@ from storage.store import (
     evaluated_name,
     family_names,
     open_store,
+    outcome_name,
     shard_table,
 )
 from storage.store_folder import StoreFolder
@@ -267,7 +268,7 @@ def score_family(
     chosen: NDArray[np.bool_],
     report: Report,
 ) -> dict[str, NDArray[Any]]:
-    """Mean and spread of every score over the worlds of a family.
+    """Mean and spread of every score over the worlds of a family, and the outcomes in each.
 
     Args:
         specification: the store that the family belongs to.
@@ -277,12 +278,15 @@ def score_family(
         report: called with the fraction of this family that is done.
 
     Returns:
-        Columns by name, [n] each.
+        Columns by name, [n] each; outcomes are [n, w].
     """
     simulator = specification.simulator
+    outcomes = {name: outcome_name(family.name, name) for name in simulator.outcomes}
     columns: dict[str, NDArray[Any]] = {evaluated_name(family.name): chosen}
     names = [family_names(family.name, score) for score in simulator.scores]
     columns |= {name: np.zeros(len(points)) for pair in names for name in pair}
+    shape = len(points), family.settings
+    columns |= {name: np.zeros(shape, np.float32) for name in outcomes.values()}
     place = np.flatnonzero(chosen)
     if not len(place):
         return columns
@@ -293,6 +297,8 @@ def score_family(
         values = rows[score].astype(np.float64)
         columns[mean][place] = values.mean(axis=1)
         columns[spread][place] = values.std(axis=1)
+    for score, name in outcomes.items():
+        columns[name][place] = rows[score]
     return columns
 
 

@@ -144,6 +144,15 @@ class Simulator(Protocol):
         """
         return tuple(name for name in self.columns.names or () if name not in self.words)
 
+    @property
+    def outcomes(self) -> tuple[str, ...]:
+        """Columns of which a store keeps what each world of a family gave, as float32.
+
+        Default: `survived`, and the first other score.
+        """
+        others = [name for name in self.scores if name != self.survived]
+        return (self.survived, *others[:1])
+
     @classmethod
     def read(cls, table: Table, arch: str | None) -> Self:
         """The simulator that a configuration describes. Default: one without settings.
@@ -281,7 +290,7 @@ def check_simulator(simulator: Simulator) -> None:
         raise _fault(simulator, f"columns with {survived}, how far a run came")
     if survived not in simulator.scores:
         raise _fault(simulator, f"{survived} among the scores")
-    for kind in ("scores", "words", "measures"):
+    for kind in ("scores", "words", "measures", "outcomes"):
         for name in getattr(simulator, kind):
             if name not in names:
                 raise _fault(simulator, f"{kind} that are columns; {name!r} is none")

@@ -239,7 +239,7 @@ class Specification:
     @property
     def schema(self) -> pa.Schema:
         """The columns of every shard."""
-        families = [family.name for family in self.families]
+        families = {family.name: family.settings for family in self.families}
         return arrow_schema(self.simulator, families, origin=self.repertoire is not None)
 
     @property

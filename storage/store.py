@@ -51,19 +51,29 @@ def family_names(family: str, score: str) -> tuple[str, str]:
     return f"{family}_{stem}_mean_{unit}", f"{family}_{stem}_sd_{unit}"
 
 
+def outcome_name(family: str, column: str) -> str:
+    """Column of what each world of a family gave."""
+    return f"{family}_{column}_worlds"
+
+
 def arrow_schema(
-    simulator: Simulator, families: Iterable[str] = (), origin: bool = False
+    simulator: Simulator, families: Mapping[str, int] | None = None, origin: bool = False
 ) -> pa.Schema:
-    """The schema of a shard; with `origin`, rows name the origin of their points."""
+    """The schema of a shard of families with so many worlds.
+
+    With `origin`, rows name the origin of their points.
+    """
     fields = [("row", pa.int64())]
     fields += [(parameter.name, pa.float64()) for parameter in simulator.parameters]
     for name in simulator.columns.names or ():
         kind = pa.from_numpy_dtype(simulator.columns[name])
         fields.append((name, pa.string() if name in simulator.words else kind))
-    for family in families:
+    for family, worlds in (families or {}).items():
         fields.append((evaluated_name(family), pa.bool_()))
         for score in simulator.scores:
             fields += [(name, pa.float64()) for name in family_names(family, score)]
+        each = pa.list_(pa.field("item", pa.float32(), nullable=False), worlds)
+        fields += [(outcome_name(family, name), each) for name in simulator.outcomes]
     if origin:
         fields.append((ORIGIN, pa.string()))
     return pa.schema([pa.field(name, kind, nullable=False) for name, kind in fields])
@@ -71,7 +81,14 @@ def arrow_schema(
 
 def columns_of(schema: pa.Schema) -> list[str]:
     """``name: type`` of every column, as a specification lists them."""
-    return [f"{field.name}: {field.type}" for field in schema]
+    return [f"{field.name}: {_type_name(field.type)}" for field in schema]
+
+
+def _type_name(kind: pa.DataType) -> str:
+    """Without a colon, which separates it from the name."""
+    if not pa.types.is_fixed_size_list(kind):
+        return str(kind)
+    return f"{kind.value_type}[{kind.list_size}]"
 
 
 def shard_table(
@@ -91,7 +108,7 @@ def shard_table(
         first_row: number of the first point in the whole store.
         points: [n, p].
         rows: of the base setting, [n].
-        families: the columns of all families by name, [n] each.
+        families: the columns of all families by name, [n] each, or [n, w] of outcomes.
         origin: of the points.
     """
     columns: dict[str, NDArray[np.generic]] = {
@@ -102,8 +119,14 @@ def shard_table(
         **{name: np.array(words)[rows[name]] for name, words in simulator.words.items()},
         **families,
     }
-    arrays = [pa.array(np.ascontiguousarray(columns[each.name]), each.type) for each in schema]
+    arrays = [_array(np.ascontiguousarray(columns[each.name]), each.type) for each in schema]
     return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _array(values: NDArray[np.generic], kind: pa.DataType) -> pa.Array:
+    if values.ndim == 1:
+        return pa.array(values, kind)
+    return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel(), kind.value_type), type=kind)
 
 
 @dataclass(frozen=True)
@@ -195,13 +218,18 @@ class Store:
         return (read_columns(file, names) for file in self.files)
 
     def numpy(self, columns: Iterable[str] | None = None) -> NDArray[np.void]:
-        """The rows as a structured array, [n]; words are NumPy strings."""
+        """The rows as a structured array, [n]; words are NumPy strings, outcomes [w] each."""
         table = self.table(columns)
         arrays = {}
-        for name in table.column_names:
-            values = table[name].to_numpy()
-            arrays[name] = values.astype(np.str_) if values.dtype == object else values
-        rows = np.empty(len(table), [(name, values.dtype) for name, values in arrays.items()])
+        for name, kind in zip(table.column_names, table.schema.types, strict=True):
+            column = table[name].combine_chunks()
+            if pa.types.is_fixed_size_list(kind):
+                arrays[name] = column.flatten().to_numpy().reshape(len(table), kind.list_size)
+            else:
+                values = column.to_numpy(zero_copy_only=False)
+                arrays[name] = values.astype(np.str_) if values.dtype == object else values
+        kinds = [(name, values.dtype, values.shape[1:]) for name, values in arrays.items()]
+        rows = np.empty(len(table), kinds)
         for name, values in arrays.items():
             rows[name] = values
         return rows
@@ -225,6 +253,21 @@ class Store:
         """Names of the families of settings: "robust" first."""
         robust = () if self.specification.get("robust") is None else ("robust",)
         return (*robust, *self.specification.get("families", {}))
+
+    @checks.checked(family=checks.text, column=checks.text)
+    def outcomes(self, family: str, column: str) -> NDArray[np.float32]:
+        """What each row gave in each world of a family, [n, w]; NaN where it was not run.
+
+        Args:
+            family: one of `families`.
+            column: one that is kept for each world; how far a run came is always among them.
+
+        Raises:
+            InputError: no such column; stores of versions before 0.3.0 have none.
+        """
+        name, ran = outcome_name(family, column), evaluated_name(family)
+        rows = self.numpy([name, ran])
+        return np.where(rows[ran][:, None], rows[name], np.float32(np.nan))
 
     def gains(self) -> NDArray[np.float64]:
         """The points, [n, 16 + k], in the order of `gain_names`."""

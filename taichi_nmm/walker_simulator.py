@@ -127,6 +127,10 @@ class Walker:
     survived: ClassVar[str] = "survived_fraction"
     words: ClassVar[Mapping[str, Sequence[str]]] = {"end_reason": END_REASONS}
     scores: ClassVar[tuple[str, ...]] = tuple(name for name, _ in SCORE_FIELDS)
+    # With the horizon these give both costs (`result.smooth_cost`, `result.walking_cost`).
+    outcomes: ClassVar[tuple[str, ...]] = (
+        "survived_fraction", "mean_speed_mps", "cost_of_transport_jpkgpm",
+    )  # fmt: skip
     objective: ClassVar[str] = "walked_fraction"
     measures: ClassVar[Mapping[str, tuple[float, float]]] = MEASURES
 

@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet
 
@@ -62,7 +63,19 @@ def file_of_selection(store: Path, ranges: Ranges, suffix: str) -> tuple[str, by
     table = table.filter(pa.array(chosen))
     content = io.BytesIO()
     if suffix == ".csv":
-        pyarrow.csv.write_csv(table, content)
+        pyarrow.csv.write_csv(_without_lists(table), content)
     else:
         pyarrow.parquet.write_table(table, content, compression="zstd")
     return f"selection{suffix}", content.getvalue()
+
+
+def _without_lists(table: pa.Table) -> pa.Table:
+    """A list of what each world gave becomes a column a world: CSV has no lists."""
+    columns = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        if pa.types.is_fixed_size_list(column.type):
+            for world in range(column.type.list_size):
+                columns[f"{name}_{world}"] = pc.list_element(column, world)
+        else:
+            columns[name] = column
+    return pa.table(columns)

@@ -180,7 +180,8 @@ MARGIN = 0.02  # around all points, of the axes
 def numeric_columns(store: Store) -> list[str]:
     """Names of the columns that can be drawn."""
     schema = next(store.tables()).schema
-    return [field.name for field in schema if not pa.types.is_string(field.type)]
+    drawn = pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean
+    return [field.name for field in schema if any(kind(field.type) for kind in drawn)]
 
 
 def first_columns(store: Store) -> list[str]:

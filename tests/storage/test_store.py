@@ -42,7 +42,8 @@ def test_arrow_numpy_and_pandas_agree(folder: Path, monkeypatch: pytest.MonkeyPa
     assert list(store.columns) == table.column_names == list(rows.dtype.names) == list(frame)
     assert pickle.loads(pickle.dumps(store)).table() == table
     for name in store.columns:
-        assert table[name].to_pylist() == rows[name].tolist() == frame[name].tolist()
+        values = np.array(table[name].to_pylist())
+        assert np.array_equal(values, rows[name]) and np.array_equal(values, np.stack(frame[name]))
     assert rows["row"].tolist() == list(range(50))
     assert rows["end_reason"].dtype.kind == "U"
     assert rows["step_count"].dtype == np.int32

@@ -144,3 +144,10 @@ def test_a_selection_is_read_back(fake_simulator: None, tmp_path: Path) -> None:
     again = pyarrow.csv.read_csv(io.BytesIO(content))
     assert again["row"].to_pylist() == wanted["row"].to_pylist()
     assert again["phi_printed"].to_pylist() == wanted["phi_printed"].to_pylist()
+    fake_walker.write_store(tmp_path / "families")  # what each world gave is a column a world
+    name, content = file_of_selection(tmp_path / "families", {"row": (0, np.inf)}, ".csv")
+    again, store = pyarrow.csv.read_csv(io.BytesIO(content)), open_store(tmp_path / "families")
+    family = store.families[0]
+    for world, values in enumerate(store.numpy()[f"{family}_survived_fraction_worlds"].T):
+        found = again[f"{family}_survived_fraction_worlds_{world}"].to_numpy()
+        np.testing.assert_allclose(found, values, rtol=1e-6)
