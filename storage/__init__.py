@@ -9,16 +9,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from storage.function_simulator import FunctionSimulator
+    from storage.precompute import make_store
     from storage.store import Store, merge, open_store
 
-__all__ = ["Store", "merge", "open_store"]
+__all__ = ["FunctionSimulator", "Store", "make_store", "merge", "open_store"]
+
+_MODULES = {
+    "FunctionSimulator": "storage.function_simulator",
+    "Store": "storage.store",
+    "make_store": "storage.precompute",
+    "merge": "storage.store",
+    "open_store": "storage.store",
+}
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name when it is first asked for (PEP 562)."""
-    if name not in __all__:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module("storage.store"), name)
+    return getattr(import_module(_MODULES[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -4,12 +4,12 @@ A store's points are one scrambled Sobol sequence, any part of which can be made
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.simulator import Parameter
+from storage.simulator import Parameter, Uniform
 
 LARGEST_SEQUENCE = 2**30  # SciPy's default of 30 bits a coordinate
 
@@ -28,7 +28,10 @@ def within_bounds(
 ) -> NDArray[np.float64]:
     """Points of the unit cube as values of the parameters, [n, p]."""
     low, high = _bounds(parameters)
-    return low + unit * (high - low)
+    points = low + unit * (high - low)
+    for place, scale in _scales(parameters):
+        points[:, place] = scale.of_unit(unit[:, place])
+    return points
 
 
 def in_unit_cube(
@@ -36,7 +39,10 @@ def in_unit_cube(
 ) -> NDArray[np.float64]:
     """Values of the parameters as points of the unit cube, [n, p]."""
     low, high = _bounds(parameters)
-    return (points - low) / (high - low)
+    unit = (points - low) / (high - low)
+    for place, scale in _scales(parameters):
+        unit[:, place] = scale.to_unit(points[:, place])
+    return unit
 
 
 def sobol_points(
@@ -57,6 +63,13 @@ def sobol_points(
         # A shard is a stretch of a longer sequence: its own length need not be a power of two.
         warnings.filterwarnings("ignore", message="The balance properties")
         return within_bounds(sequence.random(count), parameters)
+
+
+def _scales(parameters: Sequence[Parameter]) -> Iterator[tuple[int, Uniform]]:
+    """The parameters that are logarithms or come in steps, with their places."""
+    for place, each in enumerate(parameters):
+        if isinstance(each, Uniform) and (each.log or each.step):
+            yield place, each
 
 
 def _bounds(

@@ -13,13 +13,14 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from storage.points import sobol_points
-from storage.pool import IN_PROCESS, Pool, own_kind
+from storage.pool import IN_PROCESS, Pool, cores, local_pool, own_kind
 from storage.search import evolved_points
-from storage.simulator import Report, run_points
-from storage.specification import Family, Specification
+from storage.simulator import Report, Simulator, run_points
+from storage.specification import Family, Specification, read_specification
 from storage.store import (
     EVOLVED_ROW,
     SOBOL_ROW,
+    Store,
     evaluated_name,
     family_names,
     open_store,
@@ -27,6 +28,7 @@ from storage.store import (
     shard_table,
 )
 from storage.store_folder import StoreFolder
+from taichi_nmm.config import Table
 
 TYPICAL_ALIVE = 0.1  # of random points, at the age from which families run them
 TYPICAL_KEPT = 0.01  # of random points, where a family comes after another one
@@ -171,11 +173,14 @@ def _fill(
         specification: of the store.
         missing: numbers of the shards.
         tally: of finished points.
-        pool: that computes them; a single shard of the grid is computed in this process.
+        pool: that computes them; a single shard of the grid is computed in this process, if the
+            simulator has threads of its own.
         evolved: points of all rows after the grid's, [candidates, p].
     """
     code = {"code_version": specification.simulator.code_version}
-    if len(missing) == 1 and evolved is None and not pool.kinds:
+    simulator = specification.simulator
+    has_threads = simulator.on_one_thread() is not simulator
+    if len(missing) == 1 and evolved is None and not pool.kinds and has_threads:
         pool = IN_PROCESS
     units = _units(_asked(specification, pool), missing, pool, evolved)
     parts: dict[int, list[pa.Table]] = {number: [] for number in missing}
@@ -338,3 +343,36 @@ def _summary(
         walkers_per_s=round((computed + walks) / wall_s, 1) if computed + walks else 0.0,
         specification_hash=specification.hash,
     )
+
+
+def make_store(
+    simulator: Simulator,
+    out: str | Path,
+    *,
+    workers: int | None = None,
+    fresh: bool = False,
+    **configuration: Any,
+) -> Store:
+    """Fill the store of a simulator, or go on, and open it.
+
+    A script that calls this with several workers does so below `if __name__ == "__main__":`, since
+    each worker imports it.
+
+    Args:
+        simulator: such as a `FunctionSimulator`.
+        out: folder of the store.
+        workers: processes; None is one a core.
+        fresh: start over.
+        **configuration: what a configuration of `taichi-nmm precompute` has: samples, seed,
+            simulation, world, families, repertoire, ...
+
+    Raises:
+        InputError: a value out of range, a folder of another store, a simulator that does not keep
+            what it promises.
+    """
+    specification = read_specification(Table(configuration), simulator=simulator)
+    simulator.require_machine()
+    workers = simulator.processes(cores()) if workers is None else workers
+    with local_pool(workers) as pool:
+        precompute(specification, Path(out), fresh, pool=pool)
+    return open_store(out)

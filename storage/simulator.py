@@ -15,7 +15,7 @@ with the methods `read_worlds` and `run`, and name it in a configuration:
     name = "my_robot:MyRobot"
 
 All other members have defaults. A class that has every member, such as the walker, need not be a
-child of `Simulator`.
+child of `Simulator`. A plain function is enough, too: `storage.function_simulator`.
 """
 
 import sys
@@ -61,11 +61,43 @@ class Parameter(Protocol):
 
 
 class Uniform(NamedTuple):
-    """A `Parameter` that has nothing else."""
+    """A `Parameter` of one's own.
+
+    Attributes:
+        name: of its column, with the unit.
+        low: lower bound.
+        high: upper bound.
+        log: the logarithm is drawn uniformly.
+        step: values are `low` and so many steps; 0: any.
+        distribution: Optuna's, as its JSON text; "": a float from `low` to `high`.
+    """
 
     name: str
     low: float
     high: float
+    log: bool = False
+    step: float = 0.0
+    distribution: str = ""
+
+    def of_unit(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Values at these places from 0 to 1, [n]."""
+        low, high = self._ends
+        values = low * (high / low) ** unit if self.log else low + unit * (high - low)
+        if self.step:
+            values = self.low + self.step * np.rint((values - self.low) / self.step)
+        return np.clip(values, self.low, self.high)
+
+    def to_unit(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The places of values, [n]."""
+        low, high = self._ends
+        return (
+            np.log(values / low) / np.log(high / low) if self.log else (values - low) / (high - low)
+        )
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        """Half a step beyond the bounds, so that all steps are as likely."""
+        return self.low - self.step / 2, self.high + self.step / 2
 
 
 class WorldRule(Protocol):
@@ -240,10 +272,11 @@ class Simulator(Protocol):
         return cores
 
 
-def find_simulator(name: str) -> type[Simulator]:
-    """The simulator of this name, or the class "module:Class".
+def find_simulator(name: str, folder: Path = Path()) -> type[Simulator]:
+    """The simulator of this name, or "module:Class", or "file.py:Class" of a folder.
 
-    The module is an installed one or, where there is none, a file of the working directory.
+    The module is an installed one or, where there is none, a file of the working directory. A
+    `FunctionSimulator` has the place of a class.
 
     Raises:
         InputError: there is none, or a class that is no simulator.
@@ -253,8 +286,12 @@ def find_simulator(name: str) -> type[Simulator]:
     allowed = f"{' or '.join(SIMULATORS)}, or a class that can be imported: module:Class"
     if not attribute:
         raise InputError(field, name, allowed)
-    if (here := str(Path.cwd())) not in sys.path:
-        sys.path.append(here)  # last, so that it hides nothing; processes that start take it over
+    where = Path.cwd()
+    if module.endswith(".py"):
+        where, module = (folder / module).resolve().parent, Path(module).stem
+    if str(where) not in sys.path:
+        # last, so that it hides nothing; processes that start take it over
+        sys.path.append(str(where))
     try:
         found: type[Simulator] = getattr(import_module(module), attribute)
     except (ImportError, AttributeError, ValueError, SyntaxError) as error:

@@ -22,6 +22,7 @@ from storage.points import LARGEST_SEQUENCE, seed_sequence
 from storage.simulator import (
     SIMULATOR_KEY,
     WALKER,
+    Parameter,
     Simulator,
     WorldRule,
     Worlds,
@@ -276,10 +277,7 @@ class Specification:
             "samples": self.samples,
             "shard_rows": self.shard_rows,
             "seed": self.seed,
-            "gains": {
-                parameter.name: {"low": float(parameter.low), "high": float(parameter.high)}
-                for parameter in simulator.parameters
-            },
+            "gains": {each.name: _ends(each) for each in simulator.parameters},
             **_other_keys(own, RESERVED),
             "simulation": simulation,
             **_other_keys(drawn, RESERVED | own.keys()),
@@ -301,10 +299,22 @@ class Specification:
         return document_hash(self.document)
 
 
+def _ends(parameter: Parameter) -> dict[str, Any]:
+    """Bounds of a parameter, and its distribution where it is another than a float's between."""
+    own = getattr(parameter, "distribution", "")
+    ends = {"low": float(parameter.low), "high": float(parameter.high)}
+    return ends | ({"distribution": json.loads(own)} if own else {})
+
+
 def read_specification(
-    table: Table, samples: int | None = None, arch: str | None = None
+    table: Table,
+    samples: int | None = None,
+    arch: str | None = None,
+    simulator: Simulator | None = None,
 ) -> Specification:
     """The specification in a configuration; `samples` and `arch` override the file's.
+
+    `simulator` stands for the one that the configuration would name.
 
     Raises:
         InputError: an unknown key, a wrong type or a value out of range.
@@ -316,10 +326,9 @@ def read_specification(
     shard_rows = table.integer("shard_rows", SHARD_ROWS, 1, LARGEST_SEQUENCE)
     simulation = table.table("simulation")
     horizon_s = simulation.number("duration_s", HORIZON_S, SHORTEST_HORIZON_S, LONGEST_HORIZON_S)
-    kind = find_simulator(table.table(SIMULATOR_KEY).text("name", WALKER))
-    simulator = kind.read(table, arch)
+    if simulator is None:
+        simulator = _read_simulator(table, arch)
     simulation.done()
-    table.table(SIMULATOR_KEY).done()
     check_simulator(simulator)
     rule = simulator.read_worlds(table)
     families = _read_families(table, simulator, horizon_s)
@@ -335,6 +344,16 @@ def read_specification(
         families=families,
         repertoire=repertoire,
     )
+
+
+def _read_simulator(table: Table, arch: str | None) -> Simulator:
+    """The simulator that a configuration names, by a text or by a table with its settings."""
+    if isinstance(table.unread.get(SIMULATOR_KEY), str):
+        return find_simulator(table.text(SIMULATOR_KEY), table.folder).read(table, arch)
+    own = table.table(SIMULATOR_KEY)
+    simulator = find_simulator(own.text("name", WALKER), table.folder).read(table, arch)
+    own.done()
+    return simulator
 
 
 def _other_keys(document: dict[str, Any], taken: Set[str]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from storage.commit import commit_json
-from storage.simulator import SIMULATOR_KEY, WALKER, Simulator, known_simulator
+from storage.simulator import SIMULATOR_KEY, SIMULATORS, WALKER, Simulator, known_simulator
 from storage.tables import FORMAT, document_hash, file_hash, read_about, read_columns, write_table
 from taichi_nmm import checks
 from taichi_nmm.config import Table
@@ -72,7 +72,7 @@ def arrow_schema(
         fields.append((evaluated_name(family), pa.bool_()))
         for score in simulator.scores:
             fields += [(name, pa.float64()) for name in family_names(family, score)]
-        each = pa.list_(pa.field("item", pa.float32(), nullable=False), worlds)
+        each = pa.list_(pa.float32(), worlds)
         fields += [(outcome_name(family, name), each) for name in simulator.outcomes]
     if origin:
         fields.append((ORIGIN, pa.string()))
@@ -269,6 +269,11 @@ class Store:
         rows = self.numpy([name, ran])
         return np.where(rows[ran][:, None], rows[name], np.float32(np.nan))
 
+    @property
+    def simulator(self) -> str:
+        """The name of the simulator; "walker": this project's."""
+        return str(self.specification.get(SIMULATOR_KEY, WALKER))
+
     def gains(self) -> NDArray[np.float64]:
         """The points, [n, 16 + k], in the order of `gain_names`."""
         table = self.table(self.gain_names)
@@ -277,9 +282,13 @@ class Store:
     def require_bounds(self) -> None:
         """Refuse a store whose points were drawn from other bounds than those of this version.
 
+        A simulator of somebody else's has the bounds that its store names: no code of it is run.
+
         Raises:
-            InputError: naming the parameter; or a simulator that this project does not have.
+            InputError: naming the parameter.
         """
+        if self.simulator not in SIMULATORS:
+            return
         stored = self.specification["gains"]
         parameters = known_simulator(self.specification).parameters_of(tuple(stored))
         current = {each.name: {"low": each.low, "high": each.high} for each in parameters}

@@ -150,6 +150,24 @@ def test_all_examples_of_the_sampler_run_in_their_order(
 
 
 @pytest.mark.slow
+def test_the_page_of_own_simulators_runs_in_an_empty_folder(tmp_path: Path) -> None:
+    page = DOCS / "own-simulator.md"
+    robot, trials = code_blocks(page)
+    (tmp_path / "my_robot.py").write_text(robot)
+    (tmp_path / "trials.py").write_text(trials)
+    (tmp_path / "pole.toml").write_text(code_blocks(page, "toml")[0])
+    command = ("-m", "taichi_nmm", "precompute", "--config", "pole.toml", "--out", "out/toml")
+    ours = os.environ | {"PYTHONPATH": str(ROOT)}
+    for words in (("my_robot.py",), command, ("trials.py",)):
+        line = [sys.executable, *words]
+        done = subprocess.run(line, cwd=tmp_path, env=ours, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    assert done.stdout == code_blocks(page, "text")[0]
+    made, same = (sorted((tmp_path / "out" / name).glob("*.parquet")) for name in ("pole", "toml"))
+    assert [file.read_bytes() for file in made] == [file.read_bytes() for file in same] != []
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("duration_s", [20, pytest.param(100, marks=pytest.mark.campaign)])
 def test_the_body_of_the_controllers_page_walks(printed: Printed, duration_s: int) -> None:
     page = DOCS / "controller.md"

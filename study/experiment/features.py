@@ -6,15 +6,18 @@ choices.
 """
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from optuna.distributions import BaseDistribution
 
+from storage.simulator import WALKER
 from storage.store import ORIGIN, SOBOL_ROW, Store, evaluated_name, open_store
+from study.sampler.columns import store_parameters
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
@@ -122,22 +125,26 @@ def feature_values(feature: Feature, store: Store) -> Floats:
 
 
 def feature_table(
-    store: Store, features: Sequence[Feature], parameters: Sequence[str], **ranges: Any
+    store: Store,
+    features: Sequence[Feature],
+    space: Mapping[str, BaseDistribution] | None = None,
 ) -> FeatureTable:
     """The rows of a store as candidates; those that a feature leaves out are not proposed.
 
-    `parameters` are columns that studies suggest, `ranges` are `bounds` or `space` of
-    `FeatureTable.from_arrays`.
+    `space` has the columns that studies suggest, with distributions; None: the store's own.
     """
-    columns = store.table(parameters)
+    columns, bounds, own = store_parameters(store.specification["gains"], store.gains())
+    if space is not None:
+        columns, bounds, own = {name: columns[name] for name in space}, {}, dict(space)
     with warnings.catch_warnings():
         # Rows are left out on purpose; stores themselves have no gaps.
         warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)
         return FeatureTable.from_arrays(
-            {name: columns[name].to_numpy() for name in parameters},
+            columns,
             np.column_stack([feature_values(feature, store) for feature in features]),
             [name_of(feature) for feature in features],
-            **ranges,
+            bounds=bounds,
+            space=own,
         )
 
 
@@ -277,11 +284,11 @@ def survival_table(path: str | Path, families: tuple[str, ...] = FAMILIES) -> Fe
 def _table(path: str | Path, features: tuple[Feature, ...]) -> FeatureTable:
     store = open_store(path)
     store.require_bounds()
+    if store.simulator != WALKER and SPEED not in store.columns:
+        features = tuple(feature for feature in features if feature != SPEED)
     for feature in features:
         check_feature(feature, store)
-    ranges = store.specification["gains"]
-    bounds = {name: (ends["low"], ends["high"]) for name, ends in ranges.items()}
-    return feature_table(store, features, store.gain_names, bounds=bounds)
+    return feature_table(store, features)
 
 
 class SurvivalSampler(FeatureKernelSampler):

@@ -33,7 +33,7 @@ def _read(
     path: Path, _written_ns: int, features: tuple[Feature, ...], parameters: tuple[Parameter, ...]
 ) -> FeatureTable:
     space = search_space(parameters)
-    return feature_table(open_store(path), features, tuple(space), space=space)
+    return feature_table(open_store(path), features, space)
 
 
 def store_path(experiment: Experiment, store: str) -> Path:

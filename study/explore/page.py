@@ -10,6 +10,7 @@ from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import Div
 
+from storage.simulator import known_simulator
 from storage.store import SHARD_PATTERN, Store, open_store
 from storage.store_folder import SPECIFICATION_NAME
 from study.experiment.experiment import Experiment
@@ -77,6 +78,7 @@ def _of_store(path: Path) -> bool:
 
 def _store(path: Path) -> Store:
     store = open_store(path, unfinished=True)
+    known_simulator(store.specification)
     store.require_bounds()
     return store
 

@@ -4,6 +4,7 @@ Parameters become numbers with a distribution, features a matrix; then each row 
 the bounds and distributions.
 """
 
+import json
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from optuna.distributions import (
     CategoricalDistribution,
     FloatDistribution,
     IntDistribution,
+    json_to_distribution,
 )
 
 from study.sampler.space import Space, first_not_taken
@@ -235,16 +237,44 @@ class FileColumns:
         store = open_store(self.path)
         store.require_bounds()
         ranges = store.specification["gains"]
-        bounds = {name: (ends["low"], ends["high"]) for name, ends in ranges.items()}
-        others = [name for name in store.columns if name not in bounds]
+        others = [name for name in store.columns if name not in ranges]
         for name in self.features:
             if name not in others:
                 raise InputError("score", name, f"one of {', '.join(others)}")
-        names, matrix = (*bounds, *self.features), new_matrix(len(store), len(bounds))
+        names, matrix = (*ranges, *self.features), new_matrix(len(store), len(ranges))
         features = np.empty((len(store), len(self.features)))
         _fill([matrix, features], store.tables(names))
-        columns = dict(zip(bounds, matrix.T, strict=True))
-        return checked_columns(columns, features, self.features, self.bounds or bounds, self.space)
+        columns, bounds, space = store_parameters(ranges, matrix)
+        space |= self.space or {}
+        return checked_columns(columns, features, self.features, self.bounds or bounds, space)
+
+
+def store_parameters(
+    ranges: Mapping[str, Mapping[str, Any]], matrix: Floats
+) -> tuple[dict[str, NDArray[Any]], dict[str, tuple[float, float]], dict[str, BaseDistribution]]:
+    """The parameters of a store as studies suggest them.
+
+    Args:
+        ranges: of each parameter, as the store's specification has them.
+        matrix: the columns, [n, p]; a choice is its number.
+
+    Returns:
+        Columns by name, [n] each; bounds of plain floats; distributions of all others.
+    """
+    columns: dict[str, NDArray[Any]] = dict(zip(ranges, matrix.T, strict=True))
+    bounds, space = {}, {}
+    for name, ends in ranges.items():
+        if "distribution" not in ends:
+            bounds[name] = ends["low"], ends["high"]
+            continue
+        try:
+            own = space[name] = json_to_distribution(json.dumps(ends["distribution"]))
+            if isinstance(own, CategoricalDistribution):
+                columns[name] = np.array(own.choices, dtype=object)[columns[name].astype(int)]
+        except (IndexError, KeyError, TypeError, ValueError) as error:
+            allowed = f"a distribution of Optuna ({error})"
+            raise InputError(f"store.gains.{name}", ends["distribution"], allowed) from None
+    return columns, bounds, space
 
 
 def _read(path: Path, names: Sequence[str]) -> "pa.Table":

@@ -79,9 +79,8 @@ def test_a_store_of_another_simulator_is_filled_and_read(tmp_path: Path) -> None
     merged = merge(tmp_path / "store", tmp_path / "merged.parquet")
     assert merged.table().equals(store.table().combine_chunks())
     # A store may come from anybody: no code is imported that a file names.
+    store.require_bounds()  # nothing to compare them with
     with pytest.raises(InputError, match=r"store\.simulator: 'tests.storage.toy:Cart' .* walker"):
-        store.require_bounds()
-    with pytest.raises(InputError):
         known_simulator({"simulator": CART})
 
 
@@ -119,7 +118,8 @@ def test_a_simulators_own_tables_are_checked() -> None:
     for changes, field in (
         ({"simulator": {"name": CART, "mass_kg": 0.0}}, "simulator.mass_kg"),
         ({"simulator": {"name": CART, "mass": 1.0}}, "simulator.mass"),
-        ({"simulator": CART}, "simulator"), ({"simulation": {"arch": "cpu"}}, "simulation.arch"),
+        ({"simulator": 3}, "simulator"),
+        ({"simulator": "cart"}, "simulator.name"), ({"simulation": {"arch": "cpu"}}, "simulation.arch"),
         ({"families": {"gale": gale | {"wind": 3}}}, "families.gale.wind"),
         ({"families": {"speed": gale}}, "families"), ({"terrain": {"kind": "flat"}}, "terrain"),
         ({"searched": ["thrust"]}, "searched"), ({"wind": [2, 1]}, "wind"),

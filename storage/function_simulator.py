@@ -1,0 +1,263 @@
+"""A function of one's own as the simulator of a store: candidates walked in worlds that differ.
+
+    def walk(point, world, seconds):  # my_robot.py
+        ...
+        return {"survived_fraction": walked_s / seconds, "speed_mps": distance_m / walked_s}
+
+    robot = FunctionSimulator(
+        walk,
+        parameters={"kp": FloatDistribution(1.0, 100.0, log=True), "steps": IntDistribution(1, 8)},
+        worlds={"mass": 1.0, "friction": 0.8},
+        columns=("survived_fraction", "speed_mps"),
+    )
+
+`make_store(robot, "out/robot", samples=4096, families={"icy": {...}})` fills a store, as does
+`taichi-nmm precompute` for a configuration with `simulator = "my_robot.py:robot"`, to the same
+bytes. A table [world] says where the world of the base setting differs from `worlds`, and
+[families.NAME.world] gives each number of a family's worlds, or a range that it is drawn from.
+"""
+
+import hashlib
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    IntDistribution,
+    distribution_to_json,
+)
+
+from storage.points import within_bounds
+from storage.simulator import SURVIVED, Report, Simulator, Uniform
+from taichi_nmm import checks
+from taichi_nmm.config import Table
+from taichi_nmm.errors import InputError, one_line, shortened
+
+ENDED = "run_ended"
+RAN, FAILED = "ran", "failed"
+SEED = "seed"  # of a world, for what a run draws, such as noise
+LARGEST_SEED = 2**31
+
+CANARY_POINTS = 4  # of two runs each, which have to agree
+CANARY_S = 1.0
+
+DrawnNumbers = dict[str, NDArray[np.float64]]
+"""Worlds: each number by its name, [w]."""
+
+
+@dataclass(frozen=True)
+class NumberRanges:
+    """The rule of a table [world]: each number is drawn uniformly from its range.
+
+    Attributes:
+        ranges: lowest and highest of each number, by its name.
+    """
+
+    ranges: dict[str, tuple[float, float]]
+
+    def draw(self, seeds: Sequence[np.random.SeedSequence]) -> DrawnNumbers:
+        """One world a seed; each also has a whole number `seed` of its own."""
+        low, high = np.array(list(self.ranges.values())).reshape(-1, 2).T
+        generators = [np.random.default_rng(seed) for seed in seeds]
+        own = np.array([float(each.integers(LARGEST_SEED)) for each in generators])
+        drawn = np.array([low + (high - low) * each.random(len(low)) for each in generators])
+        return dict(zip(self.ranges, drawn.T, strict=True)) | {SEED: own}
+
+    def document(self, worlds: DrawnNumbers) -> dict[str, Any]:
+        """The ranges, and the numbers that were drawn from them."""
+        drawn = {name: values.tolist() for name, values in worlds.items()}
+        return {"world": {name: list(ends) for name, ends in self.ranges.items()}, "drawn": drawn}
+
+
+class FunctionSimulator(Simulator):
+    """A function that runs a point in a world. It pickles, if the function is one of a module.
+
+    A run that raises, or that returns NaN or infinity, has zeros in all columns and "failed" in
+    the column `run_ended`; it stops no other run. A function that fails at all points of a batch
+    is refused, by a line with the first error.
+    """
+
+    columns: np.dtype[np.void] = np.dtype([])
+    parameters: tuple[Uniform, ...] = ()
+    measures: Mapping[str, tuple[float, float]] = MappingProxyType({})
+
+    def __init__(
+        self,
+        function: Callable[..., Mapping[str, Any]],
+        *,
+        parameters: Mapping[str, BaseDistribution],
+        columns: Sequence[str],
+        worlds: Mapping[str, float] | None = None,
+        measures: Mapping[str, tuple[float, float]] | None = None,
+        batch: bool = False,
+    ) -> None:
+        """Checked at once; nothing runs yet.
+
+        Args:
+            function: `function(point, world, seconds)` returns the columns of a run by their
+                names. `point` and `world` are dicts of values by name; a world also has a whole
+                number `seed`, for what the run draws. Its result depends on nothing else.
+            parameters: Optuna's distributions by name.
+            columns: names of the numbers that a run returns; "survived_fraction", from 0 to 1, is
+                among them and says how far the run came.
+            worlds: numbers by which worlds differ, with their values in the base setting.
+            measures: columns that tell candidates apart, with the ranges that a search covers.
+            batch: the function takes many runs at a time: `point` has arrays [n, 1], `world` arrays
+                [1, w], and columns are arrays that broadcast to [n, w].
+
+        Raises:
+            InputError: a function that other processes cannot import, a name that is none.
+        """
+        self._source = _source_of(function)
+        self.function, self.batch, self.space = function, batch, dict(parameters)
+        if not self.space:
+            raise InputError("parameters", "none", "one distribution at least")
+        check = checks.number()
+        self.worlds = {k: float(check(f"worlds.{k}", v)) for k, v in (worlds or {}).items()}
+        self.measures = dict(measures or {})
+        if SURVIVED not in columns:
+            raise InputError("columns", list(columns), f"{SURVIVED} among them")
+        if SEED in self.worlds:
+            raise InputError("worlds", SEED, "another name: each world has a seed of its own")
+        self.parameters = tuple(_coordinate(name, each) for name, each in self.space.items())
+        self.columns = np.dtype([*((name, "f8") for name in columns), (ENDED, "u1")])
+
+    @property
+    def name(self) -> str:
+        """The file's name without its ending, and the function's."""
+        return f"{self._source.stem}:{self.function.__qualname__}"
+
+    @property
+    def code_version(self) -> str:
+        """A digest of the function's file: a store is of one version of it."""
+        return hashlib.sha256(self._source.read_bytes()).hexdigest()[:16]
+
+    @property
+    def words(self) -> Mapping[str, Sequence[str]]:
+        """Whether a run ended as it should."""
+        return {ENDED: (RAN, FAILED)}
+
+    def read(self, table: Table, arch: str | None) -> "FunctionSimulator":  # type: ignore[override]
+        """Itself: a configuration has no settings for it."""
+        if arch is not None:
+            raise InputError("arch", arch, f"no architecture: {self.name} reads none")
+        return self
+
+    def document(self) -> dict[str, Any]:
+        """What the base setting's world is, where a table does not say another."""
+        return {"worlds": self.worlds, "measures": {k: list(v) for k, v in self.measures.items()}}
+
+    def read_worlds(self, table: Table) -> NumberRanges:
+        """The table [world]: numbers, and ranges [lowest, highest]; others are as in `worlds`."""
+        own, ranges = table.table("world"), {}
+        for name, usual in self.worlds.items():
+            if isinstance(own.unread.get(name), list):
+                ranges[name] = own.range(name, (usual, usual), -np.inf, np.inf)
+            else:
+                ranges[name] = (own.number(name, usual),) * 2
+        own.done()
+        return NumberRanges(ranges)
+
+    def run(
+        self, points: NDArray[np.float64], worlds: DrawnNumbers, horizon_s: float, report: Report
+    ) -> tuple[NDArray[np.void], dict[str, Any]]:
+        """Run every point in every world, [n, w]."""
+        count = len(worlds[SEED])
+        rows = np.zeros((len(points), count), self.columns)
+        values = [self._values(name, points[:, k]) for k, name in enumerate(self.space)]
+        if self.batch:
+            pairs = zip(self.space, values, strict=True)
+            named = {name: np.asarray(each)[:, None] for name, each in pairs}
+            whole = {name: each[None, :] for name, each in worlds.items()}
+            self._keep(rows, self.function(named, whole, horizon_s))
+            return rows, {}
+        first = ""
+        for place in np.ndindex(rows.shape):
+            point = {name: each[place[0]] for name, each in zip(self.space, values, strict=True)}
+            world = {name: each[place[1]].item() for name, each in worlds.items()}
+            world[SEED] = int(world[SEED])
+            try:
+                found = self.function(point, world, horizon_s)
+            except Exception as error:
+                rows[ENDED][place] = 1
+                said = one_line(shortened(f"{type(error).__name__}: {error}"))
+                first = first or f"{said}, at {point} in {world}"
+            else:
+                self._keep(rows[place[0] : place[0] + 1, place[1] : place[1] + 1], found)
+            report((place[0] + 1) / len(points))
+        failed = int(np.count_nonzero(rows[ENDED]))
+        if failed == rows.size and first:
+            raise InputError("simulator", self.name, f"a function that runs, not {first}")
+        return rows, {}
+
+    def _values(self, name: str, column: NDArray[np.float64]) -> Sequence[Any]:
+        """A parameter's values as its distribution has them, [n]."""
+        distribution = self.space[name]
+        if isinstance(distribution, CategoricalDistribution):
+            return [distribution.choices[int(index)] for index in column]
+        whole = isinstance(distribution, IntDistribution)
+        return list(column.astype(np.int64).tolist() if whole else column.tolist())
+
+    def _keep(self, rows: NDArray[np.void], found: Mapping[str, Any]) -> None:
+        """Write what the function returned into rows [n, w] of zeros."""
+        names = [name for name in self.columns.names or () if name != ENDED]
+        if not isinstance(found, Mapping) or set(found) != set(names):
+            wrong = list(found) if isinstance(found, Mapping) else type(found).__name__
+            allowed = f"a function that returns {', '.join(names)} by name, not {wrong}"
+            raise InputError("simulator", self.name, allowed)
+        for name in names:
+            try:
+                rows[name] = np.broadcast_to(np.asarray(found[name], dtype=np.float64), rows.shape)
+            except (TypeError, ValueError):
+                allowed = f"{name} as numbers that broadcast to {list(rows.shape)}"
+                raise InputError("simulator", self.name, allowed) from None
+        whole = np.all([np.isfinite(rows[name]) for name in names], axis=0)
+        for name in names:
+            rows[name][~whole] = 0.0
+        rows[ENDED] = ~whole
+
+    def canary(self) -> NDArray[np.void]:
+        """A few points in the base setting's world, by whose bits machines are told apart."""
+        unit = (np.arange(CANARY_POINTS)[:, None] + 0.5) / CANARY_POINTS
+        points = within_bounds(np.tile(unit, (1, len(self.parameters))), self.parameters)
+        worlds = self.read_worlds(Table({})).draw([np.random.SeedSequence(0)])
+        return self.run(points, worlds, CANARY_S, lambda part: None)[0]
+
+    def require_machine(self) -> None:
+        """Refuse a function whose runs do not repeat: two runs of one batch are compared."""
+        if self.canary().tobytes() != self.canary().tobytes():
+            allowed = f"a function whose runs repeat; draw random numbers from world[{SEED!r}]"
+            raise InputError("simulator", self.name, allowed)
+
+
+def _coordinate(name: str, distribution: BaseDistribution) -> Uniform:
+    """A parameter as a coordinate of points; a choice is its number."""
+    checks.instance(BaseDistribution)(f"parameters.{name}", distribution)
+    if isinstance(distribution, CategoricalDistribution):
+        last, log, step = len(distribution.choices) - 1, False, 1.0
+        low, high = 0.0, float(last)
+    else:
+        low, high = float(distribution.low), float(distribution.high)  # type: ignore[attr-defined]
+        log = bool(distribution.log)  # type: ignore[attr-defined]
+        step = float(distribution.step or 0.0)  # type: ignore[attr-defined]
+    own = distribution_to_json(distribution) if log or step else ""
+    return Uniform(name, low, high, log, step, own)
+
+
+def _source_of(function: Callable[..., Any]) -> Path:
+    """The file of a function that other processes can import."""
+    allowed = "a function of a module or of a file, which other processes can import"
+    try:
+        file = inspect.getsourcefile(function)
+    except TypeError:
+        raise InputError("function", type(function).__name__, allowed) from None
+    if file is None or not Path(file).is_file() or "<" in function.__qualname__:
+        raise InputError("function", function.__qualname__, allowed)
+    return Path(file)

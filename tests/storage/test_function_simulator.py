@@ -1,0 +1,219 @@
+"""A function as a simulator: stores from Python and of the command, and what is refused."""
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+
+from storage import FunctionSimulator, make_store, open_store
+from storage.points import in_unit_cube, sobol_points, within_bounds
+from storage.simulator import Uniform, run_points
+from study import FeatureTable, survival_table
+from taichi_nmm.config import Table
+from taichi_nmm.errors import InputError
+from tests.storage import robot
+from tests.storage.fake import content
+
+GALE = {"settings": 3, "min_survival_s": 3.0, "world": {"wind": [1.0, 3.0], "mass_kg": 0.8}}
+CONFIGURATION: dict[str, Any] = {
+    "samples": 60, "shard_rows": 16, "seed": 3, "families": {"gale": GALE}
+}  # fmt: skip
+TOML = """
+simulator = "my_robot.py:Cart"
+samples = 60
+shard_rows = 16
+seed = 3
+families.gale = {settings = 3, min_survival_s = 3.0, world = {wind = [1.0, 3.0], mass_kg = 0.8}}
+"""
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("stores") / "cart"
+    make_store(robot.Cart, path, workers=1, **CONFIGURATION)
+    return path
+
+
+def changed(function: Callable[..., Any], **changes: Any) -> FunctionSimulator:
+    given = {"parameters": robot.PARAMETERS, "worlds": robot.WORLDS, "columns": robot.COLUMNS}
+    return FunctionSimulator(function, **(given | changes))
+
+
+def runs(simulator: FunctionSimulator) -> np.ndarray[Any, Any]:
+    """Eight points in two worlds."""
+    worlds = simulator.read_worlds(Table(GALE | {})).draw(list(map(np.random.SeedSequence, (1, 2))))
+    points = sobol_points(1, 0, 8, simulator.parameters)
+    return run_points(simulator, points, worlds, 2, 5.0)[0]
+
+
+def test_rows_are_what_the_function_returns(store: Path) -> None:
+    opened = open_store(store, verify=True)
+    rows, gains = opened.numpy(), opened.gains()
+    assert opened.simulator == "robot:drive" and opened.gain_names == tuple(robot.PARAMETERS)
+    modes = [robot.PARAMETERS["mode"].choices[int(mode)] for mode in gains[:, 3]]  # type: ignore[attr-defined]
+    points = [dict(zip(robot.PARAMETERS, (*row[:3], mode), strict=True))
+              for row, mode in zip(gains.tolist(), modes, strict=True)]  # fmt: skip
+    base = [robot.drive(point, robot.WORLDS, 5.0) for point in points]
+    for column in robot.COLUMNS:
+        assert rows[column].tolist() == [each[column] for each in base]
+    drawn = opened.specification["families"]["gale"]["drawn"]
+    assert drawn["mass_kg"] == [0.8] * 3 and len(set(drawn["seed"])) == 3
+    assert all(1.0 <= wind <= 3.0 for wind in drawn["wind"]) and len(set(drawn["wind"])) == 3
+    outcomes = opened.outcomes("gale", "survived_fraction")
+    for point, found, ran in zip(points, outcomes, rows["gale_evaluated"], strict=True):
+        worlds = [{"wind": wind, "mass_kg": 0.8} for wind in drawn["wind"]]
+        expected = [robot.drive(point, world, 8.0)["survived_fraction"] for world in worlds]
+        np.testing.assert_allclose(found, expected if ran else np.nan, rtol=1e-6)
+    assert set(rows["run_ended"]) == {"ran"}
+
+
+@pytest.mark.slow
+def test_the_command_makes_the_same_bytes_and_a_changed_file_is_not_gone_on_with(
+    store: Path, tmp_path: Path
+) -> None:
+    shutil.copy(robot.__file__, tmp_path / "my_robot.py")
+    (tmp_path / "cart.toml").write_text(TOML)
+    words = [sys.executable, "-m", "taichi_nmm", "precompute", "--config", tmp_path / "cart.toml"]
+
+    def run(*more: str) -> "subprocess.CompletedProcess[str]":
+        command = [*words, "--out", tmp_path / "out", *more]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    done = run("--workers", "2")
+    assert done.returncode == 0, done.stderr
+    code = "import my_robot, storage; storage.make_store(my_robot.Cart, 'python', workers=1, **{})"
+    subprocess.run([sys.executable, "-c", code.replace("{}", repr(CONFIGURATION))], check=True,
+                   cwd=tmp_path)  # fmt: skip
+    assert content(tmp_path / "python") == content(tmp_path / "out")
+    assert open_store(tmp_path / "out").table().equals(open_store(store).table())
+    with (tmp_path / "my_robot.py").open("a") as file:
+        file.write("# another version\n")
+    refused = run()
+    assert refused.returncode == 2 and refused.stderr.startswith("error: code_version: ")
+    assert len(open_store(tmp_path / "out")) == 60
+
+
+def test_many_runs_at_a_time_are_the_same_rows() -> None:
+    one, many = runs(robot.Cart), runs(robot.Carts)
+    for column in robot.COLUMNS:
+        np.testing.assert_allclose(one[column], many[column], rtol=1e-14)
+    report: list[float] = []
+    worlds = robot.Cart.read_worlds(Table({})).draw([np.random.SeedSequence(1)])
+    assert {
+        name: values.item() for name, values in worlds.items() if name != "seed"
+    } == robot.WORLDS
+    robot.Cart.run(sobol_points(1, 0, 4, robot.Cart.parameters), worlds, 5.0, report.append)
+    assert report == [0.25, 0.5, 0.75, 1.0]
+
+
+def test_points_fill_their_distributions() -> None:
+    parameters = (*robot.Cart.parameters, Uniform("count", 1.0, 100.0, log=True, step=1.0))
+    points = sobol_points(1, 0, 4096, parameters)
+    assert points[:, 0].min() >= 0.1 and points[:, 0].max() <= 10.0
+    assert np.mean(points[:, 0] < 1.0) == pytest.approx(0.5, abs=0.01)  # of its logarithm
+    assert np.mean(points[:, 1] < 0.5) == pytest.approx(0.75, abs=0.01)
+    for place, values in ((2, range(1, 6)), (3, range(2))):
+        found, counts = np.unique(points[:, place], return_counts=True)
+        assert found.tolist() == list(values)
+        np.testing.assert_allclose(counts / 4096, 1 / len(values), atol=0.01)
+    counts = points[:, 4]
+    assert np.all(counts == np.rint(counts)) and np.mean(counts < 10) == pytest.approx(
+        0.56, abs=0.02
+    )
+    unit = in_unit_cube(points, parameters)
+    assert np.all((unit >= 0.0) & (unit <= 1.0))
+    np.testing.assert_allclose(within_bounds(unit, parameters), points, rtol=1e-12)
+
+
+def test_tables_have_the_parameters_that_studies_suggest(store: Path) -> None:
+    table = FeatureTable.from_parquet(store, features=["gale_survived_fraction_mean"])
+    distributions = table.rows.space.as_dict()
+    assert isinstance(distributions["mode"], CategoricalDistribution)
+    assert distributions["mode"].choices == ("slow", "fast")
+    assert isinstance(distributions["gear"], IntDistribution)
+    assert distributions["thrust_n"] == FloatDistribution(0.1, 10.0, log=True)
+    assert distributions["steer"] == FloatDistribution(-1.0, 1.0)
+    survival = survival_table(store, families=("gale",))
+    assert survival.rows.feature_names == ("survival", "gale")
+
+
+def sometimes(point: Any, world: Any, seconds: float) -> dict[str, float]:
+    if point["mode"] == "fast" and point["gear"] > 3:
+        raise ZeroDivisionError("gear box")
+    found = robot.drive(point, world, seconds)
+    return found | ({"speed_mps": np.nan} if point["gear"] == 1 else {})
+
+
+def test_a_run_that_fails_is_a_coded_row_and_stops_no_other() -> None:
+    rows, whole = runs(changed(sometimes)), runs(robot.Cart)
+    failed = rows["run_ended"] == 1
+    assert 0 < failed.sum() < failed.size
+    assert not any(rows[column][failed].any() for column in robot.COLUMNS)
+    assert np.array_equal(rows[~failed], whole[~failed])
+
+
+def never(point: Any, world: Any, seconds: float) -> dict[str, float]:
+    raise ValueError("no\nmodel")
+
+
+def random_drive(point: Any, world: Any, seconds: float) -> dict[str, float]:
+    found = robot.drive(point, world, seconds)
+    return found | {"speed_mps": float(np.random.default_rng().normal())}
+
+
+def returns(value: Any) -> Callable[..., Any]:
+    def function(point: Any, world: Any, seconds: float) -> Any:
+        return value
+
+    function.__qualname__ = "returns"
+    return function
+
+
+@pytest.mark.parametrize(("function", "allowed"), [
+    (never, r"a function that runs, not ValueError: no.*model, at \{'thrust_n'.* in \{'wind'"),
+    (returns(3), "returns survived_fraction, speed_mps by name, not int"),
+    (returns({"survived_fraction": 1.0}), r"by name, not \['survived_fraction'\]"),
+    (returns({"survived_fraction": [1.0, 1.0], "speed_mps": 1}), r"broadcast to \[1, 1\]"),
+    (returns({"survived_fraction": 1.5, "speed_mps": 1}), "survived_fraction from 0 to 1, not 1.5"),
+])  # fmt: skip
+def test_a_function_that_does_not_keep_to_it(function: Callable[..., Any], allowed: str) -> None:
+    with pytest.raises(InputError, match=allowed) as caught:
+        runs(changed(function))
+    assert caught.value.field == "simulator" and "\n" not in str(caught.value)
+
+
+def test_a_function_whose_runs_do_not_repeat_is_found_before_the_work(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"random_drive.* runs repeat; .*world\['seed'\]"):
+        make_store(changed(random_drive), tmp_path / "store", workers=1, **CONFIGURATION)
+    assert not (tmp_path / "store").exists()
+
+
+@pytest.mark.parametrize(("function", "changes", "field"), [
+    (lambda *_: {}, {}, "function"), (print, {}, "function"), (3, {}, "function"),
+    (robot.drive, {"columns": ("speed_mps",)}, "columns"),
+    (robot.drive, {"worlds": {"seed": 1.0}}, "worlds"),
+    (robot.drive, {"worlds": {"wind": "much"}}, "worlds.wind"),
+    (robot.drive, {"parameters": {"a": (0.0, 1.0)}}, "parameters.a"),
+    (robot.drive, {"parameters": {}}, "parameters"),
+])  # fmt: skip
+def test_what_makes_no_simulator(function: Any, changes: Any, field: str) -> None:
+    with pytest.raises(InputError) as caught:
+        changed(function, **changes)
+    assert caught.value.field == field
+
+
+@pytest.mark.parametrize(("changes", "field"), [
+    ({"families": {"gale": GALE | {"world": {"winds": 1.0}}}}, "families.gale.world.winds"),
+    ({"families": {"gale": GALE | {"world": {"wind": [3.0, 1.0]}}}}, "families.gale.world.wind"),
+    ({"world": {"wind": "much"}}, "world.wind"), ({"samples": 0}, "samples"),
+])  # fmt: skip
+def test_a_configuration_that_does_not_fit(changes: Any, field: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        make_store(robot.Cart, tmp_path / "store", workers=1, **(CONFIGURATION | changes))
+    assert caught.value.field == field and not (tmp_path / "store").exists()
