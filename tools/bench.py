@@ -201,7 +201,6 @@ def turns_text(turns: Measured) -> str:
 def text(report: Measured) -> str:
     """The report as paragraphs for people."""
     run, machine = report["run"], report["machine"]
-    memory = "unknown" if run["peak_rss_mib"] is None else f"{run['peak_rss_mib']:,.0f} MiB"
     lines = [
         f"machine        {machine['cores']} cores, {machine['system']}; {run['arch']},"
         f" {run['precision']}, {run['lanes']} lanes",
@@ -211,7 +210,7 @@ def text(report: Measured) -> str:
         f" {run['run_s']:.1f} s, {100 * run['alive'] / run['samples']:.1f} % alive at the end",
         f"speed          {run['walkers_per_s']:,.0f} walkers/s,"
         f" {run['walker_steps_per_s']:,.0f} walker-steps/s",
-        f"peak memory    {memory}",
+        f"peak memory    {run['peak_rss_mib']:,.0f} MiB",
     ]
     for name, ratio in report["times_reference_speed"].items():
         lines.append(

@@ -6,6 +6,7 @@ not imported anything, and the peak of memory belongs to a process.
 
 import argparse
 import json
+import resource
 import sys
 import time
 from collections.abc import Callable
@@ -135,12 +136,8 @@ def few_walkers_s(run: Simulate) -> float:
     return median(spent_s)
 
 
-def peak_rss_mib() -> float | None:
-    """Most memory this process has held; None where the system does not tell."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return None
+def peak_rss_mib() -> float:
+    """Most memory this process has held."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
 

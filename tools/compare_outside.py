@@ -9,7 +9,7 @@ or the numbers that made it have changed. GPSampler needs PyTorch, which this pr
 install: without it that arm is left out.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import product
@@ -137,24 +137,22 @@ class OutsideReport:
         """The bars of our arms, as far as the runs allow to check them."""
         first, last = 10, self.checkpoints[-1]
         behind, ahead = f"(p < {BEHIND_P:g})", f"(p < {AHEAD_P:g})"
-        wanted: list[tuple[str, Callable[[Versus], bool], list[Versus]]] = []
+        found: list[Bar] = []
         for ours in self.arms(OUR_ARMS):
             label, own = ARMS[ours].label, [each for each in self.tests if each.ours == ours]
-            what = f"{label}: never behind a sampler without features {behind}"
             rounds = [each for each in own if each.other in WITHOUT_HINT]
-            wanted.append((what, lambda each: each.is_behind, rounds))
+            found += bars(f"{label}: never behind a sampler without features {behind}", rounds)
             for at in dict.fromkeys((first, last)):
                 rounds = [each for each in own if (each.other, each.trial) == ("tpe", at)]
                 what = f"{label}: ahead of TPESampler after {at} {ahead}"
-                wanted.append((what, lambda each: not each.is_ahead, rounds))
-        what = f"{ARMS['ours-prior'].label}: never behind the ranking alone {behind}"
+                found += bars(what, rounds, to_lead=True)
         rounds = [t for t in self.tests if (t.ours, t.other) == ("ours-prior", "ranking")]
-        wanted.append((what, lambda each: each.is_behind, rounds))
+        what = f"{ARMS['ours-prior'].label}: never behind the ranking alone {behind}"
+        found += bars(what, rounds)
         if {"ours", "ranking"} <= set(self.arms()) and {5, first} <= set(self.checkpoints):
-            what = f"ours: after {first} not behind the ranking after 5 {behind}"
             rounds = [self.versus(each.name, "ours", "ranking", first, 5) for each in self.problems]
-            wanted.append((what, lambda each: each.is_behind, rounds))
-        return [bar(*each) for each in wanted if each[-1]]
+            found += bars(f"ours: after {first} not behind the ranking after 5 {behind}", rounds)
+        return found
 
     def as_dict(self) -> dict[str, Any]:
         """Medians and tests as plain values."""
@@ -283,14 +281,14 @@ def worth(problem: OutsideProblem) -> dict[str, float]:
     }
 
 
-def bar(what: str, fails: Callable[[Versus], bool], rounds: list[Versus]) -> Bar:
-    """A bar that must fail in no round, with the rounds in which it does."""
+def bars(what: str, rounds: list[Versus], to_lead: bool = False) -> list[Bar]:
+    """A bar that fails where ours is behind, or does not lead, with these; none without rounds."""
     failed = [
         f"{each.problem}, {ARMS[each.other].label}, {each.trial} ({each.wins} : {each.losses})"
         for each in rounds
-        if fails(each)
+        if each.is_behind or (to_lead and not each.is_ahead)
     ]
-    return Bar(what, "; ".join(failed), not failed)
+    return [Bar(what, "; ".join(failed), not failed)] if rounds else []
 
 
 def cells_of(test: Versus) -> str:

@@ -40,7 +40,10 @@ RECORD_RATE_HZ = 50.0
 FILM_RUNS = 2  # of each arm: a film takes five times as long as a picture
 WALKS_PER_BATCH = 64  # 1.5 MB each while they are recorded
 NAMESPACE = uuid.UUID("6f1d2b3c-5d0e-4b57-9a52-0f4a7f6f3b11")
-KINDS = {STRIP: ("strip.png", "image/png"), FILM: ("film.mp4", "video/mp4")}
+KINDS = {
+    STRIP: {"filename": "strip.png", "mimetype": "image/png"},
+    FILM: {"filename": "film.mp4", "mimetype": "video/mp4"},
+}
 
 Drawn = Callable[[int, int], None]
 
@@ -96,8 +99,8 @@ def draw(drawing: Drawing) -> bool:
     walk, trajectory, terrain = drawing.walk, drawing.trajectory, drawing.terrain
     if not np.isfinite(trajectory.q).all(axis=1).any():
         return False
-    missing = {kind: drawing.folder / name for kind, name in walk.files.items()}
-    missing = {kind: path for kind, path in missing.items() if not path.exists()}
+    files = {kind: drawing.folder / name for kind, name in walk.files.items()}
+    missing = {kind: path for kind, path in files.items() if not path.exists()}
     if STRIP in missing:
         write_strip(missing[STRIP], trajectory, terrain, walk.title, STRIP_DPI)
     if FILM in missing:
@@ -206,9 +209,7 @@ def _attach(walks: Sequence[Walk], url: str) -> None:
     attributes = []
     for walk in walks:
         for kind, identity in walk.files.items():
-            filename, mimetype = KINDS[kind]
-            meta = {"artifact_id": identity, "filename": filename, "mimetype": mimetype}
-            value = json.dumps(meta | {"encoding": None})
+            value = json.dumps({"artifact_id": identity, **KINDS[kind], "encoding": None})
             attributes += [(*trial, f"artifacts:{identity}", value) for trial in walk.trials]
     if not attributes:
         return

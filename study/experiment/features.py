@@ -249,9 +249,7 @@ def covered_features(
     grounds=checks.each(checks.text, least=1),
 )
 def covered_table(
-    path: str | Path,
-    plainest: tuple[str, ...] = PLAINEST,
-    grounds: tuple[str, ...] = GROUNDS,
+    path: str | Path, plainest: tuple[str, ...] = PLAINEST, grounds: tuple[str, ...] = GROUNDS
 ) -> FeatureTable:
     """The rows of a store of worlds, with features of how they survive these grounds.
 

@@ -196,10 +196,7 @@ class Hands:
     """
 
     def __init__(
-        self,
-        message: Message,
-        changed: Callable[[], None],
-        start: Callable[[NamedGains], None],
+        self, message: Message, changed: Callable[[], None], start: Callable[[NamedGains], None]
     ) -> None:
         self._message, self._changed, self._start = message, changed, start
         self._still = False  # while the page, not a person, moves the sliders

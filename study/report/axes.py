@@ -71,7 +71,6 @@ def looks(arms: Mapping[str, ArmRuns]) -> dict[str, Look]:
     return found
 
 
-LABEL_PT = 8.0
 LABEL_SPACING_PT = 10.0
 POINTS_AN_INCH = 72.0
 LABEL_OFFSET_PT = 16.0
@@ -135,7 +134,7 @@ def label_ends(axes: Axes, ends: Sequence[End], x: float) -> None:
             xy=(x, end.y),
             xytext=(LABEL_OFFSET_PT, (place - own) / point),
             textcoords="offset points",
-            fontsize=LABEL_PT,
+            fontsize=style.SMALL_PT,
             fontweight="bold" if end.look.front else "normal",
             color=end.look.text,
             va="center",
