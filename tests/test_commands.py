@@ -22,6 +22,7 @@ from study.pictures import trajectory_files
 from study.report import before_after
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker
+from tests.test_docs import code_blocks
 from tests.tools.conftest import Tool, tool
 from tests.tools.running import ROOT, run_tool
 
@@ -41,7 +42,10 @@ SHORT: dict[str, tuple[object, ...]] = {
 
 # Files that a document has the reader make: taken from the explorer's page, or copied and changed.
 GAINS = dict(zip(GAIN_NAMES, taichi_nmm.PUBLISHED_GAINS.tolist(), strict=True))
+OWN = ROOT / "docs" / "own-simulator.md"
 TAKEN_AWAY = {
+    "my_robot.py": code_blocks(OWN)[0],
+    "pole.toml": code_blocks(OWN, "toml")[0],
     "gains.json": json.dumps(GAINS),
     "walk.toml": 'seed = 1\n[terrain]\nkind = "rough"\n',
     "short.toml": (ROOT / "configs" / "store.toml").read_text(),
@@ -93,7 +97,7 @@ def configurations(words: Words) -> set[str]:
 def test_every_configuration_is_named_by_a_command() -> None:
     pairs = {(words[0], config) for words in COMMANDS for config in configurations(words)}
     assert {tool for tool, _ in pairs} == set(SHORT)
-    assert {config for _, config in pairs} - {"walk", "short-diverse"} == CONFIGS
+    assert {config for _, config in pairs} - {"walk", "short-diverse", "pole"} == CONFIGS
     assert len(pairs) > len(CONFIGS)
 
 
