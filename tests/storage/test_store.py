@@ -4,7 +4,6 @@ import json
 import pickle
 import random
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -215,15 +214,6 @@ def test_a_store_of_other_bounds_is_refused(folder: Path, monkeypatch: pytest.Mo
     with pytest.raises(InputError) as caught:
         store.require_bounds()
     assert caught.value.field == f"store.gains.{GAIN_NAMES[-1]}"
-
-
-@pytest.mark.slow
-def test_reading_loads_no_simulator(folder: Path) -> None:
-    code = "import sys, storage; storage.open_store(sys.argv[1]).numpy()\n"
-    code += "print({'taichi', 'quadrants', 'matplotlib', 'optuna'}.intersection(sys.modules))"
-    words, repository = [sys.executable, "-c", code, str(folder)], Path(__file__).parents[2]
-    run = subprocess.run(words, cwd=repository, capture_output=True, text=True)
-    assert (run.stdout, run.returncode) == ("set()\n", 0), run.stderr
 
 
 def test_the_old_folder_opens_and_is_not_resumed(tmp_path: Path) -> None:

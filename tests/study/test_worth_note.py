@@ -42,15 +42,6 @@ def test_it_is_renewed_and_a_note_of_the_users_stays(toy):
     assert get_note(run_study(toy, find_arm("dog"), 0, 7, storage)) == "mine"
 
 
-def test_trials_are_what_they_were(toy, monkeypatch):
-    noted = run_study(toy, find_arm("best"), 0, 6, InMemoryStorage())
-    monkeypatch.setattr("study.experiment.live_study.note_worth", lambda *_: None)
-    bare = run_study(toy, find_arm("best"), 0, 6, InMemoryStorage())
-    facts = [[(t.params, t.values, t.user_attrs) for t in study.trials] for study in (noted, bare)]
-    assert facts[0] == facts[1]
-    assert noted.user_attrs == bare.user_attrs
-
-
 def test_every_arm_over_features_can_tell(toy):
     for arm in ARMS.values():
         study = run_study(toy, find_arm("random"), 0, 1, InMemoryStorage())

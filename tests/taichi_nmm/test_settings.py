@@ -74,15 +74,12 @@ def test_settings_out_of_range_are_named(field: str, value: object) -> None:
     assert field != "engine" or caught.value.allowed == "taichi or mujoco"
 
 
-def test_tables_become_conditions() -> None:
+def test_tables_become_conditions_and_missing_ones_nominal() -> None:
     settings = Settings(0.5e-3, 0.03, "float64", "cpu")
     expected = Conditions(20.0, settings, 0.15, Ground("rough", {"amplitude_m": 0.03}))
     assert read(ALL) == expected
     assert pickle.loads(pickle.dumps(expected)) == expected
     assert hash(read(ALL)) == hash(expected)
-
-
-def test_missing_tables_are_nominal() -> None:
     assert read({}) == Conditions(5.0, Settings(), 0.0, Ground())
 
 

@@ -58,7 +58,8 @@ for number in range(5):
 
 def start(code: str, *words: object) -> subprocess.Popen[str]:
     command = [sys.executable, "-c", code, *map(str, words)]
-    return subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    return subprocess.Popen(command, cwd=ROOT, text=True, **both)
 
 
 def test_four_processes_of_which_one_is_killed(url: str, tmp_path: Path) -> None:
@@ -82,9 +83,10 @@ def test_four_processes_of_which_one_is_killed(url: str, tmp_path: Path) -> None
         assert time.monotonic() < deadline_s
         time.sleep(0.2)
     processes[0].send_signal(signal.SIGKILL)
-    said = [process.communicate(timeout=WAIT_S)[1] for process in processes]
+    said = [process.communicate(timeout=WAIT_S)[0] for process in processes]
     assert [process.returncode for process in processes] == [-9, 0, 0, 0], said
     assert all("rough8/dog/run-000" in lines for lines in said)  # each had trials
+    assert all("://***@" in lines for lines in said[1:]) and "secret" not in "".join(said)
     study = optuna.load_study(study_name="rough8/dog/run-000", storage=open_studies(url))
     states = Counter(trial.state for trial in study.trials)
     assert states[TrialState.COMPLETE] == TRIALS
@@ -98,7 +100,7 @@ def test_four_processes_of_which_one_is_killed(url: str, tmp_path: Path) -> None
 
 def test_a_new_file_is_opened_by_four_processes_at_once(tmp_path: Path) -> None:
     processes = [start(OPEN, tmp_path, number) for number in range(4)]
-    said = [process.communicate(timeout=WAIT_S)[1] for process in processes]
+    said = [process.communicate(timeout=WAIT_S)[0] for process in processes]
     assert [process.returncode for process in processes] == [0] * 4, said
     assert len(list(tmp_path.glob("?.db"))) == 5
     for file in tmp_path.glob("?.db"):

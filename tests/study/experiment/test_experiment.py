@@ -9,7 +9,7 @@ import pytest
 
 from study.experiment import experiment as experiments
 from study.experiment.arms import find_arm
-from study.experiment.experiment import Experiment, as_written, read_experiment, study_name
+from study.experiment.experiment import Experiment, as_written, read_experiment
 from study.experiment.stores import store_path
 from study.options import config_path, shipped_configs
 from taichi_nmm.config import Table
@@ -64,11 +64,6 @@ def test_an_experiment_pickles_and_hashes_and_is_read_back_from_what_it_writes()
     assert as_written(experiments.experiment_of(Table(written), "")) == written
     one_thread = experiment.on_one_thread()  # for one of several processes
     assert one_thread.conditions.settings.threads == 1 and as_written(one_thread) == written
-
-
-def test_names_sort_by_run() -> None:
-    names = [study_name("e", "dog", run) for run in (9, 10)]
-    assert names == sorted(names) == ["e/dog/run-009", "e/dog/run-010"]
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [
