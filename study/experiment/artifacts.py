@@ -25,7 +25,7 @@ from storage.folder import remove
 from storage.pool import IN_PROCESS, Pool
 from study.experiment.database import opened
 from study.experiment.experiment import Experiment, study_name
-from study.experiment.folder import ARTIFACTS_NAME, gains_of, in_order, live_artifacts
+from study.experiment.folder import ARTIFACTS_NAME, by_study, cheapest, live_artifacts
 from study.experiment.identity import fingerprint
 from study.experiment.trials import outcome_text, simulate_trials
 from study.pictures import SMALL, find_ffmpeg, write_movie, write_strip
@@ -191,13 +191,11 @@ def _draw_walks(
 
 def best_walks(experiment: Experiment, trials: pa.Table, film_runs: int = FILM_RUNS) -> list[Walk]:
     """The best trial of each study, the first of equals; equal ones of several arms once."""
-    table = in_order([trials], ("arm", "run", "cost", "trial"))
-    studies = list(zip(table["arm"].to_pylist(), table["run"].to_pylist(), strict=True))
-    best = table.take([n for n in range(len(table)) if n == 0 or studies[n] != studies[n - 1]])
     found: dict[tuple[int, bytes], Walk] = {}
-    for gains, row in zip(gains_of(experiment, best), best.to_pylist(), strict=True):
-        run = row["run"]
-        trial = (study_name(experiment.name, row["arm"], run), row["trial"])
+    for arm, run, rows in by_study(trials):
+        row = cheapest(rows)
+        gains = np.array([row[name] for name in experiment.names])
+        trial = (study_name(experiment.name, arm, run), row["trial"])
         key = (run, gains.tobytes())
         same = (*found[key].trials, trial) if key in found else (trial,)
         found[key] = Walk.of(experiment, run, gains, same, row, film=run < film_runs)

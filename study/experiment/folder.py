@@ -144,6 +144,11 @@ def gains_of(experiment: Experiment, table: pa.Table) -> Floats:
     return np.column_stack(columns).astype(np.float64)
 
 
+def cheapest(table: pa.Table) -> dict[str, Any]:
+    """The row of the least cost, the first of equals, as plain values."""
+    return dict(table.slice(int(np.argmin(table["cost"].to_numpy())), 1).to_pylist()[0])
+
+
 def outcomes_of(table: pa.Table) -> NDArray[np.void]:
     """The trials of a table as the simulator's result rows, [n]; columns not kept are zero."""
     rows = np.zeros(len(table), RESULT_DTYPE)

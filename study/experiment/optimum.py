@@ -30,7 +30,7 @@ from storage.tables import write_table
 from study.experiment.arms import PAPER_ARM, check_arms
 from study.experiment.compare import Request, compare, opened_pool, work_through
 from study.experiment.experiment import CmaesOptions, Experiment
-from study.experiment.folder import in_order, schema_of, table_of
+from study.experiment.folder import cheapest, in_order, schema_of, table_of
 from study.experiment.identity import GROWING, document, machine
 from study.experiment.samplers import CmaEs
 from study.experiment.trials import OUTCOMES, costs, finite, simulate_trials, walked
@@ -303,8 +303,7 @@ def _best_of_runs(tried: pa.Table, stops: list[str]) -> list[dict[str, Any]]:
     best = []
     for run, stop in enumerate(stops):
         own = tried.filter(pc.equal(tried["run"], run))
-        (row,) = own.slice(int(np.argmin(own["cost"].to_numpy())), 1).to_pylist()
-        best.append(row | {"evaluations": len(own), "stop": stop})
+        best.append(cheapest(own) | {"evaluations": len(own), "stop": stop})
     return best
 
 

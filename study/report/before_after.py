@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 
 from study.experiment.arms import BEST_ARM, PAPER_ARM
 from study.experiment.experiment import MOST_TRIALS, Experiment
+from study.experiment.folder import cheapest
 from study.experiment.trials import simulate_trials
 from study.pictures import style
 from study.pictures.stick_figure import activation_bar
@@ -89,8 +90,7 @@ def choose(results: Results, names: tuple[str, ...]) -> tuple[Row, Row] | None:
 def _cheapest(table: pa.Table, run: int, trials: int = MOST_TRIALS) -> Row | None:
     """The cheapest trial of a run, or of its first ones."""
     own = table.filter((pc.field("run") == run) & (pc.field("trial") < trials))
-    place = int(np.argmin(own["cost"].to_numpy())) if len(own) else 0
-    return next(iter(own.slice(place, 1).to_pylist()), None)
+    return cheapest(own) if len(own) else None
 
 
 def _title(when: str, chosen: Row, row: np.void) -> str:
