@@ -63,9 +63,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--lanes", default="", metavar="1,4,8,16", help="compare widths on the CPU")
     parser.add_argument("--threads", action="store_true", help="few walkers on one thread, on all")
     parser.add_argument("--mujoco", action="store_true", help="time MuJoCo's mj_step beside it")
-    parser.add_argument(
-        "--against", type=Path, metavar="CHECKOUT", help="only compare ns a walker-step by turns"
-    )
+    parser.path("--against", "only compare ns a walker-step by turns", "CHECKOUT")
     parser.add_argument("--arch", choices=ARCHITECTURES, default="auto")
     parser.add_argument("--json", action="store_true", help="print one object")
     options = parser.parse_args()

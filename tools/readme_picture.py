@@ -49,10 +49,8 @@ def write_gif(path: Path) -> None:
 def main() -> None:
     """Write the picture."""
     parser = Options(Path(__file__))
-    parser.add_argument(
-        "--out", type=Path, default=Path("docs/img/falls-then-walks.gif"), metavar="FILE",
-        help="where the picture goes (%(default)s)",
-    )  # fmt: skip
+    place = Path("docs/img/falls-then-walks.gif")
+    parser.path("--out", "where the picture goes (%(default)s)", "FILE", default=place)
     path = parser.parse_args().out
     require_folder(path.parent)
     commit(path, write_gif, lambda file: Image.open(file).verify())

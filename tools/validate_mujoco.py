@@ -6,7 +6,6 @@ mujoco. About ten minutes for 1,000 points; the speeds need an idle machine. Exi
 input, 130 interrupted.
 """
 
-import argparse
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -42,18 +41,14 @@ GENTLE = 0.02  # roughness, m, and disturbance: so that all stay up while they a
 
 
 def main() -> None:
-    options = parse()
-    require_engine(MUJOCO)
-    how = f"{options.samples} Sobol points, MuJoCo's default contact, 1 ms"
-    show(measure(options.samples, options.seed), how, options.json)
-
-
-def parse() -> argparse.Namespace:
     parser = Options(__file__)
     parser.whole("--samples", 1, MOST_SAMPLES, default=1000, help="(%(default)s)")
     parser.whole("--seed", 0, LARGEST_SEED, default=2016, help="of the Sobol points (%(default)s)")
-    parser.add_argument("--json", action="store_true", help="print one list of objects")
-    return parser.parse_args()
+    parser.flag("--json", "print one list of objects")
+    options = parser.parse_args()
+    require_engine(MUJOCO)
+    how = f"{options.samples} Sobol points, MuJoCo's default contact, 1 ms"
+    show(measure(options.samples, options.seed), how, options.json)
 
 
 def measure(samples: int, seed: int) -> Iterator[Figure]:
