@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import threading
 import traceback
 from collections import deque
@@ -20,6 +21,7 @@ from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
@@ -132,14 +134,21 @@ def _answer(words: bytes) -> bytes:
 
 @contextmanager
 def _quiet_child() -> Iterator[None]:
-    """Have the process that is started now use one thread, and Ctrl-C not reach it."""
+    """Have the process that is started now use one thread, and Ctrl-C not reach it.
+
+    It takes over our paths, and finds this package first: a worker of Dask has a folder `storage`
+    among its paths, which would be taken for an editable install's.
+    """
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
+    paths = sys.path[:]
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which a process inherits
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        sys.path[:] = paths
         for name, value in before.items():
             if value is None:
                 del os.environ[name]

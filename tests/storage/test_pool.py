@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import storage
 from storage.pool import IN_PROCESS, Pool, cores, local_pool
+from storage.processes import Processes
 from taichi_nmm.errors import InputError
 from tests.storage.cluster import units
 
@@ -190,3 +192,16 @@ def test_idle_processes_end_by_themselves(tmp_path: Path) -> None:
     with local_pool(2) as pool:
         list(pool.results(leave_a_note_at_the_end, deque(notes)))
     assert [note.read_text() for note in notes] == ["ended by itself"] * 2
+
+
+def test_processes_import_our_packages_and_no_folder_of_that_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker of Dask has such a folder among its paths; an editable install comes after it."""
+    (tmp_path / "storage").mkdir()
+    paths = [str(tmp_path), *(path for path in sys.path if Path(path).resolve() != ROOT)]
+    monkeypatch.setattr(sys, "path", paths)
+    monkeypatch.chdir(tmp_path)
+    with Processes(1) as processes:
+        found = processes.submit(eval, "__import__('storage').__file__").result()
+    assert found == storage.__file__ and sys.path == paths
