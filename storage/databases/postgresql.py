@@ -23,17 +23,11 @@ from taichi_nmm.errors import InputError
 
 CONNECT_TIMEOUT_S = 10
 TABLES_LOCK = "taichi-nmm/tables"  # no study's name: those have three parts
+CONNECT = {"connect_timeout": CONNECT_TIMEOUT_S}
+READ_ONLY = {"options": "-c default_transaction_read_only=on"}
 # A server that was restarted between two checkpoints is noticed by the first, cheap question.
-ENGINE_OPTIONS: dict[str, Any] = {
-    "connect_args": {"connect_timeout": CONNECT_TIMEOUT_S},
-    "pool_pre_ping": True,
-}
-READING_OPTIONS: dict[str, Any] = {
-    "connect_args": {
-        "connect_timeout": CONNECT_TIMEOUT_S,
-        "options": "-c default_transaction_read_only=on",
-    },
-}
+ENGINE_OPTIONS: dict[str, Any] = {"connect_args": CONNECT, "pool_pre_ping": True}
+READING_OPTIONS: dict[str, Any] = {"connect_args": CONNECT | READ_ONLY}
 
 BEAT_S = 5.0
 GRACE_S = 30.0  # without a beat: six of them lost, or a stall that long

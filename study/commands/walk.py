@@ -32,7 +32,7 @@ from study.experiment.gains import (
     gains_of_trial,
     recorded_walk,
 )
-from study.experiment.trials import MEASURES, row_text
+from study.experiment.trials import OUTCOMES, row_text
 from study.options import BOTH_ENGINES
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
 from study.pictures.trajectory_files import (
@@ -46,14 +46,9 @@ from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.settings import ENGINES
 from taichi_nmm.walker_simulator import require_engine
 
-ANGLES = (
-    "knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad",
-)  # fmt: skip
+ANGLES = ("knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad")
 LONGEST_MOVIE_S = 120.0
-REPORTED = (
-    *MEASURES, "cost_of_transport_jpkgpm", "step_count",
-    "phi_printed", "phi_corrected",
-)  # fmt: skip
+REPORTED = (*OUTCOMES, "step_count", "phi_printed", "phi_corrected")
 
 
 def find_gains(args: Namespace) -> NamedGains:

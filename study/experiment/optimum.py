@@ -136,14 +136,14 @@ def estimate(
         }
         rows = [row | {"method": method} for method, own in best.items() for row in own]
         write_table(out / RUNS_NAME, pa.Table.from_pylist(rows, RUNS), folder.document)
-        cheapest = min(rows, key=lambda row: row["cost"])
+        least = min(rows, key=lambda row: row["cost"])
         found = {
             "cost": experiment.cost,
-            "best_cost": cheapest["cost"],
-            "method": cheapest["method"],
-            "run": cheapest["run"],
-            "gains": {name: cheapest[name] for name in GAIN_NAMES},
-            "outcome": {name: cheapest[name] for name in ("walked", *OUTCOMES)},
+            "best_cost": least["cost"],
+            "method": least["method"],
+            "run": least["run"],
+            "gains": {name: least[name] for name in GAIN_NAMES},
+            "outcome": {name: least[name] for name in ("walked", *OUTCOMES)},
             "methods": {method: _distribution(own) for method, own in best.items()},
             "config": _document(experiment)
             | {

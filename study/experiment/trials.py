@@ -18,16 +18,15 @@ from taichi_nmm.world import Worlds
 
 WALKING_SPEED_MPS = 0.3  # slower, a walker that lasted to the end has stood rather than walked
 
-# Columns kept of a trial beside its cost: how it ended, and the components of the score.
-OUTCOMES = ("duration_s", "distance_m", "mean_speed_mps", "cost_of_transport_jpkgpm")
-KEPT = (*OUTCOMES, *(name for name, _ in SCORE_FIELDS))
-
 MEASURES = ("duration_s", "distance_m", "mean_speed_mps")  # named in words about a walk
+
+# Columns kept of a trial beside its cost: how it ended, and the components of the score.
+OUTCOMES = (*MEASURES, "cost_of_transport_jpkgpm")
+KEPT = (*OUTCOMES, *(name for name, _ in SCORE_FIELDS))
 
 # Attributes of a trial in a study database, for readers.
 ATTRIBUTES = (
-    "duration_s", "distance_m", "mean_speed_mps", "end_reason", "walked", "phi_printed",
-    "phi_corrected", "survived_fraction",
+    *MEASURES, "end_reason", "walked", "phi_printed", "phi_corrected", "survived_fraction",
 )  # fmt: skip
 
 
