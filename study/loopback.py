@@ -21,9 +21,7 @@ Application = Callable[[Environment, Callable[..., Any]], Iterable[bytes]]
 HOST = "127.0.0.1"
 LOOPBACK = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d+)?\Z", re.IGNORECASE)
 ARTIFACTS = "/artifacts/"
-KINDS = (
-    "image/png", "image/jpeg", "image/gif", "image/webp", "video/mp4", "video/webm",
-)  # fmt: skip
+KINDS = ("image/png", "image/jpeg", "image/gif", "image/webp", "video/mp4", "video/webm")
 NO_SNIFFING = ("X-Content-Type-Options", "nosniff")
 
 

@@ -70,16 +70,13 @@ class Versus:
 
 @dataclass(frozen=True, eq=False)
 class OutsideReport:
-    """The figures of all runs.
+    """The figures of all runs, for each (problem, arm).
 
-    Attributes:
-        best: least cost so far, [seeds, trials] for each (problem, arm).
-        different: how many of the seeds' runs differ at all, for each (problem, arm); a sampler
-            that draws nothing repeats one run, and its seeds are then no sample.
+    A sampler that draws nothing repeats one run, and its seeds are then no sample.
     """
 
-    best: Costs
-    different: dict[tuple[str, str], int]
+    best: Costs  # least cost so far, [seeds, trials]
+    different: dict[tuple[str, str], int]  # how many of the seeds' runs differ at all
 
     @classmethod
     def of(cls, costs: Costs) -> "OutsideReport":

@@ -59,12 +59,10 @@ def ratio(ours: Floats, theirs: Floats) -> Floats:
 class Report:
     """Simple regret of the runs, and the bars that the problems and arms at hand allow to check.
 
-    Attributes:
-        best: least cost so far of each problem and arm, [seeds, trials]: the regret, since the
-            least possible cost of every problem is 0.
+    Regret is the least cost so far, since the least possible cost of every problem is 0.
     """
 
-    best: Costs
+    best: Costs  # of each problem and arm, [seeds, trials]
 
     @classmethod
     def of(cls, costs: Costs) -> "Report":

@@ -203,13 +203,9 @@ def trial_places(which: ArrayLike, trials: int) -> Floats:
 
 
 def piles(places: Floats) -> tuple[Floats, Floats]:
-    """Places of dots, apart: in columns of `PILE` about their place on the axis.
+    """Places of dots, apart: in columns of `PILE` about their places on the axis, [n], ascending.
 
-    Args:
-        places: on the axis, [n], ascending.
-
-    Returns:
-        x on the axis and y in rows, each [n].
+    Returns x on the axis and y in rows, each [n].
     """
     x, y = places.copy(), np.empty(len(places))
     bins = np.round(places * BINS).astype(int)
