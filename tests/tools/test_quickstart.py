@@ -12,7 +12,6 @@ import pytest
 
 import taichi_nmm
 from storage.databases.studies import only_run
-from study import pictures
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker
 from tests.tools.conftest import Simulator, Tool
@@ -33,8 +32,10 @@ def lines(folder: Path) -> list[str]:
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
         patch.chdir(ROOT)
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-        for name in ("write_strip", "write_gait_cycle"):
-            patch.setattr(pictures, name, lambda path, *_: path.write_bytes(b"drawn") and path)
+        # First where a name is imported to: else it would keep the fake.
+        strips = "experiment.artifacts.write_strip", "pictures.write_strip"
+        for name in (*strips, "pictures.write_gait_cycle"):
+            patch.setattr(f"study.{name}", lambda path, *_: path.write_bytes(b"drawn") and path)
         for _ in range(2):
             assert run_tool(patch, "quickstart", "--out", folder) == 0
     return said.getvalue().splitlines()
