@@ -82,14 +82,11 @@ def read(args: Namespace) -> Experiment:
 
 def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.Result:
     """The one walk, recorded."""
-    with tqdm(
-        total=experiment.conditions.duration_s, unit="s", desc="walking", disable=None
-    ) as bar:
-
-        def progress(simulated_s: float, active: int) -> None:
-            bar.update(simulated_s - bar.n)
-
-        return recorded_walk(gains, experiment, run, RECORD_RATE_HZ, progress)
+    total_s = experiment.conditions.duration_s
+    with tqdm(total=total_s, unit="s", desc="walking", disable=None) as bar:
+        return recorded_walk(
+            gains, experiment, run, RECORD_RATE_HZ, lambda done_s, _: bar.update(done_s - bar.n)
+        )
 
 
 def write_model(path: Path, experiment: Experiment, run: int) -> None:
