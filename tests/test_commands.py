@@ -220,6 +220,45 @@ def test_a_row_of_a_store_walks_as_it_did(real: Real, walk: Walk) -> None:
         assert (report["gains"] | report)[name] == table[name][row].as_py(), name
 
 
+@pytest.mark.slow
+def test_a_17th_parameter_is_kept(walk: Walk, tmp_path: Path, tool: Tool) -> None:
+    text = (ROOT / "configs" / "ramp-up.toml").read_text()
+    (tmp_path / "ramp-up.toml").write_text(re.sub(r"duration_s = .*", "duration_s = 2.0", text))
+    config = tmp_path / "ramp-up-torso.toml"
+    out, live = tmp_path / "compared", tmp_path / "live"
+    given = (
+        "--config",
+        config,
+        "--arms",
+        "random",
+        "--runs",
+        1,
+        "--trials",
+        TRIALS,
+        "--no-artifacts",
+        "--workers",
+        1,
+        "--out",
+        out,
+    )
+    assert tool("compare", *given) == 0
+    url = f"sqlite:///{tmp_path / 'live.db'}"
+    given = ("--config", config, "--arm", "random", "--trials", TRIALS, "--out", live)
+    assert tool("study", *given, "--storage", url) == 0
+    best = live / "random-run-000-best.json"
+    assert set(json.loads(best.read_text())) == {*GAIN_NAMES, "theta_ref"}
+    rows = pq.read_table(out / "trials.parquet").to_pylist()
+    trial = ("--config", config, "--trial", "ramp-up-torso/random/run-000/1")
+    report = walk(*trial, "--storage", out)
+    assert set(report["gains"]) - set(GAIN_NAMES) == {"theta_ref"}
+    assert report["gains"] == {name: rows[1][name] for name in (*GAIN_NAMES, "theta_ref")}
+    assert report["distance_m"] == rows[1]["distance_m"]
+    assert walk(*trial, "--storage", url) == report
+    cheapest = min(rows, key=lambda row: float(row["cost"]))
+    again = walk("--config", config, "--gains", best)
+    assert again["distance_m"] == cheapest["distance_m"]
+
+
 # Bad input: one line, exit code 2, and nothing written.
 
 FIRST = "rough8-smooth/dog/run-001"  # study of a comparison

@@ -1,6 +1,8 @@
-"""Damaged inputs end in success or one line; `make fuzz` has more."""
+"""Damaged inputs end in success or one line, and what does not is noticed; `make fuzz` has more."""
 
+import os
 import shutil
+import time
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -12,13 +14,14 @@ from storage.pool import cores
 from study import options
 from tests.fuzz import campaign
 from tests.fuzz.campaign import ACCEPTED, REFUSED, Plan, Verdict, content, run_cases, wrong
-from tests.fuzz.cases import NAMES, Case, make_case
+from tests.fuzz.cases import HERE, NAMES, Case, make_case
 from tests.fuzz.damage import HUGE, VALUES, as_json, damaged_document, nudged
 from tests.fuzz.world import COMMANDS, make_world
 
 pytestmark = pytest.mark.slow
 
 CASES = 2000  # of the campaign: enough for every format to come up
+SHORT_S = 5.0
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +60,27 @@ def without_damage(case: Case) -> Verdict:
     shutil.rmtree(case.folder)
     shutil.copytree(case.folder.parents[3] / "world", case.folder)
     return campaign.judge(replace(case, words=list(COMMANDS.values())[case.number]))
+
+
+@pytest.mark.campaign
+def test_what_ends_a_process_is_noticed(plan: Plan, tmp_path: Path) -> None:
+    """An abort, and a case that takes too long, are failures of their own; the others go on."""
+    cruel = replace(elsewhere(plan, "cruel"), judge=that_ends, limit_s=SHORT_S)
+    outcomes = run_cases(cruel, range(8), 1)
+    found = {each.case.number: each.verdict.wrong for each in outcomes}
+    assert found == dict.fromkeys(range(8), "") | {2: "abort", 5: f"longer than {SHORT_S:g} s"}
+    campaign.keep(cruel, outcomes[2], tmp_path / "kept")
+    made = make_case(plan.seed, 2, plan.world, tmp_path / "again")
+    assert content(tmp_path / "kept" / HERE) == content(made.folder)
+    assert '"wrong": "abort"' in (tmp_path / "kept" / "case.json").read_text()
+
+
+def that_ends(case: Case) -> Verdict:
+    if case.number == 2:
+        os.abort()
+    if case.number == 5:
+        time.sleep(100.0)
+    return Verdict(ACCEPTED, "", "")
 
 
 def test_damage_to_a_document_leaves_the_values_that_it_takes_as_they_are() -> None:

@@ -4,6 +4,7 @@ import json
 import pickle
 import random
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -330,3 +331,12 @@ def test_merging_into_no_file(folder: Path, name: str) -> None:
     assert name != "missing/file" or "a place that can be written" in str(caught.value)
     assert str(caught.value).isprintable()
     assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.slow
+def test_reading_loads_no_simulator(folder: Path) -> None:
+    code = "import sys, storage; storage.open_store(sys.argv[1]).numpy()\n"
+    code += "print({'taichi', 'quadrants', 'matplotlib', 'optuna'}.intersection(sys.modules))"
+    words, repository = [sys.executable, "-c", code, str(folder)], Path(__file__).parents[2]
+    run = subprocess.run(words, cwd=repository, capture_output=True, text=True)
+    assert (run.stdout, run.returncode) == ("set()\n", 0), run.stderr

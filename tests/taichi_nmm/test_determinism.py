@@ -1,4 +1,8 @@
-"""Bits do not depend on threads, order or size of the batch; tests of stores have processes."""
+"""Bits do not depend on threads, order, size of the batch or process."""
+
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -68,3 +72,11 @@ def test_a_lane_a_turn_as_on_a_gpu(
     assert backend.lanes_a_turn() == backend.lanes() > 1
     monkeypatch.setattr(backend, "lanes_a_turn", lambda: 1)
     assert rows(np.arange(200)).tobytes() == whole[:200].tobytes()
+
+
+def test_new_process(whole: NDArray[np.void], tmp_path: Path) -> None:
+    file, root = tmp_path / "rows.npy", Path(__file__).resolve().parents[2]
+    code = "import sys, numpy as np; from tests.taichi_nmm.test_determinism import rows; "
+    code += "np.save(sys.argv[1], rows(np.arange(64)))"
+    subprocess.run([sys.executable, "-c", code, file], check=True, cwd=root)
+    assert np.load(file).tobytes() == whole[:64].tobytes()

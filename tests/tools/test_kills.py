@@ -1,4 +1,4 @@
-"""Killed commands, resumed, leave what a whole run leaves."""
+"""Killed commands, resumed, leave what a whole run leaves; and what differs is found."""
 
 import re
 import subprocess
@@ -23,3 +23,21 @@ def test_all_commands_resume_bit_equal_after_two_kills_each() -> None:
     assert [row[0] for row in rows] == [*kills.SCENES]
     assert sum(int(row[1]) for row in rows) >= KILLS
     assert all(int(row[3]) > 0 and row[3] == row[4] for row in rows)
+
+
+FORGETFUL = """
+import os
+from study.commands import draw_store
+from tests.tools import kills
+draw = draw_store.draw_store
+draw_store.draw_store = lambda store: (made := draw(store)).suptitle(str(os.getpid())) and made
+kills.main()
+"""
+
+
+@pytest.mark.campaign
+def test_a_command_whose_picture_differs_at_every_run_is_found() -> None:
+    words = [sys.executable, "-c", FORGETFUL, "--kills", "2", "--commands", "draw-store"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 1, done.stderr
+    assert "draw-store: store.png" in done.stderr.splitlines()[-1]

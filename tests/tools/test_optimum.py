@@ -1,6 +1,7 @@
 """taichi-nmm optimum: convergence on a known problem, resuming, results, refusals."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -217,6 +218,31 @@ def test_another_configuration_or_a_damaged_evaluation_is_refused(command: Searc
     assert "out: 'run 0 in" in command.tool.err and "these settings" in command.tool.err
     evaluations.write_bytes(b"PAR1")
     command.refuses("", max_generations=3)  # before the comparison says how far it is
+
+
+def test_what_a_kill_leaves_behind_goes_on_to_the_same_end(
+    command: Search, simulator: Simulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process killed in the third generation leaves the checkpoint of the second."""
+    monkeypatch.setattr(compare, "CHECKPOINT_S", 0.0)
+    monkeypatch.setattr(optimum, "STRETCH_GENERATIONS", 1)
+    seen: list[int] = []
+    out, killed = command.out, command.folder / "killed"
+
+    def simulate_and_look(gains: Any, **options: Any) -> Result:
+        path = out / "evaluations.parquet"
+        seen.append(pq.read_metadata(path).num_rows if path.exists() else 0)
+        if seen[-1] == 72:
+            shutil.copytree(out, killed)
+            (killed / ".evaluations.parquet.1.tmp").write_bytes(b"half")
+        return simulate(gains, **options)
+
+    simulator(simulate_and_look)
+    whole = command.files(max_generations=3)
+    assert seen == [0] * 4 + [0, 36, 72]  # four trials, three generations
+    simulator(simulate)
+    assert command.files("killed", max_generations=3) == whole
+    assert not list(killed.glob(".*.tmp"))
 
 
 def test_with_the_real_simulator(command: Search, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,6 +55,23 @@ def test_a_faller_is_shown_too(tmp_path: Path, tool: Tool, monkeypatch: pytest.M
     assert {path.name for path in folder.iterdir()} == PICTURES
 
 
+@pytest.mark.slow
+def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) -> None:
+    model = tmp_path / "walker.xml"
+    words = ("walk", "--gains", "published", "--config", ROUGH8, "--run", 3, "--duration", 3,
+             "--out", tmp_path / "out", "--movie-seconds", 0)  # fmt: skip
+    report = tool.json(*words, "--engine", "mujoco", "--mjcf", model)
+    assert report["duration_s"] == 3.0 and 2.0 < report["distance_m"] < 6.0
+    assert set(report["pictures"]) == {"strip", "gait_cycle", "mjcf"}
+    assert report["pictures"]["mjcf"] == str(model)
+    opened = mujoco.MjModel.from_xml_path(str(model))
+    body = read_experiment(ROUGH8).body(3)
+    assert opened.body_mass[1:].tolist() == body.mass_kg[0].tolist()
+    assert opened.nkey == 1 and opened.nu == 6
+    # The other engine is another walk.
+    assert tool.json(*words)["distance_m"] != report["distance_m"]
+
+
 @pytest.fixture
 def walk(tmp_path: Path, tool: Tool, simulator: Simulator, monkeypatch: pytest.MonkeyPatch) -> Walk:
     """Runs the command, with simulator and painters replaced; returns what it prints as JSON."""
@@ -105,7 +122,5 @@ def test_the_engine_and_its_model_file_are_those_asked_for(walk: Walk, tmp_path:
     assert opened.opt.timestep == 0.5e-3 and (opened.geom_solref[:, 0] == 0.005).all()
     walk("--config", configured, "--engine", "taichi", "--mjcf", model)
     assert fake_walker.calls[-1]["settings"].engine == "taichi"
-    walk("--config", ROUGH8, "--run", 3, "--engine", "mujoco", "--mjcf", model)
+    walk("--config", ROUGH8, "--engine", "mujoco")
     assert fake_walker.calls[-1]["settings"].engine == "mujoco"
-    opened = mujoco.MjModel.from_xml_path(str(model))
-    assert opened.body_mass[1:].tolist() == read_experiment(ROUGH8).body(3).mass_kg[0].tolist()

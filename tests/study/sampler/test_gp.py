@@ -82,6 +82,18 @@ def test_kernels_see_their_columns(form, same_features, same_parameters):
         assert_allclose(built.towards(built.start, a, np.float64)(other), expected, atol=1e-9)
 
 
+def test_the_additive_one_is_its_formula():
+    """v phi^T phi' + s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) + t^2 exp(-|u - u'|^2 / 2L^2)."""
+    v, s2, l1, l2, l3, t2, nearness = constants = np.array([0.2, 1.3, 0.7, 2.0, 1.1, 0.4, 0.9])
+    theta = np.append(np.log(constants), 0.0)
+    phi, u = X[:, :3], X[:, 3:]
+    difference = (phi[:, None] - phi[None]) / [l1, l2, l3]
+    away = ((u[:, None] - u[None]) ** 2).sum(axis=-1) / nearness**2
+    likeness = s2 * np.exp(-0.5 * (difference**2).sum(axis=-1))
+    expected = v * phi @ phi.T + likeness + t2 * np.exp(-0.5 * away)
+    assert_allclose(covariance_of("additive").gram(theta, X)[0], expected, rtol=1e-10)
+
+
 def test_length_scales_are_shared_or_one_a_feature_and_scaled_by_the_dimension():
     counts = {"rbf": 3, "rbf_ard": 5, "euclidean": 6, "nearness": 3, "additive": 8}
     assert {form: len(covariance_of(form).start) for form in counts} == counts
@@ -211,6 +223,15 @@ def test_believing_adds_trials_and_keeps_constants():
     assert believed.predict(more)[1].sum() < posterior.predict(more)[1].sum()
 
 
+def test_the_spread_of_equal_features_is_learned_as_noise():
+    x = np.repeat([[0.0], [1.0], [2.0]], 30, axis=0)
+    y = 10.0 * x[:, 0] + 1.5 * np.random.default_rng(2).standard_normal(90)
+    posterior = learned(covariance_of("rbf", (1, 0, 1)), x, y)
+    mean, variance = posterior.predict(Points(x[::30], np.empty((3, 0))))
+    assert_allclose(mean, [0, 10, 20], atol=1.0)
+    assert_allclose(np.sqrt(variance), 1.5, rtol=0.25)
+
+
 def test_the_unit_of_cost_does_not_matter_and_equal_costs_are_no_accident():
     points, candidates = some_points(20, seed=1), some_points(50, seed=2)
     x, y, covariance = points.matrix(), costs(points), covariance_of("additive")
@@ -221,3 +242,15 @@ def test_the_unit_of_cost_does_not_matter_and_equal_costs_are_no_accident():
     mean, variance = learned(covariance, two.matrix(), np.full(2, 3.0), fast=True).predict(two)
     assert_allclose(mean, 3.0)
     assert np.isfinite(variance).all()
+
+
+def test_slopes_carry_beyond_the_trials():
+    x = np.hstack([np.linspace(-1, 1, 25)[:, None], np.full((25, 1), 0.5)])
+    beyond = Points(np.array([[6.0]]), np.array([[0.5]]))
+
+    def predicted(form):
+        posterior = learned(covariance_of(form, (1, 1, 1)), x, 3.0 * x[:, 0])
+        return float(posterior.predict(beyond)[0][0])
+
+    assert abs(predicted("additive") - 18.0) < abs(predicted("rbf_ard") - 18.0)
+    assert abs(predicted("additive") - 18.0) < 4.0

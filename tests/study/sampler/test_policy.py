@@ -175,6 +175,61 @@ def test_trials_that_broke_their_limits_are_neither_success_nor_failure():
     assert [turn for turn, (kernel, _) in asked.items() if kernel is NEARNESS] == [7, 9]
 
 
+@pytest.mark.parametrize("number", [5, 6])
+def test_it_proposes_the_same_whatever_the_features_are(number):
+    """Of the same finished trials, trial 5 is doubtful, trial 6 is not."""
+    enqueued = [{"x": X[row], "y": Y[row]} for row in (3, 8, 20, 31, 44, 50)[:number]]
+    chosen = set()
+    for seed in range(8):
+        features = np.random.default_rng(seed).standard_normal((60, 2))
+        table = FeatureTable.from_arrays(XY, features)
+        study = study_of(table, without_success, number + 1, enqueued=enqueued)
+        chosen.add(rows_of(study)[number])
+    assert (len(chosen) == 1) is (number == 5)
+
+
+DIMENSION, TRIALS = 4, 24
+SEEDS = range(12)  # chosen before the first run
+
+
+def round_bowl(unit: Floats) -> Floats:
+    return np.asarray(((unit - 0.65) ** 2).sum(axis=1))
+
+
+def misleading(unit: Floats, rng: np.random.Generator) -> Floats:
+    """The cost, folded at its best tenth: the best rows look like mediocre ones."""
+    cost = round_bowl(unit)
+    return np.abs(cost - np.quantile(cost, 0.1))
+
+
+def useless(unit: Floats, rng: np.random.Generator) -> Floats:
+    return rng.standard_cauchy(len(unit))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("feature", [useless, misleading])
+def test_features_that_are_worth_nothing_leave_the_parameters_to_learn_from(feature):
+    """Half the regret of rows at random, of which 24 of 400 are expected to hold the best 4 %.
+
+    At the worst 12 trials are left to a process of four parameters on a bowl of 15 coefficients.
+    """
+    ours, at_random = [], []
+    names = [f"p{i}" for i in range(DIMENSION)]
+
+    def bowl_of(trial):
+        return float(round_bowl(np.array([[trial.suggest_float(n, 0, 1) for n in names]]))[0])
+
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        unit = rng.uniform(size=(400, DIMENSION))
+        cost = round_bowl(unit)
+        table = FeatureTable.from_arrays(dict(zip(names, unit.T, strict=True)), feature(unit, rng))
+        ours.append(study_of(table, bowl_of, TRIALS, seed=seed).best_value - cost.min())
+        drawn = [rng.choice(cost, TRIALS, replace=False).min() for _ in range(200)]
+        at_random.append(np.mean(drawn) - cost.min())
+    assert np.mean(ours) <= 0.5 * np.mean(at_random)
+
+
 # Threads.
 GIVEN = 2
 

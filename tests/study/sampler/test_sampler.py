@@ -66,6 +66,20 @@ def test_the_state_is_in_the_trials_also_after_reseeding(form):
     assert params_of(study) == params_of(pieces) == run(form)
 
 
+ELSEWHERE = """
+import json, optuna
+from tests.study.sampler.test_sampler import FORMS, run
+optuna.logging.set_verbosity(optuna.logging.ERROR)
+print(json.dumps({form: run(form) for form in FORMS}))
+"""
+
+
+@pytest.mark.slow
+def test_another_process_proposes_the_same():
+    there = run_code(ELSEWHERE)
+    assert json.loads(there.stdout) == {form: run(form) for form in FORMS}, there.stderr
+
+
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("prior", [None, "-size"])
 @pytest.mark.parametrize(("direction", "sign"), [("minimize", 1.0), ("maximize", -1.0)])
@@ -139,6 +153,13 @@ def test_a_trial_off_the_table_may_have_gaps_and_none_near_it_is_tried_twice(gap
     assert len({trial.params["n"] for trial in study.trials}) == 7
 
 
+def test_a_prior_that_is_wrong_is_left():
+    table = small_table()
+    size = np.sort(table.rows.features[:, 0])
+    study = study_of(table, lambda trial: -bowl(trial), 40, seed=0, prior="-size")
+    assert max(abs(trial.params["a"]) for trial in study.trials) >= size[-3]
+
+
 @pytest.mark.filterwarnings("ignore:FeatureTable")
 @pytest.mark.parametrize("kernel", ["additive", "rbf_ard"])
 def test_rows_left_out_change_no_choice(kernel):
@@ -196,8 +217,15 @@ def test_a_hundred_thousand_rows_take_little_memory():
     assert float(done.stdout) < 200.0, done.stderr
 
 
-def test_the_package_names_its_samplers_and_no_other():
-    assert "DoGSampler" in dir(study)
+@pytest.mark.slow
+def test_importing_the_package_is_light():
+    done = run_code(
+        "import sys, study; print({'taichi', 'matplotlib', 'torch', 'sklearn', 'optuna'} "
+        "& set(sys.modules)); study.FeatureTable; study.FeatureKernelSampler; "
+        "print({'taichi', 'matplotlib', 'torch'} & set(sys.modules)); print(sorted(dir(study))[:3])"
+    )
+    assert done.stdout.splitlines()[:2] == ["set()", "set()"]
+    assert "DoGSampler" in done.stdout
     with pytest.raises(AttributeError, match="no attribute 'Sampler'"):
         _ = study.Sampler
 
@@ -272,6 +300,29 @@ def test_ties_are_broken_by_the_seed():
     tied = FeatureTable.from_arrays({"a": np.linspace(0, 1, 50), "b": np.ones(50)}, np.zeros(50))
     seen = {rows_of(study_of(tied, bowl, 4, seed=seed, kernel="rbf"))[3] for seed in range(12)}
     assert len(seen) > 6
+
+
+def test_an_informative_score_beats_random_search():
+    rng = np.random.default_rng(5)
+    unit = rng.uniform(size=(3000, 8))
+    depth = ((unit - 0.6) ** 2).sum(axis=1)
+    score = np.maximum(0.0, 20.0 - 40.0 * depth + rng.normal(0, 3, 3000))  # most are zero
+    columns = {f"x{i}": unit[:, i] for i in range(8)}
+    table = FeatureTable.from_arrays(columns, score, bounds=dict.fromkeys(columns, (0.0, 1.0)))
+
+    def objective(trial):
+        x = np.array([trial.suggest_float(name, 0, 1) for name in columns])
+        return float(1.0 - np.exp(-8.0 * ((x - 0.6) ** 2).sum()))
+
+    def mean_best(new_sampler):
+        studies = [optuna.create_study(sampler=new_sampler(seed=seed)) for seed in range(6)]
+        for each in studies:
+            each.optimize(objective, n_trials=20)
+        return np.mean([each.best_value for each in studies])
+
+    dog = mean_best(lambda seed: DoGSampler(table, seed=seed))
+    assert dog < mean_best(RandomSampler) - 0.1
+    assert dog < np.quantile(1.0 - np.exp(-8.0 * depth), 0.01)
 
 
 # Extreme numbers.

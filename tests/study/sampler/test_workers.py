@@ -13,7 +13,8 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 from storage.databases.studies import open_studies
-from study import DoGSampler, FeatureTable
+from study import DoGSampler, FeatureKernelSampler, FeatureTable
+from study.sampler.gp import Posterior
 
 pytestmark = pytest.mark.slow
 
@@ -86,3 +87,20 @@ def test_threads_share_a_sampler():
     study = optuna.create_study(sampler=DoGSampler(small_table(), seed=0))
     study.optimize(slow, n_trials=60, n_jobs=4)
     assert len({trial.user_attrs["row"] for trial in study.trials}) == 60
+
+
+@pytest.mark.parametrize("kernel", ["additive", "rbf"])
+@pytest.mark.parametrize("conditioned", [True, False])
+def test_running_trials_are_conditioned_on(conditioned, kernel, monkeypatch):
+    """With nothing learned from those that run, all workers crowd around one score."""
+    if not conditioned:
+        monkeypatch.setattr(Posterior, "believing", lambda posterior, points: posterior)
+    a = np.linspace(0, 1, 400)
+    table = FeatureTable.from_arrays({"a": a}, a)
+    space = table.rows.space.as_dict()
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=0, kernel=kernel))
+    study.optimize(lambda t: (t.suggest_float("a", 0, 1) - 0.5) ** 2, n_trials=4)
+    asked = [study.ask(space).params["a"] for _ in range(6)]
+    neighbours = 5 / 399  # how wide six rows side by side are
+    assert bool(np.ptp(asked) > 2 * neighbours) is conditioned
+    assert len(set(asked)) == 6
