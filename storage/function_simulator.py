@@ -45,6 +45,11 @@ RAN, FAILED = "ran", "failed"
 SEED = "seed"  # of a world, for what a run draws, such as noise
 LARGEST_SEED = 2**31
 
+NAME = checks.that(
+    lambda value: isinstance(value, str) and value.isidentifier(),
+    "a name of letters, digits and '_', which begins with no digit",
+)
+
 CANARY_POINTS = 4  # of two runs each, which have to agree
 CANARY_S = 1.0
 
@@ -88,6 +93,14 @@ class FunctionSimulator(Simulator):
     parameters: tuple[Uniform, ...] = ()
     measures: Mapping[str, tuple[float, float]] = MappingProxyType({})
 
+    @checks.checked(
+        function=checks.function,
+        parameters=checks.by_name(checks.instance(BaseDistribution)),
+        columns=checks.each(NAME),
+        worlds=checks.optional(checks.by_name(checks.number())),
+        measures=checks.optional(checks.by_name(checks.interval())),
+        batch=checks.flag,
+    )
     def __init__(
         self,
         function: Callable[..., Mapping[str, Any]],
@@ -117,15 +130,16 @@ class FunctionSimulator(Simulator):
         """
         self._source = _source_of(function)
         self.function, self.batch, self.space = function, batch, dict(parameters)
+        self.worlds = {name: float(value) for name, value in (worlds or {}).items()}
+        self.measures = dict(measures or {})
         if not self.space:
             raise InputError("parameters", "none", "one distribution at least")
-        check = checks.number()
-        self.worlds = {k: float(check(f"worlds.{k}", v)) for k, v in (worlds or {}).items()}
-        self.measures = dict(measures or {})
-        if SURVIVED not in columns:
-            raise InputError("columns", list(columns), f"{SURVIVED} among them")
+        if SURVIVED not in columns or len({*columns}) < len(columns):
+            raise InputError("columns", list(columns), f"{SURVIVED} among them, and each name once")
         if SEED in self.worlds:
             raise InputError("worlds", SEED, "another name: each world has a seed of its own")
+        for name in (*self.space, *self.worlds):
+            NAME("parameters" if name in self.space else "worlds", name)
         self.parameters = tuple(_coordinate(name, each) for name, each in self.space.items())
         self.columns = np.dtype([*((name, "f8") for name in columns), (ENDED, "u1")])
 
@@ -239,7 +253,6 @@ class FunctionSimulator(Simulator):
 
 def _coordinate(name: str, distribution: BaseDistribution) -> Uniform:
     """A parameter as a coordinate of points; a choice is its number."""
-    checks.instance(BaseDistribution)(f"parameters.{name}", distribution)
     if isinstance(distribution, CategoricalDistribution):
         last, log, step = len(distribution.choices) - 1, False, 1.0
         low, high = 0.0, float(last)

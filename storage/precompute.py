@@ -13,9 +13,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from storage.points import sobol_points
-from storage.pool import IN_PROCESS, Pool, cores, local_pool, own_kind
+from storage.pool import IN_PROCESS, MOST_LOCAL, Pool, cores, local_pool, own_kind
 from storage.search import evolved_points
-from storage.simulator import Report, Simulator, run_points
+from storage.simulator import Report, Simulator, a_simulator, run_points
 from storage.specification import Family, Specification, read_specification
 from storage.store import (
     EVOLVED_ROW,
@@ -28,6 +28,7 @@ from storage.store import (
     shard_table,
 )
 from storage.store_folder import StoreFolder
+from taichi_nmm import checks
 from taichi_nmm.config import Table
 
 TYPICAL_ALIVE = 0.1  # of random points, at the age from which families run them
@@ -345,6 +346,12 @@ def _summary(
     )
 
 
+@checks.checked(
+    simulator=a_simulator,
+    out=checks.path,
+    workers=checks.optional(checks.whole(1, MOST_LOCAL)),
+    fresh=checks.flag,
+)
 def make_store(
     simulator: Simulator,
     out: str | Path,

@@ -29,6 +29,7 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_nmm import checks
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError, one_line, shortened
 
@@ -297,11 +298,21 @@ def find_simulator(name: str, folder: Path = Path()) -> type[Simulator]:
     except (ImportError, AttributeError, ValueError, SyntaxError) as error:
         reason = one_line(shortened(f"{error}"))
         raise InputError(field, name, f"{allowed} ({reason})") from None
-    missing = {each for each in vars(Simulator) if not each.startswith("_")} - set(dir(found))
-    missing |= getattr(found, "__abstractmethods__", frozenset())
-    if missing:
-        raise InputError(field, name, f"a class that has {', '.join(sorted(missing))}, too")
+    if missing := _missing(found):
+        raise InputError(field, name, f"a class that has {', '.join(missing)}, too")
     return found
+
+
+def _missing(found: Any) -> list[str]:
+    """Members of a simulator that a class or an object lacks."""
+    missing = {each for each in vars(Simulator) if not each.startswith("_")} - set(dir(found))
+    return sorted(missing | getattr(found, "__abstractmethods__", frozenset()))
+
+
+a_simulator = checks.that(
+    lambda value: not isinstance(value, type) and not _missing(value),
+    "a simulator, such as a FunctionSimulator",
+)
 
 
 def known_simulator(specification: Mapping[str, Any]) -> type[Simulator]:

@@ -102,6 +102,10 @@ def _one_line() -> Iterator[None]:
             yield
     except BrokenPipeError:  # as with `| head`
         _silence(STDOUT)
+        try:
+            sys.stderr.flush()
+        except OSError:  # `2>&1 | head`: Python would try again at its end, and exit with 120
+            _silence(STDERR)
         sys.exit(EXIT_NO_READER)
     except (InputError, HiddenPackageError) as error:
         _leave(f"error: {error}", EXIT_BAD_INPUT)

@@ -20,11 +20,12 @@ import storage
 import study
 import taichi_nmm
 from storage.precompute import precompute
+from storage.simulator import Simulator
 from taichi_nmm import terrain
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.result import RESULT_DTYPE
-from tests.storage import fake
+from tests.storage import fake, robot
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 
@@ -32,6 +33,9 @@ Call = tuple[Callable[..., Any], dict[str, Any]]
 PACKAGES = (taichi_nmm, storage, study)
 # Made by us, of values that were checked.
 CONTAINERS = {"InputError", "Muscles", "Result", "Store", "Trajectory"}
+
+
+HOOKS = (BaseSampler, Simulator)  # whose members Optuna and stores call
 
 
 class Hostile:
@@ -150,6 +154,12 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         (terrain.stairs, {"rise_m": 0.1, "run_m": 0.3, "flat_start_m": 9.0, "direction": "down"}),
     ]  # fmt: skip
     return {call.__qualname__: (call, arguments) for call, arguments in by_their_names} | {
+        "FunctionSimulator": (storage.FunctionSimulator, {
+            "function": robot.drive, "parameters": robot.PARAMETERS, "columns": robot.COLUMNS,
+            "worlds": robot.WORLDS, "measures": {"speed_mps": (0, 1)}, "batch": False}),
+        "make_store": (partial(storage.make_store, samples=2), {
+            "simulator": robot.Cart, "out": folder / "made", "workers": 1, "fresh": True}),
+        "Store.outcomes": (opened.outcomes, {"family": "up", "column": "survived_fraction"}),
         "Controller.keep": (lambda rows: controller().keep(rows), {"rows": [0]}),
         "Controller.step": (lambda observation: controller().step(observation),
                             {"observation": taichi_nmm.Observation(**observation)}),
@@ -192,7 +202,8 @@ def public_names() -> Iterator[str]:
             for member, what in inspect.getmembers(value) if inspect.isclass(value) else ():
                 module = str(getattr(what, "__module__", ""))
                 ours = module.startswith(("taichi_nmm", "storage", "study"))
-                hook = issubclass(value, BaseSampler) and hasattr(BaseSampler, member)
+                mro = getattr(value, "__mro__", ())
+                hook = any(kind in mro and hasattr(kind, member) for kind in HOOKS)
                 inherited = member not in vars(value) and member != "from_arrays"
                 if callable(what) and ours and not (member.startswith("_") or hook or inherited):
                     yield f"{name}.{member}"
