@@ -85,8 +85,8 @@ class FunctionSimulator(Simulator):
     """A function that runs a point in a world. It pickles, if the function is one of a module.
 
     A run that raises, or that returns NaN or infinity, has zeros in all columns and "failed" in
-    the column `run_ended`; it stops no other run. A function that fails at all points of a batch
-    is refused, by a line with the first error.
+    the column `run_ended`; it stops no other run. A function that raises at each of a few points
+    (`canary`) is refused before the work, by a line with the error.
     """
 
     columns: np.dtype[np.void] = np.dtype([])
@@ -129,6 +129,7 @@ class FunctionSimulator(Simulator):
             InputError: a function that other processes cannot import, a name that is none.
         """
         self._source = _source_of(function)
+        self._failed = ""  # the last run that raised
         self.function, self.batch, self.space = function, batch, dict(parameters)
         self.worlds = {name: float(value) for name, value in (worlds or {}).items()}
         self.measures = dict(measures or {})
@@ -190,9 +191,12 @@ class FunctionSimulator(Simulator):
             pairs = zip(self.space, values, strict=True)
             named = {name: np.asarray(each)[:, None] for name, each in pairs}
             whole = {name: each[None, :] for name, each in worlds.items()}
-            self._keep(rows, self.function(named, whole, horizon_s))
+            try:
+                found = self.function(named, whole, horizon_s)
+            except Exception as error:
+                raise self._fault(f"a function that runs, not {_said(error)}") from error
+            self._keep(rows, found)
             return rows, {}
-        first = ""
         for place in np.ndindex(rows.shape):
             point = {name: each[place[0]] for name, each in zip(self.space, values, strict=True)}
             world = {name: each[place[1]].item() for name, each in worlds.items()}
@@ -201,14 +205,10 @@ class FunctionSimulator(Simulator):
                 found = self.function(point, world, horizon_s)
             except Exception as error:
                 rows[ENDED][place] = 1
-                said = one_line(shortened(f"{type(error).__name__}: {error}"))
-                first = first or f"{said}, at {point} in {world}"
+                self._failed = f"{_said(error)}, at {point} in {world}"
             else:
                 self._keep(rows[place[0] : place[0] + 1, place[1] : place[1] + 1], found)
             report((place[0] + 1) / len(points))
-        failed = int(np.count_nonzero(rows[ENDED]))
-        if failed == rows.size and first:
-            raise InputError("simulator", self.name, f"a function that runs, not {first}")
         return rows, {}
 
     def _values(self, name: str, column: NDArray[np.float64]) -> Sequence[Any]:
@@ -224,14 +224,13 @@ class FunctionSimulator(Simulator):
         names = [name for name in self.columns.names or () if name != ENDED]
         if not isinstance(found, Mapping) or set(found) != set(names):
             wrong = list(found) if isinstance(found, Mapping) else type(found).__name__
-            allowed = f"a function that returns {', '.join(names)} by name, not {wrong}"
-            raise InputError("simulator", self.name, allowed)
+            raise self._fault(f"a function that returns {', '.join(names)} by name, not {wrong}")
         for name in names:
             try:
                 rows[name] = np.broadcast_to(np.asarray(found[name], dtype=np.float64), rows.shape)
             except (TypeError, ValueError):
-                allowed = f"{name} as numbers that broadcast to {list(rows.shape)}"
-                raise InputError("simulator", self.name, allowed) from None
+                shape = list(rows.shape)
+                raise self._fault(f"{name} as numbers that broadcast to {shape}") from None
         whole = np.all([np.isfinite(rows[name]) for name in names], axis=0)
         for name in names:
             rows[name][~whole] = 0.0
@@ -245,10 +244,20 @@ class FunctionSimulator(Simulator):
         return self.run(points, worlds, CANARY_S, lambda part: None)[0]
 
     def require_machine(self) -> None:
-        """Refuse a function whose runs do not repeat: two runs of one batch are compared."""
-        if self.canary().tobytes() != self.canary().tobytes():
+        """Refuse a function that raises at all points of the canary, or does not repeat itself."""
+        rows = self.canary()
+        if self._failed and np.all(rows[ENDED] == 1):
+            raise self._fault(f"a function that runs, not {self._failed}")
+        if rows.tobytes() != self.canary().tobytes():
             allowed = f"a function whose runs repeat; draw random numbers from world[{SEED!r}]"
-            raise InputError("simulator", self.name, allowed)
+            raise self._fault(allowed)
+
+    def _fault(self, allowed: str) -> InputError:
+        return InputError("simulator", self.name, allowed)
+
+
+def _said(error: Exception) -> str:
+    return one_line(shortened(f"{type(error).__name__}: {error}"))
 
 
 def _coordinate(name: str, distribution: BaseDistribution) -> Uniform:

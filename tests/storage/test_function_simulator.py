@@ -154,6 +154,7 @@ def test_a_run_that_fails_is_a_coded_row_and_stops_no_other() -> None:
     rows, whole = runs(changed(sometimes)), runs(robot.Cart)
     failed = rows["run_ended"] == 1
     assert 0 < failed.sum() < failed.size
+    assert (runs(changed(never))["run_ended"] == 1).all()  # no row depends on its batch
     assert not any(rows[column][failed].any() for column in robot.COLUMNS)
     assert np.array_equal(rows[~failed], whole[~failed])
 
@@ -176,7 +177,6 @@ def returns(value: Any) -> Callable[..., Any]:
 
 
 @pytest.mark.parametrize(("function", "allowed"), [
-    (never, r"a function that runs, not ValueError: no.*model, at \{'thrust_n'.* in \{'wind'"),
     (returns(3), "returns survived_fraction, speed_mps by name, not int"),
     (returns({"survived_fraction": 1.0}), r"by name, not \['survived_fraction'\]"),
     (returns({"survived_fraction": [1.0, 1.0], "speed_mps": 1}), r"broadcast to \[1, 1\]"),
@@ -188,10 +188,18 @@ def test_a_function_that_does_not_keep_to_it(function: Callable[..., Any], allow
     assert caught.value.field == "simulator" and "\n" not in str(caught.value)
 
 
-def test_a_function_whose_runs_do_not_repeat_is_found_before_the_work(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"random_drive.* runs repeat; .*world\['seed'\]"):
-        make_store(changed(random_drive), tmp_path / "store", workers=1, **CONFIGURATION)
-    assert not (tmp_path / "store").exists()
+@pytest.mark.parametrize(("function", "batch", "match"), [
+    (random_drive, False, r"random_drive.* runs repeat; .*world\['seed'\]"),
+    (never, False, r"that runs, not ValueError: no.*model, at \{'thrust_n'.* in \{'wind'"),
+    (never, True, r"a function that runs, not ValueError: no.*model$"),
+])  # fmt: skip
+def test_a_function_that_cannot_do_is_found_before_the_work(
+    function: Callable[..., Any], batch: bool, match: str, tmp_path: Path
+) -> None:
+    simulator = changed(function, batch=batch)
+    with pytest.raises(InputError, match=match) as caught:
+        make_store(simulator, tmp_path / "store", workers=1, **CONFIGURATION)
+    assert "\n" not in str(caught.value) and not (tmp_path / "store").exists()
 
 
 @pytest.mark.parametrize(("function", "changes", "field"), [
