@@ -156,15 +156,14 @@ def test_the_page_of_own_simulators_runs_in_an_empty_folder(tmp_path: Path) -> N
     (tmp_path / "my_robot.py").write_text(robot)
     (tmp_path / "trials.py").write_text(trials)
     (tmp_path / "pole.toml").write_text(code_blocks(page, "toml")[0])
-    command = ("-m", "taichi_nmm", "precompute", "--config", "pole.toml", "--out", "out/toml")
+    command = ("-m", "taichi_nmm", "precompute", "--config", "pole.toml", "--samples", "16",
+               "--out", "out/few")  # fmt: skip
     ours = os.environ | {"PYTHONPATH": str(ROOT)}
-    for words in (("my_robot.py",), command, ("trials.py",)):
+    for words in (command, ("my_robot.py",), ("trials.py",)):
         line = [sys.executable, *words]
         done = subprocess.run(line, cwd=tmp_path, env=ours, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
     assert done.stdout == code_blocks(page, "text")[0]
-    made, same = (sorted((tmp_path / "out" / name).glob("*.parquet")) for name in ("pole", "toml"))
-    assert [file.read_bytes() for file in made] == [file.read_bytes() for file in same] != []
 
 
 @pytest.mark.slow
