@@ -287,17 +287,24 @@ def find_simulator(name: str, folder: Path = Path()) -> type[Simulator]:
     allowed = f"{' or '.join(SIMULATORS)}, or a class that can be imported: module:Class"
     if not attribute:
         raise InputError(field, name, allowed)
-    where = Path.cwd()
+    where, file = Path.cwd(), None
     if module.endswith(".py"):
-        where, module = (folder / module).resolve().parent, Path(module).stem
+        file = (folder / module).resolve()
+        where, module = file.parent, file.stem
     if str(where) not in sys.path:
         # last, so that it hides nothing; processes that start take it over
         sys.path.append(str(where))
     try:
-        found: type[Simulator] = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError, SyntaxError) as error:
-        reason = one_line(shortened(f"{error}"))
+        imported = import_module(module)
+        found: type[Simulator] = getattr(imported, attribute)
+    except InputError:
+        raise
+    except Exception as error:  # the file is a user's: it may raise anything
+        reason = one_line(shortened(f"{error}" or type(error).__name__))
         raise InputError(field, name, f"{allowed} ({reason})") from None
+    taken = Path(str(imported.__file__)).resolve()
+    if file not in (None, taken):
+        raise InputError(field, name, f"a file whose name is not that of another module ({taken})")
     if missing := _missing(found):
         raise InputError(field, name, f"a class that has {', '.join(missing)}, too")
     return found

@@ -30,10 +30,9 @@ def drive(point: Mapping[str, Any], world: Mapping[str, Any], seconds: float) ->
 def drive_all(point: Mapping[str, Any], world: Mapping[str, Any], seconds: float) -> dict[str, Any]:
     """The same for many runs at a time."""
     windage = np.where(point["mode"] == "fast", 2.0, 1.0)
-    speed = point["thrust_n"] / (world["mass_kg"] * point["gear"])
     return {
         "survived_fraction": np.exp(-world["wind"] * np.abs(point["steer"]) * windage),
-        "speed_mps": speed,
+        "speed_mps": point["thrust_n"] / (world["mass_kg"] * point["gear"]),
     }
 
 

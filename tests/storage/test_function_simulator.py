@@ -14,6 +14,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 from storage import FunctionSimulator, make_store, open_store
 from storage.points import in_unit_cube, sobol_points, within_bounds
 from storage.simulator import Uniform, run_points
+from storage.specification import read_specification
 from study import FeatureTable, survival_table
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
@@ -97,6 +98,18 @@ def test_the_command_makes_the_same_bytes_and_a_changed_file_is_not_gone_on_with
     refused = run()
     assert refused.returncode == 2 and refused.stderr.startswith("error: code_version: ")
     assert len(open_store(tmp_path / "out")) == 60
+
+
+@pytest.mark.parametrize(("file", "text", "match"), [
+    ("json.py", "", "a file whose name is not that of another module .*json"),
+    ("broken_robot.py", "1 / 0", "module:Class .division by zero"),
+    ("odd.py", "import storage; storage.FunctionSimulator(3, parameters={}, columns=[])", "function:"),
+])  # fmt: skip
+def test_a_file_that_has_no_simulator(file: str, text: str, match: str, tmp_path: Path) -> None:
+    (tmp_path / file).write_text(text + "\nloads = 1\n")
+    table = Table({"simulator": f"{file}:loads", "samples": 8}, folder=tmp_path)
+    with pytest.raises(InputError, match=match):
+        read_specification(table)
 
 
 def test_many_runs_at_a_time_are_the_same_rows() -> None:

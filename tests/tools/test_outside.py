@@ -115,18 +115,14 @@ REPORT = load_tool("compare_outside").OutsideReport.of
 RUN_ARMS = [arm for arm in ARMS if arm != "gp"]
 
 
-def compare(patch: pytest.MonkeyPatch, folder: Path, *arguments: object) -> int:
-    sizes = ("--seeds", SEEDS, "--trials", TRIALS, "--processes", 1, "--arms", ",".join(RUN_ARMS))
-    where = ("--problems", PROBLEM, "--cache", folder / "cache", "--out", folder / "docs")
-    return run_tool(patch, "compare_outside", *sizes, *where, *arguments)
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The documents and the cache of one run of the command."""
     path = tmp_path_factory.mktemp("outside")
+    sizes = ("--seeds", SEEDS, "--trials", TRIALS, "--processes", 1, "--arms", ",".join(RUN_ARMS))
+    where = ("--problems", PROBLEM, "--cache", path / "cache", "--out", path / "docs")
     with pytest.MonkeyPatch.context() as patch:
-        assert compare(patch, path) == 0
+        assert run_tool(patch, "compare_outside", *sizes, *where) == 0
     return path
 
 
