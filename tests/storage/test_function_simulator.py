@@ -103,7 +103,7 @@ def test_the_command_makes_the_same_bytes_and_a_changed_file_is_not_gone_on_with
 @pytest.mark.parametrize(("file", "text", "match"), [
     ("json.py", "", "a file whose name is not that of another module .*json"),
     ("broken_robot.py", "1 / 0", "module:Class .division by zero"),
-    ("odd.py", "import storage; storage.FunctionSimulator(3, parameters={}, columns=[])", "function:"),
+    ("odd.py", "import storage; storage.FunctionSimulator(3, parameters={}, columns=())", "^fun"),
 ])  # fmt: skip
 def test_a_file_that_has_no_simulator(file: str, text: str, match: str, tmp_path: Path) -> None:
     (tmp_path / file).write_text(text + "\nloads = 1\n")
