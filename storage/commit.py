@@ -159,6 +159,8 @@ def require_writable(path: Path, field: str = "out") -> None:
         InputError: naming the path, as `field`.
     """
     with writable(path, field):
+        with suppress(FileNotFoundError, NotADirectoryError):
+            path.stat()  # refuses a name that is too long, for which `exists` is False on 3.14
         nearest = next(each for each in (path, *path.absolute().parents) if each.exists())
         if nearest != path and not nearest.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, f"{nearest} is no folder")
