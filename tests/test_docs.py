@@ -152,9 +152,8 @@ def test_all_examples_of_the_sampler_run_in_their_order(
 @pytest.mark.slow
 def test_the_page_of_own_simulators_runs_in_an_empty_folder(tmp_path: Path) -> None:
     page = DOCS / "own-simulator.md"
-    robot, trials = code_blocks(page)
-    (tmp_path / "my_robot.py").write_text(robot)
-    (tmp_path / "trials.py").write_text(trials)
+    for name, text in zip(("my_robot.py", "trials.py"), code_blocks(page), strict=True):
+        (tmp_path / name).write_text(text)
     (tmp_path / "pole.toml").write_text(code_blocks(page, "toml")[0])
     command = ("-m", "taichi_nmm", "precompute", "--config", "pole.toml", "--samples", "16",
                "--out", "out/few")  # fmt: skip

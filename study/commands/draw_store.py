@@ -1,5 +1,7 @@
 """Draw a store: which gaits survive which family of disturbances, and at which speed.
 
+Of another simulator than the walker the second number is what its store keeps for each world.
+
     taichi-nmm draw-store out/store-stairs --out out/store-stairs.png
 
 Grey dots are points of the grid; red dots are candidates that a search has bred. Exit codes: 0, 2
@@ -59,7 +61,9 @@ def draw_store(store: Store) -> Figure:
         if number % COLUMNS == 0:
             axes.set_ylabel("survived share", fontsize=style.SMALL_PT)
         if number + COLUMNS >= len(store.families):
-            axes.set_xlabel("speed on the base setting (m/s)", fontsize=style.SMALL_PT)
+            name = beside(store)
+            label = "speed on the base setting (m/s)" if name == SPEED else f"{name}, base setting"
+            axes.set_xlabel(label, fontsize=style.SMALL_PT)
             axes.tick_params(labelbottom=True)
     for axes in panels.flat[len(store.families) :]:
         axes.set_axis_off()
@@ -69,11 +73,21 @@ def draw_store(store: Store) -> Figure:
     return figure
 
 
+def beside(store: Store) -> str:
+    """The column of the second number, on the base setting; survival, if there is no other."""
+    if SPEED in store.columns:
+        return SPEED
+    family = f"{store.families[0]}_"
+    kept = [name.removesuffix("_worlds") for name in store.columns if name.endswith("_worlds")]
+    others = [name.removeprefix(family) for name in kept if name.startswith(family)]
+    return next((name for name in others if name != SURVIVED), SURVIVED)
+
+
 def dots(
     store: Store, family: str
 ) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
-    """By origin: speeds and survived shares of the rows that were run on a family, [n] each."""
-    names = [evaluated_name(family), SPEED, family_names(family, SURVIVED)[0]]
+    """By origin: speeds (see `beside`) and survived shares of the rows of a family, [n] each."""
+    names = [evaluated_name(family), beside(store), family_names(family, SURVIVED)[0]]
     table = store.table(names)
     run, speed, survived = (table[name].to_numpy() for name in names)
     origins = np.full(len(run), SOBOL_ROW)

@@ -13,6 +13,7 @@ from optuna.trial import TrialState
 
 import storage
 import taichi_nmm
+from storage.simulator import known_simulator
 from study.experiment.experiment import Experiment
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
@@ -61,9 +62,10 @@ def gains_of_row(store: Path, row: int) -> NamedGains:
     """The point of a store's row.
 
     Raises:
-        InputError: no such store or row.
+        InputError: no such store or row, or a store of another simulator than the walker.
     """
     opened = storage.open_store(store)
+    known_simulator(opened.specification)
     if not 0 <= row < len(opened):
         raise InputError("row", row, f"0 to {len(opened) - 1}, the rows of {store}")
     return gains_at(opened, row, row)

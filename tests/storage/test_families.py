@@ -184,10 +184,8 @@ def test_an_opened_store_knows_its_families(tmp_path: Path) -> None:
     for family, count in summary.evaluated.items():
         name = f"{family}_evaluated"
         assert count == store.numpy([name])[name].sum() > 0
-        outcomes, mean = (
-            store.outcomes(family, "survived_fraction"),
-            f"{family}_survived_fraction_mean",
-        )
+        mean = f"{family}_survived_fraction_mean"
+        outcomes = store.outcomes(family, "survived_fraction")
         assert np.isfinite(outcomes).all(axis=1).sum() == count and outcomes.dtype == np.float32
         found = np.nan_to_num(outcomes.mean(axis=1))
         np.testing.assert_allclose(found, store.numpy([mean])[mean], rtol=1e-6)
