@@ -270,8 +270,10 @@ def store_parameters(
         try:
             own = space[name] = json_to_distribution(json.dumps(ends["distribution"]))
             if isinstance(own, CategoricalDistribution):
+                if not np.isin(columns[name], np.arange(len(own.choices))).all():
+                    raise ValueError("a number that is none of its choices")
                 columns[name] = np.array(own.choices, dtype=object)[columns[name].astype(int)]
-        except (IndexError, KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             allowed = f"a distribution of Optuna ({error})"
             raise InputError(f"store.gains.{name}", ends["distribution"], allowed) from None
     return columns, bounds, space

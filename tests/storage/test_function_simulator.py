@@ -1,5 +1,6 @@
 """A function as a simulator: stores from Python and of the command, and what is refused."""
 
+import json
 import shutil
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from storage.specification import read_specification
 from study import FeatureTable, survival_table
 from study.commands.draw_store import draw_store
 from study.experiment.gains import gains_of_row
+from study.sampler.columns import store_parameters
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from tests.storage import robot
@@ -158,6 +160,14 @@ def test_tables_have_the_parameters_that_studies_suggest(store: Path) -> None:
     assert draw_store(open_store(store)).axes[0].get_xlabel() == "speed_mps, base setting"
     with pytest.raises(InputError, match=r"^store\.simulator: 'robot:drive' .* walker"):
         gains_of_row(store, 3)
+
+
+def test_a_choice_that_is_none_of_its_parameters_is_refused() -> None:
+    """A store comes from anybody; -1 would be the last choice."""
+    ranges = {"mode": {"distribution": json.loads(robot.Cart.parameters[3].distribution)}}
+    for number in (-1.0, 0.5, 2.0, np.nan):
+        with pytest.raises(InputError, match=r"^store\.gains\.mode: .*none of its choices"):
+            store_parameters(ranges, np.array([[0.0], [number]]))
 
 
 def sometimes(point: Any, world: Any, seconds: float) -> dict[str, float]:
