@@ -5,9 +5,8 @@ problem has a `space`, as Optuna has it, and `cost_at(settings)`. `study_costs` 
 sampler of Optuna; another optimizer needs a function of its own.
 
 A *benchmark* is a module of this folder with `PROBLEMS`, `GROUPS` of them by the names that the
-option `--problems` takes, of which the first is the default, `ARMS`, and three functions:
-`problem(name, seed)`; `shared(name)`, the folder of runs without features; and `digest(name)`, a
-fingerprint of a problem's numbers.
+option `--problems` takes, of which the first is the default, `ARMS`, and two functions:
+`problem(name, seed)`, and `digest(name)`, a fingerprint of a problem's numbers.
 
 A *run* is one arm on one problem with one seed. The cache keeps a file of each finished run; a run
 that is missing there, or was made by other code, is run again.
@@ -124,11 +123,9 @@ class Run:
     trials: int
 
     def file(self, cache: Path) -> Path:
-        """The file of its result; problems of one cost share the runs of arms without features."""
-        module = benchmark(self.benchmark)
-        told = module.ARMS[self.arm].features
-        folder = self.problem if told else module.shared(self.problem)
-        return cache / folder / self.arm / f"{self.trials}-trials-seed-{self.seed:03d}.json"
+        """The file of its result."""
+        name = f"{self.trials}-trials-seed-{self.seed:03d}.json"
+        return cache / self.problem / self.arm / name
 
     def is_current(self, cache: Path) -> bool:
         """Whether the cache has this run, made by the present code."""

@@ -138,11 +138,6 @@ def problem(name: str, seed: int) -> OutsideProblem:
     return outside_problem(name).drawn(seed)
 
 
-def shared(name: str) -> str:
-    """The folder of runs without features: no other problem has the same costs."""
-    return name
-
-
 def digest(name: str) -> str:
     """SHA-256 of a problem's file: other numbers are another problem."""
     return hashlib.sha256(file_of(name).read_bytes()).hexdigest()

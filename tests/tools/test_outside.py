@@ -1,6 +1,7 @@
 """Problems from outside: their files, what a study meets, and how samplers are compared on them."""
 
 import hashlib
+import json
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 
 from taichi_nmm.errors import InputError
 from tests.tools.running import load_tool, run_tool
-from tests.tools.test_compare_peers import costs_of
-from tools import outside
+from tools import benchmark, outside
 from tools.benchmark import study_costs
 from tools.outside import ARMS, PROBLEMS, Feature, outside_problem, rows_by_ranking
 
@@ -115,19 +115,25 @@ REPORT = load_tool("compare_outside").OutsideReport.of
 RUN_ARMS = [arm for arm in ARMS if arm != "gp"]
 
 
+def compare(patch: pytest.MonkeyPatch, folder: Path, *arguments: object) -> int:
+    sizes = ("--seeds", SEEDS, "--trials", TRIALS, "--processes", 1, "--arms", ",".join(RUN_ARMS))
+    where = ("--problems", PROBLEM, "--cache", folder / "cache", "--out", folder / "docs")
+    return run_tool(patch, "compare_outside", *sizes, *where, *arguments)
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The documents and the cache of one run of the command."""
     path = tmp_path_factory.mktemp("outside")
-    sizes = ("--seeds", SEEDS, "--trials", TRIALS, "--processes", 1, "--arms", ",".join(RUN_ARMS))
-    where = ("--problems", PROBLEM, "--cache", path / "cache", "--out", path / "docs")
     with pytest.MonkeyPatch.context() as patch:
-        assert run_tool(patch, "compare_outside", *sizes, *where) == 0
+        assert compare(patch, path) == 0
     return path
 
 
 def kept(folder: Path, arm: str, seed: int) -> list[float]:
-    return costs_of(folder / "cache" / PROBLEM / arm, TRIALS, seed)
+    file = folder / "cache" / PROBLEM / arm / f"{TRIALS}-trials-seed-{seed:03d}.json"
+    found: list[float] = json.loads(file.read_text())["costs"]
+    return found
 
 
 @pytest.mark.slow
@@ -155,6 +161,45 @@ def test_every_arm_shows_costs_of_the_pool(folder: Path) -> None:
     first = problem.cost[rows_by_ranking(problem, 1)]
     np.testing.assert_array_equal(kept(folder, "ranking", 1), first[:TRIALS])
     np.testing.assert_array_equal(kept(folder, "tpe-ranking", 1)[:3], first[:3])
+
+
+@pytest.mark.slow
+def test_a_second_run_takes_everything_from_the_cache(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def written() -> dict[Path, int]:
+        return {file: file.stat().st_mtime_ns for file in (folder / "cache").rglob("*.json")}
+
+    before = written()
+    assert len(before) == SEEDS * len(RUN_ARMS)
+    assert compare(monkeypatch, folder, "--json") == 0
+    assert written() == before
+    report = json.loads(capsys.readouterr().out)
+    medians = {(each["arm"], each["trial"]): each["median"] for each in report["medians"]}
+    best = [min(kept(folder, "ours", seed)) for seed in range(SEEDS)]
+    assert report["seeds"] == SEEDS and set(medians) == set(product(RUN_ARMS, (5, TRIALS)))
+    assert medians["ours", TRIALS] == pytest.approx(np.median(best))
+
+
+@pytest.mark.slow
+def test_a_run_of_other_code_or_a_broken_file_is_not_current(folder: Path, tmp_path: Path) -> None:
+    run = benchmark.Run("outside", PROBLEM, "random", 0, TRIALS)
+    assert run.is_current(folder / "cache")
+    assert not run.is_current(tmp_path)
+    run.file(tmp_path).parent.mkdir(parents=True)
+    kept = json.loads(run.file(folder / "cache").read_text())
+    for text in (json.dumps({**kept, "code": "other"}), "{"):
+        run.file(tmp_path).write_text(text)
+        assert not run.is_current(tmp_path)
+
+
+def test_without_torch_gpsampler_is_left_out_with_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(benchmark.importlib.util, "find_spec", lambda _: None)
+    left_out = "GPSampler is left out: it needs PyTorch (pip install torch)\n"
+    for arms, said in ((["random", "gp"], left_out), (["random"], "")):
+        assert (benchmark.runnable(arms), capsys.readouterr().err) == (["random"], said)
 
 
 def test_a_seed_draws_half_of_the_pool_and_breaks_the_rankings_ties() -> None:

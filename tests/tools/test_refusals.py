@@ -43,7 +43,7 @@ BASE = {
     "study": "--config rough8-smooth --arm random --storage sqlite:///new.db --out new",
     "precompute": "--config five.toml --out new --workers 1", "walk": "--config flat --out new",
     "walk of published": "--gains published --config flat --out new",
-    "compare_peers": "--out new --cache new", "compare_outside": "--out new --cache new",
+    "compare_outside": "--out new --cache new",
 }  # fmt: skip
 PLACES = [("row: 1", "--row 1 --store store"), ("trial: 'a/b/0'", "--trial a/b/0 --storage .")]
 
@@ -102,7 +102,7 @@ REFUSED: list[tuple[str, str, str]] = [
         ("--sweep 10,x", "sweep: '10,x'"), ("--sweep 0,10", "sweep: '0,10'"),
         ("--repeats 0", "repeats: 0"), ("--rows 500", f"rows: 500 {ONE_OF}more than 1011"),
     ]),
-    *((tool, words, line) for tool in ("compare_peers", "compare_outside") for words, line in [
+    *(("compare_outside", words, line) for words, line in [
         ("--arms random,best", f"arms: 'best' {ONE_OF}"), ("--problems easy", "problems: 'easy'"),
         ("--trials 1", "trials: 1"), ("--seeds 0", "seeds: 0"), (f"--seeds {HUGE}", "seeds: "),
     ]),
