@@ -176,18 +176,12 @@ def _within(folder: Path, words: bytes) -> bytes:
 
 
 class Session(Executor):
-    """Lets workers in and makes calls on them. A failure is an `InputError`.
-
-    Attributes:
-        name: of the plugin on workers, of their events, and of the resource that they offer.
-        kind: that workers must be of, unless they may be mixed; None: that of the first worker.
-        kinds: of all workers that were ever let in, in this order.
-    """
+    """Lets workers in and makes calls on them. A failure is an `InputError`."""
 
     def __init__(self, client: Client, asked: Cluster, kind: Kind | None) -> None:
-        self.name = SESSION + client.id
-        self.kind = kind
-        self.kinds: list[Kind] = []
+        self.name = SESSION + client.id  # of workers' plugin, of their events, and their resource
+        self.kind = kind  # that workers must be of, unless mixed; None: that of the first worker
+        self.kinds: list[Kind] = []  # of all workers that were ever let in, in this order
         self._client = client
         self._asked = asked
         self._inside: set[str] = set()
@@ -306,13 +300,10 @@ class Session(Executor):
 
 @dataclass(frozen=True)
 class ClusterPool(Pool):
-    """A pool whose places come and go.
-
-    Attributes:
-        places: of stores in the folder that units run in, by their paths here.
-    """
+    """A pool whose places come and go."""
 
     executor: Session
+    # Of stores in the folder that units run in, by their paths here.
     places: dict[Path, Path] = field(default_factory=dict)
 
     def room(self) -> int:

@@ -25,14 +25,10 @@ class Folder:
     """A folder being filled; made by `claim`, which gives one process the right to write.
 
     A child sets the names of its files.
-
-    Attributes:
-        path: of the folder.
-        document: of the folder, as JSON values.
     """
 
     path: Path
-    document: dict[str, Any]
+    document: dict[str, Any]  # of the folder, as JSON values
 
     KIND: ClassVar[str]  # of folder, for messages: "a store"
     FIRST: ClassVar[str]  # name of the document's file

@@ -54,17 +54,11 @@ class InProcess(Executor):
 
 @dataclass(frozen=True)
 class Pool:
-    """An executor, and how many units it is given at a time.
-
-    Attributes:
-        executor: any.
-        slots: units under way at once, to begin with; no more are lost when work is stopped.
-        mixed: whether machines may differ in the bits that they compute.
-    """
+    """An executor, and how many units it is given at a time."""
 
     executor: Executor
-    slots: int
-    mixed: bool = False
+    slots: int  # units under way at once, to begin with; no more are lost when work is stopped
+    mixed: bool = False  # whether machines may differ in the bits that they compute
 
     def room(self) -> int:
         """Units that may be under way at this moment."""
@@ -145,15 +139,10 @@ def local_pool(workers: int) -> Iterator[Pool]:
 
 @dataclass(frozen=True)
 class Cluster:
-    """A cluster that a user names.
+    """A cluster that a user names."""
 
-    Attributes:
-        address: of a scheduler; or "local:N", N processes of this machine.
-        mixed: whether workers may differ in the bits that they compute.
-    """
-
-    address: str
-    mixed: bool = False
+    address: str  # of a scheduler; or "local:N", N processes of this machine
+    mixed: bool = False  # whether workers may differ in the bits that they compute
 
     def __post_init__(self) -> None:
         """Refuse other addresses.

@@ -45,52 +45,30 @@ ScoredRows = tuple[pa.Table, dict[str, Any]]
 
 
 class Unit(NamedTuple):
-    """A unit of work: a shard, or a part of one.
+    """A unit of work: a shard, or a part of one."""
 
-    Attributes:
-        specification: of the store.
-        shard: its number.
-        rows: of the store.
-        evolved: their points, [n, p], if they are no Sobol points.
-        name_kind: whether to name the kind of machine that computes it.
-    """
-
-    specification: Specification
-    shard: int
-    rows: range
-    evolved: NDArray[np.float64] | None
-    name_kind: bool
+    specification: Specification  # of the store
+    shard: int  # its number
+    rows: range  # of the store
+    evolved: NDArray[np.float64] | None  # their points, [n, p], if they are no Sobol points
+    name_kind: bool  # whether to name the kind of machine that computes it
 
 
 @dataclass(frozen=True)
 class Summary:
-    """The end of a run, in numbers.
+    """The end of a run, in numbers."""
 
-    Attributes:
-        path: the store's folder.
-        points: in the store.
-        points_computed: by this run.
-        walks_searched: by this run, for candidates beyond the grid.
-        shards: in the store.
-        alive_at_horizon: points that completed the base setting.
-        alive_fraction: the same, over all points.
-        evaluated: points run in the worlds of each family, by its name.
-        wall_s: of computing and writing, compilation included.
-        walkers_per_s: points computed and walks searched, over `wall_s`.
-        specification_hash: SHA-256 of the specification.
-    """
-
-    path: str
-    points: int
-    points_computed: int
-    walks_searched: int
-    shards: int
-    alive_at_horizon: int
-    alive_fraction: float
-    evaluated: dict[str, int]
-    wall_s: float
-    walkers_per_s: float
-    specification_hash: str
+    path: str  # the store's folder
+    points: int  # in the store
+    points_computed: int  # by this run
+    walks_searched: int  # by this run, for candidates beyond the grid
+    shards: int  # in the store
+    alive_at_horizon: int  # points that completed the base setting
+    alive_fraction: float  # the same, over all points
+    evaluated: dict[str, int]  # points run in the worlds of each family, by its name
+    wall_s: float  # of computing and writing, compilation included
+    walkers_per_s: float  # points computed and walks searched, over `wall_s`
+    specification_hash: str  # SHA-256 of the specification
 
 
 def precompute(
@@ -136,17 +114,11 @@ def precompute(
 
 @dataclass
 class Tally:
-    """Counts finished points and walks of a search, and reports the sum to `progress`.
+    """Counts finished points and walks of a search, and reports the sum to `progress`."""
 
-    Attributes:
-        progress: called with the sum.
-        done: points, and walks of a search.
-        walks: of a search that this run did.
-    """
-
-    progress: Progress
-    done: int
-    walks: int = 0
+    progress: Progress  # called with the sum
+    done: int  # points, and walks of a search
+    walks: int = 0  # of a search that this run did
 
     def add(self, points: int) -> None:
         """Count points that are done."""

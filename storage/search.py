@@ -35,17 +35,11 @@ Search = Generator[NDArray[np.float64], Any, None]
 
 
 class Generation(NamedTuple):
-    """Points that were tried for a family at a time, and their results.
+    """Points that were tried for a family at a time, and their results."""
 
-    Attributes:
-        points: [n, p], within the bounds.
-        objective: [n].
-        measures: [n, m].
-    """
-
-    points: NDArray[np.float64]
-    objective: NDArray[np.float64]
-    measures: NDArray[np.float64]
+    points: NDArray[np.float64]  # [n, p], within the bounds
+    objective: NDArray[np.float64]  # [n]
+    measures: NDArray[np.float64]  # [n, m]
 
     @staticmethod
     def names(simulator: Simulator) -> list[str]:

@@ -65,26 +65,16 @@ class Family:
 
     A family that comes after another one is for the few that survive that: more worlds, longer.
     All points share the worlds.
-
-    Attributes:
-        name: at the beginning of its columns.
-        settings: number of worlds.
-        min_survival_s: how long a point must last in the base setting.
-        after: another family that a point must have survived; "": none.
-        min_survived_fraction: how much of that family's horizon, on average over its worlds.
-        horizon_s: of every run.
-        seed: of the worlds.
-        rule: by which worlds are drawn.
     """
 
-    name: str
-    settings: int
-    min_survival_s: float
-    after: str
-    min_survived_fraction: float
-    horizon_s: float
-    seed: int
-    rule: WorldRule
+    name: str  # at the beginning of its columns
+    settings: int  # number of worlds
+    min_survival_s: float  # how long a point must last in the base setting
+    after: str  # another family that a point must have survived; "": none
+    min_survived_fraction: float  # how much of that family's horizon, on average over its worlds
+    horizon_s: float  # of every run
+    seed: int  # of the worlds
+    rule: WorldRule  # by which worlds are drawn
 
     @cached_property
     def worlds(self) -> Worlds:
@@ -110,21 +100,13 @@ class Family:
 
 @dataclass(frozen=True, eq=False)
 class Repertoire:
-    """A search that begins at survivors of the grid, and the candidates that a store keeps of it.
+    """A search that begins at survivors of the grid, and candidates that a store keeps of it."""
 
-    Attributes:
-        evaluations: runs of the whole search: so many candidates times `settings`.
-        candidates: rows that the store gets.
-        seed: of the search, and of the worlds that candidates are tried in.
-        settings: worlds that a candidate is tried in, of the one family that it is bred for.
-        families: that candidates are bred for; none of them comes after another.
-    """
-
-    evaluations: int
-    candidates: int
-    seed: int
-    settings: int
-    families: tuple[Family, ...]
+    evaluations: int  # runs of the whole search: so many candidates times `settings`
+    candidates: int  # rows that the store gets
+    seed: int  # of the search, and of the worlds that candidates are tried in
+    settings: int  # worlds that a candidate is tried in, of the one family that it is bred for
+    families: tuple[Family, ...]  # that candidates are bred for; none of them comes after another
 
     @cached_property
     def trials(self) -> tuple[Family, ...]:
@@ -210,27 +192,16 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Specification:
-    """A store to be computed. It pickles: any process computes a shard from it.
+    """A store to be computed. It pickles: any process computes a shard from it."""
 
-    Attributes:
-        simulator: that runs the points, with its settings.
-        samples: points of the grid.
-        shard_rows: points of a shard; the last may have fewer.
-        seed: of the Sobol sequence, and of the world of the base setting.
-        horizon_s: of the base setting.
-        rule: by which the world of the base setting is drawn.
-        families: of worlds, for the points that last in the base setting.
-        repertoire: how candidates beyond the grid are found; None: there are none.
-    """
-
-    simulator: Simulator
-    samples: int
-    shard_rows: int
-    seed: int
-    horizon_s: float
-    rule: WorldRule
-    families: tuple[Family, ...] = ()
-    repertoire: Repertoire | None = None
+    simulator: Simulator  # that runs the points, with its settings
+    samples: int  # points of the grid
+    shard_rows: int  # points of a shard; the last may have fewer
+    seed: int  # of the Sobol sequence, and of the world of the base setting
+    horizon_s: float  # of the base setting
+    rule: WorldRule  # by which the world of the base setting is drawn
+    families: tuple[Family, ...] = ()  # of worlds, for the points that last in the base setting
+    repertoire: Repertoire | None = None  # of candidates beyond the grid; None: there are none
 
     @cached_property
     def worlds(self) -> Worlds:

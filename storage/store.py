@@ -131,17 +131,11 @@ def _array(values: NDArray[np.generic], kind: pa.DataType) -> pa.Array:
 
 @dataclass(frozen=True)
 class Manifest:
-    """Content of manifest.json.
+    """Content of manifest.json."""
 
-    Attributes:
-        specification: of the store.
-        rows: of the whole store.
-        hashes: SHA-256 by file name, in the order of the rows.
-    """
-
-    specification: dict[str, Any]
-    rows: int
-    hashes: dict[str, str]
+    specification: dict[str, Any]  # of the store
+    rows: int  # of the whole store
+    hashes: dict[str, str]  # SHA-256 by file name, in the order of the rows
 
     def write(self, folder: Path) -> None:
         """Commit it to a folder."""
