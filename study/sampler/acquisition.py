@@ -35,27 +35,16 @@ Learned = dict[tuple[Covariance, bytes], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """The posterior after some trials, and the improvement that it lets expect.
+    """The posterior after some trials, and the improvement that it lets expect."""
 
-    Attributes:
-        kernel: of this trial.
-        prior_mean: None: zero, or it is not believed.
-        parameters: d.
-        trials: the finished ones, n, at least one.
-        costs: what they showed, lower is better, finite, [n].
-        limits: c constraints of each, feasible where <= 0, NaN where unknown, [n, c].
-        running: trials of other workers whose parameters are known.
-        known: constants that were learned so far; new ones are added.
-    """
-
-    kernel: Kernel
-    prior_mean: PriorMean | None
-    parameters: int
-    trials: Points
-    costs: Floats
-    limits: Floats
-    running: Points
-    known: Learned
+    kernel: Kernel  # of this trial
+    prior_mean: PriorMean | None  # None: zero, or it is not believed
+    parameters: int  # d
+    trials: Points  # the finished ones, n, at least one
+    costs: Floats  # what they showed, lower is better, finite, [n]
+    limits: Floats  # c constraints of each, feasible where <= 0, NaN where unknown, [n, c]
+    running: Points  # trials of other workers whose parameters are known
+    known: Learned  # constants that were learned so far; new ones are added
 
     @cached_property
     def feasible(self) -> Mask:

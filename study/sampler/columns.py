@@ -202,21 +202,13 @@ def _require_inside(space: Space, parameters: Floats) -> None:
 
 @dataclass(frozen=True)
 class FileColumns:
-    """Where a table was read from.
+    """Where a table was read from."""
 
-    Attributes:
-        path: a Parquet file, a folder of them, or a store.
-        features: k columns.
-        parameters: d columns; None: those of the store.
-        space: distributions of some parameters.
-        bounds: (low, high) of some parameters; None: of a store, those that it was made with.
-    """
-
-    path: Path
-    features: tuple[str, ...]
-    parameters: tuple[str, ...] | None
-    space: Mapping[str, BaseDistribution] | None
-    bounds: Bounds | None
+    path: Path  # a Parquet file, a folder of them, or a store
+    features: tuple[str, ...]  # k columns
+    parameters: tuple[str, ...] | None  # d columns; None: those of the store
+    space: Mapping[str, BaseDistribution] | None  # distributions of some parameters
+    bounds: Bounds | None  # (low, high) of some parameters; None: those that a store was made with
 
     def read(self) -> Content:
         """Read the columns, and check them."""

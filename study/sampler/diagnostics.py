@@ -50,18 +50,12 @@ class RankCorrelation:
     (Bonett, Wright 2000, "Sample size requirements for estimating Pearson, Kendall and Spearman
     correlations"). Of trials in perfect order z is infinite: they get the interval of trials of
     which two neighbours are out of order, up to the end of the scale.
-
-    Attributes:
-        value: r.
-        low: end of the interval that holds it with 95 %.
-        high: its other end.
-        errors: r in standard errors, on the scale of z.
     """
 
-    value: float
-    low: float
-    high: float
-    errors: float
+    value: float  # r
+    low: float  # end of the interval that holds it with 95 %
+    high: float  # its other end
+    errors: float  # r in standard errors, on the scale of z
 
     def __str__(self) -> str:
         """The value and its interval."""
@@ -91,32 +85,21 @@ class RankCorrelation:
 
 @dataclass(frozen=True)
 class Weights:
-    """Shares of the expected variation, which sum to 1.
+    """Shares of the expected variation, which sum to 1."""
 
-    Attributes:
-        features: of each of the k features.
-        parameters: of their likeness; 0 where the kernel does not use them.
-        noise: of what nothing explains.
-    """
-
-    features: tuple[float, ...]
-    parameters: float
-    noise: float
+    features: tuple[float, ...]  # of each of the k features
+    parameters: float  # of their likeness; 0 where the kernel does not use them
+    noise: float  # of what nothing explains
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Leave-one-out errors, as shares of that of a constant.
+    """Leave-one-out errors, as shares of that of a constant."""
 
-    Attributes:
-        model: of the sampler's model.
-        without: of one over the parameters alone; None: the sampler has none.
-        gain: by how much the model is nearer to the costs than the better of the others, on
-            average over the trials, in standard errors of this average.
-    """
-
-    model: float
-    without: float | None
+    model: float  # of the sampler's model
+    without: float | None  # of one over the parameters alone; None: the sampler has none
+    # By how much the model is nearer to the costs than the better of the others, on average over
+    # the trials, in standard errors of this average.
     gain: float
 
 
@@ -229,25 +212,15 @@ class Worth:
 
 @dataclass(frozen=True, eq=False)
 class Present:
-    """The finished trials of a study, and what the sampler makes of them.
+    """The finished trials of a study, and what the sampler makes of them."""
 
-    Attributes:
-        names: of the k features.
-        features: of the n trials, in units of their own, NaN where unknown, [n, k].
-        model: the sampler's, for trials that follow the features.
-        candidates: rows that may be proposed, or points anywhere, as the kernel sees them.
-        owners: of each column of their features, the number of the feature.
-        is_doubted: whether every other trial is left to the parameters at present.
-        first: rows that the prior ranks first, with their features, {row: [k]}.
-    """
-
-    names: tuple[str, ...]
-    features: Floats
-    model: Model
-    candidates: Points
-    owners: tuple[int, ...]
-    is_doubted: bool
-    first: Mapping[int, Floats]
+    names: tuple[str, ...]  # of the k features
+    features: Floats  # of the n trials, in units of their own, NaN where unknown, [n, k]
+    model: Model  # the sampler's, for trials that follow the features
+    candidates: Points  # rows that may be proposed, or points anywhere, as the kernel sees them
+    owners: tuple[int, ...]  # of each column of their features, the number of the feature
+    is_doubted: bool  # whether every other trial is left to the parameters at present
+    first: Mapping[int, Floats]  # rows that the prior ranks first, with their features, {row: [k]}
 
 
 def worth_of(present: Present | None, *, maximised: bool) -> Worth:

@@ -89,19 +89,12 @@ LARGEST_RATIO = 5e2  # of prior variance to noise, for which 32 bits keep within
 
 @dataclass(frozen=True)
 class Kernel:
-    """The meaning of a kernel's name.
+    """The meaning of a kernel's name."""
 
-    Attributes:
-        slopes: whether the cost has a part that is linear in the features.
-        feature_scales: length scales of the features: "each", "shared", or None for no likeness.
-        parameter_scales: the same for the parameters.
-        by_order: features count by their order, costs by their logarithm; else both as they are.
-    """
-
-    slopes: bool
-    feature_scales: str | None
-    parameter_scales: str | None
-    by_order: bool
+    slopes: bool  # whether the cost has a part that is linear in the features
+    feature_scales: str | None  # length scales of features: "each", "shared", or None: no likeness
+    parameter_scales: str | None  # the same for the parameters
+    by_order: bool  # features count by their order, costs by their logarithm; else both as they are
 
     @cached_property
     def of_features(self) -> bool:
@@ -141,19 +134,12 @@ PARAMETER_NOISE = Constant(-5.0, 1.0, NOISE_BOUNDS)  # log-normal(-4, 1)
 
 @dataclass(frozen=True)
 class Term:
-    """A variance times a shape over the columns from `first` up to `end`.
+    """A variance times a shape over the columns from `first` up to `end`."""
 
-    Attributes:
-        first: column.
-        end: the column after the last.
-        variance: v, s^2 or t^2.
-        scales: length scales of a squared exponential, one a column or one for all; () where the
-            shape is linear.
-    """
-
-    first: int
-    end: int
-    variance: Constant
+    first: int  # column
+    end: int  # the column after the last
+    variance: Constant  # v, s^2 or t^2
+    # Length scales of a squared exponential, one a column or one for all; () where it is linear.
     scales: tuple[Constant, ...]
 
 
@@ -416,27 +402,16 @@ class Posterior:
 
     The fast path computes the mean as (L^-1 k)^T (L^-1 y), whose factors are of the size of the
     costs; those of k^T K^-1 y would cancel in 32 bits.
-
-    Attributes:
-        covariance: of the trials.
-        theta: the constants that were learned, [t].
-        x: X, the trials.
-        y: their costs in standard units, [n].
-        cost_mean: what `y` was centred by.
-        cost_sd: what `y` was divided by.
-        noisy: whether the variance is that of the next trial, noise included, or that of its
-            expectation.
-        fast: 32 bits, where they are enough.
     """
 
-    covariance: Covariance
-    theta: Floats
-    x: Floats
-    y: Floats
-    cost_mean: float
-    cost_sd: float
-    noisy: bool
-    fast: bool
+    covariance: Covariance  # of the trials
+    theta: Floats  # the constants that were learned, [t]
+    x: Floats  # X, the trials
+    y: Floats  # their costs in standard units, [n]
+    cost_mean: float  # what `y` was centred by
+    cost_sd: float  # what `y` was divided by
+    noisy: bool  # whether the variance is of the next trial, noise included, or of its expectation
+    fast: bool  # 32 bits, where they are enough
 
     @property
     def noise(self) -> float:

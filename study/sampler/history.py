@@ -44,29 +44,19 @@ LookedUp = dict[int, tuple[FrozenTrial, int | None, Floats | None]]
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The trials of a study before one of its trials.
+    """The trials of a study before one of its trials."""
 
-    Attributes:
-        trials: the n finished ones that can be learned from, in the order of their numbers.
-        parameters: of each, [n, d].
-        rows: of each, the row whose features it has, OFF_TABLE where these are its own, [n].
-        cost: of each, lower is better, finite, [n].
-        running: parameters of those running elsewhere, [r, d].
-        running_rows: of each, [r].
-        tried: rows that any trial has taken, whatever became of it, bool [rows of the table].
-        unplaced: finished trials left out, being no row of the table.
-        fixed: values of the trial itself that are settled: the user's, or suggested already.
-    """
-
-    trials: tuple[FrozenTrial, ...]
-    parameters: Floats
-    rows: NDArray[np.int64]
-    cost: Floats
-    running: Floats
-    running_rows: NDArray[np.int64]
-    tried: NDArray[np.bool_]
-    unplaced: tuple[FrozenTrial, ...]
-    fixed: Mapping[str, Any]
+    trials: tuple[FrozenTrial, ...]  # the n finished ones that can be learned from, by number
+    parameters: Floats  # of each, [n, d]
+    rows: NDArray[
+        np.int64
+    ]  # of each, the row whose features it has; OFF_TABLE: it has its own, [n]
+    cost: Floats  # of each, lower is better, finite, [n]
+    running: Floats  # parameters of those running elsewhere, [r, d]
+    running_rows: NDArray[np.int64]  # of each, [r]
+    tried: NDArray[np.bool_]  # rows that any trial has taken, whatever became of it, [table rows]
+    unplaced: tuple[FrozenTrial, ...]  # finished trials left out, being no row of the table
+    fixed: Mapping[str, Any]  # settled values of the trial itself: the user's, or suggested already
 
 
 def next_trial(study: optuna.Study) -> FrozenTrial:

@@ -65,15 +65,10 @@ class Options:
 
 @dataclass(frozen=True)
 class Proposal:
-    """The proposal for a trial that runs in this process, with its notes.
+    """The proposal for a trial that runs in this process, with its notes."""
 
-    Attributes:
-        values: by parameter; none where the independent sampler gives them.
-        notes: user attributes that say what these values are.
-    """
-
-    values: Mapping[str, Any]
-    notes: Mapping[str, Any]
+    values: Mapping[str, Any]  # by parameter; none where the independent sampler gives them
+    notes: Mapping[str, Any]  # user attributes that say what these values are
 
 
 NOTHING = Proposal({}, {})
@@ -83,24 +78,18 @@ class Policy:
     """A maker of proposals for the trials of any study: the common part of the two.
 
     Proposals follow from the trials alone: another process, without these memories, makes the same.
-
-    Attributes:
-        options: of the sampler.
-        seed: of the sampler.
-        independent: sampler for what is not proposed here.
-        learns_trust: whether features are trusted as far as trials confirm them.
-        first_trials: how many trials have to finish before there is a model.
-        known: constants that were learned in this process.
     """
 
     def __init__(self, options: Options, seed: int, independent: BaseSampler) -> None:
         self.options = options
         self.seed = seed
-        self.independent = independent
+        self.independent = independent  # for what is not proposed here
+        # Whether features are trusted as far as trials confirm them.
         self.learns_trust = options.kernel == ADDITIVE
         unranked = ENDS if self.learns_trust else RANDOM
+        # How many trials have to finish before there is a model.
         self.first_trials = unranked if options.prior is None else RANKED
-        self.known: Learned = {}
+        self.known: Learned = {}  # in this process
         self._proposals: dict[tuple[int, datetime | None], Proposal] = {}
         self._said: set[str] = set()
 

@@ -34,17 +34,11 @@ STEP_DECADES = (-2.5, -0.3)  # log10 of a step's standard deviation, in ranges: 
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Parameters by name, in a fixed order, with their distributions.
+    """Parameters by name, in a fixed order, with their distributions."""
 
-    Attributes:
-        names: of the d parameters.
-        distributions: of each.
-        pins: (column, number) of parameters whose value is settled: all new points have it.
-    """
-
-    names: tuple[str, ...]
-    distributions: tuple[BaseDistribution, ...]
-    pins: tuple[tuple[int, float], ...] = ()
+    names: tuple[str, ...]  # of the d parameters
+    distributions: tuple[BaseDistribution, ...]  # of each
+    pins: tuple[tuple[int, float], ...] = ()  # (column, number) of values that all new points have
 
     @classmethod
     def of(cls, distributions: Mapping[str, BaseDistribution]) -> "Space":

@@ -45,19 +45,12 @@ HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Knuth's mult
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """n candidates.
+    """n candidates."""
 
-    Attributes:
-        space: the d parameters.
-        parameters: [n, d]; of a categorical, the index of its choice.
-        feature_names: k names.
-        features: [n, k], of any scale; NaN where unknown.
-    """
-
-    space: Space
-    parameters: Floats
-    feature_names: tuple[str, ...]
-    features: Floats
+    space: Space  # the d parameters
+    parameters: Floats  # [n, d]; of a categorical, the index of its choice
+    feature_names: tuple[str, ...]  # k names
+    features: Floats  # [n, k], of any scale; NaN where unknown
 
     def __len__(self) -> int:
         """Number of rows, n."""

@@ -83,10 +83,6 @@ class TablePolicy(Policy):
 
     A trial's row is chosen when the first of the table's parameters is suggested that nobody has
     fixed. Its values are handed out one by one, each as the study suggests it (see `Inferred`).
-
-    Attributes:
-        function: features of points off the table; None: there are none.
-        prior_mean: of the option `prior`.
     """
 
     def __init__(
@@ -99,7 +95,7 @@ class TablePolicy(Policy):
     ) -> None:
         super().__init__(options, seed, independent)
         self._table = table
-        self.function = function
+        self.function = function  # of points off the table; None: there are none
         self._suggested: Rows | None = None
         self._looked_up: LookedUp = {}
         self.prior_mean = PriorMean.of(options.prior, self.own_rows.feature_names)

@@ -39,15 +39,10 @@ PATIENCE_WITH_PRIOR = 20
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """m candidates or trials.
+    """m candidates or trials."""
 
-    Attributes:
-        features: in standard units, [m, k]; k may be 0.
-        coordinates: in the unit cube, [m, e]; e may be 0.
-    """
-
-    features: Floats
-    coordinates: Floats
+    features: Floats  # in standard units, [m, k]; k may be 0
+    coordinates: Floats  # in the unit cube, [m, e]; e may be 0
 
     def __len__(self) -> int:
         """Number of points, m."""
@@ -151,18 +146,12 @@ class NormalScores:
 
     A feature that some rows lack has a column more: whether a row has it. Those follow the k
     columns of scores, in the order of the features, each pattern of gaps once.
-
-    Attributes:
-        known: values of each feature in ascending order, k of them, without gaps.
-        sd: of each column of scores, [k]; infinite where it has one value only.
-        gaps: features whose gaps are a column, and the share of rows that has them.
-        own: the columns of the rows themselves, [n, k + gaps].
     """
 
-    known: tuple[Floats, ...]
-    sd: Floats
-    gaps: tuple[tuple[int, float], ...]
-    own: Floats
+    known: tuple[Floats, ...]  # values of each feature in ascending order, k of them, without gaps
+    sd: Floats  # of each column of scores, [k]; infinite where it has one value only
+    gaps: tuple[tuple[int, float], ...]  # features whose gaps are a column, and the share of gaps
+    own: Floats  # the columns of the rows themselves, [n, k + gaps]
 
     @classmethod
     def of(cls, features: Floats) -> "NormalScores":
@@ -246,14 +235,10 @@ class PriorMean:
     fall by one standard deviation for each standard deviation of the feature, with the uncertainty
     of `gp.SLOPE` about the slope: m(x) = -SLOPE phi(x), in standard units (Rasmussen, Williams
     2006, section 2.7; Cully et al. 2015 use a simulated performance as the mean of theirs).
-
-    Attributes:
-        column: of the feature.
-        sign: 1 where high values are good, -1 where low ones are.
     """
 
-    column: int
-    sign: float
+    column: int  # of the feature
+    sign: float  # 1 where high values are good, -1 where low ones are
 
     @classmethod
     def of(cls, prior: str | None, names: Sequence[str]) -> "PriorMean | None":
