@@ -13,21 +13,13 @@ MOST_DISTURBANCE = 0.9  # of a configuration; beyond it masses come near zero
 
 @dataclass(frozen=True)
 class Conditions:
-    """The tables [simulation], [body], [terrain] and [world] of a configuration; hashable.
+    """The tables [simulation], [body], [terrain] and [world] of a configuration; hashable."""
 
-    Attributes:
-        duration_s: how long a walker may walk.
-        settings: how the simulation is integrated, and on which machine.
-        disturbance: largest relative disturbance of a body, as in `Bodies.disturbed`.
-        ground: kind of terrain, with its options.
-        world_ranges: the ranges that a walker's world is drawn from.
-    """
-
-    duration_s: float
-    settings: Settings
-    disturbance: float
-    ground: Ground
-    world_ranges: WorldRanges = NOMINAL
+    duration_s: float  # how long a walker may walk
+    settings: Settings  # how the simulation is integrated, and on which machine
+    disturbance: float  # largest relative disturbance of a body, as in `Bodies.disturbed`
+    ground: Ground  # kind of terrain, with its options
+    world_ranges: WorldRanges = NOMINAL  # the ranges that a walker's world is drawn from
 
     def on_one_thread(self) -> "Conditions":
         """The same on one thread, for one of several processes; no result depends on it."""

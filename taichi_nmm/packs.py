@@ -13,13 +13,6 @@ class Packs:
     """Rows of the walkers that still walk, and the final rows of those that have ended.
 
     The backend runs already: it sets lanes and precision.
-
-    Attributes:
-        lanes: walkers a pack.
-        rows: [pack, row, lane], advanced by the kernel.
-        constants: [pack, row, lane].
-        terrains: [pack, lane].
-        walkers: batch row of each occupied lane; the last pack's rest are idle copies.
     """
 
     def __init__(
@@ -37,12 +30,14 @@ class Packs:
             terrains: row of the table of heights, [n]; None is 0.
             starts: for each walker, which of `rows` it starts with, [n]; None is its own.
         """
-        self.lanes, real, count = backend.lanes(), backend.real_dtype(), len(constants)
+        self.lanes = backend.lanes()  # walkers a pack
+        real, count = backend.real_dtype(), len(constants)
         grounds = np.zeros(count, dtype=np.int32) if terrains is None else terrains
+        # Batch row of each occupied lane; the last pack's rest are idle copies.
         self.walkers = np.arange(count)
-        self.rows = self.fold(rows.astype(real), starts)
-        self.constants = self.fold(constants.astype(real))
-        self.terrains = self.fold(grounds[:, None])[:, 0, :].copy()
+        self.rows = self.fold(rows.astype(real), starts)  # [pack, row, lane], the kernel's
+        self.constants = self.fold(constants.astype(real))  # [pack, row, lane]
+        self.terrains = self.fold(grounds[:, None])[:, 0, :].copy()  # [pack, lane]
         self._final = np.zeros((count, State.count), dtype=real)
         self._sums = np.zeros((count, Sums.count))
 

@@ -244,16 +244,13 @@ KINDS: dict[str, Callable[..., Terrain]] = {
 class Ground:
     """A kind of terrain and its options: all of a ground but the seed. It pickles and hashes.
 
-    Attributes:
-        kind: a key of `KINDS`.
-        options: arguments of that kind's function; an option that is missing has its default, and
-            of a pair, lowest and highest, each seed draws its own.
-
     Raises:
         InputError: an unknown kind.
     """
 
-    kind: str = "flat"
+    kind: str = "flat"  # a key of `KINDS`
+    # Arguments of that kind's function; an option that is missing has its default, and of a pair,
+    # lowest and highest, each seed draws its own.
     options: Mapping[str, float | str | list[float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

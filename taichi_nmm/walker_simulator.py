@@ -65,17 +65,11 @@ class DrawnWorlds:
 
 @dataclass(frozen=True)
 class WalkerWorlds:
-    """The tables [body], [terrain] and [world], from which worlds are drawn.
+    """The tables [body], [terrain] and [world], from which worlds are drawn."""
 
-    Attributes:
-        disturbance: largest relative disturbance of a body.
-        ground: kind of terrain with its options.
-        ranges: of contact, muscles and nerves.
-    """
-
-    disturbance: float
-    ground: Ground
-    ranges: WorldRanges
+    disturbance: float  # largest relative disturbance of a body
+    ground: Ground  # kind of terrain with its options
+    ranges: WorldRanges  # of contact, muscles and nerves
 
     def draw(self, seeds: Sequence[np.random.SeedSequence]) -> DrawnWorlds:
         """One world a seed, whose spawn key is (purpose, index) with a purpose of `STREAMS`."""
@@ -110,15 +104,10 @@ class WalkerWorlds:
 
 @dataclass(frozen=True)
 class Walker:
-    """The neuromuscular walker, on its own engine or on MuJoCo.
+    """The neuromuscular walker, on its own engine or on MuJoCo."""
 
-    Attributes:
-        settings: how the simulation is integrated, and on which machine.
-        searched: low-level gains that points have after the 16 gains.
-    """
-
-    settings: Settings
-    searched: tuple[Parameter, ...] = ()
+    settings: Settings  # how the simulation is integrated, and on which machine
+    searched: tuple[Parameter, ...] = ()  # low-level gains that points have after the 16 gains
 
     name: ClassVar[str] = "walker"
     code_version: ClassVar[str] = __version__

@@ -23,23 +23,14 @@ W_FILTER = LOW_LEVEL_NAMES.index("w_filter")
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Checked input: n walkers, each with its gains, body and terrain.
+    """Checked input: n walkers, each with its gains, body and terrain."""
 
-    Attributes:
-        gains: in the order of `parameters.GAINS`, [n, gain].
-        low_level: in the order of `parameters.LOW_LEVEL_GAINS`, [n, gain].
-        bodies: n of them.
-        worlds: n of them.
-        terrains: the different grounds.
-        terrain_index: each walker's, [n].
-    """
-
-    gains: NDArray[np.float64]
-    low_level: NDArray[np.float64]
-    bodies: Bodies
-    worlds: Worlds
-    terrains: tuple[Terrain, ...]
-    terrain_index: NDArray[np.int32]
+    gains: NDArray[np.float64]  # in the order of `parameters.GAINS`, [n, gain]
+    low_level: NDArray[np.float64]  # in the order of `parameters.LOW_LEVEL_GAINS`, [n, gain]
+    bodies: Bodies  # n of them
+    worlds: Worlds  # n of them
+    terrains: tuple[Terrain, ...]  # the different grounds
+    terrain_index: NDArray[np.int32]  # each walker's, [n]
 
     def __len__(self) -> int:
         return len(self.gains)

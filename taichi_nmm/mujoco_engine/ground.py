@@ -67,17 +67,11 @@ SAMPLES = 9  # of a box's end, to see that
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """The ground from back to front, k boxes.
+    """The ground from back to front, k boxes."""
 
-    Attributes:
-        position: centres x, y, z, [k, 3].
-        quaternion: w, x, y, z, [k, 4].
-        half_size: along the top, across, and in thickness, [k, 3].
-    """
-
-    position: Array
-    quaternion: Array
-    half_size: Array
+    position: Array  # centres x, y, z, [k, 3]
+    quaternion: Array  # w, x, y, z, [k, 4]
+    half_size: Array  # along the top, across, and in thickness, [k, 3]
 
     def __len__(self) -> int:
         return len(self.position)
