@@ -226,22 +226,8 @@ def test_a_17th_parameter_is_kept(walk: Walk, tmp_path: Path, tool: Tool) -> Non
     (tmp_path / "ramp-up.toml").write_text(re.sub(r"duration_s = .*", "duration_s = 2.0", text))
     config = tmp_path / "ramp-up-torso.toml"
     out, live = tmp_path / "compared", tmp_path / "live"
-    given = (
-        "--config",
-        config,
-        "--arms",
-        "random",
-        "--runs",
-        1,
-        "--trials",
-        TRIALS,
-        "--no-artifacts",
-        "--workers",
-        1,
-        "--out",
-        out,
-    )
-    assert tool("compare", *given) == 0
+    given = ("--config", config, "--arms", "random", "--runs", 1, "--trials", TRIALS)
+    assert tool("compare", *given, "--no-artifacts", "--workers", 1, "--out", out) == 0
     url = f"sqlite:///{tmp_path / 'live.db'}"
     given = ("--config", config, "--arm", "random", "--trials", TRIALS, "--out", live)
     assert tool("study", *given, "--storage", url) == 0

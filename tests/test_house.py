@@ -26,33 +26,17 @@ COMMANDS = ("tools", "study.commands")
 ALLOWED = {
     "taichi_nmm": ("taichi_nmm",),
     # A store is of any simulator: of the walker's package, no bodies, grounds or gains.
-    "storage": (
-        "storage",
-        "taichi_nmm.checks",
-        "taichi_nmm.config",
-        "taichi_nmm.errors",
-        "taichi_nmm.reading",
-    ),
+    "storage": ("storage", "taichi_nmm.checks", "taichi_nmm.config", "taichi_nmm.errors",
+                "taichi_nmm.reading"),
     "study": PACKAGES,
-    "study.experiment": (
-        "study.experiment",
-        "study.sampler",
-        "study.pictures",
-        "storage",
-        "taichi_nmm",
-    ),
+    "study.experiment": ("study.experiment", "study.sampler", "study.pictures", "storage",
+                         "taichi_nmm"),
     "study.experiment.features": ("study.sampler", "storage", "taichi_nmm"),
     "study.commands": PACKAGES,  # the top, which nobody but the door imports
     # For anybody: of the walker's package, only what says no to a user.
-    "study.sampler": (
-        "study.sampler",
-        "storage.store",
-        "storage.tables",
-        "taichi_nmm.checks",
-        "taichi_nmm.errors",
-        "taichi_nmm.reading",
-    ),
-}
+    "study.sampler": ("study.sampler", "storage.store", "storage.tables", "taichi_nmm.checks",
+                      "taichi_nmm.errors", "taichi_nmm.reading"),
+}  # fmt: skip
 
 
 def name_of(file: Path) -> str:

@@ -116,31 +116,22 @@ def without_a_column(folder: Path) -> None:
     pq.write_table(table.drop_columns(["phi_printed"]), folder / SHARD)
 
 
-REFUSED: dict[str, tuple[Callable[[Path], object], str]] = (
-    {
-        "no folder": (shutil.rmtree, "No such file"),
-        "no manifest": (lambda folder: (folder / "manifest.json").unlink(), "a finished store"),
-        "an edited specification": (manifest('"seed": 7', '"seed": 9'), "an undamaged manifest"),
-        "another format": (manifest('"format": 1', '"format": 99'), "of format 99, not 1"),
-        "a missing shard": (lambda folder: (folder / SHARD).unlink(), r"part-00003\.parquet"),
-        "a missing column": (without_a_column, "columns of its specification"),
-        "a shard in another's place": (
-            lambda folder: shutil.copy(folder / "part-00002.parquet", folder / SHARD),
-            "shard 3 of this store",
-        ),
-    }
-    | {
-        place: (manifest("part-00001.parquet", place), "in the same folder")
-        for place in ("../outside.parquet", "OUTSIDE", "./part-00001.parquet")
-    }
-    | {
-        f"a manifest of {text}": (
-            lambda folder, text=text: (folder / "manifest.json").write_text(text),
-            "an undamaged manifest",
-        )
-        for text in ("nothing", "", "[]", "{}", '{"shards": [1]}')
-    }
-)
+REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
+    "no folder": (shutil.rmtree, "No such file"),
+    "no manifest": (lambda folder: (folder / "manifest.json").unlink(), "a finished store"),
+    "an edited specification": (manifest('"seed": 7', '"seed": 9'), "an undamaged manifest"),
+    "another format": (manifest('"format": 1', '"format": 99'), "of format 99, not 1"),
+    "a missing shard": (lambda folder: (folder / SHARD).unlink(), r"part-00003\.parquet"),
+    "a missing column": (without_a_column, "columns of its specification"),
+    "a shard in another's place": (
+        lambda folder: shutil.copy(folder / "part-00002.parquet", folder / SHARD),
+        "shard 3 of this store"),
+    **{place: (manifest("part-00001.parquet", place), "in the same folder")
+       for place in ("../outside.parquet", "OUTSIDE", "./part-00001.parquet")},
+    **{f"a manifest of {text}": (
+        lambda folder, text=text: (folder / "manifest.json").write_text(text),
+        "an undamaged manifest") for text in ("nothing", "", "[]", "{}", '{"shards": [1]}')},
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("fault", REFUSED)

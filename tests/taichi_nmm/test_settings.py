@@ -90,19 +90,16 @@ def test_mujoco_computes_on_the_processor_and_the_command_line_overrides_the_fil
     assert read_settings(Table({"arch": "cuda"}), arch="cpu").arch == "cpu"
 
 
-@pytest.mark.parametrize(
-    ("table", "key", "value"),
-    [
-        ("simulation", "duration_s", 0.5), ("simulation", "duration_s", 101.0),
-        ("simulation", "physics_step_s", 2e-3), ("simulation", "precision", "half"),
-        ("simulation", "precision", 64), ("simulation", "arch", "tpu"),
-        ("simulation", "threads", 2), ("simulation", "engine", "bullet"),
-        ("simulation", "engine", 1),
-        ("simulation", "mujoco", {"time_constant_s": 0.01}),  # on our own engine
-        ("body", "disturbance", 0.95), ("body", "mass", 80), ("terrain", "kind", "lava"),
-        ("terrain", "amplitude_m", 0.1),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("table", "key", "value"), [
+    ("simulation", "duration_s", 0.5), ("simulation", "duration_s", 101.0),
+    ("simulation", "physics_step_s", 2e-3), ("simulation", "precision", "half"),
+    ("simulation", "precision", 64), ("simulation", "arch", "tpu"),
+    ("simulation", "threads", 2), ("simulation", "engine", "bullet"),
+    ("simulation", "engine", 1),
+    ("simulation", "mujoco", {"time_constant_s": 0.01}),  # on our own engine
+    ("body", "disturbance", 0.95), ("body", "mass", 80), ("terrain", "kind", "lava"),
+    ("terrain", "amplitude_m", 0.1),
+])  # fmt: skip
 def test_a_bad_condition_is_named(table: str, key: str, value: object) -> None:
     refused(f"{table}.{key}", {table: {key: value}})
 

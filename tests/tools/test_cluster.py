@@ -19,15 +19,12 @@ STORE = """
 samples = {samples}
 shard_rows = 8
 seed = 7
-[simulation]
-duration_s = 1.0
-arch = "cpu"
+simulation = {{duration_s = 1.0, arch = "cpu"}}
 [families.up]
 settings = 2
 min_survival_s = 0.5
 horizon_s = 1.0
-[families.up.terrain]
-kind = "ramp"
+terrain = {{kind = "ramp"}}
 """
 EXPERIMENT = """
 name = "tiny"
@@ -35,14 +32,9 @@ seed = 5
 runs = 2
 trials = 4
 arms = ["dog", "cmaes-cold"]
-[objective]
-cost = "smooth"
-[simulation]
-duration_s = 2.0
-arch = "cpu"
-engine = "{engine}"
-[stores]
-flat = "store"
+objective = {{cost = "smooth"}}
+simulation = {{duration_s = 2.0, arch = "cpu", engine = "{engine}"}}
+stores = {{flat = "store"}}
 """
 HERE = ("--workers", "1")
 THERE = ("--cluster", "local:2")

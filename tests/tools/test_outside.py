@@ -69,20 +69,17 @@ def made(*names: str) -> outside.OutsideProblem:
 WHOLE = made(*SPACE)
 
 
-@pytest.mark.parametrize(
-    ("settings", "row"),
-    [
-        # 3e-3 is nearer to 1e-2 than to 1e-4 by its logarithm alone; integers count by their steps.
-        *(({"rate": rate}, row) for rate, row in ((5e-4, 0), (3e-3, 1), (0.05, 1), (0.2, 2))),
-        *(({"depth": depth}, row) for depth, row in ((2, 0), (3, 0), (4, 1), (8, 2))),
-        # Another choice is sqrt 2 away, the ends of both numbers together as much.
-        ({"rate": 1e-4, "depth": 5, "kind": "fancy"}, 1),
-        ({"rate": 1.0, "depth": 9, "kind": "fancy"}, 3),
-        ({"rate": 1.0, "depth": 9, "kind": "plain"}, 2),
-        ({"rate": 1e-4, "depth": 2, "kind": "fancy"}, 1),
-        *((WHOLE.settings(row), row) for row in range(4)),
-    ],
-)
+@pytest.mark.parametrize(("settings", "row"), [
+    # 3e-3 is nearer to 1e-2 than to 1e-4 by its logarithm alone; integers count by their steps.
+    *(({"rate": rate}, row) for rate, row in ((5e-4, 0), (3e-3, 1), (0.05, 1), (0.2, 2))),
+    *(({"depth": depth}, row) for depth, row in ((2, 0), (3, 0), (4, 1), (8, 2))),
+    # Another choice is sqrt 2 away, the ends of both numbers together as much.
+    ({"rate": 1e-4, "depth": 5, "kind": "fancy"}, 1),
+    ({"rate": 1.0, "depth": 9, "kind": "fancy"}, 3),
+    ({"rate": 1.0, "depth": 9, "kind": "plain"}, 2),
+    ({"rate": 1e-4, "depth": 2, "kind": "fancy"}, 1),
+    *((WHOLE.settings(row), row) for row in range(4)),
+])  # fmt: skip
 def test_the_nearest_row_is_on_each_parameters_scale(settings: dict[str, Any], row: int) -> None:
     assert made(*settings).row_nearest_to(settings) == row
 

@@ -20,10 +20,7 @@ samples = 96
 shard_rows = 8
 seed = 7
 searched = ["theta_ref"]
-[families.up]
-settings = 2
-[families.up.terrain]
-kind = "ramp"
+families.up = {settings = 2, terrain = {kind = "ramp"}}
 """
 SHARDS = 12
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
@@ -107,9 +104,7 @@ def test_a_full_disk_is_one_line(command: Command, uninterrupted: dict[str, byte
 REAL = """
 samples = 400
 shard_rows = 8
-[simulation]
-duration_s = 1.0
-arch = "cpu"
+simulation = {duration_s = 1.0, arch = "cpu"}
 """
 REAL_SHARDS = 50
 

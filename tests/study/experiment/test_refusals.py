@@ -125,26 +125,19 @@ def undigested(table: pa.Table, footer: dict[str, Any]) -> tuple[pa.Table, dict[
 EDITS: dict[str, tuple[Edit, str]] = {
     "cheaper": (
         lambda table, footer: (with_column(table, "cost", table["cost"].to_numpy() / 2), footer),
-        "does not fit the digest",
-    ),
+        "does not fit the digest"),
     "of two arms": (
         lambda table, footer: undigested(
-            with_column(table, "arm", ["dog"] + ["random"] * (len(table) - 1)), footer
-        ),
-        "of random, and of no other arm",
-    ),
+            with_column(table, "arm", ["dog"] + ["random"] * (len(table) - 1)), footer),
+        "of random, and of no other arm"),
     "with a gap": (
         lambda table, footer: undigested(table.take([0, 2, *range(3, len(table))]), footer),
-        "without a gap",
-    ),
+        "without a gap"),
     "from trial 1": (lambda table, footer: undigested(table.slice(1), footer), "without a gap"),
-    "less a column": (
-        lambda table, footer: undigested(table.drop_columns("notes"), footer),
-        "of random, in this version's form",
-    ),
-    "of nothing": (
-        lambda table, footer: (table, {}), "whose format is 1; in the file's footer: None",
-    ),
+    "less a column": (lambda table, footer: undigested(table.drop_columns("notes"), footer),
+                      "of random, in this version's form"),
+    "of nothing": (lambda table, footer: (table, {}),
+                   "whose format is 1; in the file's footer: None"),
 }  # fmt: skip
 
 

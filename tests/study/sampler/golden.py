@@ -22,11 +22,9 @@ from study import DoGSampler, FeatureKernelSampler, FeatureTable, SurvivalSample
 
 KERNELS = ("additive", "rbf", "rbf_ard", "euclidean")
 SPACE: dict[str, BaseDistribution] = {
-    "a": FloatDistribution(-1.0, 1.0),
-    "b": FloatDistribution(1e-3, 1e1, log=True),
-    "c": IntDistribution(1, 9),
-    "d": CategoricalDistribution(("x", "y", "z")),
-}
+    "a": FloatDistribution(-1.0, 1.0), "b": FloatDistribution(1e-3, 1e1, log=True),
+    "c": IntDistribution(1, 9), "d": CategoricalDistribution(("x", "y", "z")),
+}  # fmt: skip
 FEATURES = ("f0", "f1", "f2")
 Proposal = dict[str, Any]
 Cost = Callable[[Proposal, int], float]
@@ -72,11 +70,16 @@ def features_of(points: np.ndarray) -> np.ndarray:
     return np.column_stack([(a - 0.2) ** 2 + 0.1 * d, np.log(b) ** 2, np.abs(c - 4) * (1 + a)])
 
 
-def table(n: int = 120, seed: int = 1, *, gaps: bool = False, count: int = 3) -> FeatureTable:
-    """Rows with features; some of them unknown or infinite."""
+def featured(n: int, seed: int) -> tuple[dict[str, list[Any]], np.ndarray]:
+    """Rows of the space, and their features [n, 3]."""
     rows = columns(n, seed)
     index = [("x", "y", "z").index(d) for d in rows["d"]]
-    features = features_of(np.column_stack([rows["a"], rows["b"], rows["c"], index]))
+    return rows, features_of(np.column_stack([rows["a"], rows["b"], rows["c"], index]))
+
+
+def table(n: int = 120, seed: int = 1, *, gaps: bool = False, count: int = 3) -> FeatureTable:
+    """Rows with features; some of them unknown or infinite."""
+    rows, features = featured(n, seed)
     if gaps:
         features[::7, 0] = np.nan
         features[3::11, 1] = np.inf
@@ -89,9 +92,7 @@ def table(n: int = 120, seed: int = 1, *, gaps: bool = False, count: int = 3) ->
 
 def file_table(n: int = 80) -> FeatureTable:
     """A table read from a Parquet file."""
-    rows = columns(n, 5)
-    index = [("x", "y", "z").index(d) for d in rows["d"]]
-    features = features_of(np.column_stack([rows["a"], rows["b"], rows["c"], index]))
+    rows, features = featured(n, 5)
     content = rows | dict(zip(FEATURES, features.T, strict=True))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "table.parquet"
@@ -139,36 +140,27 @@ def limit_of(p: Proposal, number: int) -> float:
 
 def cases() -> dict[str, Callable[[], Iterator[dict[str, Any]]]]:
     """Cases by name; each makes its proposals when called."""
-
-    def fks(*args: Any, **options: Any) -> FeatureKernelSampler:
-        return FeatureKernelSampler(*args, **options)
-
-    made: dict[str, Callable[[], Iterator[dict[str, Any]]]] = {}
-    for kernel in KERNELS:
-        made[f"table-{kernel}"] = lambda k=kernel: proposals(fks(table(), kernel=k, seed=1), 14)
-    made |= {
+    fks = FeatureKernelSampler
+    near: dict[str, Any] = {"feature_function": features_of, "off_grid": 50}
+    rows = columns(120, 1)
+    two_rows = tuple({name: column[row] for name, column in rows.items()} for row in (17, 44))
+    beside = ({"a": 0.1, "b": 1.0, "c": 4, "d": "x"},)
+    return {
+        **{f"table-{kernel}": lambda k=kernel: proposals(fks(table(), kernel=k, seed=1), 14)
+           for kernel in KERNELS},
         "space-baseline": lambda: proposals(fks(space=SPACE, seed=2), 10),
         "space-unknown": lambda: proposals(fks(seed=3), 8, maximise=True),
         "space-additive": lambda: proposals(fks(features_of, space=SPACE, seed=4), 9),
-        "space-rbf_ard": lambda: proposals(
-            fks(features_of, space=SPACE, kernel="rbf_ard", seed=5), 8
-        ),
-        "off-grid": lambda: proposals(
-            fks(table(60), feature_function=features_of, off_grid=50, seed=6), 12
-        ),
-        "off-grid-prior": lambda: proposals(
-            fks(table(60), feature_function=features_of, off_grid=50, prior="-f0", seed=7), 9
-        ),
+        "space-rbf_ard":
+            lambda: proposals(fks(features_of, space=SPACE, kernel="rbf_ard", seed=5), 8),
+        "off-grid": lambda: proposals(fks(table(60), seed=6, **near), 12),
+        "off-grid-prior": lambda: proposals(fks(table(60), prior="-f0", seed=7, **near), 9),
         "prior": lambda: proposals(fks(table(), prior="-f1", seed=8), 8),
         "prior-rbf": lambda: proposals(fks(table(), prior="f2", kernel="rbf", seed=9), 7),
         "prior-long": lambda: proposals(fks(table(40), prior="f2", seed=18), 14, tied),
         "constraints": lambda: proposals(fks(table(), seed=10), 10, limit=limit_of),
         "constraints-space": lambda: proposals(fks(space=SPACE, seed=11), 8, limit=limit_of),
-        "enqueued": lambda: proposals(
-            fks(table(), seed=12),
-            8,
-            enqueued=tuple({n: v[i] for n, v in columns(120, 1).items()} for i in (17, 44)),
-        ),
+        "enqueued": lambda: proposals(fks(table(), seed=12), 8, enqueued=two_rows),
         "gaps": lambda: proposals(fks(table(gaps=True), seed=13), 12),
         "gaps-rbf_ard": lambda: proposals(fks(table(gaps=True), kernel="rbf_ard", seed=14), 8),
         "pending": lambda: proposals(fks(table(), seed=15), 10, pending=2),
@@ -183,13 +175,9 @@ def cases() -> dict[str, Callable[[], Iterator[dict[str, Any]]]]:
         "survival": lambda: proposals(SurvivalSampler(survival_rows(), seed=25), 8),
         "large": lambda: proposals(fks(table(6000, 9), seed=26), 6),
         "nearest": lambda: proposals(
-            fks(table(), nearest=0.2, seed=27, strict=False),
-            6,
-            enqueued=({"a": 0.1, "b": 1.0, "c": 4, "d": "x"},),
-        ),
+            fks(table(), nearest=0.2, seed=27, strict=False), 6, enqueued=beside),
         "many-trials": lambda: proposals(fks(table(60), seed=28), 40, tied),
-    }
-    return made
+    }  # fmt: skip
 
 
 def survival_rows() -> FeatureTable:
