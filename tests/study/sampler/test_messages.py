@@ -173,13 +173,11 @@ def test_nothing_is_said_of_what_fits_and_strictness_changes_nothing(table):
 BOX = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
 
 
-@pytest.mark.parametrize(("objective", "message"), [
-    (lambda trial: trial.suggest_float("A", -1, 1), "none of the table's parameters: a, b"),
-    (lambda trial: trial.suggest_float("a", -1, 1), "b: 'not suggested in trial 0'"),
-])  # fmt: skip
-def test_other_names_are_one_warning_where_the_table_need_not_fit(table, objective, message):
-    with pytest.warns(UserWarning, match=f"{message}.* independent sampler takes over") as said:
-        study = run(FeatureKernelSampler(table, seed=0, strict=False), objective)
+def test_other_names_are_one_warning_where_the_table_need_not_fit(table):
+    message = "none of the table's parameters: a, b.* independent sampler takes over"
+    with pytest.warns(UserWarning, match=message) as said:
+        sampler = FeatureKernelSampler(table, seed=0, strict=False)
+        study = run(sampler, lambda trial: trial.suggest_float("A", -1, 1))
     assert [trial.state for trial in study.trials] == [TrialState.COMPLETE] * 5
     assert len(said) == 1
 
@@ -293,19 +291,13 @@ def test_a_fixed_parameter_and_a_declared_one_that_is_never_suggested():
 
 
 @pytest.mark.parametrize(("features", "options", "message"), [
-    (FEATURES, {"kernel": "cubic"}, "kernel: 'cubic' .*rbf_ard"),
     (FEATURES, {"nearest": -0.1}, r"nearest: .* a finite number from 0"),
     (FEATURES, {"nearest": float("nan")}, r"nearest: .* a finite number from 0"),
-    (FEATURES, {"nearest": 0.1, "feature_function": len}, r"nearest: 0.1 .*feature_function"),
     (None, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
     (len, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
     (FEATURES, {"kernel": "nearness"}, "kernel: 'nearness' .*additive"),
-    (FEATURES, {"prior": "speed"}, "prior: 'speed' .*feature_0"),
     (FEATURES, {"prior": "-speed"}, "prior: '-speed' .*feature_0, or one with a minus"),
     (FEATURES, {"off_grid": -1}, "off_grid: -1 .* from 0 to 1000000"),
-    (FEATURES, {"off_grid": 5}, "off_grid: 5 .* feature_function"),
-    (FEATURES, {"space": {"x": CategoricalDistribution([1])}}, "space"),
-    (None, {"kernel": "rbf"}, "kernel: 'rbf' .*no features"),
     (None, {"kernel": "additive"}, "kernel: 'additive' .*no features"),
     (None, {"prior": "p"}, "prior"), (None, {"off_grid": 3}, "off_grid"),
     (None, {"feature_function": len}, "feature_function"), (3, {}, "features: 'int'"),

@@ -293,7 +293,7 @@ def test_it_is_an_error_of_the_very_trial_or_one_warning_and_no_row(objective, e
     assert len(set(rows_of(study)[1:])) == 2
     with pytest.warns(UserWarning, match="b: 'not suggested in trial 0'") as said:
         study = study_of(ONE, only_a, 4, enqueued=enqueued, strict=False)
-    assert len(said) == 1
+    assert len(said) == 1 and "independent sampler takes over" in str(said[0].message)
     assert all(number in (None, -1) for number in rows_of(study))
 
 
