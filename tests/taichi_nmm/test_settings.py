@@ -17,6 +17,7 @@ from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.settings import PHYSICS_STEPS_S, MujocoSettings, Settings
 from taichi_nmm.terrain import Ground
+from taichi_nmm.walker_simulator import require_engine
 
 NAN, INF = float("nan"), float("inf")
 SEED = 3
@@ -154,6 +155,8 @@ def test_mujoco_is_not_installed_or_too_old(monkeypatch: pytest.MonkeyPatch, mis
         require_mujoco()
     with pytest.raises(InputError, match=says):
         taichi_nmm.simulate(PUBLISHED_GAINS, settings=Settings(engine="mujoco"))
+    with pytest.raises(InputError, match=says):
+        require_engine(Settings(engine="mujoco"))
 
 
 def test_configurations_with_three_contacts() -> None:
