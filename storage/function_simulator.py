@@ -103,7 +103,7 @@ class FunctionSimulator(Simulator):
     )
     def __init__(
         self,
-        function: Callable[..., Mapping[str, Any]],
+        function: Callable[..., Any],
         *,
         parameters: Mapping[str, BaseDistribution],
         columns: Sequence[str],
@@ -192,7 +192,9 @@ class FunctionSimulator(Simulator):
             named = {name: np.asarray(each)[:, None] for name, each in pairs}
             whole = {name: each[None, :] for name, each in worlds.items()}
             try:
-                found = self.function(named, whole, horizon_s)
+                found = self.compute(named, whole, horizon_s)
+            except InputError:
+                raise
             except Exception as error:
                 raise self._fault(f"a function that runs, not {_said(error)}") from error
             self._keep(rows, found)
@@ -202,7 +204,7 @@ class FunctionSimulator(Simulator):
             world = {name: each[place[1]].item() for name, each in worlds.items()}
             world[SEED] = int(world[SEED])
             try:
-                found = self.function(point, world, horizon_s)
+                found = self.compute(point, world, horizon_s)
             except Exception as error:
                 rows[ENDED][place] = 1
                 self._failed = f"{_said(error)}, at {point} in {world}"
@@ -210,6 +212,11 @@ class FunctionSimulator(Simulator):
                 self._keep(rows[place[0] : place[0] + 1, place[1] : place[1] + 1], found)
             report((place[0] + 1) / len(points))
         return rows, {}
+
+    def compute(self, point: Any, world: Mapping[str, Any], seconds: float) -> Mapping[str, Any]:
+        """Columns of one run, or with `batch` of all [n, w]: what the function returns."""
+        found: Mapping[str, Any] = self.function(point, world, seconds)
+        return found
 
     def _values(self, name: str, column: NDArray[np.float64]) -> Sequence[Any]:
         """A parameter's values as its distribution has them, [n]."""
@@ -238,10 +245,13 @@ class FunctionSimulator(Simulator):
 
     def canary(self) -> NDArray[np.void]:
         """A few points in the base setting's world, by whose bits machines are told apart."""
+        return self._canary(slice(None))
+
+    def _canary(self, some: slice) -> NDArray[np.void]:
         unit = (np.arange(CANARY_POINTS)[:, None] + 0.5) / CANARY_POINTS
         points = within_bounds(np.tile(unit, (1, len(self.parameters))), self.parameters)
         worlds = self.read_worlds(Table({})).draw([np.random.SeedSequence(0)])
-        return self.run(points, worlds, CANARY_S, lambda part: None)[0]
+        return self.run(points[some], worlds, CANARY_S, lambda part: None)[0]
 
     def require_machine(self) -> None:
         """Refuse a function that raises at all points of the canary, or does not repeat itself."""
@@ -251,6 +261,8 @@ class FunctionSimulator(Simulator):
         if rows.tobytes() != self.canary().tobytes():
             allowed = f"a function whose runs repeat; draw random numbers from world[{SEED!r}]"
             raise self._fault(allowed)
+        if self.batch and rows[:1].tobytes() != self._canary(slice(1)).tobytes():
+            raise self._fault("a function whose runs do not depend on others of the same call")
 
     def _fault(self, allowed: str) -> InputError:
         return InputError("simulator", self.name, allowed)

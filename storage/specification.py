@@ -298,7 +298,7 @@ def read_specification(
     simulation = table.table("simulation")
     horizon_s = simulation.number("duration_s", HORIZON_S, SHORTEST_HORIZON_S, LONGEST_HORIZON_S)
     if simulator is None:
-        simulator = _read_simulator(table, arch)
+        simulator = read_simulator(table, arch)
     simulation.done()
     check_simulator(simulator)
     rule = simulator.read_worlds(table)
@@ -317,7 +317,7 @@ def read_specification(
     )
 
 
-def _read_simulator(table: Table, arch: str | None) -> Simulator:
+def read_simulator(table: Table, arch: str | None) -> Simulator:
     """The simulator that a configuration names, by a text or by a table with its settings."""
     if isinstance(table.unread.get(SIMULATOR_KEY), str):
         return find_simulator(table.text(SIMULATOR_KEY), table.folder).read(table, arch)

@@ -3,11 +3,18 @@
     taichi-nmm compare --config rough8-smooth --arms dog,random --runs 10
 
 writes trials.parquet and proposal_times.parquet to the folder --out. The command can be stopped at
-any time; the same command goes on where it stopped. A later call may add arms, runs or trials. Exit
-codes: 0, 2 bad input, 130 interrupted.
+any time; the same command goes on where it stopped. A later call may add arms, runs or trials.
+
+A configuration that names a simulator, such as walker2d-robots, compares on its robots, each a run:
+
+    taichi-nmm precompute --config walker2d
+    taichi-nmm compare --config walker2d-robots --runs 10
+
+writes trials.parquet, report.md and report.png. Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
 import json
+import time
 from argparse import Namespace
 from contextlib import closing
 from functools import partial
@@ -16,22 +23,30 @@ from typing import Any
 
 import optuna
 
+from storage.cluster import open_pool
+from storage.commit import commit_text
 from storage.databases.studies import public_url
 from storage.pool import Cluster, cores
 from study.cli import ProgressBar
 from study.experiment.arms import with_store
 from study.experiment.compare import Outcome, Progress, Request, compare
 from study.experiment.experiment import Experiment, read_experiment
+from study.experiment.identity import PACKAGES
 from study.report.markdown import arms_documents, arms_text
 from study.report.notes import dashboard_summary
 from study.report.numbers import numbers
 from study.report.runs import read_facts, read_results
+from taichi_nmm.config import read_toml
+from taichi_nmm.errors import InputError
 from taichi_nmm.walker_simulator import Walker, require_engine
 
 
 def main(args: Namespace) -> None:
     """Compare, or go on."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
+    if is_of_robots(args.config):
+        on_robots(args)
+        return
     experiment = read_experiment(args.config, args.arch, args.seed)
     name = experiment.name if args.seed is None else f"{experiment.name}-seed-{args.seed}"
     out = args.out or Path("out") / "compare" / name
@@ -55,6 +70,43 @@ def main(args: Namespace) -> None:
         draw = partial(bar.move, "picture")
         outcome = compare(experiment, request, show, draw, dashboard_summary)
     print(json.dumps(report(experiment, outcome, out)) if args.json else text(outcome, out))
+
+
+def is_of_robots(path: Path) -> bool:
+    """Whether a configuration names a simulator of its own."""
+    return isinstance(read_toml(path).unread.get("simulator"), str)
+
+
+def on_robots(args: Namespace) -> None:
+    """Compare on robots of the simulator that the configuration names, or go on."""
+    from study.experiment.robots import compare_robots, read_robots
+    from study.report.robots import RobotResults
+
+    for name in ("arch", "store", "storage"):
+        if (given := getattr(args, name)) is not None:
+            raise InputError(name, str(given), "none: the configuration names another simulator")
+    experiment = read_robots(args.config, args.seed, args.arms, args.runs, args.trials)
+    simulator = experiment.simulator
+    simulator.require_machine()
+    name = experiment.name if args.seed is None else f"{experiment.name}-seed-{args.seed}"
+    out = args.out or Path("out") / "compare" / name
+    workers = simulator.processes(cores()) if args.workers is None else args.workers
+    opened = open_pool(
+        workers, Cluster.asked(args.cluster, args.mixed), out, simulator, PACKAGES,
+        [experiment.store],
+    )  # fmt: skip
+    began_s = time.monotonic()
+    with opened as pool, closing(ProgressBar()) as bar:
+        trials = compare_robots(experiment, out, pool, partial(bar.move, "study"))
+    results = RobotResults.of(experiment, trials)
+    commit_text(out / "report.md", results.markdown())
+    if not args.no_artifacts:
+        results.draw(out / "report.png")
+    if args.json:
+        wall_s = round(time.monotonic() - began_s, 1)
+        print(json.dumps({"out": str(out), "trials": len(trials), "wall_s": wall_s}))
+        return
+    print(f"{results.markdown()}\n{len(trials)} trials: {out / 'trials.parquet'}")
 
 
 def report(experiment: Experiment, outcome: Outcome, out: Path) -> dict[str, Any]:

@@ -102,7 +102,7 @@ def advance(block: Block) -> Advanced:
         InputError: what a sampler or the simulator refuses.
     """
     experiment, walks = block.experiment, block.walks
-    with _quiet():
+    with quiet():
         memories = block.handed_on or (None,) * len(block.studies)
         studies = {
             (arm, run): OneStudy(experiment, find_arm(arm), run, memory)
@@ -160,7 +160,7 @@ def _round(experiment: Experiment, studies: list[OneStudy], walks: Walks) -> pa.
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Without the lines that Optuna would print for each of thousands of trials."""
     verbosity = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.ERROR)

@@ -31,6 +31,7 @@ class Purpose(IntEnum):
     STARTUP_POINT = 11
     SAMPLER = 12
     WORLD = 13
+    COST_NOISE = 14
 
 
 def stream(seed: int, purpose: Purpose, *key: int) -> np.random.SeedSequence:

@@ -1,0 +1,330 @@
+"""A comparison on robots of any simulator: worlds that its store has not seen, arms side by side.
+
+A configuration names a simulator, a store of it, and the ranges from which the robots' worlds are
+drawn. Every arm has the same trials on the same robots: a trial is one long run, and a robot's run
+of the same parameters is the same for all arms. Beside our sampler stand the ranking alone, and
+Optuna's samplers, which begin with nothing or with the ranking's first rows.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import optuna
+import pyarrow as pa
+from numpy.typing import NDArray
+from optuna.samplers import BaseSampler, CmaEsSampler, GPSampler, RandomSampler, TPESampler
+
+from storage.folder import Folder
+from storage.pool import Pool
+from storage.simulator import Simulator, WorldRule, run_points
+from storage.specification import read_simulator
+from storage.store import open_store
+from study.experiment.block import quiet
+from study.experiment.compare import work_through
+from study.experiment.experiment import MOST_RUNS, MOST_TRIALS
+from study.experiment.features import SurvivalSampler, survival_table
+from study.experiment.identity import versions
+from study.experiment.stores import store_digest
+from study.sampler.draws import Purpose, generator, name_key, seed_32bit, stream
+from study.sampler.policy import one_thread
+from study.sampler.table import FeatureTable
+from taichi_nmm.config import read_toml
+from taichi_nmm.errors import InputError
+
+Floats = NDArray[np.float64]
+
+FIRST_ROWS = 3  # of the ranking, with which a peer begins
+SURVIVAL = "survival"  # the feature that ranks the rows
+LONGEST_TRIAL_S = 1000.0
+TRIALS_NAME = "trials.parquet"
+PACKAGES = ("optuna", "cmaes", "numpy", "scipy")
+
+
+@dataclass(frozen=True)
+class RobotArm:
+    """A way of choosing trials; `first` rows of the ranking come before its own, all if None."""
+
+    label: str  # in tables and figures
+    sees: str  # of the store, before the first trial
+    new_sampler: Callable[[FeatureTable, int], BaseSampler]
+    first: int | None = 0
+
+
+NOTHING = "nothing"
+_RANKED = f"the ranking's first {FIRST_ROWS} rows"
+
+ARMS: dict[str, RobotArm] = {
+    "best": RobotArm("ours", "survival of each family", lambda t, s: SurvivalSampler(t, seed=s)),
+    "ranking": RobotArm("ranking", "the ranking", lambda t, s: RandomSampler(seed=s), None),
+    "gp-ranking": RobotArm(
+        "GPSampler after 3", _RANKED, lambda t, s: GPSampler(seed=s), FIRST_ROWS
+    ),
+    "tpe-ranking": RobotArm(
+        "TPE after 3", _RANKED, lambda t, s: TPESampler(seed=s), FIRST_ROWS
+    ),
+    "gp": RobotArm("GPSampler", NOTHING, lambda t, s: GPSampler(seed=s)),
+    "tpe": RobotArm("TPE", NOTHING, lambda t, s: TPESampler(seed=s)),
+    "cmaes": RobotArm("CMA-ES", NOTHING, lambda t, s: CmaEsSampler(seed=s)),
+    "random": RobotArm("random", NOTHING, lambda t, s: RandomSampler(seed=s)),
+}  # fmt: skip
+NEED_TORCH = ("gp-ranking", "gp")
+
+
+@dataclass(frozen=True)
+class RobotExperiment:
+    """All that the studies of such a comparison share. It pickles."""
+
+    name: str
+    seed: int  # of robots, noise and samplers
+    simulator: Simulator
+    rule: WorldRule  # of the robots' worlds
+    store: Path
+    duration_s: float  # of a trial
+    cost: str  # column that is minimised among runs that last
+    fell_cost: float  # of a run that falls at its end, and the most of any that lasts
+    noise: float  # of a measured cost, relative, standard deviation of its logarithm
+    runs: int  # robots
+    trials: int  # of each arm on each robot
+    arms: tuple[str, ...]
+
+    @cached_property
+    def document(self) -> dict[str, Any]:
+        """All that decides a trial, as JSON values; robots, trials and arms may grow."""
+        first = self.rule.draw([stream(self.seed, Purpose.WORLD, 0)])
+        return {
+            **{name: getattr(self, name) for name in
+               ("name", "seed", "duration_s", "cost", "fell_cost", "noise")},
+            "simulator": self.simulator.name,
+            "code_version": self.simulator.code_version,
+            "versions": versions(*PACKAGES, *self.simulator.packages),
+            "settings": self.simulator.document(),
+            "store": store_digest(self.store),
+            "first_robot": self.rule.document(first),
+        }  # fmt: skip
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters."""
+        return tuple(each.name for each in self.simulator.parameters)
+
+    @property
+    def schema(self) -> pa.Schema:
+        """Of the finished trials; parameters as the simulator's numbers."""
+        words = [("arm", pa.string()), ("run", pa.int32()), ("trial", pa.int32())]
+        numbers = ("cost", "measured", "survived", *self.names)
+        return pa.schema([*words, *((name, pa.float64()) for name in numbers)])
+
+    def costs(self, rows: NDArray[np.void]) -> Floats:
+        """Costs of rows [n]: who falls early costs twice `fell_cost`, who lasts the column's."""
+        survived = rows[self.simulator.survived].astype(np.float64)
+        lasting = np.minimum(rows[self.cost].astype(np.float64), self.fell_cost)
+        return np.where(survived >= 1.0, lasting, self.fell_cost * (2.0 - survived))
+
+
+def read_robots(
+    path: Path,
+    seed: int | None = None,
+    arms: str | None = None,
+    runs: int | None = None,
+    trials: int | None = None,
+) -> RobotExperiment:
+    """Read and check the configuration of a comparison; the other arguments override the file's.
+
+    Arms are names between commas. Those that need PyTorch are left out where it is missing, unless
+    they are asked for by name.
+
+    Raises:
+        InputError: an unknown key, a wrong type, a value out of range, or no store.
+    """
+    table = read_toml(path)
+    simulator = read_simulator(table, None)
+    simulation, objective = table.table("simulation"), table.table("objective")
+    names = [name for name in simulator.scores if name != simulator.survived]
+    numbers = (
+        table.integer("seed"),
+        table.integer("runs", 50, 1, MOST_RUNS),
+        table.integer("trials", 30, 1, MOST_TRIALS),
+    )
+    chosen = zip((seed, runs, trials), numbers, strict=True)
+    seed, runs, trials = (own if given is None else given for given, own in chosen)
+    experiment = RobotExperiment(
+        name=table.text("name", path.stem),
+        seed=seed,
+        simulator=simulator,
+        rule=simulator.read_worlds(table),
+        store=Path(table.text("store")),
+        duration_s=simulation.number("duration_s", low=0.1, high=LONGEST_TRIAL_S),
+        cost=objective.text("cost", choices=tuple(names)),
+        fell_cost=objective.number("fell_cost", low=1e-9),
+        noise=objective.number("noise", 0.0, 0.0, 1.0),
+        runs=runs,
+        trials=trials,
+        arms=_read_arms(table.texts("arms", tuple(ARMS)), arms),
+    )
+    for each in (simulation, objective, table):
+        each.done()
+    opened = open_store(experiment.store)
+    if tuple(opened.specification["gains"]) != experiment.names:
+        allowed = f"a store of {simulator.name}, with the parameters {', '.join(experiment.names)}"
+        raise InputError("store", str(experiment.store), allowed)
+    return experiment
+
+
+def _read_arms(configured: tuple[str, ...], asked: str | None) -> tuple[str, ...]:
+    """The arms of a comparison, each once; all that can run, if none is named."""
+    named = asked.split(",") if asked is not None else configured
+    for name in named:
+        if name not in ARMS:
+            raise InputError("arm", name, f"one of {', '.join(ARMS)}")
+    chosen = tuple(dict.fromkeys(named or ARMS))
+    if find_spec("torch") is None:
+        for name in set(NEED_TORCH) & set(chosen):
+            if asked is not None:
+                raise InputError("arm", name, "PyTorch installed (pip install torch), or another")
+        chosen = tuple(name for name in chosen if name not in NEED_TORCH)
+    return chosen
+
+
+class RobotsFolder(Folder):
+    """The folder of such a comparison: a document, and the finished trials."""
+
+    KIND: ClassVar[str] = "a comparison on robots"
+    FIRST: ClassVar[str] = "robots.json"
+    FILES: ClassVar[tuple[str, ...]] = (TRIALS_NAME, "report.md", "report.png")
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A unit of work: a robot, and the arms whose trials it lacks."""
+
+    experiment: RobotExperiment
+    run: int
+    arms: tuple[str, ...]
+
+
+def compare_robots(
+    experiment: RobotExperiment, out: Path, pool: Pool, report: Callable[[int, int], None]
+) -> pa.Table:
+    """Finish a comparison, or go on with it: all its trials, in the order of arm, run, trial.
+
+    A robot's trials are committed together; `report` is called with studies that have all trials,
+    and with how many there are to be.
+
+    Raises:
+        InputError: a folder of another comparison, or what a sampler or the simulator refuses.
+    """
+    with RobotsFolder.claim(out, experiment.document) as folder:
+        pool.agree(out)
+        kept = [folder.read_state(TRIALS_NAME, experiment.schema, "trials")]
+        done = _studies(kept[0], experiment.trials)
+        wanted = {(arm, run) for arm in experiment.arms for run in range(experiment.runs)}
+        units = []
+        for run in range(experiment.runs):
+            missing = tuple(arm for arm in experiment.arms if (arm, run) not in done)
+            if missing:
+                there = replace(experiment, store=pool.there(experiment.store))
+                units.append(Robot(there, run, missing))
+        report(len(wanted & done), len(wanted))
+
+        def take(unit: Robot, found: pa.Table) -> Iterator[Robot]:
+            kept.append(found)
+            done.update((arm, unit.run) for arm in unit.arms)
+            report(len(wanted & done), len(wanted))
+            yield from ()
+
+        def commit(goes_on: bool) -> None:
+            folder.write_state(TRIALS_NAME, _in_order(kept))
+
+        if units:
+            work_through(pool, try_robot, units, take, commit)
+        return _in_order(kept)
+
+
+def try_robot(unit: Robot) -> pa.Table:
+    """All trials of a robot's arms: all propose, the robot runs, all are told, and again."""
+    experiment, simulator = unit.experiment, unit.experiment.simulator
+    table, ranked = _candidates(experiment.store)
+    space = table.rows.space.as_dict()
+    world = experiment.rule.draw([stream(experiment.seed, Purpose.WORLD, unit.run)])
+    errors = generator(experiment.seed, Purpose.COST_NOISE, unit.run)
+    factors = np.exp(experiment.noise * errors.standard_normal(experiment.trials))
+    columns: dict[str, list[Any]] = {name: [] for name in experiment.schema.names}
+    known: dict[bytes, np.void] = {}
+    if set(unit.arms) & set(NEED_TORCH):
+        import torch
+
+        torch.set_num_threads(1)  # its bits depend on them
+    with quiet(), one_thread():
+        studies = {arm: _study(experiment, arm, unit.run, table, ranked) for arm in unit.arms}
+        for trial in range(experiment.trials):
+            asked = {arm: study.ask(space) for arm, study in studies.items()}
+            points = np.array([
+                [space[name].to_internal_repr(each.params[name]) for name in experiment.names]
+                for each in asked.values()
+            ])  # fmt: skip
+            keys = [point.tobytes() for point in points]
+            new = [place for place, key in enumerate(keys)
+                   if key not in known and key not in keys[:place]]  # fmt: skip
+            if new:
+                found, _ = run_points(simulator, points[new], world, 1, experiment.duration_s)
+                known |= {
+                    keys[place]: row.copy() for place, row in zip(new, found[:, 0], strict=True)
+                }
+            rows = np.array([known[key] for key in keys])
+            costs = experiment.costs(rows)
+            for place, (arm, study) in enumerate(studies.items()):
+                measured = float(costs[place] * factors[trial])
+                study.tell(asked[arm], measured)
+                survived = float(rows[place][simulator.survived])
+                values = (arm, unit.run, trial, costs[place], measured, survived, *points[place])
+                for column, value in zip(columns.values(), values, strict=True):
+                    column.append(value)
+    return pa.table(columns, experiment.schema)
+
+
+def _study(
+    experiment: RobotExperiment,
+    arm: str,
+    run: int,
+    table: FeatureTable,
+    ranked: NDArray[np.int64],
+) -> optuna.Study:
+    chosen, seed = ARMS[arm], seed_32bit(experiment.seed, Purpose.SAMPLER, name_key(arm), run)
+    study = optuna.create_study(sampler=chosen.new_sampler(table, seed))
+    first = experiment.trials if chosen.first is None else chosen.first
+    for row in ranked[:first].tolist():
+        study.enqueue_trial(table.rows.as_parameters(row))
+    return study
+
+
+@lru_cache(maxsize=4)
+def _candidates(store: Path) -> tuple[FeatureTable, NDArray[np.int64]]:
+    """The rows of a store, and their order by survival, the mean over families of worlds."""
+    opened = open_store(store)
+    table = survival_table(store, families=opened.families)
+    column = table.rows.feature_names.index(SURVIVAL)
+    survival = np.nan_to_num(table.rows.features[:, column], nan=-np.inf)
+    order = np.argsort(-survival, kind="stable")
+    return table, order[table.rows.offered[order]]
+
+
+def _studies(trials: pa.Table, count: int) -> set[tuple[str, int]]:
+    """Arms and runs that have so many trials."""
+    last = trials.filter(trials["trial"].to_numpy() == count - 1)
+    return set(zip(last["arm"].to_pylist(), last["run"].to_pylist(), strict=True))
+
+
+def _in_order(kept: list[pa.Table]) -> pa.Table:
+    """Each study's newest trials; a study that was made longer has replaced its shorter self."""
+    tables: dict[tuple[str, int], pa.Table] = {}
+    for table in kept:
+        arms, runs = table["arm"].to_numpy(zero_copy_only=False), table["run"].to_numpy()
+        for key in dict.fromkeys(zip(arms.tolist(), runs.tolist(), strict=True)):
+            tables[key] = table.filter((arms == key[0]) & (runs == key[1]))
+    ordered = [tables[key] for key in sorted(tables)]
+    return pa.concat_tables(ordered).combine_chunks() if ordered else kept[0]

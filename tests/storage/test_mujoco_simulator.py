@@ -1,0 +1,216 @@
+"""MuJoCo's models as simulators: against a plain loop, closed forms, and what is refused."""
+
+import pickle
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from optuna.distributions import FloatDistribution
+
+from storage.mujoco_simulator import COLUMNS, MujocoSimulator, SensedState
+from storage.points import sobol_points
+from storage.simulator import find_simulator, run_points
+from study.options import CONFIGS
+from taichi_nmm.config import Table
+from taichi_nmm.errors import InputError
+from tests.storage import rail
+from tests.storage.rail import XML, Rail, made, swing
+
+HARD = {"mass": [0.8, 1.3], "mass_spread": 0.2, "friction": [0.3, 1.0], "strength": [0.5, 1.0],
+        "delay_s": [0.0, 0.03], "noise": 0.01, "noise_rate": 0.1, "slope": [-0.1, 0.1],
+        "push_mps": 0.3, "inertia": 1.1, "damping": 1.2, "armature": 0.9}  # fmt: skip
+SECONDS = 1.5
+
+
+def runs(simulator: MujocoSimulator, points: Any, world: dict[str, Any], worlds: int = 1,
+         seconds: float = SECONDS) -> Any:  # fmt: skip
+    """Rows of points in so many worlds, [n, w]."""
+    seeds = list(map(np.random.SeedSequence, range(worlds)))
+    drawn = simulator.read_worlds(Table({"world": world})).draw(seeds)
+    return run_points(simulator, points, drawn, worlds, seconds)[0]
+
+
+def plain_loop(kp: float, beats: int, world: dict[str, float]) -> dict[str, float]:
+    """The columns of one run, by `mj_step` alone."""
+    model = mujoco.MjModel.from_xml_string(XML)
+    model.body_mass[:] *= world["mass"]
+    model.body_inertia[:] *= world["mass"]
+    model.geom_friction[:, 0] *= world["friction"]
+    model.actuator_gear[:] *= world["strength"]
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    data, memory = mujoco.MjData(model), dict[str, Any]()
+    mujoco.mj_forward(model, data)
+    energy = effort = peak = 0.0
+    steps = round(SECONDS / 0.01)
+    for step in range(steps):
+        up = data.xmat[1].reshape(3, 3)[:, 2]
+        now = SensedState(
+            step * 0.01, data.qpos[None].copy(), data.qvel[None].copy(), data.xpos[1:2, 0].copy(),
+            data.xpos[1:2, 2].copy(), np.array([np.arctan2(up[0], up[2])]), np.zeros(1),
+            {"hip": data.sensordata[:1].copy()},
+        )  # fmt: skip
+        data.ctrl[:] = swing({"kp": np.array([kp]), "beats": np.array([beats])}, now, memory)[0]
+        mujoco.mj_step(model, data, 5)
+        power = abs(data.actuator_force[0] * data.actuator_velocity[0])
+        energy, effort = energy + 0.01 * power, effort + data.ctrl[0] ** 2
+        peak = max(peak, np.abs(data.qfrc_actuator).max())
+        up = data.xmat[1].reshape(3, 3)[:, 2]
+        if data.xpos[1, 2] < 0.25 or np.arccos(np.clip(up[2], -1.0, 1.0)) > 1.0:
+            break
+    else:
+        step += 1
+    weight = model.body_mass.sum() * 9.81
+    distance = data.xpos[1, 0]
+    return {
+        "survived_fraction": step / steps, "distance_m": distance,
+        "speed_mps": distance / (max(step, 1) * 0.01), "energy_j": energy,
+        "cost_of_transport": min(energy / (weight * max(distance, 1e-6)), 100.0),
+        "peak_torque_nm": peak, "effort": effort / max(step, 1),
+    }  # fmt: skip
+
+
+def test_each_robot_is_a_loop_over_mj_step() -> None:
+    points = sobol_points(1, 0, 8, Rail.parameters)
+    world = {"mass": [0.8, 1.3], "friction": [0.3, 1.0]}
+    drawn = Rail.read_worlds(Table({"world": world})).draw(
+        [np.random.SeedSequence(k) for k in (0, 1)]
+    )
+    rows = run_points(Rail, points, drawn, 2, SECONDS)[0]
+    assert 0 < np.sum(rows["survived_fraction"] < 1.0) < 16
+    for (kp, beats), found in zip(points.tolist(), rows, strict=True):
+        for place in range(2):
+            own = {name: float(each[place]) for name, each in drawn.items()}
+            expected = plain_loop(kp, int(beats), own)
+            got = {name: float(found[place][name]) for name in COLUMNS}
+            assert got == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("more", [{}, {"rough_m": [0.02, 0.05]}])
+def test_no_bit_depends_on_the_company(more: dict[str, Any]) -> None:
+    points = sobol_points(1, 0, 8, Rail.parameters)
+    rows = runs(Rail, points, HARD | more, worlds=3)
+    alone = [runs(Rail, points[k : k + 1], HARD | more, worlds=3)[0] for k in range(8)]
+    assert np.array(alone).tobytes() == rows.tobytes()
+    assert (
+        runs(pickle.loads(pickle.dumps(Rail)), points, HARD | more, 3).tobytes() == rows.tobytes()
+    )
+    assert len({row.tobytes() for row in rows.ravel()}) == 24
+
+
+def still(point: Any, sensed: SensedState, memory: Any) -> Any:
+    return np.zeros((len(sensed.x_m), 1))
+
+
+def full(point: Any, sensed: SensedState, memory: Any) -> Any:
+    return np.full((len(sensed.x_m), 1), point["share"][0])
+
+
+def never(sensed: SensedState) -> Any:
+    return np.zeros(len(sensed.x_m), dtype=bool)
+
+
+BLOCK = """<mujoco><option timestep="0.001"/><worldbody>
+<geom type="plane" size="5 5 1" friction=".2"/><body pos="0 0 .1"><freejoint/>
+<geom type="box" size=".3 .3 .1" mass="2" friction=".2"/>
+<body pos="0 0 2"><joint axis="1 0 0" type="slide"/><geom size=".1" mass="1e-3" contype="0"
+conaffinity="0"/></body></body></worldbody>
+<actuator><motor joint="{joint}" gear="1"/></actuator></mujoco>"""
+CART = """<mujoco><option timestep="0.001" gravity="0 0 -10"/><worldbody><body><joint name="x"
+type="slide" axis="1 0 0"/><geom size=".1" mass="2"/></body></worldbody><actuator><motor joint="x"
+gear="4"/></actuator></mujoco>"""
+SHARE = {"share": FloatDistribution(0.0, 1.0)}
+
+
+def test_worlds_do_what_their_names_say() -> None:
+    """A cart of 2 kg under 4 N; a block on a slope, whose friction is 0.2."""
+    cart = MujocoSimulator(
+        rail.Model(CART), full, parameters=SHARE, control_step_s=0.01, fallen=never
+    )
+
+    def moved(**world: float) -> float:
+        row = runs(cart, np.array([[1.0]]), world, seconds=1.0)[0, 0]
+        assert row["peak_torque_nm"] == pytest.approx(4.0 * world.get("strength", 1.0))
+        return float(row["distance_m"])
+
+    assert moved() == pytest.approx(1.0, rel=5e-3)  # 1/2 2 m/s2 t2
+    assert moved(strength=0.5) == moved(mass=2.0) == pytest.approx(0.5, rel=5e-3)
+    assert moved(delay_s=0.2) == pytest.approx(0.64, rel=5e-3)
+    assert abs(moved(mass_spread=0.3, mass=1.0) - 1.0) > 1e-3
+    assert 0.1 < abs(moved(push_mps=5.0) - 1.0) < 2.5  # at a time between .5 and 1 s or not at all
+    block = MujocoSimulator(
+        rail.Model(BLOCK.replace("{joint}", "s").replace('type="slide"', 'type="slide" name="s"')),
+        still, parameters=SHARE, control_step_s=0.01, fallen=never,
+    )  # fmt: skip
+    slopes = []
+    for slope, friction in ((0.1, 1.0), (0.5, 1.0), (0.5, 3.0)):
+        row = runs(block, np.array([[0.0]]), {"slope": slope, "friction": friction}, seconds=1.0)
+        slopes.append(float(row[0, 0]["distance_m"]))
+    turn = np.arctan(0.5)
+    slid = -0.5 * 9.81 * (np.sin(turn) - 0.2 * np.cos(turn))
+    assert slopes == pytest.approx([0.0, slid, 0.0], abs=0.02)
+
+
+def watched(point: Any, sensed: SensedState, memory: Any) -> Any:
+    SEEN.append((sensed.qpos.copy(), sensed.qvel.copy()))
+    return np.zeros((len(sensed.x_m), 1))
+
+
+SEEN: list[Any] = []
+
+
+def test_noise_has_its_deviation_and_rough_ground_its_height() -> None:
+    cart = MujocoSimulator(rail.Model(CART), watched, parameters=SHARE, fallen=never)
+    SEEN.clear()
+    runs(cart, np.array([[0.0]]), {"noise": 0.01, "noise_rate": 0.2}, seconds=2.0)
+    position, speed = (np.array([seen[k] for seen in SEEN]).ravel() for k in (0, 1))
+    assert [position.std(), speed.std()] == pytest.approx([0.01, 0.2], rel=0.1)
+    model, states = Rail.states({"kp": 1.0, "beats": 2}, {"rough_m": 0.08, "seed": 3.0}, 0.5)
+    heights = model.hfield_data * model.hfield_size[0, 2] + model.geom("floor").pos[2]
+    assert model.geom("floor").type[0] == mujoco.mjtGeom.mjGEOM_HFIELD
+    assert heights.min() == pytest.approx(-0.04) and heights.max() == pytest.approx(0.04)
+    assert len(states) > 10 and states[0].tolist() == [0.0] * 4
+
+
+def no_number(point: Any, sensed: SensedState, memory: Any) -> Any:
+    return np.where(point["kp"] > 1.0, np.nan, 0.0)[:, None]
+
+
+def two_columns(point: Any, sensed: SensedState, memory: Any) -> Any:
+    return np.zeros((len(sensed.x_m), 2))
+
+
+@pytest.mark.parametrize(("build", "match"), [
+    (lambda: made(worlds={"wind": 1.0}), r"^worlds\.wind: .* one of mass, mass_spread"),
+    (lambda: made("<mujoco/>"), "^model: 'rail' .* a model with actuators"),
+    (lambda: made("<mujoco><nothing/></mujoco>"), "^model: 'rail' .* loads .XML Error.*nothing"),
+    (lambda: made(root="knee"), "^root: .*knee.* a body of the model: trunk, leg"),
+    (lambda: made(control_step_s=0.003), "^control_step_s: 0.003 .* steps of 0.002 s"),
+    (lambda: made(start_qpos=[0.0]), "^start_qpos: .* 4 numbers"),
+    (lambda: MujocoSimulator("none.xml", swing, parameters=rail.PARAMETERS), "^model: 'none.xml'"),
+    (lambda: runs(Rail, np.ones((1, 2)), {"mass": 0.0}), r"^world\.mass: 0\.0 .* more than 0"),
+    (lambda: runs(Rail, np.ones((1, 2)), {"delay_s": 2.0}), r"^world\.delay_s: 2\.0 .* 0 to 1"),
+    (lambda: runs(made(XML.replace('name="floor" type="plane" size="5 5 1"', 'size="1"')),
+                  np.ones((1, 2)), {"rough_m": 0.1}), r"^world\.rough_m: .* one plane"),
+    (lambda: runs(MujocoSimulator(rail.Model(XML), two_columns, parameters=rail.PARAMETERS),
+                  np.ones((1, 2)), {}), r"controls of shape \[1, 1\] .* not \[1, 2\]"),
+])  # fmt: skip
+def test_what_is_refused(build: Any, match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        build()
+
+
+def test_a_controller_without_a_number_is_a_failed_run() -> None:
+    robot = MujocoSimulator(rail.Model(XML), no_number, parameters=rail.PARAMETERS)
+    rows = runs(robot, np.array([[0.5, 1.0], [2.0, 1.0]]), {}, seconds=0.1)[:, 0]
+    assert [robot.words["run_ended"][k] for k in rows["run_ended"]] == ["ran", "failed"]
+    assert rows["survived_fraction"][1] == 0.0
+
+
+@pytest.mark.parametrize("name", ["walker2d", "ant"])
+def test_robots_that_ship_walk_for_a_second(name: str) -> None:
+    robot: Any = find_simulator(f"{name}.py:robot", CONFIGS)
+    robot.require_machine()
+    rows = runs(robot, sobol_points(1, 0, 64, robot.parameters), {}, seconds=1.0)
+    assert np.mean(rows["survived_fraction"]) > 0.1 and np.ptp(rows["distance_m"]) > 0.2
+    assert robot.code_version != Rail.code_version and len(robot.parameters) == 12

@@ -1,0 +1,149 @@
+"""A comparison on robots of somebody else's simulator: its trials, its folder, its report."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from storage import make_store, open_store
+from storage.pool import IN_PROCESS, local_pool
+from storage.simulator import run_points
+from study.commands.compare import main
+from study.experiment import robots
+from study.experiment.robots import RobotExperiment, compare_robots, read_robots
+from study.options import parser_of
+from study.report.robots import RobotResults
+from study.sampler.draws import Purpose, stream
+from taichi_nmm.errors import InputError
+from tests.storage import robot
+
+GALE = {"settings": 3, "min_survival_s": 3.0, "world": {"wind": [1.0, 3.0]}}
+TOML = """
+simulator = "carts.py:Cart"
+store = "{store}"
+seed = 5
+runs = 4
+trials = 6
+arms = ["best", "ranking", "tpe-ranking", "random"]
+simulation.duration_s = 9.0
+objective = {{cost = "speed_mps", fell_cost = 4.0, noise = 0.1}}
+world = {{wind = [0.0, 0.001], mass_kg = [1.0, 2.0]}}
+"""
+SILENT = lambda done, total: None  # noqa: E731
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("robots")
+    make_store(robot.Cart, folder / "cart", workers=1, samples=60, seed=3, families={"gale": GALE})
+    shutil.copy(robot.__file__, folder / "carts.py")
+    (folder / "carts.toml").write_text(TOML.format(store=folder / "cart"))
+    return folder / "carts.toml"
+
+
+@pytest.fixture(scope="module")
+def experiment(config: Path) -> RobotExperiment:
+    return read_robots(config)
+
+
+@pytest.fixture(scope="module")
+def trials(experiment: RobotExperiment, tmp_path_factory: pytest.TempPathFactory) -> pa.Table:
+    return compare_robots(experiment, tmp_path_factory.mktemp("out"), IN_PROCESS, SILENT)
+
+
+def test_a_trial_is_a_run_in_the_robots_world(experiment: RobotExperiment, trials: Any) -> None:
+    assert len(trials) == 4 * 4 * 6 and trials["trial"].to_pylist()[:6] == list(range(6))
+    rows = trials.to_pandas()
+    for run, own in rows.groupby("run"):
+        world = experiment.rule.draw([stream(5, Purpose.WORLD, run)])
+        found, _ = run_points(
+            experiment.simulator, own[list(robot.PARAMETERS)].to_numpy(), world, 1, 9.0
+        )
+        speed, lasted = found[:, 0]["speed_mps"], found[:, 0]["survived_fraction"]
+        cost = np.where(lasted < 1.0, 4.0 * (2.0 - lasted), np.minimum(speed, 4.0))
+        assert own["cost"].tolist() == cost.tolist()
+    factor = rows["measured"] / rows["cost"]
+    assert 0.05 < np.log(factor).std() < 0.2
+    assert rows.assign(f=factor.round(9)).groupby(["run", "trial"])["f"].nunique().max() == 1
+
+
+def test_the_ranking_is_by_survival_and_peers_begin_with_it(
+    experiment: RobotExperiment, trials: Any
+) -> None:
+    store = open_store(experiment.store)
+    survival = store.outcomes("gale", "survived_fraction").mean(axis=1)
+    best = store.gains()[np.argsort(-np.nan_to_num(survival, nan=-1.0), kind="stable")]
+    rows = trials.to_pandas().set_index(["arm", "run"])[list(robot.PARAMETERS)]
+    for run in range(4):
+        assert np.array_equal(rows.loc["ranking", run], best[:6])
+        assert np.array_equal(rows.loc["tpe-ranking", run][:3], best[:3])
+    assert rows.loc["random"].nunique()["steer"] == 24
+
+
+def test_a_stopped_comparison_goes_on_and_grows_to_the_same_trials(
+    config: Path, trials: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def stops(unit: Any) -> Any:
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        calls.append(unit)
+        return ran(unit)
+
+    ran = robots.try_robot
+    monkeypatch.setattr(robots, "try_robot", stops)
+    with pytest.raises(KeyboardInterrupt):
+        compare_robots(read_robots(config), tmp_path, IN_PROCESS, SILENT)
+    monkeypatch.setattr(robots, "try_robot", ran)
+    shown: list[tuple[int, int]] = []
+    again = compare_robots(
+        read_robots(config, arms="random,best"), tmp_path, IN_PROCESS,
+        lambda done, total: shown.append((done, total)),
+    )  # fmt: skip
+    assert shown[0] == (4, 8) and shown[-1] == (8, 8) and len(again) == (8 + 4) * 6
+    with local_pool(2) as pool:
+        whole = compare_robots(read_robots(config), tmp_path, pool, SILENT)
+    assert whole.equals(trials)
+    longer = compare_robots(read_robots(config, trials=7, runs=1), tmp_path, IN_PROCESS, SILENT)
+    kept = longer.filter(pa.compute.less(longer["trial"], 6))
+    assert len(longer) == len(trials) + 4 and kept.select(["arm", "run"]).equals(
+        trials.select(["arm", "run"])
+    )
+    with pytest.raises(InputError, match=r"^seed: 6 .* 5, as .*robots\.json says; or another"):
+        compare_robots(read_robots(config, seed=6), tmp_path, IN_PROCESS, SILENT)
+
+
+def test_the_command_writes_a_report(
+    config: Path, trials: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--config", str(config), "--out", str(tmp_path / "out"), "--workers", "1"]
+    main(parser_of("compare").parse_args(words))
+    printed = capsys.readouterr().out
+    assert printed.startswith((tmp_path / "out" / "report.md").read_text())
+    assert (tmp_path / "out" / "report.png").stat().st_size > 1000
+    results = RobotResults.of(read_robots(config), trials)
+    lasted = trials.to_pandas().query("arm == 'ranking' and survived >= 1.0")
+    assert int(results.walked["ranking"][:, -1].sum()) == lasted["run"].nunique()
+    assert f"| ranking | the ranking | {int(results.walked['ranking'][:, 0].sum())} |" in printed
+    for option, value in (("--storage", "sqlite:///x.db"), ("--arch", "cpu"), ("--store", "x")):
+        with pytest.raises(InputError, match=f"^{option[2:]}: .* names another simulator"):
+            main(parser_of("compare").parse_args([*words, option, value]))
+
+
+@pytest.mark.parametrize(("old", "new", "match"), [
+    ('"speed_mps"', '"lift"', r"^objective\.cost: 'lift' .* speed_mps"),
+    ("fell_cost = 4.0", "fell_cost = 0.0", r"^objective\.fell_cost: 0\.0"),
+    ('"best",', '"dog",', "^arm.*: 'dog' .* best, ranking"),
+    ("wind =", "rain =", r"^world\.rain: .* only the keys wind"),
+    ("runs = 4", "runs = 0", "^runs: 0"), ("runs", "robots", "^robots: 4"),
+    ('cart"', 'no"', "^store: "), ("carts.py:Cart", "carts.py:Boat", "^simulator"),
+])  # fmt: skip
+def test_configurations_that_are_refused(config: Path, old: str, new: str, match: str) -> None:
+    bad = config.with_name("bad.toml")
+    bad.write_text(config.read_text().replace(old, new, 1))
+    with pytest.raises(InputError, match=match):
+        read_robots(bad)
