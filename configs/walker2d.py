@@ -24,8 +24,8 @@ def model():
     spec = mujoco.MjSpec.from_file(str(gymnasium_model("walker2d_v5.xml")))
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for foot in FEET:
-        box = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": [0.2, 0.1, 0.1], "pos": [-0.1, 0.0, 0.1]}
-        spec.body(foot).add_site(name=foot, **box)
+        box = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": [0.2, 0.1, 0.1], "group": 4}  # not shown
+        spec.body(foot).add_site(name=foot, pos=[-0.1, 0.0, 0.1], **box)
         touch = {"type": mujoco.mjtSensor.mjSENS_TOUCH, "objtype": mujoco.mjtObj.mjOBJ_SITE}
         spec.add_sensor(name=foot, objname=foot, **touch)
     return spec

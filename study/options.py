@@ -197,6 +197,9 @@ def draw_store(options: Options) -> None:
 def explore(options: Options) -> None:
     """Options of `explore`."""
     options.path("folder", "folder of a store or a comparison")
+    options.add_argument(
+        "--simulator", metavar="FILE:NAME", help="films rows of a store of your own simulator"
+    )
     options.port(5006)
     options.flag("--no-browser", "only print the address")
 

@@ -2,6 +2,7 @@
 
     taichi-nmm explore out/store
     taichi-nmm explore out/compare/rough8-smooth
+    taichi-nmm explore out/walker2d --simulator configs/walker2d.py:robot
 
 opens a page that this machine alone can reach (127.0.0.1), until Ctrl-C, and prints its address.
 Nothing is written into the folder. The command needs the extra `explore`. Exit codes: 0, 2 bad
@@ -32,7 +33,7 @@ def has_display() -> bool:
 def main(args: Namespace) -> None:
     """Serve until Ctrl-C."""
     require_kernel_cache()
-    page = page_of(args.folder)
+    page = page_of(args.folder, args.simulator)
     with Processes(1) as walkers, Processes(1) as makers:  # a walk does not wait for a film
         loop, address = serve(partial(page, walkers, makers), args.port)
         walkers.submit(warm_up)

@@ -10,7 +10,7 @@ from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import Div
 
-from storage.simulator import known_simulator
+from storage.simulator import WALKER
 from storage.store import SHARD_PATTERN, Store, open_store
 from storage.store_folder import SPECIFICATION_NAME
 from study.experiment.experiment import Experiment
@@ -19,6 +19,7 @@ from study.experiment.gains import gains_at, gains_of_source
 from study.experiment.identity import documented_experiment
 from study.explore.comparison_view import ComparisonView
 from study.explore.downloads import file_of_selection
+from study.explore.robot_view import RobotView, filmable
 from study.explore.server import Message
 from study.explore.store_view import StoreView
 from study.explore.walk_view import WalkView
@@ -35,14 +36,16 @@ Left = tuple[str, Any, Callable[[], None]]
 FIRST_GAIT = "reference"
 
 
-def page_of(path: Path) -> Page:
+def page_of(path: Path, simulator: str | None = None) -> Page:
     """What fills the document of a tab with a store or a comparison, finished or not.
 
-    Each tab reads the folder anew: it may be growing.
+    Each tab reads the folder anew: it may be growing. `simulator` films rows of a store of its own.
 
     Raises:
         InputError: neither a store nor a comparison, or one that cannot be read.
     """
+    if simulator is not None:
+        filmable(simulator)
     compared = is_folder(path) and any(
         (path / name).exists() for name in (EXPERIMENT_NAME, RESULTS_NAME)
     )
@@ -56,10 +59,14 @@ def page_of(path: Path) -> Page:
     def fill(walkers: Executor, makers: Executor, document: Document) -> None:
         message = Message()
         try:
-            view = WalkView(document, walkers, makers, message, tried=compared)
-            title, left, begin = (_comparison_half if compared else _store_half)(
-                path, message, view
-            )
+            view: WalkView | RobotView
+            if not compared and (store := _store(path)).simulator != WALKER:
+                view = RobotView(document, makers, message, simulator)
+                title, left, begin = _robot_half(path, store, message, view)
+            else:
+                view = WalkView(document, walkers, makers, message, tried=compared)
+                half = _comparison_half if compared else _store_half
+                title, left, begin = half(path, message, view)
         except Exception as error:  # the folder cannot be read any more
             message.failed(error)
             document.add_root(message.layout)
@@ -78,7 +85,6 @@ def _of_store(path: Path) -> bool:
 
 def _store(path: Path) -> Store:
     store = open_store(path, unfinished=True)
-    known_simulator(store.specification)
     store.require_bounds()
     return store
 
@@ -101,6 +107,17 @@ def _store_half(path: Path, message: Message, view: WalkView) -> Left:
     )
     title = f"{path}: {len(store):,} rows"
     return title, points.layout, lambda: view.show(gains_of_source(FIRST_GAIT))
+
+
+def _robot_half(path: Path, store: Store, message: Message, view: RobotView) -> Left:
+    points = StoreView(
+        store,
+        message,
+        pick=lambda place, row: view.show(store, place),
+        save=lambda ranges, suffix: view.save(file_of_selection, path, ranges, suffix),
+    )
+    title = f"{path}: {len(store):,} rows of {store.simulator}"
+    return title, points.layout, lambda: None
 
 
 def _comparison_half(path: Path, message: Message, view: WalkView) -> Left:

@@ -185,9 +185,18 @@ def numeric_columns(store: Store) -> list[str]:
 
 
 def first_columns(store: Store) -> list[str]:
-    """The first five columns of a page; the colour is the survival of the first family, if any."""
+    """The first five columns of a page; the colour is the survival of the first family, if any.
+
+    Of other simulators than the walker: the first numbers after the parameters.
+    """
     survived = [name for name in store.columns if name.endswith(COLUMN_END)]
-    return [*FIRST[:2], *(survived[:1] or FIRST[2:3]), *FIRST[3:]]
+    first = [*FIRST[:2], *(survived[:1] or FIRST[2:3]), *FIRST[3:]]
+    known = numeric_columns(store)
+    if set(first) <= set(known):
+        return first
+    own = [name for name in known if name != "row" and name not in store.gain_names]
+    found = [*own[1:3], *(survived or own)[:1], *own[3:], *store.gain_names, *known]
+    return list(dict.fromkeys(found))[: len(FIRST)]
 
 
 class StoreView:

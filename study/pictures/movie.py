@@ -1,16 +1,23 @@
-"""A film of the walker: H.264 in MP4, made by the ffmpeg that comes with imageio-ffmpeg."""
+"""Films of walkers: H.264 in MP4, made by the ffmpeg that comes with imageio-ffmpeg."""
 
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from storage.commit import commit
 from study.pictures.scene import LARGE, Film, frames
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, one_line, shortened
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
 
+if TYPE_CHECKING:
+    from storage.mujoco_simulator import MujocoSimulator
+
+NO_OPENGL = "OpenGL: without a screen, MUJOCO_GL=egl in the environment, and the package libegl1"
 FIXING = "a working ffmpeg: pip install imageio-ffmpeg, or leave the film out"
 
 
@@ -67,6 +74,58 @@ def write_movie(
 
     commit(path, write, check)
     return path
+
+
+def film_run(
+    path: str | Path,
+    simulator: "MujocoSimulator",
+    point: Mapping[str, Any],
+    world: Mapping[str, float],
+    seconds: float,
+    *,
+    film: Film = LARGE,
+    program: str | None = None,
+) -> Path:
+    """Film a run of a robot in MuJoCo, in real time, by the camera that its model names first.
+
+    Args:
+        path: of the MP4, as in `write_movie`.
+        simulator: of the robot.
+        point: its parameters.
+        world: numbers that are not those of the base setting.
+        seconds: how long it runs, if it does not fall.
+        film: size, rate and quality.
+        program: path of ffmpeg; by default that of `find_ffmpeg`.
+
+    Raises:
+        InputError: no ffmpeg or no OpenGL that works, or the file cannot be written.
+    """
+    encoder = program or find_ffmpeg()
+    model, states = simulator.states(point, world, seconds)
+    times_s = np.arange(0.0, len(states) * simulator.control_step_s, 1.0 / film.rate_hz)
+    shown = [states[int(time_s / simulator.control_step_s)] for time_s in times_s]
+    path = Path(path)
+    commit(path, lambda to: _encode(encoder, _drawn(model, shown, film), to, film), lambda to: None)
+    return path
+
+
+def _drawn(model: Any, states: list[Any], film: Film) -> Iterator[bytes]:
+    """The frames of a run, as `_encode` takes them."""
+    import mujoco
+
+    width, height = film.size_px
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    data = mujoco.MjData(model)
+    try:
+        renderer = mujoco.Renderer(model, height, width)
+    except Exception as error:  # each of the libraries below has its own
+        raise InputError("film", one_line(shortened(str(error))), NO_OPENGL) from None
+    with renderer:
+        for qpos in states:
+            data.qpos[:] = qpos
+            mujoco.mj_forward(model, data)
+            renderer.update_scene(data, camera=0 if model.ncam else -1)
+            yield renderer.render().tobytes()
 
 
 def _encode(program: str, pictures: Iterator[bytes], path: Path, film: Film) -> None:

@@ -1,0 +1,56 @@
+"""The page of a store of somebody else's simulator: a row's numbers, and a film of it."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from storage import Store, make_store
+from study.explore.page import page_of
+from study.explore.robot_view import BASE, numbers_text, world_names, world_of
+from study.explore.store_view import first_columns
+from taichi_nmm.errors import InputError
+from tests.browser import opened_page
+from tests.storage import rail, robot
+from tests.study.explore.serving import explorer
+
+GALE = {"settings": 2, "min_survival_s": 3.0, "world": {"wind": [1.0, 3.0]}}
+HEAVY = {"settings": 2, "min_survival_s": 0.2, "world": {"mass": [1.0, 2.0]}}
+MODEL = "Bokeh.documents[0].get_model_by_name"
+
+
+@pytest.fixture(scope="module")
+def cart(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    path = tmp_path_factory.mktemp("stores") / "cart"
+    return make_store(robot.Cart, path, workers=1, samples=32, families={"gale": GALE})
+
+
+def test_worlds_and_columns_are_the_stores_own(cart: Store) -> None:
+    drawn = cart.specification["families"]["gale"]["drawn"]
+    assert world_names(cart) == ["gale 0", "gale 1"] and world_of(cart, BASE) == {}
+    assert world_of(cart, "gale 1") == {name: float(each[1]) for name, each in drawn.items()}
+    columns = first_columns(cart)
+    assert len(set(columns)) == 5 and columns[2] == "gale_survived_fraction_mean"
+    text = numbers_text(cart, 3)
+    assert f"<td>thrust_n</td><td>{cart.gains()[3, 0]:.4g}</td>" in text and "_worlds" not in text
+
+
+def test_a_simulator_that_has_nothing_to_film_is_refused(cart: Store) -> None:
+    with pytest.raises(InputError, match=r"^simulator: .* a MujocoSimulator"):
+        page_of(cart.path, "tests/storage/robot.py:Cart")
+
+
+@pytest.mark.slow
+def test_a_click_shows_numbers_and_films_the_row(tmp_path: Path) -> None:
+    simulation: dict[str, Any] = {"duration_s": 0.5}
+    store = make_store(rail.Rail, tmp_path / "rail", workers=1, samples=8, simulation=simulation,
+                       families={"heavy": HEAVY})  # fmt: skip
+    asked = ("--simulator", "tests/storage/rail.py:Rail")
+    with explorer(store.path, words=asked) as address, opened_page(1500, 900) as page:
+        page.goto(address)
+        page.wait_for_function("window.Bokeh?.documents[0]?.get_model_by_name('numbers')")
+        page.evaluate(f"{MODEL}('row').value = 5")
+        page.wait_for_function(f"{MODEL}('numbers').text.includes('kp')")
+        drawn = f"{MODEL}('film').text.includes('video/mp4')"
+        page.wait_for_function(f"{drawn} || {MODEL}('message').text.includes('OpenGL')")
+        assert page.evaluate(f"{MODEL}('world').options") == [BASE, "heavy 0", "heavy 1"]
