@@ -19,7 +19,10 @@ bytes. A table [world] says where the world of the base setting differs from `wo
 
 import hashlib
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -100,6 +103,7 @@ class FunctionSimulator(Simulator):
         worlds=checks.optional(checks.by_name(checks.number())),
         measures=checks.optional(checks.by_name(checks.interval())),
         batch=checks.flag,
+        longest_run_s=checks.optional(checks.number(1e-3)),
     )
     def __init__(
         self,
@@ -110,6 +114,7 @@ class FunctionSimulator(Simulator):
         worlds: Mapping[str, float] | None = None,
         measures: Mapping[str, tuple[float, float]] | None = None,
         batch: bool = False,
+        longest_run_s: float | None = None,
     ) -> None:
         """Checked at once; nothing runs yet.
 
@@ -124,6 +129,8 @@ class FunctionSimulator(Simulator):
             measures: columns that tell candidates apart, with the ranges that a search covers.
             batch: the function takes many runs at a time: `point` has arrays [n, 1], `world` arrays
                 [1, w], and columns are arrays that broadcast to [n, w].
+            longest_run_s: of one run: one that hangs is stopped and has failed. Choose far more
+                than any run takes. It stops Python alone, in processes of this machine.
 
         Raises:
             InputError: a function that other processes cannot import, a name that is none.
@@ -137,6 +144,9 @@ class FunctionSimulator(Simulator):
             raise InputError("parameters", "none", "one distribution at least")
         if SURVIVED not in columns or len({*columns}) < len(columns):
             raise InputError("columns", list(columns), f"{SURVIVED} among them, and each name once")
+        if batch and longest_run_s is not None:
+            raise InputError("longest_run_s", longest_run_s, "none with batch=True")
+        self.longest_run_s = longest_run_s
         if SEED in self.worlds:
             raise InputError("worlds", SEED, "another name: each world has a seed of its own")
         for name in (*self.space, *self.worlds):
@@ -204,7 +214,8 @@ class FunctionSimulator(Simulator):
             world = {name: each[place[1]].item() for name, each in worlds.items()}
             world[SEED] = int(world[SEED])
             try:
-                found = self.compute(point, world, horizon_s)
+                with _limited(self.longest_run_s):
+                    found = self.compute(point, world, horizon_s)
             except Exception as error:
                 rows[ENDED][place] = 1
                 self._failed = f"{_said(error)}, at {point} in {world}"
@@ -266,6 +277,25 @@ class FunctionSimulator(Simulator):
 
     def _fault(self, allowed: str) -> InputError:
         return InputError("simulator", self.name, allowed)
+
+
+@contextmanager
+def _limited(seconds: float | None) -> Iterator[None]:
+    """Raise a `TimeoutError` in the midst of Python code that takes longer; None: never."""
+    if seconds is None or threading.current_thread() is not threading.main_thread():
+        yield  # a thread of a Dask worker gets no signals
+        return
+
+    def stop(*_: object) -> None:
+        raise TimeoutError(f"longer than longest_run_s, {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def _said(error: Exception) -> str:

@@ -116,6 +116,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for kind in ("diverse", "worlds", "stairs", "diverse-10s", "worlds-large"):
             (out / f"store-{kind}").symlink_to(out / "store")
         fake_walker.write_store(out / "store-torso", searched=["theta_ref"])
+        for name in ("walker2d", "ant"):
+            few = ("--config", name, "--samples", 96, "--workers", 1)
+            assert run_tool(patch, "precompute", *few) == 0
         for config, arm, runs, trials in (
             ("rough8-smooth", "dog", 8, 13),
             ("mujoco-rough8-soft", "best-worlds", 1, 1),

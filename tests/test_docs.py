@@ -8,10 +8,12 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import optuna
 import pytest
 from PIL import Image
 
+from storage import open_store
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
 from tests.study import fake_walker
 from tests.tools.running import ROOT
@@ -163,6 +165,17 @@ def test_the_page_of_own_simulators_runs_in_an_empty_folder(tmp_path: Path) -> N
         done = subprocess.run(line, cwd=tmp_path, env=ours, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
     assert done.stdout == code_blocks(page, "text")[0]
+
+
+@pytest.mark.slow
+def test_the_leg_of_the_page_of_robots_fills_a_store(tmp_path: Path) -> None:
+    page = DOCS / "robots.md"
+    (tmp_path / "my_leg.py").write_text(code_blocks(page)[0])
+    (tmp_path / "leg.xml").write_text(code_blocks(page, "xml")[0])
+    subprocess.run([sys.executable, "my_leg.py"], cwd=tmp_path, check=True,
+                   env=os.environ | {"PYTHONPATH": str(ROOT)})  # fmt: skip
+    lasted = open_store(tmp_path / "out" / "leg").outcomes("bodies", "survived_fraction")
+    assert lasted.shape == (256, 8) and np.nanmin(lasted) < 1.0 == np.nanmax(lasted)
 
 
 @pytest.mark.slow

@@ -252,3 +252,18 @@ def test_a_configuration_that_does_not_fit(changes: Any, field: str, tmp_path: P
     with pytest.raises(InputError) as caught:
         make_store(robot.Cart, tmp_path / "store", workers=1, **(CONFIGURATION | changes))
     assert caught.value.field == field and not (tmp_path / "store").exists()
+
+
+def hangs(point: Any, world: Any, seconds: float) -> dict[str, float]:
+    while point["gear"] == 2:
+        pass
+    return robot.drive(point, world, seconds)
+
+
+def test_a_run_that_hangs_is_stopped_and_has_failed() -> None:
+    rows, free = runs(changed(hangs, longest_run_s=0.02)), runs(robot.Cart)
+    gears = sobol_points(1, 0, 8, robot.Cart.parameters)[:, 2]
+    assert rows["run_ended"][:, 0].tolist() == (gears == 2).tolist() and (gears == 2).any()
+    assert rows[gears != 2].tobytes() == free[gears != 2].tobytes()
+    with pytest.raises(InputError, match=r"^longest_run_s: .* none with batch"):
+        changed(robot.drive_all, batch=True, longest_run_s=1.0)
