@@ -32,11 +32,17 @@ from study.experiment.arms import with_store
 from study.experiment.compare import Outcome, Progress, Request, compare
 from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.identity import PACKAGES
+from study.experiment.robots import (
+    compare_robots,
+    is_of_robots,
+    read_robots,
+    refuse_walkers_options,
+)
 from study.report.markdown import arms_documents, arms_text
 from study.report.notes import dashboard_summary
 from study.report.numbers import numbers
+from study.report.robots import RobotResults
 from study.report.runs import read_facts, read_results
-from taichi_nmm.config import read_toml
 from taichi_nmm.errors import InputError
 from taichi_nmm.walker_simulator import Walker, require_engine
 
@@ -72,19 +78,11 @@ def main(args: Namespace) -> None:
     print(json.dumps(report(experiment, outcome, out)) if args.json else text(outcome, out))
 
 
-def is_of_robots(path: Path) -> bool:
-    """Whether a configuration names a simulator of its own."""
-    return isinstance(read_toml(path).unread.get("simulator"), str)
-
-
 def on_robots(args: Namespace) -> None:
     """Compare on robots of the simulator that the configuration names, or go on."""
-    from study.experiment.robots import compare_robots, read_robots
-    from study.report.robots import RobotResults
-
-    for name in ("arch", "store", "storage"):
-        if (given := getattr(args, name)) is not None:
-            raise InputError(name, str(given), "none: the configuration names another simulator")
+    refuse_walkers_options(args)
+    if args.storage is not None:
+        raise InputError("storage", args.storage, "none: study runs robots in a database")
     experiment = read_robots(args.config, args.seed, args.arms, args.runs, args.trials)
     simulator = experiment.simulator
     simulator.require_machine()

@@ -1,7 +1,11 @@
-"""Run one live study of the walker: an arm proposes gains, and the simulator tries them.
+"""Run one live study: an arm proposes gains, and the simulator of the walker tries them.
 
     taichi-nmm study --config rough8 --arm dog --trials 30 \\
         --storage sqlite:///out/studies.db
+
+or, with a configuration that names a simulator, on one of its robots (--run):
+
+    taichi-nmm study --config walker2d-robots --arm best --run 3 --storage sqlite:///out/studies.db
 
 Its trials equal those of the same arm and run in a comparison of the same configuration. The
 dashboard shows a picture of the best one. The same command goes on where it was stopped. Exit
@@ -27,6 +31,12 @@ from study.experiment.arms import check_arms, with_store
 from study.experiment.experiment import read_experiment, study_name
 from study.experiment.folder import live_artifacts
 from study.experiment.live_study import check_study, run_study
+from study.experiment.robots import (
+    is_of_robots,
+    live_study,
+    read_robots,
+    refuse_walkers_options,
+)
 from study.experiment.trials import progress_line, study_facts, study_line
 from study.options import config_path
 from taichi_nmm.walker_simulator import require_engine
@@ -35,6 +45,9 @@ from taichi_nmm.walker_simulator import require_engine
 def main(args: Namespace) -> None:
     """Run the study, or go on with it."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
+    if is_of_robots(args.config):
+        on_robot(args)
+        return
     experiment = read_experiment(args.config, args.arch, args.seed)
     if args.store is not None:
         experiment = with_store(experiment, (args.arm,), args.store)
@@ -75,6 +88,35 @@ def main(args: Namespace) -> None:
         print(study_line(study))
         for what, where in {"gains": gains, "database": database, **commands}.items():
             print(f"{what + ':':<10} {where}")
+
+
+def on_robot(args: Namespace) -> None:
+    """The study of an arm on a robot of the simulator that the configuration names."""
+    refuse_walkers_options(args)
+    experiment = read_robots(args.config, args.seed, trials=args.trials)
+    experiment.simulator.require_machine()
+    storage, folder = open_studies(args.storage), args.out or Path("out") / experiment.name
+
+    def report(study: optuna.Study, trial: FrozenTrial) -> None:
+        lasted = 100.0 * trial.user_attrs[experiment.simulator.survived]
+        best = f"best {study.best_value:.4g} (trial {study.best_trial.number})"
+        line = f"trial {trial.number}: lasted {lasted:.0f} %, cost {trial.values[0]:.4g}; {best}"
+        print(line, file=sys.stderr, flush=True)
+
+    name = study_name(experiment.name, args.arm, args.run)
+    with only_run(args.storage, name), storage_errors(args.storage):
+        study = live_study(experiment, args.arm, args.run, storage, report)
+    best = folder / f"{args.arm}-run-{args.run:03d}-best.json"
+    with writable(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    commit_json(best, study.best_params)
+    known = {"study": name, "best_cost": study.best_value, "best": str(best),
+             "dashboard": dashboard_command(args.storage, folder)}  # fmt: skip
+    print(
+        json.dumps(known)
+        if args.json
+        else "\n".join(f"{k + ':':<10} {v}" for k, v in known.items())
+    )
 
 
 def film_command(gains: Path, config: Path, run: int = 0, seed: int | None = None) -> str:

@@ -6,7 +6,9 @@ of the same parameters is the same for all arms. Beside our sampler stand the ra
 Optuna's samplers, which begin with nothing or with the ranking's first rows.
 """
 
-from collections.abc import Callable, Iterator
+from argparse import Namespace
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from importlib.util import find_spec
@@ -18,17 +20,20 @@ import optuna
 import pyarrow as pa
 from numpy.typing import NDArray
 from optuna.samplers import BaseSampler, CmaEsSampler, GPSampler, RandomSampler, TPESampler
+from optuna.storages import BaseStorage
+from optuna.trial import FrozenTrial, TrialState
 
 from storage.folder import Folder
 from storage.pool import Pool
 from storage.simulator import Simulator, WorldRule, run_points
 from storage.specification import read_simulator
 from storage.store import open_store
+from storage.tables import difference
 from study.experiment.block import quiet
 from study.experiment.compare import work_through
-from study.experiment.experiment import MOST_RUNS, MOST_TRIALS
+from study.experiment.experiment import MOST_RUNS, MOST_TRIALS, study_name
 from study.experiment.features import SurvivalSampler, survival_table
-from study.experiment.identity import versions
+from study.experiment.identity import LIVE_ATTRIBUTE, versions
 from study.experiment.stores import store_digest
 from study.sampler.draws import Purpose, generator, name_key, seed_32bit, stream
 from study.sampler.policy import one_thread
@@ -124,6 +129,18 @@ class RobotExperiment:
         survived = rows[self.simulator.survived].astype(np.float64)
         lasting = np.minimum(rows[self.cost].astype(np.float64), self.fell_cost)
         return np.where(survived >= 1.0, lasting, self.fell_cost * (2.0 - survived))
+
+
+def is_of_robots(path: Path) -> bool:
+    """Whether a configuration names a simulator of its own."""
+    return isinstance(read_toml(path).unread.get("simulator"), str)
+
+
+def refuse_walkers_options(args: Namespace) -> None:
+    """Refuse options of commands that are of the walker's experiments alone."""
+    for name in ("arch", "store"):
+        if (given := getattr(args, name)) is not None:
+            raise InputError(name, str(given), "none: the configuration names another simulator")
 
 
 def read_robots(
@@ -245,61 +262,129 @@ def compare_robots(
         return _in_order(kept)
 
 
+class Runs:
+    """Runs of a robot: of the same parameters there is one, whoever proposes them."""
+
+    def __init__(self, experiment: RobotExperiment, run: int) -> None:
+        self._experiment = experiment
+        self._world = experiment.rule.draw([stream(experiment.seed, Purpose.WORLD, run)])
+        errors = generator(experiment.seed, Purpose.COST_NOISE, run)
+        self.factors = np.exp(experiment.noise * errors.standard_normal(experiment.trials))
+        self._space = _candidates(experiment.store)[0].rows.space.as_dict()
+        self._known: dict[bytes, np.void] = {}
+
+    def ask(self, studies: Iterable[optuna.Study]) -> tuple[list[optuna.Trial], Floats]:
+        """The next trial of each study, and its parameters as the simulator's numbers, [n, p]."""
+        asked = [study.ask(self._space) for study in studies]
+        names, space = self._experiment.names, self._space
+        return asked, np.array([
+            [space[name].to_internal_repr(trial.params[name]) for name in names] for trial in asked
+        ])  # fmt: skip
+
+    def rows(self, points: Floats) -> NDArray[np.void]:
+        """The simulator's rows of points, [n]."""
+        experiment, keys = self._experiment, [point.tobytes() for point in points]
+        first = {key: place for place, key in reversed(list(enumerate(keys)))}
+        if new := sorted(place for key, place in first.items() if key not in self._known):
+            found, _ = run_points(
+                experiment.simulator, points[new], self._world, 1, experiment.duration_s
+            )
+            self._known |= {keys[k]: row.copy() for k, row in zip(new, found[:, 0], strict=True)}
+        return np.array([self._known[key] for key in keys])
+
+
 def try_robot(unit: Robot) -> pa.Table:
     """All trials of a robot's arms: all propose, the robot runs, all are told, and again."""
-    experiment, simulator = unit.experiment, unit.experiment.simulator
-    table, ranked = _candidates(experiment.store)
-    space = table.rows.space.as_dict()
-    world = experiment.rule.draw([stream(experiment.seed, Purpose.WORLD, unit.run)])
-    errors = generator(experiment.seed, Purpose.COST_NOISE, unit.run)
-    factors = np.exp(experiment.noise * errors.standard_normal(experiment.trials))
+    experiment, survived = unit.experiment, unit.experiment.simulator.survived
     columns: dict[str, list[Any]] = {name: [] for name in experiment.schema.names}
-    known: dict[bytes, np.void] = {}
-    if set(unit.arms) & set(NEED_TORCH):
-        import torch
-
-        torch.set_num_threads(1)  # its bits depend on them
-    with quiet(), one_thread():
-        studies = {arm: _study(experiment, arm, unit.run, table, ranked) for arm in unit.arms}
+    with _ready(unit.arms):
+        runs = Runs(experiment, unit.run)
+        studies = {arm: _study(experiment, arm, unit.run) for arm in unit.arms}
         for trial in range(experiment.trials):
-            asked = {arm: study.ask(space) for arm, study in studies.items()}
-            points = np.array([
-                [space[name].to_internal_repr(each.params[name]) for name in experiment.names]
-                for each in asked.values()
-            ])  # fmt: skip
-            keys = [point.tobytes() for point in points]
-            new = [place for place, key in enumerate(keys)
-                   if key not in known and key not in keys[:place]]  # fmt: skip
-            if new:
-                found, _ = run_points(simulator, points[new], world, 1, experiment.duration_s)
-                known |= {
-                    keys[place]: row.copy() for place, row in zip(new, found[:, 0], strict=True)
-                }
-            rows = np.array([known[key] for key in keys])
+            asked, points = runs.ask(studies.values())
+            rows = runs.rows(points)
             costs = experiment.costs(rows)
+            measured = costs * runs.factors[trial]
             for place, (arm, study) in enumerate(studies.items()):
-                measured = float(costs[place] * factors[trial])
-                study.tell(asked[arm], measured)
-                survived = float(rows[place][simulator.survived])
-                values = (arm, unit.run, trial, costs[place], measured, survived, *points[place])
+                study.tell(asked[place], float(measured[place]))
+                told = (costs[place], measured[place], rows[place][survived], *points[place])
+                values = (arm, unit.run, trial, *map(float, told))
                 for column, value in zip(columns.values(), values, strict=True):
                     column.append(value)
     return pa.table(columns, experiment.schema)
+
+
+def live_study(
+    experiment: RobotExperiment,
+    arm: str,
+    run: int,
+    storage: BaseStorage,
+    report: Callable[[optuna.Study, FrozenTrial], None],
+) -> optuna.Study:
+    """Run an arm on a robot as a study of a database, or go on with it, until it has its trials.
+
+    `report` is called with each trial. One process at a time runs a study.
+
+    Raises:
+        InputError: an arm that keeps a state in its trials, a robot that the experiment does not
+            have, or a study of another experiment.
+    """
+    if arm == "cmaes":
+        raise InputError("arm", arm, "another one: its state in a database would be unpickled")
+    if not 0 <= run < experiment.runs:
+        raise InputError("run", run, f"0 to {experiment.runs - 1}, the robots of {experiment.name}")
+    (arm,) = _read_arms((), arm)
+    with _ready((arm,)):
+        name = study_name(experiment.name, arm, run)
+        study, runs = _study(experiment, arm, run, storage, name), Runs(experiment, run)
+        known = study.user_attrs.get(LIVE_ATTRIBUTE)
+        if known is None:
+            study.set_user_attr(LIVE_ATTRIBUTE, experiment.document)
+        elif found := difference(experiment.document, known):
+            raise InputError(found[0], found[1], f"{found[2]!r}, as the study {name} was begun")
+        while (done := len(study.get_trials(False, (TrialState.COMPLETE,)))) < experiment.trials:
+            (asked,), points = runs.ask([study])
+            row = runs.rows(points)
+            for column in experiment.simulator.scores:
+                asked.set_user_attr(column, float(row[column][0]))
+            cost = float(experiment.costs(row)[0] * runs.factors[done])
+            report(study, study.tell(asked, cost))
+        return study
 
 
 def _study(
     experiment: RobotExperiment,
     arm: str,
     run: int,
-    table: FeatureTable,
-    ranked: NDArray[np.int64],
+    storage: BaseStorage | None = None,
+    name: str | None = None,
 ) -> optuna.Study:
+    """The study of an arm on a robot, which begins with the rows that the arm is given."""
+    table, ranked = _candidates(experiment.store)
     chosen, seed = ARMS[arm], seed_32bit(experiment.seed, Purpose.SAMPLER, name_key(arm), run)
-    study = optuna.create_study(sampler=chosen.new_sampler(table, seed))
+    study = optuna.create_study(
+        storage=storage, sampler=chosen.new_sampler(table, seed), study_name=name,
+        load_if_exists=True,
+    )  # fmt: skip
+    for left in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        study.tell(left.number, state=TrialState.FAIL)  # of a process that was killed
+        study.enqueue_trial(left.params)
+    begun = len(study.get_trials(False, (TrialState.COMPLETE, TrialState.WAITING)))
     first = experiment.trials if chosen.first is None else chosen.first
-    for row in ranked[:first].tolist():
+    for row in ranked[begun:first].tolist():
         study.enqueue_trial(table.rows.as_parameters(row))
     return study
+
+
+@contextmanager
+def _ready(arms: Iterable[str]) -> Iterator[None]:
+    """Samplers on one thread, which keep silent."""
+    if set(arms) & set(NEED_TORCH):
+        import torch
+
+        torch.set_num_threads(1)  # its bits depend on them
+    with quiet(), one_thread():
+        yield
 
 
 @lru_cache(maxsize=4)

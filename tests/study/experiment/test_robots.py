@@ -1,10 +1,12 @@
 """A comparison on robots of somebody else's simulator: its trials, its folder, its report."""
 
+import json
 import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import optuna
 import pyarrow as pa
 import pytest
 
@@ -12,6 +14,7 @@ from storage import make_store, open_store
 from storage.pool import IN_PROCESS, local_pool
 from storage.simulator import run_points
 from study.commands.compare import main
+from study.commands.study import main as study_command
 from study.experiment import robots
 from study.experiment.robots import RobotExperiment, compare_robots, read_robots
 from study.options import parser_of
@@ -130,8 +133,27 @@ def test_the_command_writes_a_report(
     assert int(results.walked["ranking"][:, -1].sum()) == lasted["run"].nunique()
     assert f"| ranking | the ranking | {int(results.walked['ranking'][:, 0].sum())} |" in printed
     for option, value in (("--storage", "sqlite:///x.db"), ("--arch", "cpu"), ("--store", "x")):
-        with pytest.raises(InputError, match=f"^{option[2:]}: .* names another simulator"):
+        with pytest.raises(InputError, match=f"^{option[2:]}: .* none: "):
             main(parser_of("compare").parse_args([*words, option, value]))
+
+
+@pytest.mark.parametrize("arm", ["best", "ranking"])
+def test_a_live_study_has_the_trials_of_the_comparison(
+    arm: str, config: Path, trials: Any, tmp_path: Path
+) -> None:
+    url = f"sqlite:///{tmp_path / 'live.db'}"
+    words = ["--config", str(config), "--storage", url, "--run", "2", "--out", str(tmp_path)]
+    for count in ("3", "6"):
+        study_command(parser_of("study").parse_args([*words, "--arm", arm, "--trials", count]))
+    study = optuna.load_study(study_name=f"carts/{arm}/run-002", storage=url)
+    known = trials.to_pandas().query(f"arm == '{arm}' and run == 2")
+    assert [trial.values[0] for trial in study.trials] == known["measured"].tolist()
+    assert json.loads((tmp_path / f"{arm}-run-002-best.json").read_text()) == study.best_params
+    for more, match in (("--arm cmaes", "^arm: "), ("--run 9", "^run: 9 .* 0 to 3"),
+                        ("--seed 7", "^seed: 7 .* 5, as the study carts/")):  # fmt: skip
+        asked = [*words, "--arm", arm, *more.split()]
+        with pytest.raises(InputError, match=match):
+            study_command(parser_of("study").parse_args(asked))
 
 
 @pytest.mark.parametrize(("old", "new", "match"), [
