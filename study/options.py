@@ -44,7 +44,6 @@ def later(module: str, name: str) -> Callable[[], int]:
 
 MOST_RUNS = later("study.experiment.experiment", "MOST_RUNS")
 MOST_TRIALS = later("study.experiment.experiment", "MOST_TRIALS")
-MOST_GENERATIONS = later("study.experiment.experiment", "MOST_GENERATIONS")
 LARGEST_SEQUENCE = later("storage.points", "LARGEST_SEQUENCE")
 
 
@@ -204,20 +203,6 @@ def explore(options: Options) -> None:
     options.flag("--no-browser", "only print the address")
 
 
-def optimum(options: Options) -> None:
-    """Options of `optimum`."""
-    options.config()
-    options.whole("--runs", 1, MOST_RUNS, help=FROM_CONFIG)
-    options.whole(
-        "--max-generations", 1, MOST_GENERATIONS,
-        help=f"limit of a run of CMA-ES, which can be raised later; {FROM_CONFIG}",
-    )  # fmt: skip
-    options.out("out/optimum/NAME")
-    options.workers()
-    options.arch()
-    options.json("optimum.json")
-
-
 def precompute(options: Options) -> None:
     """Options of `precompute`."""
     options.config("store", stores=True)
@@ -238,10 +223,6 @@ def report(options: Options) -> None:
     """Options of `report`."""
     options.path("folders", "folder of a comparison", nargs="+")
     options.path("--out", "folder for the overview of several comparisons")
-    options.path(
-        "--optimum", "an optimum.json to draw as a line; once for each cost", "FILE",
-        action="append", default=[],
-    )  # fmt: skip
     options.flag("--no-strips", "simulate and draw no walks")
 
 
@@ -308,17 +289,23 @@ def walk(options: Options) -> None:
 
 COMMANDS: dict[str, Callable[[Options], None]] = {
     "compare": compare, "dashboard": dashboard, "draw-store": draw_store, "explore": explore,
-    "optimum": optimum, "precompute": precompute, "quickstart": quickstart, "report": report,
-    "study": study, "validate": validate, "walk": walk,
+    "precompute": precompute, "quickstart": quickstart, "report": report, "study": study,
+    "validate": validate, "walk": walk,
 }  # fmt: skip
+
+# Commands of version 0.2.0 that are gone, and what to use instead.
+REMOVED = {"optimum": "compare --config optimum-smooth --arms cmaes-cold --trials 10000"}
 
 
 def parser_of(name: str) -> Options:
     """The parser of a command; `parser_of(name).format_help()` is its help.
 
     Raises:
-        InputError: no such command; the line lists all.
+        InputError: no such command; the line lists all, or says what replaces one that is gone.
     """
+    if name in REMOVED:
+        instead = f"{PROGRAM} {REMOVED[name]}; {name} is gone, version 0.2.0 was the last with it"
+        raise InputError("command", name, instead)
     if name not in COMMANDS:
         raise InputError("command", name, ", ".join(COMMANDS))
     parser = Options(file_of(name), f"{PROGRAM} {name}")

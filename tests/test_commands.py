@@ -35,7 +35,6 @@ SHORT: dict[str, tuple[object, ...]] = {
     "precompute": ("--samples", 24, "--workers", 1, "--out", "made"),
     "study": ("--trials", 2, "--out", "made"),
     "compare": ("--runs", 1, "--trials", 2, "--no-artifacts", "--workers", 1, "--out", "made"),
-    "optimum": ("--runs", 1, "--max-generations", 1, "--workers", 1, "--out", "made"),
     "walk": ("--duration", 2, "--movie-seconds", 0.3, "--out", "made"),
     "quickstart": ("--out", "made"),
 }

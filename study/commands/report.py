@@ -1,7 +1,7 @@
 """Make figures and tables of one or several comparisons.
 
     taichi-nmm report out/compare/rough8-smooth
-    taichi-nmm report out/compare/* --out out/overview --optimum out/optimum/optimum.json
+    taichi-nmm report out/compare/* --out out/overview
 
 Each folder gets a folder `report`; the overview of several goes to --out. The report of an
 unfinished comparison covers its finished trials, and states how many those are. Two walks of each
@@ -15,7 +15,7 @@ from storage.commit import require_named
 from study.experiment.identity import documented_experiment
 from study.report.before_after import before_and_after
 from study.report.runs import known_stores, read_results
-from study.report.writing import REPORT_NAME, find_optimum, write_overview, write_report
+from study.report.writing import REPORT_NAME, write_overview, write_report
 from taichi_nmm.errors import InputError
 
 NO_GROUND = "the folder is of version 0.1.0 and does not name its ground"
@@ -28,18 +28,17 @@ def main(args: Namespace) -> None:
             "out", str(args.out), f"two folders or more; of one, it is DIR/{REPORT_NAME}"
         )
     everything = [read_results(folder) for folder in args.folders]
-    optima = [find_optimum(results, args.optimum) for results in everything]
     experiments = [documented_experiment(results.facts) for results in everything]
     if args.out is not None:
         require_named(args.out)
     found = []
-    for results, experiment, optimum in zip(everything, experiments, optima, strict=True):
+    for results, experiment in zip(everything, experiments, strict=True):
         pair = None
         if not args.no_strips and experiment is not None:
             pair = before_and_after(results, experiment)
         elif not args.no_strips:
             print(f"{results.name}: no strips ({NO_GROUND})", file=sys.stderr)
-        found.append(write_report(results, optimum, pair, stores=known_stores(results)))
+        found.append(write_report(results, pair, stores=known_stores(results)))
         state = "" if results.complete else f" ({results.found:,} of {results.planned:,} trials)"
         print(f"{results.folder / REPORT_NAME}: {results.name}{state}", flush=True)
     if args.out is not None:

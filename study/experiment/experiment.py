@@ -1,7 +1,7 @@
 """An experiment: the bodies, the grounds and the cost that every study of it shares.
 
-This is the one reader of experiments' configurations: one study, many, the estimate of the optimum
-and a single walk all take the same file.
+This is the one reader of experiments' configurations: one study, many, and a single walk all take
+the same file.
 """
 
 import re
@@ -29,26 +29,10 @@ MOST_RUNS = 10_000
 SUMMARY = "/summary"  # end of a study's name that has no trials and compares other studies
 MOST_TRIALS = 100_000
 LONGEST_TRIAL_S = 1000.0
-LARGEST_POPULATION = 10_000
-MOST_GENERATIONS = 100_000
 SEARCHABLE = ("theta_ref",)  # low-level gains that have a column in the results
 
 TABLE = "table"  # of a configuration, that a field stands in
 DECIDES_NOTHING = {"decides": False}  # of a field: it may grow, or its content is known by digest
-
-
-@dataclass(frozen=True)
-class CmaesOptions:
-    """Options of CMA-ES where the optimum is estimated: the table [cmaes].
-
-    A run has converged when the cost has changed by less than the tolerance, pycma's `tolfun`, in
-    50 generations or so. Its other criteria are as they are by default.
-    """
-
-    sigma: float = 0.3  # first spread, of each range
-    population: int = 0  # of a generation; 0: the library's, 4 + 3 ln(number of parameters)
-    tolerance: float = 1e-11
-    max_generations: int = 400  # where a run is cut that has not converged
 
 
 @dataclass(frozen=True)
@@ -69,7 +53,6 @@ class Experiment:
     trials: int = field(default=100, metadata=DECIDES_NOTHING)  # of each arm in each run, at most
     arms: tuple[str, ...] = field(default=(), metadata=DECIDES_NOTHING)  # that are compared
     stores: Mapping[str, Path] = field(default_factory=dict, hash=False, metadata=DECIDES_NOTHING)
-    cmaes: CmaesOptions = field(default=CmaesOptions(), metadata=DECIDES_NOTHING)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -177,28 +160,10 @@ def experiment_of(
         trials=table.integer("trials", 100, 1, MOST_TRIALS),
         arms=table.texts("arms"),
         stores={key: Path(stores.text(key)) for key in stores.unread},
-        cmaes=_read_cmaes(table.table("cmaes")),
     )
     objective.done()
     table.done()
     return experiment
-
-
-def _read_cmaes(table: Table) -> CmaesOptions:
-    default = CmaesOptions()
-    options = CmaesOptions(
-        sigma=table.number("sigma", default.sigma, 1e-6, 1.0),
-        population=table.integer("population", default.population, 0, LARGEST_POPULATION),
-        tolerance=table.number("tolerance", default.tolerance, 0.0, 100.0),
-        max_generations=table.integer(
-            "max_generations", default.max_generations, 1, MOST_GENERATIONS
-        ),
-    )
-    if options.population in (1, 2):
-        allowed = "0 for the library's, or 3 or more"
-        raise InputError("cmaes.population", options.population, allowed)
-    table.done()
-    return options
 
 
 def as_written(experiment: Experiment) -> dict[str, Any]:

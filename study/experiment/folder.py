@@ -132,10 +132,10 @@ def as_if_gone_on(table: pa.Table) -> pa.Table:
     return ordered.take(index).set_column(place, "trial", numbers)
 
 
-def in_order(tables: list[pa.Table], keys: tuple[str, ...] = ("arm", "run", "trial")) -> pa.Table:
-    """Tables of one schema as one, sorted."""
-    joined = pa.concat_tables(tables)
-    return joined.sort_by([(key, "ascending") for key in keys]).combine_chunks()
+def in_order(tables: list[pa.Table]) -> pa.Table:
+    """Tables of one schema as one, sorted by arm, run and trial."""
+    keys = [(key, "ascending") for key in ("arm", "run", "trial")]
+    return pa.concat_tables(tables).sort_by(keys).combine_chunks()
 
 
 def gains_of(experiment: Experiment, table: pa.Table) -> Floats:

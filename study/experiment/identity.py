@@ -1,7 +1,7 @@
 """All that decides an experiment's trials, as JSON values; and the machine that ran them.
 
-There is one such document: a comparison's folder, a study database, a live study and the estimate
-of the optimum all keep it, or its digest, and refuse to go on with another.
+There is one such document: a comparison's folder, a study database and a live study all keep it, or
+its digest, and refuse to go on with another.
 """
 
 import os

@@ -99,26 +99,23 @@ class CmaEs:
     """pycma in the unit cube, a generation at a time: `ask`, `tell`, `ask`, ...
 
     The first generation has its mean [d] at the start, in the unit cube, and a spread of sigma, of
-    each range. The same start, draws and costs give the same points. Options are pycma's.
+    each range. The same start, draws and costs give the same points.
     """
 
-    def __init__(
-        self, start: Floats, sigma: float, draws: np.random.Generator, **options: Any
-    ) -> None:
+    def __init__(self, start: Floats, sigma: float, draws: np.random.Generator) -> None:
         import cma
 
-        ours = {
+        options = {
             "bounds": [0.0, 1.0],
             "verbose": -9,
             "seed": np.nan,  # pycma's own seed is NumPy's global one, which all runs would share
             "randn": lambda *shape: draws.standard_normal(shape),
             "signals_filename": "",  # it would read options from a file of the current folder
         }
-        self._strategy = cma.CMAEvolutionStrategy(start, sigma, ours | options)
+        self._strategy = cma.CMAEvolutionStrategy(start, sigma, options)
         self._asked: list[Floats] | None = None
         self.population = int(self._strategy.popsize)
         self.generation = 0  # that `ask` gives, from 0
-        self.stopped = ""  # pycma's criteria that are met
 
     def ask(self) -> Floats:
         """The points of the generation, [population, d]; the same until told."""
@@ -130,7 +127,6 @@ class CmaEs:
         """The costs of the generation, finite, [population]."""
         assert self._asked is not None
         self._strategy.tell(self._asked, list(costs))
-        self.stopped = ", ".join(sorted(self._strategy.stop()))
         self._asked = None
         self.generation += 1
 

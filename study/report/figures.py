@@ -6,7 +6,6 @@ a walker.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -61,15 +60,15 @@ WALKS_BELOW = 100.0  # the walking cost of a walker that goes on to the end
 IN_FRONT = "bold: the paper's method, our best, the best peer; their bands are 95 %"
 
 
-def write_best_cost(folder: Path, results: Results, optimum: float | None) -> list[Path]:
+def write_best_cost(folder: Path, results: Results) -> list[Path]:
     """Best cost so far against trials, median beside mean, as best-cost.png and .svg.
 
-    The arms in front have bands; the estimated optimum of this cost is a line.
+    The arms in front have bands.
     """
     figure = style.new_figure(2.0 * (PANEL_IN + LABELS_IN) + LEFT_IN, _height_in(results))
     for panel, (title, statistic) in enumerate(STATISTICS):
         axes = _panel(figure, panel)
-        _cost_axis(axes, results, optimum)
+        _cost_axis(axes, results)
         if panel:
             axes.set_ylabel("")
         curves = {name: curve(arm.best, statistic) for name, arm in results.arms.items()}
@@ -125,7 +124,7 @@ def _draw_arms(
     return ends
 
 
-def _cost_axis(axes: Axes, results: Results, optimum: float | None) -> None:
+def _cost_axis(axes: Axes, results: Results) -> None:
     trial_axis(axes, results.trials)
     axes.set_ylabel(f"best {results.cost} cost so far", fontsize=style.TEXT_PT, color=style.INK)
     if results.cost == "smooth":
@@ -135,17 +134,12 @@ def _cost_axis(axes: Axes, results: Results, optimum: float | None) -> None:
         axes.yaxis.set_minor_locator(NullLocator())
     else:
         axes.set_ylim(0.0, 315.0)
-        _level(axes, WALKS_BELOW, "below: walks to the end", "--")
-    if optimum is not None:
-        _level(axes, optimum, f"estimated optimum {optimum:.3g}", (0, (8, 2, 1, 2)))
-
-
-def _level(axes: Axes, y: float, text: str, dash: Any) -> None:
-    axes.axhline(y, color=style.INK, linewidth=0.8, linestyle=dash, zorder=2.0)
-    axes.annotate(
-        text, xy=(0.0, y), xycoords=("axes fraction", "data"), xytext=(4, -2), va="top",
-        textcoords="offset points", fontsize=style.SMALL_PT, color=style.INK, zorder=2.0,
-    )  # fmt: skip
+        axes.axhline(WALKS_BELOW, color=style.INK, linewidth=0.8, linestyle="--", zorder=2.0)
+        axes.annotate(
+            "below: walks to the end", xy=(0.0, WALKS_BELOW), xycoords=("axes fraction", "data"),
+            xytext=(4, -2), textcoords="offset points", va="top", fontsize=style.SMALL_PT,
+            color=style.INK, zorder=2.0,
+        )  # fmt: skip
 
 
 def _height_in(results: Results) -> float:

@@ -106,7 +106,6 @@ def _walkers(numbers: Numbers, limits: Sequence[int]) -> tuple[list[str], list[l
 def report_text(
     results: Results,
     numbers: Numbers,
-    optimum: float | None,
     strips: str = "",
     stores: Mapping[str, Path] = NO_STORES,
 ) -> str:
@@ -116,13 +115,10 @@ def report_text(
     folders of the stores that the arms read, by key, where they are known.
     """
     figures = FIGURES | ({"strips": strips} if strips else {})
-    known = facts(results)
-    if optimum is not None:
-        known["estimated optimum"] = f"{optimum:.4g} (level ground, undisturbed body)"
     parts = [
         f"# {results.name}",
         _state(results),
-        "\n".join(f"- {key}: {value}" for key, value in known.items()),
+        "\n".join(f"- {key}: {value}" for key, value in facts(results).items()),
         "## What the arms reached",
         METHOD,
         _reached(numbers),

@@ -152,7 +152,6 @@ FORMATS = (
     Format("experiment, TOML", 16, ("toy.toml",),
            ("walk", "compare", COMPARE_NEW, (*NEW_STUDY, "dog"), (*NEW_STUDY, "random")), in_toml),
     Format("experiment on MuJoCo, TOML", 4, ("mujoco-rough8.toml",), (WALK_SOFT,), in_toml),
-    Format("optimum's experiment, TOML", 3, ("level.toml",), ("optimum",), in_toml),
     Format("store, TOML", 8, ("grid.toml",), ("precompute", *[PRECOMPUTE_NEW] * 2), in_toml),
     Format("store of worlds, TOML", 2, ("store-worlds.toml",), (PRECOMPUTE_WORLDS,), in_toml),
     Format("gains, JSON", 10, ("gains.json", "best/dog-run-000-best.json"),
@@ -174,10 +173,6 @@ FORMATS = (
            "explore of a comparison"), either(in_bytes, in_columns)),
     Format("an arm's trials", 6, ("compared/arms/dog.parquet", "compared/arms/random.parquet"),
            ("report", "compare", "compare"), either(in_bytes, in_columns, in_columns, in_footer)),
-    Format("optimum's folder", 3,
-           ("optimum/search.json", "optimum/evaluations.parquet", "optimum/dog/experiment.json",
-            "optimum/dog/arms/dog.parquet"), ("optimum",), in_folder_file),
-    Format("optimum.json", 2, ("optimum/optimum.json",), ("report of two",), in_json),
     Format("live studies, SQLite", 7, ("live.db",), DATABASE, in_database),
     Format("a comparison's studies, SQLite", 3, ("compared/studies.db",), EXPORTED, in_database),
 )  # fmt: skip

@@ -30,7 +30,6 @@ Words = tuple[str, ...]
 
 ONE = ("--workers", "1")
 COMPARE = ("compare", "--config", "toy.toml", "--out", "compared", "--no-artifacts", *ONE)
-OPTIMUM = ("optimum", "--config", "level.toml", "--out", "optimum", *ONE)
 PRECOMPUTE = ("precompute", "--config", "grid.toml", "--out", "grid", *ONE)
 STUDY = ("study", "--config", "toy.toml", "--arm", "dog", "--out", "best", "--storage",
          "sqlite:///live.db")  # fmt: skip
@@ -39,13 +38,11 @@ STILL = ("--movie-seconds", "0", "--out", "walked")
 # Every command, on files of the world, from within their folder.
 COMMANDS: dict[str, Words] = {
     "compare": COMPARE,
-    "optimum": OPTIMUM,
     "precompute": PRECOMPUTE,
     "study": STUDY,
     "report": ("report", "compared", "--no-strips"),
     "report with strips": ("report", "compared"),
-    "report of two": ("report", "compared", "optimum/dog", "--no-strips", "--out", "overview",
-                      "--optimum", "optimum/optimum.json"),
+    "report of two": ("report", "compared", "compared", "--no-strips", "--out", "overview"),
     "dashboard": ("dashboard", "compared", "--port", "0"),
     "explore": ("explore", "store", "--port", "0", "--no-browser"),
     "explore of a comparison": ("explore", "compared", "--port", "0", "--no-browser"),
@@ -84,17 +81,6 @@ friction = [0.6, 1.0]
 flat = "store"
 diverse = "store"
 """
-LEVEL = """\
-name = "level"
-seed = 5
-runs = 2
-trials = 2
-arms = ["dog"]
-[cmaes]
-max_generations = 2
-[stores]
-flat = "store"
-"""
 ON_A_TABLE = 'seed = 1\n[terrain]\nkind = "file"\nfile = "{}"\n'
 GRID = """\
 samples = 12
@@ -122,7 +108,7 @@ DAY = "2026-01-01 00:00:00.000000"
 def make_world(folder: Path) -> None:
     """Fill a new folder; some seconds."""
     folder.mkdir(parents=True)
-    for name, text in {"toy": TOY, "level": LEVEL, "grid": GRID}.items():
+    for name, text in {"toy": TOY, "grid": GRID}.items():
         (folder / f"{name}.toml").write_text(text)
     for name in ("store-worlds", "mujoco-rough8"):
         shutil.copy(CONFIGS / f"{name}.toml", folder)
@@ -137,7 +123,7 @@ def make_world(folder: Path) -> None:
     with chdir(folder), simulator, redirect_stdout(shown), redirect_stderr(shown):
         families = {"up": {"settings": 1, "terrain": {"kind": "ramp"}}}
         fake_walker.write_store(Path("store"), robust={}, families=families)
-        for words in (PRECOMPUTE, COMPARE, OPTIMUM, (*STUDY, "--trials", "2")):
+        for words in (PRECOMPUTE, COMPARE, (*STUDY, "--trials", "2")):
             with mock.patch.object(sys, "argv", []):
                 main(words)
     settle(folder)
@@ -156,12 +142,10 @@ def settle(folder: Path) -> None:
         arms = [pq.read_table(arm) for arm in sorted(path.parent.glob("arms/*.parquet"))]
         footer = json.loads(pq.read_schema(path).metadata[FOOTER_KEY])
         write_table(path, in_order(arms).select(TIME_COLUMNS), footer)
-    for path in [*folder.rglob("run.json"), *folder.rglob("optimum.json")]:
+    for path in folder.rglob("run.json"):
         document = json.loads(path.read_text())
-        for session in document.get("sessions", ()):
+        for session in document["sessions"]:
             session |= {"started": f"{DAY}+00:00", "wall_s": 1.5}
-        if path.stem == "optimum":
-            document |= {"date": DAY, "wall_s": 1.5}
         path.write_text(json.dumps(document, indent=2))
     for path in folder.rglob("*.db"):
         with closing(sqlite3.connect(path)) as connection:

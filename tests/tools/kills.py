@@ -39,9 +39,8 @@ import taichi_nmm
 from storage.databases.urls import file_url
 from study.cli import main as command_line
 from study.cli import run_command
-from study.experiment import compare, optimum
+from study.experiment import compare
 from study.experiment.folder import PROPOSAL_TIME, RUN_NAME, TIMES_NAME
-from study.experiment.optimum import OPTIMUM_NAME
 from study.options import COMMANDS, LARGEST_SEED, Options
 from tests.study import fake_walker
 
@@ -58,16 +57,15 @@ families.up = {settings = 1, min_survival_s = 0.5, terrain = {kind = "ramp"}}
 """
 REPERTOIRE = "repertoire = {evaluations = 300, settings = 1, candidates = 6}"
 EXPERIMENT = """
-name = "{kind}"
+name = "rough"
 seed = 5
 runs = 2
 trials = 4
 arms = ["random", "dog"]
 objective = {{cost = "smooth"}}
 simulation = {{duration_s = 2.0}}
-body = {{disturbance = {disturbance}}}
-terrain = {{kind = "{kind}"}}
-cmaes = {{population = 4, max_generations = 3}}
+body = {{disturbance = 0.15}}
+terrain = {{kind = "rough"}}
 stores = {{flat = "{base}/store", diverse = "{base}/store"}}
 """
 ONE = "--workers 1"
@@ -78,7 +76,6 @@ SCENES = {
     "study": "study --config {base}/rough.toml --arm dog --storage sqlite:///out/s.db --out out",
     "compare": f"{COMPARE} out",
     "report": "report compared --no-strips",
-    "optimum": f"optimum --config {{base}}/flat.toml --out out {ONE}",
     "draw-store": "draw-store {base}/store --out store.png",
 }
 PREPARATIONS = (f"precompute --config {{base}}/store.toml --out store {ONE}", f"{COMPARE} compared")
@@ -185,8 +182,7 @@ class Theatre:
         self._log, self._stage = folder / "log.txt", folder / "stage"
         self._base.mkdir(parents=True)
         texts = {"store": STORE, "bred": STORE + REPERTOIRE}
-        for kind, disturbance in (("rough", 0.15), ("flat", 0.0)):
-            texts[kind] = EXPERIMENT.format(kind=kind, disturbance=disturbance, base=self._base)
+        texts["rough"] = EXPERIMENT.format(base=self._base)
         for name, text in texts.items():
             (self._base / f"{name}.toml").write_text(text)
         for line in PREPARATIONS:
@@ -218,7 +214,6 @@ class Theatre:
         return found
 
 
-OF_THE_SESSION = {"date", "wall_s", "machine"}  # in optimum.json
 OF_THE_DATABASE = (".db-wal", ".db-shm")  # read with it
 OF_REPEATS = {"failed_trial", "retry_history", "fixed_params"}  # of a trial that was cut short
 VERSION = re.compile("note_ver")  # counts how often a note was written
@@ -244,9 +239,6 @@ def content(file: Path) -> bytes:
         return b""
     if file.name == TIMES_NAME or file.parent.name == "arms":
         return repr(pq.read_table(file).drop_columns(PROPOSAL_TIME).to_pylist()).encode()
-    if file.name == OPTIMUM_NAME:
-        document = json.loads(file.read_text())
-        return json.dumps({k: v for k, v in document.items() if k not in OF_THE_SESSION}).encode()
     if file.suffix == ".db":
         storage = optuna.storages.RDBStorage(file_url(file))
         found = {
@@ -313,7 +305,7 @@ def main() -> None:
     args = parser.parse_args()
     vars(taichi_nmm)["simulate"] = fake_walker.simulate
     compare.CHECKPOINT_S = compare.EXPORT_S = 0.0  # often, not every 20 s
-    compare.STRETCH_TRIALS, optimum.STRETCH_GENERATIONS = 2, 1
+    compare.STRETCH_TRIALS = 2
     for name in COMMANDS:  # so that no process has to
         import_module(f"study.commands.{name.replace('-', '_')}")
     for late in ("ribs.archives", "optuna_dashboard"):

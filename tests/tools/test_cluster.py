@@ -96,15 +96,6 @@ def test_a_comparison_that_was_begun_here_goes_on_there(folder: Path, engine: st
     assert tables(folder / f"{engine}-both") == expected
 
 
-@pytest.mark.campaign
-def test_an_estimate_of_the_optimum_is_the_same(folder: Path) -> None:
-    config = EXPERIMENT.format(engine="taichi") + "[cmaes]\nmax_generations = 3\n"
-    (folder / "optimum.toml").write_text(config)
-    for name, side in (("optimum-here", HERE), ("optimum-there", THERE)):
-        run(folder, "optimum", "--config", "optimum.toml", "--out", name, *side)
-    assert tables(folder / "optimum-there") == tables(folder / "optimum-here")
-
-
 def test_a_folder_of_another_kind_is_refused_unless_it_begins_anew(folder: Path) -> None:
     words = ("precompute", "--config", "store.toml", "--out", "other", "--cluster", "local:1")
     shutil.copytree(folder / "store", folder / "other")

@@ -9,7 +9,7 @@ import pytest
 from tests.tools import kills
 from tests.tools.running import ROOT
 
-KILLS = 12
+KILLS = 10
 
 
 @pytest.mark.campaign

@@ -39,7 +39,7 @@ FILES: dict[str, Any] = {
     "half.toml": "samples = ", "five.toml": "samples = 5", "file": "in the way",
 }  # fmt: skip
 BASE = {
-    "compare": "--config rough8-smooth --out new", "optimum": "--config optimum-smooth --out new",
+    "compare": "--config rough8-smooth --out new",
     "study": "--config rough8-smooth --arm random --storage sqlite:///new.db --out new",
     "precompute": "--config five.toml --out new --workers 1", "walk": "--config flat --out new",
     "walk of published": "--gains published --config flat --out new",
@@ -55,17 +55,12 @@ REFUSED: list[tuple[str, str, str]] = [
         ("--runs 1.5", f"runs: '1.5' {ONE_OF}a whole"), ("--arms dog,cat", "arm: 'cat'"),
         ("--rums 1", "unrecognized arguments: --rums 1"),
         ("--arms random --storage oracle://host/db", "storage: '***'"),
-        ("--arms random --storage foo", "storage: "),
+        ("--arms random --storage foo", "storage: "), ("--runs 0", "runs: 0"),
+        ("--config nowhere.toml", "config: 'nowhere.toml'"),
     ]),
     ("compare of nothing", "", "the following arguments are required: --config"),
-    *((name, words, line) for name in ("compare", "optimum") for words, line in [
-        ("--config nowhere.toml", "config: 'nowhere.toml'"), ("--runs 0", "runs: 0"),
-    ]),
     *((name, words, line) for name in ("compare", "study") for words, line in [
         ("--trials 0", "trials: 0"), ("--seed -1", "seed: -1"),
-    ]),
-    *(("optimum", f"--{name} {value}", f"{name}: {value}") for name, value in [
-        ("runs", 1000000), ("max-generations", HUGE), ("max-generations", 0),
     ]),
     *(("precompute", f"--{name} {value}", f"{name}: {value}") for name, value in [
         ("samples", FAR), ("samples", 0), ("workers", 0), ("workers", -1),
@@ -106,7 +101,7 @@ REFUSED: list[tuple[str, str, str]] = [
         ("--arms random,best", f"arms: 'best' {ONE_OF}"), ("--problems easy", "problems: 'easy'"),
         ("--trials 1", "trials: 1"), ("--seeds 0", "seeds: 0"), (f"--seeds {HUGE}", "seeds: "),
     ]),
-    *((name, words, line) for name in ("precompute", "compare", "optimum") for words, line in [
+    *((name, words, line) for name in ("precompute", "compare") for words, line in [
         ("--cluster nowhere", f"cluster: 'nowhere' {ONE_OF}local:N"),
         ("--mixed", f"mixed: True {ONE_OF}only beside --cluster"),
     ]),

@@ -39,13 +39,9 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (begun / "arms").mkdir()
     pq.write_table(table.filter(pc.invert(behind)), begun / "arms" / "all.parquet")
     (begun / "trials.parquet").unlink()
-    words: list[object] = [root / "one", begun, "--out", root / "all"]
-    for cost, best in (("walking", 5.0), ("smooth", 0.011)):
-        (root / f"{cost}.json").write_text(json.dumps({"cost": cost, "best_cost": best}))
-        words += ["--optimum", root / f"{cost}.json"]
     out, err = StringIO(), StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        assert run_tool(patch, "report", *words) == 0
+        assert run_tool(patch, "report", root / "one", begun, "--out", root / "all") == 0
     (root / "out.txt").write_text(out.getvalue())
     (root / "err.txt").write_text(err.getvalue())
     return root
@@ -61,10 +57,6 @@ def test_a_report_has_its_figures_and_its_numbers(reported: Path) -> None:
     assert {arm["arm"] for arm in summary["arms"]} == set(ARMS)
     assert (folder / "report.md").read_text().startswith("# one\n")
     assert f"{folder}: one\n" in (reported / "out.txt").read_text()
-    for name, optimum in (("one", 0.011), ("two", 5.0)):  # that of the same cost
-        folder = reported / name / "report"
-        assert json.loads((folder / "summary.json").read_text())["optimum"] == optimum
-        assert f"estimated optimum: {optimum:g}" in (folder / "report.md").read_text()
 
 
 def test_an_unfinished_folder_is_reported_as_far_as_it_is(reported: Path) -> None:
@@ -114,8 +106,6 @@ def test_what_a_folder_says_is_simulated(tmp_path: Path, tool: Tool, simulator: 
 
 def test_bad_input_is_one_line(tmp_path: Path, tool: Tool) -> None:
     folder = write(tmp_path / "rough8")
-    (tmp_path / "broken.json").write_text('{"best": 1}')
-    (tmp_path / "large.json").write_text('{"cost": "smooth", "best_cost": 1e300}')
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("")
     strange = write(tmp_path / "strange")
@@ -124,9 +114,6 @@ def test_bad_input_is_one_line(tmp_path: Path, tool: Tool) -> None:
     (strange / "experiment.json").write_text(json.dumps(known))
     for field, *arguments in (
         ("folder", tmp_path / "nowhere"), ("folder", tmp_path / "empty"),
-        ("optimum", folder, "--optimum", tmp_path / "none.json"),
-        ("optimum: broken.json: cost", folder, "--optimum", tmp_path / "broken.json"),
-        ("optimum: large.json: best_cost", folder, "--optimum", tmp_path / "large.json"),
         ("out", folder, "--out", tmp_path / "all"),
         ("out", folder, folder, "--out", tmp_path / "file", "--no-strips"),
         ("out", folder, folder, "--out", "/", "--no-strips"), ("terrain.steepness", strange),

@@ -32,7 +32,7 @@ NEW_FILE = {"draw-store": "--out", "walk": "--mjcf"}
 COMPLETE: dict[str, tuple[str, ...]] = {
     "compare": ("--config", "CONFIG", "--arms", "random", "--no-artifacts"),
     "draw-store": ("STORE",), "explore": ("STORE", "--no-browser"), "report": ("DONE",),
-    "dashboard": ("DONE",), "optimum": ("--config", "CONFIG"), "walk": ("--movie-seconds", "0"),
+    "dashboard": ("DONE",), "walk": ("--movie-seconds", "0"),
     "study": ("--config", "CONFIG", "--arm", "random", "--storage", "sqlite:///new.db"),
 }  # fmt: skip
 BESIDE = {

@@ -86,9 +86,7 @@ def test_an_experiment_pickles_and_hashes_and_is_read_back_from_what_it_writes()
     ('kind = "rough"', 'kind = "hilly"', "terrain.kind: 'hilly'"),
     ('flat = "out/store"', "flat = 3", "stores.flat: 3"),
     ("[stores]", "[dog]\nstore = 'out/store'\n[stores]", "dog: .* only the keys"),
-    ("[stores]", "[cmaes]\npopulation = 2\n[stores]", "cmaes.population: 2 .* 0 for the libr"),
-    ("[stores]", "[cmaes]\nsigma = 2.0\n[stores]", "cmaes.sigma: 2"),
-    ("[stores]", "[cmaes]\ngenerations = 2\n[stores]", "cmaes.generations: 2"),
+    ("[stores]", "[cmaes]\nsigma = 0.3\n[stores]", "cmaes: .* only the keys"),  # as in 0.2.0
 ])  # fmt: skip
 def test_bad_configurations_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     with refused(message):

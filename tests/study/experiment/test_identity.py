@@ -10,7 +10,7 @@ import pytest
 from storage.tables import agree, difference
 from study.experiment import identity
 from study.experiment.arms import find_arm
-from study.experiment.experiment import CmaesOptions, Experiment, read_experiment
+from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.identity import document, documented_experiment, fingerprint, versions
 from study.options import config_path, shipped_configs
 from taichi_nmm.conditions import Conditions
@@ -44,7 +44,6 @@ DECIDING: dict[type, dict[str, Any]] = {
 IDLE: dict[type, dict[str, Any]] = {
     Experiment: {
         "runs": 9, "trials": 50, "arms": ("best",), "stores": {"flat": Path("elsewhere")},
-        "cmaes": CmaesOptions(sigma=0.5),
     },
     Conditions: {},
     # Of another engine than the tiny experiment's.

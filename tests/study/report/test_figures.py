@@ -33,7 +33,7 @@ def test_figures_are_written_twice_alike(tmp_path: Path, monkeypatch: pytest.Mon
     names = []
     for folder in (tmp_path / "a", tmp_path / "b"):
         folder.mkdir()
-        files = figures.write_best_cost(folder, results, 5.0)
+        files = figures.write_best_cost(folder, results)
         files += figures.write_walkers(folder, results)
         files += figures.write_first_walker(folder, results)
         names = [file.name for file in files]
@@ -49,7 +49,7 @@ def test_labels_stay_within_the_figure(tmp_path: Path, monkeypatch: pytest.Monke
     seen: list[Figure] = []
     monkeypatch.setattr(figures, "save", lambda figure, *_: seen.append(figure))
     figures.write_walkers(tmp_path, results)
-    figures.write_best_cost(tmp_path, results, 0.01)
+    figures.write_best_cost(tmp_path, results)
     figures.write_first_walker(tmp_path, results)
     texts = [(figure, text) for figure in seen for axes in figure.axes for text in axes.texts]
     assert len(texts) > 3 * len(results.arms)

@@ -14,7 +14,7 @@ from tests.study.report.synthetic import arm, counted
 
 
 def test_a_single_arm_of_a_single_run_is_reported(tmp_path: Path) -> None:
-    write_report(counted(arm("random", [np.inf], trials=2)), None, folder=tmp_path)
+    write_report(counted(arm("random", [np.inf], trials=2)), folder=tmp_path)
     assert "| 1 | 0 | 0 to 79 | > 2 |" in (tmp_path / "report.md").read_text()
 
 
@@ -26,7 +26,7 @@ def test_a_failed_report_changes_nothing(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(writing, "write_walkers", fails)
     (tmp_path / "report.md").write_text("an older one")
     with pytest.raises(InputError, match="disk"):
-        write_report(counted(arm("random", [np.inf], trials=2)), None, folder=tmp_path)
+        write_report(counted(arm("random", [np.inf], trials=2)), folder=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["report.md"]
     assert (tmp_path / "report.md").read_text() == "an older one"
 
