@@ -194,6 +194,11 @@ class MujocoSimulator(FunctionSimulator):
         return digest.hexdigest()[:16]
 
     @property
+    def outcomes(self) -> tuple[str, ...]:
+        """How far each run came, what it cost and how fast it was."""
+        return (SURVIVED, "cost_of_transport", "speed_mps")
+
+    @property
     def packages(self) -> tuple[str, ...]:
         """NumPy and MuJoCo."""
         return ("numpy", "mujoco")
