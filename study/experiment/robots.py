@@ -67,10 +67,12 @@ ARMS: dict[str, RobotArm] = {
     "best": RobotArm("ours", "survival of each family", lambda t, s: SurvivalSampler(t, seed=s)),
     "ranking": RobotArm("ranking", "the ranking", lambda t, s: RandomSampler(seed=s), None),
     "gp-ranking": RobotArm(
-        "GPSampler after 3", _RANKED, lambda t, s: GPSampler(seed=s), FIRST_ROWS
+        "GPSampler after 3", _RANKED,
+        lambda t, s: GPSampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
     ),
     "tpe-ranking": RobotArm(
-        "TPE after 3", _RANKED, lambda t, s: TPESampler(seed=s), FIRST_ROWS
+        "TPE after 3", _RANKED,
+        lambda t, s: TPESampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
     ),
     "gp": RobotArm("GPSampler", NOTHING, lambda t, s: GPSampler(seed=s)),
     "tpe": RobotArm("TPE", NOTHING, lambda t, s: TPESampler(seed=s)),

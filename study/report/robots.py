@@ -128,6 +128,7 @@ class RobotResults:
         left.set_ylabel("robots with a trial that lasted", fontsize=style.TEXT_PT)
         left.set_ylim(0, self.experiment.runs)
         right.set_ylabel("median of the least cost", fontsize=style.TEXT_PT)
+        right.set_yscale("log")
         for axes in (left, right):
             style.tidy(axes)
             axes.set_xlabel("trials", fontsize=style.TEXT_PT)
