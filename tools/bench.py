@@ -15,6 +15,8 @@ import platform
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -49,23 +51,19 @@ Measured = dict[str, Any]
 def main() -> None:
     options = parse()
     with tempfile.TemporaryDirectory() as cache:
-        if options.against:
-            measured = by_turns(options.against, Path(cache))
-        else:
-            measured = measure(options, Path(cache))
-    said = turns_text if options.against else text
-    print(json.dumps(measured) if options.json else said(measured))
+        measured = by_turns if options.against else measure
+        for line in measured(options, Path(cache)):
+            print(line, flush=True)
 
 
 def parse() -> argparse.Namespace:
     parser = Options(__file__)
     parser.whole("--samples", 1, MOST_SAMPLES, default=100_000, help="%(default)s")
     parser.add_argument("--lanes", default="", metavar="1,4,8,16", help="compare widths on the CPU")
-    parser.add_argument("--threads", action="store_true", help="few walkers on one thread, on all")
-    parser.add_argument("--mujoco", action="store_true", help="time MuJoCo's mj_step beside it")
+    parser.flag("--threads", "few walkers on one thread, on all")
+    parser.flag("--mujoco", "time MuJoCo's mj_step beside it")
     parser.path("--against", "only compare ns a walker-step by turns", "CHECKOUT")
     parser.add_argument("--arch", choices=ARCHITECTURES, default="auto")
-    parser.add_argument("--json", action="store_true", help="print one object")
     options = parser.parse_args()
     options.lanes = lane_widths(options.lanes)
     if options.against and not (options.against / "taichi_nmm").is_dir():
@@ -84,42 +82,46 @@ def lane_widths(listed: str) -> list[int]:
     return widths
 
 
-def measure(options: argparse.Namespace, cache: Path) -> Measured:
-    """All measurements that the options name, one after the other."""
+def measure(options: argparse.Namespace, cache: Path) -> Iterator[str]:
+    """Lines on all that the options name, one measurement after the other."""
     arch = ["--arch", options.arch]
     cold = worker("cold start", cache / "main", "--samples", "0", *arch)
     run = worker("run", cache / "main", "--samples", str(options.samples), *arch)
-    report: Measured = {
-        "machine": {"cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}"},
-        "cold_start_s": cold["start_s"],
-        "warm_start_s": run.pop("start_s"),
-        "run": run,
-        "times_reference_speed": {
-            name: run["walkers_per_s"] * seconds / REFERENCE_POINTS
-            for name, seconds in REFERENCES_S.items()
-        },
-    }
+    samples, seconds, steps_per_s = options.samples, run["run_s"], run["walker_steps_per_s"]
+    yield (f"machine        {os.cpu_count()} cores, {platform.system()} {platform.machine()};"
+           f" {run['arch']}, {run['precision']}, {run['lanes']} lanes")  # fmt: skip
+    yield f"cold start     {cold['start_s']:.1f} s (compiles)"
+    yield f"warm start     {run['start_s']:.1f} s"
+    yield (f"run            {samples:,} points x {run['duration_s']:g} s in {seconds:.1f} s,"
+           f" {100 * run['alive'] / samples:.1f} % alive at the end")  # fmt: skip
+    yield f"speed          {samples / seconds:,.0f} walkers/s, {steps_per_s:,.0f} walker-steps/s"
+    yield f"peak memory    {run['peak_rss_mib']:,.0f} MiB"
+    for name, reference_s in REFERENCES_S.items():
+        ratio = samples / seconds * reference_s / REFERENCE_POINTS
+        yield (f"{ratio:6.2f} x the speed of {name} ({reference_s:g} s for {REFERENCE_POINTS:,},"
+               " on another 2-core machine)")  # fmt: skip
+    few = min(samples, LANE_SAMPLES)
     if options.lanes:
-        samples = ("--samples", str(min(options.samples, LANE_SAMPLES)))
-        report["lanes"] = [  # each from a cache of its own
-            worker(f"{width} lanes", cache / f"lanes-{width}", *samples,
-                   "--arch", "cpu", "--lanes", str(width))
-            for width in options.lanes
-        ]  # fmt: skip
+        yield f"\n{few:,} points, CPU\nlanes  cold start s     run s  walkers/s   alive"
+    for width in options.lanes:  # each from a cache of its own
+        words = ("--samples", str(few), "--arch", "cpu", "--lanes", str(width))
+        row = worker(f"{width} lanes", cache / f"lanes-{width}", *words)
+        yield (f"{width:5d}  {row['start_s']:12.1f}  {row['run_s']:8.2f}"
+               f"  {few / row['run_s']:9,.0f}  {row['alive']:6d}")  # fmt: skip
     if options.threads:
-        counts = sorted({1, os.cpu_count() or 1})
-        report["threads"] = [
-            worker(f"{count} threads", cache / "main", "--threads", str(count)) for count in counts
-        ]
+        yield "\n400 walkers near the published gains x 10 s, CPU\nthreads     run s  faster"
+        took = {}
+        for count in sorted({1, os.cpu_count() or 1}):
+            row = worker(f"{count} threads", cache / "main", "--threads", str(count))
+            took[count] = row["run_s"]
+            yield f"{count:7d}  {took[count]:8.2f}  {took[1] / took[count]:6.2f} x"
     if options.mujoco:
-        rollouts = str(min(options.samples, MUJOCO_ROLLOUTS))
+        rollouts = str(min(samples, MUJOCO_ROLLOUTS))
         row = run_json("MuJoCo", ["-m", MUJOCO_MODULE, "--rollouts", rollouts], {})
-        ratios = {
-            f"ratio_to_{name}": run["walker_steps_per_s"] / row[f"steps_per_s_{name}"]
-            for name in ("single", "all")
-        }
-        report["mujoco"] = row | ratios
-    return report
+        yield f"\nMuJoCo {row['version']}, mj_step of the same body, 14 muscles, contacts, 1 ms"
+        for threads, name in (("1 thread", "single"), (f"{row['threads']} threads", "all")):
+            theirs = row[f"steps_per_s_{name}"]
+            yield f"{threads:14} {theirs:,.0f} steps/s; ours {steps_per_s / theirs:.1f} x"
 
 
 def worker(what: str, cache: Path, *arguments: str) -> Measured:
@@ -145,20 +147,21 @@ def run_json(what: str, arguments: list[str], environment: dict[str, str]) -> Me
     return measured
 
 
-def by_turns(other: Path, cache: Path) -> Measured:
-    """CPU ns a walker-step of both checkouts, [turn]: each waits while the other is measured."""
-    roots = {"this": ROOT, "other": other.resolve()}
+def by_turns(options: argparse.Namespace, cache: Path) -> Iterator[str]:
+    """CPU ns a walker-step of both checkouts: each waits while the other is measured."""
+    roots = {"this": ROOT, "other": options.against.resolve()}
     print("compiling both", file=sys.stderr, flush=True)
     workers = {name: turn_taker(root, cache / name) for name, root in roots.items()}
     turns: Measured = {load: {name: [] for name in roots} for load in LOADS}
     for turn in range(TURNS):
         print(f"turn {turn + 1} of {TURNS}", file=sys.stderr, flush=True)
-        for load in LOADS:
-            for name, process in workers.items():
-                turns[load][name].append(float(answer(process, load)))
+        for load, name in product(LOADS, roots):
+            turns[load][name].append(float(answer(workers[name], load)))
     for process in workers.values():
         process.communicate()
-    return turns
+    yield f"CPU ns a walker-step, one thread, median of {TURNS} turns: this, the other, ratio"
+    for load, taken in turns.items():
+        yield turns_line(load, **taken)
 
 
 def turn_taker(root: Path, cache: Path) -> "subprocess.Popen[str]":
@@ -187,61 +190,10 @@ def answer(process: "subprocess.Popen[str]", load: str) -> str:
     return line
 
 
-def turns_text(turns: Measured) -> str:
-    lines = [f"CPU ns a walker-step, one thread, median of {TURNS} turns: this, the other, ratio"]
-    for load, taken in turns.items():
-        ratio = median(a / b for a, b in zip(taken["this"], taken["other"], strict=True))
-        this, other = median(taken["this"]), median(taken["other"])
-        lines.append(f"{load:8} {this:7.1f}  {other:7.1f}  {ratio:.3f}")
-    return "\n".join(lines)
-
-
-def text(report: Measured) -> str:
-    """The report as paragraphs for people."""
-    run, machine = report["run"], report["machine"]
-    lines = [
-        f"machine        {machine['cores']} cores, {machine['system']}; {run['arch']},"
-        f" {run['precision']}, {run['lanes']} lanes",
-        f"cold start     {report['cold_start_s']:.1f} s (compiles)",
-        f"warm start     {report['warm_start_s']:.1f} s",
-        f"run            {run['samples']:,} points x {run['duration_s']:g} s in"
-        f" {run['run_s']:.1f} s, {100 * run['alive'] / run['samples']:.1f} % alive at the end",
-        f"speed          {run['walkers_per_s']:,.0f} walkers/s,"
-        f" {run['walker_steps_per_s']:,.0f} walker-steps/s",
-        f"peak memory    {run['peak_rss_mib']:,.0f} MiB",
-    ]
-    for name, ratio in report["times_reference_speed"].items():
-        lines.append(
-            f"{ratio:6.2f} x the speed of {name}"
-            f" ({REFERENCES_S[name]:g} s for {REFERENCE_POINTS:,}, on another 2-core machine)"
-        )
-    if rows := report.get("lanes"):
-        head = "lanes  cold start s     run s  walkers/s   alive"
-        lines += ["", f"{rows[0]['samples']:,} points, CPU", head]
-        for row in rows:
-            lines.append(
-                f"{row['lanes']:5d}  {row['start_s']:12.1f}  {row['run_s']:8.2f}"
-                f"  {row['walkers_per_s']:9,.0f}  {row['alive']:6d}"
-            )
-    if rows := report.get("threads"):
-        lines += [
-            "",
-            "400 walkers near the published gains x 10 s, CPU",
-            "threads     run s  faster",
-        ]
-        for row in rows:
-            faster = rows[0]["run_s"] / row["run_s"]
-            lines.append(f"{row['threads']:7d}  {row['run_s']:8.2f}  {faster:6.2f} x")
-    if row := report.get("mujoco"):
-        lines += [
-            "",
-            f"MuJoCo {row['version']}, mj_step of the same body, 14 muscles, contacts, 1 ms",
-            f"1 thread       {row['steps_per_s_single']:,.0f} steps/s;"
-            f" ours {row['ratio_to_single']:.1f} x",
-            f"{row['threads']} threads      {row['steps_per_s_all']:,.0f} steps/s;"
-            f" ours {row['ratio_to_all']:.1f} x",
-        ]
-    return "\n".join(lines)
+def turns_line(load: str, this: list[float], other: list[float]) -> str:
+    """Medians of both checkouts, and of the ratio of their turns."""
+    ratio = median(a / b for a, b in zip(this, other, strict=True))
+    return f"{load:8} {median(this):7.1f}  {median(other):7.1f}  {ratio:.3f}"
 
 
 if __name__ == "__main__":

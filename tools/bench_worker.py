@@ -77,10 +77,8 @@ def many_walkers(run: Simulate, samples: int) -> dict[str, object]:
     result = run(gains, duration_s=RUN_S)
     run_s = time.perf_counter() - began_s
     return {
-        "samples": samples,
         "duration_s": RUN_S,
         "run_s": run_s,
-        "walkers_per_s": samples / run_s,
         "walker_steps_per_s": float(result["duration_s"].sum()) / TICK_S / run_s,
         "alive": int((result["end_reason"] == COMPLETED).sum()),
         "lanes": backend.lanes(),

@@ -1,4 +1,4 @@
-"""Compare our samplers with Optuna's on tuning problems from outside, and write a table and a plot.
+"""Compare our samplers with others on tuning problems from outside, and write tables and a plot.
 
     python tools/compare_outside.py                    # the problems for tuning
     python tools/compare_outside.py --problems all     # those that are only reported as well
@@ -9,12 +9,12 @@ or the numbers that made it have changed. GPSampler needs PyTorch, which this pr
 install: without it that arm is left out.
 """
 
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
-from functools import cached_property
+import sys
+from argparse import Namespace
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 from checkout import guarded_imports, run_command
 
@@ -22,203 +22,181 @@ with guarded_imports():
     import numpy as np
     import scipy
 
+    from storage.commit import require_folder
+    from study.options import MOST_WORKERS, Options
     from study.report.numbers import wilcoxon
-    from tools import benchmark
-    from tools.benchmark import Bar, Costs, draw_panels, made_by
-    from tools.outside import ARMS, OutsideProblem, outside_problem
+    from taichi_nmm.errors import InputError
+    from tools.outside import (
+        ARMS,
+        GROUPS,
+        NOTHING,
+        PROBLEMS,
+        Floats,
+        OutsideProblem,
+        Run,
+        execute,
+        outside_problem,
+    )
+    from tools.page import ROOT, write_page
 
 NAME = "sampler-outside"
-EXAMPLE = """python tools/compare_outside.py --seeds 3 --arms ours,tpe \\
-    --problems transport-solver --out out/outside
-"""
+MOST_SEEDS, MOST_TRIALS = 10_000, 100_000
 CHECKPOINTS = (5, 10, 20, 40)  # trials
-OUR_ARMS = tuple(name for name, arm in ARMS.items() if arm.kind == "ours")
-OTHERS = tuple(name for name, arm in ARMS.items() if arm.kind != "ours")
-WITHOUT_HINT = tuple(name for name in OTHERS if not ARMS[name].features)
+OUR_ARMS = [name for name, arm in ARMS.items() if arm.ours]
+OTHERS = [name for name, arm in ARMS.items() if not arm.ours]
+WITHOUT_HINT = [name for name in OTHERS if ARMS[name].sees == NOTHING]
 BEHIND_P, AHEAD_P = 0.05, 0.01
 
 
 def main() -> None:
-    options = benchmark.parse(__file__, "outside", trials=40, cache="outside")
-    benchmark.publish(options, NAME, OutsideReport.of(benchmark.compared("outside", options)))
+    options = parse()
+    keys = list(product(options.problems, options.arms))
+    runs = [Run(*key, seed, options.trials) for key in keys for seed in range(options.seeds)]
+    costs = np.array(execute(runs, options.cache, options.processes))
+    costs = costs.reshape(len(keys), options.seeds, options.trials)
+    compared = Comparison(dict(zip(keys, costs, strict=True)))
+    options.out.mkdir(parents=True, exist_ok=True)
+    compared.plot(options.out / f"{NAME}.png")
+    write_page(options.out / f"{NAME}.md", "Samplers on problems from outside", compared.figures())
 
 
-@dataclass(frozen=True)
-class Versus:
-    """One of our arms against another, seeds in pairs, after so many trials."""
+def parse() -> Namespace:
+    """The options, with lists of problems and of arms that this machine can run."""
+    parser = Options(__file__)
+    parser.whole("--seeds", 1, MOST_SEEDS, default=30, help="of each arm; %(default)s")
+    parser.whole("--trials", 2, MOST_TRIALS, default=40, help="of a run; %(default)s")
+    parser.add_argument("--arms", default=",".join(ARMS), help="%(default)s")
+    known = f"{', '.join(GROUPS)}, or some of {','.join(PROBLEMS)}; %(default)s"
+    parser.add_argument("--problems", default="tuning", help=known)
+    parser.whole("--processes", 1, MOST_WORKERS, default=2, help="runs at a time; %(default)s")
+    parser.path("--out", "of the page and plot; docs", default=ROOT / "docs")
+    parser.path("--cache", "of the runs; out/outside", default=ROOT / "out" / "outside")
+    found = parser.parse_args()
+    require_folder(found.out)
+    require_folder(found.cache, "cache")
+    found.problems = GROUPS.get(found.problems) or chosen("problems", found.problems, PROBLEMS)
+    found.arms = runnable(chosen("arms", found.arms, tuple(ARMS)))
+    return found
+
+
+def chosen(field: str, listed: str, known: Sequence[str]) -> list[str]:
+    """The comma-separated names, each once, in the order of `known`."""
+    names = set(listed.split(","))
+    for name in sorted(names.difference(known)):
+        raise InputError(field, name, f"some of {','.join(known)}")
+    return [name for name in known if name in names]
+
+
+def runnable(names: list[str]) -> list[str]:
+    """The arms whose package is there; a line says which are left out."""
+    for arm in (ARMS[name] for name in names if not ARMS[name].runs):
+        print(f"{arm.label} is left out: it needs {arm.needs} (pip install {arm.needs})",
+              file=sys.stderr)  # fmt: skip
+    if found := [name for name in names if ARMS[name].runs]:
+        return found
+    raise InputError("arms", ",".join(names), "an arm whose package is installed")
+
+
+class Versus(NamedTuple):
+    """One of our arms against another, seeds in pairs, after so many trials of ours."""
 
     problem: str
-    ours: str
     other: str
-    trial: int  # of ours
-    other_trial: int  # of the other, which may be compared after fewer
+    trial: int
     wins: int  # seeds on which ours had found a lower cost
     losses: int  # seeds on which the other had
     p: float  # Wilcoxon's signed-rank test, two-sided, not corrected for the number of tests
-    ahead: bool  # whether ours leads, by the test's sum of signed ranks, or neither does
+    leads: bool  # ours, by the test's sum of signed ranks; also where neither does
 
     @property
     def is_behind(self) -> bool:
         """Whether the other leads, beyond chance."""
-        return not self.ahead and self.p < BEHIND_P
+        return not self.leads and self.p < BEHIND_P
 
     @property
     def is_ahead(self) -> bool:
         """Whether ours leads, well beyond chance."""
-        return self.ahead and self.p < AHEAD_P
+        return self.leads and self.p < AHEAD_P
 
 
-@dataclass(frozen=True, eq=False)
-class OutsideReport:
+class Comparison:
     """The figures of all runs, for each (problem, arm).
 
     A sampler that draws nothing repeats one run, and its seeds are then no sample.
+
+    Args:
+        costs: of trials, [seeds, trials] for each (problem, arm).
     """
 
-    best: Costs  # least cost so far, [seeds, trials]
-    different: dict[tuple[str, str], int]  # how many of the seeds' runs differ at all
-
-    @classmethod
-    def of(cls, costs: Costs) -> "OutsideReport":
-        """The report of costs, [seeds, trials] for each (problem, arm)."""
-        best = {key: np.minimum.accumulate(values, axis=1) for key, values in costs.items()}
-        return cls(best, {key: len(np.unique(values, axis=0)) for key, values in costs.items()})
-
-    @property
-    def seeds(self) -> int:
-        """Number of seeds of each arm."""
-        return len(next(iter(self.best.values())))
-
-    @property
-    def checkpoints(self) -> tuple[int, ...]:
-        """Trials at which arms are compared; the last are all."""
-        trials = next(iter(self.best.values())).shape[1]
-        return (*(at for at in CHECKPOINTS if at < trials), trials)
-
-    @property
-    def problems(self) -> list[OutsideProblem]:
-        """In the order of the runs."""
-        return [outside_problem(name) for name in dict.fromkeys(name for name, _ in self.best)]
+    def __init__(self, costs: Mapping[tuple[str, str], Floats]) -> None:
+        self.best = {key: np.minimum.accumulate(values, axis=1) for key, values in costs.items()}
+        self.different = {key: len(np.unique(values, axis=0)) for key, values in costs.items()}
+        self.problems = list(dict.fromkeys(problem for problem, _ in costs))
+        trials = next(iter(costs.values())).shape[1]
+        self.checkpoints = [*(at for at in CHECKPOINTS if at < trials), trials]
 
     def arms(self, among: Iterable[str] = ARMS) -> list[str]:
         """The arms of some that were run, in their order."""
-        run = {arm for _, arm in self.best}
-        return [arm for arm in among if arm in run]
-
-    def median(self, problem: str, arm: str, trial: int) -> float:
-        """Median over seeds of the least cost after so many trials."""
-        return float(np.median(self.best[problem, arm][:, trial - 1]))
+        return [arm for arm in among if (self.problems[0], arm) in self.best]
 
     def versus(
         self, problem: str, ours: str, other: str, trial: int, other_trial: int | None = None
     ) -> Versus:
         """One of our arms against another; both after `trial`, unless the other has a number."""
-        at = other_trial or trial
-        mine, theirs = self.best[problem, ours][:, trial - 1], self.best[problem, other][:, at - 1]
-        wins, losses = int((mine < theirs).sum()), int((mine > theirs).sum())
+        mine = self.best[problem, ours][:, trial - 1]
+        theirs = self.best[problem, other][:, (other_trial or trial) - 1]
         more = (mine - theirs)[mine != theirs]
-        ahead = bool((scipy.stats.rankdata(np.abs(more)) * np.sign(more)).sum() <= 0)
-        p = wilcoxon(mine, theirs).p
-        return Versus(problem, ours, other, trial, at, wins, losses, p, ahead)
+        leads = bool((scipy.stats.rankdata(np.abs(more)) * np.sign(more)).sum() <= 0)
+        wins, losses = int((more < 0).sum()), int((more > 0).sum())
+        return Versus(problem, other, trial, wins, losses, wilcoxon(mine, theirs).p, leads)
 
-    @cached_property
-    def tests(self) -> list[Versus]:
-        """Each of our arms against every arm that is not ours, at every checkpoint."""
-        arms = product(self.arms(OUR_ARMS), self.arms(OTHERS), self.checkpoints)
-        return [
-            self.versus(problem.name, *each) for problem, each in product(self.problems, list(arms))
-        ]
+    def bars(self) -> dict[str, list[Versus]]:
+        """Where each bar of our arms fails; only bars that the runs allow to check."""
+        found: dict[str, list[Versus]] = {}
 
-    @cached_property
-    def bars(self) -> list[Bar]:
-        """The bars of our arms, as far as the runs allow to check them."""
-        first, last = 10, self.checkpoints[-1]
-        behind, ahead = f"(p < {BEHIND_P:g})", f"(p < {AHEAD_P:g})"
-        found: list[Bar] = []
+        def check(
+            what: str, ours: str, others: Iterable[str], trials: Iterable[int],
+            other_trial: int | None = None, to_lead: bool = False,
+        ) -> None:  # fmt: skip
+            rounds = [
+                self.versus(problem, ours, other, at, other_trial)
+                for problem, other, at in product(self.problems, self.arms(others), trials)
+                if at in self.checkpoints
+            ]
+            if rounds and self.arms([ours]):
+                failed = [each for each in rounds if each.is_behind or to_lead > each.is_ahead]
+                found[f"{ARMS[ours].label}: {what}"] = failed
+
+        behind, first, every = f"(p < {BEHIND_P:g})", 10, self.checkpoints
         for ours in self.arms(OUR_ARMS):
-            label, own = ARMS[ours].label, [each for each in self.tests if each.ours == ours]
-            rounds = [each for each in own if each.other in WITHOUT_HINT]
-            found += bars(f"{label}: never behind a sampler without features {behind}", rounds)
-            for at in dict.fromkeys((first, last)):
-                rounds = [each for each in own if (each.other, each.trial) == ("tpe", at)]
-                what = f"{label}: ahead of TPESampler after {at} {ahead}"
-                found += bars(what, rounds, to_lead=True)
-        rounds = [t for t in self.tests if (t.ours, t.other) == ("ours-prior", "ranking")]
-        what = f"{ARMS['ours-prior'].label}: never behind the ranking alone {behind}"
-        found += bars(what, rounds)
-        if {"ours", "ranking"} <= set(self.arms()) and {5, first} <= set(self.checkpoints):
-            rounds = [self.versus(each.name, "ours", "ranking", first, 5) for each in self.problems]
-            found += bars(f"ours: after {first} not behind the ranking after 5 {behind}", rounds)
+            check(f"never behind a sampler without features {behind}", ours, WITHOUT_HINT, every)
+            for at in dict.fromkeys((first, every[-1])):
+                what = f"ahead of TPESampler after {at} (p < {AHEAD_P:g})"
+                check(what, ours, ["tpe"], [at], to_lead=True)
+            if ours == "ours-prior":
+                check(f"never behind the ranking alone {behind}", ours, ["ranking"], every)
+            elif 5 in every:
+                what = f"after {first} not behind the ranking after 5 {behind}"
+                check(what, ours, ["ranking"], [first], 5)
         return found
 
-    def as_dict(self) -> dict[str, Any]:
-        """Medians and tests as plain values."""
-        return {
-            "seeds": self.seeds,
-            "problems": [
-                {"name": problem.name, "purpose": problem.purpose, "best": problem.best,
-                 "spearman": worth(problem)}
-                for problem in self.problems
-            ],
-            "medians": [
-                {"problem": problem, "arm": arm, "trial": trial,
-                 "median": self.median(problem, arm, trial)}
-                for (problem, arm), trial in product(self.best, self.checkpoints)
-            ],
-            "different_runs": [
-                {"problem": problem, "arm": arm, "runs": count}
-                for (problem, arm), count in self.different.items()
-            ],
-            "tests": [asdict(test) for test in self.tests],
-        }  # fmt: skip
-
-    def markdown(self) -> str:
-        """The document."""
+    def figures(self) -> list[str]:
+        """The bars, and a section for each problem."""
         lines = [
-            "# Samplers on problems from outside",
-            "",
-            "Do features help on tuning problems of other fields? This page has the tables, for"
-            " looking up; [the benchmarks](sampler-benchmarks.md#problems-from-outside) have the"
-            " conclusions. To repeat a small part:",
-            "",
-            "```sh",
-            EXAMPLE.rstrip(),
-            "```",
-            "",
-            made_by(),
-            "",
-            "## How to read the tables",
-            "",
-            "Each problem has a costly objective, whose cost was computed once for every candidate"
-            " of a pool (`tools/data`, one Parquet file each). A seed draws half of the"
-            " pool, which is then the problem of every sampler. Every sampler has"
-            f" {self.seeds} seeds and its default options.",
-            "",
-            "*Ours* proposes candidates of the pool. Optuna's samplers propose any point, and get"
-            " the cost of the nearest candidate: Euclidean distance in the unit cube, logarithmic"
-            " parameters by their logarithm, a choice as one coordinate an option, 0 or 1."
-            " `CmaEsSampler` draws choices at random, as everywhere in Optuna. The *ranking* is"
-            " the mean rank of the features, each counted from the end that users consider good."
-            f' "{ARMS["ours-prior"].label}" has the ranking as one more feature and as `prior=`.',
-            "",
-            "The first table of a problem has its features; a Spearman correlation near 1 means"
-            " that the good end of the feature has low costs. The second table has the median over"
-            " seeds of the best cost. *Information* is the input of a sampler besides its trials,"
-            " *different runs* counts the seeds whose runs differ. The other tables compare ours"
-            " with each sampler: *won* and *lost* count seeds, and a bold p means that ours is"
-            " behind (p < 0.05). The tests are Wilcoxon's signed ranks, two-sided, paired by seed,"
-            " not corrected for their number. Two halves of a pool share rows, so the tests hold"
-            " for this pool, not for all possible candidates.",
-            "",
-            f"![Rank of the best row found against trials]({NAME}.png)",
-            "",
-            "The figure shows the median over seeds of the number of rows that are as good as the"
-            " best row found.",
-            *Bar.table(self.bars, "fails in (problem, against, trials, seeds won : lost)"),
-        ]
-        for problem in self.problems:
-            lines += ["", *self.section(problem)]
-        return "\n".join(lines) + "\n"
+            "## Bars", "",
+            "A bar holds if it fails on no problem. A row with **no** has a problem on which the"
+            " bar fails.",
+            "", "| bar | holds | fails on | against | seeds won | seeds lost |",
+            "|---|---|---|---|---:|---:|",
+        ]  # fmt: skip
+        for what, failed in self.bars().items():
+            lines += [f"| {what} | yes | | | | |"] if not failed else []
+            for each in failed:
+                cells = (each.problem, ARMS[each.other].label, each.wins, each.losses)
+                lines.append(f"| {what} | **no** | {' | '.join(map(str, cells))} |")
+        for name in self.problems:
+            lines += ["", *self.section(outside_problem(name))]
+        return lines
 
     def section(self, problem: OutsideProblem) -> list[str]:
         """A problem, the medians of its arms, and their tests."""
@@ -230,7 +208,7 @@ class OutsideReport:
             "",
             f"{problem.field.capitalize()}: {problem.cost_meaning}. {len(problem):,} candidates of"
             f" {len(problem.space)} parameters ({', '.join(problem.space)}). Best possible"
-            f" {problem.best:.4g}, best 1 % below {best:.4g}, half below {half:.4g}.",
+            f" {problem.cost.min():.4g}, best 1 % below {best:.4g}, half below {half:.4g}.",
             "",
             "| feature | good end | meaning | Spearman with the cost, from the good end |",
             "|---|---|---|---|",
@@ -242,7 +220,8 @@ class OutsideReport:
         lines += ["", f"| median of the best | information | different runs | {head} |",
                   "|---|---|---|" + "---|" * len(at)]  # fmt: skip
         for arm in self.arms():
-            cells = " | ".join(f"{self.median(name, arm, trial):.4g}" for trial in at)
+            medians = np.median(self.best[name, arm], axis=0)
+            cells = " | ".join(f"{medians[trial - 1]:.4g}" for trial in at)
             different = self.different[name, arm]
             lines.append(f"| {ARMS[arm].label} | {ARMS[arm].sees} | {different} | {cells} |")
         for ours in self.arms(OUR_ARMS):
@@ -250,20 +229,40 @@ class OutsideReport:
             lines += ["", f"| {ARMS[ours].label} against | {head} |",
                       "|---|" + "---:|" * 3 * len(at)]  # fmt: skip
             for other in self.arms(OTHERS):
-                pair = (name, ours, other)
-                tests = [t for t in self.tests if (t.problem, t.ours, t.other) == pair]
+                tests = [self.versus(name, ours, other, trial) for trial in at]
                 lines.append(f"| {ARMS[other].label} | {' | '.join(map(cells_of, tests))} |")
         return lines
 
     def plot(self, path: Path) -> None:
         """How many rows are as good as the best found against trials, a panel a problem."""
-        curves = {}
-        for (problem, arm), best in self.best.items():
-            sorted_costs = np.sort(outside_problem(problem).cost)
-            as_good = np.searchsorted(sorted_costs, best, side="right")  # 1: the best row
-            curves[problem, arm] = np.median(as_good, axis=0)
-        label = "rows as good as the best found"
-        draw_panels(path, ARMS, curves, label, 3, (3.6, 3.0), legend_in=2.9, log=True)
+        from study.pictures import style  # not in the processes of the runs
+
+        across = min(len(self.problems), 3)
+        down = -(-len(self.problems) // across)
+        figure = style.new_figure(3.6 * across + 2.9, 3.0 * down)
+        grey = ((style.FAINT, (0, (1, 1))), (style.FAINT, "--"))
+        bright = (style.SKY_BLUE, style.BROWN, style.VIOLET, style.ORANGE, style.GREEN, style.BLACK)
+        looks = dict(zip(OTHERS, (*grey, *((colour, "--") for colour in bright)), strict=False))
+        looks |= {arm: (colour, "-") for arm, colour in zip(OUR_ARMS, style.SERIES, strict=False)}
+        for place, problem in enumerate(self.problems):
+            axes = figure.add_subplot(down, across, place + 1)
+            style.tidy(axes)
+            costs = np.sort(outside_problem(problem).cost)
+            for arm in self.arms():
+                as_good = np.searchsorted(costs, self.best[problem, arm], side="right")
+                curve, (colour, dashes) = np.median(as_good, axis=0), looks[arm]
+                axes.semilogy(np.arange(1, len(curve) + 1), curve, label=ARMS[arm].label,
+                              color=colour, linestyle=dashes)  # fmt: skip
+            axes.set_title(problem, fontsize=style.TITLE_PT, loc="left")
+            axes.set_xlabel("trials", fontsize=style.TEXT_PT)
+            axes.set_ylabel("rows as good as the best found", fontsize=style.TEXT_PT)
+        right = 1.0 - 2.9 / figure.get_figwidth()
+        figure.legend(
+            *axes.get_legend_handles_labels(), loc="center left", bbox_to_anchor=(right, 0.5),
+            fontsize=style.SMALL_PT, frameon=False,
+        )  # fmt: skip
+        figure.tight_layout(rect=(0, 0, right, 1))
+        style.save_png(figure, path)
 
 
 def worth(problem: OutsideProblem) -> dict[str, float]:
@@ -276,16 +275,6 @@ def worth(problem: OutsideProblem) -> dict[str, float]:
     return {
         name: float(scipy.stats.spearmanr(c, problem.cost).statistic) for name, c in columns.items()
     }
-
-
-def bars(what: str, rounds: list[Versus], to_lead: bool = False) -> list[Bar]:
-    """A bar that fails where ours is behind, or does not lead, with these; none without rounds."""
-    failed = [
-        f"{each.problem}, {ARMS[each.other].label}, {each.trial} ({each.wins} : {each.losses})"
-        for each in rounds
-        if each.is_behind or (to_lead and not each.is_ahead)
-    ]
-    return [Bar(what, "; ".join(failed), not failed)] if rounds else []
 
 
 def cells_of(test: Versus) -> str:

@@ -1,20 +1,26 @@
-"""Tuning problems from outside: pools of candidates whose costly objective was computed once.
+"""Tuning problems from outside, the samplers that are compared on them, and their runs.
 
-Users of public packages tune them; none was invented here. A problem is a Parquet file of `data/`:
-candidates, cheap features and the cost of each. All arms of `ARMS` meet the same objective: ours
-propose rows of the pool; Optuna's propose any point of the space and get the cost of the nearest
-row.
+A *problem* is a Parquet file of `data/`: a pool of candidates, cheap features of each, and its
+cost, which was computed once. Users of public packages tune these problems; none was invented here.
+An *arm* of `ARMS` is a way of choosing trials. All arms meet the same costs: ours propose rows of
+the pool; Optuna's propose any point of the space and get the cost of the nearest row. A *run* is
+one arm on one problem with one seed. A cache keeps a file of each run, which is made again where
+the code, the packages or the numbers that made it have changed.
 """
 
+import ast
 import hashlib
+import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
+from itertools import repeat
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import optuna
 import scipy
 from numpy.typing import ArrayLike, NDArray
 from optuna.distributions import (
@@ -24,14 +30,18 @@ from optuna.distributions import (
     IntDistribution,
     json_to_distribution,
 )
-from optuna.samplers import BaseSampler
+from optuna.exceptions import ExperimentalWarning
+from optuna.samplers import BaseSampler, CmaEsSampler, GPSampler, RandomSampler, TPESampler
+from tqdm import tqdm
 
+from storage.commit import commit_json
+from storage.processes import Processes
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
-from taichi_nmm.errors import InputError
 from taichi_nmm.reading import parse_json, reading
-from tools.benchmark import PEERS, Arm, Floats, ours, peer, study_costs
+from tools.page import ROOT, installed, versions
 
+Floats = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
 Settings = Mapping[str, float | int | str]  # one candidate: its parameters by name
 
@@ -40,11 +50,12 @@ REPORTED = ("tumour-boosting", "cart-pole", "stiff-reactions")  # looked at once
 PROBLEMS = (*TUNING, *REPORTED)
 GROUPS = {"tuning": TUNING, "reported": REPORTED, "all": PROBLEMS}
 
-DATA = Path(__file__).parent / "data"
+DATA = ROOT / "tools" / "data"
 METADATA_KEY = b"outside"
 COST = "cost"
 FEATURE_PREFIX = "feature."  # of a column's name: a feature may be called as a parameter is
 RANKING = "ranking"  # the feature that is the problem's mean rank, low is good
+DECIDING = ("numpy", "scipy", "scikit-learn", "optuna", "cmaes")  # packages, for every arm
 ENQUEUED = 3  # rows that are tried before a peer's own first trial
 
 
@@ -73,11 +84,6 @@ class OutsideProblem:
 
     def __len__(self) -> int:
         return len(self.cost)
-
-    @property
-    def best(self) -> float:
-        """The least cost of the pool: no arm gets below it."""
-        return float(self.cost.min())
 
     @cached_property
     def ranks(self) -> Floats:
@@ -133,31 +139,14 @@ class OutsideProblem:
         return np.column_stack([_cube(self.space[name], columns[name]) for name in self.space])
 
 
-def problem(name: str, seed: int) -> OutsideProblem:
-    """Half of a problem's candidates, which the seed draws."""
-    return outside_problem(name).drawn(seed)
-
-
-def digest(name: str) -> str:
-    """SHA-256 of a problem's file: other numbers are another problem."""
-    return hashlib.sha256(file_of(name).read_bytes()).hexdigest()
+@cache
+def outside_problem(name: str) -> OutsideProblem:
+    """One of `PROBLEMS` with all its candidates; read once a process, and not to be written to."""
+    return read(file_of(name))
 
 
 def file_of(name: str) -> Path:
-    """The file of a problem; an unknown one is an `InputError`."""
-    if name not in PROBLEMS:
-        raise InputError("problem", name, f"one of {', '.join(PROBLEMS)}")
     return DATA / f"{name}.parquet"
-
-
-@cache
-def outside_problem(name: str) -> OutsideProblem:
-    """A problem with all its candidates; read once a process, and not to be written to.
-
-    Raises:
-        InputError: no such problem, or its file is missing or broken.
-    """
-    return read(file_of(name))
 
 
 def read(path: Path) -> OutsideProblem:
@@ -213,12 +202,31 @@ def table(problem: OutsideProblem, ranking: bool) -> FeatureTable:
         return FeatureTable.from_arrays(problem.columns, features, names, space=problem.space)
 
 
-def _ours(problem: OutsideProblem, seed: int) -> BaseSampler:
-    return FeatureKernelSampler(table(problem, ranking=False), seed=seed)
+def study_costs(
+    problem: OutsideProblem, sampler: BaseSampler, trials: int, first: Iterable[Settings] = ()
+) -> Floats:
+    """Costs of the trials of a study in their order, [trials]; settings `first` are tried first."""
+    study, costs = optuna.create_study(sampler=sampler), []
+    for settings in first:
+        study.enqueue_trial(dict(settings))
+    for _ in range(trials):
+        trial = study.ask(problem.space)
+        costs.append(problem.cost_at(trial.params))
+        study.tell(trial, costs[-1])
+    return np.array(costs)
 
 
-def _ours_with_prior(problem: OutsideProblem, seed: int) -> BaseSampler:
-    return FeatureKernelSampler(table(problem, ranking=True), seed=seed, prior=f"-{RANKING}")
+Costs = Callable[[OutsideProblem, int, int], Floats]  # of a problem, a seed, a number of trials
+
+
+def of_optuna(sampler: Callable[..., BaseSampler], **options: Any) -> Costs:
+    """Of a sampler of Optuna, with its defaults but for the options."""
+    return lambda problem, seed, trials: study_costs(problem, sampler(seed=seed, **options), trials)
+
+
+def _ours(problem: OutsideProblem, seed: int, trials: int, prior: str | None = None) -> Floats:
+    pool = table(problem, ranking=prior is not None)
+    return study_costs(problem, FeatureKernelSampler(pool, seed=seed, prior=prior), trials)
 
 
 def _ranking_alone(problem: OutsideProblem, seed: int, trials: int) -> Floats:
@@ -227,20 +235,95 @@ def _ranking_alone(problem: OutsideProblem, seed: int, trials: int) -> Floats:
 
 def _tpe_after_ranking(problem: OutsideProblem, seed: int, trials: int) -> Floats:
     first = [problem.settings(int(row)) for row in rows_by_ranking(problem, seed)[:ENQUEUED]]
-    return study_costs(problem, PEERS["tpe"][1](seed), trials, first)
+    return study_costs(problem, TPESampler(seed=seed), trials, first)
 
 
-_NOTHING = "nothing"
-_FEATURES = "features"
-_RANKED = "features, and which end of each is good"
+NOTHING, FEATURES = "nothing", "features"
+RANKED = "features, and which end of each is good"
 
+
+class Arm(NamedTuple):
+    """A way of choosing trials that is compared with others."""
+
+    label: str  # for tables and plots
+    sees: str  # its information beside the costs
+    costs: Costs
+    ours: bool = False
+    needs: str = ""  # a package that this project does not install
+
+    @property
+    def runs(self) -> bool:
+        """Whether this machine has what it needs."""
+        return not self.needs or bool(installed(self.needs))
+
+
+# CmaEsSampler draws choices at random, as always in Optuna.
 ARMS = {
-    "ours": ours("ours", _FEATURES, _ours, features=True),
-    "ours-prior": ours("ours, ranking as prior", _RANKED, _ours_with_prior, features=True),
-    "ranking": Arm("the ranking alone", _RANKED, "control", _ranking_alone, features=True),
-    "tpe-ranking": Arm(
-        f"TPESampler, {ENQUEUED} best-ranked rows first", _RANKED, "peer", _tpe_after_ranking,
-        features=True,
+    "ours": Arm("ours", FEATURES, _ours, ours=True),
+    "ours-prior": Arm(
+        "ours, ranking as prior", RANKED, partial(_ours, prior=f"-{RANKING}"), ours=True
     ),
-    **{name: peer(name, _NOTHING) for name in ("tpe", "gp", "cmaes", "random")},
-}  # fmt: skip
+    "ranking": Arm("the ranking alone", RANKED, _ranking_alone),
+    "tpe-ranking": Arm(
+        f"TPESampler, {ENQUEUED} best-ranked rows first", RANKED, _tpe_after_ranking
+    ),
+    "tpe": Arm("TPESampler", NOTHING, of_optuna(TPESampler)),
+    "gp": Arm("GPSampler", NOTHING, of_optuna(GPSampler), needs="torch"),
+    "cmaes": Arm("CmaEsSampler", NOTHING, of_optuna(CmaEsSampler, warn_independent_sampling=False)),
+    "random": Arm("RandomSampler", NOTHING, of_optuna(RandomSampler)),
+}
+
+
+class Run(NamedTuple):
+    """One study."""
+
+    problem: str
+    arm: str
+    seed: int
+    trials: int
+
+    def file(self, cache: Path) -> Path:
+        """The file of its costs."""
+        name = f"{self.trials}-trials-seed-{self.seed:03d}.json"
+        return cache / self.problem / self.arm / name
+
+    def kept(self, cache: Path) -> list[float] | None:
+        """Its costs in the cache; None if it is not there, or was made by other code."""
+        try:
+            known = json.loads(self.file(cache).read_text())
+            return known["costs"] if known["code"] == code(self.problem, self.arm) else None
+        except (OSError, ValueError, KeyError):
+            return None
+
+    def execute(self, cache: Path) -> list[float]:
+        """Run it, and keep its costs."""
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        warnings.simplefilter("ignore", ExperimentalWarning)
+        half = outside_problem(self.problem).drawn(self.seed)
+        costs = ARMS[self.arm].costs(half, self.seed, self.trials).tolist()
+        self.file(cache).parent.mkdir(parents=True, exist_ok=True)
+        commit_json(self.file(cache), {"code": code(self.problem, self.arm), "costs": costs})
+        return list(costs)
+
+
+@cache
+def code(problem: str, arm: str) -> str:
+    """Fingerprint of all that decides an arm's costs: the problem's file, packages and sources."""
+    packages = versions(*DECIDING, *([ARMS[arm].needs] if ARMS[arm].needs else []))
+    digest = hashlib.sha256(file_of(problem).read_bytes() + packages.encode())
+    sampler = sorted((ROOT / "study" / "sampler").glob("*.py")) if ARMS[arm].ours else []
+    for file in (Path(__file__), *sampler):
+        # The syntax tree leaves out layout and comments, which do not decide a run.
+        digest.update(ast.dump(ast.parse(file.read_text(encoding="utf-8"))).encode())
+    return digest.hexdigest()[:16]
+
+
+def execute(runs: Sequence[Run], cache: Path, processes: int) -> list[list[float]]:
+    """Costs of each run; those that the cache lacks are run, some at a time."""
+    found = {run: costs for run in runs if (costs := run.kept(cache)) is not None}
+    missing = [run for run in runs if run not in found]
+    with Processes(processes) as pool:
+        done = pool.map(Run.execute, missing, repeat(cache))
+        done = tqdm(done, total=len(missing), unit="run", disable=not missing)
+        found |= zip(missing, done, strict=True)
+    return [found[run] for run in runs]

@@ -1,7 +1,7 @@
 """Time one proposal of the feature-kernel sampler, and measure the memory it holds.
 
     python tools/time_sampler.py                   # a table and a plot into docs/; minutes
-    python tools/time_sampler.py --rows 5000 --sweep 10,50 --json
+    python tools/time_sampler.py --rows 5000 --out out/timing
 
 Each figure comes from a fresh process on one thread. Optuna's GPSampler is timed in the same run
 where PyTorch, which it needs, is installed; greenlet, where it is installed too, halves its time.
@@ -10,30 +10,31 @@ Run it on an idle machine.
 
 import time
 import warnings
-from argparse import Namespace
-from dataclasses import asdict, astuple, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from statistics import median
-from typing import Any
 
 from checkout import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np
     import optuna
+    from numpy.typing import NDArray
     from optuna.distributions import BaseDistribution, FloatDistribution
     from optuna.exceptions import ExperimentalWarning
     from optuna.samplers import BaseSampler, GPSampler
     from tqdm import tqdm
 
+    from storage.commit import require_folder
     from storage.processes import Processes
     from study import FeatureKernelSampler, FeatureTable, SurvivalSampler
-    from study.experiment.experiment import MOST_TRIALS
     from study.experiment.features import MEAN
     from study.options import Options
     from study.sampler.history import ROW_ATTRIBUTE
-    from taichi_nmm.errors import InputError
-    from tools.benchmark import Bar, Floats, made_by, parsed, publish, torch_is_installed
+    from tools.page import ROOT, installed, write_page
+
+Floats = NDArray[np.float64]
 
 NAME = "sampler-timing"
 DIMENSION = 16
@@ -44,8 +45,10 @@ SEED = 16
 NOISE = 0.3  # of the cost, in standard deviations of what the features explain
 STANDING = 0.1  # of the rows of a table like that of `best`: the others fell, and have no features
 
+FINISHED, SWEEP, MOST_FINISHED = 100, (10, 30, 300), 1000  # trials before the first proposal
 MOST_FEATURES = 5
-MOST_ROWS = 10_000_000
+LEAST_ROWS, MOST_ROWS, MOST_REPEATS = 5_000, 1_000_000, 300  # a tenth has trials to choose
+LARGE = 10  # times as many rows
 GP_RATIO_BAR = 5.0  # GPSampler's time over ours with one feature
 LABELS = {
     "ours": "ours",
@@ -85,137 +88,87 @@ class Measured:
     peak_mib: float  # the same at the peak
 
 
-@dataclass(frozen=True)
-class Timings:
-    """All that was measured; the first is of our sampler with one feature."""
-
-    cases: list[Measured]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for programs."""
-        return asdict(self)
-
-    def markdown(self) -> str:
-        """The document: a row for each case, then the bars."""
-        lines = [
-            "# One proposal of the feature-kernel sampler",
-            "",
-            "Time and memory of one proposal, for looking up;"
-            " [the benchmarks](sampler-benchmarks.md#fast-enough) have the conclusions.",
-            "",
-            made_by(),
-            "One thread; studies of 16 parameters. Ours has its defaults unless the row says"
-            " otherwise. Times are in ms, memory in MiB. *First* is the first proposal of a process"
-            " that has loaded the libraries; the other times are of later proposals. On a machine"
-            " that other work shares, only the processor's times count.",
-            "",
-            f"![Processor time of a proposal against finished trials]({NAME}.png)",
-            "",
-            "| sampler | rows | features | finished trials | proposals | median | fastest | slowest"
-            " | processor: median | processor: first | memory kept | at the peak |",
-            "|---|" + "--:|" * 11,
-        ]
-        for each in self.cases:
-            (sampler, *sizes, _), *measured = astuple(each)
-            cells = " | ".join(f"{number:,.0f}" for number in (*sizes, *measured))
-            lines.append(f"| {LABELS[sampler]} | {cells} |")
-        if all(each.case.sampler != "gp" for each in self.cases):
-            lines += ["", "GPSampler was not measured: no PyTorch."]
-        return "\n".join([*lines, *Bar.table(self.bars, "measured")]) + "\n"
-
-    @property
-    def bars(self) -> list[Bar]:
-        """The bars of all cases, and of GPSampler's time over ours."""
-        found = []
-        for each in self.cases:
-            case = each.case
-            size = f"{case.rows:,} rows x {case.features}, {case.observations:,} trials"
-            for name, most in case.bars:
-                value = getattr(each, name)
-                what = f"{LABELS[case.sampler]}, {size}: {name.replace('_', ' ')}"
-                found.append(Bar(what, f"{value:.0f}, at most {most:.0f}", value <= most))
-            if case.sampler == "gp":
-                ratio = each.median_ms / self.cases[0].median_ms
-                measured = f"{ratio:.1f}, at least {GP_RATIO_BAR:g}"
-                found.append(Bar("GPSampler's median over ours", measured, ratio >= GP_RATIO_BAR))
-        return found
-
-    def plot(self, path: Path) -> None:
-        """Processor time of a proposal against finished trials, with one feature."""
-        from study.pictures import style  # not in the processes that are measured
-
-        figure = style.new_figure(5.0, 3.4)
-        axes = figure.add_subplot()
-        style.tidy(axes)
-        rows = self.cases[0].case.rows
-        for name, colour, marker in (("ours", style.MODEL, "o-"), ("gp", style.INK, "s")):
-            points = sorted(
-                (each.case.observations, each.median_cpu_ms)
-                for each in self.cases
-                if (each.case.sampler, each.case.rows, each.case.features) == (name, rows, 1)
-            )
-            if points:
-                axes.semilogx(*zip(*points, strict=True), marker, color=colour, label=LABELS[name])
-        axes.set_xlabel("finished trials", fontsize=style.TEXT_PT)
-        axes.set_ylim(bottom=0.0)
-        axes.set_ylabel("processor time of a proposal (ms)", fontsize=style.TEXT_PT)
-        axes.legend(fontsize=style.SMALL_PT, frameon=False)
-        figure.tight_layout()
-        style.save_png(figure, path)
-
-
 def main() -> None:
-    options = parse()
-    publish(options, NAME, measure(options))
-
-
-def parse() -> Namespace:
     parser = Options(__file__)
-    parser.whole("--rows", 1, MOST_ROWS, default=100_000, help="of the table; %(default)s")
-    parser.whole("--observations", 1, MOST_TRIALS, default=100, help="%(default)s")
-    parser.whole("--repeats", 1, MOST_TRIALS, default=11, help="of each proposal; %(default)s")
-    parser.add_argument("--sweep", default="10,30,100,300,1000", help="observations; %(default)s")
-    parser.whole("--large-rows", 1, MOST_ROWS, default=1_000_000, help="%(default)s")
-    options = parsed(parser)
-    options.sweep = counts("sweep", options.sweep)
-    most = max(options.observations, *options.sweep) + options.repeats
-    if min(options.rows, options.large_rows) <= most:
-        raise InputError("rows", options.rows, f"more than {most}, for the trials to come from")
-    return options
+    parser.whole("--rows", LEAST_ROWS, MOST_ROWS, default=100_000, help="of a table; %(default)s")
+    parser.whole("--repeats", 1, MOST_REPEATS, default=11, help="of a proposal; %(default)s")
+    parser.path("--out", "of the page and plot; docs", default=ROOT / "docs")
+    options = parser.parse_args()
+    require_folder(options.out)
+    measured = [fresh(case) for case in tqdm(cases(options.rows, options.repeats), unit="case")]
+    options.out.mkdir(parents=True, exist_ok=True)
+    plot(measured, options.out / f"{NAME}.png")
+    title = "One proposal of the feature-kernel sampler"
+    write_page(options.out / f"{NAME}.md", title, figures(measured))
 
 
-def counts(field: str, listed: str) -> list[int]:
-    """The comma-separated counts, ascending."""
-    try:
-        found = sorted({int(count) for count in listed.split(",")})
-    except ValueError:
-        found = [0]
-    if not 1 <= found[0] <= found[-1] <= MOST_TRIALS:
-        raise InputError(field, listed, f"counts from 1 to {MOST_TRIALS}, such as 10,100,1000")
-    return found
-
-
-def measure(options: Namespace) -> Timings:
-    """Every case in a process of its own, one after the other."""
-    base = Case("ours", options.rows, 1, options.observations, options.repeats)
-
+def cases(rows: int, repeats: int) -> list[Case]:
+    """What is measured; the first is our sampler with one feature."""
+    base = Case("ours", rows, 1, FINISHED, repeats)
     few, some, more, many = ((("median_cpu_ms", most),) for most in (6.0, 10.0, 13.0, 15.0))
     memory, first = ("peak_mib", 200e6 / 2**20), ("first_cpu_ms", 500.0)  # 200 MB
-    most = options.sweep[-1]
-    cases = [
+    found = [
         replace(base, bars=few),
         replace(base, features=MOST_FEATURES, bars=(*many, memory)),
         replace(base, sampler="foreign", bars=more),
-        replace(base, sampler="foreign", observations=most, bars=more),
+        replace(base, sampler="foreign", observations=MOST_FINISHED, bars=more),
         replace(base, sampler="rbf", bars=some),
         replace(base, sampler="best", features=6, bars=some),
-        *(replace(base, observations=n) for n in options.sweep[:-1] if n != base.observations),
-        replace(base, observations=most, bars=(("median_ms", 1000.0),)),
-        replace(base, rows=options.large_rows, features=MOST_FEATURES, bars=(first,)),
+        *(replace(base, observations=finished) for finished in SWEEP),
+        replace(base, observations=MOST_FINISHED, bars=(("median_ms", 1000.0),)),
+        replace(base, rows=LARGE * rows, features=MOST_FEATURES, bars=(first,)),
     ]
-    if torch_is_installed():
-        cases.append(replace(base, sampler="gp"))
-    return Timings([fresh(case) for case in tqdm(cases, unit="case")])
+    return [*found, replace(base, sampler="gp")] if installed("torch") else found
+
+
+def figures(measured: Sequence[Measured]) -> list[str]:
+    """A row for each case, then the bars."""
+    lines = [
+        "| sampler | rows | features | finished trials | proposals | median | fastest | slowest"
+        " | processor: median | processor: first | memory kept | at the peak |",
+        "|---|" + "--:|" * 11,
+    ]
+    bars = ["", "## Bars", "", "| what | measured | holds |", "|---|---|---|"]
+    for each in measured:
+        (sampler, *sizes, allowed), *values = astuple(each)
+        cells = " | ".join(f"{number:,.0f}" for number in (*sizes, *values))
+        lines.append(f"| {LABELS[sampler]} | {cells} |")
+        size = "{:,} rows x {}, {:,} trials".format(*sizes)
+        for name, most in allowed:
+            value, what = getattr(each, name), f"{LABELS[sampler]}, {size}: {name}"
+            holds = "yes" if value <= most else "**no**"
+            bars.append(f"| {what.replace('_', ' ')} | {value:.0f}, at most {most:.0f} | {holds} |")
+        if sampler == "gp":
+            ratio = each.median_ms / measured[0].median_ms
+            holds = "yes" if ratio >= GP_RATIO_BAR else "**no**"
+            said = f"{ratio:.1f}, at least {GP_RATIO_BAR:g}"
+            bars.append(f"| GPSampler's median over ours | {said} | {holds} |")
+    if all(each.case.sampler != "gp" for each in measured):
+        lines += ["", "GPSampler was not measured: no PyTorch."]
+    return [*lines, *bars]
+
+
+def plot(measured: Sequence[Measured], path: Path) -> None:
+    """Processor time of a proposal against finished trials, with one feature."""
+    from study.pictures import style  # not in the processes that are measured
+
+    figure = style.new_figure(5.0, 3.4)
+    axes = figure.add_subplot()
+    style.tidy(axes)
+    for name, colour, marker in (("ours", style.MODEL, "o-"), ("gp", style.INK, "s")):
+        points = sorted(
+            (each.case.observations, each.median_cpu_ms)
+            for each in measured
+            if (each.case.sampler, each.case.features) == (name, 1)
+        )
+        if points:
+            axes.semilogx(*zip(*points, strict=True), marker, color=colour, label=LABELS[name])
+    axes.set_xlabel("finished trials", fontsize=style.TEXT_PT)
+    axes.set_ylim(bottom=0.0)
+    axes.set_ylabel("processor time of a proposal (ms)", fontsize=style.TEXT_PT)
+    axes.legend(fontsize=style.SMALL_PT, frameon=False)
+    figure.tight_layout()
+    style.save_png(figure, path)
 
 
 def fresh(case: Case) -> Measured:

@@ -93,9 +93,8 @@ REFUSED: list[tuple[str, str, str]] = [
         ("--lanes 1,65", "lanes: '1,65'"), ("--against .", "against: "),
     ]),
     *(("time_sampler", words, line) for words, line in [
-        (f"--rows {FAR}", f"rows: {FAR}"), (f"--sweep 10,{HUGE}", "sweep: "),
-        ("--sweep 10,x", "sweep: '10,x'"), ("--sweep 0,10", "sweep: '0,10'"),
-        ("--repeats 0", "repeats: 0"), ("--rows 500", f"rows: 500 {ONE_OF}more than 1011"),
+        (f"--rows {FAR}", f"rows: {FAR}"), ("--rows 500", f"rows: 500 {ONE_OF}a whole number"),
+        ("--repeats 0", "repeats: 0"),
     ]),
     *(("compare_outside", words, line) for words, line in [
         ("--arms random,best", f"arms: 'best' {ONE_OF}"), ("--problems easy", "problems: 'easy'"),

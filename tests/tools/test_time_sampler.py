@@ -1,6 +1,5 @@
-"""The timing command on small tables: what it measures and writes."""
+"""The timing of a proposal on small tables: what it measures and writes."""
 
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -13,27 +12,30 @@ from tests.tools.running import ROOT, load_tool
 pytestmark = pytest.mark.slow
 
 TOOL = load_tool("time_sampler")
-SMALL = ("--rows", "2000", "--observations", "12", "--repeats", "3", "--sweep", "5,30")
 
 
-def test_every_case_is_measured() -> None:
-    command = [sys.executable, "tools/time_sampler.py", *SMALL, "--large-rows", "50000", "--json"]
+def test_every_case_is_measured(tmp_path: Path) -> None:
+    words = ("--rows", "5000", "--repeats", "3", "--out", str(tmp_path))
+    command = [sys.executable, "tools/time_sampler.py", *words]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    report = json.loads(done.stdout)
-    cases = [(each["case"]["sampler"], each["case"]["features"]) for each in report["cases"]]
-    foreign = [("foreign", 1)] * 2
-    assert cases == [("ours", 1), ("ours", 5), *foreign, ("rbf", 1), ("best", 6),
-                     *[("ours", 1)] * 2, ("ours", 5)]  # fmt: skip
-    *usual, large = report["cases"]
-    assert [each["case"]["observations"] for each in usual] == [12] * 3 + [30] + [12] * 2 + [5, 30]
-    for each in usual:
-        assert 0.1 < each["fastest_ms"] <= each["median_ms"] <= each["slowest_ms"] < 10_000
-        assert 0.1 < each["median_cpu_ms"] < 10_000 and 0.1 < each["first_cpu_ms"] < 10_000
-    assert large["case"]["rows"] == 50_000
+    text = (tmp_path / "sampler-timing.md").read_text()
+    rows = [line.replace(",", "").split(" | ") for line in text.splitlines() if "---" not in line]
+    _, *rows = [row[1:] for row in rows if len(row) == 12]  # the first is the heading
+    numbers = [[float(cell.strip(" |")) for cell in row] for row in rows]
+    usual = [(1, 100), (5, 100), (1, 100), (1, 1000), (1, 100), (6, 100), (1, 10), (1, 30),
+             (1, 300), (1, 1000)]  # fmt: skip
+    sizes = [(5000, *case, 3) for case in usual] + [(50_000, 5, 100, 3)]
+    assert [tuple(row[:4]) for row in numbers[:11]] == sizes  # then GPSampler, where it is
     if Path("/proc/self/status").exists():  # memory is read on Linux only
-        table_mib = 50_000 * (16 + 5) * 8 / 2**20
-        assert table_mib < large["peak_mib"] < 1000
+        assert 50_000 * (16 + 5) * 8 / 2**20 < numbers[10][-1] < 1000
+    assert (tmp_path / "sampler-timing.png").stat().st_size > 5_000
+
+
+def test_times_are_in_order() -> None:
+    each = TOOL.measure_case(TOOL.Case("ours", 2000, 1, 12, 3))
+    assert 0.1 < each.fastest_ms <= each.median_ms <= each.slowest_ms < 10_000
+    assert 0.1 < each.median_cpu_ms < 10_000 and 0.1 < each.first_cpu_ms < 10_000
 
 
 def fake(ms: float, sampler: str = "ours", observations: int = 100, **bars: float) -> Any:
@@ -47,13 +49,12 @@ SAID = {120.0: f"{OVER} 4.0, at least 5 | **no** |", 150.0: f"{OVER} 5.0, at lea
 
 
 @pytest.mark.parametrize(("gp_ms", "said"), SAID.items())
-def test_the_document_says_which_bars_hold(gp_ms: float | None, said: str, tmp_path: Path) -> None:
-    timings = TOOL.Timings([
+def test_the_page_says_which_bars_hold(gp_ms: float | None, said: str) -> None:
+    text = "\n".join(TOOL.figures([
         fake(30.0, median_cpu_ms=10.0), fake(70.0, median_cpu_ms=45.0, peak_mib=149.0),
         fake(5.0, "rbf"), fake(18.0, "best"), fake(900.0, observations=1000, median_ms=1000.0),
         *([fake(gp_ms, "gp")] if gp_ms else []),
-    ])  # fmt: skip
-    text = timings.markdown()
+    ]))  # fmt: skip
     rows = [
         "| ours | 100,000 | 1 | 100 | 1 | 30 | 29 | 31 | 15 | 90 | 50 | 150 |",
         "| ours, the paper's kernel | 100,000 | 1 | 100 | 1 | 5 | 4 | 6 | 2 | 15 |",
@@ -64,5 +65,3 @@ def test_the_document_says_which_bars_hold(gp_ms: float | None, said: str, tmp_p
         "1,000 trials: median ms | 900, at most 1000 | yes |", said,
     ]  # fmt: skip
     assert [row for row in rows if row not in text] == []
-    timings.plot(tmp_path / "plot.png")
-    assert (tmp_path / "plot.png").stat().st_size > 5_000
