@@ -37,8 +37,12 @@ LARGEST_LANES = 64
 MOST_SAMPLES = 10_000_000
 LANE_SAMPLES = 8192  # points for a row of the table of lane widths, at most
 MUJOCO_ROLLOUTS = 256  # of a second each
-# 512 walkers near the published gains, 3 s; 2,048 Sobol points, 5 s, packs compacted.
-LOADS = ("steady", "Sobol")
+SOBOL = "--duration 5"  # options of the worker: points of the search space
+FEW = "--walkers 400 --steady --duration 10 --repeats 5"  # a round of a comparison
+LOADS = {  # of --against: near the published gains, where all stay up; and the search space
+    "steady": "--walkers 512 --steady --duration 3 --repeats 3",
+    "Sobol": "--walkers 2048 --duration 5 --repeats 3",
+}
 TURNS = 7
 
 # Seconds for 100,000 points x 5 s, as measured on another 2-core machine (AVX-512).
@@ -84,15 +88,15 @@ def lane_widths(listed: str) -> list[int]:
 
 def measure(options: argparse.Namespace, cache: Path) -> Iterator[str]:
     """Lines on all that the options name, one measurement after the other."""
-    arch = ["--arch", options.arch]
-    cold = worker("cold start", cache / "main", "--samples", "0", *arch)
-    run = worker("run", cache / "main", "--samples", str(options.samples), *arch)
-    samples, seconds, steps_per_s = options.samples, run["run_s"], run["walker_steps_per_s"]
+    samples, arch = options.samples, f"--arch {options.arch}"
+    cold = worker("cold start", cache / "main", arch)
+    run = worker("run", cache / "main", f"--walkers {samples} {SOBOL} {arch}")
+    seconds, steps_per_s = run["run_s"], run["steps"] / run["run_s"]
     yield (f"machine        {os.cpu_count()} cores, {platform.system()} {platform.machine()};"
            f" {run['arch']}, {run['precision']}, {run['lanes']} lanes")  # fmt: skip
     yield f"cold start     {cold['start_s']:.1f} s (compiles)"
     yield f"warm start     {run['start_s']:.1f} s"
-    yield (f"run            {samples:,} points x {run['duration_s']:g} s in {seconds:.1f} s,"
+    yield (f"run            {samples:,} points x 5 s in {seconds:.1f} s,"
            f" {100 * run['alive'] / samples:.1f} % alive at the end")  # fmt: skip
     yield f"speed          {samples / seconds:,.0f} walkers/s, {steps_per_s:,.0f} walker-steps/s"
     yield f"peak memory    {run['peak_rss_mib']:,.0f} MiB"
@@ -104,15 +108,15 @@ def measure(options: argparse.Namespace, cache: Path) -> Iterator[str]:
     if options.lanes:
         yield f"\n{few:,} points, CPU\nlanes  cold start s     run s  walkers/s   alive"
     for width in options.lanes:  # each from a cache of its own
-        words = ("--samples", str(few), "--arch", "cpu", "--lanes", str(width))
-        row = worker(f"{width} lanes", cache / f"lanes-{width}", *words)
+        words = f"--walkers {few} {SOBOL} --arch cpu --lanes {width}"
+        row = worker(f"{width} lanes", cache / f"lanes-{width}", words)
         yield (f"{width:5d}  {row['start_s']:12.1f}  {row['run_s']:8.2f}"
                f"  {few / row['run_s']:9,.0f}  {row['alive']:6d}")  # fmt: skip
     if options.threads:
         yield "\n400 walkers near the published gains x 10 s, CPU\nthreads     run s  faster"
         took = {}
         for count in sorted({1, os.cpu_count() or 1}):
-            row = worker(f"{count} threads", cache / "main", "--threads", str(count))
+            row = worker(f"{count} threads", cache / "main", f"{FEW} --threads {count}")
             took[count] = row["run_s"]
             yield f"{count:7d}  {took[count]:8.2f}  {took[1] / took[count]:6.2f} x"
     if options.mujoco:
@@ -124,9 +128,29 @@ def measure(options: argparse.Namespace, cache: Path) -> Iterator[str]:
             yield f"{threads:14} {theirs:,.0f} steps/s; ours {steps_per_s / theirs:.1f} x"
 
 
-def worker(what: str, cache: Path, *arguments: str) -> Measured:
+def by_turns(options: argparse.Namespace, cache: Path) -> Iterator[str]:
+    """CPU ns a walker-step of both checkouts, one measured after the other."""
+    roots = {"this": ROOT, "other": options.against.resolve()}
+    turns: Measured = {load: {name: [] for name in roots} for load in LOADS}
+    for turn, (load, words), (name, root) in product(range(TURNS), LOADS.items(), roots.items()):
+        what = f"turn {turn + 1} of {TURNS}, {load}, {name}"
+        run = worker(what, cache / name, f"{words} --threads 1 --root", str(root))
+        turns[load][name].append(1e9 * run["cpu_s"] / run["steps"])
+    yield f"CPU ns a walker-step, one thread, median of {TURNS} turns: this, the other, ratio"
+    for load, taken in turns.items():
+        yield turns_line(load, **taken)
+
+
+def turns_line(load: str, this: list[float], other: list[float]) -> str:
+    """Medians of both checkouts, and of the ratio of their turns."""
+    ratio = median(a / b for a, b in zip(this, other, strict=True))
+    return f"{load:8} {median(this):7.1f}  {median(other):7.1f}  {ratio:.3f}"
+
+
+def worker(what: str, cache: Path, words: str, *more: str) -> Measured:
     """A measurement by `bench_worker.py` with this cache of kernels."""
-    return run_json(what, [str(WORKER), *arguments], {CACHE_VARIABLE: str(cache)})
+    command = [str(WORKER), *words.split(), *more]
+    return run_json(what, command, {CACHE_VARIABLE: str(cache)})
 
 
 def run_json(what: str, arguments: list[str], environment: dict[str, str]) -> Measured:
@@ -145,55 +169,6 @@ def run_json(what: str, arguments: list[str], environment: dict[str, str]) -> Me
         raise InputError("bench", what, f"a measurement that runs ({reason})")
     measured: Measured = json.loads(done.stdout.splitlines()[-1])
     return measured
-
-
-def by_turns(options: argparse.Namespace, cache: Path) -> Iterator[str]:
-    """CPU ns a walker-step of both checkouts: each waits while the other is measured."""
-    roots = {"this": ROOT, "other": options.against.resolve()}
-    print("compiling both", file=sys.stderr, flush=True)
-    workers = {name: turn_taker(root, cache / name) for name, root in roots.items()}
-    turns: Measured = {load: {name: [] for name in roots} for load in LOADS}
-    for turn in range(TURNS):
-        print(f"turn {turn + 1} of {TURNS}", file=sys.stderr, flush=True)
-        for load, name in product(LOADS, roots):
-            turns[load][name].append(float(answer(workers[name], load)))
-    for process in workers.values():
-        process.communicate()
-    yield f"CPU ns a walker-step, one thread, median of {TURNS} turns: this, the other, ratio"
-    for load, taken in turns.items():
-        yield turns_line(load, **taken)
-
-
-def turn_taker(root: Path, cache: Path) -> "subprocess.Popen[str]":
-    """A process that measures the simulator under `root`, ready to."""
-    process = subprocess.Popen(
-        [sys.executable, str(WORKER), "--arch", "cpu", "--turns", "--root", str(root)],
-        cwd=root,
-        env={**os.environ, CACHE_VARIABLE: str(cache), "PYTHONPATH": str(root)},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    answer(process, "")
-    return process
-
-
-def answer(process: "subprocess.Popen[str]", load: str) -> str:
-    """Send `load` to a turn-taker, and return the next line that it prints."""
-    assert process.stdin is not None and process.stdout is not None
-    if load:
-        process.stdin.write(f"{load}\n")
-        process.stdin.flush()
-    line = process.stdout.readline()
-    if not line:
-        raise InputError("against", process.args, "a checkout whose simulator runs")
-    return line
-
-
-def turns_line(load: str, this: list[float], other: list[float]) -> str:
-    """Medians of both checkouts, and of the ratio of their turns."""
-    ratio = median(a / b for a, b in zip(this, other, strict=True))
-    return f"{load:8} {median(this):7.1f}  {median(other):7.1f}  {ratio:.3f}"
 
 
 if __name__ == "__main__":
