@@ -26,17 +26,8 @@ with guarded_imports():
     from study.options import MOST_WORKERS, Options
     from study.report.numbers import wilcoxon
     from taichi_nmm.errors import InputError
-    from tools.outside import (
-        ARMS,
-        GROUPS,
-        NOTHING,
-        PROBLEMS,
-        Floats,
-        OutsideProblem,
-        Run,
-        execute,
-        outside_problem,
-    )
+    from tools import outside
+    from tools.outside import ARMS, PROBLEMS, outside_problem
     from tools.page import ROOT, write_page
 
 NAME = "sampler-outside"
@@ -44,15 +35,17 @@ MOST_SEEDS, MOST_TRIALS = 10_000, 100_000
 CHECKPOINTS = (5, 10, 20, 40)  # trials
 OUR_ARMS = [name for name, arm in ARMS.items() if arm.ours]
 OTHERS = [name for name, arm in ARMS.items() if not arm.ours]
-WITHOUT_HINT = [name for name in OTHERS if ARMS[name].sees == NOTHING]
+WITHOUT_HINT = [name for name in OTHERS if ARMS[name].sees == outside.NOTHING]
 BEHIND_P, AHEAD_P = 0.05, 0.01
 
 
 def main() -> None:
     options = parse()
     keys = list(product(options.problems, options.arms))
-    runs = [Run(*key, seed, options.trials) for key in keys for seed in range(options.seeds)]
-    costs = np.array(execute(runs, options.cache, options.processes))
+    runs = [
+        outside.Run(*key, seed, options.trials) for key in keys for seed in range(options.seeds)
+    ]
+    costs = np.array(outside.execute(runs, options.cache, options.processes))
     costs = costs.reshape(len(keys), options.seeds, options.trials)
     compared = Comparison(dict(zip(keys, costs, strict=True)))
     options.out.mkdir(parents=True, exist_ok=True)
@@ -66,7 +59,7 @@ def parse() -> Namespace:
     parser.whole("--seeds", 1, MOST_SEEDS, default=30, help="of each arm; %(default)s")
     parser.whole("--trials", 2, MOST_TRIALS, default=40, help="of a run; %(default)s")
     parser.add_argument("--arms", default=",".join(ARMS), help="%(default)s")
-    known = f"{', '.join(GROUPS)}, or some of {','.join(PROBLEMS)}; %(default)s"
+    known = f"{', '.join(outside.GROUPS)}, or some of {','.join(PROBLEMS)}; %(default)s"
     parser.add_argument("--problems", default="tuning", help=known)
     parser.whole("--processes", 1, MOST_WORKERS, default=2, help="runs at a time; %(default)s")
     parser.path("--out", "of the page and plot; docs", default=ROOT / "docs")
@@ -74,7 +67,9 @@ def parse() -> Namespace:
     found = parser.parse_args()
     require_folder(found.out)
     require_folder(found.cache, "cache")
-    found.problems = GROUPS.get(found.problems) or chosen("problems", found.problems, PROBLEMS)
+    found.problems = outside.GROUPS.get(found.problems) or chosen(
+        "problems", found.problems, PROBLEMS
+    )
     found.arms = runnable(chosen("arms", found.arms, tuple(ARMS)))
     return found
 
@@ -128,7 +123,7 @@ class Comparison:
         costs: of trials, [seeds, trials] for each (problem, arm).
     """
 
-    def __init__(self, costs: Mapping[tuple[str, str], Floats]) -> None:
+    def __init__(self, costs: Mapping[tuple[str, str], outside.Floats]) -> None:
         self.best = {key: np.minimum.accumulate(values, axis=1) for key, values in costs.items()}
         self.different = {key: len(np.unique(values, axis=0)) for key, values in costs.items()}
         self.problems = list(dict.fromkeys(problem for problem, _ in costs))
@@ -195,14 +190,13 @@ class Comparison:
                 cells = (each.problem, ARMS[each.other].label, each.wins, each.losses)
                 lines.append(f"| {what} | **no** | {' | '.join(map(str, cells))} |")
         for name in self.problems:
-            lines += ["", *self.section(outside_problem(name))]
+            lines += ["", *self.section(name)]
         return lines
 
-    def section(self, problem: OutsideProblem) -> list[str]:
+    def section(self, name: str) -> list[str]:
         """A problem, the medians of its arms, and their tests."""
-        name, at = problem.name, self.checkpoints
+        problem, at = outside_problem(name), self.checkpoints
         best, half = np.quantile(problem.cost, [0.01, 0.5])
-        worths = worth(problem)
         lines = [
             f"## {name} ({problem.purpose})",
             "",
@@ -213,9 +207,14 @@ class Comparison:
             "| feature | good end | meaning | Spearman with the cost, from the good end |",
             "|---|---|---|---|",
         ]
-        for feature, said in problem.feature_meanings.items():
-            lines.append(f"| {feature} | {said.good} | {said.meaning} | {worths[feature]:.2f} |")
-        lines.append(f"| ranking | low | mean rank of these features | {worths['ranking']:.2f} |")
+        ranking = outside.Feature("low", "mean rank of these features")
+        for (feature, said), ranks in zip(
+            (*problem.feature_meanings.items(), ("ranking", ranking)),
+            (*problem.ranks.T, problem.ranking),  # a feature that failed ranks last
+            strict=True,
+        ):
+            worth = scipy.stats.spearmanr(ranks, problem.cost).statistic
+            lines.append(f"| {feature} | {said.good} | {said.meaning} | {worth:.2f} |")
         head = " | ".join(f"after {trial}" for trial in at)
         lines += ["", f"| median of the best | information | different runs | {head} |",
                   "|---|---|---|" + "---|" * len(at)]  # fmt: skip
@@ -263,18 +262,6 @@ class Comparison:
         )  # fmt: skip
         figure.tight_layout(rect=(0, 0, right, 1))
         style.save_png(figure, path)
-
-
-def worth(problem: OutsideProblem) -> dict[str, float]:
-    """Rank correlation with the cost of each feature from its good end, and of the ranking.
-
-    Where the feature failed, it ranks last.
-    """
-    columns = dict(zip(problem.feature_meanings, problem.ranks.T, strict=True))
-    columns["ranking"] = problem.ranking
-    return {
-        name: float(scipy.stats.spearmanr(c, problem.cost).statistic) for name, c in columns.items()
-    }
 
 
 def cells_of(test: Versus) -> str:
