@@ -28,7 +28,7 @@ BUFFER = 2.0 / WIDTH  # slope of the buffer's root: it reaches Fmax w/2 below th
 # 0.23 - 0.16 exp(-8 u) while shortening, 0.01 - 0.11 u + 0.06 exp(23 u) while lengthening.
 SHORTENING_POWER, SHORTENING_DECAY, SHORTENING_RATE = 0.23, 0.16, -8.0
 LENGTHENING_POWER, LENGTHENING_SLOPE, LENGTHENING_GROWTH, LENGTHENING_RATE = 0.01, 0.11, 0.06, 23.0
-ITERATIONS = 3  # of the fibre's speed; tests/taichi_nmm/kernel/convergence.py has the table
+ITERATIONS = 3  # of the fibre's speed; docs/speed.md has the table
 
 
 @ti.func
