@@ -12,31 +12,28 @@ input, 130 interrupted.
 import faulthandler
 import hashlib
 import json
-import multiprocessing
 import os
 import re
 import resource
 import shlex
-import signal
 import sys
 import tempfile
 import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import BrokenExecutor, as_completed
 from contextlib import ExitStack, chdir, contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
-from threading import Event
 from unittest import mock
 
 from tqdm import tqdm
 
 from storage.commit import require_folder
 from storage.pool import cores
+from storage.processes import Processes
 from study.cli import EXIT_BAD_INPUT, main, run_command
 from study.options import LARGEST_SEED, Options
 from taichi_nmm.errors import InputError
@@ -184,9 +181,7 @@ def take_output() -> str:
 
 
 MOST_BYTES = 4 << 30  # of memory: a command that takes more is wrong, and fails by itself
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 MOST_CASES = 10_000_000
-TRACE = "trace"  # file of a process: what ended it
 
 DOORS = ExitStack()  # of a process of cases, for good: it does nothing else
 
@@ -213,72 +208,50 @@ class Plan:
     limit_s: float = LIMIT_S
     judge: Callable[[Case], Verdict] = judge
 
-
-def run_cases(plan: Plan, numbers: Sequence[int], workers: int, note: Note = id) -> list[Outcome]:
-    """The outcomes of cases; `note` is called, in a thread, with each as it comes."""
-    stop = Event()
-
-    def share(place: int) -> list[Outcome]:
-        found = []
-        for outcome in judged(plan, numbers[place::workers], plan.scratch / f"process-{place}"):
-            note(outcome)
-            found.append(outcome)
-            if stop.is_set():
-                break
-        return found
-
-    with ThreadPoolExecutor(workers) as threads:
-        try:
-            shares = [threads.submit(share, place) for place in range(workers)]
-            return [outcome for each in shares for outcome in each.result()]
-        finally:
-            stop.set()
+    def trace(self, number: int) -> Path:
+        """The file that says what ended the process of a case."""
+        return self.scratch / f"trace-{number}"
 
 
-def judged(plan: Plan, numbers: Iterable[int], place: Path) -> Iterator[Outcome]:
-    """The outcomes of cases, one after the other in one process, or the next where it has ended."""
-    place.mkdir()
-    process = None
-    try:
-        for number in numbers:
-            process = process or ProcessPoolExecutor(
-                1, multiprocessing.get_context("spawn"), initializer=begin, initargs=(place,)
-            )
+def run_cases(plan: Plan, numbers: Iterable[int], workers: int, note: Note = id) -> list[Outcome]:
+    """The outcomes of cases; `note` is called with each as it comes."""
+    outcomes = []
+    with Processes(workers) as pool:
+        futures = {pool.submit(judge_case, plan, number): number for number in numbers}
+        for future in as_completed(futures):
             try:
-                outcome = process.submit(judge_case, plan, place, number).result()
-            except BrokenProcessPool:
-                process.shutdown()
-                process = None
-                outcome = ended(plan, place, number)
-            yield outcome
-    finally:
-        if process is not None:
-            process.shutdown()
+                outcomes.append(future.result())
+            except BrokenExecutor:
+                outcomes.append(ended(plan, futures[future]))
+            note(outcomes[-1])
+    return outcomes
 
 
-def ended(plan: Plan, place: Path, number: int) -> Outcome:
+def ended(plan: Plan, number: int) -> Outcome:
     """Of a case that ended its process: by an abort, or by taking too long."""
-    trace = (place / TRACE).read_text(errors="replace")
+    trace = plan.trace(number).read_text(errors="replace")
     what = f"longer than {plan.limit_s:g} s" if "Timeout" in trace else "abort"
-    case = make_case(plan.seed, number, plan.world, place / "again")
+    case = make_case(plan.seed, number, plan.world, plan.scratch / f"again-{number}")
     return Outcome(case, Verdict(None, what, trace[-3000:]), plan.limit_s)
 
 
-def begin(place: Path) -> None:
-    """In a new process: no output of it is shown, and it cannot take all memory."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears Ctrl-C
-    os.environ |= ONE_THREAD
-    (place / "cache").mkdir(exist_ok=True)
+@cache
+def begin(scratch: Path) -> Path:
+    """Once in a process, its folder: no output is shown, and it cannot take all memory."""
+    place = scratch / f"process-{os.getpid()}"
+    (place / "cache").mkdir(parents=True)
     os.environ[CACHE_VARIABLE] = str(place / "cache")
     files_for_output(place)
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (MOST_BYTES, most))
     DOORS.enter_context(doors())
+    return place
 
 
-def judge_case(plan: Plan, place: Path, number: int) -> Outcome:
+def judge_case(plan: Plan, number: int) -> Outcome:
     """In a process: the outcome of one case."""
-    with (place / TRACE).open("w") as trace:
+    place = begin(plan.scratch)
+    with plan.trace(number).open("w") as trace:
         faulthandler.enable(trace)
         case = make_case(plan.seed, number, plan.world, place / "case")
         began_s = time.perf_counter()
@@ -287,6 +260,7 @@ def judge_case(plan: Plan, place: Path, number: int) -> Outcome:
         faulthandler.cancel_dump_traceback_later()
         took_s = time.perf_counter() - began_s
         faulthandler.disable()
+    plan.trace(number).unlink()
     return Outcome(case, verdict, took_s)
 
 

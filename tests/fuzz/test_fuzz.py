@@ -69,7 +69,8 @@ def test_what_ends_a_process_is_noticed(plan: Plan, tmp_path: Path) -> None:
     outcomes = run_cases(cruel, range(8), 1)
     found = {each.case.number: each.verdict.wrong for each in outcomes}
     assert found == dict.fromkeys(range(8), "") | {2: "abort", 5: f"longer than {SHORT_S:g} s"}
-    campaign.keep(cruel, outcomes[2], tmp_path / "kept")
+    (aborted,) = (each for each in outcomes if each.case.number == 2)
+    campaign.keep(cruel, aborted, tmp_path / "kept")
     made = make_case(plan.seed, 2, plan.world, tmp_path / "again")
     assert content(tmp_path / "kept" / HERE) == content(made.folder)
     assert '"wrong": "abort"' in (tmp_path / "kept" / "case.json").read_text()
