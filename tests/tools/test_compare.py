@@ -119,27 +119,44 @@ def test_a_database_that_is_refused_leaves_no_folder(
     assert not {name for name in before ^ after if not name.startswith("studies.db-")}
 
 
+# Whom which signal ends, and the exit code and the line that the command ends with.
+RESUMES = "interrupted: finished work is kept; the same command resumes"
+ENDS: dict[str, tuple[signal.Signals, int, str]] = {
+    "all": (signal.SIGINT, 130, RESUMES),  # as a terminal does
+    "a worker": (signal.SIGKILL, 2, "error: workers: 'one was killed' cannot be used; allowed: "),
+    "it": (signal.SIGKILL, -signal.SIGKILL, ""),
+}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "ending", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.campaign)]
+    "victim", ["all", "a worker", pytest.param("it", marks=pytest.mark.campaign)]
 )
-def test_all_processes_end_and_the_table_is_the_same(ending: int, command: Comparison) -> None:
+def test_all_processes_end_and_the_table_is_the_same(victim: str, command: Comparison) -> None:
     arms = {"arms": "random,dog,score-first-diverse,cmaes-cold,cmaes-warm", "trials": 30}
     process = command.start(**arms, workers=2)
     command.wait_for_more(process)
-    if ending == signal.SIGINT:
-        os.killpg(process.pid, ending)  # a terminal sends it to the workers as well
+    number, code, line = ENDS[victim]
+    if victim == "all":
+        os.killpg(process.pid, number)
     else:
-        process.kill()
+        os.kill(process.pid if victim == "it" else worker_of(process), number)
     done = finish(process)
     assert left_over(process.pid) == []  # workers end with the main process
-    assert done.code == (130 if ending == signal.SIGINT else -ending)
-    assert ending != signal.SIGINT or "the same command resumes" in done.last
+    assert done.code == code and done.last.startswith(line)
     assert "Traceback" not in done.error and 0 < command.rows() < 30 * 15
     whole = command.folder / "whole"
     assert command.run(**arms) == command.run(**arms, out=whole) == 0
     found = (command.out / "trials.parquet").read_bytes()
     assert found == (whole / "trials.parquet").read_bytes()
+
+
+def worker_of(process: "subprocess.Popen[str]") -> int:
+    """One of two processes that a command has spawned."""
+    children = [file.read_text() for file in Path(f"/proc/{process.pid}/task").glob("*/children")]
+    pids = map(int, " ".join(children).split())
+    one, _ = (p for p in pids if b"spawn_main" in Path(f"/proc/{p}/cmdline").read_bytes())
+    return one
 
 
 def left_over(group: int) -> list[str]:

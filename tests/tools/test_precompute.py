@@ -1,17 +1,14 @@
-"""The command: within this process, and in processes that are killed and interrupted for real."""
+"""The command: in this process, and in processes that are killed and interrupted for real."""
 
 import json
-import os
 import signal
-import time
 from pathlib import Path
-from subprocess import Popen
 
 import pytest
 
 from storage import open_store
 from tests.tools.conftest import Command, Simulator, Tool
-from tests.tools.running import ROOT, WAIT_S, Done, finish, start
+from tests.tools.running import Done, finish, start
 
 pytestmark = pytest.mark.slow
 
@@ -99,65 +96,3 @@ def test_a_full_disk_is_one_line(command: Command, uninterrupted: dict[str, byte
     assert sorted(content(command.out)) == [".lock", "specification.json"]
     assert command.run() == 0
     assert content(command.out) == uninterrupted
-
-
-REAL = """
-samples = 400
-shard_rows = 8
-simulation = {duration_s = 1.0, arch = "cpu"}
-"""
-REAL_SHARDS = 50
-
-
-def start_real(tmp_path: Path, name: str, workers: int) -> "Popen[str]":
-    """The command with the real simulator, which other processes have too."""
-    config = tmp_path / "real.toml"
-    config.write_text(REAL)
-    options = ["--config", config, "--out", tmp_path / name, "--workers", workers]
-    return start(*options, program=[ROOT / "tools" / "precompute.py"])
-
-
-def workers_of(process: "Popen[str]") -> list[int]:
-    """Processes that a process has spawned."""
-    tasks = Path(f"/proc/{process.pid}/task")
-    pids = [pid for file in tasks.glob("*/children") for pid in file.read_text().split()]
-    return [int(pid) for pid in pids if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-
-
-@pytest.fixture(scope="module")
-def real_store(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    folder = tmp_path_factory.mktemp("real")
-    done = finish(start_real(folder, "store", workers=1))
-    assert done.code == 0, done.error
-    return content(folder / "store")
-
-
-# Whom which signal ends, and the exit code and the line that the command ends with.
-ENDS = (
-    ("worker", signal.SIGKILL, 2, "error: workers: 'one was killed' cannot be used; allowed: "),
-    ("it", signal.SIGINT, 130, INTERRUPTED),
-    ("it", signal.SIGKILL, -signal.SIGKILL, ""),
-)
-
-
-@pytest.mark.campaign
-def test_several_ended_processes_resume_equal(tmp_path: Path, real_store: dict[str, bytes]) -> None:
-    for victim, number, code, line in ENDS:
-        kept = shards(tmp_path / "store")
-        process = start_real(tmp_path, "store", workers=2)
-        deadline = time.monotonic() + WAIT_S
-        while shards(tmp_path / "store") < kept + 3 and process.poll() is None:
-            assert time.monotonic() < deadline
-            time.sleep(0.002)
-        workers = workers_of(process)
-        assert len(workers) == 2
-        os.kill(workers[0] if victim == "worker" else process.pid, number)
-        done = finish(process)
-        assert done.code == code and done.last.startswith(line)
-        assert kept + 3 <= shards(tmp_path / "store") < REAL_SHARDS
-        while any(Path(f"/proc/{pid}").exists() for pid in workers):
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-    done = finish(start_real(tmp_path, "store", workers=2))
-    assert done.code == 0, done.error
-    assert content(tmp_path / "store") == real_store
