@@ -1,11 +1,18 @@
-"""Every tool explains itself; and what one of them counts."""
+"""Every tool explains itself; what the tools for speed measure and print; what one counts."""
 
+import os
+import re
 import runpy
+import subprocess
 import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from study.options import COMMANDS, documentation
+from taichi_nmm.errors import InputError
 from tests.tools.running import ROOT, TOOLS, load_tool
 
 MOST = 10  # files, and classes, of a proposal; 34 and 26 in 0.2.0
@@ -32,3 +39,127 @@ def test_a_proposal_passes_few_files_and_classes() -> None:
     files, classes = tool.files_and_classes(calls)
     assert calls["study/sampler/sampler.py", "FeatureKernelSampler.sample_relative"]
     assert len(files) <= MOST and len(classes) <= MOST, (files, classes)
+
+
+def printed(tool: str, *words: object) -> str:
+    """By a tool in a process of its own."""
+    command = [sys.executable, f"tools/{tool}.py", *map(str, words)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+# tools/bench.py on a few walkers.
+SAMPLES = 64
+
+
+@pytest.mark.campaign
+def test_start_and_run_are_timed_apart_and_compared_with_others() -> None:
+    said = printed("bench", "--samples", SAMPLES, "--arch", "cpu", "--threads", "--mujoco")
+
+    def numbers(start: str) -> list[float]:
+        (line,) = re.findall(rf"^{start} .*", said, re.MULTILINE)
+        return [float(word) for word in re.findall(r"[\d.]+\d|\d", line.replace(",", ""))]
+
+    assert numbers("cold start")[0] > numbers("warm start")[0] > 0.0
+    samples, duration_s, run_s, alive = numbers("run")
+    assert (samples, duration_s) == (SAMPLES, 5.0) and run_s < numbers("cold start")[0]
+    assert 0 < alive < 100
+    walkers_per_s, steps_per_s = numbers("speed")
+    assert 1000 * 5 * alive / 100 <= steps_per_s / walkers_per_s * 1.01 <= 1.02 * 1000 * 5
+    assert 50 < numbers("peak memory")[0] < 4096
+    threads = [numbers(f"{count:7}") for count in sorted({1, os.cpu_count() or 1})]
+    assert all(seconds > 0.0 for _, seconds, _ in threads) and threads[0][2] == 1.0
+    (_, single, ratio) = numbers("1 thread")
+    assert single > 1000 and ratio == pytest.approx(steps_per_s / single, rel=0.01)
+
+
+RUN = {
+    "arch": "x64", "precision": "float32", "lanes": 8, "start_s": 12.0, "run_s": 2.0, "alive": 16,
+    "steps": 80_000.0, "peak_rss_mib": 612.3,
+}  # fmt: skip
+MUJOCO = {"version": "3", "threads": 2, "steps_per_s_single": 1e4, "steps_per_s_all": 2e4}
+
+
+@pytest.mark.slow
+def test_the_report_is_readable(monkeypatch: pytest.MonkeyPatch) -> None:
+    def measured(what: str, *_: object) -> dict[str, object]:
+        return MUJOCO if what == "MuJoCo" else RUN | {"run_s": 3.0 if what == "1 threads" else 2.0}
+
+    tool = load_tool("bench")
+    monkeypatch.setattr(tool, "run_json", measured)
+    monkeypatch.setattr(tool.os, "cpu_count", lambda: 2)
+    options = Namespace(samples=64, lanes=[8], threads=True, mujoco=True, arch="cpu")
+    said = "\n".join(tool.measure(options, Path("nowhere")))
+    for line in (
+        "cold start     12.0 s (compiles)", "64 points x 5 s in 2.0 s, 25.0 % alive at the end",
+        "peak memory    612 MiB", "0.07 x the speed of scalar C, float64", "    8          12.0",
+        "      2      2.00    1.50 x", "2 threads      20,000 steps/s; ours 2.0 x",
+    ):  # fmt: skip
+        assert line in said
+
+
+def test_checkouts_are_compared_by_median_turns_and_lane_widths_are_a_list() -> None:
+    line = load_tool("bench").turns_line("steady", [100.0, 300.0, 120.0], [200.0, 400.0, 240.0])
+    assert line.split() == ["steady", "120.0", "240.0", "0.500"]
+    lane_widths = load_tool("bench").lane_widths
+    assert (lane_widths(""), lane_widths("1,4,16")) == ([], [1, 4, 16])
+    for wrong in ("0", "4,,8", "1,four", "1.5"):
+        with pytest.raises(InputError, match="lanes"):
+            lane_widths(wrong)
+
+
+# tools/time_sampler.py on small tables.
+TIMES = load_tool("time_sampler")
+
+
+@pytest.mark.slow
+def test_every_case_is_measured(tmp_path: Path) -> None:
+    printed("time_sampler", "--rows", 5000, "--repeats", 3, "--out", tmp_path)
+    cases = TIMES.cases(5000, 3)
+    assert [(case.sampler, case.features, case.observations) for case in cases[:11]] == [
+        ("ours", 1, 100), ("ours", 5, 100), ("foreign", 1, 100), ("foreign", 1, 1000),
+        ("rbf", 1, 100), ("best", 6, 100), *(("ours", 1, count) for count in (10, 30, 300, 1000)),
+        ("ours", 5, 100),
+    ]  # fmt: skip
+    lines = (tmp_path / "sampler-timing.md").read_text().splitlines()
+    rows = [line for line in lines if line.count(" | ") == 11][1:]  # the first is the heading
+    for row, case in zip(rows, cases, strict=True):
+        sizes = f"{case.rows:,} | {case.features} | {case.observations:,} | 3 |"
+        assert row.startswith(f"| {TIMES.LABELS[case.sampler]} | {sizes}")
+    numbers = [float(cell) for cell in rows[10].strip("| ").split(" | ")[5:]]
+    if Path("/proc/self/status").exists():  # memory is read on Linux only
+        assert 50_000 * (16 + 5) * 8 / 2**20 < numbers[-1] < 1000
+    assert (tmp_path / "sampler-timing.png").stat().st_size > 5_000
+    each = TIMES.measure_case(TIMES.Case("ours", 2000, 1, 12, 3))
+    assert 0.1 < each.fastest_ms <= each.median_ms <= each.slowest_ms < 10_000
+    assert 0.1 < each.median_cpu_ms < 10_000 and 0.1 < each.first_cpu_ms < 10_000
+
+
+def fake(ms: float, sampler: str = "ours", observations: int = 100, **bars: float) -> Any:
+    case = TIMES.Case(sampler, 100_000, 1, observations, 1, tuple(bars.items()))
+    return TIMES.Measured(case, ms, ms - 1, ms + 1, ms / 2, 3 * ms, 50.0, 150.0)
+
+
+OVER = "| GPSampler's median over ours |"
+SAID = {120.0: f"{OVER} 4.0, at least 5 | **no** |", 150.0: f"{OVER} 5.0, at least 5 | yes |",
+        None: "GPSampler was not measured: no PyTorch."}  # fmt: skip
+
+
+@pytest.mark.parametrize(("gp_ms", "said"), SAID.items())
+def test_the_page_says_which_bars_hold(gp_ms: float | None, said: str) -> None:
+    text = "\n".join(TIMES.figures([
+        fake(30.0, median_cpu_ms=10.0), fake(70.0, median_cpu_ms=45.0, peak_mib=149.0),
+        fake(5.0, "rbf"), fake(18.0, "best"), fake(900.0, observations=1000, median_ms=1000.0),
+        *([fake(gp_ms, "gp")] if gp_ms else []),
+    ]))  # fmt: skip
+    rows = [
+        "| ours | 100,000 | 1 | 100 | 1 | 30 | 29 | 31 | 15 | 90 | 50 | 150 |",
+        "| ours, the paper's kernel | 100,000 | 1 | 100 | 1 | 5 | 4 | 6 | 2 | 15 |",
+        "| `SurvivalSampler`, a tenth of the rows are candidates | 100,000 | 1 | 100 | 1 | 18 |",
+        "100 trials: median cpu ms | 15, at most 10 | **no** |",
+        "100 trials: median cpu ms | 35, at most 45 | yes |",
+        "100 trials: peak mib | 150, at most 149 | **no** |",
+        "1,000 trials: median ms | 900, at most 1000 | yes |", said,
+    ]  # fmt: skip
+    assert [row for row in rows if row not in text] == []
