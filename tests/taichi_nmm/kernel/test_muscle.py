@@ -8,16 +8,31 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Const, Muscle, Work
+from storage.points import sobol_points
+from taichi_nmm import terrain
+from taichi_nmm.initial import initial_rows
+from taichi_nmm.kernel import layout
+from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Const, Muscle, State, Sums, Work
 from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, muscle_table, unit_lengths
+from taichi_nmm.parameters import GAINS
 from taichi_nmm.result import MUSCLES
-from tests.parity.interpreter import interpreted_walker
-from tests.taichi_nmm.kernel import convergence
+from taichi_nmm.settings import Settings
+from taichi_nmm.walkers import blends, check_batch, constant_rows
+from tests.parity.interpreter import AllLanes, interpreted_walker
 
 W, C, N, K, REFERENCE = 0.56, 0.05, 1.5, 5.0, 0.04  # Geyer & Herr 2010
 ACTIVATIONS = np.array([0.05, 0.5, 1.0])
 RESTING_RAD = np.deg2rad([-10.0, 15.0, 0.0])  # hip, knee, ankle
 AT_REST = 1e-13  # that no row of a fibre changes by in a millisecond
+WALKERS = 256  # at Sobol points
+SEED = 2016  # of these points
+SAMPLED_TICKS = 20  # a state is recorded so often
+CONVERGED = 8  # iterations
+TOLERANCE = 1e-6  # of a speed over vmax
+SLOWEST, FASTEST = -1.0, 3.0
+
+Array = NDArray[np.float64]
+Problem = list[Array]  # arguments of `muscle.speed_range`
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +47,14 @@ def inverse_force_velocity(f: float) -> float:
     return ((N - 1) + (f - N)) / ((N - 1) - 7.56 * K * (f - N))
 
 
+def force_velocity(v: Array) -> Array:
+    """Hill's curve as published, and the line beyond v = 1; lengthening positive."""
+    with np.errstate(divide="ignore"):
+        shortening = (1 + v) / (1 - K * v)
+        lengthening = N + (N - 1) * (v - 1) / (1 + 7.56 * K * v)
+    return np.where(v < 0, shortening, np.where(v < 1, lengthening, N + 100.0 * (v - 1)))
+
+
 def quotient(muscle: Any, v: NDArray[np.float64]) -> NDArray[np.float64]:
     """The force factor of the range that each speed lies in."""
     a, b, c = muscle.force_velocity(v < 0.0, v >= 1.0)
@@ -44,7 +67,7 @@ def test_force_length_velocity_and_metabolic_rate_are_the_published_curves(muscl
     assert np.allclose(muscle.force_length(length), expected, rtol=1e-12)
     assert np.isclose(muscle.force_length(np.array([1 + W]))[0], C)
     v = np.linspace(-1.0, 0.999, 400)
-    assert np.allclose(quotient(muscle, v), convergence.force_velocity(v), rtol=1e-12)
+    assert np.allclose(quotient(muscle, v), force_velocity(v), rtol=1e-12)
     ends = quotient(muscle, np.array([-1.0, 0.0, 1.0, 1.5]))
     assert np.allclose(ends, [0.0, 1.0, N, N + 50.0])
     just_below = quotient(muscle, np.array([0.0, 1.0]) - 1e-12)
@@ -110,13 +133,22 @@ def test_isometric_force_solves_the_static_balance(m: int, walker: int) -> None:
     assert force == pytest.approx(tendon**2, abs=1e-6)
 
 
+def fibre_speed(muscle: Any, problem: Problem, iterations: int) -> Array:
+    """What the iterations of an interpreted module `muscle` find."""
+    _start, *springs, _capacity = problem
+    v, *fibre = muscle.speed_range(*problem)
+    for _ in range(iterations):
+        v = muscle.nearer(v, *fibre, *springs)
+    return np.asarray(v)
+
+
 @pytest.mark.parametrize("tendon_force", [0.2, 0.6, 0.95, 1.1, 1.3])
 def test_quick_release_moves_at_inverse_force_velocity(muscle: Any, tendon_force: float) -> None:
     """With the tendon's force held (a step of no length) the speed is fv^-1(F / (A fl))."""
     length, activation = 0.9, 1.0
     capacity = activation * np.exp(np.log(C) * abs((length - 1) / W) ** 3)
     problem = [np.array([x]) for x in (0.0, np.sqrt(tendon_force), 0.0, 0.0, 0.0, capacity)]
-    v = convergence.fibre_speed(muscle, problem, muscle.ITERATIONS)
+    v = fibre_speed(muscle, problem, muscle.ITERATIONS)
     assert v[0] == pytest.approx(inverse_force_velocity(tendon_force / capacity), abs=1e-9)
 
 
@@ -134,16 +166,67 @@ def test_tension_and_its_derivatives(muscle: Any) -> None:
     assert np.allclose(2 * bend[1:-1][smooth[1:-1]], second[smooth[1:-1]], atol=1e-6)
 
 
+def walking_states(ticks: int) -> Problem:
+    """Arguments of `speed_range` met in `ticks` on flat ground, of all muscles that are up."""
+    walker = interpreted_walker()
+    muscle = walker.muscle
+    muscle.ITERATIONS = CONVERGED
+    find_range, met, recorded = muscle.speed_range, [], []
+
+    def recording(*arguments: Any) -> Any:
+        met.append(np.array(np.broadcast_arrays(*arguments)))
+        return find_range(*arguments)
+
+    muscle.speed_range = recording
+    flat, step_s = terrain.flat(), 1e-3
+    batch = check_batch(sobol_points(SEED, 0, WALKERS, GAINS))
+    start = np.tile(initial_rows(flat)[:, None], WALKERS)
+    state, *others = np.split(start, [layout.FIRST_FIBRE, layout.FIRST_DELAY, layout.FIRST_EVENT])
+    const = constant_rows(batch, Settings()).T
+    sums, work = np.zeros((Sums.count, WALKERS)), np.zeros((Work.count, WALKERS))
+    for tick in range(ticks):
+        with np.errstate(all="ignore"):
+            walker.step(
+                tick, 1, step_s, *blends(step_s), 0, AllLanes(WALKERS), batch.terrain_index,
+                flat.height_m[None, :], muscle_table(step_s), state, *others, sums, const, work,
+            )  # fmt: skip
+        if tick % SAMPLED_TICKS == SAMPLED_TICKS - 1:
+            up = state[State.active] > 0.5
+            recorded += [arguments[:, up] for arguments in met]
+        met.clear()
+    return list(np.concatenate(recorded, axis=1))
+
+
+def exact_speed(problem: Problem) -> Array:
+    """The balance by bisection of the equation as published."""
+    _start, strain, strain_rate, squeeze, squeeze_rate, capacity = problem
+    low, high = np.full_like(strain, SLOWEST), np.full_like(strain, FASTEST)
+    for _ in range(60):
+        v = 0.5 * (low + high)
+        tendon = np.maximum(strain - strain_rate * v, 0.0)
+        buffer = np.maximum(squeeze - squeeze_rate * v, 0.0)
+        pulls = tendon**2 + buffer**2 > capacity * force_velocity(v)
+        low, high = np.where(pulls, v, low), np.where(pulls, high, v)
+    return 0.5 * (low + high)
+
+
+def errors(problem: Problem, iterations: int) -> Array:
+    """Of the speed that so many iterations find, by the walker's own source."""
+    with np.errstate(all="ignore"):
+        found = fibre_speed(interpreted_walker().muscle, problem, iterations)
+        return np.abs(found - exact_speed(problem))
+
+
 @pytest.mark.slow
 def test_fibre_speed_converges_on_walking_states() -> None:
     """Within 1e-6 of the balance as published, but for a few muscles that were just slack."""
-    problem = convergence.walking_states(300)
+    problem = walking_states(300)
     assert len(problem[0]) > 40_000
-    assert np.isclose(convergence.exact_speed(problem), 0.0).mean() < 0.01  # they move
-    error = convergence.errors(problem, interpreted_walker().muscle.ITERATIONS)
-    assert np.mean(error > convergence.TOLERANCE) < 1e-4
+    assert np.isclose(exact_speed(problem), 0.0).mean() < 0.01  # they move
+    error = errors(problem, interpreted_walker().muscle.ITERATIONS)
+    assert np.mean(error > TOLERANCE) < 1e-4
     assert error.max() < 0.05
-    assert convergence.errors(problem, convergence.CONVERGED).max() < convergence.TOLERANCE
+    assert errors(problem, CONVERGED).max() < TOLERANCE
 
 
 @pytest.mark.parametrize("joint", range(3), ids=["hip", "knee", "ankle"])
