@@ -139,19 +139,11 @@ runs = 3
 trials = 8
 arms = ["random", "dog", "score-first-diverse"]
 {top}
-[objective]
-cost = "smooth"
-[simulation]
-duration_s = 20.0
-[body]
-disturbance = 0.15
-[terrain]
-kind = "rough"
-[stores]
-flat = "{store}"
-diverse = "{store}"
-worlds = "{store}"
-stairs = "{store}"
+objective.cost = "smooth"
+simulation.duration_s = 20.0
+body.disturbance = 0.15
+terrain.kind = "rough"
+stores = {{flat = "{store}", diverse = "{store}", worlds = "{store}", stairs = "{store}"}}
 """
 
 
