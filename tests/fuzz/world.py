@@ -66,17 +66,13 @@ seed = 5
 runs = 2
 trials = 2
 arms = ["random", "dog"]
-[objective]
-cost = "smooth"
-[simulation]
-duration_s = 20.0
-[body]
-disturbance = 0.15
+objective.cost = "smooth"
+simulation.duration_s = 20.0
+body.disturbance = 0.15
+world.friction = [0.6, 1.0]
 [terrain]
 kind = "rough"
 amplitude_m = 0.08
-[world]
-friction = [0.6, 1.0]
 [stores]
 flat = "store"
 diverse = "store"
@@ -86,16 +82,12 @@ GRID = """\
 samples = 12
 shard_rows = 8
 seed = 3
-[simulation]
-duration_s = 5.0
+simulation.duration_s = 5.0
 [families.up]
 settings = 2
 seed = 4
-[families.up.terrain]
-kind = "ramp"
-direction = "up"
-[families.up.body]
-disturbance = 0.1
+terrain = {kind = "ramp", direction = "up"}
+body.disturbance = 0.1
 """
 
 

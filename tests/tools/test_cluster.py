@@ -20,11 +20,7 @@ samples = {samples}
 shard_rows = 8
 seed = 7
 simulation = {{duration_s = 1.0, arch = "cpu"}}
-[families.up]
-settings = 2
-min_survival_s = 0.5
-horizon_s = 1.0
-terrain = {{kind = "ramp"}}
+families.up = {{settings = 2, min_survival_s = 0.5, horizon_s = 1.0, terrain = {{kind = "ramp"}}}}
 """
 EXPERIMENT = """
 name = "tiny"

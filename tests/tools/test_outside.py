@@ -109,81 +109,55 @@ TOOL = load_tool("compare_outside")
 RUN_ARMS = [arm for arm in ARMS if arm != "gp"]
 
 
-def compare(patch: pytest.MonkeyPatch, folder: Path) -> int:
-    sizes = ("--seeds", SEEDS, "--trials", TRIALS, "--processes", 1, "--arms", ",".join(RUN_ARMS))
-    where = ("--problems", PROBLEM, "--cache", folder / "cache", "--out", folder / "docs")
-    return run_tool(patch, "compare_outside", *sizes, *where)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The documents and the cache of one run of the command."""
-    path = tmp_path_factory.mktemp("outside")
-    with pytest.MonkeyPatch.context() as patch:
-        assert compare(patch, path) == 0
-    return path
-
-
-def kept(folder: Path, arm: str, seed: int) -> list[float]:
-    costs = Run(PROBLEM, arm, seed, TRIALS).kept(folder / "cache")
-    assert costs is not None
-    return costs
-
-
 @pytest.mark.slow
-def test_the_document_has_the_problem_its_arms_and_its_tests(folder: Path) -> None:
-    text = (folder / "docs" / "sampler-outside.md").read_text()
-    best = np.median([np.minimum.accumulate(kept(folder, "ours", seed)) for seed in (0, 1)], 0)
+def test_the_command_writes_a_page_and_keeps_runs_and_what_people_wrote(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache, page = tmp_path / "cache", tmp_path / "docs" / "sampler-outside.md"
+
+    def compare() -> dict[Path, int]:
+        """The files of runs, and when they were written."""
+        sizes = ("--seeds", SEEDS, "--trials", TRIALS, "--processes", 1)
+        which = ("--arms", ",".join(RUN_ARMS), "--problems", PROBLEM)
+        where = ("--cache", cache, "--out", page.parent)
+        assert run_tool(monkeypatch, "compare_outside", *sizes, *which, *where) == 0
+        return {file: file.stat().st_mtime_ns for file in cache.rglob("*.json")}
+
+    written = compare()
+    assert len(written) == SEEDS * len(RUN_ARMS)
+    costs = {
+        (arm, seed): Run(PROBLEM, arm, seed, TRIALS).kept(cache) or []
+        for arm, seed in product(RUN_ARMS, range(SEEDS))
+    }
+    for (_, seed), found in costs.items():
+        assert len(found) == TRIALS
+        assert set(found) <= set(outside_problem(PROBLEM).drawn(seed).cost.tolist())
+    problem = outside_problem(PROBLEM).drawn(1)
+    first = problem.cost[rows_by_ranking(problem, 1)].tolist()
+    assert costs["ranking", 1] == first[:TRIALS] and costs["tpe-ranking", 1][:3] == first[:3]
+    text = page.read_text()
+    best = np.median([np.minimum.accumulate(costs["ours", seed]) for seed in range(SEEDS)], 0)
     wanted = [
         "# Samplers on problems from outside\n", f"## {PROBLEM} (tuning)", "](sampler-outside.png)",
         "| ours: never behind a sampler without features (p < 0.05) | yes |",
         "| ours against | after 5: won | lost | p | after 7: won | lost | p |",
         f"| ours | {ARMS['ours'].sees} | {SEEDS} | {best[4]:.4g} | {best[6]:.4g} |",
         *(f"| {ARMS[arm].label} | {ARMS[arm].sees} |" for arm in RUN_ARMS),
-        *(f"| {name} |" for name in outside_problem(PROBLEM).feature_meanings),
+        *(f"| {name} |" for name in problem.feature_meanings),
     ]  # fmt: skip
     assert [line for line in wanted if line not in text] == []
-    assert (folder / "docs" / "sampler-outside.png").stat().st_size > 10_000
-
-
-@pytest.mark.slow
-def test_every_arm_shows_costs_of_the_pool(folder: Path) -> None:
-    for arm, seed in product(RUN_ARMS, range(SEEDS)):
-        costs = kept(folder, arm, seed)
-        assert len(costs) == TRIALS
-        assert set(costs) <= set(outside_problem(PROBLEM).drawn(seed).cost.tolist())
-    problem = outside_problem(PROBLEM).drawn(1)
-    first = problem.cost[rows_by_ranking(problem, 1)]
-    np.testing.assert_array_equal(kept(folder, "ranking", 1), first[:TRIALS])
-    np.testing.assert_array_equal(kept(folder, "tpe-ranking", 1)[:3], first[:3])
-
-
-@pytest.mark.slow
-def test_a_second_run_takes_all_from_the_cache_and_keeps_what_people_wrote(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def written() -> dict[Path, int]:
-        return {file: file.stat().st_mtime_ns for file in (folder / "cache").rglob("*.json")}
-
-    before, page = written(), folder / "docs" / "sampler-outside.md"
-    assert len(before) == SEEDS * len(RUN_ARMS)
-    text = page.read_text()
+    assert page.with_suffix(".png").stat().st_size > 10_000
     changed = text.replace("# Samplers on", "# People on").replace("Written by", "Written by X")
     page.write_text(changed.replace("| yes |", "| yse |"))
-    assert compare(monkeypatch, folder) == 0
-    assert written() == before
+    assert compare() == written
     assert page.read_text() == text.replace("# Samplers on", "# People on")
-
-
-@pytest.mark.slow
-def test_a_run_of_other_code_or_a_broken_file_is_not_kept(folder: Path, tmp_path: Path) -> None:
+    # A run of other code, or one whose file is broken, is none.
     run = Run(PROBLEM, "random", 0, TRIALS)
-    assert run.kept(folder / "cache") and run.kept(tmp_path) is None
-    run.file(tmp_path).parent.mkdir(parents=True)
-    known = json.loads(run.file(folder / "cache").read_text())
-    for text in (json.dumps({**known, "code": "other"}), "{"):
-        run.file(tmp_path).write_text(text)
-        assert run.kept(tmp_path) is None
+    known = json.loads(run.file(cache).read_text())
+    for content in (json.dumps({**known, "code": "other"}), "{"):
+        run.file(cache).write_text(content)
+        assert run.kept(cache) is None
+    assert run.kept(tmp_path) is None
 
 
 def test_an_arm_without_its_package_is_left_out_with_one_line(
