@@ -295,12 +295,11 @@ def test_a_fixed_parameter_and_a_declared_one_that_is_never_suggested():
     (FEATURES, {"nearest": float("nan")}, r"nearest: .* a finite number from 0"),
     (None, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
     (len, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
-    (FEATURES, {"kernel": "nearness"}, "kernel: 'nearness' .*additive"),
     (FEATURES, {"prior": "-speed"}, "prior: '-speed' .*feature_0, or one with a minus"),
     (FEATURES, {"off_grid": -1}, "off_grid: -1 .* from 0 to 1000000"),
     (None, {"kernel": "additive"}, "kernel: 'additive' .*no features"),
     (None, {"prior": "p"}, "prior"), (None, {"off_grid": 3}, "off_grid"),
-    (None, {"feature_function": len}, "feature_function"), (3, {}, "features: 'int'"),
+    (None, {"feature_function": len}, "feature_function"),
 ])  # fmt: skip
 def test_options_that_cannot_be_used(features, options, message):
     with pytest.raises(InputError, match=message):
