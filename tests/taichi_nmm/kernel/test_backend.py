@@ -1,13 +1,24 @@
-"""Launching a kernel: refusals of a driver, and errors of ours."""
+"""Launching a kernel, the compiler of kernels, and wide registers.
 
+The compiler is Taichi 1.7.4 or, on Python 3.14, Quadrants 1.4.0. Nothing of it or of the registers
+changes where something is not as expected.
+"""
+
+import ctypes
+import os
+import subprocess
+import sys
 from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from taichi_nmm.errors import InputError
-from taichi_nmm.kernel import backend
+from taichi_nmm.kernel import backend, compiler, registers
 from taichi_nmm.kernel.backend import ti
+from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.settings import Settings
 
 REFUSAL = "no shader float64\nin driver"
@@ -81,3 +92,63 @@ def test_a_kernel_in_a_class_of_the_user_is_still_a_method() -> None:
     values = np.ones(3, np.float32)
     Doubling().run(values)
     assert values.tolist() == [2.0, 2.0, 2.0]
+
+
+PINNED = {"taichi": "1.7.4", "quadrants": "1.4.0"}
+QUIET = (
+    "import taichi_nmm as t; "
+    "t.simulate(t.PUBLISHED_GAINS, duration_s=0.1, settings=t.Settings(arch='cpu'))"
+)
+
+
+def test_each_python_has_its_compiler_and_results_name_it() -> None:
+    assert ("quadrants" if sys.version_info >= (3, 14) else "taichi") == COMPILER
+    assert compiler.VERSION == version(COMPILER) == PINNED[COMPILER]
+    backend.start(Settings(arch="cpu"))
+    engine = backend.metadata()
+    assert (engine["engine"], engine["engine_version"]) == (COMPILER, PINNED[COMPILER])
+    assert compiler.ti.__name__ == COMPILER
+
+
+def test_the_source_of_a_kernel_is_read_once_and_no_class_is_looked_for() -> None:
+    module = compiler.kernel_impl if COMPILER == "taichi" else compiler.ti.lang._func_base
+    name = "getsourcelines" if COMPILER == "taichi" else "get_source_info_and_src"
+    assert hasattr(getattr(module, name), "cache_info")
+    assert compiler.kernel_impl._inside_class is compiler._inside_class
+
+
+@pytest.mark.slow
+def test_nothing_is_printed() -> None:
+    done = subprocess.run([sys.executable, "-c", QUIET], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+LIBRARY, VERSION = compiler.core.__file__, registers.TAICHI_VERSION
+
+
+@pytest.mark.skipif(not registers._address_of_setting(LIBRARY), reason="another system")
+def test_only_this_library_of_this_version_is_told(tmp_path: Path) -> None:
+    setting = ctypes.c_uint32.from_address(registers._address_of_setting(LIBRARY) or 0)
+    before, cut = setting.value, tmp_path / "cut"
+    cut.write_bytes(Path(LIBRARY).read_bytes()[:4096])
+    for other in ("/proc/self/exe", os.devnull, __file__, str(cut), "none"):
+        assert not registers.tell_vectoriser(5, other, VERSION)
+    assert not registers.tell_vectoriser(5, LIBRARY, (1, 7, 5)) and setting.value == before
+    assert registers.tell_vectoriser(before, LIBRARY, VERSION) and setting.value == before
+
+
+def test_the_width_is_known_unknown_or_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    for features, width in (("fpu avx2 avx512vl", 16), ("fpu avx2", 8), ("fpu avx512vlx", 0)):
+        monkeypatch.setattr(Path, "read_text", lambda _path, text=features: text)
+        assert registers.width() == width
+    monkeypatch.setenv(registers.VARIABLE, "0")
+    assert registers.width() == 0
+    monkeypatch.setenv(registers.VARIABLE, "yes")
+    with pytest.raises(InputError, match=registers.VARIABLE):
+        registers.width()
+
+
+def test_only_remarks_are_kept_off_standard_error(capfd: pytest.CaptureFixture[str]) -> None:
+    with registers.without_remarks():
+        os.write(2, registers.REMARK + b": a call\nan error\n")
+    assert capfd.readouterr().err == "an error\n"
