@@ -4,11 +4,194 @@ Another processor may round otherwise in the last places, so that numbers are co
 """
 
 import json
+import math
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import optuna
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 
-from tests.study.sampler.golden import cases
+from study import DoGSampler, FeatureKernelSampler, FeatureTable, SurvivalSampler
+
+KERNELS = ("additive", "rbf", "rbf_ard", "euclidean")
+SPACE: dict[str, BaseDistribution] = {
+    "a": FloatDistribution(-1.0, 1.0), "b": FloatDistribution(1e-3, 1e1, log=True),
+    "c": IntDistribution(1, 9), "d": CategoricalDistribution(("x", "y", "z")),
+}  # fmt: skip
+FEATURES = ("f0", "f1", "f2")
+Proposal = dict[str, Any]
+Cost = Callable[[Proposal, int], float]
+
+
+def cost_of(p: Proposal, number: int) -> float:
+    """A bowl with a shift by choice."""
+    shift = {"x": 0.0, "y": 0.3, "z": -0.4}[p["d"]]
+    return (p["a"] - 0.3) ** 2 + 0.1 * math.log(p["b"]) ** 2 + 0.05 * abs(p["c"] - 4) + shift
+
+
+def extreme(p: Proposal, number: int) -> float:
+    """Cliffs and infinities."""
+    if p["a"] > 0.5:
+        return math.inf
+    return 1e200 if p["c"] > 7 else 1e-9 * cost_of(p, number)
+
+
+def tied(p: Proposal, number: int) -> float:
+    """Few distinct costs."""
+    return float(round(cost_of(p, number)))
+
+
+def failing(p: Proposal, number: int) -> float:
+    """The fourth and sixth trial end without a value."""
+    return math.nan if number in (3, 5) else cost_of(p, number)
+
+
+def columns(n: int, seed: int) -> dict[str, list[Any]]:
+    """Rows of the space."""
+    rng = np.random.default_rng(seed)
+    return {
+        "a": np.round(rng.uniform(-1, 1, n), 6).tolist(),
+        "b": np.round(10 ** rng.uniform(-2.9, 0.9, n), 6).tolist(),
+        "c": [int(c) for c in rng.integers(1, 10, n)],
+        "d": [("x", "y", "z")[i] for i in rng.integers(0, 3, n)],
+    }
+
+
+def features_of(points: np.ndarray) -> np.ndarray:
+    """Features of points [n, 4], the last a choice's index: [n, 3]."""
+    a, b, c, d = np.asarray(points, dtype=np.float64).T
+    return np.column_stack([(a - 0.2) ** 2 + 0.1 * d, np.log(b) ** 2, np.abs(c - 4) * (1 + a)])
+
+
+def featured(n: int, seed: int) -> tuple[dict[str, list[Any]], np.ndarray]:
+    """Rows of the space, and their features [n, 3]."""
+    rows = columns(n, seed)
+    index = [("x", "y", "z").index(d) for d in rows["d"]]
+    return rows, features_of(np.column_stack([rows["a"], rows["b"], rows["c"], index]))
+
+
+def table(n: int = 120, seed: int = 1, *, gaps: bool = False, count: int = 3) -> FeatureTable:
+    """Rows with features; some of them unknown or infinite."""
+    rows, features = featured(n, seed)
+    if gaps:
+        features[::7, 0] = np.nan
+        features[3::11, 1] = np.inf
+        features[5::13, 2] = -np.inf
+        features[::20] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return FeatureTable.from_arrays(rows, features[:, :count], FEATURES[:count], space=SPACE)
+
+
+def file_table(n: int = 80) -> FeatureTable:
+    """A table read from a Parquet file."""
+    rows, features = featured(n, 5)
+    content = rows | dict(zip(FEATURES, features.T, strict=True))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "table.parquet"
+        pq.write_table(pa.table(content), path)
+        return FeatureTable.from_parquet(
+            path, features=FEATURES, parameters=tuple(rows), space=SPACE
+        )
+
+
+def proposals(
+    sampler: optuna.samplers.BaseSampler,
+    trials: int,
+    cost: Cost = cost_of,
+    *,
+    limit: Cost | None = None,
+    enqueued: tuple[Proposal, ...] = (),
+    pending: int = 0,
+    maximise: bool = False,
+) -> Iterator[dict[str, Any]]:
+    """What a sampler proposes in a study, and the row that it noted."""
+    study = optuna.create_study(sampler=sampler, direction="maximize" if maximise else "minimize")
+    for params in enqueued:
+        study.enqueue_trial(params)
+    waiting: list[tuple[optuna.Trial, Proposal]] = []
+    for _ in range(trials):
+        trial = study.ask(SPACE)
+        params = trial.params
+        yield {"params": params, "row": study.trials[trial.number].user_attrs.get("row")}
+        waiting.append((trial, params))
+        if len(waiting) > pending:
+            told, shown = waiting.pop(0)
+            if limit is not None:
+                told.set_constraint("limit", limit(shown, told.number))
+            value = cost(shown, told.number)
+            if math.isnan(value):
+                study.tell(told, state=optuna.trial.TrialState.FAIL)
+            else:
+                study.tell(told, -value if maximise else value)
+
+
+def limit_of(p: Proposal, number: int) -> float:
+    """A constraint, kept where a <= -0.2."""
+    return p["a"] + 0.2
+
+
+def cases() -> dict[str, Callable[[], Iterator[dict[str, Any]]]]:
+    """Cases by name; each makes its proposals when called."""
+    fks = FeatureKernelSampler
+    near: dict[str, Any] = {"feature_function": features_of, "off_grid": 50}
+    rows = columns(120, 1)
+    two_rows = tuple({name: column[row] for name, column in rows.items()} for row in (17, 44))
+    beside = ({"a": 0.1, "b": 1.0, "c": 4, "d": "x"},)
+    return {
+        **{f"table-{kernel}": lambda k=kernel: proposals(fks(table(), kernel=k, seed=1), 14)
+           for kernel in KERNELS},
+        "space-baseline": lambda: proposals(fks(space=SPACE, seed=2), 10),
+        "space-unknown": lambda: proposals(fks(seed=3), 8, maximise=True),
+        "space-additive": lambda: proposals(fks(features_of, space=SPACE, seed=4), 9),
+        "space-rbf_ard":
+            lambda: proposals(fks(features_of, space=SPACE, kernel="rbf_ard", seed=5), 8),
+        "off-grid": lambda: proposals(fks(table(60), seed=6, **near), 12),
+        "off-grid-prior": lambda: proposals(fks(table(60), prior="-f0", seed=7, **near), 9),
+        "prior": lambda: proposals(fks(table(), prior="-f1", seed=8), 8),
+        "prior-rbf": lambda: proposals(fks(table(), prior="f2", kernel="rbf", seed=9), 7),
+        "prior-long": lambda: proposals(fks(table(40), prior="f2", seed=18), 14, tied),
+        "constraints": lambda: proposals(fks(table(), seed=10), 10, limit=limit_of),
+        "constraints-space": lambda: proposals(fks(space=SPACE, seed=11), 8, limit=limit_of),
+        "enqueued": lambda: proposals(fks(table(), seed=12), 8, enqueued=two_rows),
+        "gaps": lambda: proposals(fks(table(gaps=True), seed=13), 12),
+        "gaps-rbf_ard": lambda: proposals(fks(table(gaps=True), kernel="rbf_ard", seed=14), 8),
+        "pending": lambda: proposals(fks(table(), seed=15), 10, pending=2),
+        "pending-space": lambda: proposals(fks(space=SPACE, seed=16), 8, pending=2),
+        "ties": lambda: proposals(fks(table(30), seed=17), 14, tied),
+        "extreme": lambda: proposals(fks(table(), seed=19), 10, extreme),
+        "extreme-ard": lambda: proposals(fks(table(), kernel="rbf_ard", seed=20), 8, extreme),
+        "failed": lambda: proposals(fks(table(), seed=21), 9, failing),
+        "one-feature": lambda: proposals(DoGSampler(table(count=1), seed=22), 12),
+        "dog": lambda: proposals(DoGSampler(table(), seed=23), 8),
+        "file": lambda: proposals(fks(file_table(), seed=24), 6),
+        "survival": lambda: proposals(SurvivalSampler(survival_rows(), seed=25), 8),
+        "large": lambda: proposals(fks(table(6000, 9), seed=26), 6),
+        "nearest": lambda: proposals(
+            fks(table(), nearest=0.2, seed=27, strict=False), 6, enqueued=beside),
+        "many-trials": lambda: proposals(fks(table(60), seed=28), 40, tied),
+    }  # fmt: skip
+
+
+def survival_rows() -> FeatureTable:
+    """A table with the feature that `SurvivalSampler` ranks by."""
+    rows = columns(70, 3)
+    rng = np.random.default_rng(3)
+    features = rng.random((70, 2))
+    return FeatureTable.from_arrays(rows, features, ("survival", "speed"), space=SPACE)
+
 
 GOLDEN = json.loads(
     (Path(__file__).resolve().parents[2] / "assets" / "golden-proposals.json").read_text()
