@@ -202,7 +202,7 @@ class FunctionSimulator(Simulator):
             named = {name: np.asarray(each)[:, None] for name, each in pairs}
             whole = {name: each[None, :] for name, each in worlds.items()}
             try:
-                found = self.compute(named, whole, horizon_s)
+                found = self._compute(named, whole, horizon_s)
             except InputError:
                 raise
             except Exception as error:
@@ -215,7 +215,7 @@ class FunctionSimulator(Simulator):
             world[SEED] = int(world[SEED])
             try:
                 with _limited(self.longest_run_s):
-                    found = self.compute(point, world, horizon_s)
+                    found = self._compute(point, world, horizon_s)
             except Exception as error:
                 rows[ENDED][place] = 1
                 self._failed = f"{_said(error)}, at {point} in {world}"
@@ -224,7 +224,7 @@ class FunctionSimulator(Simulator):
             report((place[0] + 1) / len(points))
         return rows, {}
 
-    def compute(self, point: Any, world: Mapping[str, Any], seconds: float) -> Mapping[str, Any]:
+    def _compute(self, point: Any, world: Mapping[str, Any], seconds: float) -> Mapping[str, Any]:
         """Columns of one run, or with `batch` of all [n, w]: what the function returns."""
         found: Mapping[str, Any] = self.function(point, world, seconds)
         return found

@@ -212,7 +212,7 @@ class MujocoSimulator(FunctionSimulator):
         """Without the compiled model."""
         return {key: value for key, value in vars(self).items() if key != "_plain"}
 
-    def compute(self, point: Any, world: Mapping[str, Any], seconds: float) -> Mapping[str, Any]:
+    def _compute(self, point: Any, world: Mapping[str, Any], seconds: float) -> Mapping[str, Any]:
         """Columns [n, w] of n points [n, 1] in w worlds [1, w]."""
         points = {name: np.asarray(each)[:, 0] for name, each in point.items()}
         worlds = {name: np.asarray(each)[0] for name, each in world.items()}

@@ -6,6 +6,7 @@ of the same parameters is the same for all arms. Beside our sampler stand the ra
 Optuna's samplers, which begin with nothing or with the ranking's first rows.
 """
 
+import warnings
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -35,9 +36,11 @@ from study.experiment.experiment import MOST_RUNS, MOST_TRIALS, study_name
 from study.experiment.features import SurvivalSampler, survival_table
 from study.experiment.identity import LIVE_ATTRIBUTE, versions
 from study.experiment.stores import store_digest
+from study.sampler.columns import store_parameters
 from study.sampler.draws import Purpose, generator, name_key, seed_32bit, stream
 from study.sampler.policy import one_thread
 from study.sampler.table import FeatureTable
+from study.sampler.worlds import WorldSampler
 from taichi_nmm.config import read_toml
 from taichi_nmm.errors import InputError
 
@@ -56,7 +59,7 @@ class RobotArm:
 
     label: str  # in tables and figures
     sees: str  # of the store, before the first trial
-    new_sampler: Callable[[FeatureTable, int], BaseSampler]
+    new_sampler: Callable[["Candidates", int], BaseSampler]
     first: int | None = 0
 
 
@@ -64,20 +67,25 @@ NOTHING = "nothing"
 _RANKED = f"the ranking's first {FIRST_ROWS} rows"
 
 ARMS: dict[str, RobotArm] = {
-    "best": RobotArm("ours", "survival of each family", lambda t, s: SurvivalSampler(t, seed=s)),
-    "ranking": RobotArm("ranking", "the ranking", lambda t, s: RandomSampler(seed=s), None),
+    "worlds": RobotArm(
+        "worlds", "costs in each world", lambda c, s: WorldSampler(c.costs, seed=s)
+    ),
+    "best": RobotArm(
+        "best", "survival of each family", lambda c, s: SurvivalSampler(c.survival, seed=s)
+    ),
+    "ranking": RobotArm("ranking", "the ranking", lambda c, s: RandomSampler(seed=s), None),
     "gp-ranking": RobotArm(
         "GPSampler after 3", _RANKED,
-        lambda t, s: GPSampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
+        lambda c, s: GPSampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
     ),
     "tpe-ranking": RobotArm(
         "TPE after 3", _RANKED,
-        lambda t, s: TPESampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
+        lambda c, s: TPESampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
     ),
-    "gp": RobotArm("GPSampler", NOTHING, lambda t, s: GPSampler(seed=s)),
-    "tpe": RobotArm("TPE", NOTHING, lambda t, s: TPESampler(seed=s)),
-    "cmaes": RobotArm("CMA-ES", NOTHING, lambda t, s: CmaEsSampler(seed=s)),
-    "random": RobotArm("random", NOTHING, lambda t, s: RandomSampler(seed=s)),
+    "gp": RobotArm("GPSampler", NOTHING, lambda c, s: GPSampler(seed=s)),
+    "tpe": RobotArm("TPE", NOTHING, lambda c, s: TPESampler(seed=s)),
+    "cmaes": RobotArm("CMA-ES", NOTHING, lambda c, s: CmaEsSampler(seed=s)),
+    "random": RobotArm("random", NOTHING, lambda c, s: RandomSampler(seed=s)),
 }  # fmt: skip
 NEED_TORCH = ("gp-ranking", "gp")
 
@@ -127,10 +135,15 @@ class RobotExperiment:
         return pa.schema([*words, *((name, pa.float64()) for name in numbers)])
 
     def costs(self, rows: NDArray[np.void]) -> Floats:
-        """Costs of rows [n]: who falls early costs twice `fell_cost`, who lasts the column's."""
-        survived = rows[self.simulator.survived].astype(np.float64)
-        lasting = np.minimum(rows[self.cost].astype(np.float64), self.fell_cost)
-        return np.where(survived >= 1.0, lasting, self.fell_cost * (2.0 - survived))
+        """Costs of the simulator's rows, [n]."""
+        lasted, paid = (rows[name] for name in (self.simulator.survived, self.cost))
+        return costs_of(lasted.astype(np.float64), paid.astype(np.float64), self.fell_cost)
+
+
+def costs_of(survived: Floats, paid: Floats, fell_cost: float) -> Floats:
+    """Costs of runs: who falls early costs twice `fell_cost`, who lasts what was paid."""
+    lasting = np.minimum(paid, fell_cost)
+    return np.asarray(np.where(survived >= 1.0, lasting, fell_cost * (2.0 - survived)))
 
 
 def is_of_robots(path: Path) -> bool:
@@ -272,7 +285,7 @@ class Runs:
         self._world = experiment.rule.draw([stream(experiment.seed, Purpose.WORLD, run)])
         errors = generator(experiment.seed, Purpose.COST_NOISE, run)
         self.factors = np.exp(experiment.noise * errors.standard_normal(experiment.trials))
-        self._space = _candidates(experiment.store)[0].rows.space.as_dict()
+        self._space = candidates(experiment).survival.rows.space.as_dict()
         self._known: dict[bytes, np.void] = {}
 
     def ask(self, studies: Iterable[optuna.Study]) -> tuple[list[optuna.Trial], Floats]:
@@ -362,10 +375,10 @@ def _study(
     name: str | None = None,
 ) -> optuna.Study:
     """The study of an arm on a robot, which begins with the rows that the arm is given."""
-    table, ranked = _candidates(experiment.store)
+    known = candidates(experiment)
     chosen, seed = ARMS[arm], seed_32bit(experiment.seed, Purpose.SAMPLER, name_key(arm), run)
     study = optuna.create_study(
-        storage=storage, sampler=chosen.new_sampler(table, seed), study_name=name,
+        storage=storage, sampler=chosen.new_sampler(known, seed), study_name=name,
         load_if_exists=True,
     )  # fmt: skip
     for left in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
@@ -373,8 +386,8 @@ def _study(
         study.enqueue_trial(left.params)
     begun = len(study.get_trials(False, (TrialState.COMPLETE, TrialState.WAITING)))
     first = experiment.trials if chosen.first is None else chosen.first
-    for row in ranked[begun:first].tolist():
-        study.enqueue_trial(table.rows.as_parameters(row))
+    for row in known.ranked[begun:first].tolist():
+        study.enqueue_trial(known.survival.rows.as_parameters(row))
     return study
 
 
@@ -389,15 +402,46 @@ def _ready(arms: Iterable[str]) -> Iterator[None]:
         yield
 
 
+@dataclass(frozen=True)
+class Candidates:
+    """What the arms know of a store."""
+
+    survival: FeatureTable  # of each family of worlds, and the mean, by which rows are ranked
+    ranked: NDArray[np.int64]  # rows, the best first
+    costs: FeatureTable  # of a trial, in each world
+
+
+def candidates(experiment: RobotExperiment) -> Candidates:
+    """The rows of the store, with what they did in its worlds.
+
+    Raises:
+        InputError: a store without families, or that has not kept the cost in each world.
+    """
+    asked = experiment.store, experiment.simulator.survived, experiment.cost, experiment.fell_cost
+    return _candidates(*asked)
+
+
 @lru_cache(maxsize=4)
-def _candidates(store: Path) -> tuple[FeatureTable, NDArray[np.int64]]:
-    """The rows of a store, and their order by survival, the mean over families of worlds."""
-    opened = open_store(store)
-    table = survival_table(store, families=opened.families)
+def _candidates(path: Path, survived: str, cost: str, fell_cost: float) -> Candidates:
+    store = open_store(path)
+    table = survival_table(store.path, families=store.families)
     column = table.rows.feature_names.index(SURVIVAL)
     survival = np.nan_to_num(table.rows.features[:, column], nan=-np.inf)
     order = np.argsort(-survival, kind="stable")
-    return table, order[table.rows.offered[order]]
+    names, costs = list[str](), list[Floats]()
+    for family in store.families:
+        lasted = store.outcomes(family, survived).astype(np.float64)
+        paid = store.outcomes(family, cost).astype(np.float64)
+        costs.append(costs_of(lasted, paid, fell_cost))
+        names += [f"{family} {world}" for world in range(lasted.shape[1])]
+    columns, bounds, space = store_parameters(store.specification["gains"], store.gains())
+    with warnings.catch_warnings():
+        # Rows that no family ran are gaps on purpose.
+        warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)
+        of_worlds = FeatureTable.from_arrays(
+            columns, np.hstack(costs), names, bounds=bounds, space=space
+        )
+    return Candidates(table, order[table.rows.offered[order]], of_worlds)
 
 
 def _studies(trials: pa.Table, count: int) -> set[tuple[str, int]]:

@@ -1,6 +1,6 @@
 """Small faults in the product, one at a time: do the tests notice them?
 
-    python tools/faults.py --count 80 --seed 1
+    python -m tests.faults --count 80 --seed 1
 
 draws places of the product's source (an operator, a constant, a condition), changes one in a copy
 of the checkout, and runs the tests there until one fails: first those of the same folder, then all.
@@ -19,13 +19,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from checkout import guarded_imports, run_command
+import numpy as np
+from tqdm import tqdm
 
-with guarded_imports():
-    import numpy as np
-    from tqdm import tqdm
-
-    from study.options import MOST_WORKERS, Options
+from study.cli import run_command
+from study.options import MOST_WORKERS, Options
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("taichi_nmm", "storage", "study")
