@@ -10,7 +10,7 @@ standard deviation over the table:
     d(r)     what the worlds add to it, [w], over the square root of w
     k(r, s)  a^2 d(r).d(s) + 1 + t^2 M(|u_r - u_s| / l) + noise; M: Matern 5/2; u in the unit cube
 
-The 1 is a shift that all candidates share: a robot may be worse than all worlds. The last term is
+The 1 is a shift that all candidates share: a robot may be worse than all worlds. The next term is
 for what no world knows, such as a better candidate between two rows. Weight a, size t and length l
 are those of the greatest likelihood on a small grid, with a prior: nothing else is fitted. A point
 off the table has the means of its nearest rows, by distance.
@@ -50,9 +50,9 @@ NEAR_POINTS = 1500
 WORLD_WEIGHTS = (0.15, 0.3, 0.6, 1.0)  # a
 SIZES = (0.2, 0.4, 0.8)  # t, in standard deviations of the table's costs
 LENGTHS = (0.3, 0.6, 1.2, 2.4)  # l, in ranges of a parameter
-PRIOR = ((1.0, 0.5), (0.4, 0.7), (0.8, 0.7))  # median, and spread of the logarithm, of a, t, l
+PRIOR = ((0.5, 0.7), (0.4, 0.7), (0.8, 0.7))  # median, and spread of the logarithm, of a, t, l
 SHIFT = 1.0
-NOISE = 0.15
+NOISE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
