@@ -262,7 +262,7 @@ class MujocoSimulator(FunctionSimulator):
         with _quiet():
             for step in range(steps):
                 watch(herd.qpos)
-                if not herd.advance(step, steps):
+                if not herd.advance(step):
                     break
         return herd.columns(steps)
 
@@ -332,9 +332,11 @@ class MujocoSimulator(FunctionSimulator):
         model.geom_friction[:, 0] *= world["friction"]
         model.dof_damping[:] *= world["damping"]
         model.dof_armature[:] *= world["armature"]
-        # A force is gain x control + bias: both are scaled, of motors and of servos.
-        model.actuator_gainprm[:, :3] *= world["strength"]
-        model.actuator_biasprm[:, :3] *= world["strength"]
+        # A force is gain x control + bias: both are scaled. Of muscles, numbers 2 and 3 are forces.
+        is_muscle = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_MUSCLE
+        for parameters in (model.actuator_gainprm, model.actuator_biasprm):
+            parameters[~is_muscle, :3] *= world["strength"]
+            parameters[is_muscle, 2:4] *= world["strength"]
         turn = np.arctan(world["slope"])  # the ground stays level, and gravity leans
         down = np.linalg.norm(model.opt.gravity)
         model.opt.gravity[:] = [-down * np.sin(turn), 0.0, -down * np.cos(turn)]
@@ -397,7 +399,7 @@ class _Herd:
         self._energy, self._peak, self._effort = np.zeros(many), np.zeros(many), np.zeros(many)
         self._broken = np.zeros(many, dtype=bool)
 
-    def advance(self, step: int, steps: int) -> bool:
+    def advance(self, step: int) -> bool:
         """A control step of those that are up; whether any is up after it."""
         from mujoco.batch import SimulationError
 

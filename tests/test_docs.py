@@ -154,13 +154,14 @@ def test_all_examples_of_the_sampler_run_in_their_order(
 @pytest.mark.slow
 def test_the_page_of_own_simulators_runs_in_an_empty_folder(tmp_path: Path) -> None:
     page = DOCS / "own-simulator.md"
-    for name, text in zip(("my_robot.py", "trials.py"), code_blocks(page), strict=True):
+    names = ("my_robot.py", "trials.py", "my_cart.py")
+    for name, text in zip(names, code_blocks(page), strict=True):
         (tmp_path / name).write_text(text)
     (tmp_path / "pole.toml").write_text(code_blocks(page, "toml")[0])
     command = ("-m", "taichi_nmm", "precompute", "--config", "pole.toml", "--samples", "16",
                "--out", "out/few")  # fmt: skip
     ours = os.environ | {"PYTHONPATH": str(ROOT)}
-    for words in (command, ("my_robot.py",), ("trials.py",)):
+    for words in (("my_cart.py",), command, ("my_robot.py",), ("trials.py",)):
         line = [sys.executable, *words]
         done = subprocess.run(line, cwd=tmp_path, env=ours, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from optuna.distributions import FloatDistribution
 
-from storage.mujoco_simulator import COLUMNS, MujocoSimulator, SensedState
+from storage.mujoco_simulator import COLUMNS, WORLDS, MujocoSimulator, SensedState
 from storage.points import sobol_points
 from storage.simulator import find_simulator, run_points
 from study.options import CONFIGS
@@ -149,6 +149,14 @@ def test_worlds_do_what_their_names_say() -> None:
     turn = np.arctan(0.5)
     slid = -0.5 * 9.81 * (np.sin(turn) - 0.2 * np.cos(turn))
     assert slopes == pytest.approx([0.0, slid, 0.0], abs=0.02)
+
+
+def test_strength_scales_the_force_of_muscles_and_not_their_range() -> None:
+    text = XML.replace('<motor joint="hip" gear="20"/>', '<muscle joint="hip" lengthrange="0 1"/>')
+    plain, weak = (made(text)._model_of({**WORLDS, "seed": 1.0, "strength": s}) for s in (1, 0.5))
+    for parameters in ("actuator_gainprm", "actuator_biasprm"):
+        ratio = getattr(weak, parameters)[0, :9] / getattr(plain, parameters)[0, :9]
+        assert ratio.tolist() == [1.0, 1.0, 0.5, 0.5, *[1.0] * 5]
 
 
 def watched(point: Any, sensed: SensedState, memory: Any) -> Any:
