@@ -176,7 +176,7 @@ def test_the_leg_of_the_page_of_robots_fills_a_store(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "my_leg.py"], cwd=tmp_path, check=True,
                    env=os.environ | {"PYTHONPATH": str(ROOT)})  # fmt: skip
     lasted = open_store(tmp_path / "out" / "leg").outcomes("bodies", "survived_fraction")
-    assert lasted.shape == (256, 8) and np.nanmin(lasted) < 1.0 == np.nanmax(lasted)
+    assert lasted.shape == (64, 8) and np.nanmin(lasted) < 1.0 == np.nanmax(lasted)
 
 
 @pytest.mark.slow
