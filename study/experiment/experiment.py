@@ -25,6 +25,7 @@ from taichi_nmm.world import Worlds
 
 COST_FUNCTIONS = {"smooth": smooth_cost, "walking": walking_cost}  # the paper's two
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
+NAME_WORDS = "letters, digits, '.', '_' and '-', first a letter or digit"
 MOST_RUNS = 10_000
 SUMMARY = "/summary"  # end of a study's name that has no trials and compares other studies
 MOST_TRIALS = 100_000
@@ -146,7 +147,7 @@ def experiment_of(
     configured = table.integer("seed")
     name = table.text("name", name)  # becomes a part of studies' and folders' names
     if not re.fullmatch(NAME_PATTERN, name):
-        raise InputError("name", name, "letters, digits, '.', '_' and '-', first a letter or digit")
+        raise InputError("name", name, NAME_WORDS)
     experiment = Experiment(
         name=name,
         seed=configured if seed is None else Table({"seed": seed}).integer("seed"),

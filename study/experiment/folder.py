@@ -39,6 +39,7 @@ from taichi_nmm.reading import json_document
 from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
 
 EXPERIMENT_NAME = "experiment.json"
+ROBOTS_NAME = "robots.json"  # of a comparison on robots of another simulator
 RESULTS_NAME = "trials.parquet"
 TIMES_NAME = "proposal_times.parquet"
 RUN_NAME = "run.json"

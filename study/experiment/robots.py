@@ -6,6 +6,7 @@ of the same parameters is the same for all arms. Beside our sampler stand the ra
 Optuna's samplers, which begin with nothing or with the ranking's first rows.
 """
 
+import re
 import warnings
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator
@@ -32,8 +33,15 @@ from storage.store import open_store
 from storage.tables import difference
 from study.experiment.block import quiet
 from study.experiment.compare import work_through
-from study.experiment.experiment import MOST_RUNS, MOST_TRIALS, study_name
+from study.experiment.experiment import (
+    MOST_RUNS,
+    MOST_TRIALS,
+    NAME_PATTERN,
+    NAME_WORDS,
+    study_name,
+)
 from study.experiment.features import SurvivalSampler, survival_table
+from study.experiment.folder import ROBOTS_NAME
 from study.experiment.identity import LIVE_ATTRIBUTE, versions
 from study.experiment.stores import store_digest
 from study.sampler.columns import store_parameters
@@ -176,7 +184,10 @@ def read_robots(
     table = read_toml(path)
     simulator = read_simulator(table, None)
     simulation, objective = table.table("simulation"), table.table("objective")
-    names = [name for name in simulator.scores if name != simulator.survived]
+    costs = [name for name in simulator.scores if name != simulator.survived]
+    name = table.text("name", path.stem)  # becomes a part of studies' and folders' names
+    if not re.fullmatch(NAME_PATTERN, name):
+        raise InputError("name", name, NAME_WORDS)
     numbers = (
         table.integer("seed"),
         table.integer("runs", 50, 1, MOST_RUNS),
@@ -185,13 +196,13 @@ def read_robots(
     chosen = zip((seed, runs, trials), numbers, strict=True)
     seed, runs, trials = (own if given is None else given for given, own in chosen)
     experiment = RobotExperiment(
-        name=table.text("name", path.stem),
+        name=name,
         seed=seed,
         simulator=simulator,
         rule=simulator.read_worlds(table),
         store=Path(table.text("store")),
         duration_s=simulation.number("duration_s", low=0.1, high=LONGEST_TRIAL_S),
-        cost=objective.text("cost", choices=tuple(names)),
+        cost=objective.text("cost", choices=(*costs, simulator.survived)),
         fell_cost=objective.number("fell_cost", low=1e-9),
         noise=objective.number("noise", 0.0, 0.0, 1.0),
         runs=runs,
@@ -226,7 +237,7 @@ class RobotsFolder(Folder):
     """The folder of such a comparison: a document, and the finished trials."""
 
     KIND: ClassVar[str] = "a comparison on robots"
-    FIRST: ClassVar[str] = "robots.json"
+    FIRST: ClassVar[str] = ROBOTS_NAME
     FILES: ClassVar[tuple[str, ...]] = (TRIALS_NAME, "report.md", "report.png")
 
 

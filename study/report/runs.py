@@ -22,6 +22,7 @@ from study.experiment.experiment import COST_FUNCTIONS, NAME_PATTERN
 from study.experiment.folder import (
     EXPERIMENT_NAME,
     RESULTS_NAME,
+    ROBOTS_NAME,
     RUN_NAME,
     TIMES_NAME,
     as_if_gone_on,
@@ -118,6 +119,9 @@ def read_results(folder: str | Path) -> Results:
         InputError: no such folder, no trials in it, or a table or document that cannot be used.
     """
     folder = Path(folder)
+    if (folder / ROBOTS_NAME).exists():
+        allowed = "a comparison of the walker; on robots, compare has written report.md there"
+        raise InputError("folder", str(folder), allowed)
     arms = read_arms(folder, COLUMNS)
     if not arms:
         allowed = f"the output of taichi-nmm compare: {RESULTS_NAME}, with trials"

@@ -19,6 +19,7 @@ from study.experiment import robots
 from study.experiment.robots import RobotExperiment, compare_robots, read_robots
 from study.options import parser_of
 from study.report.robots import RobotResults
+from study.report.runs import read_results
 from study.sampler.draws import Purpose, stream
 from taichi_nmm.errors import InputError
 from tests.storage import robot
@@ -132,6 +133,8 @@ def test_the_command_writes_a_report(
     lasted = trials.to_pandas().query("arm == 'ranking' and survived >= 1.0")
     assert int(results.walked["ranking"][:, -1].sum()) == lasted["run"].nunique()
     assert f"| ranking | the ranking | {int(results.walked['ranking'][:, 0].sum())} |" in printed
+    with pytest.raises(InputError, match=r"^folder: .* a comparison of the walker; on robots"):
+        read_results(tmp_path / "out")
     for option, value in (("--storage", "sqlite:///x.db"), ("--arch", "cpu"), ("--store", "x")):
         with pytest.raises(InputError, match=f"^{option[2:]}: .* none: "):
             main(parser_of("compare").parse_args([*words, option, value]))
@@ -161,6 +164,7 @@ def test_a_live_study_has_the_trials_of_the_comparison(
     ("fell_cost = 4.0", "fell_cost = 0.0", r"^objective\.fell_cost: 0\.0"),
     ('"best",', '"dog",', "^arm.*: 'dog' .* best, ranking"),
     ("wind =", "rain =", r"^world\.rain: .* only the keys wind"),
+    ("seed = 5", 'seed = 5\nname = "../up"', "^name: "),
     ("runs = 4", "runs = 0", "^runs: 0"), ("runs", "robots", "^robots: 4"),
     ('cart"', 'no"', "^store: "), ("carts.py:Cart", "carts.py:Boat", "^simulator"),
 ])  # fmt: skip
