@@ -7,6 +7,7 @@ Optuna's samplers, which begin with nothing or with the ranking's first rows.
 """
 
 import re
+import sys
 import warnings
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator
@@ -229,6 +230,8 @@ def _read_arms(configured: tuple[str, ...], asked: str | None) -> tuple[str, ...
         for name in set(NEED_TORCH) & set(chosen):
             if asked is not None:
                 raise InputError("arm", name, "PyTorch installed (pip install torch), or another")
+        if set(NEED_TORCH) & set(chosen):
+            print("GPSampler is left out: it needs PyTorch (pip install torch)", file=sys.stderr)
         chosen = tuple(name for name in chosen if name not in NEED_TORCH)
     return chosen
 

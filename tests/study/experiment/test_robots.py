@@ -1,6 +1,7 @@
 """A comparison on robots of somebody else's simulator: its trials, its folder, its report."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -173,3 +174,16 @@ def test_configurations_that_are_refused(config: Path, old: str, new: str, match
     bad.write_text(config.read_text().replace(old, new, 1))
     with pytest.raises(InputError, match=match):
         read_robots(bad)
+
+
+def test_arms_that_need_pytorch_are_left_out_where_it_is_missing(
+    config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(robots, "find_spec", lambda name: None)
+    (every := config.with_name("every.toml")).write_text(
+        re.sub("arms = .*", "", config.read_text())
+    )
+    assert {*robots.ARMS} - {*read_robots(every).arms} == {*robots.NEED_TORCH}
+    assert capsys.readouterr().err.startswith("GPSampler is left out: it needs PyTorch")
+    with pytest.raises(InputError, match=r"^arm: 'gp' .* PyTorch installed"):
+        read_robots(config, arms="gp")
