@@ -29,14 +29,13 @@ import optuna
 import scipy
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
-from optuna.samplers import BaseSampler
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
 from study.sampler.acquisition import log_expected_improvement
 from study.sampler.draws import Purpose, generator, turn
 from study.sampler.policy import one_thread
-from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
+from study.sampler.random_sampler import ReproducibleRandomSampler
 from study.sampler.space import nearby, not_among
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
@@ -151,7 +150,7 @@ def _finite(values: Floats) -> Floats:
     return np.nan_to_num(values, posinf=high, neginf=low)
 
 
-class WorldSampler(BaseSampler):
+class WorldSampler(ReproducibleRandomSampler):
     """Proposes rows of a table of costs in worlds, and points near the best trials.
 
     Args:
@@ -169,8 +168,8 @@ class WorldSampler(BaseSampler):
         seed=checks.optional(checks.whole(0, checks.LARGEST_SEED)),
     )
     def __init__(self, table: FeatureTable, *, seed: int | None = None) -> None:
-        self._table, self._seed = table, new_seed() if seed is None else seed
-        self._independent = ReproducibleRandomSampler(seed=self._seed)
+        super().__init__(seed=seed)
+        self._table = table
         if len(table.rows.feature_names) < 2:
             raise InputError("table", len(table.rows.feature_names), "costs in 2 worlds or more")
         _ = self._candidates
@@ -250,4 +249,5 @@ class WorldSampler(BaseSampler):
         param_distribution: BaseDistribution,
     ) -> Any:
         """Parameters that the table does not have are uniform."""
-        return self._independent.sample_independent(study, trial, param_name, param_distribution)
+        self._raise_error_if_multi_objective(study)
+        return super().sample_independent(study, trial, param_name, param_distribution)
