@@ -387,6 +387,7 @@ class _Herd:
             np.repeat(worlds["noise"][:, None], model.nq, axis=1),
             np.repeat(worlds["noise_rate"][:, None], model.nv, axis=1),
         ])  # fmt: skip
+        self._noisy: NDArray[np.bool_] = np.any(self._noise > 0.0, axis=1)  # of each world
         self._push = worlds["push_mps"]
         self._draws = [
             np.random.default_rng(np.random.SeedSequence(int(seed), spawn_key=(1,)))
@@ -461,10 +462,14 @@ class _Herd:
     def _sensed(self, time_s: float) -> SensedState:
         """What the controller is told, with noise: a world's is the same for all its points."""
         qpos, qvel = self.qpos[self._up], self._qvel[self._up]
-        if self._noise.any():
-            drawn = np.array([each.standard_normal(self._noise.shape[1]) for each in self._draws])
-            noise = (self._noise * drawn)[self._world[self._up]]
-            qpos, qvel = qpos + noise[:, : qpos.shape[1]], qvel + noise[:, qpos.shape[1] :]
+        if self._noisy.any():
+            noise = np.zeros_like(self._noise)
+            for k in np.flatnonzero(self._noisy):  # a world draws what it needs, in any company
+                noise[k] = self._noise[k] * self._draws[k].standard_normal(noise.shape[1])
+            world = self._world[self._up]
+            rows = self._noisy[world]
+            qpos[rows] += noise[world[rows], : qpos.shape[1]]
+            qvel[rows] += noise[world[rows], qpos.shape[1] :]
         return self._seen(time_s, qpos, qvel)
 
     def _seen(self, time_s: float, qpos: Floats, qvel: Floats) -> SensedState:
@@ -493,7 +498,9 @@ class _Herd:
             return
         every = round(PUSH_EVERY_S / self._simulator.control_step_s)
         if step % every == 0:
-            drawn = np.array([each.random(2) for each in self._draws])
+            drawn = np.zeros((len(self._push), 2))
+            for k in np.flatnonzero(self._push):
+                drawn[k] = self._draws[k].random(2)
             first = round(START_S / self._simulator.control_step_s) if step == 0 else 0
             self._pushed_at = step + first + (drawn[:, 0] * (every - first)).astype(np.int64)
             self._push = np.abs(self._push) * np.where(drawn[:, 1] < 0.5, -1.0, 1.0)

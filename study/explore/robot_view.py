@@ -22,6 +22,7 @@ from bokeh.models import Button, ColumnDataSource, CustomJS, Div, Select
 from storage.store import Store
 from study.explore.server import Latest, Message
 from study.explore.stage import SCRIPTS
+from taichi_nmm.errors import InputError
 
 BASE = "base setting"
 DURATIONS_S = (5.0, 10.0, 20.0)
@@ -140,8 +141,10 @@ def numbers_text(store: Store, place: int) -> str:
 def filmed(simulator: str, point: dict[str, Any], world: dict[str, float], seconds: float) -> bytes:
     """An MP4 of a run; in a process of its own, since MuJoCo reads how to draw when it is loaded.
 
+    The point has the numbers of a store: whole numbers as floats, a choice as its number.
+
     Raises:
-        InputError: a simulator that cannot be filmed, or no OpenGL.
+        InputError: a simulator that cannot be filmed, of other parameters, or no OpenGL.
     """
     if not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl")
@@ -149,6 +152,9 @@ def filmed(simulator: str, point: dict[str, Any], world: dict[str, float], secon
     from study.pictures.scene import SMALL
 
     robot = filmable(simulator)
+    if set(point) != set(robot.space):
+        raise InputError("simulator", simulator, f"one with the parameters {', '.join(point)}")
+    point = {name: robot.space[name].to_external_repr(value) for name, value in point.items()}
     with tempfile.TemporaryDirectory() as folder:
         path = film_run(Path(folder) / "run.mp4", robot, point, world, seconds, film=SMALL)
         return path.read_bytes()
@@ -162,7 +168,6 @@ def filmable(name: str) -> Any:
     """
     from storage.mujoco_simulator import MujocoSimulator
     from storage.simulator import find_simulator
-    from taichi_nmm.errors import InputError
 
     robot = find_simulator(name)
     if not isinstance(robot, MujocoSimulator):
