@@ -12,14 +12,12 @@ if TYPE_CHECKING:
     from study.experiment.features import SurvivalSampler, covered_table, survival_table
     from study.sampler.sampler import DoGSampler, FeatureKernelSampler
     from study.sampler.table import FeatureTable
-    from study.sampler.worlds import WorldSampler
 
 __all__ = [
     "DoGSampler",
     "FeatureKernelSampler",
     "FeatureTable",
     "SurvivalSampler",
-    "WorldSampler",
     "covered_table",
     "survival_table",
 ]
@@ -29,7 +27,6 @@ _MODULES = {
     "FeatureKernelSampler": "study.sampler.sampler",
     "FeatureTable": "study.sampler.table",
     "SurvivalSampler": "study.experiment.features",
-    "WorldSampler": "study.sampler.worlds",
     "covered_table": "study.experiment.features",
     "survival_table": "study.experiment.features",
 }

@@ -17,6 +17,7 @@ from study.experiment.features import (
     COVERED_OPTIONS,
     FAMILIES,
     Feature,
+    InWorlds,
     Survival,
     covered_features,
     definition_of,
@@ -147,6 +148,18 @@ _ALL = (
     _table_arm(
         PAPER_ARM, "DoG, as printed", "the paper's method: kernel over the score",
         "flat", PRINTED, **PAPER,
+    ),
+    _table_arm(
+        "worlds", "worlds", "learns which world of its store the robot is like", "worlds",
+        (InWorlds(),),
+    ),
+    _ordered_arm(
+        "ranking", "ranking", "the rows of worlds by their mean cost, without a model", "worlds",
+        (InWorlds(mean=True),),
+    ),
+    _table_arm(
+        "worlds-stairs", "worlds, stairs' store", "worlds, having seen other stairs alone",
+        "stairs", (InWorlds(),),
     ),
     _ordered_arm(
         "score-first-diverse", "best diverse score first",

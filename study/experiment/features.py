@@ -6,7 +6,7 @@ choices.
 """
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,14 @@ from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
+from taichi_nmm.result import RESULT_DTYPE, smooth_cost
 
 Floats = NDArray[np.float64]
 
 COLUMN_END = "_survived_fraction_mean"
 RELIABILITY = 0.7  # chance that the best of a ground walks on its like elsewhere
 SHARPNESS = 3.0  # a candidate that survives half as long as the best has an eighth of its chance
+TRIAL_S = 100.0  # of the walker's experiments
 COVERING = 128  # candidates that are placed by the rule; the others follow by their mean chance
 
 
@@ -65,7 +67,19 @@ class Coverage:
         return (self.plainest, *self.grounds)
 
 
-Feature = str | Survival | Coverage
+@dataclass(frozen=True)
+class InWorlds:
+    """What a trial costs in each world of a store, or minus its mean over the worlds."""
+
+    mean: bool = False
+
+    @property
+    def name(self) -> str:
+        """In tables."""
+        return "mean_over_worlds" if self.mean else "worlds"
+
+
+Feature = str | Survival | Coverage | InWorlds
 """A column's name, or what is computed of several."""
 
 
@@ -77,6 +91,8 @@ def survivals(features: Iterable[Feature]) -> list[Survival]:
             found.extend(feature.parts)
         elif isinstance(feature, Survival):
             found.append(feature)
+        elif isinstance(feature, InWorlds):
+            found.append(Survival())
     return found
 
 
@@ -91,6 +107,8 @@ def definition_of(feature: Feature) -> Any:
         return feature
     if isinstance(feature, Coverage):
         return [feature.name, *map(definition_of, feature.parts)]
+    if isinstance(feature, InWorlds):
+        return [feature.name, f"smooth cost of {TRIAL_S:g} s"]
     families = feature.families or ("all families",)
     left_out = {"survivors only": feature.survivors, "grid only": feature.grid_only}
     return [feature.name, *families, *(words for words, is_so in left_out.items() if is_so)]
@@ -98,7 +116,9 @@ def definition_of(feature: Feature) -> Any:
 
 def check_feature(feature: Feature, store: Store) -> None:
     """Refuse a store without a column of the feature by an InputError that names both."""
-    if isinstance(feature, Survival):
+    if isinstance(feature, InWorlds):
+        outcomes_of(store, walking_costs)
+    elif isinstance(feature, Survival):
         feature.families_of(store)
     elif isinstance(feature, Coverage):
         for part in feature.parts:
@@ -111,6 +131,11 @@ def feature_values(feature: Feature, store: Store) -> Floats:
     """The feature of every row, NaN where the row is left out, [n]."""
     if isinstance(feature, str):
         return np.asarray(_columns(store, [feature])[0])
+    if isinstance(feature, InWorlds):
+        rows = table_of_worlds(store).rows
+        values = np.full(len(rows), np.nan)
+        values[rows.numbers] = -rows.ensemble(maximise=False).mean
+        return values
     if isinstance(feature, Coverage):
         plainest, *grounds = (feature_values(part, store) for part in feature.parts)
         return earliness(plainest, np.column_stack(grounds))
@@ -133,6 +158,8 @@ def feature_table(
 
     `space` has the columns that studies suggest, with distributions; None: the store's own.
     """
+    if InWorlds() in features:
+        return table_of_worlds(store, space=space)
     columns, bounds, own = store_parameters(store.specification["gains"], store.gains())
     if space is not None:
         columns, bounds, own = {name: columns[name] for name in space}, {}, dict(space)
@@ -287,6 +314,87 @@ def _table(path: str | Path, features: tuple[Feature, ...]) -> FeatureTable:
     for feature in features:
         check_feature(feature, store)
     return feature_table(store, features)
+
+
+Cost = Callable[[Mapping[str, Floats], float], Floats]
+"""Costs [n, w] of a trial, from what a run gave, by column [n, w], and its horizon in s."""
+
+
+class Given(dict[str, Floats]):
+    """What the worlds of a family gave, by column [n, w], read when it is asked for.
+
+    Raises:
+        InputError: the store has not kept the column in each world.
+    """
+
+    def __init__(self, store: Store, family: str) -> None:
+        self._store, self._family = store, family
+
+    def __missing__(self, column: str) -> Floats:
+        self[column] = self._store.outcomes(self._family, column).astype(np.float64)
+        return self[column]
+
+
+def walking_costs(given: Mapping[str, Floats], horizon_s: float) -> Floats:
+    """The walker's smooth cost of a trial of 100 s: who lasts to the horizon is taken to go on."""
+    lasted, speed = given["survived_fraction"], given["mean_speed_mps"]
+    seconds = np.where(lasted >= 1.0, TRIAL_S, lasted * horizon_s)
+    rows = np.zeros(lasted.shape, RESULT_DTYPE)
+    rows["duration_s"], rows["distance_m"] = seconds, speed * seconds
+    rows["mean_speed_mps"] = speed
+    return smooth_cost(rows)
+
+
+def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
+    """Costs [n, w] of the rows in the worlds of each family, by name; NaN: no family ran a row.
+
+    A family that ran the best rows of another one alone has the other's mean (of the logarithms,
+    if costs are positive) for the rest.
+    """
+    if not store.families:
+        raise InputError("store", str(store.path), "a store with families of worlds")
+    known = store.specification.get("families", {})
+    found: dict[str, Floats] = {}
+    for family in sorted(store.families, key=lambda name: "after" in known.get(name, {})):
+        settings = store.specification["robust"] if family == "robust" else known[family]
+        costs = cost(Given(store, family), float(settings["horizon_s"]))
+        if "after" in settings:
+            missing, before = np.isnan(costs).any(axis=1), found[settings["after"]]
+            mean = before[missing].mean(axis=1)
+            if np.nanmin(before) > 0:
+                mean = np.exp(np.log(before[missing]).mean(axis=1))
+            costs[missing] = mean[:, None]
+        found[family] = costs
+    return found
+
+
+@checks.checked(path=checks.path, cost=checks.function)
+def world_table(path: str | Path, cost: Cost = walking_costs) -> FeatureTable:
+    """The rows of a store as candidates, with what a trial costs in each of its worlds.
+
+    Args:
+        path: of a store with families; rows that no family ran are not proposed.
+        cost: of a trial; by default the walker's smooth cost.
+
+    Raises:
+        InputError: no store, or one without families or with other bounds, or a column is missing.
+    """
+    store = open_store(path)
+    store.require_bounds()
+    return table_of_worlds(store, cost)
+
+
+def table_of_worlds(
+    store: Store, cost: Cost = walking_costs, space: Mapping[str, BaseDistribution] | None = None
+) -> FeatureTable:
+    """`world_table` of an opened store; `space` as for `feature_table`."""
+    columns, bounds, own = store_parameters(store.specification["gains"], store.gains())
+    if space is not None:
+        columns, bounds, own = {name: columns[name] for name in space}, {}, dict(space)
+    outcomes = outcomes_of(store, cost)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)  # on purpose
+        return FeatureTable.from_arrays(columns, outcomes=outcomes, bounds=bounds, space=own)
 
 
 class SurvivalSampler(FeatureKernelSampler):

@@ -19,7 +19,7 @@ from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment
 from study.experiment.samplers import Task
 from study.experiment.trials import KEPT, fell
-from study.sampler.diagnostics import TITLE, Worth
+from study.sampler.diagnostics import TITLE, WORLDS_TITLE, Likeness, Worth
 from study.sampler.draws import Purpose, name_key, seed_64bit
 from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
@@ -198,9 +198,11 @@ def shown(arm: Arm, rows: NDArray[np.void]) -> dict[str, Any]:
     return found
 
 
-def worth_of_study(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> Worth | None:
-    """The worth of the arm's features in the trials of its study; None: it follows none."""
-    sampler = new_sampler(experiment, arm, run) if arm.features else None
+def worth_of_study(
+    experiment: Experiment, arm: Arm, run: int, study: optuna.Study
+) -> Worth | Likeness | None:
+    """The worth of the arm's features or worlds in the trials of its study; None: it has none."""
+    sampler = new_sampler(experiment, arm, run) if arm.store else None
     if not isinstance(sampler, FeatureKernelSampler) or not sampler.has_features:
         return None
     return sampler.worth(study)
@@ -214,5 +216,5 @@ def note_worth(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) 
     from optuna_dashboard import get_note, save_note  # a second, which other studies need not spend
 
     known, note = get_note(study), worth.markdown()
-    if note != known and (not known or known.startswith(f"## {TITLE}")):
+    if note != known and (not known or known.startswith((f"## {TITLE}", f"## {WORLDS_TITLE}"))):
         save_note(study, note)

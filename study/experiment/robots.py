@@ -8,7 +8,6 @@ Optuna's samplers, which begin with nothing or with the ranking's first rows.
 
 import re
 import sys
-import warnings
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -41,15 +40,14 @@ from study.experiment.experiment import (
     NAME_WORDS,
     study_name,
 )
-from study.experiment.features import SurvivalSampler, survival_table
+from study.experiment.features import SurvivalSampler, survival_table, table_of_worlds
 from study.experiment.folder import ROBOTS_NAME
 from study.experiment.identity import LIVE_ATTRIBUTE, versions
 from study.experiment.stores import store_digest
-from study.sampler.columns import store_parameters
 from study.sampler.draws import Purpose, generator, name_key, seed_32bit, stream
 from study.sampler.policy import one_thread
+from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
-from study.sampler.worlds import WorldSampler
 from taichi_nmm.config import read_toml
 from taichi_nmm.errors import InputError
 
@@ -77,7 +75,7 @@ _RANKED = f"the ranking's first {FIRST_ROWS} rows"
 
 ARMS: dict[str, RobotArm] = {
     "worlds": RobotArm(
-        "worlds", "costs in each world", lambda c, s: WorldSampler(c.costs, seed=s)
+        "worlds", "costs in each world", lambda c, s: FeatureKernelSampler(c.costs, seed=s)
     ),
     "best": RobotArm(
         "best", "survival of each family", lambda c, s: SurvivalSampler(c.survival, seed=s)
@@ -442,19 +440,9 @@ def _candidates(path: Path, survived: str, cost: str, fell_cost: float) -> Candi
     column = table.rows.feature_names.index(SURVIVAL)
     survival = np.nan_to_num(table.rows.features[:, column], nan=-np.inf)
     order = np.argsort(-survival, kind="stable")
-    names, costs = list[str](), list[Floats]()
-    for family in store.families:
-        lasted = store.outcomes(family, survived).astype(np.float64)
-        paid = store.outcomes(family, cost).astype(np.float64)
-        costs.append(costs_of(lasted, paid, fell_cost))
-        names += [f"{family} {world}" for world in range(lasted.shape[1])]
-    columns, bounds, space = store_parameters(store.specification["gains"], store.gains())
-    with warnings.catch_warnings():
-        # Rows that no family ran are gaps on purpose.
-        warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)
-        of_worlds = FeatureTable.from_arrays(
-            columns, np.hstack(costs), names, bounds=bounds, space=space
-        )
+    of_worlds = table_of_worlds(
+        store, lambda given, horizon_s: costs_of(given[survived], given[cost], fell_cost)
+    )
     return Candidates(table, order[table.rows.offered[order]], of_worlds)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from study.sampler.gp import Covariance, Kernel, Posterior, condition, learn, new_covariance
 from study.sampler.transforms import Points, PriorMean, log_excess, squarable
+from study.sampler.worlds import Ensemble
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -45,6 +46,7 @@ class Model:
     limits: Floats  # c constraints of each, feasible where <= 0, NaN where unknown, [n, c]
     running: Points  # trials of other workers whose parameters are known
     known: Learned  # constants that were learned so far; new ones are added
+    ensemble: Ensemble | None = None  # of simulated worlds, whose costs are expected
 
     @cached_property
     def feasible(self) -> Mask:
@@ -78,7 +80,7 @@ class Model:
             cost = self.cost(some)
             return cost - self.expected(self.trials, cost)[some]
 
-        posterior = self._after(self.trials, y)
+        posterior = self._after(self.trials, y, standardised=self.ensemble is None)
         running = self._visible(self.running)
         return posterior.believing(running) if len(running) else posterior
 
@@ -101,19 +103,28 @@ class Model:
     def cost(self, some: slice = slice(None)) -> Floats:
         """The costs of some trials as the process sees them, [n]."""
         cost = self.costs[some]
+        if self.ensemble is not None:
+            return self.ensemble.standard(cost)
         return log_excess(cost) if self.kernel.by_order else squarable(cost)
 
     def expected(self, points: Points, cost: Floats) -> Floats:
         """The prior mean at points, [m], in the unit of these costs."""
+        if self.ensemble is not None:
+            return np.asarray(points.features[:, -1])
         if self.prior_mean is None:
             return np.zeros(len(points))
         return (float(cost.std()) or 1.0) * self.prior_mean.cost(points.features)
 
-    def _after(self, points: Points, y: Callable[[slice], Floats]) -> Posterior:
+    def _after(
+        self, points: Points, y: Callable[[slice], Floats], *, standardised: bool = True
+    ) -> Posterior:
         """The posterior of something that trials showed, y giving what some of them did."""
         seen = self._visible(points)
         x, sizes = seen.matrix(), (seen.features.shape[1], seen.coordinates.shape[1])
-        covariance = new_covariance(self.kernel, *sizes, self.parameters)
+        worlds = 0 if self.ensemble is None else self.ensemble.parts.shape[1]
+        covariance = new_covariance(
+            self.kernel, *sizes, self.parameters, worlds, standardised=standardised
+        )
         first = last_refit(len(x))
         theta = self._learned(covariance, x[:first], y(slice(first)))
         # Over features alone, noise is the spread of alike candidates: the next one shows it too.

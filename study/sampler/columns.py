@@ -22,6 +22,7 @@ from optuna.distributions import (
 
 from study.sampler.space import Space, first_not_taken
 from study.sampler.transforms import columns_of, let_go, new_matrix
+from study.sampler.worlds import Outcomes, Worlds
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, reading
@@ -31,27 +32,29 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Bounds = Mapping[str, tuple[float, float]]
-Content = tuple[Space, Floats, tuple[str, ...], Floats]
-"""Distributions of d parameters; parameters [n, d]; k names; features [n, k]."""
+Content = tuple[Space, Floats, tuple[str, ...], Floats, Worlds | None]
+"""Distributions of d parameters; parameters [n, d]; k names; features [n, k]; worlds."""
 
 MOST_WAITING_BYTES = 2**28  # written to a matrix that may be a file's, before memory is let go
 
 
 def checked_columns(
     parameters: Mapping[str, ArrayLike],
-    features: ArrayLike,
+    features: ArrayLike | None,
     feature_names: Sequence[str] | None,
     bounds: Bounds | None,
     space: Mapping[str, BaseDistribution] | None,
+    outcomes: Outcomes | None = None,
 ) -> Content:
     """The content of a table of n rows, d parameters and k features.
 
     Args:
         parameters: d columns by name, [n] each.
-        features: [n, k], or [n] for one.
+        features: [n, k], or [n] for one; None beside outcomes: there are none.
         feature_names: k names; None: feature_0, feature_1, ...
         bounds: (low, high) of some numeric parameters, by name.
         space: distributions of some parameters, by name.
+        outcomes: costs in simulated worlds.
 
     Raises:
         InputError: naming the column and row that cannot be used.
@@ -66,7 +69,14 @@ def checked_columns(
     for name, ends in bounds.items():
         if name in space:
             raise InputError(f"table.bounds.{name}", ends, "none beside space=, which has the name")
-    matrix = feature_matrix(features, feature_names)
+    worlds = None if outcomes is None else Worlds.of(outcomes)
+    if features is None and worlds is not None:
+        matrix = np.empty((len(worlds.costs), 0))
+    else:
+        matrix = feature_matrix(features, feature_names)
+    if worlds is not None and len(worlds.costs) != len(matrix):
+        allowed = f"{len(matrix)} rows, as the features"
+        raise InputError("table.outcomes", f"{len(worlds.costs)} rows", allowed)
     names = tuple(feature_names or (f"feature_{i}" for i in range(matrix.shape[1])))
     raw = new_matrix(len(matrix), len(parameters))
     distributions: dict[str, BaseDistribution] = {}
@@ -81,7 +91,7 @@ def checked_columns(
         distributions[name] = distribution
     space_of_rows = Space.of(distributions)
     _require_inside(space_of_rows, raw)
-    return space_of_rows, raw, names, matrix
+    return space_of_rows, raw, names, matrix, worlds
 
 
 def parameter_column(
@@ -118,7 +128,7 @@ def parameter_column(
     return numbers, FloatDistribution(low, high)
 
 
-def feature_matrix(features: ArrayLike, names: Sequence[str] | None) -> Floats:
+def feature_matrix(features: ArrayLike | None, names: Sequence[str] | None) -> Floats:
     """Features as [n, k]; NaN is a gap, infinity a value."""
     try:
         matrix = np.array(checks.unmasked(features), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The importance of features (worth): figures, a verdict and a small table."""
+"""The importance of features and of worlds (worth): figures, a verdict and a small table."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -19,6 +19,9 @@ LEAST_TRIALS = 5
 # have one, since the constants were learned from the trials that are left out.
 GAIN = 3.0
 TITLE = "Are the features worth anything?"
+WORLDS_TITLE = "Which worlds is the robot like?"
+SHOWN_WORLDS = 6  # most and least like
+BAR = 30  # characters of the longest bar
 HEAD = ("feature", "rank correlation with the cost", "weight")
 UNKNOWN = "-"
 CHOSEN = (
@@ -344,6 +347,65 @@ def weights_of(model: Model, candidates: Points, owners: tuple[int, ...], count:
     total = float(features.sum()) + parameters + posterior.noise
     shares = tuple((features / total).tolist())
     return Weights(shares, parameters / total, posterior.noise / total)
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """Which simulated worlds a robot is like, by the finished trials of a study.
+
+    Attributes:
+        trials: that could be learned from.
+        names: of the w worlds.
+        values: above 0 where the trials cost what the world adds to the mean, below 0 where they
+            cost the opposite, in standard deviations of what was thought before any trial.
+    """
+
+    trials: int
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+
+    @property
+    def verdict(self) -> str:
+        """In a sentence."""
+        if not self.trials:
+            return "No trial has told yet which worlds the robot is like."
+        order = np.argsort(-np.array(self.values), kind="stable")
+        most, least = self.names[order[0]], self.names[order[-1]]
+        trials = f"{self.trials} trial{'s' if self.trials > 1 else ''}"
+        return f"By {trials}, the robot is most like the world {most}, and least like {least}."
+
+    def __str__(self) -> str:
+        """The worlds in the order of their values, a bar each."""
+        order = np.argsort(-np.array(self.values), kind="stable").tolist()
+        if len(order) > 2 * SHOWN_WORLDS:
+            order = order[:SHOWN_WORLDS] + order[-SHOWN_WORLDS:]
+        width = max(len(self.names[place]) for place in order)
+        largest = max(max(abs(value) for value in self.values), 1e-12)
+        lines = [
+            f"{self.names[place]:<{width}}  {self.values[place]:+.2f}  "
+            + ("+" if self.values[place] > 0 else "-")
+            * round(BAR * abs(self.values[place]) / largest)
+            for place in order
+        ]
+        return "\n".join([self.verdict, "", *(line.rstrip() for line in lines)])
+
+    def markdown(self) -> str:
+        """The same, for a note in the dashboard."""
+        verdict, _, chart = str(self).partition("\n\n")
+        return f"## {WORLDS_TITLE}\n\n{verdict}\n\n```text\n{chart}\n```"
+
+
+def likeness_of(model: Model) -> tuple[float, ...]:
+    """E[b] / a after the trials, [w]: b ~ N(0, a^2 I) are the slopes along what each world adds.
+
+    a^2 d^T K^-1 (y - m) / a (Rasmussen, Williams 2006, section 2.7).
+    """
+    posterior = model.posterior
+    term, variance, _ = next(posterior.covariance.valued(posterior.theta))
+    noisy = posterior.gram() + (posterior.noise + JITTER) * np.eye(len(posterior.y))
+    solved = np.linalg.solve(noisy, posterior.y)
+    slopes = sqrt(variance) * (posterior.x[:, term.first : term.end].T @ solved)
+    return tuple(slopes.tolist())
 
 
 def percents(shares: tuple[float, ...]) -> tuple[int, ...]:

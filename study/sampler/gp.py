@@ -21,6 +21,15 @@ Four kernels are sums of at most three terms, each a variance times a shape:
 | likeness | s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) | l each | l shared | l each | |
 | nearness | t^2 exp(-sum_j (u_j - u'_j)^2 / 2 L_j^2) | L shared | | | L each |
 
+On a table with costs in simulated worlds (`study.sampler.worlds`), the kernel has, beside or in
+place of the terms of features,
+
+| term | formula |
+|---|---|
+| worlds | a^2 d . d', d being what each world adds to the mean over the worlds |
+| shift | c^2, the same for all rows |
+| nearness | t^2 exp(-sum_j (u_j - u'_j)^2 / 2 L^2), L shared |
+
 With slopes w ~ N(0, v I), the first term is the covariance of w . phi (Rasmussen, Williams 2006,
 section 2.7). The constants maximise
 
@@ -42,6 +51,11 @@ The priors, normal in the logarithm of each constant:
 | L, length scale of parameters | their range | sqrt 2 + (log d) / 2 - 3 | sqrt 3 |
 | noise of a kernel with features | cost^2 | log 0.1 | 1.5 |
 | noise over parameters alone | cost^2 | -5 | 1 |
+| a^2, variance of worlds | table's cost^2 | log 0.25 | 1.4 |
+| c^2, of the shift | table's cost^2 | log 1 | 0.1 |
+| t^2 beside worlds | table's cost^2 | log 0.16 | 1.4 |
+| L beside worlds | their range | log 0.8 | 0.7 |
+| noise beside worlds | table's cost^2 | log 0.0025 | 1 |
 
 Length scales of parameters follow Hvarfner, Hellsten, Nardi 2024 ("Vanilla Bayesian optimization
 performs great in high dimensions"): log-normal with mu = sqrt 2 + (log d) / 2, sigma = sqrt 3, so
@@ -95,11 +109,12 @@ class Kernel:
     feature_scales: str | None  # length scales of features: "each", "shared", or None: no likeness
     parameter_scales: str | None  # the same for the parameters
     by_order: bool  # features count by their order, costs by their logarithm; else both as they are
+    worlds: bool = False  # whether costs in simulated worlds are expected
 
     @cached_property
     def of_features(self) -> bool:
         """Whether features count."""
-        return self.slopes or self.feature_scales is not None
+        return self.slopes or self.feature_scales is not None or self.worlds
 
     @cached_property
     def of_parameters(self) -> bool:
@@ -109,6 +124,7 @@ class Kernel:
 
 ADDITIVE = Kernel(True, "each", "shared", by_order=True)
 NEARNESS = Kernel(False, None, "shared", by_order=True)  # `ADDITIVE` without features
+WORLDS = replace(ADDITIVE, worlds=True)
 KERNELS = {
     "additive": ADDITIVE,
     "rbf": Kernel(False, "shared", None, by_order=False),
@@ -130,6 +146,12 @@ SIGNAL = Constant(0.0, 1.5, SIGNAL_BOUNDS)
 SLOPE = Constant(log(0.3), 1.5, SLOPE_BOUNDS)
 FEATURE_NOISE = Constant(log(0.1), 1.5, NOISE_BOUNDS)
 PARAMETER_NOISE = Constant(-5.0, 1.0, NOISE_BOUNDS)  # log-normal(-4, 1)
+# Of costs in units of a table, of whose costs in all worlds the standard deviation is one.
+WORLD = Constant(log(0.25), 1.4, SIGNAL_BOUNDS)
+SHIFT = Constant(0.0, 0.1, SIGNAL_BOUNDS)
+BEYOND = Constant(log(0.16), 1.4, SIGNAL_BOUNDS)
+BEYOND_SCALE = Constant(log(0.8), 0.7, PARAMETER_SCALE_BOUNDS)
+WORLD_NOISE = Constant(log(0.0025), 1.0, NOISE_BOUNDS)
 
 
 @dataclass(frozen=True)
@@ -149,6 +171,7 @@ class Covariance:
 
     terms: tuple[Term, ...]
     noise: Constant
+    standardised: bool = True  # costs have a mean of 0 and a variance of 1; else units of a table
 
     @cached_property
     def constants(self) -> tuple[Constant, ...]:
@@ -241,9 +264,22 @@ class Covariance:
         return total
 
 
-def new_covariance(kernel: Kernel, k: int, e: int, d: int) -> Covariance:
-    """The covariance of rows that have k features, then e coordinates of d parameters."""
+def new_covariance(
+    kernel: Kernel, k: int, e: int, d: int, w: int = 0, *, standardised: bool = True
+) -> Covariance:
+    """The covariance of rows that have k features, then e coordinates of d parameters.
+
+    With worlds, the last w + 2 features are what each world adds, a one, and the expected cost.
+    """
     terms = []
+    if kernel.worlds:
+        first = k - w - 2
+        terms = [Term(first, first + w, WORLD, ()), Term(k - 2, k - 1, SHIFT, ())]
+        if first:
+            scale = Constant(log(sqrt(first)), 1.0, FEATURE_SCALE_BOUNDS)
+            terms += [Term(0, first, SLOPE, ()), Term(0, first, SIGNAL, (scale,) * first)]
+        terms.append(Term(k, k + e, BEYOND, (BEYOND_SCALE,)))
+        return Covariance(tuple(terms), WORLD_NOISE, standardised)
     if kernel.slopes:
         terms.append(Term(0, k, SLOPE, ()))
     if kernel.feature_scales is not None:
@@ -346,7 +382,7 @@ def learn(covariance: Covariance, x: Floats, y: Floats) -> Floats:
     The mean of the process is that of the costs.
     """
     some = _informative(y)
-    scaled, _, _ = _standard(y)
+    scaled = _standard(y)[0] if covariance.standardised else y
     x, y = x[some], scaled[some]
     found = []
     for shift in NOISE_STARTS if len(scaled) <= SECOND_START_TRIALS else NOISE_STARTS[:1]:
@@ -374,7 +410,7 @@ def condition(
     fast: bool = True,
 ) -> "Posterior":
     """The posterior under given constants, after trials x [n, p] with costs y [n]."""
-    scaled, mean, sd = _standard(y)
+    scaled, mean, sd = _standard(y) if covariance.standardised else (y, 0.0, 1.0)
     return Posterior(covariance, theta, x, scaled, mean, sd, noisy, fast)
 
 

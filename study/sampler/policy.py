@@ -37,6 +37,7 @@ from study.sampler.draws import Purpose, generator
 from study.sampler.gp import ADDITIVE, NEARNESS, Kernel
 from study.sampler.history import History, read_limits
 from study.sampler.transforms import Points, PriorMean, Scale, is_doubtful
+from study.sampler.worlds import Ensemble
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
@@ -89,6 +90,8 @@ class Policy:
         unranked = ENDS if self.learns_trust else RANDOM
         # How many trials have to finish before there is a model.
         self.first_trials = unranked if options.prior is None else RANKED
+        if options.kernel.worlds:
+            self.first_trials = 1  # the worlds are a model before any trial
         self.known: Learned = {}  # in this process
         self._proposals: dict[tuple[int, datetime | None], Proposal] = {}
         self._said: set[str] = set()
@@ -126,12 +129,17 @@ class Policy:
         return (1.0 if turn % ENDS == 0 else -1.0) * _common(features)
 
     def plain_model(
-        self, prior_mean: PriorMean | None, parameters: int, seen: Points, cost: Floats
+        self,
+        prior_mean: PriorMean | None,
+        parameters: int,
+        seen: Points,
+        cost: Floats,
+        ensemble: Ensemble | None = None,
     ) -> Model:
         """The model after finished trials alone, whatever limits they have."""
         limits, running = np.empty((len(cost), 0)), seen.take(np.arange(0))
         kernel, known = self.options.kernel, self.known
-        return Model(kernel, prior_mean, parameters, seen, cost, limits, running, known)
+        return Model(kernel, prior_mean, parameters, seen, cost, limits, running, known, ensemble)
 
     def model(
         self,
@@ -141,9 +149,10 @@ class Policy:
         seen: Points,
         running: Points,
         own_turn: int,
+        ensemble: Ensemble | None = None,
     ) -> Model:
         """The model of one trial, after the trials of a history, at the points where they were."""
-        plain = self.plain_model(prior_mean, parameters, seen, history.cost)
+        plain = self.plain_model(prior_mean, parameters, seen, history.cost, ensemble)
         model = replace(plain, limits=read_limits(history.trials), running=running)
         kept = history.cost[model.feasible]
         if self.learns_trust and is_doubtful(kept, own_turn, prior_mean is not None):

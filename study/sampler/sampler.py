@@ -15,8 +15,8 @@ from optuna.samplers import BaseSampler
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
-from study.sampler.diagnostics import Worth, worth_of
-from study.sampler.gp import KERNELS
+from study.sampler.diagnostics import Likeness, Worth, worth_of
+from study.sampler.gp import KERNELS, WORLDS
 from study.sampler.policy import Features, Options, one_thread
 from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
 from study.sampler.space_policy import SpacePolicy
@@ -27,6 +27,7 @@ from taichi_nmm.errors import InputError
 
 DEFAULT_KERNELS = "additive", "euclidean"  # with features, without
 MOST_OFF_GRID = 1_000_000
+OFF_GRID = 1500  # points near the best trials, where worlds say what rows cost
 # Antonova, Rai, Atkeson 2016; options that are not named keep their defaults.
 PAPER: dict[str, Any] = {"kernel": "rbf"}
 
@@ -46,6 +47,7 @@ class FeatureKernelSampler(BaseSampler):
 
     - a `FeatureTable`: a trial is a row of the table that no trial has taken, named by the user
       attribute `row`; with `feature_function` and `off_grid`, also a point near the best rows;
+      with outcomes in simulated worlds, also a point near the best trials;
     - a function, params [n, d] -> features [n, k]: a trial is any point of the space;
     - None: a Gaussian process over the parameters themselves, the usual baseline.
 
@@ -55,6 +57,9 @@ class FeatureKernelSampler(BaseSampler):
         y(x) = w^T phi(x) + f(phi(x)) + g(u(x)) + noise,
         w ~ N(0, v I),  f ~ GP(0, s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2)),
         g ~ GP(0, t^2 exp(-|u - u'|^2 / 2 L^2))
+
+    On a table with outcomes in worlds, costs are in the table's units, and the mean and covariance
+    of the rows over the worlds are a part of the model (`study.sampler.worlds`).
 
     v, s, t, the length scales and the noise maximise the marginal likelihood times a prior
     (`study.sampler.gp`): what explains nothing gets no weight. Once no trial has been better
@@ -79,13 +84,15 @@ class FeatureKernelSampler(BaseSampler):
             then the cost is expected to follow it, as far as trials confirm that
             (`study.sampler.transforms.PriorMean`).
         kernel: None: the model above with features, "euclidean" without. "additive": the model
-            above. "rbf": f alone, of features as they are (standardised), one length scale for all
-            and the cost as it is, the paper's; "rbf_ard": the same with a length scale a feature.
+            above; a kernel that is named leaves outcomes out. "rbf": f alone, of features as they
+            are (standardised), one length scale for all and the cost as it is, the paper's;
+            "rbf_ard": the same with a length scale a feature.
             "euclidean": over the parameters alone, a length scale each, as Hvarfner, Hellsten,
             Nardi 2024. All but the first start with three random trials, unless there is a prior.
         feature_function: for a table, features of points off it, in the table's order and units.
         off_grid: with such a function, the number of points near the best ones that are added to
-            the candidates of each trial.
+            the candidates of each trial; by default none. With outcomes in worlds, of points near
+            the best trials, by default 1,500; 0: rows alone are proposed.
         space: what the study suggests: distributions by name. None takes those that all finished
             trials share, the first trial being random. A table has its own.
         strict: True: what does not fit is an error before the objective has its parameters; False:
@@ -115,7 +122,7 @@ class FeatureKernelSampler(BaseSampler):
         prior=checks.optional(checks.text),
         kernel=checks.optional(checks.text),
         feature_function=checks.optional(checks.function),
-        off_grid=checks.whole(0, MOST_OFF_GRID),
+        off_grid=checks.optional(checks.whole(0, MOST_OFF_GRID)),
         space=checks.optional(checks.by_name(checks.instance(BaseDistribution))),
         strict=checks.flag,
         extra_parameters=checks.each(checks.text),
@@ -131,7 +138,7 @@ class FeatureKernelSampler(BaseSampler):
         prior: str | None = None,
         kernel: str | None = None,
         feature_function: Features | None = None,
-        off_grid: int = 0,
+        off_grid: int | None = None,
         space: Mapping[str, BaseDistribution] | None = None,
         strict: bool = True,
         extra_parameters: Collection[str] = (),
@@ -141,11 +148,15 @@ class FeatureKernelSampler(BaseSampler):
     ) -> None:
         """Check the options; nothing is computed yet."""
         given = dict(locals())
+        has_worlds = isinstance(features, FeatureTable) and features.rows.worlds is not None
         self._kernel = kernel if kernel is not None else DEFAULT_KERNELS[features is None]
         if self._kernel not in KERNELS:
             raise InputError("kernel", self._kernel, f"one of {', '.join(KERNELS)}")
+        chosen = WORLDS if has_worlds and kernel is None else KERNELS[self._kernel]
+        if off_grid is None:
+            off_grid = OFF_GRID if chosen.worlds else 0
         extra = frozenset(extra_parameters)
-        options = Options(KERNELS[self._kernel], prior, off_grid, nearest, space, extra, strict)
+        options = Options(chosen, prior, off_grid, nearest, space, extra, strict)
         _require_sense(features, feature_function, options, self._kernel)
         seed = new_seed() if seed is None else seed
         independent = independent_sampler or ReproducibleRandomSampler(seed=seed)
@@ -167,8 +178,10 @@ class FeatureKernelSampler(BaseSampler):
         return self._policy.options.kernel.of_features
 
     @checks.checked(study=checks.instance(optuna.Study))
-    def worth(self, study: optuna.Study) -> Worth:
+    def worth(self, study: optuna.Study) -> Worth | Likeness:
         """The importance of the features in the finished trials of a study, which is not changed.
+
+        With outcomes in worlds it is which of these the trials are like.
 
         It can be printed, or shown in the dashboard: `optuna_dashboard.save_note(study,
         sampler.worth(study).markdown())`.
@@ -186,6 +199,8 @@ class FeatureKernelSampler(BaseSampler):
                 "kernel", self._kernel, "one that uses features, or there is nothing to report"
             )
         with one_thread():
+            if isinstance(self._policy, TablePolicy) and self._policy.options.kernel.worlds:
+                return self._policy.likeness(study)
             present = self._policy.present(study)
             maximised = study.direction is StudyDirection.MAXIMIZE
             return worth_of(present, maximised=maximised)
@@ -269,18 +284,27 @@ def _require_sense(
     kernel: str,
 ) -> None:
     """Refuse options that do not go together."""
-    is_table, has_function = isinstance(features, FeatureTable), function is not None
+    has_function = function is not None
     off_grid, nearest, prior = options.off_grid, options.nearest, options.prior
 
     def refuse(is_wrong: object, field: str, value: object, allowed: str) -> None:
         if is_wrong:
             raise InputError(field, value, allowed)
 
-    if is_table:
-        refuse(off_grid and not has_function, "off_grid", off_grid, "0 without a feature_function")
+    if options.kernel.worlds:
+        allowed = "none beside outcomes in worlds, which do its work"
+        refuse(has_function, "feature_function", "given", allowed)
+        refuse(nearest is not None, "nearest", nearest, allowed)
+        refuse(prior is not None, "prior", prior, allowed)
+    if isinstance(features, FeatureTable):
+        without = not has_function and not options.kernel.worlds
+        refuse(off_grid and without, "off_grid", off_grid, "0 without a feature_function")
         refuse(options.space is not None, "space", "given", "none: a table knows its own")
         allowed = "none with a feature_function, which knows the features of any point"
         refuse(nearest is not None and has_function, "nearest", nearest, allowed)
+        no_features = options.kernel.of_features and not options.kernel.worlds
+        no_features = no_features and not features.rows.feature_names
+        refuse(no_features, "kernel", kernel, "none, or euclidean: the table has no features")
         return
     allowed = "none: only a table needs it beside `features`"
     refuse(has_function, "feature_function", "given", allowed)

@@ -9,11 +9,12 @@ import hashlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 from optuna.distributions import BaseDistribution
 
@@ -29,6 +30,7 @@ from study.sampler.transforms import (
     columns_of,
     let_go,
 )
+from study.sampler.worlds import Ensemble, Outcomes, Worlds
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 T = TypeVar("T")
 NAMES_SHOWN = 3  # features, at a prompt
+NEAR_ROWS = 8  # whose mean a point off the table has
+NEAR_POOL = 128  # rows near each centre, among which these are looked for
 # Does not depend on the distributions: rows with others share it.
 SHARED = ("standard", "scores", "offered", "numbers", "_known", "_index", "_first")
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Knuth's multiplicative hashing
@@ -51,6 +55,7 @@ class Rows:
     parameters: Floats  # [n, d]; of a categorical, the index of its choice
     feature_names: tuple[str, ...]  # k names
     features: Floats  # [n, k], of any scale; NaN where unknown
+    worlds: Worlds | None = None  # what each row costs in simulated worlds
 
     def __len__(self) -> int:
         """Number of rows, n."""
@@ -94,15 +99,58 @@ class Rows:
         """Numbers of the rows that may be proposed, ascending, [m]."""
         return np.flatnonzero(self.offered)
 
-    def points(self, *, by_order: bool, coordinates: bool) -> Points:
-        """Rows that may be proposed as points, on one of the scales; made once."""
+    def points(
+        self, *, by_order: bool, coordinates: bool, ensemble: Ensemble | None = None
+    ) -> Points:
+        """Rows that may be proposed as points, on one of the scales; made once.
+
+        An ensemble of theirs adds columns to the features.
+        """
 
         def made() -> Points:
             chosen = self._chosen(self.features)
             features = self.scores.own if by_order else self.standard.standard(chosen)
+            if ensemble is not None:
+                features = np.hstack([features, ensemble.columns])
             return Points(features, self.unit if coordinates else np.empty((len(features), 0)))
 
-        return self._once((by_order, coordinates), made)
+        return self._once((by_order, coordinates, id(ensemble)), made)
+
+    def ensemble(self, *, maximise: bool) -> Ensemble:
+        """The worlds as the model takes them, of rows that may be proposed; made once."""
+        worlds, sign = self.worlds, -1.0 if maximise else 1.0
+        assert worlds is not None
+        return self._once(("ensemble", sign), lambda: Ensemble(worlds, self.numbers, sign))
+
+    def mixed(self, columns: Floats, points: Floats, centres: Floats) -> Floats:
+        """Columns [m, k] of rows that may be proposed, at other points of the unit cube, [n, k].
+
+        Each point has a mean of its `NEAR_ROWS` nearest rows, weighted by 1 / distance^2. They are
+        looked for among the `NEAR_POOL` rows that are nearest to each of the centres.
+
+        Args:
+            columns: of the rows, [m, k].
+            points: [n, e].
+            centres: that the points are near to, [c, e].
+        """
+        cdist, pools = scipy.spatial.distance.cdist, []
+        for centre in centres:
+            pools.append(self._once(("pool", centre.tobytes()), partial(self._pool, centre)))
+        pool = np.unique(np.concatenate(pools))
+        distance = cdist(points, self.unit[pool])
+        count = min(NEAR_ROWS, len(pool))
+        near = np.argpartition(distance, count - 1, axis=1)[:, :count]
+        weight = 1.0 / (np.take_along_axis(distance, near, axis=1) + 1e-3) ** 2
+        weight /= weight.sum(axis=1, keepdims=True)
+        matrix = np.zeros(distance.shape)
+        np.put_along_axis(matrix, near, weight, axis=1)
+        return np.asarray(matrix @ columns[pool])
+
+    def _pool(self, centre: Floats) -> NDArray[np.int64]:
+        """Places of the rows that are nearest to a point of the unit cube [e]."""
+        squares = ((self.unit - centre) ** 2).sum(axis=1)
+        count = min(NEAR_POOL, len(squares))
+        return np.argpartition(squares, count - 1)[:count]
 
     def as_parameters(self, row: int) -> dict[str, Any]:
         """One row as Optuna takes it: native values by name."""
@@ -151,10 +199,14 @@ class Rows:
         return rows
 
     def digest(self) -> str:
-        """SHA-256 of names, distributions, parameters and features."""
+        """SHA-256 of names, distributions, parameters, features and worlds."""
         head = [*self.names, *map(str, self.space.distributions), *self.feature_names]
+        matrices = [self.parameters, self.features]
+        if self.worlds is not None:
+            head += self.worlds.names
+            matrices.append(self.worlds.costs)
         digest = hashlib.sha256("\n".join(head).encode())
-        for values in (self.parameters, self.features):
+        for values in matrices:
             for first in range(0, len(self), BLOCK):
                 digest.update(np.ascontiguousarray(values[first : first + BLOCK]).data)
                 let_go(values)
@@ -200,9 +252,10 @@ class Rows:
 
     @cached_property
     def _known(self) -> NDArray[np.bool_]:
-        """Rows with at least half of the informative features, [n]."""
+        """Rows with at least half of the informative features, and of the worlds, [n]."""
         informed = self.features[:, self._informative]
-        return np.asarray(2 * np.isnan(informed).sum(axis=1) <= informed.shape[1])
+        known = np.asarray(2 * np.isnan(informed).sum(axis=1) <= informed.shape[1])
+        return known if self.worlds is None else known & self.worlds.known
 
     @cached_property
     def _informative(self) -> NDArray[np.bool_]:
@@ -325,20 +378,24 @@ class FeatureTable:
     def from_arrays(
         cls,
         parameters: Mapping[str, ArrayLike],
-        features: ArrayLike,
+        features: ArrayLike | None = None,
         feature_names: Sequence[str] | None = None,
         *,
+        outcomes: Outcomes | None = None,
         bounds: Bounds | None = None,
         space: Mapping[str, BaseDistribution] | None = None,
     ) -> Self:
-        """Columns of parameters by name, each [n], and features [n, k] or, for one, [n].
+        """Columns of parameters by name, each [n], and features [n, k], outcomes, or both.
 
         Args:
             parameters: columns without gaps (None among words or flags is a choice). A study may
                 suggest each in its own way, on a logarithmic scale or as choices, if that holds all
                 rows. Before a trial has suggested it, and without `space`, floats are floats,
                 integers are integers, and anything else is a choice.
-            features: higher or lower, better or worse, of any scale: their order counts.
+            features: higher or lower, better or worse, of any scale: their order counts; [n] for
+                one feature.
+            outcomes: what each row costs in each of w simulated worlds, [n, w], in the units of the
+                study's values; or by family, {name: [n, w]}, where each family counts the same.
             feature_names: k names; by default feature_0, feature_1, ...
             bounds: (low, high) of numeric parameters; by default those of the columns.
             space: distributions of parameters, where columns do not say enough: a logarithmic
@@ -348,7 +405,7 @@ class FeatureTable:
             InputError: naming the column and row that cannot be used: lengths that differ, values
                 missing, a row outside the bounds or the distribution, a name that is not there.
         """
-        content = checked_columns(parameters, features, feature_names, bounds, space)
+        content = checked_columns(parameters, features, feature_names, bounds, space, outcomes)
         return cls(Rows(*content))
 
     @classmethod
@@ -421,5 +478,9 @@ def _size_text(rows: Rows) -> str:
     names = rows.feature_names
     shown = ", ".join(names[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")
     numbers = {"row": len(rows), "parameter": len(rows.names), "feature": len(names)}
+    if rows.worlds is not None:
+        numbers |= {"world": len(rows.worlds.names)}
+        if not names:
+            del numbers["feature"]
     counts = [f"{n} {thing}" if n == 1 else f"{n} {thing}s" for thing, n in numbers.items()]
-    return f"{', '.join(counts)}: {shown}"
+    return f"{', '.join(counts)}{': ' * bool(names)}{shown}"

@@ -15,10 +15,11 @@ import optuna
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
+from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
 from study.sampler.acquisition import Model, argmax_random_tie
-from study.sampler.diagnostics import Present
+from study.sampler.diagnostics import Likeness, Present, likeness_of
 from study.sampler.draws import Purpose, turn
 from study.sampler.history import (
     FEATURES_ATTRIBUTE,
@@ -55,6 +56,7 @@ from study.sampler.policy import (
 from study.sampler.space import as_suggested, nearby, not_among
 from study.sampler.table import FeatureTable, Rows
 from study.sampler.transforms import Points, PriorMean, Scale
+from study.sampler.worlds import Ensemble
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -262,9 +264,9 @@ class TablePolicy(Policy):
             self._refuse_exhausted(history)
             return None
         if len(history.cost) < self.first_trials and offered.any():
-            return self._first_row(offered, own_turn)
+            return self._first_row(offered, own_turn, self._ensemble(study))
         try:
-            return self._best_candidate(history, offered, own_turn)
+            return self._best_candidate(history, offered, own_turn, self._ensemble(study))
         except InputError as error:  # of the feature function
             self.misfit(error)
             return None
@@ -287,47 +289,64 @@ class TablePolicy(Policy):
     def _places_all(self) -> bool:
         """Whether any point has features, or none are needed."""
         looked_at = self.options.kernel.of_features or self.options.prior is not None
-        return self.function is not None or not looked_at
+        return self.function is not None or self.options.kernel.worlds or not looked_at
 
-    def _first_row(self, offered: Mask, own_turn: int) -> Proposal:
+    def _ensemble(self, study: optuna.Study) -> Ensemble | None:
+        """The worlds, with costs that are minimised; None where they do not count."""
+        if not self.options.kernel.worlds:
+            return None
+        return self.rows.ensemble(maximise=study.direction is StudyDirection.MAXIMIZE)
+
+    def _first_row(self, offered: Mask, own_turn: int, ensemble: Ensemble | None) -> Proposal:
         """A row before there is a model, of equal ones any."""
-        rows = self.rows
-        merit = self.merit(self.prior_mean, self._points().features, own_turn)
+        rows, points = self.rows, self._points(ensemble)
+        if ensemble is not None:
+            merit = -points.features[:, -1]
+        else:
+            merit = self.merit(self.prior_mean, points.features, own_turn)
         merit = np.where(offered[rows.numbers], merit, -np.inf)
         best = argmax_random_tie(merit, self.rng(Purpose.STARTUP_ROW, own_turn))
         return self._of_row(int(rows.numbers[best]))
 
-    def _best_candidate(self, history: History, offered: Mask, own_turn: int) -> Proposal:
+    def _best_candidate(
+        self, history: History, offered: Mask, own_turn: int, ensemble: Ensemble | None
+    ) -> Proposal:
         """The candidate of the largest utility, of equal ones any.
 
         Args:
             history: at least one finished trial.
             offered: rows that may be proposed, [n].
             own_turn: the trial's.
+            ensemble: of the worlds.
 
         Raises:
             InputError: of the feature function.
         """
         rows = self.rows
         self._warn_of_prior(history)
-        features = self._features(history.parameters, history.rows, history.trials)
-        seen = self._placed(history.parameters, features)
-        features = self._features(history.running, history.running_rows, ())
-        running = self._placed(history.running, features)
-        model = self.model(self.prior_mean, len(rows.space), history, seen, running, own_turn)
-        free = offered[rows.numbers]
+        seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
+        running = self._seen(history.running, history.running_rows, (), ensemble)
+        model = self.model(
+            self.prior_mean, len(rows.space), history, seen, running, own_turn, ensemble
+        )
+        points, free = self._points(ensemble), offered[rows.numbers]
         utility = np.full(len(free), -np.inf)
         if free.any():
-            utility = model.utility(self._points(), free, self.rng(Purpose.CANDIDATES, own_turn))
+            utility = model.utility(points, free, self.rng(Purpose.CANDIDATES, own_turn))
         if self.options.off_grid:
-            value, off = self._off_table(history, utility, model, own_turn)
+            value, off = self._off_table(history, utility, model, own_turn, ensemble)
             if not free.any() or value > utility.max():
                 return off
         best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
         return self._of_row(int(rows.numbers[best]))
 
     def _off_table(
-        self, history: History, utility: Floats, model: Model, own_turn: int
+        self,
+        history: History,
+        utility: Floats,
+        model: Model,
+        own_turn: int,
+        ensemble: Ensemble | None,
     ) -> tuple[float, Proposal]:
         """The best of some points near the best rows and trials, and its utility.
 
@@ -337,19 +356,28 @@ class TablePolicy(Policy):
             model: of the trial.
             own_turn: the trial's.
         """
-        assert self.function is not None  # checked with off_grid
-        space = self.rows.space
-        best = np.argsort(-utility, kind="stable")[:CENTRES]
-        best = best[np.isfinite(utility[best])]
+        rows, space = self.rows, self.rows.space
         incumbents = history.parameters[np.argsort(history.cost, kind="stable")[:INCUMBENTS]]
-        centres = np.vstack([self.rows.parameters[self.rows.numbers[best]], incumbents])
+        centres = incumbents
+        if self.function is not None:
+            best = np.argsort(-utility, kind="stable")[:CENTRES]
+            best = best[np.isfinite(utility[best])]
+            centres = np.vstack([rows.parameters[rows.numbers[best]], incumbents])
         rng = self.rng(Purpose.OFF_GRID, own_turn)
         near = nearby(space.pinned(history.fixed), centres, self.options.off_grid, rng)
-        features = call_features(self.function, near, len(self.own_rows.feature_names))
-        known = np.asarray(~np.isnan(features).any(axis=1))
-        new = known & not_among(near, np.vstack([history.parameters, history.running]))
+        new = not_among(near, np.vstack([history.parameters, history.running]))
+        features = np.full((len(near), len(rows.feature_names)), np.nan)
+        if self.function is not None:
+            features = call_features(self.function, near, features.shape[1])
+            known = np.asarray(~np.isnan(features).any(axis=1))
+            new = new & known if (new & known).any() else known
+            placed = self._placed(near, features)
+        else:
+            unit = space.unit(near)
+            mixed = rows.mixed(self._points(ensemble).features, unit, space.unit(centres))
+            placed = Points(mixed, unit)
         rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
-        utility = model.utility(self._placed(near, features), new if new.any() else known, rng)
+        utility = model.utility(placed, new, rng)
         chosen = argmax_random_tie(utility, rng)
         notes = notes_of(OFF_TABLE, features[chosen])
         return float(utility[chosen]), Proposal(space.values(near[chosen]), notes)
@@ -364,10 +392,28 @@ class TablePolicy(Policy):
         """The scale of the features, as the kernel takes them."""
         return self.rows.scale(by_order=self.options.kernel.by_order)
 
-    def _points(self) -> Points:
+    def _points(self, ensemble: Ensemble | None = None) -> Points:
         """Rows that may be proposed, with coordinates only where the kernel uses them."""
-        kernel = self.options.kernel
-        return self.rows.points(by_order=kernel.by_order, coordinates=kernel.of_parameters)
+        by_order, coordinates = self.options.kernel.by_order, self.options.kernel.of_parameters
+        return self.rows.points(by_order=by_order, coordinates=coordinates, ensemble=ensemble)
+
+    def _seen(
+        self,
+        parameters: Floats,
+        numbers: NDArray[np.int64],
+        trials: Sequence[FrozenTrial],
+        ensemble: Ensemble | None,
+    ) -> Points:
+        """Trials as points: with worlds, those off the table have what their nearest rows have."""
+        if ensemble is None:
+            return self._placed(parameters, self._features(parameters, numbers, trials))
+        rows, points, unit = self.rows, self._points(ensemble), self.rows.space.unit(parameters)
+        place = np.minimum(np.searchsorted(rows.numbers, numbers), len(rows.numbers) - 1)
+        features = points.features[place]
+        for off in np.flatnonzero(rows.numbers[place] != numbers).tolist():
+            here = unit[off : off + 1]
+            features[off] = rows.mixed(points.features, here, here)
+        return Points(features, unit)
 
     def _placed(self, parameters: Floats, features: Floats) -> Points:
         """Parameters [m, d] and features [m, k] as the kernel sees them."""
@@ -440,6 +486,18 @@ class TablePolicy(Policy):
                 f"prior: the {RANKED} rows that it ranks first cost more than the median of the "
                 f"trials; is the sign of {self.options.prior!r} right? See sampler.worth(study)"
             )
+
+    def likeness(self, study: optuna.Study) -> Likeness:
+        """Which worlds the finished trials are like."""
+        self._adopt(suggested_so_far(self.own_rows.names, study))
+        history, ensemble = self._history(study, next_trial(study)), self._ensemble(study)
+        worlds = self.rows.worlds
+        assert worlds is not None
+        if not len(history.cost):
+            return Likeness(0, worlds.names, (0.0,) * len(worlds.names))
+        seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
+        model = self.plain_model(None, len(self.rows.space), seen, history.cost, ensemble)
+        return Likeness(len(history.cost), worlds.names, likeness_of(model))
 
     def present(self, study: optuna.Study) -> Present:
         """See `Present`; candidates are all rows that may be proposed, tried or not."""

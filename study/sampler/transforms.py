@@ -176,7 +176,7 @@ class NormalScores:
             sds.append(sd)
             own.append(standard)
         found = tuple(gaps.values())
-        columns = np.column_stack([*own, *_gap_columns(features, found)])
+        columns = np.column_stack([features[:, :0], *own, *_gap_columns(features, found)])
         return cls(tuple(known), np.array(sds), found, columns)
 
     def standard(self, features: Floats) -> Floats:
@@ -185,7 +185,8 @@ class NormalScores:
             np.where(np.isnan(column), 0.0, _scores(values, column) / sd)
             for column, values, sd in zip(features.T, self.known, self.sd, strict=True)
         ]
-        return np.column_stack([*columns, *_gap_columns(features, self.gaps)])
+        gaps = _gap_columns(features, self.gaps)
+        return np.column_stack([features[:, :0], *columns, *gaps])
 
     @property
     def owners(self) -> tuple[int, ...]:
