@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, Any
 from taichi_nmm.neighbours import require_neighbours
 
 if TYPE_CHECKING:
-    from study.experiment.features import SurvivalSampler, covered_table, survival_table
+    from study.experiment.features import (
+        SurvivalSampler,
+        covered_table,
+        survival_table,
+        world_table,
+    )
     from study.sampler.sampler import DoGSampler, FeatureKernelSampler
     from study.sampler.table import FeatureTable
 
@@ -20,6 +25,7 @@ __all__ = [
     "SurvivalSampler",
     "covered_table",
     "survival_table",
+    "world_table",
 ]
 
 _MODULES = {
@@ -29,6 +35,7 @@ _MODULES = {
     "SurvivalSampler": "study.experiment.features",
     "covered_table": "study.experiment.features",
     "survival_table": "study.experiment.features",
+    "world_table": "study.experiment.features",
 }
 
 require_neighbours("storage")

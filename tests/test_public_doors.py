@@ -82,7 +82,6 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
     bodies, worlds = taichi_nmm.Bodies.nominal(2), taichi_nmm.Worlds.nominal(2)
     opened = storage.open_store(store)
     table = study.FeatureTable.from_arrays({"x": np.linspace(0, 1, 20)}, np.linspace(0, 1, 20))
-    of_worlds = study.FeatureTable.from_arrays({"x": np.linspace(0, 1, 9)}, np.eye(9) + 1.0)
     sampler = study.FeatureKernelSampler(table, seed=1)
     options: dict[str, Any] = {
         "seed": 1, "prior": "-feature_0", "kernel": "rbf", "feature_function": np.sin,
@@ -170,11 +169,13 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         "DoGSampler": (tried(study.DoGSampler), {"table": table} | options),
         "FeatureKernelSampler": (tried(study.FeatureKernelSampler), {"features": table} | options),
         "SurvivalSampler": (tried(study.SurvivalSampler), {"table": table} | options),
-        "WorldSampler": (tried(study.WorldSampler), {"table": of_worlds, "seed": 1}),
         "FeatureKernelSampler, no table": (tried(study.FeatureKernelSampler),
                                            {"features": None, "space": box, "seed": 1}),
         "FeatureTable.from_arrays, columns": (lambda **columns: from_arrays(columns, [1, 2]),
                                               {"x": [0.0, 1.0]}),
+        "FeatureTable.from_arrays, outcomes": (
+            lambda outcomes: from_arrays({"x": [0.0, 1.0]}, outcomes=outcomes),
+            {"outcomes": np.eye(2)}),
         "FeatureTable.from_arrays, bounds": (lambda **bounds: of_x(bounds=bounds), {"x": (0, 1)}),
         "FeatureTable.from_arrays, low": (lambda low: of_x(bounds={"x": (low, 1)}), {"low": 0}),
         "FeatureTable.from_arrays, space": (lambda **space: of_x(space=space), box),

@@ -70,6 +70,8 @@ def checked_columns(
         if name in space:
             raise InputError(f"table.bounds.{name}", ends, "none beside space=, which has the name")
     worlds = None if outcomes is None else Worlds.of(outcomes)
+    if features is None and worlds is None:
+        raise InputError("table.features", "none", "features, outcomes, or both")
     if features is None and worlds is not None:
         matrix = np.empty((len(worlds.costs), 0))
     else:

@@ -13,6 +13,7 @@ from study import FeatureKernelSampler, FeatureTable
 pytestmark = pytest.mark.slow
 LINE = np.linspace(0.1, 0.2, 8)
 TABLE = FeatureTable.from_arrays({"x": LINE, "y": LINE[::-1]}, LINE)
+WORLDS = np.column_stack([(LINE - 0.12) ** 2, (LINE - 0.17) ** 2])
 OTHER = FeatureTable.from_arrays({"p": [0.0, 0.5, 1.0]}, [1.0, 2.0, 3.0])
 
 
@@ -26,6 +27,8 @@ FORMS = {
     "table": {"features": TABLE, "strict": False},
     "ranked table": {"features": TABLE, "strict": False, "prior": "-feature_0"},
     "paper": {"features": TABLE, "strict": False, "kernel": "rbf"},
+    "worlds": {"features": FeatureTable.from_arrays({"x": LINE, "y": LINE[::-1]}, outcomes=WORLDS),
+               "strict": False},
     "off grid": {"features": TABLE, "strict": False, **NEAR},
     "table of other names": {"features": OTHER, "strict": False},
     "callable": {"features": two_features}, "plain": {},

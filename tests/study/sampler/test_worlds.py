@@ -1,7 +1,6 @@
-"""Costs in worlds as a Gaussian process: against NumPy, and what the sampler makes of it."""
+"""Costs in worlds as a part of the model: against NumPy, and what the sampler makes of it."""
 
 import pickle
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,11 @@ import pytest
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 from scipy.stats import multivariate_normal
 
-from study import FeatureTable, WorldSampler
-from study.sampler import worlds as module
-from study.sampler.worlds import LENGTHS, NOISE, PRIOR, SHIFT, SIZES, WORLD_WEIGHTS, Worlds
+from study import FeatureKernelSampler, FeatureTable
+from study.sampler.acquisition import Model
+from study.sampler.gp import WORLDS
+from study.sampler.transforms import Points
+from study.sampler.worlds import Ensemble, Worlds
 from taichi_nmm.errors import InputError
 
 SPACE = {"x": FloatDistribution(0.0, 1.0), "y": FloatDistribution(1.0, 100.0, log=True)}
@@ -24,10 +25,12 @@ def cost(unit: Any, place: Any) -> Any:
     return 0.1 + 10.0 * ((np.atleast_2d(unit) - place) ** 2).sum(axis=1)
 
 
-def table(costs: Any = None, space: Any = SPACE) -> FeatureTable:
+COSTS = np.column_stack([cost(ROWS, place) for place in PLACES])
+
+
+def table(outcomes: Any = COSTS, features: Any = None) -> FeatureTable:
     columns = {"x": ROWS[:, 0], "y": 100.0 ** ROWS[:, 1]}
-    costs = np.column_stack([cost(ROWS, place) for place in PLACES]) if costs is None else costs
-    return FeatureTable.from_arrays(columns, costs, space=space)
+    return FeatureTable.from_arrays(columns, features, outcomes=outcomes, space=SPACE)
 
 
 def robot(trial: optuna.Trial, place: Any = (0.85, 0.75)) -> float:
@@ -35,78 +38,138 @@ def robot(trial: optuna.Trial, place: Any = (0.85, 0.75)) -> float:
     return float(cost([x, np.log(y) / np.log(100.0)], np.array(place))[0])
 
 
-def studied(sampler: WorldSampler, trials: int, sign: float = 1.0) -> optuna.Study:
+def studied(sampler: FeatureKernelSampler, trials: int, sign: float = 1.0) -> optuna.Study:
     study = optuna.create_study(sampler=sampler, direction="minimize" if sign > 0 else "maximize")
     study.optimize(lambda trial: sign * robot(trial), n_trials=trials)
     return study
 
 
-def test_the_posterior_is_that_of_the_covariance_in_the_docstring() -> None:
-    rng, known = np.random.default_rng(1), Worlds(ROWS, table().rows.features)
-    seen, values, points = rng.random((7, 2)), rng.standard_normal(7), rng.random((5, 2))
-    mean, deviation = module.posterior(known, seen, values, points, known.near(points))
-    every = np.vstack([seen, points])
-    m, d = known.near(every)
-    apart = np.sqrt(((every[:, None] - every[None]) ** 2).sum(axis=2))
-    scores, found = [], []
-    for constants in product(WORLD_WEIGHTS, SIZES, LENGTHS):
-        a, t, length = constants
-        z = np.sqrt(5.0) * apart / length
-        k = a**2 * d @ d.T + SHIFT**2 + t**2 * (1 + z + z**2 / 3) * np.exp(-z)
-        own = k[:7, :7] + NOISE**2 * np.eye(7)
-        prior = sum(
-            (np.log(v / mid) / s) ** 2 for v, (mid, s) in zip(constants, PRIOR, strict=True)
-        )
-        scores.append(multivariate_normal(m[:7], own).logpdf(values) - 0.5 * prior)
-        gain = k[7:, :7] @ np.linalg.inv(own)
-        found.append((m[7:] + gain @ (values - m[:7]), np.diag(k[7:, 7:] - gain @ k[:7, 7:])))
-    expected, variance = found[int(np.argmax(scores))]
-    np.testing.assert_allclose(mean, expected, rtol=1e-8)
-    np.testing.assert_allclose(deviation**2, variance, rtol=1e-6)
+def test_an_ensemble_is_the_mean_and_the_covariance_over_the_worlds() -> None:
+    worlds = Worlds.of({"near": COSTS[:, :1], "far": COSTS[:, 1:]})
+    ensemble = Ensemble(worlds, np.arange(60), 1.0)
+    y = (np.log(COSTS) - np.log(COSTS).mean()) / np.log(COSTS).std()
+    np.testing.assert_allclose(ensemble.standard(COSTS), y, rtol=1e-12)
+    weights = np.array([3, 1, 1, 1]) / 6  # each family counts the same
+    np.testing.assert_allclose(ensemble.mean, y @ weights)
+    away = y - (y @ weights)[:, None]
+    np.testing.assert_allclose(ensemble.parts @ ensemble.parts.T, (away * weights) @ away.T)
+    below = Ensemble(Worlds.of(COSTS - 1.0), np.arange(60), 1.0)  # costs without a logarithm
+    expected = (COSTS - COSTS.mean()) / COSTS.std()
+    np.testing.assert_allclose(below.standard(COSTS - 1.0), expected, atol=1e-12)
 
 
-def test_a_row_has_its_own_costs_and_a_point_off_the_table_those_of_its_neighbours() -> None:
-    known = Worlds(ROWS, table().rows.features)
-    mean, parts = known.near(ROWS)
-    np.testing.assert_allclose(mean, known.mean, atol=1e-3)
-    np.testing.assert_allclose(parts, known.parts, atol=1e-3)
-    assert known.is_log and abs(known.standard(known.costs).std() - 1.0) < 1e-12
-    assert not Worlds(ROWS, known.costs - 1.0).is_log
+@pytest.mark.parametrize("features", [0, 2])
+def test_the_posterior_is_that_of_the_covariance_in_the_docstring(features: int) -> None:
+    rng = np.random.default_rng(1)
+    ensemble = Ensemble(Worlds.of(COSTS), np.arange(60), 1.0)
+    phi = rng.standard_normal((60, features))
+    points = Points(np.hstack([phi, ensemble.columns]), ROWS)
+    costs, nobody = COSTS[:9, 2] + 0.2, points.take(np.arange(0))
+    limits = np.empty((9, 0))
+    seen = points.take(np.arange(9))
+    model = Model(WORLDS, None, 2, seen, costs, limits, nobody, {}, ensemble)
+    posterior = model.posterior
+    *constants, noise = np.exp(posterior.theta)
+    assert posterior.cost_sd == 1.0 and posterior.cost_mean == 0.0
+    worlds, shift, *own, nearness, length = constants
+    m, d = ensemble.mean, ensemble.parts
+    apart = ((ROWS[:, None] - ROWS[None]) ** 2).sum(axis=2)
+    k = worlds * d @ d.T + shift + nearness * np.exp(-0.5 * apart / length**2)
+    if features:
+        slope, size, *scales = own
+        far = (((phi[:, None] - phi[None]) / scales) ** 2).sum(axis=2)
+        k = k + slope * phi @ phi.T + size * np.exp(-0.5 * far)
+    gain = k[:, :9] @ np.linalg.inv(k[:9, :9] + noise * np.eye(9))
+    mean, variance = posterior.predict(points)
+    np.testing.assert_allclose(m + mean, m + gain @ (ensemble.standard(costs) - m[:9]), atol=2e-3)
+    np.testing.assert_allclose(variance, np.diag(k - gain @ k[:9]), atol=2e-3)
+    rest = ensemble.standard(costs) - m[:9]
+    own_k = k[:9, :9] + noise * np.eye(9)
+    wider = own_k + 9 * noise * np.eye(9)  # the constants are likelier than with more noise
+    density = multivariate_normal(np.zeros(9), own_k).logpdf(rest)
+    assert density > multivariate_normal(np.zeros(9), wider).logpdf(rest) - 3.0
+
+
+def test_a_row_has_its_own_columns_and_a_point_off_the_table_those_of_its_neighbours() -> None:
+    rows = table().rows
+    columns = rows.ensemble(maximise=False).columns
+    np.testing.assert_allclose(rows.mixed(columns, rows.unit, rows.unit[:3]), columns, atol=1e-3)
+    point = np.array([[0.5, 0.5]])
+    distance = np.sqrt(((rows.unit - point) ** 2).sum(axis=1))
+    near = np.argsort(distance)[:8]
+    weight = 1 / (distance[near] + 1e-3) ** 2
+    expected = weight @ columns[near] / weight.sum()
+    np.testing.assert_allclose(rows.mixed(columns, point, point)[0], expected)
 
 
 def test_it_begins_with_the_ranking_learns_the_world_and_leaves_the_table() -> None:
-    costs = table().rows.features
-    study = studied(WorldSampler(table(), seed=1), 15)
-    first = study.trials[0].params["x"]
-    assert first == ROWS[np.argmin(np.log(costs).mean(axis=1)), 0]
+    sampler = FeatureKernelSampler(table(), seed=1)
+    study = studied(sampler, 15)
+    assert study.trials[0].user_attrs["row"] == np.argmin(np.log(COSTS).mean(axis=1))
     rows = cost(ROWS, np.array([0.85, 0.75]))
     values = [trial.values[0] for trial in study.trials]
     assert min(values[:5]) <= np.sort(rows)[2]  # among the best three rows of this robot
-    assert min(values) < rows.min() and study.best_params["x"] not in ROWS[:, 0]
+    assert min(values) < rows.min() and study.best_trial.user_attrs["row"] == -1
+    worth = sampler.worth(study)
+    assert worth.values[3] > worth.values[0] and "like the world world 3" in str(worth)
+    assert "\n".join(worth.markdown().split("\n")[:3]).endswith(worth.verdict)
+    inside = studied(FeatureKernelSampler(table(), seed=1, off_grid=0), 15)
+    assert all(trial.user_attrs["row"] >= 0 for trial in inside.trials)
+
+
+def test_before_any_trial_no_world_is_named() -> None:
+    sampler = FeatureKernelSampler(table(), seed=1)
+    worth = sampler.worth(optuna.create_study(sampler=sampler))
+    assert worth.trials == 0 and "No trial" in str(worth)
 
 
 def test_proposals_depend_on_the_trials_and_the_seed_alone() -> None:
-    whole = studied(WorldSampler(table(), seed=3), 8)
-    half = studied(pickle.loads(pickle.dumps(WorldSampler(table(), seed=3))), 4)
-    half.sampler = WorldSampler(table(), seed=3)
+    whole = studied(FeatureKernelSampler(table(), seed=3), 8)
+    half = studied(pickle.loads(pickle.dumps(FeatureKernelSampler(table(), seed=3))), 4)
+    half.sampler = FeatureKernelSampler(table(), seed=3)
     half.optimize(robot, n_trials=4)
     params = [trial.params for trial in whole.trials]
     assert params == [trial.params for trial in half.trials]
-    assert params != [trial.params for trial in studied(WorldSampler(table(), seed=4), 8).trials]
-    negative = WorldSampler(table(-table().rows.features), seed=3)
+    other = studied(FeatureKernelSampler(table(), seed=4), 8)
+    assert params != [trial.params for trial in other.trials]
+    negative = FeatureKernelSampler(table(-COSTS), seed=3)
     assert studied(negative, 8, sign=-1.0).best_value > -min(t.values[0] for t in whole.trials) - 1
-    assert repr(negative) == "WorldSampler(FeatureTable(60 rows, 2 parameters, 4 features: " \
-        "feature_0, feature_1, feature_2, ...), seed=3)"  # fmt: skip
+    assert repr(table()) == "FeatureTable(60 rows, 2 parameters, 4 worlds)"
+
+
+def test_features_beside_worlds_are_learned_from() -> None:
+    told = (ROWS - [0.3, 0.9]) ** 2  # what no world knows: this robot is like none of them
+    rng = np.random.default_rng(0)
+    useless = rng.random((60, 2))
+    best = {}
+    for name, features in (("told", told), ("useless", useless)):
+        sampler = FeatureKernelSampler(table(features=features), seed=1, off_grid=0)
+        study = optuna.create_study(sampler=sampler)
+        study.optimize(lambda trial: robot(trial, (0.3, 0.9)), n_trials=8)
+        best[name] = study.best_value
+    least = cost(ROWS, np.array([0.3, 0.9])).min()
+    assert best["told"] == pytest.approx(least) and best["useless"] >= best["told"]
 
 
 def test_trials_that_run_elsewhere_are_not_proposed_again_and_infinite_costs_are_told() -> None:
-    study = optuna.create_study(sampler=WorldSampler(table(), seed=1))
+    study = optuna.create_study(sampler=FeatureKernelSampler(table(), seed=1))
     asked = [study.ask(SPACE) for _ in range(3)]
     assert len({tuple(trial.params.values()) for trial in asked}) == 3
     for trial, value in zip(asked, (np.inf, 2.0, -np.inf), strict=True):
         study.tell(trial, value)
     more = [study.ask(SPACE) for _ in range(3)]
     assert len({tuple(trial.params.values()) for trial in (*asked, *more)}) == 6
+
+
+def test_limits_are_kept_beside_worlds() -> None:
+    def careful(trial: optuna.Trial) -> float:
+        value = robot(trial)
+        trial.set_constraint("left", trial.params["x"] - 0.5)
+        return value
+
+    study = optuna.create_study(sampler=FeatureKernelSampler(table(), seed=1))
+    study.optimize(careful, n_trials=15)
+    assert sum(trial.params["x"] <= 0.5 for trial in study.trials[5:]) >= 8
 
 
 def test_choices_and_whole_numbers_stay_what_they_are_and_gaps_are_left_out() -> None:
@@ -116,19 +179,53 @@ def test_choices_and_whole_numbers_stay_what_they_are_and_gaps_are_left_out() ->
     costs[:20, 1], costs[3] = np.nan, 0.01
     costs[3, 1] = np.nan
     space = {"n": IntDistribution(1, 9), "kind": CategoricalDistribution(["a", "b"])}
-    sampler = WorldSampler(FeatureTable.from_arrays(columns, costs, space=space), seed=1)
-    study = optuna.create_study(sampler=sampler)
+    with pytest.warns(UserWarning, match="20 rows that lack .* are not proposed"):
+        known = FeatureTable.from_arrays(columns, outcomes=costs, space=space)
+    study = optuna.create_study(sampler=FeatureKernelSampler(known, seed=1))
     study.optimize(lambda t: t.suggest_int("n", 1, 9) + (t.suggest_categorical("kind", ["a", "b"])
                    == "a") + t.suggest_float("x", columns["x"].min(), columns["x"].max())
                    + t.suggest_float("other", 0, 1), n_trials=12)  # fmt: skip
     assert study.trials[0].params["x"] in columns["x"][20:] and study.best_value < 4.0
 
 
-@pytest.mark.parametrize(("costs", "match"), [
-    (np.ones((60, 1)), "^table: 1 .* 2 worlds or more"),
-    (np.where(np.arange(180).reshape(60, 3) % 3 == 1, np.nan, 1.0), "^table: 'gaps in all rows'"),
+@pytest.mark.parametrize("outcomes", [
+    np.ones((60, 1)), np.ones((60, 3)), COSTS[:, [0, 0, 0]], COSTS[:, 0],
+    np.where(COSTS > 4.0, np.inf, COSTS), np.tile(COSTS, (1, 500)), 1e300 * COSTS,
+], ids=["one", "all the same", "equal", "a column", "infinite", "2,000", "huge"])  # fmt: skip
+def test_any_worlds_make_proposals(outcomes: Any) -> None:
+    study = studied(FeatureKernelSampler(table(outcomes), seed=1), 6)
+    assert len({tuple(trial.params.values()) for trial in study.trials}) == 6
+    assert np.isfinite(FeatureKernelSampler(table(outcomes), seed=1).worth(study).values).all()
+
+
+@pytest.mark.parametrize(("outcomes", "match"), [
+    (np.where(np.arange(180).reshape(60, 3) % 3 == 1, np.nan, 1.0),
+     r"^table.outcomes: 'gaps in all rows' .* a row with its cost in all worlds"),
+    (COSTS[:50], r"^table\.x\.shape: \(60,\) .* \(50,\)"),
+    ({}, r"^table.outcomes: 'none' .* one family"),
+    ({"a": COSTS, "b": COSTS[:9]}, r"^table.outcomes.b: '9 rows' .* 60, as the others"),
+    ({"a": [["x"]]}, r"^table.outcomes.a: 'list' .* numbers, \[n, w\]"),
+    (np.ones((60, 2, 2)), r"^table.outcomes.shape: \(60, 2, 2\) .* \[n, w\]"),
+    (np.empty((60, 0)), r"^table.outcomes.shape: \(60, 0\) .* \[n, w\]"),
 ])  # fmt: skip
-@pytest.mark.filterwarnings("ignore::UserWarning")
-def test_tables_that_are_refused(costs: Any, match: str) -> None:
+def test_outcomes_that_are_refused(outcomes: Any, match: str) -> None:
     with pytest.raises(InputError, match=match):
-        WorldSampler(table(costs), seed=1)
+        table(outcomes)
+
+
+@pytest.mark.parametrize(("options", "match"), [
+    ({"prior": "a"}, "^prior: 'a' .* none beside outcomes"),
+    ({"nearest": 0.1}, "^nearest: 0.1 .* none beside outcomes"),
+    ({"feature_function": np.sin}, "^feature_function: 'given' .* none beside outcomes"),
+    ({"kernel": "rbf"}, "^kernel: 'rbf' .* the table has no features"),
+])  # fmt: skip
+def test_options_that_worlds_replace_are_refused(options: Any, match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        FeatureKernelSampler(table(), seed=1, **options)
+
+
+def test_outcomes_of_other_rows_than_the_features_are_refused() -> None:
+    with pytest.raises(InputError, match=r"^table.outcomes: '60 rows' .* 59 rows, as the features"):
+        FeatureTable.from_arrays({"x": ROWS[:59, 0]}, ROWS[:59], outcomes=COSTS)
+    with pytest.raises(InputError, match=r"^table.features: 'none' .* outcomes, or both"):
+        FeatureTable.from_arrays({"x": ROWS[:, 0]})
