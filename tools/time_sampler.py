@@ -28,8 +28,7 @@ with guarded_imports():
 
     from storage.commit import require_folder
     from storage.processes import Processes
-    from study import FeatureKernelSampler, FeatureTable, SurvivalSampler
-    from study.experiment.features import MEAN
+    from study import FeatureKernelSampler, FeatureTable
     from study.options import Options
     from study.sampler.history import ROW_ATTRIBUTE
     from tools.page import ROOT, installed, write_page
@@ -43,10 +42,10 @@ SPACE: dict[str, BaseDistribution] = {
 }
 SEED = 16
 NOISE = 0.3  # of the cost, in standard deviations of what the features explain
-STANDING = 0.1  # of the rows of a table like that of `best`: the others fell, and have no features
 
 FINISHED, SWEEP, MOST_FINISHED = 100, (10, 30, 300), 1000  # trials before the first proposal
 MOST_FEATURES = 5
+WORLDS, ROWS_IN_WORLDS = 128, 20_000
 LEAST_ROWS, MOST_ROWS, MOST_REPEATS = 5_000, 1_000_000, 300  # a tenth has trials to choose
 LARGE = 10  # times as many rows
 GP_RATIO_BAR = 5.0  # GPSampler's time over ours with one feature
@@ -54,7 +53,7 @@ LABELS = {
     "ours": "ours",
     "foreign": "ours, trials that are no rows of the table",
     "rbf": "ours, the paper's kernel",
-    "best": "`SurvivalSampler`, a tenth of the rows are candidates",
+    "worlds": "ours, costs in so many worlds in place of features",
     "gp": "GPSampler",
 }
 
@@ -113,7 +112,7 @@ def cases(rows: int, repeats: int) -> list[Case]:
         replace(base, sampler="foreign", bars=more),
         replace(base, sampler="foreign", observations=MOST_FINISHED, bars=more),
         replace(base, sampler="rbf", bars=some),
-        replace(base, sampler="best", features=6, bars=some),
+        replace(base, sampler="worlds", rows=ROWS_IN_WORLDS, features=WORLDS, bars=many),
         *(replace(base, observations=finished) for finished in SWEEP),
         replace(base, observations=MOST_FINISHED, bars=(("median_ms", 1000.0),)),
         replace(base, rows=LARGE * rows, features=MOST_FEATURES, bars=(first,)),
@@ -196,14 +195,9 @@ def _prepare(case: Case) -> optuna.Study:
     rng = np.random.default_rng(SEED)
     points = rng.uniform(size=(case.rows, DIMENSION))
     features = _features(points, case.features)
-    standing = np.arange(case.rows)
-    if case.sampler == "best":
-        standing = np.sort(rng.choice(standing, int(STANDING * case.rows), replace=False))
-    seen = rng.choice(standing, case.observations, replace=False)
+    seen = rng.choice(case.rows, case.observations, replace=False)
     costs = features[seen].sum(axis=1) + NOISE * rng.standard_normal(case.observations)
-    known = np.full_like(features, np.nan)
-    known[standing] = features[standing]
-    study = optuna.create_study(sampler=_sampler(case, points, known))
+    study = optuna.create_study(sampler=_sampler(case, points, features))
     foreign = case.sampler == "foreign"
     for row, cost in zip(seen, costs, strict=True):
         point = rng.uniform(size=DIMENSION) if foreign else points[row]
@@ -224,14 +218,14 @@ def _features(points: Floats, k: int) -> Floats:
 def _sampler(case: Case, points: Floats, features: Floats) -> BaseSampler:
     """The sampler of a case, over points [n, 16] with features [n, k]."""
     warnings.simplefilter("ignore", ExperimentalWarning)
-    warnings.simplefilter("ignore", UserWarning)  # of rows without features, of foreign trials
+    warnings.simplefilter("ignore", UserWarning)  # of foreign trials
     if case.sampler == "gp":
         return GPSampler(seed=SEED)
     names = [f"feature_{column}" for column in range(case.features)]
     columns = dict(zip(SPACE, points.T, strict=True))
-    if case.sampler == "best":
-        table = FeatureTable.from_arrays(columns, features, [MEAN, *names[1:]], space=SPACE)
-        return SurvivalSampler(table, seed=SEED)
+    if case.sampler == "worlds":
+        table = FeatureTable.from_arrays(columns, outcomes=features, space=SPACE)
+        return FeatureKernelSampler(table, seed=SEED)
     table = FeatureTable.from_arrays(columns, features, names, space=SPACE)
     return FeatureKernelSampler(table, seed=SEED, kernel="rbf" if case.sampler == "rbf" else None)
 

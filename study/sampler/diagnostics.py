@@ -372,7 +372,7 @@ class Likeness:
         order = np.argsort(-np.array(self.values), kind="stable")
         most, least = self.names[order[0]], self.names[order[-1]]
         trials = f"{self.trials} trial{'s' if self.trials > 1 else ''}"
-        return f"By {trials}, the robot is most like the world {most}, and least like {least}."
+        return f"By {trials}, the robot is most like {most}, and least like {least}."
 
     def __str__(self) -> str:
         """The worlds in the order of their values, a bar each."""

@@ -111,7 +111,7 @@ def test_it_begins_with_the_ranking_learns_the_world_and_leaves_the_table() -> N
     assert min(values[:5]) <= np.sort(rows)[2]  # among the best three rows of this robot
     assert min(values) < rows.min() and study.best_trial.user_attrs["row"] == -1
     worth = sampler.worth(study)
-    assert worth.values[3] > worth.values[0] and "like the world world 3" in str(worth)
+    assert worth.values[3] > worth.values[0] and "most like world" in str(worth)
     assert "\n".join(worth.markdown().split("\n")[:3]).endswith(worth.verdict)
     inside = studied(FeatureKernelSampler(table(), seed=1, off_grid=0), 15)
     assert all(trial.user_attrs["row"] >= 0 for trial in inside.trials)
