@@ -146,6 +146,14 @@ class Rows:
         np.put_along_axis(matrix, near, weight, axis=1)
         return np.asarray(matrix @ columns[pool])
 
+    def mixed_at(self, points: Points, place: Floats) -> Floats:
+        """The features of rows that may be proposed, as points, mixed at a place [e]: [k]."""
+
+        def made() -> Floats:
+            return np.asarray(self.mixed(points.features, place[None], place[None])[0])
+
+        return self._once(("mixed", id(points), place.tobytes()), made)
+
     def _pool(self, centre: Floats) -> NDArray[np.int64]:
         """Places of the rows that are nearest to a point of the unit cube [e]."""
         squares = ((self.unit - centre) ** 2).sum(axis=1)

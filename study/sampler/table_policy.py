@@ -411,8 +411,7 @@ class TablePolicy(Policy):
         place = np.minimum(np.searchsorted(rows.numbers, numbers), len(rows.numbers) - 1)
         features = points.features[place]
         for off in np.flatnonzero(rows.numbers[place] != numbers).tolist():
-            here = unit[off : off + 1]
-            features[off] = rows.mixed(points.features, here, here)
+            features[off] = rows.mixed_at(points, unit[off])
         return Points(features, unit)
 
     def _placed(self, parameters: Floats, features: Floats) -> Points:
