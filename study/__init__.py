@@ -11,7 +11,6 @@ from taichi_nmm.neighbours import require_neighbours
 if TYPE_CHECKING:
     from study.experiment.features import (
         SurvivalSampler,
-        covered_table,
         survival_table,
         world_table,
     )
@@ -23,7 +22,6 @@ __all__ = [
     "FeatureKernelSampler",
     "FeatureTable",
     "SurvivalSampler",
-    "covered_table",
     "survival_table",
     "world_table",
 ]
@@ -33,7 +31,6 @@ _MODULES = {
     "FeatureKernelSampler": "study.sampler.sampler",
     "FeatureTable": "study.sampler.table",
     "SurvivalSampler": "study.experiment.features",
-    "covered_table": "study.experiment.features",
     "survival_table": "study.experiment.features",
     "world_table": "study.experiment.features",
 }

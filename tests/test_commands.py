@@ -120,8 +120,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
             assert run_tool(patch, "precompute", *few) == 0
         for config, arm, runs, trials in (
             ("rough8-smooth", "dog", 8, 13),
-            ("mujoco-rough8-soft", "best-worlds", 1, 1),
-            ("stairs-up-high", "best-stairs", 32, 10),
+            ("mujoco-rough8-soft", "worlds", 1, 1),
+            ("stairs-up-high", "worlds-stairs", 32, 10),
         ):
             given = ("--config", config, "--arms", arm, "--runs", runs, "--trials", trials)
             assert run_tool(patch, "compare", *given, "--no-artifacts", "--workers", 1) == 0

@@ -145,6 +145,6 @@ def test_it_is_searched_as_a_file(site: Path, page: Any) -> None:
     page.on("request", lambda request: asked.append(request.url))
     page.goto((site / "notebooks" / "first_walk.html").as_uri())
     page.locator("input.md-search__input").click()
-    page.keyboard.type("covered_table")
+    page.keyboard.type("world_table")
     page.locator(".md-search-result__link").first.wait_for()
     assert [address for address in asked if not address.startswith("file:")] == []

@@ -14,12 +14,10 @@ from storage.store import Store, open_store
 from study.experiment import samplers
 from study.experiment.experiment import Experiment
 from study.experiment.features import (
-    COVERED_OPTIONS,
     FAMILIES,
     Feature,
     InWorlds,
     Survival,
-    covered_features,
     definition_of,
     name_of,
     survival_features,
@@ -48,7 +46,9 @@ REMOVED = {
     "score-first": "score-first-diverse", "score-top": "score-first-diverse",
     "score-first-flat": "score-first-diverse", "ei-prior": "best", "best-robust": "best",
     "best-mild": "best", "best-ramps": "best", "best-without-rough": "best",
-    "best-without-ramps": "best",
+    "best-without-ramps": "best", "best-worlds": "worlds", "best-worlds-grid": "worlds",
+    "score-first-worlds": "ranking", "best-stairs": "worlds-stairs",
+    "score-first-stairs": "worlds-stairs", "cmaes-source": "cmaes-warm",
 }  # fmt: skip
 
 
@@ -132,11 +132,6 @@ _ALL = (
         options={"sigma": samplers.SIGMA_WARM, "rows": samplers.START_ROWS},
     ),
     Arm(
-        "cmaes-source", "CMA-ES, source", "peer", "CMA-ES from the best rows' distribution",
-        samplers.cmaes_source, "flat", PRINTED,
-        fresh=True, replayed=True, options={"rows": samplers.SOURCE_ROWS},
-    ),
-    Arm(
         "bo-euclidean", "plain BO", "peer", "Bayesian optimisation over the gains, ours",
         lambda task: FeatureKernelSampler(None, seed=task.seed, space=task.experiment.space),
     ),
@@ -168,27 +163,6 @@ _ALL = (
     _table_arm(
         BEST_ARM, "best combination", "the best that we found", "diverse",
         survival_features(FAMILIES), **BEST,
-    ),
-    _table_arm(
-        "best-worlds", "best, worlds' store",
-        "best, on worlds that differ, with evolved candidates", "worlds", covered_features(),
-        **COVERED_OPTIONS,
-    ),
-    _ordered_arm(
-        "score-first-worlds", "best covering score first",
-        "rows that cover all grounds of worlds first", "worlds", (covered_features()[0], TIES),
-    ),
-    _table_arm(
-        "best-worlds-grid", "best, worlds' grid", "best-worlds without evolved candidates",
-        "worlds", covered_features(grid_only=True), kind="control", **COVERED_OPTIONS,
-    ),
-    _table_arm(
-        "best-stairs", "best, stairs' store", "best, having seen other stairs alone",
-        "stairs", covered_features(("stairs",), ("stairs",)), **COVERED_OPTIONS,
-    ),
-    _ordered_arm(
-        "score-first-stairs", "best stairs' score first", "rows that survive other stairs first",
-        "stairs", (Survival(("stairs", "stairs_long")), TIES),
     ),
 )  # fmt: skip
 
@@ -251,11 +225,12 @@ def _of_store(arm: Arm, store: Store) -> str:
     names = dict.fromkeys(
         name for each in survivals(arm.features) for name in each.families_of(store)
     )
-    grounds: dict[str, list[str]] = {}
+    grounds: dict[str, dict[str, None]] = {}
     for setting in (specification, *(known[name] for name in names)):
         percent = 100.0 * setting["body"]["disturbance"]
         body = f"bodies disturbed by {percent:g} %" if percent else "undisturbed body"
         body += ", in worlds that differ" * ("world" in setting)
         ground = str(setting["terrain"]["name"])
-        grounds.setdefault(body, []).append("level ground" if ground == "flat" else ground)
+        name = "level ground" if ground == "flat" else ground
+        grounds.setdefault(body, {})[name] = None  # once each, in their order
     return "; ".join(f"{body}: {'; '.join(found)}" for body, found in grounds.items())

@@ -40,7 +40,7 @@ from study.experiment.experiment import (
     NAME_WORDS,
     study_name,
 )
-from study.experiment.features import SurvivalSampler, survival_table, table_of_worlds
+from study.experiment.features import table_of_worlds
 from study.experiment.folder import ROBOTS_NAME
 from study.experiment.identity import LIVE_ATTRIBUTE, versions
 from study.experiment.stores import store_digest
@@ -54,7 +54,6 @@ from taichi_nmm.errors import InputError
 Floats = NDArray[np.float64]
 
 FIRST_ROWS = 3  # of the ranking, with which a peer begins
-SURVIVAL = "survival"  # the feature that ranks the rows
 LONGEST_TRIAL_S = 1000.0
 TRIALS_NAME = "trials.parquet"
 PACKAGES = ("optuna", "cmaes", "numpy", "scipy")
@@ -66,7 +65,7 @@ class RobotArm:
 
     label: str  # in tables and figures
     sees: str  # of the store, before the first trial
-    new_sampler: Callable[["Candidates", int], BaseSampler]
+    new_sampler: Callable[[FeatureTable, int], BaseSampler]
     first: int | None = 0
 
 
@@ -75,24 +74,21 @@ _RANKED = f"the ranking's first {FIRST_ROWS} rows"
 
 ARMS: dict[str, RobotArm] = {
     "worlds": RobotArm(
-        "worlds", "costs in each world", lambda c, s: FeatureKernelSampler(c.costs, seed=s)
+        "worlds", "costs in each world", lambda t, s: FeatureKernelSampler(t, seed=s)
     ),
-    "best": RobotArm(
-        "best", "survival of each family", lambda c, s: SurvivalSampler(c.survival, seed=s)
-    ),
-    "ranking": RobotArm("ranking", "the ranking", lambda c, s: RandomSampler(seed=s), None),
+    "ranking": RobotArm("ranking", "the ranking", lambda t, s: RandomSampler(seed=s), None),
     "gp-ranking": RobotArm(
         "GPSampler after 3", _RANKED,
-        lambda c, s: GPSampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
+        lambda t, s: GPSampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
     ),
     "tpe-ranking": RobotArm(
         "TPE after 3", _RANKED,
-        lambda c, s: TPESampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
+        lambda t, s: TPESampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
     ),
-    "gp": RobotArm("GPSampler", NOTHING, lambda c, s: GPSampler(seed=s)),
-    "tpe": RobotArm("TPE", NOTHING, lambda c, s: TPESampler(seed=s)),
-    "cmaes": RobotArm("CMA-ES", NOTHING, lambda c, s: CmaEsSampler(seed=s)),
-    "random": RobotArm("random", NOTHING, lambda c, s: RandomSampler(seed=s)),
+    "gp": RobotArm("GPSampler", NOTHING, lambda t, s: GPSampler(seed=s)),
+    "tpe": RobotArm("TPE", NOTHING, lambda t, s: TPESampler(seed=s)),
+    "cmaes": RobotArm("CMA-ES", NOTHING, lambda t, s: CmaEsSampler(seed=s)),
+    "random": RobotArm("random", NOTHING, lambda t, s: RandomSampler(seed=s)),
 }  # fmt: skip
 NEED_TORCH = ("gp-ranking", "gp")
 
@@ -297,7 +293,7 @@ class Runs:
         self._world = experiment.rule.draw([stream(experiment.seed, Purpose.WORLD, run)])
         errors = generator(experiment.seed, Purpose.COST_NOISE, run)
         self.factors = np.exp(experiment.noise * errors.standard_normal(experiment.trials))
-        self._space = candidates(experiment).survival.rows.space.as_dict()
+        self._space = candidates(experiment).rows.space.as_dict()
         self._known: dict[bytes, np.void] = {}
 
     def ask(self, studies: Iterable[optuna.Study]) -> tuple[list[optuna.Trial], Floats]:
@@ -387,10 +383,10 @@ def _study(
     name: str | None = None,
 ) -> optuna.Study:
     """The study of an arm on a robot, which begins with the rows that the arm is given."""
-    known = candidates(experiment)
+    table = candidates(experiment)
     chosen, seed = ARMS[arm], seed_32bit(experiment.seed, Purpose.SAMPLER, name_key(arm), run)
     study = optuna.create_study(
-        storage=storage, sampler=chosen.new_sampler(known, seed), study_name=name,
+        storage=storage, sampler=chosen.new_sampler(table, seed), study_name=name,
         load_if_exists=True,
     )  # fmt: skip
     for left in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
@@ -398,8 +394,8 @@ def _study(
         study.enqueue_trial(left.params)
     begun = len(study.get_trials(False, (TrialState.COMPLETE, TrialState.WAITING)))
     first = experiment.trials if chosen.first is None else chosen.first
-    for row in known.ranked[begun:first].tolist():
-        study.enqueue_trial(known.survival.rows.as_parameters(row))
+    for row in _ranking(table)[begun:first].tolist():
+        study.enqueue_trial(table.rows.as_parameters(row))
     return study
 
 
@@ -414,17 +410,8 @@ def _ready(arms: Iterable[str]) -> Iterator[None]:
         yield
 
 
-@dataclass(frozen=True)
-class Candidates:
-    """What the arms know of a store."""
-
-    survival: FeatureTable  # of each family of worlds, and the mean, by which rows are ranked
-    ranked: NDArray[np.int64]  # rows, the best first
-    costs: FeatureTable  # of a trial, in each world
-
-
-def candidates(experiment: RobotExperiment) -> Candidates:
-    """The rows of the store, with what they did in its worlds.
+def candidates(experiment: RobotExperiment) -> FeatureTable:
+    """The rows of the store, with what a trial costs in each of its worlds.
 
     Raises:
         InputError: a store without families, or that has not kept the cost in each world.
@@ -434,16 +421,17 @@ def candidates(experiment: RobotExperiment) -> Candidates:
 
 
 @lru_cache(maxsize=4)
-def _candidates(path: Path, survived: str, cost: str, fell_cost: float) -> Candidates:
-    store = open_store(path)
-    table = survival_table(store.path, families=store.families)
-    column = table.rows.feature_names.index(SURVIVAL)
-    survival = np.nan_to_num(table.rows.features[:, column], nan=-np.inf)
-    order = np.argsort(-survival, kind="stable")
-    of_worlds = table_of_worlds(
-        store, lambda given, horizon_s: costs_of(given[survived], given[cost], fell_cost)
+def _candidates(path: Path, survived: str, cost: str, fell_cost: float) -> FeatureTable:
+    return table_of_worlds(
+        open_store(path),
+        lambda given, horizon_s: costs_of(given[survived], given[cost], fell_cost),
     )
-    return Candidates(table, order[table.rows.offered[order]], of_worlds)
+
+
+def _ranking(table: FeatureTable) -> NDArray[np.int64]:
+    """Rows by their mean cost over the worlds, the best first, [m]."""
+    order = np.argsort(table.rows.ensemble(maximise=False).mean, kind="stable")
+    return table.rows.numbers[order]
 
 
 def _studies(trials: pa.Table, count: int) -> set[tuple[str, int]]:

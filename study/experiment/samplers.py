@@ -1,6 +1,6 @@
 """Samplers that do not look at features: rows in the order of a score, and CMA-ES.
 
-CMA-ES starts in three ways: from nowhere, from a good row, from many good rows.
+CMA-ES starts in two ways: from nowhere, and from a good row.
 """
 
 import warnings
@@ -34,7 +34,6 @@ Floats = NDArray[np.float64]
 SIGMA_COLD = 0.2  # of each range
 SIGMA_WARM = 0.1
 START_ROWS = 100  # best rows by score, of which a warm start takes one
-SOURCE_ROWS = 1000  # Optuna's warm start takes the best tenth of them
 
 
 @dataclass(frozen=True)
@@ -168,26 +167,6 @@ def cmaes_cold(task: Task) -> BaseSampler:
     fractions = generator(task.seed, Purpose.CMAES_MEAN).random((1, len(space)))
     start = space.values(space.from_fractions(fractions)[0])
     return TurnCmaEsSampler(task, x0=start, sigma0=SIGMA_COLD)
-
-
-def cmaes_source(task: Task) -> BaseSampler:
-    """Optuna's CMA-ES from the distribution of the best rows."""
-    return TurnCmaEsSampler(task, source_trials=_source_trials(task.table))
-
-
-@lru_cache(maxsize=8)
-def _source_trials(table: FeatureTable) -> list[FrozenTrial]:
-    """The best rows as finished trials; the score is what they are worth."""
-    rows, order = table.rows, score_order(table)[:SOURCE_ROWS]
-    distributions = rows.space.as_dict()
-    return [
-        optuna.create_trial(
-            params=rows.as_parameters(row),
-            distributions=distributions,
-            value=-float(rows.features[row, 0]),
-        )
-        for row in order.tolist()
-    ]
 
 
 class WarmCmaEsSampler(RowSampler):

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 FIRST_TRIALS = (1, 3, 10)  # within which a walker is counted
 CHECKPOINTS = (5, 10, 20, 30)  # trials after which costs are compared
-OURS = ("worlds", "best", "ranking")
+OURS = ("worlds", "ranking")
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from storage import merge, open_store
 from storage.precompute import precompute
 from storage.specification import read_specification
 from storage.tables import FOOTER_KEY, document_hash
-from study import FeatureTable, covered_table, survival_table
+from study import FeatureTable, survival_table, world_table
 from taichi_nmm import walker_simulator
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
@@ -292,7 +292,7 @@ def test_every_edit_of_a_footer(folder: Path) -> None:
             refused += 1
             assert str(error).isprintable()
     assert refused > 100
-    for read in (survival_table, covered_table):
+    for read in (survival_table, world_table):
         with pytest.raises(InputError):
             read(path)
 

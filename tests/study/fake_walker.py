@@ -8,7 +8,7 @@ milliseconds.
 import os
 import signal
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ import taichi_nmm
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.experiment.experiment import Experiment, read_experiment
-from study.experiment.features import GROUNDS, LONGER, PLAINEST
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table
 from taichi_nmm.parameters import gain_rows, lower_bounds, upper_bounds
@@ -35,8 +34,7 @@ SIGNAL = os.environ.get("FAKE_SIGNAL", "")  # "5:SIGKILL": sent to this process 
 WALKS_FROM = 0.7  # quality
 EMPTY = Trajectory(0, *[np.empty((0, 9))] * 9)  # of which nothing can be drawn
 STORE_ROWS = 150
-WORLDS = (*PLAINEST, *GROUNDS)
-KINDS = (*WORLDS, "stairs")  # of families that the toy's store has, each with one of longer walks
+KINDS = ("rough", "blocks", "up", "down", "stairs")  # of families, each with one of longer walks
 THETA_REF = 7  # of the low-level gains
 
 calls: list[dict[str, Any]] = []  # what the simulator was called with
@@ -114,12 +112,6 @@ def write_plain_store(path: Path, samples: int = 200) -> None:
     fill(path, {"samples": samples, "seed": 3})
 
 
-def longer(first: dict[str, Any], names: Iterable[str]) -> dict[str, Any]:
-    """The families of longer walks, each after the one of its name."""
-    after = {name: {"after": name, "min_survived_fraction": 0.5} for name in names}
-    return {f"{name}{LONGER}": first | table for name, table in after.items()}
-
-
 def write_store(path: Path, **changes: Any) -> None:
     """A store of fake scores with families."""
     settings = {
@@ -127,7 +119,8 @@ def write_store(path: Path, **changes: Any) -> None:
         "body": {"disturbance": 0.15},
     }  # fmt: skip
     families = {name: settings | {"seed": seed} for seed, name in enumerate(KINDS)}
-    families |= longer(settings, KINDS)
+    for name in KINDS:
+        families[f"{name}_long"] = settings | {"after": name, "min_survived_fraction": 0.5}
     data = {"samples": STORE_ROWS, "seed": 3, "robust": settings, "families": families}
     fill(path, data | changes)
 

@@ -57,7 +57,7 @@ def test_a_block_that_is_handed_on_travels_and_goes_on(toy: Experiment) -> None:
 SHARING = tuple(
     (arm, run)
     for run in range(2)
-    for arm in ("best", "score-first-diverse", "best-worlds", "score-first-worlds", "random")
+    for arm in ("best", "score-first-diverse", "worlds", "ranking", "random")
 )
 
 

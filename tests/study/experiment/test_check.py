@@ -85,7 +85,7 @@ def test_a_store_of_other_parameters(toy: Experiment, tmp_path: Path) -> None:
 
 
 def test_a_store_of_the_callers_is_that_of_the_arms(toy: Experiment, tmp_path: Path) -> None:
-    experiment = with_store(toy, ("random", "dog", "cmaes-source"), tmp_path)
+    experiment = with_store(toy, ("random", "dog", "cmaes-warm"), tmp_path)
     assert experiment.stores == {**toy.stores, "flat": tmp_path} != toy.stores
     assert replace(experiment, stores=toy.stores) == toy
 

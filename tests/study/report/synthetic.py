@@ -15,11 +15,10 @@ from taichi_nmm.parameters import GAINS
 Chances = dict[str, tuple[float, float]]
 # Of each arm: how likely a trial walks at first, and how much likelier with every trial.
 ARMS = {
-    "random": (0.007, 0.0), "cmaes-cold": (0.005, 0.0004), "cmaes-warm": (0.02, 0.0006),
-    "cmaes-source": (0.01, 0.0006), "bo-euclidean": (0.006, 0.0003),
-    "score-first-stairs": (0.006, 0.0004), "tpe": (0.006, 0.0005), "dog": (0.02, 0.002),
-    "best-stairs": (0.015, 0.003), "best-worlds": (0.3, 0.01), "score-first-diverse": (0.6, 0.0),
-    "score-first-worlds": (0.4, 0.0), "best-worlds-grid": (0.3, 0.005), "best": (0.75, 0.005),
+    "random": (0.004, 0.0), "cmaes-cold": (0.005, 0.0004), "cmaes-warm": (0.02, 0.0006),
+    "bo-euclidean": (0.006, 0.0003), "tpe": (0.006, 0.0005), "dog": (0.02, 0.002),
+    "worlds-stairs": (0.015, 0.003), "worlds": (0.4, 0.01), "score-first-diverse": (0.6, 0.0),
+    "ranking": (0.4, 0.0), "best": (0.75, 0.005),
 }  # fmt: skip
 
 

@@ -53,7 +53,7 @@ def test_arrays_are_those_of_the_table(comparison: Path, results: Results) -> No
     np.testing.assert_array_equal(arm.best[7], seventh["best_cost"].to_numpy())
     walked = np.flatnonzero(seventh["walked"].to_numpy())
     assert arm.first_walker[7] == (walked[0] + 1 if len(walked) else np.inf)
-    assert results.complete and results.found == results.planned == 70_000
+    assert results.complete and results.found == results.planned == 50 * 100 * len(synthetic.ARMS)
     assert (results.name, results.cost) == ("made-up", "smooth")
 
 

@@ -26,6 +26,7 @@ def cost(unit: Any, place: Any) -> Any:
 
 
 COSTS = np.column_stack([cost(ROWS, place) for place in PLACES])
+SPREAD = np.log(1.0 + (COSTS / COSTS.min() - 1.0) / 0.3)
 
 
 def table(outcomes: Any = COSTS, features: Any = None) -> FeatureTable:
@@ -47,8 +48,10 @@ def studied(sampler: FeatureKernelSampler, trials: int, sign: float = 1.0) -> op
 def test_an_ensemble_is_the_mean_and_the_covariance_over_the_worlds() -> None:
     worlds = Worlds.of({"near": COSTS[:, :1], "far": COSTS[:, 1:]})
     ensemble = Ensemble(worlds, np.arange(60), 1.0)
-    y = (np.log(COSTS) - np.log(COSTS).mean()) / np.log(COSTS).std()
+    y = (SPREAD - SPREAD.mean()) / SPREAD.std()
     np.testing.assert_allclose(ensemble.standard(COSTS), y, rtol=1e-12)
+    least, below = ensemble.standard(COSTS.min() * np.array([1.0, 0.5]))
+    assert (least - below) * SPREAD.std() == pytest.approx(np.log(2.0))
     weights = np.array([3, 1, 1, 1]) / 6  # each family counts the same
     np.testing.assert_allclose(ensemble.mean, y @ weights)
     away = y - (y @ weights)[:, None]
@@ -105,7 +108,7 @@ def test_a_row_has_its_own_columns_and_a_point_off_the_table_those_of_its_neighb
 def test_it_begins_with_the_ranking_learns_the_world_and_leaves_the_table() -> None:
     sampler = FeatureKernelSampler(table(), seed=1)
     study = studied(sampler, 15)
-    assert study.trials[0].user_attrs["row"] == np.argmin(np.log(COSTS).mean(axis=1))
+    assert study.trials[0].user_attrs["row"] == np.argmin(SPREAD.mean(axis=1))
     rows = cost(ROWS, np.array([0.85, 0.75]))
     values = [trial.values[0] for trial in study.trials]
     assert min(values[:5]) <= np.sort(rows)[2]  # among the best three rows of this robot
