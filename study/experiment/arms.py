@@ -117,6 +117,14 @@ def _ordered_arm(
     return Arm(name, label, "control", summary, samplers.RankedSampler, store, features)
 
 
+def _plain(task: Task) -> BaseSampler:
+    return FeatureKernelSampler(None, seed=task.seed, space=task.experiment.space)
+
+
+def _bo_ranking(task: Task) -> BaseSampler:
+    return samplers.AfterRanking(task, _plain(task))
+
+
 _ALL = (
     Arm(
         "random", "random", "peer", "uniform random",
@@ -132,8 +140,7 @@ _ALL = (
         options={"sigma": samplers.SIGMA_WARM, "rows": samplers.START_ROWS},
     ),
     Arm(
-        "bo-euclidean", "plain BO", "peer", "Bayesian optimisation over the gains, ours",
-        lambda task: FeatureKernelSampler(None, seed=task.seed, space=task.experiment.space),
+        "bo-euclidean", "plain BO", "peer", "Bayesian optimisation over the gains, ours", _plain,
     ),
     Arm(
         "tpe", "TPE", "peer", "Optuna's TPESampler",
@@ -151,6 +158,11 @@ _ALL = (
     _ordered_arm(
         "ranking", "ranking", "the rows of worlds by their mean cost, without a model", "worlds",
         (InWorlds(mean=True),),
+    ),
+    Arm(
+        "bo-ranking", "plain BO after 3", "peer",
+        "the ranking's first three rows, then Bayesian optimisation over the gains", _bo_ranking,
+        "worlds", (InWorlds(mean=True),),
     ),
     _table_arm(
         "worlds-stairs", "worlds, stairs' store", "worlds, having seen other stairs alone",

@@ -1,4 +1,4 @@
-"""Samplers that do not look at features: rows in the order of a score, and CMA-ES.
+"""Samplers that do not look at features: rows in the order of a score, or so begun, and CMA-ES.
 
 CMA-ES starts in two ways: from nowhere, and from a good row.
 """
@@ -33,6 +33,7 @@ Floats = NDArray[np.float64]
 
 SIGMA_COLD = 0.2  # of each range
 SIGMA_WARM = 0.1
+FIRST_ROWS = 3  # of the ranking, with which a peer begins
 START_ROWS = 100  # best rows by score, of which a warm start takes one
 
 
@@ -80,6 +81,22 @@ class RankedSampler(RowSampler):
     ) -> dict[str, Any]:
         """The trial's row."""
         return self.take(study, trial, int(score_order(self._table)[turn(study, trial)]))
+
+
+class AfterRanking(RankedSampler):
+    """The first rows of a ranking, then another sampler of the same parameters."""
+
+    def __init__(self, task: Task, then: BaseSampler) -> None:
+        super().__init__(task)
+        self._then = then
+
+    def sample_relative(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """The trial's row, or what the other sampler makes of all trials so far."""
+        if turn(study, trial) < FIRST_ROWS:
+            return super().sample_relative(study, trial, search_space)
+        return self._then.sample_relative(study, trial, search_space)
 
 
 @lru_cache(maxsize=32)
