@@ -71,7 +71,7 @@ def before_and_after(results: Results, experiment: Experiment) -> Pair | None:
 def choose(results: Results, names: tuple[str, ...]) -> tuple[Row, Row] | None:
     """Rows of the table: a trial that fell and one that walked, of the first run that has both.
 
-    After: the best trial of our best combination, or else of the best arm. Before: the best of the
+    After: the best trial of our arm, or else of the best arm. Before: the best of the
     first trials of the same arm, the paper's method, or any other, in this order, if it fell.
     """
     order = by_rank(results.arms)

@@ -189,7 +189,7 @@ def _costs(numbers: Numbers, cost: str) -> str:
 def _tests(numbers: Numbers) -> list[str]:
     if not numbers.comparisons:
         return []
-    header = ["arm", "trials", f"best cost less that of {PAPER_ARM}, median", "interval"]
+    header = ["arm", "trials", f"best cost less that of {numbers.reference}, median", "interval"]
     for test in ("Wilcoxon", "McNemar"):
         header += [f"{test}: pairs", "differ", "Holm", "p"]
     rows = [
@@ -200,7 +200,7 @@ def _tests(numbers: Numbers) -> list[str]:
         ]
         for each in numbers.comparisons
     ]  # fmt: skip
-    return [f"## Against the paper's method (`{PAPER_ARM}`)", TESTS, table(header, rows)]
+    return [f"## Against `{numbers.reference}`", TESTS, table(header, rows)]
 
 
 def _test_cells(test: PairedTest, holm: float) -> list[str]:
@@ -286,33 +286,39 @@ def overview_text(experiments: Sequence[Numbers]) -> str:
 
 
 def arms_of(experiments: Sequence[Numbers]) -> list[str]:
-    """All arms: the paper's, our best, then peers, controls and others of ours."""
+    """All arms: ours, the paper's, then peers, controls and others of ours."""
     known = dict.fromkeys(arm.arm for each in experiments for arm in each.arms)
-    first = [arm for arm in (PAPER_ARM, BEST_ARM) if arm in known]
+    first = [arm for arm in (BEST_ARM, PAPER_ARM) if arm in known]
     rest = [arm for kind in KINDS for arm in sorted(known) if kind_of(arm) == kind]
     return first + [arm for arm in rest if arm not in first]
 
 
 def condensed_table(experiment: Numbers) -> str:
     """A row an arm, best first."""
-    against = {each.arm: each for each in experiment.comparisons}
+    against = {(each.arm, each.after): each for each in experiment.comparisons}
     header, rows = _walkers(experiment, SHOWN_WITHIN)
-    header = [
-        "arm", *header, f"best cost after {COMPARED_AFTER}, median",
-        f"less that of `{PAPER_ARM}`, paired", "interval", "p",
-    ]  # fmt: skip
+    header = ["arm", *header]
+    for after in COMPARED_AFTER:
+        header += [
+            f"best cost after {after}, median",
+            f"less that of `{experiment.reference}`",
+            "p",
+        ]
     rows = [
-        [f"`{arm.arm}`", *row, *_cost_cells(arm, against.get(arm.arm))]
+        [f"`{arm.arm}`", *row, *(
+            cell for after in COMPARED_AFTER
+            for cell in _cost_cells(arm.cost_after.get(after), against.get((arm.arm, after)))
+        )]
         for arm, row in zip(experiment.arms, rows, strict=True)
-    ]
+    ]  # fmt: skip
     return table(header, rows)
 
 
-def _cost_cells(arm: ArmNumbers, against: Comparison | None) -> list[str]:
-    cost = arm.cost_after.get(COMPARED_AFTER)
-    difference = _estimate(None if against is None else against.difference)
-    p = ABSENT if against is None else _p_text(against.cost_p_holm)
-    return [ABSENT if cost is None else f"{cost.value:.4g}", *difference, p]
+def _cost_cells(cost: Interval | None, against: Comparison | None) -> list[str]:
+    known = ABSENT if cost is None else f"{cost.value:.4g}"
+    if against is None:
+        return [known, ABSENT, ABSENT]
+    return [known, f"{against.difference.value:+.3g}", _p_text(against.cost_p_holm)]
 
 
 HEADER = "arm                runs  with a walker  first (median)  best cost (median)  ms a trial"

@@ -1,12 +1,12 @@
-"""The numbers of an experiment: of each arm, and of each arm against the paper's method.
+"""The numbers of an experiment: of each arm, and of each arm against ours, or the paper's method.
 
 Runs are the unit of intervals and tests: trials of one run are not independent. The number of runs
 alone seeds the resampling: a report made twice is the same, and arms with as many runs are
 resampled alike.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import Any, Literal
 
@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from study.experiment.arms import ARMS, PAPER_ARM, Kind
+from study.experiment.arms import ARMS, BEST_ARM, PAPER_ARM, Kind
 from study.report.runs import ArmRuns, Results
 
 Floats = NDArray[np.float64]
@@ -146,7 +146,7 @@ def _rank(arm: ArmRuns) -> tuple[float, float, float]:
 
 WITHIN = (1, 3, 10, 30, 60, 100)  # trials
 COST_AFTER = (10, 30, 100)  # trials
-COMPARED_AFTER = 30  # trials
+COMPARED_AFTER = (10, 30)  # trials
 
 
 @dataclass(frozen=True)
@@ -173,12 +173,12 @@ class ArmNumbers:
 
 @dataclass(frozen=True)
 class Comparison:
-    """An arm against the paper's method, on the runs that both have."""
+    """An arm against the reference, on the runs that both have."""
 
     arm: str
     after: int  # trials after which the best costs are compared
     cost: PairedTest  # Wilcoxon's signed-rank test of the best costs
-    cost_p_holm: float  # its p, adjusted for all arms of the experiment
+    cost_p_holm: float  # its p, adjusted for all arms that are compared after as many trials
     difference: Interval  # of the best costs, median over runs; below 0 the arm is better
     walkers: PairedTest  # McNemar's exact test of a walker by the last trial that both have
     walkers_p_holm: float  # its p, adjusted likewise
@@ -191,7 +191,8 @@ class Numbers:
     experiment: str
     arms: tuple[ArmNumbers, ...]  # best first
     peer: str | None  # the best of the peers; None without peers
-    comparisons: tuple[Comparison, ...]  # with the paper's method, if it was run; order of `arms`
+    reference: str | None  # the arm to which the others are compared: ours, or the paper's
+    comparisons: tuple[Comparison, ...]  # by trials, then in the order of `arms`
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for programs; infinities are null."""
@@ -201,11 +202,13 @@ class Numbers:
 def numbers(results: Results) -> Numbers:
     """The figures of an experiment."""
     arms = [results.arms[arm] for arm in by_rank(results.arms)]
+    reference = next((arm for arm in (BEST_ARM, PAPER_ARM) if arm in results.arms), None)
     return Numbers(
         results.name,
         tuple(_arm_numbers(arm) for arm in arms),
         best_peer(arms),
-        tuple(_comparisons(arms, results.arms.get(PAPER_ARM))),
+        reference,
+        tuple(_comparisons(arms, results.arms[reference])) if reference else (),
     )
 
 
@@ -232,25 +235,28 @@ def _within(arm: ArmRuns) -> dict[int, int]:
     return {limit: int(arm.has_walker[:, min(limit, arm.trials) - 1].sum()) for limit in known}
 
 
-def _comparisons(arms: list[ArmRuns], paper: ArmRuns | None) -> list[Comparison]:
-    if paper is None:
-        return []
-    names, afters, costs, differences, walkers = [], [], [], [], []
+def _comparisons(arms: list[ArmRuns], reference: ArmRuns) -> Iterator[Comparison]:
+    """After each number of trials that some pair has, or after the last that it has."""
+    found: dict[int, list[Comparison]] = {}
     for arm in arms:
-        runs, ours, theirs = np.intersect1d(arm.runs, paper.runs, return_indices=True)
-        if arm.arm == PAPER_ARM or not len(runs):
+        runs, ours, theirs = np.intersect1d(arm.runs, reference.runs, return_indices=True)
+        if arm is reference or not len(runs):
             continue
-        last = min(arm.trials, paper.trials)
-        after = min(COMPARED_AFTER, last)
-        pair = arm.best[ours, after - 1], paper.best[theirs, after - 1]
-        names.append(arm.arm)
-        afters.append(after)
-        costs.append(wilcoxon(*pair))
-        differences.append(median(pair[0] - pair[1]))
-        walkers.append(mcnemar(arm.has_walker[ours, last - 1], paper.has_walker[theirs, last - 1]))
-    cost_p, walkers_p = (holm([test.p for test in tests]) for tests in (costs, walkers))
-    columns = (names, afters, costs, cost_p, differences, walkers, walkers_p)
-    return [Comparison(*row) for row in zip(*columns, strict=True)]
+        last = min(arm.trials, reference.trials)
+        walkers = mcnemar(arm.has_walker[ours, last - 1], reference.has_walker[theirs, last - 1])
+        for after in dict.fromkeys(min(each, last) for each in COMPARED_AFTER):
+            pair = arm.best[ours, after - 1], reference.best[theirs, after - 1]
+            cost, difference = wilcoxon(*pair), median(pair[0] - pair[1])
+            compared = Comparison(arm.arm, after, cost, cost.p, difference, walkers, walkers.p)
+            found.setdefault(after, []).append(compared)
+    for after in sorted(found):
+        alike = found[after]
+        cost_p, walkers_p = (
+            holm([test.p for test in tests])
+            for tests in ([each.cost for each in alike], [each.walkers for each in alike])
+        )
+        for each, of_cost, of_walkers in zip(alike, cost_p, walkers_p, strict=True):
+            yield replace(each, cost_p_holm=of_cost, walkers_p_holm=of_walkers)
 
 
 def plain(value: Any) -> Any:

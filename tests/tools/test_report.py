@@ -97,7 +97,7 @@ def test_what_a_folder_says_is_simulated(tmp_path: Path, tool: Tool, simulator: 
     assert not seen and not (folder / "report" / "strips.svg").exists()
     assert tool("report", folder) == 0
     assert (folder / "report" / "strips.svg").exists()
-    assert "Before: best combination, trial" in (folder / "report" / "report.md").read_text()
+    assert "Before: best of 0.2.0, trial" in (folder / "report" / "report.md").read_text()
     (terrain,) = seen[0]["terrains"]
     grounds = [read_experiment(config, seed=523001).terrain(run).height(50.0) for run in range(5)]
     assert float(terrain.height(50.0)) in [float(height) for height in grounds]

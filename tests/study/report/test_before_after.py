@@ -39,8 +39,8 @@ def write(folder: Path, walks: dict[str, list[list[int]]]) -> Results:
 
 
 @pytest.mark.parametrize(("walks", "shown"), [
-    ({"best": [[0], [4, 6]], "dog": [[5], [7]]}, [(1, "best", 0), (1, "best", 4)]),
-    ({"best": [[0], [1]], "dog": [[5], []], "random": [[], []]}, [(0, "dog", 0), (0, "best", 0)]),
+    ({"worlds": [[0], [4, 6]], "dog": [[5], [7]]}, [(1, "worlds", 0), (1, "worlds", 4)]),
+    ({"worlds": [[0], [1]], "dog": [[5], []], "tpe": [[], []]}, [(0, "dog", 0), (0, "worlds", 0)]),
     ({"tpe": [[3], [3]], "random": [[], [5]]}, [(0, "tpe", 0), (0, "tpe", 3)]),
 ], ids=["a first trial of our best that fell", "our best walks at once", "without our best"],
 )  # fmt: skip
@@ -51,13 +51,13 @@ def test_which_trials_are_shown(tmp_path: Path, walks: dict[str, Any], shown: li
 
 
 def test_without_a_walker_there_is_nothing_to_show(tmp_path: Path) -> None:
-    results = write(tmp_path / "data", {"best": [[], []], "dog": [[], []]})
+    results = write(tmp_path / "data", {"worlds": [[], []], "dog": [[], []]})
     assert choose(results, GAIN_NAMES) is None
     assert before_and_after(results, experiment()) is None
 
 
 def test_walks_of_the_tables_gains_and_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    results = write(tmp_path / "data", {"best": [[0], [4]], "dog": [[5], [7]]})
+    results = write(tmp_path / "data", {"worlds": [[0], [4]], "dog": [[5], [7]]})
     table = pq.read_table(tmp_path / "data" / "trials.parquet").to_pylist()
     seen = {}
 
@@ -76,12 +76,12 @@ def test_walks_of_the_tables_gains_and_run(tmp_path: Path, monkeypatch: pytest.M
     pair = before_and_after(results, documented)
     assert pair is not None and pair.run == 1
     for number, trial in enumerate((0, 4)):
-        key = ("best", 1, trial)
+        key = ("worlds", 1, trial)
         row = next(row for row in table if (row["arm"], row["run"], row["trial"]) == key)
         np.testing.assert_array_equal(seen["gains"][number], [row[name] for name in GAIN_NAMES])
     assert seen["bodies"].mass_kg[0].tolist() == made.body(1).mass_kg[0].tolist()
-    assert pair.first.title == "Before: best combination, trial 1: fell after 2 s, 1.5 m"
-    assert pair.second.title == "After: best combination, trial 5: 100 s, 130 m at 1.30 m/s"
+    assert pair.first.title == "Before: worlds, trial 1: fell after 2 s, 1.5 m"
+    assert pair.second.title == "After: worlds, trial 5: 100 s, 130 m at 1.30 m/s"
 
 
 @pytest.mark.parametrize("terrain", [rough(1, flat_start_m=1.0), ramp()], ids=["rough", "ramp"])
