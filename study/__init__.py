@@ -9,11 +9,7 @@ from typing import TYPE_CHECKING, Any
 from taichi_nmm.neighbours import require_neighbours
 
 if TYPE_CHECKING:
-    from study.experiment.features import (
-        SurvivalSampler,
-        survival_table,
-        world_table,
-    )
+    from study.experiment.features import world_table
     from study.sampler.sampler import DoGSampler, FeatureKernelSampler
     from study.sampler.table import FeatureTable
 
@@ -21,8 +17,6 @@ __all__ = [
     "DoGSampler",
     "FeatureKernelSampler",
     "FeatureTable",
-    "SurvivalSampler",
-    "survival_table",
     "world_table",
 ]
 
@@ -30,8 +24,6 @@ _MODULES = {
     "DoGSampler": "study.sampler.sampler",
     "FeatureKernelSampler": "study.sampler.sampler",
     "FeatureTable": "study.sampler.table",
-    "SurvivalSampler": "study.experiment.features",
-    "survival_table": "study.experiment.features",
     "world_table": "study.experiment.features",
 }
 

@@ -21,7 +21,7 @@ import study
 import taichi_nmm
 from storage.precompute import precompute
 from storage.simulator import Simulator
-from study.experiment.features import walking_costs
+from study.experiment.features import smooth_costs
 from taichi_nmm import terrain
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import PUBLISHED_GAINS
@@ -145,8 +145,7 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
                        "feature_names": ["f"], "bounds": {"x": (0, 1)}, "space": None}),
         (study.FeatureTable.from_dataframe, {"frame": frame} | named),
         (study.FeatureTable.from_parquet, {"path": folder / "frame.parquet"} | named),
-        (study.survival_table, {"path": store, "families": ("up", "down")}),
-        (study.world_table, {"path": store, "cost": walking_costs}),
+        (study.world_table, {"path": store, "cost": smooth_costs}),
         (terrain.blocks, rough | {"riser_m": 0.1}),
         (terrain.from_file, {"path": folder / "hill.csv"}),
         (terrain.ramp, {"increment": 0.1, "segment_m": 20.0, "largest_slope": 0.2,
@@ -169,7 +168,6 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
                         dict(vars(taichi_nmm.WorldRanges()))),
         "DoGSampler": (tried(study.DoGSampler), {"table": table} | options),
         "FeatureKernelSampler": (tried(study.FeatureKernelSampler), {"features": table} | options),
-        "SurvivalSampler": (tried(study.SurvivalSampler), {"table": table} | options),
         "FeatureKernelSampler, no table": (tried(study.FeatureKernelSampler),
                                            {"features": None, "space": box, "seed": 1}),
         "FeatureTable.from_arrays, columns": (lambda **columns: from_arrays(columns, [1, 2]),
@@ -221,8 +219,7 @@ def test_one_line_or_success(store: Path, tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.chdir(tmp_path / "here")  # "a" may be the name of a file to write
     tried_calls, wrong = 0, []
     for name, (call, arguments) in doors.items():
-        if name != "SurvivalSampler":  # it needs another table
-            call(**arguments)
+        call(**arguments)
         for argument in arguments:
             for place, value in enumerate(wrong_values()):
                 tried_calls += 1

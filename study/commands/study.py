@@ -5,7 +5,7 @@
 
 or, with a configuration that names a simulator, on one of its robots (--run):
 
-    taichi-nmm study --config walker2d-robots --arm best --run 3 --storage sqlite:///out/studies.db
+    taichi-nmm study --config walker2d-robots --arm worlds --run 3 --storage sqlite:///out/studies.db
 
 Its trials equal those of the same arm and run in a comparison of the same configuration. The
 dashboard shows a picture of the best one. The same command goes on where it was stopped. Exit

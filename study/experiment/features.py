@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
-from storage.simulator import WALKER
 from storage.store import Store, evaluated_name, open_store
 from study.sampler.columns import store_parameters
-from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
-from taichi_nmm.result import RESULT_DTYPE, smooth_cost
+from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, smooth_cost, walking_cost
 
 Floats = NDArray[np.float64]
 
@@ -85,7 +83,7 @@ def definition_of(feature: Feature) -> Any:
     if isinstance(feature, str):
         return feature
     if isinstance(feature, InWorlds):
-        return [feature.name, f"smooth cost of {TRIAL_S:g} s"]
+        return [feature.name, f"cost of a trial of {TRIAL_S:g} s"]
     families = feature.families or ("all families",)
     return [feature.name, *families, *["survivors only"] * feature.survivors]
 
@@ -93,19 +91,19 @@ def definition_of(feature: Feature) -> Any:
 def check_feature(feature: Feature, store: Store) -> None:
     """Refuse a store without a column of the feature by an InputError that names both."""
     if isinstance(feature, InWorlds):
-        outcomes_of(store, walking_costs)
+        outcomes_of(store, smooth_costs)
     elif isinstance(feature, Survival):
         feature.families_of(store)
     elif feature not in store.columns:
         raise InputError("store", str(store.path), f"a store with the column {feature}")
 
 
-def feature_values(feature: Feature, store: Store) -> Floats:
+def feature_values(feature: Feature, store: Store, cost: str = "smooth") -> Floats:
     """The feature of every row, NaN where the row is left out, [n]."""
     if isinstance(feature, str):
         return np.asarray(_columns(store, [feature])[0])
     if isinstance(feature, InWorlds):
-        rows = table_of_worlds(store).rows
+        rows = table_of_worlds(store, COSTS[cost]).rows
         values = np.full(len(rows), np.nan)
         values[rows.numbers] = -rows.ensemble(maximise=False).mean
         return values
@@ -121,13 +119,15 @@ def feature_table(
     store: Store,
     features: Sequence[Feature],
     space: Mapping[str, BaseDistribution] | None = None,
+    cost: str = "smooth",
 ) -> FeatureTable:
     """The rows of a store as candidates; those that a feature leaves out are not proposed.
 
-    `space` has the columns that studies suggest, with distributions; None: the store's own.
+    `space` has the columns that studies suggest, with distributions; None: the store's own. `cost`
+    is that of a trial, for features in worlds.
     """
     if InWorlds() in features:
-        return table_of_worlds(store, space=space)
+        return table_of_worlds(store, COSTS[cost], space)
     columns, bounds, own = store_parameters(store.specification["gains"], store.gains())
     if space is not None:
         columns, bounds, own = {name: columns[name] for name in space}, {}, dict(space)
@@ -136,7 +136,7 @@ def feature_table(
         warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)
         return FeatureTable.from_arrays(
             columns,
-            np.column_stack([feature_values(feature, store) for feature in features]),
+            np.column_stack([feature_values(feature, store, cost) for feature in features]),
             [name_of(feature) for feature in features],
             bounds=bounds,
             space=own,
@@ -165,27 +165,6 @@ def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ..
     return (Survival(families, survivors=True), *each, SPEED)
 
 
-@checks.checked(path=checks.path, families=checks.each(checks.text))
-def survival_table(path: str | Path, families: tuple[str, ...] = FAMILIES) -> FeatureTable:
-    """The rows of a store, with the features that `SurvivalSampler` compares.
-
-    Args:
-        path: of a store with these families; rows that fell on its base setting are not proposed.
-        families: names of families of settings.
-
-    Raises:
-        InputError: no store, or one without these families or with other bounds.
-    """
-    features = survival_features(families)
-    store = open_store(path)
-    store.require_bounds()
-    if store.simulator != WALKER and SPEED not in store.columns:
-        features = tuple(feature for feature in features if feature != SPEED)
-    for feature in features:
-        check_feature(feature, store)
-    return feature_table(store, features)
-
-
 Cost = Callable[[Mapping[str, Floats], float], Floats]
 """Costs [n, w] of a trial, from what a run gave, by column [n, w], and its horizon in s."""
 
@@ -205,14 +184,30 @@ class Given(dict[str, Floats]):
         return self[column]
 
 
-def walking_costs(given: Mapping[str, Floats], horizon_s: float) -> Floats:
+def smooth_costs(given: Mapping[str, Floats], horizon_s: float) -> Floats:
     """The walker's smooth cost of a trial of 100 s: who lasts to the horizon is taken to go on."""
+    return smooth_cost(_trials(given, horizon_s))
+
+
+def walking_costs(given: Mapping[str, Floats], horizon_s: float) -> Floats:
+    """The walker's non-smooth cost of a trial of 100 s, likewise."""
+    rows = _trials(given, horizon_s)
+    rows["cost_of_transport_jpkgpm"] = given["cost_of_transport_jpkgpm"]
+    return walking_cost(rows)
+
+
+def _trials(given: Mapping[str, Floats], horizon_s: float) -> NDArray[np.void]:
+    """Trials as the simulator would give them, of what worlds gave, [n, w]."""
     lasted, speed = given["survived_fraction"], given["mean_speed_mps"]
     seconds = np.where(lasted >= 1.0, TRIAL_S, lasted * horizon_s)
     rows = np.zeros(lasted.shape, RESULT_DTYPE)
+    rows["end_reason"] = np.where(lasted >= 1.0, COMPLETED, FELL)
     rows["duration_s"], rows["distance_m"] = seconds, speed * seconds
     rows["mean_speed_mps"] = speed
-    return smooth_cost(rows)
+    return rows
+
+
+COSTS: dict[str, Cost] = {"smooth": smooth_costs, "walking": walking_costs}  # of experiments
 
 
 def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
@@ -239,7 +234,7 @@ def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
 
 
 @checks.checked(path=checks.path, cost=checks.function)
-def world_table(path: str | Path, cost: Cost = walking_costs) -> FeatureTable:
+def world_table(path: str | Path, cost: Cost = smooth_costs) -> FeatureTable:
     """The rows of a store as candidates, with what a trial costs in each of its worlds.
 
     Args:
@@ -255,7 +250,7 @@ def world_table(path: str | Path, cost: Cost = walking_costs) -> FeatureTable:
 
 
 def table_of_worlds(
-    store: Store, cost: Cost = walking_costs, space: Mapping[str, BaseDistribution] | None = None
+    store: Store, cost: Cost, space: Mapping[str, BaseDistribution] | None = None
 ) -> FeatureTable:
     """`world_table` of an opened store; `space` as for `feature_table`."""
     columns, bounds, own = store_parameters(store.specification["gains"], store.gains())
@@ -265,17 +260,3 @@ def table_of_worlds(
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)  # on purpose
         return FeatureTable.from_arrays(columns, outcomes=outcomes, bounds=bounds, space=own)
-
-
-class SurvivalSampler(FeatureKernelSampler):
-    """Survival of each family as features; their mean ranks the first trials.
-
-    Args:
-        table: of `survival_table`, or any with a feature "survival" whose high values are good.
-        seed: of all draws; None takes one from the machine's entropy.
-        **options: of `FeatureKernelSampler`, for what is to differ.
-    """
-
-    @checks.checked(table=checks.instance(FeatureTable))
-    def __init__(self, table: FeatureTable, *, seed: int | None = None, **options: Any) -> None:
-        super().__init__(table, seed=seed, **OPTIONS | options)

@@ -25,15 +25,18 @@ def candidates(experiment: Experiment, store: str, features: tuple[Feature, ...]
         written_ns = written.stat().st_mtime_ns
     except OSError:
         written_ns = 0  # opening the store tells what is missing
-    return _read(path, written_ns, features, experiment.parameters)
+    return _read(path, written_ns, features, experiment.parameters, experiment.cost)
 
 
 @lru_cache(maxsize=16)
 def _read(
-    path: Path, _written_ns: int, features: tuple[Feature, ...], parameters: tuple[Parameter, ...]
+    path: Path,
+    _written_ns: int,
+    features: tuple[Feature, ...],
+    parameters: tuple[Parameter, ...],
+    cost: str,
 ) -> FeatureTable:
-    space = search_space(parameters)
-    return feature_table(open_store(path), features, space)
+    return feature_table(open_store(path), features, search_space(parameters), cost)
 
 
 def store_path(experiment: Experiment, store: str) -> Path:

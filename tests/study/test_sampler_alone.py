@@ -25,7 +25,7 @@ for name in study.__all__:
     getattr(study, name)
 assert time.process_time() - began_s < {MOST_IMPORT_S}
 import numpy as np
-from study import DoGSampler, FeatureKernelSampler, FeatureTable, SurvivalSampler, survival_table
+from study import DoGSampler, FeatureKernelSampler, FeatureTable, world_table
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 xs = np.linspace(0.0, 1.0, 50)
@@ -34,7 +34,7 @@ of_store = FeatureTable.from_parquet("store", features=["phi_printed"])
 samplers = (
     FeatureKernelSampler(of_arrays, seed=1),
     DoGSampler(of_store, seed=1),
-    SurvivalSampler(survival_table("store"), seed=1),
+    FeatureKernelSampler(world_table("store"), seed=1),
 )
 for sampler in samplers:
     names = ["x"] if sampler is samplers[0] else {list(taichi_nmm.GAIN_NAMES)}

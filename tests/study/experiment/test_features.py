@@ -4,16 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import optuna
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-import study
 from storage.store import Store, open_store
 from study.experiment import features
 from study.experiment.arms import ARMS
 from study.experiment.features import Survival, feature_values
-from study.experiment.samplers import Task
 from study.experiment.stores import candidates
 from taichi_nmm.errors import InputError
 from tests.study import fake_walker
@@ -75,40 +72,24 @@ def test_the_best_arm_is_what_its_definition_says():
     assert ARMS["best"].definition["features"] == expected
 
 
-# The sampler outside of the comparisons.
-@pytest.fixture
-def stores(fake_simulator, tmp_path):
-    fake_walker.write_store(tmp_path / "store")
-    return tmp_path / "store"
+@pytest.mark.parametrize(("cost", "walker", "faller"), [
+    ("smooth", 1 / 101 + 0.3 / 121 + 0.001, 1 / 11 + 0.3 / 13 + 0.001), ("walking", 15.0, 288.0),
+])  # fmt: skip
+def test_costs_in_worlds_are_those_of_a_trial(cost, walker, faller):
+    given = {
+        "survived_fraction": np.array([[1.0, 0.5, np.nan]]),
+        "mean_speed_mps": np.array([[1.2, 1.2, np.nan]]),
+        "cost_of_transport_jpkgpm": np.array([[5.0, 9.0, np.nan]]),
+    }
+    found = features.COSTS[cost](given, 20.0)  # who lasts 20 s is taken to last 100 s
+    assert_allclose(found, [[walker, faller, np.nan]])
 
 
-def proposals(sampler: optuna.samplers.BaseSampler, count: int) -> list[int]:
-    """Rows that it proposes, when the cost of a trial is a formula of its gains."""
-    made = optuna.create_study(sampler=sampler)
-    for _ in range(count):
-        trial = made.ask(sampler.infer_relative_search_space(made, None))  # type: ignore[arg-type]
-        gains = np.array([list(trial.params.values())])
-        made.tell(trial, float(1.0 - fake_walker.quality(gains[:, :16])[0]))
-    return [trial.user_attrs["row"] for trial in made.trials]
-
-
-@pytest.mark.slow
-def test_it_proposes_what_the_arm_of_the_comparisons_does(tmp_path, stores):
-    experiment, arm = fake_walker.experiment(tmp_path), ARMS["best"]
-    task = Task(experiment, 11, 0, arm.store, arm.features)
-    ours = study.SurvivalSampler(study.survival_table(experiment.stores[arm.store]), seed=11)
-    assert proposals(ours, 12) == proposals(arm.new_sampler(task), 12)
-
-
-def test_rows_and_features_are_the_stores_and_options_may_differ(stores, tmp_path):
-    table, rows = study.survival_table(stores), open_store(stores).table()
-    means = [rows[f"{name}_survived_fraction_mean"].to_numpy() for name in features.FAMILIES]
-    ran = rows["rough_evaluated"].to_numpy()
-    assert_allclose(table.rows.features[ran, 0], np.mean(means, axis=0)[ran])
-    assert_allclose(table.rows.features[ran, 5], rows["mean_speed_mps"].to_numpy()[ran])
-    assert_array_equal(table.rows.offered, ran)
-    table = study.survival_table(stores, ("up", "down"))
-    assert len(proposals(study.SurvivalSampler(table, seed=1, kernel="rbf"), 3)) == 3
-    fake_walker.write_store(tmp_path / "plain", families={})
-    with pytest.raises(InputError, match="a store with the column rough_survived_fraction_mean"):
-        study.survival_table(tmp_path / "plain")
+def test_worlds_count_in_the_units_of_the_experiments_cost(fake_simulator, tmp_path):
+    experiment = fake_walker.experiment(tmp_path)
+    tables = {
+        cost: candidates(replace(experiment, cost=cost), "worlds", ARMS["worlds"].features)
+        for cost in ("smooth", "walking")
+    }
+    costs = {cost: table.rows.worlds.costs for cost, table in tables.items()}
+    assert np.nanmax(costs["smooth"]) < 2.0 < 200.0 < np.nanmax(costs["walking"])

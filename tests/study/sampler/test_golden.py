@@ -23,7 +23,7 @@ from optuna.distributions import (
     IntDistribution,
 )
 
-from study import DoGSampler, FeatureKernelSampler, FeatureTable, SurvivalSampler
+from study import DoGSampler, FeatureKernelSampler, FeatureTable
 
 KERNELS = ("additive", "rbf", "rbf_ard", "euclidean")
 SPACE: dict[str, BaseDistribution] = {
@@ -177,7 +177,7 @@ def cases() -> dict[str, Callable[[], Iterator[dict[str, Any]]]]:
         "one-feature": lambda: proposals(DoGSampler(table(count=1), seed=22), 12),
         "dog": lambda: proposals(DoGSampler(table(), seed=23), 8),
         "file": lambda: proposals(fks(file_table(), seed=24), 6),
-        "survival": lambda: proposals(SurvivalSampler(survival_rows(), seed=25), 8),
+        "survival": lambda: proposals(fks(survival_rows(), prior="survival", seed=25), 8),
         "large": lambda: proposals(fks(table(6000, 9), seed=26), 6),
         "nearest": lambda: proposals(
             fks(table(), nearest=0.2, seed=27, strict=False), 6, enqueued=beside),
@@ -186,7 +186,7 @@ def cases() -> dict[str, Callable[[], Iterator[dict[str, Any]]]]:
 
 
 def survival_rows() -> FeatureTable:
-    """A table with the feature that `SurvivalSampler` ranks by."""
+    """A table with a feature to rank by."""
     rows = columns(70, 3)
     rng = np.random.default_rng(3)
     features = rng.random((70, 2))

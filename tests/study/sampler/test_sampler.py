@@ -18,7 +18,7 @@ from optuna.samplers import RandomSampler
 from optuna.trial import TrialState
 
 import study
-from study import DoGSampler, FeatureKernelSampler, FeatureTable, SurvivalSampler
+from study import DoGSampler, FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import Model
 from study.sampler.gp import KERNELS
 from tests.study.sampler.studies import bowl, params_of, resumed, rows_of, run_code, study_of
@@ -388,6 +388,5 @@ def test_a_sampler_shows_its_seed_and_what_was_chosen_wherever_it_travels(made, 
 
 def test_presets_go_by_their_own_names_and_a_seed_that_was_drawn_is_shown():
     assert repr(DoGSampler(SHOWN, seed=1)).startswith(f"DoGSampler({TABLE}, seed=1")
-    assert repr(SurvivalSampler(SHOWN, seed=1)).startswith(f"SurvivalSampler({TABLE}, seed=1")
     found = re.fullmatch(r"FeatureKernelSampler\(seed=(\d+)\)", repr(FeatureKernelSampler()))
     assert found and int(found[1]) > 0
