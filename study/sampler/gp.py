@@ -149,7 +149,7 @@ PARAMETER_NOISE = Constant(-5.0, 1.0, NOISE_BOUNDS)  # log-normal(-4, 1)
 # Of costs in units of a table, of whose costs in all worlds the standard deviation is one.
 WORLD = Constant(log(0.25), 1.4, SIGNAL_BOUNDS)
 SHIFT = Constant(0.0, 0.1, SIGNAL_BOUNDS)
-BEYOND = Constant(log(0.16), 1.4, SIGNAL_BOUNDS)
+BEYOND = Constant(log(0.3), 1.4, SIGNAL_BOUNDS)
 BEYOND_SCALE = Constant(log(0.8), 0.7, PARAMETER_SCALE_BOUNDS)
 WORLD_NOISE = Constant(log(0.0025), 1.0, NOISE_BOUNDS)
 

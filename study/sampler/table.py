@@ -41,6 +41,7 @@ Floats = NDArray[np.float64]
 T = TypeVar("T")
 NAMES_SHOWN = 3  # features, at a prompt
 NEAR_ROWS = 8  # whose mean a point off the table has
+NEAR_POWER = 4  # of the distance, by which their weights fall
 NEAR_POOL = 128  # rows near each centre, among which these are looked for
 # Does not depend on the distributions: rows with others share it.
 SHARED = ("standard", "scores", "offered", "numbers", "_known", "_index", "_first")
@@ -125,8 +126,9 @@ class Rows:
     def mixed(self, columns: Floats, points: Floats, centres: Floats) -> Floats:
         """Columns [m, k] of rows that may be proposed, at other points of the unit cube, [n, k].
 
-        Each point has a mean of its `NEAR_ROWS` nearest rows, weighted by 1 / distance^2. They are
-        looked for among the `NEAR_POOL` rows that are nearest to each of the centres.
+        Each point has a mean of its `NEAR_ROWS` nearest rows, weighted by 1 / distance^4 (in many
+        dimensions all but the nearest are about as far). They are looked for among the `NEAR_POOL`
+        rows that are nearest to each of the centres.
 
         Args:
             columns: of the rows, [m, k].
@@ -140,7 +142,7 @@ class Rows:
         distance = cdist(points, self.unit[pool])
         count = min(NEAR_ROWS, len(pool))
         near = np.argpartition(distance, count - 1, axis=1)[:, :count]
-        weight = 1.0 / (np.take_along_axis(distance, near, axis=1) + 1e-3) ** 2
+        weight = 1.0 / (np.take_along_axis(distance, near, axis=1) + 1e-3) ** NEAR_POWER
         weight /= weight.sum(axis=1, keepdims=True)
         matrix = np.zeros(distance.shape)
         np.put_along_axis(matrix, near, weight, axis=1)

@@ -357,7 +357,8 @@ class TablePolicy(Policy):
             own_turn: the trial's.
         """
         rows, space = self.rows, self.rows.space
-        incumbents = history.parameters[np.argsort(history.cost, kind="stable")[:INCUMBENTS]]
+        best = np.lexsort((history.cost, ~model.feasible))[:INCUMBENTS]
+        incumbents = history.parameters[best]
         centres = incumbents
         if self.function is not None:
             best = np.argsort(-utility, kind="stable")[:CENTRES]

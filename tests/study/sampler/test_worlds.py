@@ -100,7 +100,7 @@ def test_a_row_has_its_own_columns_and_a_point_off_the_table_those_of_its_neighb
     point = np.array([[0.5, 0.5]])
     distance = np.sqrt(((rows.unit - point) ** 2).sum(axis=1))
     near = np.argsort(distance)[:8]
-    weight = 1 / (distance[near] + 1e-3) ** 2
+    weight = 1 / (distance[near] + 1e-3) ** 4
     expected = weight @ columns[near] / weight.sum()
     np.testing.assert_allclose(rows.mixed(columns, point, point)[0], expected)
 
