@@ -120,7 +120,7 @@ def test_examples_that_read_a_store_run_on_a_small_one(
 ) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "store").symlink_to(ROOT / "tests" / "assets" / "store-v1")
-    fake_walker.write_store(tmp_path / "out" / "store-diverse")
+    fake_walker.write_store(tmp_path / "out" / "store-worlds")
     printed(page, block)
 
 
