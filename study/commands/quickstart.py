@@ -41,8 +41,8 @@ from taichi_nmm.terrain import Terrain, flat
 from taichi_nmm.walker_simulator import require_engine
 
 CONFIG, STORE_CONFIG = "rough8", "quickstart-store"
-ARMS = ("best", "dog", "random")
-STORES = ("flat", "diverse")  # names under which these arms read the one store
+ARMS = ("worlds", "dog", "random")
+STORES = ("flat", "worlds")  # names under which these arms read the one store
 RUN = 0
 REFERENCE_S = 30.0  # of the reference gait, for its pictures
 

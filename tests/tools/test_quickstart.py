@@ -44,7 +44,7 @@ def lines(folder: Path) -> list[str]:
 def test_it_ends_with_what_was_found_and_where(folder: Path, lines: list[str]) -> None:
     assert lines[-2].endswith(f" explore {folder / 'store'}")
     assert lines[-1].endswith(f"dashboard --storage sqlite:///{folder / 'studies.db'}")
-    for place, arm in ((-8, "best"), (-7, "dog"), (-6, "random")):
+    for place, arm in ((-8, "worlds"), (-7, "dog"), (-6, "random")):
         assert lines[place].startswith(f"rough8/{arm}/run-000: ")
     assert sum("30/30" in line for line in lines) == 3  # no trial was run again
     assert tuple(json.loads((folder / "found.json").read_text())) == GAIN_NAMES
