@@ -357,8 +357,7 @@ class TablePolicy(Policy):
             own_turn: the trial's.
         """
         rows, space = self.rows, self.rows.space
-        best = np.lexsort((history.cost, ~model.feasible))[:INCUMBENTS]
-        incumbents = history.parameters[best]
+        incumbents = history.parameters[np.lexsort((history.cost, ~model.feasible))[:INCUMBENTS]]
         centres = incumbents
         if self.function is not None:
             best = np.argsort(-utility, kind="stable")[:CENTRES]
