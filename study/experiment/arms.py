@@ -32,7 +32,7 @@ from study.sampler.sampler import PAPER, FeatureKernelSampler
 from taichi_nmm.errors import InputError
 
 PAPER_ARM = "dog"  # the paper's
-BEST_ARM = "worlds"  # ours, to which all others are compared; to the paper's where it is missing
+OUR_ARM = "worlds"  # ours, to which all others are compared; to the paper's where it is missing
 Kind = Literal["ours", "peer", "control"]  # peers are of others, or plain; controls: no model
 
 PRINTED = ("phi_printed",)

@@ -43,6 +43,7 @@ from study.experiment.experiment import (
 from study.experiment.features import table_of_worlds
 from study.experiment.folder import ROBOTS_NAME
 from study.experiment.identity import LIVE_ATTRIBUTE, versions
+from study.experiment.samplers import FIRST_ROWS
 from study.experiment.stores import store_digest
 from study.sampler.draws import Purpose, generator, name_key, seed_32bit, stream
 from study.sampler.policy import one_thread
@@ -53,7 +54,6 @@ from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
 
-FIRST_ROWS = 3  # of the ranking, with which a peer begins
 LONGEST_TRIAL_S = 1000.0
 TRIALS_NAME = "trials.parquet"
 PACKAGES = ("optuna", "cmaes", "numpy", "scipy")

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from storage.commit import commit
-from study.experiment.arms import BEST_ARM, PAPER_ARM
+from study.experiment.arms import OUR_ARM, PAPER_ARM
 from study.pictures import style
 from study.report.numbers import best_peer, kind_of, label_of
 from study.report.runs import ArmRuns
@@ -56,7 +56,7 @@ class Look:
 
 def looks(arms: Mapping[str, ArmRuns]) -> dict[str, Look]:
     """The look of each arm, in the order given."""
-    front = {PAPER_ARM: "paper", BEST_ARM: "best", best_peer(arms.values()): "peer"}
+    front = {PAPER_ARM: "paper", OUR_ARM: "best", best_peer(arms.values()): "peer"}
     found: dict[str, Look] = {}
     members = dict.fromkeys(BACK, 0)  # arms of a kind so far: each has another marker
     for arm in arms:

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from matplotlib.axes import Axes
 
-from study.experiment.arms import BEST_ARM, PAPER_ARM
+from study.experiment.arms import OUR_ARM, PAPER_ARM
 from study.experiment.experiment import MOST_TRIALS, Experiment
 from study.experiment.folder import cheapest
 from study.experiment.trials import simulate_trials
@@ -75,7 +75,7 @@ def choose(results: Results, names: tuple[str, ...]) -> tuple[Row, Row] | None:
     first trials of the same arm, the paper's method, or any other, in this order, if it fell.
     """
     order = by_rank(results.arms)
-    last = BEST_ARM if BEST_ARM in results.arms else order[0]
+    last = OUR_ARM if OUR_ARM in results.arms else order[0]
     firsts = dict.fromkeys([last, *(arm for arm in (PAPER_ARM,) if arm in order), *order[::-1]])
     tables = read_arms(results.folder, ("arm", "run", "trial", "cost", "walked", *names))
     for arm in firsts:

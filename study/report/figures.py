@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator, PercentFormatter
 from numpy.typing import ArrayLike, NDArray
 
-from study.experiment.arms import BEST_ARM, PAPER_ARM
+from study.experiment.arms import OUR_ARM, PAPER_ARM
 from study.pictures import style
 from study.report.axes import (
     FRONT,
@@ -281,7 +281,7 @@ CELL_IN = (0.72, 0.46)
 GRID_LEFT_IN, GRID_RIGHT_IN, GRID_TOP_IN, GRID_BOTTOM_IN = 1.75, 0.95, 1.95, 0.2
 SHADES = "Blues"
 DARKEST = 0.62  # of the map, so that words on it can be read, in a grey print too
-FRONT_OF = {PAPER_ARM: FRONT["paper"], BEST_ARM: FRONT["best"]}
+FRONT_OF = {PAPER_ARM: FRONT["paper"], OUR_ARM: FRONT["best"]}
 
 
 def write_grid(folder: Path, experiments: Sequence[Numbers]) -> list[Path]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from study.experiment.arms import ARMS, BEST_ARM, PAPER_ARM, Kind, saw
+from study.experiment.arms import ARMS, OUR_ARM, PAPER_ARM, Kind, saw
 from study.report.numbers import (
     COMPARED_AFTER,
     RESAMPLES,
@@ -288,7 +288,7 @@ def overview_text(experiments: Sequence[Numbers]) -> str:
 def arms_of(experiments: Sequence[Numbers]) -> list[str]:
     """All arms: ours, the paper's, then peers, controls and others of ours."""
     known = dict.fromkeys(arm.arm for each in experiments for arm in each.arms)
-    first = [arm for arm in (BEST_ARM, PAPER_ARM) if arm in known]
+    first = [arm for arm in (OUR_ARM, PAPER_ARM) if arm in known]
     rest = [arm for kind in KINDS for arm in sorted(known) if kind_of(arm) == kind]
     return first + [arm for arm in rest if arm not in first]
 

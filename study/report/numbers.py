@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from study.experiment.arms import ARMS, BEST_ARM, PAPER_ARM, Kind
+from study.experiment.arms import ARMS, OUR_ARM, PAPER_ARM, Kind
 from study.report.runs import ArmRuns, Results
 
 Floats = NDArray[np.float64]
@@ -202,7 +202,7 @@ class Numbers:
 def numbers(results: Results) -> Numbers:
     """The figures of an experiment."""
     arms = [results.arms[arm] for arm in by_rank(results.arms)]
-    reference = next((arm for arm in (BEST_ARM, PAPER_ARM) if arm in results.arms), None)
+    reference = next((arm for arm in (OUR_ARM, PAPER_ARM) if arm in results.arms), None)
     return Numbers(
         results.name,
         tuple(_arm_numbers(arm) for arm in arms),

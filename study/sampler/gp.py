@@ -53,7 +53,7 @@ The priors, normal in the logarithm of each constant:
 | noise over parameters alone | cost^2 | -5 | 1 |
 | a^2, variance of worlds | table's cost^2 | log 0.25 | 1.4 |
 | c^2, of the shift | table's cost^2 | log 1 | 0.1 |
-| t^2 beside worlds | table's cost^2 | log 0.16 | 1.4 |
+| t^2 beside worlds | table's cost^2 | log 0.3 | 1.4 |
 | L beside worlds | their range | log 0.8 | 0.7 |
 | noise beside worlds | table's cost^2 | log 0.0025 | 1 |
 
