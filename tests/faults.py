@@ -29,7 +29,6 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("taichi_nmm", "storage", "study")
 LEFT_OUT = (
     "study/pictures", "study/explore", "study/hub", "study/options.py", "study/report/figures.py",
-    "study/report/axes.py",
 )  # fmt: skip
 LONGEST_S = 1200.0
 OTHER: dict[type[ast.AST], Any] = {

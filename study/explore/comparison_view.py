@@ -26,8 +26,7 @@ from study.explore.server import Message
 from study.explore.stage import SCRIPTS
 from study.explore.walk import Setting
 from study.pictures import style
-from study.report.axes import TICKS, Look, looks
-from study.report.figures import piles, trial_places
+from study.report.figures import TICKS, Look, looks, piles, trial_places
 from study.report.numbers import by_rank
 from study.report.runs import ArmRuns, Results
 from taichi_nmm.body import Bodies

@@ -20,7 +20,7 @@ from study.experiment.trials import simulate_trials
 from study.pictures import style
 from study.pictures.stick_figure import activation_bar
 from study.pictures.strip import draw_profile, last_stretch
-from study.report.axes import save
+from study.report.figures import save
 from study.report.numbers import by_rank, label_of
 from study.report.runs import Results, read_arms
 from taichi_nmm.result import COMPLETED, Trajectory

@@ -10,7 +10,15 @@ from matplotlib.text import Annotation
 from study.experiment.arms import ARMS
 from study.pictures import style
 from study.report import figures
-from study.report.axes import LABEL_SPACING_PT, End, Look, label_ends, looks, spread_out, trial_axis
+from study.report.figures import (
+    LABEL_SPACING_PT,
+    End,
+    Look,
+    label_ends,
+    looks,
+    spread_out,
+    trial_axis,
+)
 from study.report.runs import Results, read_results
 from tests.study.report import synthetic
 from tests.study.report.synthetic import arm, counted
