@@ -4,7 +4,7 @@ A store's points are one scrambled Sobol sequence, any part of which can be made
 """
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,22 +27,16 @@ def within_bounds(
     unit: NDArray[np.float64], parameters: Sequence[Parameter]
 ) -> NDArray[np.float64]:
     """Points of the unit cube as values of the parameters, [n, p]."""
-    low, high = _bounds(parameters)
-    points = low + unit * (high - low)
-    for place, scale in _scales(parameters):
-        points[:, place] = scale.of_unit(unit[:, place])
-    return points
+    pairs = zip(map(_uniform, parameters), unit.T, strict=True)
+    return np.column_stack([each.of_unit(column) for each, column in pairs])
 
 
 def in_unit_cube(
     points: NDArray[np.float64], parameters: Sequence[Parameter]
 ) -> NDArray[np.float64]:
     """Values of the parameters as points of the unit cube, [n, p]."""
-    low, high = _bounds(parameters)
-    unit = (points - low) / (high - low)
-    for place, scale in _scales(parameters):
-        unit[:, place] = scale.to_unit(points[:, place])
-    return unit
+    pairs = zip(map(_uniform, parameters), points.T, strict=True)
+    return np.column_stack([each.to_unit(column) for each, column in pairs])
 
 
 def sobol_points(
@@ -65,15 +59,8 @@ def sobol_points(
         return within_bounds(sequence.random(count), parameters)
 
 
-def _scales(parameters: Sequence[Parameter]) -> Iterator[tuple[int, Uniform]]:
-    """The parameters that are logarithms or come in steps, with their places."""
-    for place, each in enumerate(parameters):
-        if isinstance(each, Uniform) and (each.log or each.step):
-            yield place, each
-
-
-def _bounds(
-    parameters: Sequence[Parameter],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    low, high = ([getattr(each, end) for each in parameters] for end in ("low", "high"))
-    return np.array(low), np.array(high)
+def _uniform(parameter: Parameter) -> Uniform:
+    """The parameter with its scale; one that names none is drawn between its bounds."""
+    if isinstance(parameter, Uniform):
+        return parameter
+    return Uniform(parameter.name, parameter.low, parameter.high)

@@ -128,19 +128,22 @@ def feature_table(
     """
     if InWorlds() in features:
         return table_of_worlds(store, COSTS[cost], space)
+    values = [feature_values(feature, store, cost) for feature in features]
+    names = [name_of(feature) for feature in features]
+    return _table(store, space, features=np.column_stack(values), feature_names=names)
+
+
+def _table(
+    store: Store, space: Mapping[str, BaseDistribution] | None, **known: Any
+) -> FeatureTable:
+    """A table of the rows of a store, with what is known of them."""
     columns, bounds, own = store_parameters(store.specification["gains"], store.gains())
     if space is not None:
         columns, bounds, own = {name: columns[name] for name in space}, {}, dict(space)
     with warnings.catch_warnings():
         # Rows are left out on purpose; stores themselves have no gaps.
         warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)
-        return FeatureTable.from_arrays(
-            columns,
-            np.column_stack([feature_values(feature, store, cost) for feature in features]),
-            [name_of(feature) for feature in features],
-            bounds=bounds,
-            space=own,
-        )
+        return FeatureTable.from_arrays(columns, bounds=bounds, space=own, **known)
 
 
 def _columns(store: Store, names: list[str]) -> Floats:
@@ -253,10 +256,4 @@ def table_of_worlds(
     store: Store, cost: Cost, space: Mapping[str, BaseDistribution] | None = None
 ) -> FeatureTable:
     """`world_table` of an opened store; `space` as for `feature_table`."""
-    columns, bounds, own = store_parameters(store.specification["gains"], store.gains())
-    if space is not None:
-        columns, bounds, own = {name: columns[name] for name in space}, {}, dict(space)
-    outcomes = outcomes_of(store, cost)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)  # on purpose
-        return FeatureTable.from_arrays(columns, outcomes=outcomes, bounds=bounds, space=own)
+    return _table(store, space, outcomes=outcomes_of(store, cost))

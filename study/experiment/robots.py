@@ -41,7 +41,7 @@ from study.experiment.experiment import (
     study_name,
 )
 from study.experiment.features import table_of_worlds
-from study.experiment.folder import ROBOTS_NAME
+from study.experiment.folder import ROBOTS_NAME, by_study, in_order
 from study.experiment.identity import LIVE_ATTRIBUTE, versions
 from study.experiment.samplers import FIRST_ROWS
 from study.experiment.stores import store_digest
@@ -444,8 +444,5 @@ def _in_order(kept: list[pa.Table]) -> pa.Table:
     """Each study's newest trials; a study that was made longer has replaced its shorter self."""
     tables: dict[tuple[str, int], pa.Table] = {}
     for table in kept:
-        arms, runs = table["arm"].to_numpy(zero_copy_only=False), table["run"].to_numpy()
-        for key in dict.fromkeys(zip(arms.tolist(), runs.tolist(), strict=True)):
-            tables[key] = table.filter((arms == key[0]) & (runs == key[1]))
-    ordered = [tables[key] for key in sorted(tables)]
-    return pa.concat_tables(ordered).combine_chunks() if ordered else kept[0]
+        tables |= {(arm, run): trials for arm, run, trials in by_study(table)}
+    return in_order([kept[0].slice(0, 0), *tables.values()])
