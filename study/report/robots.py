@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from study.experiment.robots import ARMS, RobotExperiment
 from study.report.numbers import mcnemar, wilcoxon
-
-Floats = NDArray[np.float64]
+from study.report.runs import ArmRuns
 
 FIRST_TRIALS = (1, 3, 10)  # within which a walker is counted
 CHECKPOINTS = (5, 10, 20, 30)  # trials after which costs are compared
@@ -24,27 +22,20 @@ class RobotResults:
     """What the arms reached on the robots that all of them have tried."""
 
     experiment: RobotExperiment
-    best: dict[str, Floats]  # least cost so far without noise, [robots, trials], by arm
-    walked: dict[str, NDArray[np.bool_]]  # whether any trial so far lasted, [robots, trials]
+    arms: dict[str, ArmRuns]  # by name: a run is a robot, a walk lasted, costs are without noise
 
     @classmethod
     def of(cls, experiment: RobotExperiment, trials: pa.Table) -> "RobotResults":
         """From all trials, as `compare_robots` gives them."""
-        shape, count = (experiment.runs, experiment.trials), experiment.trials
-        best, walked = {}, {}
+        shape = experiment.runs, experiment.trials
         runs, numbers = trials["run"].to_numpy(), trials["trial"].to_numpy()
-        arms = np.array(trials["arm"].to_pylist())
+        arms, found = np.array(trials["arm"].to_pylist()), {}
         for arm in experiment.arms:
-            own = trials.filter((arms == arm) & (runs < shape[0]) & (numbers < count))
-            cost, lasted = own["cost"].to_numpy(), own["survived"].to_numpy() >= 1.0
-            best[arm] = np.minimum.accumulate(cost.reshape(shape), axis=1)
-            walked[arm] = np.logical_or.accumulate(lasted.reshape(shape), axis=1)
-        return cls(experiment, best, walked)
-
-    def first_walker(self, arm: str) -> Floats:
-        """Number of the first trial that lasted, from 1; infinite where none did, [robots]."""
-        found = self.walked[arm]
-        return np.where(found[:, -1], found.argmax(axis=1) + 1.0, np.inf)
+            own = trials.filter((arms == arm) & (runs < shape[0]) & (numbers < shape[1]))
+            cost, lasted = (own[name].to_numpy().reshape(shape) for name in ("cost", "survived"))
+            best = np.minimum.accumulate(cost, axis=1)
+            found[arm] = ArmRuns(arm, np.arange(shape[0]), best, lasted >= 1.0, len(own))
+        return cls(experiment, found)
 
     @property
     def checkpoints(self) -> tuple[int, ...]:
@@ -76,8 +67,8 @@ class RobotResults:
         heads = ["first trial" if at == 1 else f"one of the first {at}" for at in within]
         yield f"| robots on which a trial lasted | knows of the store | {' | '.join(heads)} | any |"
         yield "|---|---|" + "---:|" * (len(within) + 1)
-        for arm, walked in self.walked.items():
-            counts = [str(int(walked[:, at - 1].sum())) for at in (*within, walked.shape[1])]
+        for arm, own in self.arms.items():
+            counts = [str(own.has_walker[:, at - 1].sum()) for at in (*within, own.trials)]
             yield f"| {ARMS[arm].label} | {ARMS[arm].sees} | {' | '.join(counts)} |"
 
     def _costs(self) -> Iterator[str]:
@@ -85,9 +76,9 @@ class RobotResults:
         heads = " | ".join(f"after {trials}" for trials in at)
         yield f"| median of the least cost | first trial that lasts | {heads} |"
         yield "|---|---:|" + "---:|" * len(at)
-        for arm, best in self.best.items():
-            first = float(np.median(self.first_walker(arm)))
-            cells = [f"{np.median(best[:, trials - 1]):.3g}" for trials in at]
+        for arm, own in self.arms.items():
+            first = float(np.median(own.first_walker))
+            cells = [f"{np.median(own.best[:, trials - 1]):.3g}" for trials in at]
             shown = f"{first:g}" if np.isfinite(first) else "none"
             yield f"| {ARMS[arm].label} | {shown} | {' | '.join(cells)} |"
 
@@ -95,8 +86,8 @@ class RobotResults:
         """Wilcoxon's signed ranks of costs, McNemar's test of robots with a walker."""
         at = self.checkpoints
         for ours in OURS:
-            others = [arm for arm in self.best if arm != ours]
-            if ours not in self.best or not others:
+            others = [arm for arm in self.arms if arm != ours]
+            if ours not in self.arms or not others:
                 continue
             heads = " | ".join(f"after {trials}: won | lost | p" for trials in at)
             yield ""
@@ -105,10 +96,10 @@ class RobotResults:
             for other in others:
                 cells = []
                 for trials in at:
-                    mine, theirs = (self.best[arm][:, trials - 1] for arm in (ours, other))
+                    mine, theirs = (self.arms[arm].best[:, trials - 1] for arm in (ours, other))
                     p = wilcoxon(mine, theirs).p
                     cells += [str((mine < theirs).sum()), str((mine > theirs).sum()), f"{p:.2g}"]
-                p = mcnemar(self.walked[ours][:, -1], self.walked[other][:, -1]).p
+                p = mcnemar(*(self.arms[arm].has_walker[:, -1] for arm in (ours, other))).p
                 yield f"| {ARMS[other].label} | {' | '.join(cells)} | {p:.2g} |"
 
     def draw(self, path: Path) -> None:
@@ -119,12 +110,12 @@ class RobotResults:
         trials = np.arange(1, self.experiment.trials + 1)
         left, right = (figure.add_subplot(1, 2, place) for place in (1, 2))
         colours = {arm: style.SERIES[place % len(style.SERIES)] for place, arm in enumerate(ARMS)}
-        for arm, best in self.best.items():
+        for arm, own in self.arms.items():
             look: dict[str, Any] = {"color": colours[arm], "label": ARMS[arm].label,
                     "linewidth": 2.0 if arm in OURS else 1.2,
                     "linestyle": "-" if ARMS[arm].sees != "nothing" else "--"}  # fmt: skip
-            left.step(trials, self.walked[arm].sum(axis=0), where="post", **look)
-            right.plot(trials, np.median(best, axis=0), **look)
+            left.step(trials, own.has_walker.sum(axis=0), where="post", **look)
+            right.plot(trials, np.median(own.best, axis=0), **look)
         left.set_ylabel("robots with a trial that lasted", fontsize=style.TEXT_PT)
         left.set_ylim(0, self.experiment.runs)
         right.set_ylabel("median of the least cost", fontsize=style.TEXT_PT)

@@ -44,9 +44,8 @@ def test_a_full_disk_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.Mon
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(InputError, match="No space left on device") as caught:
+    with pytest.raises(InputError, match=r"^out: .*No space left on device"):
         write_table(path, TABLE.slice(1), FOOTER | {"rows": 1})
-    assert caught.value.field == "out"
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 

@@ -197,9 +197,8 @@ def test_an_opened_store_knows_its_families(tmp_path: Path) -> None:
         ({"up": RAMPS["up"]}, "families.down"),
         (RAMPS | {"up": RAMPS["up"] | {"horizon_s": 7.0}}, "families.up.horizon_s"),
     ):
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError, match=rf"^{field}: "):
             precompute(fake.specification(robust=True, families=changed), tmp_path / "store")
-        assert caught.value.field == field
 
 
 def test_points_have_a_column_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -216,9 +215,8 @@ def test_points_have_a_column_more(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert np.array_equal(merged.gains(), points)
     store.require_bounds()
     monkeypatch.setattr(walker_simulator, "LOW_LEVEL_GAINS", LOW_LEVEL_GAINS[:-1])
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"^store\.gains\.theta_ref: "):
         store.require_bounds()
-    assert caught.value.field == "store.gains.theta_ref"
 
 
 def test_points_of_plain_stores_are_what_they_were() -> None:

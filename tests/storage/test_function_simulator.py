@@ -209,9 +209,8 @@ def returns(value: Any) -> Callable[..., Any]:
     (returns({"survived_fraction": 1.5, "speed_mps": 1}), "survived_fraction from 0 to 1, not 1.5"),
 ])  # fmt: skip
 def test_a_function_that_does_not_keep_to_it(function: Callable[..., Any], allowed: str) -> None:
-    with pytest.raises(InputError, match=allowed) as caught:
+    with pytest.raises(InputError, match=f"^simulator: .*{allowed}"):
         runs(changed(function))
-    assert caught.value.field == "simulator" and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(("function", "batch", "match"), [
@@ -223,9 +222,9 @@ def test_a_function_that_cannot_do_is_found_before_the_work(
     function: Callable[..., Any], batch: bool, match: str, tmp_path: Path
 ) -> None:
     simulator = changed(function, batch=batch)
-    with pytest.raises(InputError, match=match) as caught:
+    with pytest.raises(InputError, match=match):
         make_store(simulator, tmp_path / "store", workers=1, **CONFIGURATION)
-    assert "\n" not in str(caught.value) and not (tmp_path / "store").exists()
+    assert not (tmp_path / "store").exists()
 
 
 @pytest.mark.parametrize(("function", "changes", "field"), [
@@ -237,9 +236,8 @@ def test_a_function_that_cannot_do_is_found_before_the_work(
     (robot.drive, {"parameters": {}}, "parameters"),
 ])  # fmt: skip
 def test_what_makes_no_simulator(function: Any, changes: Any, field: str) -> None:
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=rf"^{field}: "):
         changed(function, **changes)
-    assert caught.value.field == field
 
 
 @pytest.mark.parametrize(("changes", "field"), [
@@ -248,9 +246,9 @@ def test_what_makes_no_simulator(function: Any, changes: Any, field: str) -> Non
     ({"world": {"wind": "much"}}, "world.wind"), ({"samples": 0}, "samples"),
 ])  # fmt: skip
 def test_a_configuration_that_does_not_fit(changes: Any, field: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=rf"^{field}: "):
         make_store(robot.Cart, tmp_path / "store", workers=1, **(CONFIGURATION | changes))
-    assert caught.value.field == field and not (tmp_path / "store").exists()
+    assert not (tmp_path / "store").exists()
 
 
 def hangs(point: Any, world: Any, seconds: float) -> dict[str, float]:

@@ -220,9 +220,8 @@ def test_a_run_goes_on_in_its_own_folder_alone(store: Path) -> None:
 ])  # fmt: skip
 def test_another_specification_is_refused_by_name(store: Path, changes: Any, field: str) -> None:
     before = content(store)
-    with pytest.raises(InputError, match="--fresh") as caught:
+    with pytest.raises(InputError, match=rf"^{field}: .*--fresh"):
         fill(store, **changes)
-    assert caught.value.field == field
     assert content(store) == before
 
 
@@ -252,6 +251,5 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path, name: str, fresh:
 def test_out_is_a_file(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     for path in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError, match=r"^out: "):
             fill(path)
-        assert caught.value.field == "out"

@@ -206,9 +206,8 @@ def test_what_makes_no_repertoire(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     weak = {"up": FAMILIES["up"] | {"min_survival_s": 5.0}}
     falls = fake.configuration(samples=1, seed=10, families=weak, repertoire=REPERTOIRE)
     store = read_specification(Table(falls))
-    with pytest.raises(InputError, match="family up") as caught:
+    with pytest.raises(InputError, match=r"^samples: .*family up"):
         precompute(store, tmp_path / "store")
-    assert caught.value.field == "samples"
     least = 2 * (STARTS + GENERATION) * 2  # two families, two settings
     shortest = evolving(repertoire={"evaluations": least}).repertoire
     assert shortest is not None and shortest.generations == 2

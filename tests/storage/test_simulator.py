@@ -125,16 +125,14 @@ def test_a_simulators_own_tables_are_checked() -> None:
         ({"families": {"speed": gale}}, "families"), ({"terrain": {"kind": "flat"}}, "terrain"),
         ({"searched": ["thrust"]}, "searched"), ({"wind": [2, 1]}, "wind"),
     ):  # fmt: skip
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError, match=rf"^{field}: "):
             specification(**changes)
-        assert caught.value.field == field
 
 
 @pytest.mark.parametrize("name", ["", "cart", TOY, f"{TOY}:Bicycle", "no.module:Cart", ":Cart"])
 def test_a_simulator_that_is_not_there_is_refused(name: str) -> None:
-    with pytest.raises(InputError, match=r"module:Class") as caught:
+    with pytest.raises(InputError, match=r"^simulator\.name: .*module:Class"):
         specification(simulator={"name": name})
-    assert caught.value.field == "simulator.name"
 
 
 FAULTS: dict[str, tuple[dict[str, Any], str]] = {
@@ -194,7 +192,6 @@ def test_a_faulty_run(fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     with pytest.raises(InputError, match=re.escape(allowed)) as caught:
         precompute(specification(), tmp_path / "store")
     assert (caught.value.field, caught.value.value) == ("simulator", CART)
-    assert "\n" not in str(caught.value)
     assert not list((tmp_path / "store").glob("part-*"))
 
 

@@ -149,6 +149,5 @@ BAD: dict[str, list[str]] = {
 @pytest.mark.parametrize(("field", "text"), [(field, text) for field in BAD for text in BAD[field]])
 def test_bad_configurations_name_the_field(field: str, text: str) -> None:
     whole = text[1:] if text.startswith("!") else f"samples = 5\n{text}"
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=rf"^{field}: "):
         read_specification(Table(tomllib.loads(whole)))
-    assert caught.value.field == field and "\n" not in str(caught.value)

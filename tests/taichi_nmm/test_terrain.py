@@ -182,9 +182,8 @@ def test_settings_out_of_range_are_named(make: Callable[..., Terrain], bad: Any)
     seed = (1,) if make in (terrain.rough, terrain.blocks) else ()
     for option, values in bad.items():
         for value in values:
-            with pytest.raises(InputError) as caught:
+            with pytest.raises(InputError, match=rf"^terrain\.{option}: "):
                 make(*seed, **{option: value})
-            assert caught.value.field == f"terrain.{option}", value
 
 
 @pytest.mark.parametrize(("kind", "options", "expected"), [

@@ -25,18 +25,11 @@ FAR = 2**40
 ONE_OF = "cannot be used; allowed: "
 
 FILES: dict[str, Any] = {
-    "nan.json": GAINS | {"K_SOL": float("nan")}, "word.json": GAINS | {"K_SOL": "much"},
-    "high.json": GAINS | {"K_SOL": 99}, "low-level.json": GAINS | {"theta_ref": 3.0},
-    "unknown.json": GAINS | {"K_XYZ": 1.0}, "result.json": {"gains": GAINS | {"K_SOL": 99}},
+    "low-level.json": GAINS | {"theta_ref": 3.0}, "result.json": {"gains": GAINS | {"K_SOL": 99}},
     "missing.json": {name: value for name, value in GAINS.items() if name != "l_clr"},
-    "brace.json": "{", "list.json": "[1, 2]", "number.json": '{"gains": 3}',
-    "empty.toml": "", "sede.toml": "seed = 1\nsede = 1", "bracket.toml": "[",
-    "long.toml": "seed = 1\n[simulation]\nduration_s = 'long'",
-    "step.toml": "seed = 1\n[simulation]\nphysics_step_s = 0.002",
-    "sea.toml": "seed = 1\n[terrain]\nkind = 'sea'",
-    "body.toml": "seed = 1\n[body]\ndisturbance = 2.0",
-    "sead.toml": "samples = 5\nsead = 1", "all.toml": "samples = 'all'",
-    "half.toml": "samples = ", "five.toml": "samples = 5", "file": "in the way",
+    "brace.json": "{", "empty.toml": "", "bracket.toml": "[", "sead.toml": "samples = 5\nsead = 1",
+    "sede.toml": "seed = 1\nsede = 1", "half.toml": "samples = ", "five.toml": "samples = 5",
+    "file": "in the way",
 }  # fmt: skip
 BASE = {
     "compare": "--config rough8-smooth --out new",
@@ -67,8 +60,7 @@ REFUSED: list[tuple[str, str, str]] = [
     ]),
     ("precompute", "--out /dev/null/store", "out: "),
     *(("precompute", f"--config {name}.toml", line) for name, line in [
-        ("sead", f"sead: 1 {ONE_OF}"), ("all", f"samples: 'all' {ONE_OF}"), ("half", "config: "),
-        ("nowhere", "config: "),
+        ("sead", f"sead: 1 {ONE_OF}"), ("half", "config: "), ("nowhere", "config: "),
     ]),
     *(("study", words, line) for words, line in [
         (f"--trials {HUGE}", f"trials: {HUGE}"), (f"--run {HUGE}", f"run: {HUGE}"),
@@ -107,22 +99,15 @@ REFUSED: list[tuple[str, str, str]] = [
     ("walk", "--seed -1", "seed: -1"),
     ("walk", "--gains nobody.json", f"gains: 'nobody.json' {ONE_OF}one of published, reference"),
     *(("walk", f"--gains {name}.json", line) for name, line in [
-        ("nan", f"gains.K_SOL: nan {ONE_OF}a finite number"),
-        ("word", f"gains.K_SOL: 'much' {ONE_OF}a number"),
-        ("high", f"gains.K_SOL: 99 {ONE_OF}0 to 24"),
-        ("result", f"gains.K_SOL: 99 {ONE_OF}0 to 24"),
+        ("result", f"gains.K_SOL: 99 {ONE_OF}0 to 24"), ("brace", "... JSON object"),
         ("low-level", f"gains.theta_ref: 3.0 {ONE_OF}-0.174533 to 0.523599"),
-        ("unknown", f"gains: 'K_XYZ' {ONE_OF}only the names"), ("missing", "gains.l_clr: None"),
+        ("missing", "gains.l_clr: None"),
     ]),
-    *(("walk", f"--gains {name}.json", "... JSON object") for name in ("brace", "list", "number")),
     *(("walk of published", f"--duration={value}", "duration: ")
       for value in ("0", "-1", "nan", "1e9")),
     ("walk of published", "--movie-seconds=-1", "movie-seconds: -1.0"),
     *(("walk of published", f"--config {name}.toml", line) for name, line in [
-        ("empty", "seed: 'missing'"), ("sede", "sede: 1"),
-        ("long", "simulation.duration_s: 'long'"), ("step", "simulation.physics_step_s: 0.002"),
-        ("sea", "terrain.kind: 'sea'"), ("body", "body.disturbance: 2.0"),
-        ("bracket", "... a readable TOML file"),
+        ("empty", "seed: 'missing'"), ("sede", "sede: 1"), ("bracket", "... a readable TOML file"),
     ]),
     *(("walk of published", f"--config rough8 --run={run}",
        f"run: {run} {ONE_OF}0 to 49, the runs of rough8") for run in (50, -1)),

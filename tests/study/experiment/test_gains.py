@@ -17,9 +17,9 @@ from study.experiment.arms import find_arm
 from study.experiment.compare import Request, compare
 from study.experiment.gains import gains_of_row, gains_of_source, gains_of_trial
 from study.experiment.live_study import run_study
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, PUBLISHED_GAINS, load_all_gains
 from tests.study import fake_walker
+from tests.study.conftest import refused
 
 DEFAULTS = [parameter.default for parameter in LOW_LEVEL_GAINS]
 LIVE, BESIDE, OTHER = "sqlite:///live.db", "sqlite:///out/studies.db", "sqlite:///other.db"
@@ -53,10 +53,6 @@ def here(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return made
 
 
-def one_line(message: str) -> pytest.RaisesExc[InputError]:
-    return pytest.raises(InputError, match=message, check=lambda error: "\n" not in str(error))
-
-
 def test_gains_by_name_and_of_a_file(tmp_path: Path) -> None:
     named = gains_of_source("published")
     assert named.name == "published"
@@ -69,7 +65,7 @@ def test_gains_by_name_and_of_a_file(tmp_path: Path) -> None:
     assert mine.low_level.tolist() == [*DEFAULTS[:7], 0.2]
     published = dict(zip(GAIN_NAMES, PUBLISHED_GAINS, strict=True))
     assert mine.as_document() == published | {"theta_ref": 0.2}
-    with one_line(r"gains: 'nobody'"):
+    with refused(r"gains: 'nobody'"):
         gains_of_source("nobody")
 
 
@@ -136,7 +132,7 @@ NOT_IN_THE_FOLDER = (
 ])  # fmt: skip
 def test_no_such_trial(trial: str, where: str, message: str, here: Path) -> None:
     before = sorted(here.iterdir())
-    with one_line(message):
+    with refused(message):
         gains_of_trial(trial, where)
     assert sorted(here.iterdir()) == before
 
@@ -148,5 +144,5 @@ def test_a_table_without_a_column_or_without_any(here: Path, tmp_path: Path, lac
         pq.write_table(pq.read_table(path).drop_columns([lacking]), path)
     else:
         path.write_text("no table")
-    with one_line(rf".*trials\.parquet.*{lacking}"):
+    with refused(rf".*trials\.parquet.*{lacking}"):
         gains_of_trial("toy/dog/run-001/1", str(tmp_path / "out"))

@@ -135,8 +135,10 @@ def test_the_command_writes_a_report(
     assert (tmp_path / "out" / "report.png").stat().st_size > 1000
     results = RobotResults.of(read_robots(config), trials)
     lasted = trials.to_pandas().query("arm == 'ranking' and survived >= 1.0")
-    assert int(results.walked["ranking"][:, -1].sum()) == lasted["run"].nunique()
-    assert f"| ranking | the ranking | {int(results.walked['ranking'][:, 0].sum())} |" in printed
+    assert results.arms["ranking"].walkers == lasted["run"].nunique()
+    assert (
+        f"| ranking | the ranking | {results.arms['ranking'].has_walker[:, 0].sum()} |" in printed
+    )
     with pytest.raises(InputError, match=r"^folder: .* a comparison of the walker; on robots"):
         read_results(tmp_path / "out")
     for option, value in (("--storage", "sqlite:///x.db"), ("--arch", "cpu"), ("--store", "x")):
