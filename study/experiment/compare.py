@@ -3,7 +3,7 @@
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +14,7 @@ import pyarrow as pa
 from storage.cluster import open_pool
 from storage.databases.urls import file_url
 from storage.pool import Cluster, Pool, local_pool
-from study.experiment.arms import Arm, check_arms
+from study.experiment.arms import check_arms
 from study.experiment.block import Advanced, Block, advance
 from study.experiment.database import Summarise, check_database, export, note_worths
 from study.experiment.experiment import Experiment
@@ -181,8 +181,14 @@ def compare(
     url = request.storage or file_url(request.out / DATABASE_NAME)
     ExperimentFolder.check(request.out, identity)
     check_database(experiment, url, arms, runs)
+    read = sorted({arm.store for arm in arms if arm.store})
+    opened = open_pool(
+        request.workers, request.cluster, request.out,
+        Walker(experiment.on_one_thread().conditions.settings), deciding_packages(experiment),
+        [store_path(experiment, key) for key in read],
+    )  # fmt: skip
     with (
-        nullcontext(pool) if pool else opened_pool(experiment, arms, request) as chosen,
+        nullcontext(pool) if pool else opened as chosen,
         ExperimentFolder.claim(request.out, identity) as folder,
     ):
         chosen.agree(folder.path)
@@ -225,20 +231,6 @@ def compare(
             with local_pool(request.workers) if request.cluster else nullcontext(chosen) as here:
                 make_artifacts(experiment, results, url, folder.path, here, drawn, filmed)
         return Outcome(results, url, computed, time.monotonic() - began_s)
-
-
-def opened_pool(
-    experiment: Experiment, arms: Sequence[Arm], request: Request
-) -> AbstractContextManager[Pool]:
-    """The pool that tries the trials, with the stores that the arms read."""
-    return open_pool(
-        request.workers,
-        request.cluster,
-        request.out,
-        Walker(experiment.on_one_thread().conditions.settings),
-        deciding_packages(experiment),
-        [store_path(experiment, key) for key in sorted({arm.store for arm in arms if arm.store})],
-    )
 
 
 def _go_on(
