@@ -8,6 +8,8 @@ from taichi_nmm.settings import ENGINES, MujocoSettings, Settings
 from taichi_nmm.terrain import Ground, read_ground
 from taichi_nmm.world import NOMINAL, WorldRanges, read_world
 
+SHORTEST_TRIAL_S, LONGEST_TRIAL_S = 0.1, 1000.0
+TRIAL_S = 100.0  # where a configuration names none
 MOST_DISTURBANCE = 0.9  # of a configuration; beyond it masses come near zero
 
 
@@ -43,28 +45,16 @@ class Conditions:
         }
 
 
-def read_conditions(
-    table: Table,
-    *,
-    duration_s: float,
-    shortest_s: float,
-    longest_s: float,
-    arch: str | None = None,
-) -> Conditions:
-    """The conditions in a configuration. Reads every key of their four tables.
+def read_conditions(table: Table, arch: str | None = None) -> Conditions:
+    """The conditions in a configuration's top table; `arch` overrides the file's architecture.
 
-    Args:
-        table: the configuration's top table.
-        duration_s: taken where the file names none.
-        shortest_s: least duration that the file may name.
-        longest_s: largest duration that the file may name.
-        arch: overrides the file's architecture.
+    Reads every key of their four tables.
 
     Raises:
         InputError: an unknown key, a wrong type or a value out of range.
     """
     simulation = table.table("simulation")
-    duration_s = simulation.number("duration_s", duration_s, shortest_s, longest_s)
+    duration_s = simulation.number("duration_s", TRIAL_S, SHORTEST_TRIAL_S, LONGEST_TRIAL_S)
     settings = read_settings(simulation, arch)
     simulation.done()
     return Conditions(

@@ -24,7 +24,7 @@ from tqdm import tqdm
 
 import taichi_nmm
 from storage.commit import commit, writable
-from study.experiment.experiment import LONGEST_TRIAL_S, Experiment, read_experiment
+from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.gains import (
     NamedGains,
     gains_of_row,
@@ -41,6 +41,7 @@ from study.pictures.trajectory_files import (
     write_trajectory,
 )
 from taichi_nmm import checks
+from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.settings import ENGINES
@@ -182,7 +183,7 @@ def main(args: Namespace) -> None:
     """Walk and draw."""
     gains = find_gains(args)
     if args.duration is not None:
-        checks.number(0.1, LONGEST_TRIAL_S)("duration", args.duration)
+        checks.number(SHORTEST_TRIAL_S, LONGEST_TRIAL_S)("duration", args.duration)
     checks.number(0.0, LONGEST_MOVIE_S)("movie-seconds", args.movie_seconds)
     experiment = read(args)
     if args.movie_seconds > 0:

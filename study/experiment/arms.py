@@ -131,7 +131,7 @@ _ALL = (
         lambda task: ReproducibleRandomSampler(seed=task.seed),
     ),
     Arm(
-        "cmaes-cold", "CMA-ES", "peer", "CMA-ES from a random mean", samplers.cmaes_cold,
+        "cmaes-cold", "CMA-ES", "peer", "CMA-ES from a random mean", samplers.ColdCmaEsSampler,
         fresh=True, replayed=True, options={"sigma": samplers.SIGMA_COLD},
     ),
     Arm(

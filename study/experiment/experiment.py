@@ -29,7 +29,6 @@ NAME_WORDS = "letters, digits, '.', '_' and '-', first a letter or digit"
 MOST_RUNS = 10_000
 SUMMARY = "/summary"  # end of a study's name that has no trials and compares other studies
 MOST_TRIALS = 100_000
-LONGEST_TRIAL_S = 1000.0
 SEARCHABLE = ("theta_ref",)  # low-level gains that have a column in the results
 
 TABLE = "table"  # of a configuration, that a field stands in
@@ -153,9 +152,7 @@ def experiment_of(
         seed=configured if seed is None else Table({"seed": seed}).integer("seed"),
         searched=table.texts("searched", SEARCHABLE),
         cost=objective.text("cost", "smooth", tuple(COST_FUNCTIONS)),
-        conditions=read_conditions(
-            table, duration_s=100.0, shortest_s=0.1, longest_s=LONGEST_TRIAL_S, arch=arch
-        ),
+        conditions=read_conditions(table, arch),
         until_walker=table.boolean("until_walker", False),
         runs=table.integer("runs", 50, 1, MOST_RUNS),
         trials=table.integer("trials", 100, 1, MOST_TRIALS),

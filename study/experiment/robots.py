@@ -49,12 +49,12 @@ from study.sampler.draws import Purpose, generator, name_key, seed_32bit, stream
 from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
+from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
 from taichi_nmm.config import read_toml
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
 
-LONGEST_TRIAL_S = 1000.0
 TRIALS_NAME = "trials.parquet"
 PACKAGES = ("optuna", "cmaes", "numpy", "scipy")
 
@@ -196,7 +196,7 @@ def read_robots(
         simulator=simulator,
         rule=simulator.read_worlds(table),
         store=Path(table.text("store")),
-        duration_s=simulation.number("duration_s", low=0.1, high=LONGEST_TRIAL_S),
+        duration_s=simulation.number("duration_s", low=SHORTEST_TRIAL_S, high=LONGEST_TRIAL_S),
         cost=objective.text("cost", choices=(*costs, simulator.survived)),
         fell_cost=objective.number("fell_cost", low=1e-9),
         noise=objective.number("noise", 0.0, 0.0, 1.0),

@@ -4,7 +4,6 @@ CMA-ES starts in two ways: from nowhere, and from a good row.
 """
 
 import warnings
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
@@ -111,59 +110,26 @@ def score_order(table: FeatureTable) -> NDArray[np.int64]:
     return order[rows.offered[order]]
 
 
-class CmaEs:
-    """pycma in the unit cube, a generation at a time: `ask`, `tell`, `ask`, ...
-
-    The first generation has its mean [d] at the start, in the unit cube, and a spread of sigma, of
-    each range. The same start, draws and costs give the same points.
-    """
-
-    def __init__(self, start: Floats, sigma: float, draws: np.random.Generator) -> None:
-        import cma
-
-        options = {
-            "bounds": [0.0, 1.0],
-            "verbose": -9,
-            "seed": np.nan,  # pycma's own seed is NumPy's global one, which all runs would share
-            "randn": lambda *shape: draws.standard_normal(shape),
-            "signals_filename": "",  # it would read options from a file of the current folder
-        }
-        self._strategy = cma.CMAEvolutionStrategy(start, sigma, options)
-        self._asked: list[Floats] | None = None
-        self.population = int(self._strategy.popsize)
-        self.generation = 0  # that `ask` gives, from 0
-
-    def ask(self) -> Floats:
-        """The points of the generation, [population, d]; the same until told."""
-        if self._asked is None:
-            self._asked = self._strategy.ask()
-        return np.array(self._asked)
-
-    def tell(self, costs: Sequence[float]) -> None:
-        """The costs of the generation, finite, [population]."""
-        assert self._asked is not None
-        self._strategy.tell(self._asked, list(costs))
-        self._asked = None
-        self.generation += 1
-
-
-class TurnCmaEsSampler(CmaEsSampler):
-    """Optuna's CMA-ES, whose draws depend on the trial's number; here it is the trial's turn.
+class ColdCmaEsSampler(CmaEsSampler):
+    """Optuna's CMA-ES from a random mean; its draws depend on the trial's turn, not its number.
 
     It keeps its state in the trials. A new object with a seed of its own for each trial makes it
-    draw alike after a restart. Trial 0 is random. The search starts as options of Optuna's say.
+    draw alike after a restart. Trial 0 is random.
     """
 
-    def __init__(self, task: Task, **start: Any) -> None:
-        """As Optuna's; it warns of options that it calls experimental, and of x0 and sigma0.
+    def __init__(self, task: Task) -> None:
+        """Optuna warns of options that it calls experimental, and of x0 and sigma0.
 
         `source_trials`, which is to replace these two, fixes sigma at a tenth.
         """
+        space = Space.of(task.experiment.space)
+        fractions = generator(task.seed, Purpose.CMAES_MEAN).random((1, len(space)))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FutureWarning)
             warnings.simplefilter("ignore", ExperimentalWarning)
             super().__init__(
-                **start,
+                x0=space.values(space.from_fractions(fractions)[0]),
+                sigma0=SIGMA_COLD,
                 independent_sampler=ReproducibleRandomSampler(seed=task.seed),
                 warn_independent_sampling=False,
                 seed=seed_32bit(task.seed, Purpose.CMAES, task.turn),
@@ -178,14 +144,6 @@ class TurnCmaEsSampler(CmaEsSampler):
         return super().sample_relative(study, counted, search_space)
 
 
-def cmaes_cold(task: Task) -> BaseSampler:
-    """Optuna's CMA-ES from a random mean."""
-    space = Space.of(task.experiment.space)
-    fractions = generator(task.seed, Purpose.CMAES_MEAN).random((1, len(space)))
-    start = space.values(space.from_fractions(fractions)[0])
-    return TurnCmaEsSampler(task, x0=start, sigma0=SIGMA_COLD)
-
-
 class WarmCmaEsSampler(RowSampler):
     """pycma in the unit cube: trial 0 is one of the best rows, the generations follow.
 
@@ -198,7 +156,9 @@ class WarmCmaEsSampler(RowSampler):
         best = score_order(self._table)[:START_ROWS]
         self._row = int(generator(task.seed, Purpose.STARTUP_ROW).choice(best))
         self._draws = generator(task.seed, Purpose.CMAES)
-        self._search: CmaEs | None = None
+        self._search: Any = None  # pycma's object
+        self._asked: list[Floats] = []  # the generation under way, points of the unit cube
+        self._told = 0  # trials of the generations before it
 
     def sample_relative(
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
@@ -211,18 +171,33 @@ class WarmCmaEsSampler(RowSampler):
         finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
         if not finished:
             return self.take(study, trial, self._row)
-        rows, tried = self._table.rows, finished[1:]  # the start is of no generation
         if self._search is None:
-            start = rows.space.fractions(rows.parameters[self._row : self._row + 1])[0]
-            self._search = CmaEs(start, SIGMA_WARM, self._draws)
-        search = self._search
-        while len(tried) >= search.population * (search.generation + 1):
-            first = search.population * search.generation
-            told = tried[first : first + search.population]
-            for point, each in zip(search.ask(), told, strict=True):
+            self._search = self._begun()
+            self._asked = self._search.ask()
+        tried = finished[1:]  # the start is of no generation
+        while len(tried) >= self._told + len(self._asked):
+            told = tried[self._told : self._told + len(self._asked)]
+            for point, each in zip(self._asked, told, strict=True):
                 self._require_asked(point, each)
-            search.tell([each.values[0] for each in told])
-        return self._values(search.ask()[len(tried) - search.population * search.generation])
+            self._search.tell(self._asked, [each.values[0] for each in told])
+            self._told += len(told)
+            self._asked = self._search.ask()
+        return self._values(self._asked[len(tried) - self._told])
+
+    def _begun(self) -> Any:
+        """The search whose first generation has its mean at the row, and a spread of sigma."""
+        import cma
+
+        rows = self._table.rows
+        start = rows.space.fractions(rows.parameters[self._row : self._row + 1])[0]
+        options = {
+            "bounds": [0.0, 1.0],
+            "verbose": -9,
+            "seed": np.nan,  # pycma's own seed is NumPy's global one, which all runs would share
+            "randn": lambda *shape: self._draws.standard_normal(shape),
+            "signals_filename": "",  # it would read options from a file of the current folder
+        }
+        return cma.CMAEvolutionStrategy(start, SIGMA_WARM, options)
 
     def _values(self, point: Floats) -> dict[str, Any]:
         space = self._table.rows.space

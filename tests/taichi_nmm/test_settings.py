@@ -34,7 +34,7 @@ ON_MUJOCO: dict[str, Any] = {"engine": "mujoco", "duration_s": 20.0}
 
 def read(data: dict[str, Any], arch: str | None = None) -> Conditions:
     table = Table(data)
-    conditions = read_conditions(table, duration_s=5.0, shortest_s=1.0, longest_s=100.0, arch=arch)
+    conditions = read_conditions(table, arch)
     table.done()
     return conditions
 
@@ -81,7 +81,7 @@ def test_tables_become_conditions_and_missing_ones_nominal() -> None:
     assert read(ALL) == expected
     assert pickle.loads(pickle.dumps(expected)) == expected
     assert hash(read(ALL)) == hash(expected)
-    assert read({}) == Conditions(5.0, Settings(), 0.0, Ground())
+    assert read({}) == Conditions(100.0, Settings(), 0.0, Ground())
 
 
 def test_mujoco_computes_on_the_processor_and_the_command_line_overrides_the_file() -> None:
@@ -92,7 +92,7 @@ def test_mujoco_computes_on_the_processor_and_the_command_line_overrides_the_fil
 
 
 @pytest.mark.parametrize(("table", "key", "value"), [
-    ("simulation", "duration_s", 0.5), ("simulation", "duration_s", 101.0),
+    ("simulation", "duration_s", 0.05), ("simulation", "duration_s", 1001.0),
     ("simulation", "physics_step_s", 2e-3), ("simulation", "precision", "half"),
     ("simulation", "precision", 64), ("simulation", "arch", "tpu"),
     ("simulation", "threads", 2), ("simulation", "engine", "bullet"),
@@ -186,7 +186,7 @@ def test_the_document_leaves_the_machine_and_the_other_engine_out() -> None:
     ]  # fmt: skip
     for simulation in ({}, {"engine": "taichi"}):
         assert list(read({"simulation": simulation}).simulation_document().items()) == [
-            ("duration_s", 5.0), ("physics_step_s", 1e-3),
+            ("duration_s", 100.0), ("physics_step_s", 1e-3),
             ("contact_relaxation_speed_mps", 0.1), ("precision", "float32"),
         ]  # fmt: skip
 
