@@ -42,7 +42,7 @@ from storage.processes import Processes
 from storage.simulator import Simulator
 from storage.store import MANIFEST_NAME, Manifest
 from storage.tables import agree
-from taichi_nmm.errors import InputError, one_line, shortened
+from taichi_nmm.errors import InputError, in_a_line, one_line, shortened
 from taichi_nmm.reading import json_document, reading
 
 SESSION = "taichi-nmm-"  # and the client's name
@@ -271,7 +271,7 @@ class Session(Executor):
         except KilledWorker as killed:
             allowed = f"workers that live: a call took {killed.allowed_failures + 1} with it"
         except Exception as failed:
-            allowed = f"calls that do not fail there ({_in_a_line(failed)})"
+            allowed = f"calls that do not fail there ({in_a_line(failed)})"
         finally:
             del self._pending[call]
         raise InputError("cluster", self._asked.address, f"{allowed}; {GOES_ON}")
@@ -449,7 +449,7 @@ def _failures(asked: Cluster) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:  # of sockets, TLS, or a worker that cannot set up the plugin
-        allowed = f"a scheduler that answers, and workers with this project ({_in_a_line(error)})"
+        allowed = f"a scheduler that answers, and workers with this project ({in_a_line(error)})"
         raise InputError("cluster", asked.address, allowed) from None
 
 
@@ -457,8 +457,4 @@ def _first(error: BaseException) -> str:
     """The error that others followed, in a line."""
     while cause := error.__cause__ or error.__context__:
         error = cause
-    return _in_a_line(error)
-
-
-def _in_a_line(error: BaseException) -> str:
-    return one_line(shortened(f"{type(error).__name__}: {error}"))
+    return in_a_line(error)

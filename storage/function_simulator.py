@@ -41,7 +41,7 @@ from storage.points import within_bounds
 from storage.simulator import SURVIVED, Report, Simulator, Uniform
 from taichi_nmm import checks
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError, one_line, shortened
+from taichi_nmm.errors import InputError, in_a_line
 
 ENDED = "run_ended"
 RAN, FAILED = "ran", "failed"
@@ -206,7 +206,7 @@ class FunctionSimulator(Simulator):
             except InputError:
                 raise
             except Exception as error:
-                raise self._fault(f"a function that runs, not {_said(error)}") from error
+                raise self._fault(f"a function that runs, not {in_a_line(error)}") from error
             self._keep(rows, found)
             return rows, {}
         for place in np.ndindex(rows.shape):
@@ -218,7 +218,7 @@ class FunctionSimulator(Simulator):
                     found = self._compute(point, world, horizon_s)
             except Exception as error:
                 rows[ENDED][place] = 1
-                self._failed = f"{_said(error)}, at {point} in {world}"
+                self._failed = f"{in_a_line(error)}, at {point} in {world}"
             else:
                 self._keep(rows[place[0] : place[0] + 1, place[1] : place[1] + 1], found)
             report((place[0] + 1) / len(points))
@@ -296,10 +296,6 @@ def _limited(seconds: float | None) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
-
-
-def _said(error: Exception) -> str:
-    return one_line(shortened(f"{type(error).__name__}: {error}"))
 
 
 def _coordinate(name: str, distribution: BaseDistribution) -> Uniform:

@@ -42,3 +42,8 @@ def shortened(text: str, longest: int = LONGEST_VALUE) -> str:
 def one_line(text: str) -> str:
     """A text with every character escaped that a terminal cannot print."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def in_a_line(error: BaseException) -> str:
+    """Kind and message of an error."""
+    return one_line(shortened(f"{type(error).__name__}: {error}"))

@@ -18,13 +18,13 @@ from storage.store import Store, evaluated_name, open_store
 from study.sampler.columns import store_parameters
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
+from taichi_nmm.conditions import TRIAL_S
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, smooth_cost, walking_cost
 
 Floats = NDArray[np.float64]
 
 COLUMN_END = "_survived_fraction_mean"
-TRIAL_S = 100.0  # of the walker's experiments
 
 
 @dataclass(frozen=True)

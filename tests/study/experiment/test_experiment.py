@@ -84,10 +84,8 @@ def test_an_experiment_pickles_and_hashes_and_is_read_back_from_what_it_writes()
     ('cost = "smooth"', 'cost = "cheap"', "objective.cost: 'cheap' .* smooth or walking"),
     ("[objective]", "[objektive]", "objektive"),
     ("duration_s = 100.0", "duration_s = 0", "simulation.duration_s: 0"),
-    ("duration_s = 100.0", "duration = 100.0", "simulation.duration: 100.0"),
     ("disturbance = 0.15", "disturbance = 1.5", "body.disturbance: 1.5"),
     ("amplitude_m = 0.08", "amplitude = 8", "terrain.amplitude: 8"),
-    ('kind = "rough"', 'kind = "hilly"', "terrain.kind: 'hilly'"),
     ('flat = "out/store"', "flat = 3", "stores.flat: 3"),
     ("[stores]", "[dog]\nstore = 'out/store'\n[stores]", "dog: .* only the keys"),
     ("[stores]", "[cmaes]\nsigma = 0.3\n[stores]", "cmaes: .* only the keys"),  # as in 0.2.0
@@ -95,11 +93,6 @@ def test_an_experiment_pickles_and_hashes_and_is_read_back_from_what_it_writes()
 def test_bad_configurations_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     with refused(message):
         read_experiment(edited(tmp_path, old, new))
-
-
-def test_a_missing_file_is_refused() -> None:
-    with refused(r"config: 'no\.toml'"):
-        read_experiment("no.toml")
 
 
 @pytest.mark.parametrize("file", EXPERIMENTS, ids=lambda file: file.stem)
