@@ -9,7 +9,7 @@ import scipy
 from numpy.typing import NDArray
 
 from study.sampler.gp import Covariance, Kernel, Posterior, condition, learn, new_covariance
-from study.sampler.transforms import Points, PriorMean, log_excess, squarable
+from study.sampler.transforms import Points, PriorMean, log_excess, of_log_excess, squarable
 from study.sampler.worlds import Ensemble
 
 Floats = NDArray[np.float64]
@@ -80,8 +80,8 @@ class Model:
             cost = self.cost(some)
             return cost - self.expected(self.trials, cost)[some]
 
-        posterior = self._after(self.trials, y, standardised=self.ensemble is None)
-        running = self._visible(self.running)
+        posterior = self._after(self.trials, y, standardised=not self._in_costs)
+        running = self.visible(self.running)
         return posterior.believing(running) if len(running) else posterior
 
     @cached_property
@@ -103,23 +103,35 @@ class Model:
     def cost(self, some: slice = slice(None)) -> Floats:
         """The costs of some trials as the process sees them, [n]."""
         cost = self.costs[some]
-        if self.ensemble is not None:
+        if self.ensemble is not None and self._in_costs:
             return self.ensemble.standard(cost)
         return log_excess(cost) if self.kernel.by_order else squarable(cost)
 
+    def in_units(self, cost: Floats) -> Floats:
+        """The inverse of `cost`, [m]."""
+        if self.ensemble is not None and self._in_costs:
+            return self.ensemble.costs(cost)
+        return of_log_excess(cost, self.costs) if self.kernel.by_order else cost
+
     def expected(self, points: Points, cost: Floats) -> Floats:
         """The prior mean at points, [m], in the unit of these costs."""
+        mean = np.zeros(len(points))
         if self.ensemble is not None:
-            return np.asarray(points.features[:, -1])
-        if self.prior_mean is None:
-            return np.zeros(len(points))
-        return (float(cost.std()) or 1.0) * self.prior_mean.cost(points.features)
+            mean = points.features[:, -1]
+        elif self.prior_mean is not None:
+            mean = self.prior_mean.cost(points.features)
+        return mean if self._in_costs else (float(cost.std()) or 1.0) * mean
+
+    @property
+    def _in_costs(self) -> bool:
+        """Whether the worlds' outcomes are in the unit of the study's values."""
+        return self.ensemble is not None and self.ensemble.in_costs
 
     def _after(
         self, points: Points, y: Callable[[slice], Floats], *, standardised: bool = True
     ) -> Posterior:
         """The posterior of something that trials showed, y giving what some of them did."""
-        seen = self._visible(points)
+        seen = self.visible(points)
         x, sizes = seen.matrix(), (seen.features.shape[1], seen.coordinates.shape[1])
         worlds = 0 if self.ensemble is None else self.ensemble.parts.shape[1]
         covariance = new_covariance(
@@ -140,7 +152,7 @@ class Model:
             self.known[key] = learn(covariance, x, y)
         return self.known[key]
 
-    def _visible(self, points: Points) -> Points:
+    def visible(self, points: Points) -> Points:
         """Points with the columns that the kernel uses."""
         return points.only(features=self.kernel.of_features, coordinates=self.kernel.of_parameters)
 
@@ -180,7 +192,7 @@ class Model:
 
     def _utility(self, points: Points) -> Floats:
         """log expected improvement plus the log of the chance that all limits are kept, [m]."""
-        visible = self._visible(points)
+        visible = self.visible(points)
         kept = np.zeros(len(points))
         for posterior in self.limit_posteriors:
             kept += log_kept(*posterior.predict(visible))

@@ -22,7 +22,7 @@ from optuna.distributions import (
 
 from study.sampler.space import Space, first_not_taken
 from study.sampler.transforms import columns_of, let_go, new_matrix
-from study.sampler.worlds import Outcomes, Worlds
+from study.sampler.worlds import Better, Outcomes, Worlds
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, reading
@@ -45,6 +45,7 @@ def checked_columns(
     bounds: Bounds | None,
     space: Mapping[str, BaseDistribution] | None,
     outcomes: Outcomes | None = None,
+    better: Better | None = None,
 ) -> Content:
     """The content of a table of n rows, d parameters and k features.
 
@@ -54,7 +55,8 @@ def checked_columns(
         feature_names: k names; None: feature_0, feature_1, ...
         bounds: (low, high) of some numeric parameters, by name.
         space: distributions of some parameters, by name.
-        outcomes: costs in simulated worlds.
+        outcomes: in simulated worlds.
+        better: which of these are good, if they are not costs in the units of the study's values.
 
     Raises:
         InputError: naming the column and row that cannot be used.
@@ -69,7 +71,9 @@ def checked_columns(
     for name, ends in bounds.items():
         if name in space:
             raise InputError(f"table.bounds.{name}", ends, "none beside space=, which has the name")
-    worlds = None if outcomes is None else Worlds.of(outcomes)
+    worlds = None if outcomes is None else Worlds.of(outcomes, better)
+    if worlds is None and better is not None:
+        raise InputError("table.better", better, "none without outcomes")
     if features is None and worlds is None:
         raise InputError("table.features", "none", "features, outcomes, or both")
     if features is None and worlds is not None:

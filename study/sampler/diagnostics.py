@@ -1,15 +1,18 @@
-"""The importance of features and of worlds (worth): figures, a verdict and a small table."""
+"""What trials have shown: the importance of features and of worlds (worth), and the best trial."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import atanh, sqrt, tanh
+from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+from optuna.trial import FrozenTrial
 
 from study.sampler.acquisition import Model
 from study.sampler.gp import JITTER, Posterior, shape_of
+from study.sampler.history import OFF_TABLE, ROW_ATTRIBUTE, read_limits
 from study.sampler.transforms import Points
 
 Floats = NDArray[np.float64]
@@ -217,6 +220,7 @@ class Worth:
 class Present:
     """The finished trials of a study, and what the sampler makes of them."""
 
+    trials: tuple[FrozenTrial, ...]  # n of them
     names: tuple[str, ...]  # of the k features
     features: Floats  # of the n trials, in units of their own, NaN where unknown, [n, k]
     model: Model  # the sampler's, for trials that follow the features
@@ -395,17 +399,71 @@ class Likeness:
         return f"## {WORLDS_TITLE}\n\n{verdict}\n\n```text\n{chart}\n```"
 
 
-def likeness_of(model: Model) -> tuple[float, ...]:
+def likeness_of(model: Model, names: tuple[str, ...]) -> Likeness:
     """E[b] / a after the trials, [w]: b ~ N(0, a^2 I) are the slopes along what each world adds.
 
     a^2 d^T K^-1 (y - m) / a (Rasmussen, Williams 2006, section 2.7).
     """
+    if not len(model.costs):
+        return Likeness(0, names, (0.0,) * len(names))
     posterior = model.posterior
     term, variance, _ = next(posterior.covariance.valued(posterior.theta))
     noisy = posterior.gram() + (posterior.noise + JITTER) * np.eye(len(posterior.y))
     solved = np.linalg.solve(noisy, posterior.y)
     slopes = sqrt(variance) * (posterior.x[:, term.first : term.end].T @ solved)
-    return tuple(slopes.tolist())
+    return Likeness(len(model.costs), names, tuple(slopes.tolist()))
+
+
+@dataclass(frozen=True)
+class Best:
+    """The trial that is best by the model, and not by luck: what all trials tell of it.
+
+    Attributes:
+        number: of the trial, the first of these parameters.
+        params: its parameters.
+        row: of the table; None off it, or without one.
+        value: as likely too high as too low.
+        low: end of the interval that holds its value, without noise, with 95 %.
+        high: its other end.
+        trials: finished ones of these parameters.
+    """
+
+    number: int
+    params: Mapping[str, Any]
+    row: int | None
+    value: float
+    low: float
+    high: float
+    trials: int
+
+    def __str__(self) -> str:
+        """In a sentence."""
+        row = "" if self.row is None else f", row {self.row}"
+        times = f"{self.trials} trial{'s' if self.trials > 1 else ''}"
+        return (
+            f"Trial {self.number}{row}: {self.value:.4g} ({self.low:.4g} to {self.high:.4g}), "
+            f"by {times} of it and what the others tell."
+        )
+
+
+def best_of(present: Present, *, maximised: bool) -> Best:
+    """The trial of the least expected cost, of those that kept their limits if any did.
+
+    Where the model has no parameters, noise is what parameters do, and is part of the interval.
+    """
+    model, trials = present.model, present.trials
+    mean, variance = model.posterior.predict(model.visible(model.trials))
+    mean += model.expected(model.trials, model.cost())
+    kept = ~(read_limits(trials) > 0).any(axis=1)
+    best = int(np.argmin(np.where(kept | ~kept.any(), mean, np.inf)))
+    away = NORMAL_95 * sqrt(float(variance[best]))
+    ends = model.in_units(mean[best] + away * np.array([0.0, -1.0, 1.0]))
+    value, low, high = (-ends[[0, 2, 1]] if maximised else ends).tolist()
+    trial = trials[best]
+    row = trial.user_attrs.get(ROW_ATTRIBUTE, OFF_TABLE)
+    same = sum(other.params == trial.params for other in trials)
+    known = None if row is None or row == OFF_TABLE else int(row)
+    return Best(trial.number, dict(trial.params), known, value, low, high, same)
 
 
 def percents(shares: tuple[float, ...]) -> tuple[int, ...]:

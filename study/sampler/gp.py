@@ -27,7 +27,7 @@ place of the terms of features,
 | term | formula |
 |---|---|
 | worlds | a^2 d . d', d being what each world adds to the mean over the worlds |
-| shift | c^2, the same for all rows |
+| shift | c^2, the same for all rows; v m m' where outcomes are in units of their own |
 | nearness | t^2 exp(-sum_j (u_j - u'_j)^2 / 2 L^2), L shared |
 
 With slopes w ~ N(0, v I), the first term is the covariance of w . phi (Rasmussen, Williams 2006,
@@ -274,7 +274,8 @@ def new_covariance(
     terms = []
     if kernel.worlds:
         first = k - w - 2
-        terms = [Term(first, first + w, WORLD, ()), Term(k - 2, k - 1, SHIFT, ())]
+        common = Term(k - 1, k, SLOPE, ()) if standardised else Term(k - 2, k - 1, SHIFT, ())
+        terms = [Term(first, first + w, WORLD, ()), common]
         if first:
             scale = Constant(log(sqrt(first)), 1.0, FEATURE_SCALE_BOUNDS)
             terms += [Term(0, first, SLOPE, ()), Term(0, first, SIGNAL, (scale,) * first)]

@@ -161,6 +161,7 @@ class Policy:
 
     def present_of(
         self,
+        trials: tuple[FrozenTrial, ...],
         names: Sequence[str],
         features: Floats,
         model: Model,
@@ -172,7 +173,8 @@ class Policy:
         has_prior = model.prior_mean is not None
         is_doubted = any(is_doubtful(model.costs, turn, has_prior) for turn in (0, 1))
         is_doubted = is_doubted and self.learns_trust
-        return Present(tuple(names), features, model, candidates, scale.owners, is_doubted, first)
+        owners = scale.owners
+        return Present(trials, tuple(names), features, model, candidates, owners, is_doubted, first)
 
     def rng(self, purpose: Purpose, turn: int) -> np.random.Generator:
         """The generator of one draw of one trial."""

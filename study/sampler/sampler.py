@@ -15,7 +15,7 @@ from optuna.samplers import BaseSampler
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
-from study.sampler.diagnostics import Likeness, Worth, worth_of
+from study.sampler.diagnostics import Best, Likeness, Worth, best_of, likeness_of, worth_of
 from study.sampler.gp import KERNELS, WORLDS
 from study.sampler.policy import Features, Options, one_thread
 from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
@@ -199,11 +199,30 @@ class FeatureKernelSampler(BaseSampler):
                 "kernel", self._kernel, "one that uses features, or there is nothing to report"
             )
         with one_thread():
-            if isinstance(self._policy, TablePolicy) and self._policy.options.kernel.worlds:
-                return self._policy.likeness(study)
             present = self._policy.present(study)
+            if present is not None and present.model.ensemble is not None:
+                return likeness_of(present.model, present.model.ensemble.names)
             maximised = study.direction is StudyDirection.MAXIMIZE
             return worth_of(present, maximised=maximised)
+
+    @checks.checked(study=checks.instance(optuna.Study))
+    def best(self, study: optuna.Study) -> Best:
+        """The trial that is best by the model: one lucky measurement does not make it.
+
+        Args:
+            study: of these parameters, with a finished trial; it is not changed.
+
+        Raises:
+            InputError: no finished trial can be learned from.
+            ValueError: the study has several objectives.
+        """
+        self._raise_error_if_multi_objective(study)
+        with one_thread():
+            present = self._policy.present(study)
+            if present is None or not present.trials:
+                allowed = "a study with a finished trial of these parameters"
+                raise InputError("study", study.study_name, allowed)
+            return best_of(present, maximised=study.direction is StudyDirection.MAXIMIZE)
 
     def infer_relative_search_space(
         self, study: optuna.Study, trial: FrozenTrial

@@ -96,7 +96,7 @@ class SpacePolicy(Policy):
         """See `Present`; candidates are those of the next trial. None: there is nothing to show."""
         trial = next_trial(study)
         known = self.search_space(study, trial)
-        if not known or self.function is None:
+        if not known:
             return None
         space = Space.of(known)
         history = read_history(study, trial, space)
@@ -109,7 +109,8 @@ class SpacePolicy(Policy):
         seen = _placed(scale, shown, space, history.parameters)
         model = self.plain_model(prior_mean, len(space), seen, history.cost)
         candidates = _placed(scale, features, space, points)
-        return self.present_of(_names(features), shown, model, candidates, scale)
+        names = _names(features)
+        return self.present_of(history.trials, names, shown, model, candidates, scale)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Nothing is noted."""

@@ -30,7 +30,7 @@ from study.sampler.transforms import (
     columns_of,
     let_go,
 )
-from study.sampler.worlds import Ensemble, Outcomes, Worlds
+from study.sampler.worlds import Better, Ensemble, Outcomes, Worlds
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
@@ -213,7 +213,7 @@ class Rows:
         head = [*self.names, *map(str, self.space.distributions), *self.feature_names]
         matrices = [self.parameters, self.features]
         if self.worlds is not None:
-            head += self.worlds.names
+            head += [*self.worlds.names, *filter(None, [self.worlds.better])]
             matrices.append(self.worlds.costs)
         digest = hashlib.sha256("\n".join(head).encode())
         for values in matrices:
@@ -384,6 +384,7 @@ class FeatureTable:
         feature_names=checks.optional(checks.each(checks.text)),
         space=COLUMN_CHECKS["space"],
         bounds=COLUMN_CHECKS["bounds"],
+        better=checks.optional(checks.word("lower", "higher")),
     )
     def from_arrays(
         cls,
@@ -392,6 +393,7 @@ class FeatureTable:
         feature_names: Sequence[str] | None = None,
         *,
         outcomes: Outcomes | None = None,
+        better: Better | None = None,
         bounds: Bounds | None = None,
         space: Mapping[str, BaseDistribution] | None = None,
     ) -> Self:
@@ -406,6 +408,8 @@ class FeatureTable:
                 one feature.
             outcomes: what each row costs in each of w simulated worlds, [n, w], in the units of the
                 study's values; or by family, {name: [n, w]}, where each family counts the same.
+            better: "higher" or "lower" says which outcomes are good, where they are in other units
+                than the study's values: shares survived, scores.
             feature_names: k names; by default feature_0, feature_1, ...
             bounds: (low, high) of numeric parameters; by default those of the columns.
             space: distributions of parameters, where columns do not say enough: a logarithmic
@@ -415,7 +419,9 @@ class FeatureTable:
             InputError: naming the column and row that cannot be used: lengths that differ, values
                 missing, a row outside the bounds or the distribution, a name that is not there.
         """
-        content = checked_columns(parameters, features, feature_names, bounds, space, outcomes)
+        content = checked_columns(
+            parameters, features, feature_names, bounds, space, outcomes, better
+        )
         return cls(Rows(*content))
 
     @classmethod

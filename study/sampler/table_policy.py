@@ -19,7 +19,7 @@ from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
 from study.sampler.acquisition import Model, argmax_random_tie
-from study.sampler.diagnostics import Likeness, Present, likeness_of
+from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, turn
 from study.sampler.history import (
     FEATURES_ATTRIBUTE,
@@ -486,32 +486,21 @@ class TablePolicy(Policy):
                 f"trials; is the sign of {self.options.prior!r} right? See sampler.worth(study)"
             )
 
-    def likeness(self, study: optuna.Study) -> Likeness:
-        """Which worlds the finished trials are like."""
-        self._adopt(suggested_so_far(self.own_rows.names, study))
-        history, ensemble = self._history(study, next_trial(study)), self._ensemble(study)
-        worlds = self.rows.worlds
-        assert worlds is not None
-        if not len(history.cost):
-            return Likeness(0, worlds.names, (0.0,) * len(worlds.names))
-        seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
-        model = self.plain_model(None, len(self.rows.space), seen, history.cost, ensemble)
-        return Likeness(len(history.cost), worlds.names, likeness_of(model))
-
     def present(self, study: optuna.Study) -> Present:
         """See `Present`; candidates are all rows that may be proposed, tried or not."""
         self._adopt(suggested_so_far(self.own_rows.names, study))
-        history = self._history(study, next_trial(study))
+        history, ensemble = self._history(study, next_trial(study)), self._ensemble(study)
         shown = self._features(history.parameters, history.rows, history.trials)
         first = {}
-        seen = self._placed(history.parameters, shown)
-        model = self.plain_model(self.prior_mean, len(self.rows.space), seen, history.cost)
+        seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
+        sizes = self.prior_mean, len(self.rows.space)
+        model = self.plain_model(*sizes, seen, history.cost, ensemble)
         if self.prior_mean is not None:
             merit = self.prior_mean.merit(self._points().features)
             best = np.argsort(-merit, kind="stable")[:RANKED]
             first = {row: self.rows.features[row] for row in self.rows.numbers[best].tolist()}
-        names = self.rows.feature_names
-        return self.present_of(names, shown, model, self._points(), self._scale, first)
+        names, points = self.rows.feature_names, self._points(ensemble)
+        return self.present_of(history.trials, names, shown, model, points, self._scale, first)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.

@@ -87,11 +87,23 @@ def log_excess(cost: Floats) -> Floats:
     does not hide what is at its foot. Costs beyond a quarter of the largest float count as that.
     """
     cost = np.clip(cost, -LARGEST / 4, LARGEST / 4)  # so that excess, and two of them, are finite
+    with np.errstate(over="ignore"):
+        ratio = (cost - cost.min()) / _typical_excess(cost)
+    return np.asarray(np.log1p(np.minimum(ratio, LARGEST)))
+
+
+def of_log_excess(y: Floats, cost: Floats) -> Floats:
+    """The costs [m] whose `log_excess` among the costs [n] is y [m]."""
+    cost = np.clip(cost, -LARGEST / 4, LARGEST / 4)
+    with np.errstate(over="ignore"):
+        return np.asarray(cost.min() + _typical_excess(cost) * np.expm1(y))
+
+
+def _typical_excess(cost: Floats) -> float:
+    """The median of what costs [n] are above the least; 1 if they are equal."""
     excess = cost - cost.min()
     above = excess[excess > 0]
-    with np.errstate(over="ignore"):
-        ratio = excess / (np.median(above) if len(above) else 1.0)
-    return np.asarray(np.log1p(np.minimum(ratio, LARGEST)))
+    return float(np.median(above)) if len(above) else 1.0
 
 
 def squarable(values: Floats) -> Floats:

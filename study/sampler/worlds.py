@@ -10,12 +10,15 @@ and p_w the weights of the worlds:
     y(r)     m(r) + b . d(r) + shift + what features tell + a function of the parameters + noise
 
 with b ~ N(0, a^2 I). The shift is common to all rows: a robot may be worse than all worlds. A point
-off the table has the m and d of its nearest rows, by distance.
+off the table has the m and d of its nearest rows, by distance. Outcomes in other units than the
+study's values (shares survived, scores) tell which rows are better, not what they cost: m then has
+a slope, learned from the trials, in place of the shift.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +30,7 @@ from taichi_nmm.errors import InputError
 Floats = NDArray[np.float64]
 Outcomes = ArrayLike | Mapping[str, ArrayLike]
 """Costs [n, w] of rows in worlds, or by family of worlds."""
+Better = Literal["lower", "higher"]
 
 NEARNESS = 0.3  # s; of 0.03 to 1 the best compromise on tuning robots of five stores
 LEAST_SHARE = 1e-3  # of the least cost in the table: what is lower is taken for it
@@ -34,15 +38,16 @@ LEAST_SHARE = 1e-3  # of the least cost in the table: what is lower is taken for
 
 @dataclass(frozen=True, eq=False)
 class Worlds:
-    """Costs of n rows in w worlds."""
+    """Outcomes of n rows in w worlds."""
 
     names: tuple[str, ...]  # of the worlds
     costs: Floats  # [n, w]; NaN where unknown
     weights: Floats  # of the worlds, sum 1, [w]
+    better: Better | None = None  # of outcomes in units of their own; None: the study's
 
     @classmethod
-    def of(cls, outcomes: Outcomes) -> "Worlds":
-        """The worlds of costs [n, w] (or [n]: one world), or of such costs by family.
+    def of(cls, outcomes: Outcomes, better: Better | None = None) -> "Worlds":
+        """The worlds of outcomes [n, w] (or [n]: one world), or of such outcomes by family.
 
         Raises:
             InputError: naming the family: no numbers, other rows than the other families', or no
@@ -61,7 +66,7 @@ class Worlds:
             names += [f"{family} {world}" for world in range(count)]
             parts.append(part)
             weights.append(np.full(count, 1.0 / len(families) / count))
-        worlds = cls(tuple(names), np.hstack(parts), np.concatenate(weights))
+        worlds = cls(tuple(names), np.hstack(parts), np.concatenate(weights), better)
         if not worlds.known.any():
             allowed = "a row with its cost in all worlds"
             raise InputError("table.outcomes", "gaps in all rows", allowed)
@@ -89,6 +94,11 @@ class Ensemble:
     """The worlds' costs of m rows as a Gaussian process takes them."""
 
     def __init__(self, worlds: Worlds, rows: NDArray[np.int64], sign: float) -> None:
+        """Of these rows; `sign` is -1 in a study that maximises."""
+        self.names = worlds.names
+        self.in_costs = worlds.better is None  # whether outcomes and values have one unit
+        if not self.in_costs:
+            sign = -1.0 if worlds.better == "higher" else 1.0
         costs = sign * worlds.costs[rows]
         self._least = float(costs.min())
         own = self._spread(costs)
@@ -107,6 +117,14 @@ class Ensemble:
         y = log(c / c_0).
         """
         return np.asarray((self._spread(costs) - self._middle) / self._unit)
+
+    def costs(self, y: Floats) -> Floats:
+        """The costs of which these are the standard ones, [m]."""
+        own = self._middle + self._unit * y
+        if self._least <= 0.0:
+            return own
+        above = 1.0 + NEARNESS * np.expm1(np.maximum(own, 0.0))
+        return np.asarray(self._least * np.where(own < 0.0, np.exp(own), above))
 
     def _spread(self, costs: Floats) -> Floats:
         if self._least <= 0.0:
