@@ -14,7 +14,7 @@ from taichi_nmm.mujoco_engine import engine as mujoco_engine
 from tests.parity import numpy_dynamics
 from tests.parity.interpreter import interpreted
 
-LARGEST_NS, SLOTS, WALKERS, FLIGHT_S = 8.0, 3, 400, 0.9
+LARGEST_NS, SLOTS, WALKERS, FLIGHT_S = 8.0, 3, 400, 0.8
 Array = NDArray[np.float64]
 
 
@@ -89,4 +89,6 @@ def test_a_catch_in_the_air_takes_its_impulse(engine: str, monkeypatch: Any) -> 
         assert len(path.q) == round(FLIGHT_S * 1000) and not path.ground_force_n.any()
         forward = numpy_dynamics.momentum(path.q, path.qdot, Bodies.nominal(1))[:, 0]
         taken = np.cumsum(pulls(seed, largest, len(forward)).sum(axis=1)) * 1e-3
-        print(engine, largest, np.abs(forward - forward[0] - taken).max(), taken[-1], path.q[-1,2], forward[0])
+        error = np.abs(forward - forward[0] - taken).max()
+        assert error < 0.02 * LARGEST_NS / 2  # the integrator's, at 1 ms; muscles are inner forces
+        assert largest == 0.0 or taken[-1] < -largest / 3  # catches happened
