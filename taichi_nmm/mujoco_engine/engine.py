@@ -34,7 +34,7 @@ from taichi_nmm.world import NOT_OURS, OWN_CONTACT
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-OURS: Array = np.linalg.inv(RELATIVE)
+OF_RELATIVE: Array = np.linalg.inv(RELATIVE).astype(np.float64)  # q = OF_RELATIVE qpos
 CACHED = 256  # models: those of an experiment's runs come again with every trial
 
 
@@ -65,10 +65,11 @@ class Herd:
     def step(self, torque: Array, catch: Array) -> Array:
         """MuJoCo's step of all with these joint torques: qpos, qvel and sensors, [n, 26].
 
-        `catch` is the generalised force of catches in our coordinates, [n, 9]. Where MuJoCo cannot go on, the velocity is no number.
+        `catch` is the generalised force of catches in our coordinates, [n, 9]. Where
+        MuJoCo cannot go on, the velocity is no number.
         """
         self._torque[:] = torque
-        self._applied[:] = catch @ OURS  # qpos = RELATIVE q: equal work
+        self._applied[:] = catch @ OF_RELATIVE  # equal work
         position, quaternion = self._planes.under(self._qpos)
         self._plane_position[:] = position.reshape(self._plane_position.shape)
         self._plane_quaternion[:] = quaternion.reshape(self._plane_quaternion.shape)

@@ -51,10 +51,8 @@ class Both:
             terrain.stairs(rise_m=0.03, run_m=0.3, flat_start_m=0.2),
         ]
         self.index = np.arange(WALKERS) % len(grounds)
-        worlds = WorldRanges(
-            (0.5, 3.0), (0.5, 3.0), (0.5, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.01),
-            catch_ns=(0.0, 5.0),
-        ).draw(range(WALKERS))
+        ranges = (0.5, 3.0), (0.5, 3.0), (0.5, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.01)
+        worlds = WorldRanges(*ranges, catch_ns=(0.0, 5.0)).draw(range(WALKERS))
         bodies = Bodies.disturbed(range(WALKERS))
         batch = check_batch(gains, bodies, grounds, self.index, worlds=worlds)
         settings = Settings(precision="float64", arch="cpu", physics_step_s=step_s)

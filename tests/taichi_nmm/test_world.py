@@ -206,6 +206,13 @@ def test_noise_is_of_its_walker_and_its_seed() -> None:
     assert walk(Worlds.stacked(noisy), 3)[2:].tobytes() == other
 
 
+def test_catches_are_of_their_walker_and_its_seed() -> None:
+    own = [one_of(), *(one_of(catch_ns=4.0, noise_seed=seed) for seed in (1.0, 2.0))]
+    alone = [walk(world, 1).tobytes() for world in own]
+    assert len(set(alone)) == 3
+    assert [row.tobytes() for row in walk(Worlds.stacked(own), 3)] == alone
+
+
 def test_nerves_feel_the_force_itself() -> None:
     """Positive force feedback of a muscle of half the strength starts from half the force."""
     weak, strong = (recorded(strength=np.full(14, strength))[0] for strength in (0.5, 1.0))
