@@ -88,8 +88,8 @@ class WorldRanges:
     """The ranges that worlds are drawn from: lowest and highest value of each number.
 
     Contact stiffness and relaxation speed are drawn log-uniformly, the others uniformly, each from
-    a stream of its own, and so is the seed of the noise. A muscle is `overall_strength`, which all
-    of a walker's muscles share, times its own `strength`. They pickle and hash.
+    a stream of its own, and so is the seed of noise and catches. A muscle is `overall_strength`,
+    which all of a walker's muscles share, times its own `strength`. They pickle and hash.
     """
 
     contact_stiffness: Range = AS_NOMINAL
@@ -137,7 +137,7 @@ class WorldRanges:
 
 
 NOMINAL = WorldRanges()
-STREAMS = tuple(LIMITS)  # a new one comes last
+STREAMS = tuple(LIMITS)  # in this order; a new one comes last
 OWN_CONTACT = ("contact_stiffness", "relaxation_speed")  # numbers of our own engine's contact law
 NOT_OURS = "1 with the engine mujoco, whose contact is a setting of its own"
 
