@@ -15,7 +15,7 @@ from tests.parity import numpy_dynamics
 from tests.parity.interpreter import interpreted
 
 LARGEST_NS, SLOTS, WALKERS = 8.0, 3, 400
-FLIGHT_S, SEED = 0.8, 6  # both legs catch within
+FLIGHT_S, SEED = 0.6, 6  # both legs catch within
 LEVERS_M = np.array([THIGH_LENGTH_M, SHANK_LENGTH_M, BALL_OFFSET_M])
 Array = NDArray[np.float64]
 
