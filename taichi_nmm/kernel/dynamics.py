@@ -32,7 +32,7 @@ from taichi_nmm.settings import CONTROL_TICK_S
 Leg = blocks(inertia=6, coupling=6, rhs=3)
 
 CATCH_S = 0.02  # ours: short beside a swing of 0.4 s
-CATCH_EVERY_S = 1.0  # a leg; ours, about a stride (published gains: 1.14 s), so that catches fall anywhere in it
+CATCH_EVERY_S = 1.0  # of a leg; ours, about a stride (published gains: 1.14 s)
 CATCH_TICKS, CATCH_EVERY_TICKS = (round(t / CONTROL_TICK_S) for t in (CATCH_S, CATCH_EVERY_S))
 FIRST_CATCH_WORD = Signal.count + 1  # of the hash: after those of the noise
 

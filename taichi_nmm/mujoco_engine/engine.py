@@ -47,6 +47,7 @@ class Herd:
 
     def __init__(self, batch: Batch, settings: Settings) -> None:
         everybody = np.arange(len(batch))
+        self._catch = bool(batch.worlds.catch_ns.any())
         self._planes = ContactPlanes(batch.terrains, batch.terrain_index)
         bodies = np.hstack(list(vars(batch.bodies).values())).tolist()
         each = zip(map(tuple, bodies), batch.worlds.friction.tolist(), strict=True)
@@ -69,7 +70,8 @@ class Herd:
         MuJoCo cannot go on, the velocity is no number.
         """
         self._torque[:] = torque
-        self._applied[:] = catch @ OF_RELATIVE  # equal work
+        if self._catch:
+            self._applied[:] = catch @ OF_RELATIVE  # equal work
         position, quaternion = self._planes.under(self._qpos)
         self._plane_position[:] = position.reshape(self._plane_position.shape)
         self._plane_quaternion[:] = quaternion.reshape(self._plane_quaternion.shape)
