@@ -33,7 +33,7 @@ from taichi_nmm.parameters import (
 from taichi_nmm.result import DIVERGED, END_REASONS, RESULT_DTYPE, SCORE_FIELDS
 from taichi_nmm.settings import GPUS, OWN_ENGINE, Settings
 from taichi_nmm.terrain import Ground, Terrain, read_ground, rough
-from taichi_nmm.world import WorldRanges, Worlds, read_world
+from taichi_nmm.world import NOMINAL, WorldRanges, Worlds, read_world
 
 # By the purpose of a world's seed: the purposes of the streams that draw its body, its ground, and
 # its contact, muscles and nerves.
@@ -90,15 +90,15 @@ class WalkerWorlds:
 
     def document(self, worlds: DrawnWorlds) -> dict[str, Any]:
         """Names for people, and digests of all numbers that were drawn."""
-        bodies, surroundings = (
-            array_digest(*vars(drawn).values()) for drawn in (worlds.bodies, worlds.surroundings)
-        )
+        catches = self.ranges.catch_ns != NOMINAL.catch_ns  # newer than many stores, as below
+        drawn = [v for k, v in vars(worlds.surroundings).items() if k != "catch_ns" or catches]
+        bodies = array_digest(*vars(worlds.bodies).values())
         document: dict[str, Any] = {
             "terrain": terrain_document(worlds.terrains),
             "body": {"disturbance": self.disturbance, "sha256": bodies},
         }
         if ranges := self.ranges.document():  # else no key: it is newer than many stores
-            document["world"] = ranges | {"sha256": surroundings}
+            document["world"] = ranges | {"sha256": array_digest(*drawn)}
         return document
 
 

@@ -113,6 +113,7 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
         rows[:, Const.nerve_blend] = 1.0 - np.exp(-CONTROL_TICK_S / worlds.nerve_lag_s)
     rows[:, Const.sensing_noise] = worlds.sensing_noise
     rows[:, Const.noise_seed] = worlds.noise_seed
+    rows[:, Const.catch_ns] = worlds.catch_ns
     rows[:, Const.hat_weight] = mass[:, 0] * GRAVITY_MPS2
     # The HAT's centre of mass lies above the hip while D points down: hence the sign.
     rows[:, Const.a_hat] = -mass[:, 0] * com[:, 0]

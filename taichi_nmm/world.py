@@ -29,10 +29,11 @@ LIMITS: dict[str, Range] = {
     "relaxation_speed": (0.1, 100.0),
     "friction": (0.05, 10.0),
     "strength": (0.1, 10.0),
-    "overall_strength": (0.1, 10.0),
     "nerve_lag_s": (0.0, 1.0),
     "sensing_noise": (0.0, 10.0),
     "noise_seed": (0.0, NOISE_SEEDS - 1.0),
+    "overall_strength": (0.1, 10.0),
+    "catch_ns": (0.0, 50.0),
 }
 
 
@@ -52,7 +53,9 @@ class Worlds(Rows):
         sensing_noise: half the width of uniform noise on the signals, each tick anew, [n]: of
             forces over Fmax, lengths over the optimal one, loads over body weight, angles in rad,
             angular rates in 10 rad/s. Contact flags have neither noise nor lag.
-        noise_seed: of the noise, whole numbers below 2^24, [n].
+        noise_seed: of the noise and the catches, whole numbers below 2^24, [n].
+        catch_ns: largest impulse, N s, that holds a foot back when it catches, about once a second
+            (`kernel.dynamics.catch_feet`), [n].
     """
 
     contact_stiffness: NDArray[np.float64]
@@ -62,6 +65,7 @@ class Worlds(Rows):
     nerve_lag_s: NDArray[np.float64]
     sensing_noise: NDArray[np.float64]
     noise_seed: NDArray[np.float64]
+    catch_ns: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         self._check_shapes("world", _size)
@@ -76,7 +80,7 @@ class Worlds(Rows):
     def nominal(count: int = 1) -> "Worlds":
         """`count` worlds of the published walker."""
         one, zero, strength = np.ones(count), np.zeros(count), np.ones((count, MUSCLE_COUNT))
-        return Worlds(one, one, FRICTION_COEFFICIENT * one, strength, zero, zero, zero)
+        return Worlds(one, one, FRICTION_COEFFICIENT * one, strength, *[zero] * 4)
 
 
 @dataclass(frozen=True)
@@ -84,8 +88,8 @@ class WorldRanges:
     """The ranges that worlds are drawn from: lowest and highest value of each number.
 
     Contact stiffness and relaxation speed are drawn log-uniformly, the others uniformly, each from
-    a stream of its own, and so is the seed of the noise. A muscle is `overall_strength`, which all
-    of a walker's muscles share, times its own `strength`. They pickle and hash.
+    a stream of its own, and so is the seed of noise and catches. A muscle is `overall_strength`,
+    which all of a walker's muscles share, times its own `strength`. They pickle and hash.
     """
 
     contact_stiffness: Range = AS_NOMINAL
@@ -95,6 +99,7 @@ class WorldRanges:
     nerve_lag_s: Range = NONE
     sensing_noise: Range = NONE
     overall_strength: Range = AS_NOMINAL
+    catch_ns: Range = NONE
 
     def __post_init__(self) -> None:
         pairs = {each.name: checks.interval(*LIMITS[each.name]) for each in fields(self)}
@@ -132,7 +137,7 @@ class WorldRanges:
 
 
 NOMINAL = WorldRanges()
-STREAMS = (*(each.name for each in fields(Worlds)), "overall_strength")  # a new one comes last
+STREAMS = tuple(LIMITS)  # in this order; a new one comes last
 OWN_CONTACT = ("contact_stiffness", "relaxation_speed")  # numbers of our own engine's contact law
 NOT_OURS = "1 with the engine mujoco, whose contact is a setting of its own"
 

@@ -164,7 +164,7 @@ def robot_table(setting: Setting) -> str:
         ratios = getattr(body, field)[0] / getattr(nominal, field)[0]
         numbers[f"{name} over nominal, by link"] = " ".join(f"{each:.2f}" for each in ratios.flat)
     for name in ("friction", "contact_stiffness", "relaxation_speed", "nerve_lag_s",
-                 "sensing_noise"):  # fmt: skip
+                 "sensing_noise", "catch_ns"):  # fmt: skip
         numbers[name.replace("_", " ")] = f"{getattr(world, name)[0]:.3g}"
     strength = world.strength[0]
     numbers["strength of muscles"] = f"{strength.min():.2f} to {strength.max():.2f}"

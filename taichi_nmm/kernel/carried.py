@@ -4,7 +4,7 @@ The same functions as in `walker.step`, less dynamics, contacts and joint stops.
 torques of a physics step, `follow` takes in where the bodies are after it.
 """
 
-from taichi_nmm.kernel import contact, gait, joints, walker
+from taichi_nmm.kernel import contact, dynamics, gait, joints, walker
 from taichi_nmm.kernel.backend import Array, Rows, local_rows, ti
 from taichi_nmm.kernel.entry_points import (
     load,
@@ -37,7 +37,10 @@ def before(tick, commands, activation_blend,
            lanes: Rows, terrain: Rows, heights: Rows, muscles: Rows,
            state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
            const: Rows, work: Rows):  # fmt: skip
-    """Senses, control where `commands` is 1, muscles: the joint torques of a physics step."""
+    """Senses, control where `commands` is 1, muscles: the joint torques of a physics step.
+
+    The generalised force of catches is left at `Work.momentum`.
+    """
     walker.locate(1, lanes, terrain, heights, state, work)
     for lane in range(lanes):
         contact.ground_heights(lane, work)
@@ -47,6 +50,10 @@ def before(tick, commands, activation_blend,
     for lane in range(lanes):
         joints.turn_joints(lane, fibres, work)
         walker.add_ideal_torques(lane, state, work)
+    for lane in range(lanes):
+        for i in ti.static(range(COORDINATES)):
+            work[Work.momentum + i, lane] = 0.0
+        dynamics.catch_feet(lane, tick, 1.0, const, work)
 
 
 @ti.func
@@ -118,6 +125,8 @@ def drive(
                 drives[p, Drive.joint_torque + joint, lane] = work[Work.joint_torque + joint, lane]
             drives[p, Drive.metabolic_power, lane] = power_w
             drives[p, Drive.ground_hip, lane] = work[Work.ground_hip, lane]
+            for i in ti.static(range(COORDINATES)):
+                drives[p, Drive.catch + i, lane] = work[Work.momentum + i, lane]
 
 
 @ti.kernel

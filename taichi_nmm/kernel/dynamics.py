@@ -13,12 +13,28 @@ from taichi_nmm.body import (
     THIGH_LENGTH_M,
 )
 from taichi_nmm.kernel.backend import Rows, ti
-from taichi_nmm.kernel.elementary import larger
-from taichi_nmm.kernel.layout import CONTACTS, COORDINATES, LEGS, STOPS, Const, State, Work, blocks
+from taichi_nmm.kernel.elementary import FIRST_FACTOR, INCREMENT, TICK_FACTOR, larger, uniform
+from taichi_nmm.kernel.layout import (
+    CONTACTS,
+    COORDINATES,
+    LEGS,
+    STOPS,
+    Const,
+    Signal,
+    State,
+    Work,
+    blocks,
+)
+from taichi_nmm.settings import CONTROL_TICK_S
 
 # A leg's equations: m11, m22, m33, m12, m13, m23, coupling to the base in x, in z, right-hand side.
 # They and the base's are local vectors, which the compiler keeps in registers: `Work` is memory.
 Leg = blocks(inertia=6, coupling=6, rhs=3)
+
+CATCH_S = 0.02  # ours: short beside a swing of 0.4 s
+CATCH_EVERY_S = 1.0  # of a leg; ours, about a stride (published gains: 1.14 s)
+CATCH_TICKS, CATCH_EVERY_TICKS = (round(t / CONTROL_TICK_S) for t in (CATCH_S, CATCH_EVERY_S))
+FIRST_CATCH_WORD = Signal.count + 1  # of the hash: after those of the noise
 
 
 @ti.func
@@ -104,6 +120,32 @@ def momentum_after_free_step(lane, step_s, mass_scale, state: Rows, const: Rows,
     work[Work.momentum + 2, lane] = step_s * torque_0 + mass_scale * (
         a0 * (e0x * vx + e0z * vz) + b0 * w0
     )
+
+
+@ti.func
+def catch_feet(lane, tick, step_s, const: Rows, work: Rows):
+    """Add what holds the feet back at this tick to the momentum: step J^T f, as in `add_foot`.
+
+    Time is cut into slots. In each, each leg catches once, wholly within: when, and which share of
+    the largest impulse pulls its ball backwards, are hashes of walker, slot and leg.
+    """
+    slot = tick // CATCH_EVERY_TICKS
+    within = ti.cast(tick - CATCH_EVERY_TICKS * slot, float)
+    largest = const[Const.catch_ns, lane] / CATCH_S  # N
+    walker = ti.cast(const[Const.noise_seed, lane], ti.u32)
+    start = ti.cast(slot, ti.u32) * ti.u32(TICK_FACTOR) + walker * ti.u32(FIRST_FACTOR)
+    for leg in ti.static(range(LEGS)):
+        word = ti.static(FIRST_CATCH_WORD + 2 * leg)
+        when = 0.5 + 0.5 * uniform(start + ti.u32(INCREMENT * word % 2**32))
+        share = 0.5 + 0.5 * uniform(start + ti.u32(INCREMENT * (word + 1) % 2**32))
+        since = within - ti.floor(when * (CATCH_EVERY_TICKS - CATCH_TICKS + 1.0))
+        caught = (since >= 0.0) & (since < CATCH_TICKS)
+        impulse = step_s * ti.select(caught, 0.0 - share * largest, 0.0)
+        work[Work.momentum, lane] += impulse
+        for i in ti.static(range(3)):
+            lever = ti.static((THIGH_LENGTH_M, SHANK_LENGTH_M, BALL_OFFSET_M)[i])
+            x, _ = slope_vector(lane, 1 + 3 * leg + i, work)
+            work[Work.momentum + 3 + 3 * leg + i, lane] += impulse * lever * x
 
 
 @ti.func

@@ -1,4 +1,4 @@
-"""Sine, cosine, arctangent and exponential from arithmetic alone, so that lanes vectorise.
+"""Sine, cosine, arctangent, exponential, hash from arithmetic alone, so that lanes vectorise.
 
 Library functions are calls, and a call stops LLVM's loop vectoriser. Accurate to some 1e-15 in
 float64 and to rounding in float32 over the ranges named; tested against NumPy.
@@ -31,6 +31,10 @@ ARCTANGENT_Q = (
     1.0, 2.485846490142306297962e1, 1.650270098316988542046e2,
     4.328810604912902668951e2, 4.853903996359136964868e2, 1.945506571482613964425e2,
 )  # fmt: skip
+
+# Weyl's increment 2^32 / golden ratio, and the rounds of `lowbias32` (C. Wellons, 2018).
+INCREMENT, FIRST_FACTOR, SECOND_FACTOR = 0x9E3779B9, 0x7FEB352D, 0x846CA68B
+TICK_FACTOR = 0x85EBCA6B  # odd: no two ticks share their noise
 
 
 def terms(coefficients: tuple[float, ...], single: int) -> tuple[float, ...]:
@@ -109,3 +113,14 @@ def power_of_two(k):
     else:
         power = ti.bit_cast((ti.cast(k, ti.i32) + 127) << 23, ti.f32)
     return power
+
+
+@ti.func
+def uniform(word):
+    """A number in [-1, 1) from a word of 32 bits."""
+    word ^= word >> ti.u32(16)
+    word *= ti.u32(FIRST_FACTOR)
+    word ^= word >> ti.u32(15)
+    word *= ti.u32(SECOND_FACTOR)
+    word ^= word >> ti.u32(16)
+    return ti.cast(ti.cast(word >> ti.u32(8), ti.i32), float) * 2.0**-23 - 1.0

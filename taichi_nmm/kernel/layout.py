@@ -87,6 +87,7 @@ Const = blocks(
     nerve_blend=1,  # 1 - exp(-tick / lag); 1 without a lag
     sensing_noise=1,
     noise_seed=1,
+    catch_ns=1,
     hat_weight=1,  # N
     leg_weight=LEGS,  # N
     leg_angle_blend=1,  # 1 - exp(-w_filter tick)
@@ -191,6 +192,7 @@ Drive = blocks(
     joint_torque=3 * LEGS,
     metabolic_power=1,  # W
     ground_hip=1,
+    catch=COORDINATES,  # generalised force of catches, N and N m
 )
 Motion = blocks(
     q=COORDINATES,

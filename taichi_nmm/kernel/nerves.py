@@ -7,7 +7,7 @@ it does not depend on the batch, and costs no memory.
 
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.contact import on_ground
-from taichi_nmm.kernel.elementary import larger
+from taichi_nmm.kernel.elementary import FIRST_FACTOR, INCREMENT, TICK_FACTOR, larger, uniform
 from taichi_nmm.kernel.layout import (
     GAS,
     GLU,
@@ -70,9 +70,6 @@ FELT = tuple(
     for signal in range(Signal.count)
     if signal not in FLAGS
 )
-# Weyl's increment 2^32 / golden ratio, and the rounds of `lowbias32` (C. Wellons, 2018).
-INCREMENT, FIRST_FACTOR, SECOND_FACTOR = 0x9E3779B9, 0x7FEB352D, 0x846CA68B
-TICK_FACTOR = 0x85EBCA6B  # odd: no two ticks share their noise
 
 
 @ti.func
@@ -90,14 +87,3 @@ def feel(lane, tick, state: Rows, const: Rows, work: Rows):
         state[State.felt + signal, lane] = felt
         noise = uniform(start + ti.u32(INCREMENT * (signal + 1) % 2**32))
         work[Work.sensed + signal, lane] = felt + amplitude * scale * noise
-
-
-@ti.func
-def uniform(word):
-    """A number in [-1, 1) from a word of 32 bits."""
-    word ^= word >> ti.u32(16)
-    word *= ti.u32(FIRST_FACTOR)
-    word ^= word >> ti.u32(15)
-    word *= ti.u32(SECOND_FACTOR)
-    word ^= word >> ti.u32(16)
-    return ti.cast(ti.cast(word >> ti.u32(8), ti.i32), float) * 2.0**-23 - 1.0

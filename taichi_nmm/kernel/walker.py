@@ -43,6 +43,7 @@ def step(tick, substeps, step_s, activation_blend, load_blend, rough,
          state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
          const: Rows, work: Rows):  # fmt: skip
     """One control tick of 1 ms of all walkers in a pack: senses and control, then the physics."""
+    catch = feet_catch(lanes, const)
     for substep in range(substeps):
         locate(rough, lanes, terrain, heights, state, work)
         for lane in range(lanes):
@@ -58,6 +59,9 @@ def step(tick, substeps, step_s, activation_blend, load_blend, rough,
             contact.spring_forces(lane, step_s, state, const, work)
             joints.knee_and_ankle_stops(lane, step_s, work)
             dynamics.momentum_after_free_step(lane, step_s, 1.0, state, const, work)
+        if catch:
+            for lane in range(lanes):
+                dynamics.catch_feet(lane, tick, step_s, const, work)
         for _ in range(CONTACT_PASSES):
             for lane in range(lanes):
                 dynamics.solve(lane, step_s, const, work)
@@ -131,6 +135,15 @@ def nerves_vary(lanes: Rows, const: Rows):
         vary = larger(vary, 1.0 - const[Const.nerve_blend, lane])
         vary = larger(vary, const[Const.sensing_noise, lane])
     return vary > 0.0
+
+
+@ti.func
+def feet_catch(lanes: Rows, const: Rows):
+    """Whether any lane's feet catch; `dynamics.catch_feet` would change nothing of the others'."""
+    most = 0.0
+    for lane in range(lanes):
+        most = larger(most, const[Const.catch_ns, lane])
+    return most > 0.0
 
 
 @ti.func

@@ -34,6 +34,7 @@ from taichi_nmm.world import NOT_OURS, OWN_CONTACT
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
+OF_RELATIVE: Array = np.linalg.inv(RELATIVE).astype(np.float64)  # q = OF_RELATIVE qpos
 CACHED = 256  # models: those of an experiment's runs come again with every trial
 
 
@@ -46,6 +47,7 @@ class Herd:
 
     def __init__(self, batch: Batch, settings: Settings) -> None:
         everybody = np.arange(len(batch))
+        self._catch = bool(batch.worlds.catch_ns.any())
         self._planes = ContactPlanes(batch.terrains, batch.terrain_index)
         bodies = np.hstack(list(vars(batch.bodies).values())).tolist()
         each = zip(map(tuple, bodies), batch.worlds.friction.tolist(), strict=True)
@@ -61,12 +63,15 @@ class Herd:
         self._seat(self.numbers[still], models)
         self._simulations.state[:] = state
 
-    def step(self, torque: Array) -> Array:
+    def step(self, torque: Array, catch: Array) -> Array:
         """MuJoCo's step of all with these joint torques: qpos, qvel and sensors, [n, 26].
 
-        Where MuJoCo cannot go on, the velocity is no number.
+        `catch` is the generalised force of catches in our coordinates, [n, 9]. Where
+        MuJoCo cannot go on, the velocity is no number.
         """
         self._torque[:] = torque
+        if self._catch:
+            self._applied[:] = catch @ OF_RELATIVE  # equal work
         position, quaternion = self._planes.under(self._qpos)
         self._plane_position[:] = position.reshape(self._plane_position.shape)
         self._plane_quaternion[:] = quaternion.reshape(self._plane_quaternion.shape)
@@ -82,6 +87,7 @@ class Herd:
         self._simulations.set_models(models)
         bind = self._simulations.bind
         self._torque, self._sensors = bind("ctrl"), bind("sensordata")
+        self._applied = bind("qfrc_applied")
         self._qpos, self._qvel = bind("qpos"), bind("qvel")
         self._plane_position, self._plane_quaternion = bind("mocap_pos"), bind("mocap_quat")
 
@@ -145,7 +151,7 @@ class _Engine:
                     return
                 for substep in range(substeps):
                     self._drive.launch(tick=tick, commands=int(substep == 0))
-                    seen = self._herd.step(self._torques[self._seats])
+                    seen = self._herd.step(self._torques[self._seats], self._catches[self._seats])
                     self._motions[self._seats] = motion_rows(seen)
                     self._follow.launch(tick=tick, ends=int(substep == substeps - 1))
 
@@ -165,6 +171,7 @@ class _Engine:
         )
         # [pack, lane, row] of the same memory
         self._torques = drives[:, : 3 * LEGS].transpose(0, 2, 1)
+        self._catches = drives[:, Drive.catch :].transpose(0, 2, 1)
         self._motions = motions.transpose(0, 2, 1)
         self._seat(packs)
 

@@ -70,7 +70,8 @@ def interpreted(*names: str, double: bool = True) -> tuple[Any, ...]:
             vars(modules[name])["range"] = lane_range
         # Without the early exit: a settled pass repeats itself, bit for bit.
         vars(modules["walker"])["settled"] = lambda lanes, work: False
-        vars(modules["walker"])["nerves_vary"] = lambda lanes, const: True  # of some it is so
+        for name in ("nerves_vary", "feet_catch"):  # of some it is so
+            vars(modules["walker"])[name] = lambda lanes, const: True
         return tuple(modules[name] for name in names)
     finally:
         for name, module in real.items():

@@ -51,9 +51,8 @@ class Both:
             terrain.stairs(rise_m=0.03, run_m=0.3, flat_start_m=0.2),
         ]
         self.index = np.arange(WALKERS) % len(grounds)
-        worlds = WorldRanges(
-            (0.5, 3.0), (0.5, 3.0), (0.5, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.01)
-        ).draw(range(WALKERS))
+        ranges = (0.5, 3.0), (0.5, 3.0), (0.5, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.01)
+        worlds = WorldRanges(*ranges, catch_ns=(0.0, 5.0)).draw(range(WALKERS))
         bodies = Bodies.disturbed(range(WALKERS))
         batch = check_batch(gains, bodies, grounds, self.index, worlds=worlds)
         settings = Settings(precision="float64", arch="cpu", physics_step_s=step_s)
@@ -186,7 +185,8 @@ def test_bodies_that_another_engine_moves(step_s: float) -> None:
         )  # fmt: skip
         power = both.work[Work.metabolic_power : Work.metabolic_power + 2 * 7].sum(axis=0)
         torque = both.work[Work.joint_torque : Work.joint_torque + 3 * LEGS]
-        expected = np.vstack([torque, power, both.work[Work.ground_hip]])
+        catch = both.work[Work.momentum : Work.momentum + COORDINATES]
+        expected = np.vstack([torque, power, both.work[Work.ground_hip], catch])
         assert_close(both.packs.unfold(drives), expected.T)
         both.assert_same()
         both.work[:] = 0.0  # a kernel begins with an empty work array

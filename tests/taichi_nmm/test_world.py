@@ -14,7 +14,9 @@ from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.world import NOMINAL, WorldRanges, read_world
 
-ALL = WorldRanges((0.3, 10.0), (0.5, 8.0), (0.6, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.02))
+ALL = WorldRanges(
+    (0.3, 10.0), (0.5, 8.0), (0.6, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.02), catch_ns=(0.0, 2.0)
+)
 CPU = Settings(arch="cpu", threads=1)
 
 
@@ -44,7 +46,7 @@ def test_draws_fill_their_ranges_by_the_documented_rule() -> None:
         (np.log(worlds.relaxation_speed), np.log((0.5, 8.0))),
         (worlds.friction, (0.6, 1.0)), (worlds.strength[:, 3], (0.8, 1.1)),
         (worlds.nerve_lag_s, (0.0, 0.01)), (worlds.sensing_noise, (0.0, 0.02)),
-        (worlds.noise_seed, (0, 2**24)),
+        (worlds.noise_seed, (0, 2**24)), (worlds.catch_ns, (0.0, 2.0)),
     ):  # fmt: skip
         assert_uniform((values - low) / (high - low))
     columns = np.column_stack([*list(vars(worlds).values())[:3], worlds.strength])
@@ -96,6 +98,7 @@ def test_the_table_reads_back_what_was_written() -> None:
     ("strength", [0.8, float("nan")], "0.1 to 10"),
     ("contact_stiffness", [1.0, 1e9], "0.01 to 100"),
     ("contact_stifness", [1.0, 2.0], "only the keys contact_stiffness"),
+    ("catch_ns", [-1.0, 2.0], "0 to 50"), ("catch_ns", [0.0, 51.0], "0 to 50"),
 ])  # fmt: skip
 def test_a_bad_table_is_named(key: str, value: Any, allowed: str) -> None:
     with pytest.raises(InputError) as error:
@@ -109,6 +112,7 @@ def test_a_bad_table_is_named(key: str, value: Any, allowed: str) -> None:
     ({"friction": [0.9, -1.0]}, "worlds.friction"),
     ({"relaxation_speed": [1.0, np.nan]}, "worlds.relaxation_speed"),
     ({"contact_stiffness": "stiff"}, "worlds.contact_stiffness"), ({"friction": [0.9]}, "worlds"),
+    ({"catch_ns": [0.0, 50.1]}, "worlds.catch_ns"),
 ])  # fmt: skip
 def test_bad_worlds_are_named(change: dict[str, Any], field: str) -> None:
     with pytest.raises(InputError) as error:
@@ -200,6 +204,13 @@ def test_noise_is_of_its_walker_and_its_seed() -> None:
     first, again, other = (walk(world, 1).tobytes() for world in noisy)
     assert first == again != other
     assert walk(Worlds.stacked(noisy), 3)[2:].tobytes() == other
+
+
+def test_catches_are_of_their_walker_and_its_seed() -> None:
+    own = [one_of(), *(one_of(catch_ns=4.0, noise_seed=seed) for seed in (1.0, 2.0))]
+    alone = [walk(world, 1).tobytes() for world in own]
+    assert len(set(alone)) == 3
+    assert [row.tobytes() for row in walk(Worlds.stacked(own), 3)] == alone
 
 
 def test_nerves_feel_the_force_itself() -> None:

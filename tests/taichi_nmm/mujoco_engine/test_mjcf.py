@@ -116,7 +116,7 @@ def test_a_walker_is_advanced_as_its_file_is(model: mujoco.MjModel) -> None:
     mujoco.mj_resetDataKeyframe(model, data, 0)
     for _ in range(200):
         mujoco.mj_step(model, data)
-        moved = herd.step(np.zeros((1, 6)))
+        moved = herd.step(np.zeros((1, 6)), np.zeros((1, 9)))
     np.testing.assert_allclose(moved[0, :9], data.qpos, rtol=0, atol=1e-6)
 
 
