@@ -47,6 +47,7 @@ class Model:
     running: Points  # trials of other workers whose parameters are known
     known: Learned  # constants that were learned so far; new ones are added
     ensemble: Ensemble | None = None  # of simulated worlds, whose costs are expected
+    success: float | None = None  # cost up to which a trial has succeeded
 
     @cached_property
     def feasible(self) -> Mask:
@@ -56,7 +57,8 @@ class Model:
     def utility(self, points: Points, offered: Mask, rng: np.random.Generator) -> Floats:
         """How good each of m candidates is, [m]; minus infinity where not offered or not examined.
 
-        The log of the expected improvement times the probability that all limits are kept.
+        The log of the expected improvement times the probability that all limits are kept; until a
+        trial has succeeded, of the probability of success times that.
 
         Args:
             points: the candidates.
@@ -102,10 +104,13 @@ class Model:
 
     def cost(self, some: slice = slice(None)) -> Floats:
         """The costs of some trials as the process sees them, [n]."""
-        cost = self.costs[some]
+        return self.standard(self.costs[some], self.costs[some])
+
+    def standard(self, values: Floats, costs: Floats) -> Floats:
+        """Values [m] as the process sees them after costs [n]."""
         if self.ensemble is not None and self._in_costs:
-            return self.ensemble.standard(cost)
-        return log_excess(cost) if self.kernel.by_order else squarable(cost)
+            return self.ensemble.standard(values)
+        return log_excess(values, costs) if self.kernel.by_order else squarable(values)
 
     def in_units(self, cost: Floats) -> Floats:
         """The inverse of `cost`, [m]."""
@@ -201,8 +206,11 @@ class Model:
             return kept
         mean, variance = self.posterior.predict(visible)
         cost = self.cost()
-        best = float(cost[feasible].min())
         mean += self.expected(points, cost)
+        if self.success is not None and self.costs[feasible].min() > self.success:
+            (goal,) = self.standard(np.array([self.success]), self.costs)
+            return log_kept(mean - goal, variance) + kept
+        best = float(cost[feasible].min())
         return log_expected_improvement(mean, np.sqrt(variance), best) + kept
 
 
@@ -276,7 +284,7 @@ def argmax_random_tie(values: Floats, rng: np.random.Generator) -> int:
 
 
 def log_kept(mean: Floats, variance: Floats) -> Floats:
-    """log P(limit <= 0) of a limit ~ N(mean, variance), [m].
+    """log P(limit <= 0) of a limit, or of a cost above its goal, ~ N(mean, variance), [m].
 
     Gelbart, Snoek, Adams 2014, section 3. Of limits that are 1 (failed) or -1, it is the
     least-squares classifier (Rasmussen, Williams 2006, section 6.5).

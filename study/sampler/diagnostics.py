@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from optuna.trial import FrozenTrial
 
 from study.sampler.acquisition import Model
-from study.sampler.gp import JITTER, Posterior, shape_of
-from study.sampler.history import OFF_TABLE, ROW_ATTRIBUTE, read_limits
+from study.sampler.gp import JITTER, Posterior, misfit, shape_of
+from study.sampler.history import read_limits
 from study.sampler.transforms import Points
 
 Floats = NDArray[np.float64]
@@ -41,6 +41,7 @@ DOUBTED = (
 )
 LEAST_RANKED = 4  # trials with a feature, for its correlation
 NORMAL_95 = 1.959964  # 97.5 % quantile of the normal distribution
+NOISES = np.geomspace(1e-3, 1.0, 11)  # variances, in standard units
 CANDIDATES = 512  # whose variation is computed, evenly among all
 
 
@@ -221,6 +222,7 @@ class Present:
     """The finished trials of a study, and what the sampler makes of them."""
 
     trials: tuple[FrozenTrial, ...]  # n of them
+    rows: tuple[int | None, ...]  # of the table, that each is
     names: tuple[str, ...]  # of the k features
     features: Floats  # of the n trials, in units of their own, NaN where unknown, [n, k]
     model: Model  # the sampler's, for trials that follow the features
@@ -452,18 +454,35 @@ def best_of(present: Present, *, maximised: bool) -> Best:
     Where the model has no parameters, noise is what parameters do, and is part of the interval.
     """
     model, trials = present.model, present.trials
-    mean, variance = model.posterior.predict(model.visible(model.trials))
+    mean, variance = _over_noise(model)
     mean += model.expected(model.trials, model.cost())
     kept = ~(read_limits(trials) > 0).any(axis=1)
     best = int(np.argmin(np.where(kept | ~kept.any(), mean, np.inf)))
     away = NORMAL_95 * sqrt(float(variance[best]))
     ends = model.in_units(mean[best] + away * np.array([0.0, -1.0, 1.0]))
     value, low, high = (-ends[[0, 2, 1]] if maximised else ends).tolist()
-    trial = trials[best]
-    row = trial.user_attrs.get(ROW_ATTRIBUTE, OFF_TABLE)
+    trial, row = trials[best], present.rows[best]
     same = sum(other.params == trial.params for other in trials)
-    known = None if row is None or row == OFF_TABLE else int(row)
-    return Best(trial.number, dict(trial.params), known, value, low, high, same)
+    return Best(trial.number, dict(trial.params), row, value, low, high, same)
+
+
+def _over_noise(model: Model) -> tuple[Floats, Floats]:
+    """Mean and variance of n trials' costs, averaged over the noise by its likelihood, [n] each.
+
+    Proposals take the likeliest noise under a prior that expects little: enough to choose by, too
+    sure for an interval.
+    """
+    own, points = model.posterior, model.visible(model.trials)
+    means, variances, misfits = list[Floats](), list[Floats](), list[float]()
+    for noise in NOISES:
+        posterior = replace(own, theta=np.append(own.theta[:-1], np.log(noise)))
+        z = (posterior.theta[-1] - own.covariance.modes[-1]) / own.covariance.spreads[-1]
+        misfits.append(misfit(own.covariance, own.x, own.y, posterior.theta)[0] - 0.5 * z**2)
+        for found, part in zip((means, variances), posterior.predict(points), strict=True):
+            found.append(part)
+    weights = scipy.special.softmax(-np.array(misfits))
+    mean = weights @ np.array(means)
+    return mean, weights @ (np.array(variances) + (np.array(means) - mean) ** 2)
 
 
 def percents(shares: tuple[float, ...]) -> tuple[int, ...]:

@@ -52,6 +52,7 @@ class History:
         np.int64
     ]  # of each, the row whose features it has; OFF_TABLE: it has its own, [n]
     cost: Floats  # of each, lower is better, finite, [n]
+    sign: float  # of costs in the study's values: -1 where these are maximised
     running: Floats  # parameters of those running elsewhere, [r, d]
     running_rows: NDArray[np.int64]  # of each, [r]
     tried: NDArray[np.bool_]  # rows that any trial has taken, whatever became of it, [table rows]
@@ -117,6 +118,7 @@ def read_history(
         trials,
         *points(TrialState.COMPLETE),
         sign * clip_infinities(values),
+        sign,
         *points(TrialState.RUNNING),
         tried,
         tuple(unplaced),

@@ -62,6 +62,7 @@ class Options:
     space: Mapping[str, BaseDistribution] | None
     extra_parameters: frozenset[str]
     strict: bool
+    success: float | None
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,13 @@ class Policy:
     ) -> Model:
         """The model of one trial, after the trials of a history, at the points where they were."""
         plain = self.plain_model(prior_mean, parameters, seen, history.cost, ensemble)
-        model = replace(plain, limits=read_limits(history.trials), running=running)
+        success = self.options.success
+        model = replace(
+            plain,
+            limits=read_limits(history.trials),
+            running=running,
+            success=None if success is None else history.sign * success,
+        )
         kept = history.cost[model.feasible]
         if self.learns_trust and is_doubtful(kept, own_turn, prior_mean is not None):
             return replace(model, kernel=NEARNESS, prior_mean=None)
@@ -162,6 +169,7 @@ class Policy:
     def present_of(
         self,
         trials: tuple[FrozenTrial, ...],
+        rows: tuple[int | None, ...],
         names: Sequence[str],
         features: Floats,
         model: Model,
@@ -174,7 +182,9 @@ class Policy:
         is_doubted = any(is_doubtful(model.costs, turn, has_prior) for turn in (0, 1))
         is_doubted = is_doubted and self.learns_trust
         owners = scale.owners
-        return Present(trials, tuple(names), features, model, candidates, owners, is_doubted, first)
+        return Present(
+            trials, rows, tuple(names), features, model, candidates, owners, is_doubted, first
+        )
 
     def rng(self, purpose: Purpose, turn: int) -> np.random.Generator:
         """The generator of one draw of one trial."""

@@ -106,6 +106,10 @@ class FeatureKernelSampler(BaseSampler):
             mean square of the parameters' differences, each as a share of its range (of its
             logarithm, where it is logarithmic; two choices are 1 apart): 0.05 is a twentieth of
             the ranges. None: such trials are ignored, unless there is a `feature_function`.
+        success: the value of the study from which on a trial has succeeded: at most this, or at
+            least, where values are maximised. Until one has, the candidate that most likely
+            succeeds comes next, then that of the largest expected improvement. None: improvement
+            alone counts.
         constraints_func: gone; call `trial.set_constraint(key, value)` in the objective.
 
     Raises:
@@ -128,6 +132,7 @@ class FeatureKernelSampler(BaseSampler):
         extra_parameters=checks.each(checks.text),
         independent_sampler=checks.optional(checks.instance(BaseSampler)),
         nearest=checks.optional(checks.number(0)),
+        success=checks.optional(checks.number()),
         constraints_func=_no_constraints,
     )
     def __init__(
@@ -144,6 +149,7 @@ class FeatureKernelSampler(BaseSampler):
         extra_parameters: Collection[str] = (),
         independent_sampler: BaseSampler | None = None,
         nearest: float | None = None,
+        success: float | None = None,
         constraints_func: None = None,
     ) -> None:
         """Check the options; nothing is computed yet."""
@@ -156,7 +162,7 @@ class FeatureKernelSampler(BaseSampler):
         if off_grid is None:
             off_grid = OFF_GRID if chosen.worlds else 0
         extra = frozenset(extra_parameters)
-        options = Options(chosen, prior, off_grid, nearest, space, extra, strict)
+        options = Options(chosen, prior, off_grid, nearest, space, extra, strict, success)
         _require_sense(features, feature_function, options, self._kernel)
         seed = new_seed() if seed is None else seed
         independent = independent_sampler or ReproducibleRandomSampler(seed=seed)

@@ -110,7 +110,8 @@ class SpacePolicy(Policy):
         model = self.plain_model(prior_mean, len(space), seen, history.cost)
         candidates = _placed(scale, features, space, points)
         names = _names(features)
-        return self.present_of(history.trials, names, shown, model, candidates, scale)
+        trials, rows = history.trials, (None,) * len(history.trials)
+        return self.present_of(trials, rows, names, shown, model, candidates, scale)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Nothing is noted."""

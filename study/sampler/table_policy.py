@@ -499,8 +499,9 @@ class TablePolicy(Policy):
             merit = self.prior_mean.merit(self._points().features)
             best = np.argsort(-merit, kind="stable")[:RANKED]
             first = {row: self.rows.features[row] for row in self.rows.numbers[best].tolist()}
-        names, points = self.rows.feature_names, self._points(ensemble)
-        return self.present_of(history.trials, names, shown, model, points, self._scale, first)
+        trials, names = history.trials, self.rows.feature_names
+        rows, points = tuple(row_of(self.rows, trial) for trial in trials), self._points(ensemble)
+        return self.present_of(trials, rows, names, shown, model, points, self._scale, first)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.

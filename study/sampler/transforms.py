@@ -80,23 +80,26 @@ class Points:
         )
 
 
-def log_excess(cost: Floats) -> Floats:
-    """log(1 + (cost - least) / typical) of costs [n], typical being the median excess.
+def log_excess(values: Floats, cost: Floats) -> Floats:
+    """log(1 + (value - least) / typical) of values [m], by costs [n], typical the median excess.
 
     Costs of any sign and unit, in the same order; far above the least, their logarithm: a cliff
     does not hide what is at its foot. Costs beyond a quarter of the largest float count as that.
+    Below the least, what is as far below is minus what is above.
     """
-    cost = np.clip(cost, -LARGEST / 4, LARGEST / 4)  # so that excess, and two of them, are finite
+    ends = -LARGEST / 4, LARGEST / 4  # so that excess, and two of them, are finite
+    cost = np.clip(cost, *ends)
     with np.errstate(over="ignore"):
-        ratio = (cost - cost.min()) / _typical_excess(cost)
-    return np.asarray(np.log1p(np.minimum(ratio, LARGEST)))
+        ratio = (np.clip(values, *ends) - cost.min()) / _typical_excess(cost)
+    return np.asarray(np.copysign(np.log1p(np.minimum(np.abs(ratio), LARGEST)), ratio))
 
 
 def of_log_excess(y: Floats, cost: Floats) -> Floats:
     """The costs [m] whose `log_excess` among the costs [n] is y [m]."""
     cost = np.clip(cost, -LARGEST / 4, LARGEST / 4)
     with np.errstate(over="ignore"):
-        return np.asarray(cost.min() + _typical_excess(cost) * np.expm1(y))
+        above = np.copysign(np.expm1(np.abs(y)), y)
+        return np.asarray(cost.min() + _typical_excess(cost) * above)
 
 
 def _typical_excess(cost: Floats) -> float:

@@ -100,7 +100,8 @@ class Ensemble:
         if not self.in_costs:
             sign = -1.0 if worlds.better == "higher" else 1.0
         costs = sign * worlds.costs[rows]
-        self._least = float(costs.min())
+        # Units of their own may have any zero: no logarithm.
+        self._least = float(costs.min()) if self.in_costs else 0.0
         own = self._spread(costs)
         self._middle, self._unit = float(own.mean()), float(own.std()) or 1.0
         own = self.standard(costs)

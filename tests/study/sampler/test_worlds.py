@@ -1,13 +1,14 @@
 """Costs in worlds as a part of the model: against NumPy, and what the sampler makes of it."""
 
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import optuna
 import pytest
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import Model
@@ -26,6 +27,7 @@ def cost(unit: Any, place: Any) -> Any:
 
 
 COSTS = np.column_stack([cost(ROWS, place) for place in PLACES])
+DIRECTIONS = {1.0: "minimize", -1.0: "maximize"}
 SPREAD = np.log(1.0 + (COSTS / COSTS.min() - 1.0) / 0.3)
 
 
@@ -234,3 +236,111 @@ def test_outcomes_of_other_rows_than_the_features_are_refused() -> None:
         FeatureTable.from_arrays({"x": ROWS[:59, 0]}, ROWS[:59], outcomes=COSTS)
     with pytest.raises(InputError, match=r"^table.features: 'none' .* outcomes, or both"):
         FeatureTable.from_arrays({"x": ROWS[:, 0]})
+
+
+def other_units(outcomes: Any, better: Any = "higher") -> FeatureTable:
+    columns = {"x": ROWS[:, 0], "y": 100.0 ** ROWS[:, 1]}
+    return FeatureTable.from_arrays(columns, outcomes=outcomes, better=better, space=SPACE)
+
+
+def test_outcomes_in_other_units_tell_the_same_whatever_their_scale() -> None:
+    shares = 1.0 / COSTS  # high ones are good
+    study = studied(FeatureKernelSampler(other_units(-COSTS), seed=1), 12)
+    again = studied(FeatureKernelSampler(other_units(COSTS - 50.0, "lower"), seed=1), 12)
+    params = [trial.params for trial in study.trials]
+    np.testing.assert_allclose(
+        [list(each.values()) for each in params], [list(t.params.values()) for t in again.trials]
+    )
+    first = studied(FeatureKernelSampler(other_units(shares), seed=1), 1).trials[0]
+    assert first.user_attrs["row"] == np.argmax(shares.mean(axis=1))
+    assert study.best_value < np.sort(cost(ROWS, np.array([0.85, 0.75])))[1]
+    upwards = studied(FeatureKernelSampler(other_units(-COSTS), seed=1), 12, sign=-1.0)
+    assert [trial.params for trial in upwards.trials] == params
+
+
+@pytest.mark.parametrize(("given", "match"), [
+    ({"better": "more", "outcomes": COSTS}, "^table.better: 'more' .* lower or higher"),
+    ({"better": "higher", "features": COSTS}, "^table.better: 'higher' .* none without outcomes"),
+])  # fmt: skip
+def test_words_for_outcomes_that_are_refused(given: Any, match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        FeatureTable.from_arrays({"x": ROWS[:, 0]}, **given)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_until_a_trial_succeeds_the_likeliest_success_comes_next(sign: float) -> None:
+    def tried(success: float | None) -> list[float]:
+        sampler = FeatureKernelSampler(table(sign * COSTS), seed=1, success=success)
+        study = studied(sampler, 10, sign)
+        return [sign * trial.values[0] for trial in study.trials]
+
+    assert tried(sign * 1e9) == tried(None)  # all have succeeded
+    never = tried(sign * 1e-9)
+    assert never != tried(None) and len(set(never)) == 10
+
+
+def test_the_chance_of_success_is_that_of_the_posterior() -> None:
+    ensemble = Ensemble(Worlds.of(COSTS), np.arange(60), 1.0)
+    points = Points(ensemble.columns, ROWS)
+    seen, nobody = points.take(np.arange(9)), points.take(np.arange(0))
+    costs, offered = COSTS[:9, 2] + 0.2, np.ones(60, dtype=bool)
+    model = Model(WORLDS, None, 2, seen, costs, np.empty((9, 0)), nobody, {}, ensemble)
+    mean, variance = model.posterior.predict(points)
+    away = ensemble.standard(np.array([0.15])) - mean - ensemble.mean
+    chance = norm.logcdf(away / np.sqrt(variance))
+    rng = np.random.default_rng(0)
+    aimed = replace(model, success=0.15)
+    np.testing.assert_allclose(aimed.utility(points, offered, rng), chance, rtol=1e-6)
+    reached = replace(model, success=float(costs.min())).utility(points, offered, rng)
+    np.testing.assert_array_equal(reached, model.utility(points, offered, rng))
+
+
+NOISE = 0.05
+
+
+def measured(trial: optuna.Trial, rng: np.random.Generator) -> float:
+    return robot(trial) * float(np.exp(NOISE * rng.standard_normal()))
+
+
+@pytest.mark.parametrize("sampler", [
+    FeatureKernelSampler(table(), seed=1, off_grid=0),
+    FeatureKernelSampler(other_units(-COSTS), seed=1),
+    FeatureKernelSampler(table(None, COSTS), seed=1),
+    FeatureKernelSampler(None, seed=1, space=SPACE),
+], ids=["worlds", "other units", "features", "parameters"])  # fmt: skip
+def test_the_best_trial_has_an_interval_that_holds_its_value(sampler: Any) -> None:
+    held = []
+    for seed in range(12):
+        rng, study = np.random.default_rng(seed), optuna.create_study(sampler=sampler)
+        study.optimize(lambda trial, rng=rng: measured(trial, rng), n_trials=12)  # type: ignore[misc]
+        best = sampler.best(study)
+        trial = study.trials[best.number]
+        assert best.params == trial.params and best.low < best.value < best.high
+        held.append(best.low <= robot(optuna.trial.FixedTrial(trial.params)) <= best.high)
+    assert sum(held) >= 9  # one in 2,500 draws of twelve has fewer, were each held by 95 %
+
+
+def test_the_best_trial_keeps_its_limits_and_pools_its_repeats() -> None:
+    rows, found = table().rows, []
+    for sign, direction in DIRECTIONS.items():
+        study = optuna.create_study(direction=direction)
+        for row in (*range(6), 2, 2):  # three of the cheapest, which is over the limit
+            study.enqueue_trial(rows.as_parameters(row))
+            trial = study.ask(SPACE)
+            trial.set_constraint("left", 1.0 if row == 4 else -1.0)
+            study.tell(trial, sign * (0.3 + 0.1 * abs(row - 4)))
+        found.append(FeatureKernelSampler(table(sign * COSTS), seed=1).best(study))
+    assert found[0].row == found[1].row and found[0].row in (3, 5)
+    assert found[0].value == pytest.approx(-found[1].value)
+    assert found[0].low == pytest.approx(-found[1].high)
+    study.enqueue_trial(rows.as_parameters(found[0].row))
+    study.tell(study.ask(SPACE), -0.1)
+    again = FeatureKernelSampler(table(-COSTS), seed=1).best(study)
+    assert again.trials == 2 and str(again).startswith(f"Trial {again.number}, row {again.row}: -")
+
+
+def test_a_study_without_trials_has_no_best_one() -> None:
+    sampler = FeatureKernelSampler(table(), seed=1)
+    study = optuna.create_study(study_name="new", sampler=sampler)
+    with pytest.raises(InputError, match=r"^study: 'new' .* a finished trial of these parameters"):
+        sampler.best(study)
