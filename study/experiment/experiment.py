@@ -11,6 +11,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from optuna.distributions import FloatDistribution
 
 from study.sampler.draws import Purpose, stream
@@ -19,11 +20,13 @@ from taichi_nmm.conditions import Conditions, read_conditions
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS, Parameter, searched_parameters
-from taichi_nmm.result import smooth_cost, walking_cost
+from taichi_nmm.result import RESULT_DTYPE, smooth_cost, walking_cost
 from taichi_nmm.terrain import Terrain
 from taichi_nmm.world import Worlds
 
 COST_FUNCTIONS = {"smooth": smooth_cost, "walking": walking_cost}  # the paper's two
+SUCCESS_SPEED_MPS = 1.1  # people walk at 1.3; of 1.0 and 1.1 the better on tuning robots
+WALKING_SUCCESS = 150.0  # walking_cost: who falls pays 300 less the distance, who lasts below 130
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 NAME_WORDS = "letters, digits, '.', '_' and '-', first a letter or digit"
 MOST_RUNS = 10_000
@@ -68,6 +71,19 @@ class Experiment:
     def space(self) -> dict[str, FloatDistribution]:
         """The search space as Optuna has it."""
         return search_space(self.parameters)
+
+    @property
+    def success(self) -> float:
+        """The cost of a trial that has succeeded: of a walk to the end.
+
+        With the smooth cost of a fast one, since a slow one costs more than a late fall.
+        """
+        if self.cost == "walking":
+            return WALKING_SUCCESS
+        walk, duration_s = np.zeros(1, RESULT_DTYPE), self.conditions.duration_s
+        walk["duration_s"], walk["mean_speed_mps"] = duration_s, SUCCESS_SPEED_MPS
+        walk["distance_m"] = SUCCESS_SPEED_MPS * duration_s
+        return float(smooth_cost(walk)[0])
 
     def body(self, run: int) -> Bodies:
         """The one body of a run."""

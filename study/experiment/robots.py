@@ -65,7 +65,7 @@ class RobotArm:
 
     label: str  # in tables and figures
     sees: str  # of the store, before the first trial
-    new_sampler: Callable[[FeatureTable, int], BaseSampler]
+    new_sampler: Callable[[FeatureTable, int, float], BaseSampler]  # of a seed and success
     first: int | None = 0
 
 
@@ -74,21 +74,22 @@ _RANKED = f"the ranking's first {FIRST_ROWS} rows"
 
 ARMS: dict[str, RobotArm] = {
     "worlds": RobotArm(
-        "worlds", "costs in each world", lambda t, s: FeatureKernelSampler(t, seed=s)
+        "worlds", "costs in each world",
+        lambda t, s, lasts: FeatureKernelSampler(t, seed=s, success=lasts),
     ),
-    "ranking": RobotArm("ranking", "the ranking", lambda t, s: RandomSampler(seed=s), None),
+    "ranking": RobotArm("ranking", "the ranking", lambda t, s, lasts: RandomSampler(seed=s), None),
     "gp-ranking": RobotArm(
         "GPSampler after 3", _RANKED,
-        lambda t, s: GPSampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
+        lambda t, s, lasts: GPSampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
     ),
     "tpe-ranking": RobotArm(
         "TPE after 3", _RANKED,
-        lambda t, s: TPESampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
+        lambda t, s, lasts: TPESampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
     ),
-    "gp": RobotArm("GPSampler", NOTHING, lambda t, s: GPSampler(seed=s)),
-    "tpe": RobotArm("TPE", NOTHING, lambda t, s: TPESampler(seed=s)),
-    "cmaes": RobotArm("CMA-ES", NOTHING, lambda t, s: CmaEsSampler(seed=s)),
-    "random": RobotArm("random", NOTHING, lambda t, s: RandomSampler(seed=s)),
+    "gp": RobotArm("GPSampler", NOTHING, lambda t, s, lasts: GPSampler(seed=s)),
+    "tpe": RobotArm("TPE", NOTHING, lambda t, s, lasts: TPESampler(seed=s)),
+    "cmaes": RobotArm("CMA-ES", NOTHING, lambda t, s, lasts: CmaEsSampler(seed=s)),
+    "random": RobotArm("random", NOTHING, lambda t, s, lasts: RandomSampler(seed=s)),
 }  # fmt: skip
 NEED_TORCH = ("gp-ranking", "gp")
 
@@ -385,10 +386,10 @@ def _study(
     """The study of an arm on a robot, which begins with the rows that the arm is given."""
     table = candidates(experiment)
     chosen, seed = ARMS[arm], seed_32bit(experiment.seed, Purpose.SAMPLER, name_key(arm), run)
+    sampler = chosen.new_sampler(table, seed, experiment.fell_cost)
     study = optuna.create_study(
-        storage=storage, sampler=chosen.new_sampler(table, seed), study_name=name,
-        load_if_exists=True,
-    )  # fmt: skip
+        storage=storage, sampler=sampler, study_name=name, load_if_exists=True
+    )
     for left in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         study.tell(left.number, state=TrialState.FAIL)  # of a process that was killed
         study.enqueue_trial(left.params)
