@@ -140,6 +140,7 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         *((read, {"columns": ["row"]})
           for read in (opened.numpy, opened.pandas, opened.table, opened.tables)),
         (sampler.worth, {"study": tried(lambda: sampler)()}),
+        (sampler.best, {"study": tried(lambda: sampler)()}),
         (study.FeatureTable, {"rows": table.rows, "file": None}),
         (from_arrays, {"parameters": {"x": [0.0, 1.0]}, "features": [1, 2],
                        "feature_names": ["f"], "bounds": {"x": (0, 1)}, "space": None}),
