@@ -2,11 +2,12 @@
 
     python tools/compare_outside.py                    # the problems for tuning
     python tools/compare_outside.py --problems all     # those that are only reported as well
+    python tools/compare_outside.py --problems measured  # yields of reactions, beside BayBE and Ax
     python tools/compare_outside.py --seeds 3 --arms ours,tpe --problems transport-solver
 
 The cache keeps finished runs: the same command resumes, and a run is repeated only where the code
-or the numbers that made it have changed. GPSampler needs PyTorch, which this project does not
-install: without it that arm is left out.
+or the numbers that made it have changed. GPSampler needs PyTorch, and BayBE and Ax themselves,
+which this project does not install: without them these arms are left out.
 """
 
 import sys
@@ -30,7 +31,8 @@ with guarded_imports():
     from tools.outside import ARMS, PROBLEMS, outside_problem
     from tools.page import ROOT, write_page
 
-NAME = "sampler-outside"
+PAGES = {False: ("sampler-outside", "Samplers on problems from outside"),
+         True: ("sampler-measured", "Samplers on measured reactions")}  # fmt: skip
 MOST_SEEDS, MOST_TRIALS = 10_000, 100_000
 CHECKPOINTS = (5, 10, 20, 40)  # trials
 OUR_ARMS = [name for name, arm in ARMS.items() if arm.ours]
@@ -47,10 +49,13 @@ def main() -> None:
     ]
     costs = np.array(outside.execute(runs, options.cache, options.processes))
     costs = costs.reshape(len(keys), options.seeds, options.trials)
-    compared = Comparison(dict(zip(keys, costs, strict=True)))
+    seconds = np.array([run.seconds(options.cache) for run in runs]).reshape(costs.shape[:2])
+    found = (dict(zip(keys, values, strict=True)) for values in (costs, np.median(seconds, axis=1)))
+    compared = Comparison(*found)
+    name, title = PAGES[options.problems[0] in outside.MEASURED]
     options.out.mkdir(parents=True, exist_ok=True)
-    compared.plot(options.out / f"{NAME}.png")
-    write_page(options.out / f"{NAME}.md", "Samplers on problems from outside", compared.figures())
+    compared.plot(options.out / f"{name}.png")
+    write_page(options.out / f"{name}.md", title, compared.figures())
 
 
 def parse() -> Namespace:
@@ -58,7 +63,7 @@ def parse() -> Namespace:
     parser = Options(__file__)
     parser.whole("--seeds", 1, MOST_SEEDS, default=30, help="of each arm; %(default)s")
     parser.whole("--trials", 2, MOST_TRIALS, default=40, help="of a run; %(default)s")
-    parser.add_argument("--arms", default=",".join(ARMS), help="%(default)s")
+    parser.add_argument("--arms", help="all that know what the problems have")
     known = f"{', '.join(outside.GROUPS)}, or some of {','.join(PROBLEMS)}; %(default)s"
     parser.add_argument("--problems", default="tuning", help=known)
     parser.whole("--processes", 1, MOST_WORKERS, default=2, help="runs at a time; %(default)s")
@@ -70,7 +75,11 @@ def parse() -> Namespace:
     found.problems = outside.GROUPS.get(found.problems) or chosen(
         "problems", found.problems, PROBLEMS
     )
-    found.arms = runnable(chosen("arms", found.arms, tuple(ARMS)))
+    among = {problem in outside.MEASURED for problem in found.problems}
+    if len(among) > 1:
+        raise InputError("problems", ",".join(found.problems), "measured ones alone, or none")
+    able = [name for name in ARMS if ARMS[name].knows(found.problems[0])]
+    found.arms = runnable(chosen("arms", found.arms or ",".join(able), able))
     return found
 
 
@@ -121,9 +130,15 @@ class Comparison:
 
     Args:
         costs: of trials, [seeds, trials] for each (problem, arm).
+        seconds: of a run, the median.
     """
 
-    def __init__(self, costs: Mapping[tuple[str, str], outside.Floats]) -> None:
+    def __init__(
+        self,
+        costs: Mapping[tuple[str, str], outside.Floats],
+        seconds: Mapping[tuple[str, str], float],
+    ) -> None:
+        self.seconds = seconds
         self.best = {key: np.minimum.accumulate(values, axis=1) for key, values in costs.items()}
         self.different = {key: len(np.unique(values, axis=0)) for key, values in costs.items()}
         self.problems = list(dict.fromkeys(problem for problem, _ in costs))
@@ -214,15 +229,18 @@ class Comparison:
             strict=True,
         ):
             worth = scipy.stats.spearmanr(ranks, problem.cost).statistic
-            lines.append(f"| {feature} | {said.good} | {said.meaning} | {worth:.2f} |")
+            if name not in outside.MEASURED or feature != outside.RANKING:
+                end = said.good or "unknown"
+                lines.append(f"| {feature} | {end} | {said.meaning} | {worth:.2f} |")
         head = " | ".join(f"after {trial}" for trial in at)
-        lines += ["", f"| median of the best | information | different runs | {head} |",
-                  "|---|---|---|" + "---|" * len(at)]  # fmt: skip
+        lines += ["", f"| median of the best | information | different runs | s a run | {head} |",
+                  "|---|---|---|---|" + "---|" * len(at)]  # fmt: skip
         for arm in self.arms():
             medians = np.median(self.best[name, arm], axis=0)
             cells = " | ".join(f"{medians[trial - 1]:.4g}" for trial in at)
             different = self.different[name, arm]
-            lines.append(f"| {ARMS[arm].label} | {ARMS[arm].sees} | {different} | {cells} |")
+            label = f"{ARMS[arm].label} | {ARMS[arm].sees}"
+            lines.append(f"| {label} | {different} | {self.seconds[name, arm]:.2g} | {cells} |")
         for ours in self.arms(OUR_ARMS):
             head = " | ".join(f"after {trial}: won | lost | p" for trial in at)
             lines += ["", f"| {ARMS[ours].label} against | {head} |",

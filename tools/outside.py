@@ -1,7 +1,8 @@
 """Tuning problems from outside, the samplers that are compared on them, and their runs.
 
 A *problem* is a Parquet file of `data/`: a pool of candidates, cheap features of each, and its
-cost, which was computed once. Users of public packages tune these problems; none was invented here.
+cost, which was computed once, or measured. Users of public packages tune these problems, and
+chemists measured the yields; none was invented here.
 An *arm* of `ARMS` is a way of choosing trials. All arms meet the same costs: ours propose rows of
 the pool; Optuna's propose any point of the space and get the cost of the nearest row. A *run* is
 one arm on one problem with one seed. A cache keeps a file of each run, which is made again where
@@ -11,6 +12,7 @@ the code, the packages or the numbers that made it have changed.
 import ast
 import hashlib
 import json
+import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -47,8 +49,14 @@ Settings = Mapping[str, float | int | str]  # one candidate: its parameters by n
 
 TUNING = ("digits-network", "transport-solver", "cluster-evolution")  # our defaults saw them
 REPORTED = ("tumour-boosting", "cart-pole", "stiff-reactions")  # looked at once, at the end
-PROBLEMS = (*TUNING, *REPORTED)
-GROUPS = {"tuning": TUNING, "reported": REPORTED, "all": PROBLEMS}
+# Measured yields, with computed descriptors of each component: Shields et al. 2021, "Bayesian
+# reaction optimization as a tool for chemical synthesis", Nature 590, 89; data of the EDBO
+# repository, MIT licence. Features are three principal components of a component's descriptors.
+MEASURED = ("suzuki", "amination")
+PROBLEMS = (*TUNING, *REPORTED, *MEASURED)
+GROUPS = {
+    "tuning": TUNING, "reported": REPORTED, "all": (*TUNING, *REPORTED), "measured": MEASURED,
+}  # fmt: skip
 
 DATA = ROOT / "tools" / "data"
 METADATA_KEY = b"outside"
@@ -63,7 +71,7 @@ ENQUEUED = 3  # rows that are tried before a peer's own first trial
 class Feature:
     """A cheap number of each candidate: the preferred end, and a meaning that names the unit."""
 
-    good: Literal["low", "high"]
+    good: Literal["low", "high"] | None  # None: nobody knows
     meaning: str
 
 
@@ -72,7 +80,7 @@ class OutsideProblem:
     """A pool of n candidates, of which everything is known."""
 
     name: str  # one of `PROBLEMS`
-    purpose: str  # "tuning" or "reported"
+    purpose: str  # "tuning", "reported" or "measured"
     field: str  # of the problem, in words
     cost_meaning: str  # the minimised quantity, with its unit
     space: dict[str, BaseDistribution]  # of the d parameters, as Optuna has it
@@ -91,7 +99,7 @@ class OutsideProblem:
 
         Equal values share the mean of their ranks, and NaN ranks last.
         """
-        signs = [1.0 if each.good == "low" else -1.0 for each in self.feature_meanings.values()]
+        signs = [-1.0 if each.good == "high" else 1.0 for each in self.feature_meanings.values()]
         badness = np.where(np.isnan(self.features), np.inf, self.features * signs)
         return np.asarray(scipy.stats.rankdata(badness, axis=0))
 
@@ -238,6 +246,56 @@ def _tpe_after_ranking(problem: OutsideProblem, seed: int, trials: int) -> Float
     return study_costs(problem, TPESampler(seed=seed), trials, first)
 
 
+def _baybe(problem: OutsideProblem, seed: int, trials: int) -> Floats:
+    """BayBE over the rows, a descriptor table a component, as its user guide has it for chemistry.
+
+    It is of problems whose parameters are choices, and whose features belong to one of them each.
+    """
+    import pandas
+    from baybe import Campaign
+    from baybe.parameters import CustomDiscreteParameter
+    from baybe.searchspace import SearchSpace
+    from baybe.targets import NumericalTarget
+    from baybe.utils.random import set_random_seed
+
+    set_random_seed(seed)
+    rows, parameters = pandas.DataFrame(problem.columns), []
+    for name, column in problem.columns.items():
+        features = enumerate(problem.feature_meanings)
+        own = np.array([place for place, of in features if of.startswith(f"{name}_")])
+        kinds, first = np.unique(column, return_index=True)
+        data = pandas.DataFrame(problem.features[np.ix_(first, own)], index=kinds)
+        data.columns = [f"{name} {place}" for place in own]
+        parameters.append(CustomDiscreteParameter(name, data=data))
+    target = NumericalTarget(COST, mode="MIN").to_objective()
+    campaign, costs = Campaign(SearchSpace.from_dataframe(rows, parameters), target), []
+    for _ in range(trials):
+        tried = campaign.recommend(batch_size=1)
+        costs.append(problem.cost_at(tried.iloc[0].to_dict()))
+        campaign.add_measurements(tried.assign(**{COST: costs[-1]}))
+    return np.array(costs)
+
+
+def _ax(problem: OutsideProblem, seed: int, trials: int) -> Floats:
+    """Ax's client with its defaults; it takes no descriptors."""
+    from ax.api.client import Client
+    from ax.api.configs import ChoiceParameterConfig
+
+    client, costs = Client(random_seed=seed), list[float]()
+    client.configure_experiment(
+        parameters=[
+            ChoiceParameterConfig(name=name, values=list(of.choices), parameter_type="str")
+            for name, of in problem.space.items() if isinstance(of, CategoricalDistribution)
+        ]
+    )  # fmt: skip
+    client.configure_optimization(objective=f"-{COST}")
+    for _ in range(trials):
+        ((number, settings),) = client.get_next_trials(max_trials=1).items()
+        costs.append(problem.cost_at(settings))
+        client.complete_trial(trial_index=number, raw_data={COST: costs[-1]})
+    return np.array(costs)
+
+
 NOTHING, FEATURES = "nothing", "features"
 RANKED = "features, and which end of each is good"
 
@@ -256,6 +314,10 @@ class Arm(NamedTuple):
         """Whether this machine has what it needs."""
         return not self.needs or bool(installed(self.needs))
 
+    def knows(self, problem: str) -> bool:
+        """Whether a problem has what the arm sees: of descriptors no end is known to be good."""
+        return problem not in MEASURED or self.sees != RANKED
+
 
 # CmaEsSampler draws choices at random, as always in Optuna.
 ARMS = {
@@ -269,6 +331,8 @@ ARMS = {
     ),
     "tpe": Arm("TPESampler", NOTHING, of_optuna(TPESampler)),
     "gp": Arm("GPSampler", NOTHING, of_optuna(GPSampler), needs="torch"),
+    "baybe": Arm("BayBE", FEATURES, _baybe, needs="baybe"),
+    "ax": Arm("Ax", NOTHING, _ax, needs="ax-platform"),
     "cmaes": Arm("CmaEsSampler", NOTHING, of_optuna(CmaEsSampler, warn_independent_sampling=False)),
     "random": Arm("RandomSampler", NOTHING, of_optuna(RandomSampler)),
 }
@@ -295,14 +359,20 @@ class Run(NamedTuple):
         except (OSError, ValueError, KeyError):
             return None
 
+    def seconds(self, cache: Path) -> float:
+        """The time that it took; NaN of an old file, which has none."""
+        return float(json.loads(self.file(cache).read_text()).get("seconds", np.nan))
+
     def execute(self, cache: Path) -> list[float]:
         """Run it, and keep its costs."""
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         warnings.simplefilter("ignore", ExperimentalWarning)
         half = outside_problem(self.problem).drawn(self.seed)
+        started = time.perf_counter()
         costs = ARMS[self.arm].costs(half, self.seed, self.trials).tolist()
+        known = {"code": code(self.problem, self.arm), "costs": costs}
         self.file(cache).parent.mkdir(parents=True, exist_ok=True)
-        commit_json(self.file(cache), {"code": code(self.problem, self.arm), "costs": costs})
+        commit_json(self.file(cache), known | {"seconds": time.perf_counter() - started})
         return list(costs)
 
 

@@ -14,13 +14,24 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 from taichi_nmm.errors import InputError
 from tests.tools.running import load_tool, run_tool
 from tools import outside
-from tools.outside import ARMS, PROBLEMS, Arm, Feature, Run, outside_problem, rows_by_ranking
+from tools.outside import (
+    ARMS,
+    GROUPS,
+    PROBLEMS,
+    Arm,
+    Feature,
+    Run,
+    outside_problem,
+    rows_by_ranking,
+)
 
 # Digests of names, parameters, features and cost. After a change, figures must be made again.
 DIGESTS = {
     "digits-network": "919632c690f2a73b", "transport-solver": "6d51af5a2bb14237",
     "cluster-evolution": "5d0d1e116e6a8ad0", "tumour-boosting": "1a495df8295b6a6a",
     "cart-pole": "9bf9a956a3fd60a3", "stiff-reactions": "2a9aa0e97ba72051",
+    "amination": "cc59158efd574b6d",
+    "suzuki": "bede7b0f49a7bcbc",
 }  # fmt: skip
 
 
@@ -28,11 +39,13 @@ DIGESTS = {
 def test_a_file_has_the_pool_that_figures_were_made_with(name: str) -> None:
     problem = outside_problem(name)
     assert problem.name == name
-    assert problem.purpose == ("tuning" if name in outside.TUNING else "reported")
-    assert 1000 <= len(problem) <= 1500 and 4 <= len(problem.space) <= 8
+    (purpose,) = (word for word in ("tuning", "reported", "measured") if name in GROUPS[word])
+    assert problem.purpose == purpose
+    assert 1000 <= len(problem) <= 4000 and 4 <= len(problem.space) <= 8
     assert problem.features.shape == (len(problem), len(problem.feature_meanings))
     assert np.isfinite(problem.cost).all()
-    assert problem.made_by == f"python tools/make_outside.py --problem {name}"
+    made_by = "measured: " if purpose == "measured" else "python tools/make_outside.py --problem "
+    assert problem.made_by.startswith(made_by)
     assert outside.file_of(name).stat().st_size < 150_000
     found = hashlib.sha256(repr((name, [*problem.columns], (*problem.feature_meanings,))).encode())
     for column in problem.columns.values():
@@ -106,7 +119,7 @@ def test_a_bad_file_is_one_line(tmp_path: Path) -> None:
 PROBLEM = "transport-solver"
 TRIALS, SEEDS = 7, 2
 TOOL = load_tool("compare_outside")
-RUN_ARMS = [arm for arm in ARMS if arm != "gp"]
+RUN_ARMS = [arm for arm in ARMS if not ARMS[arm].needs]
 
 
 @pytest.mark.slow
@@ -141,7 +154,7 @@ def test_the_command_writes_a_page_and_keeps_runs_and_what_people_wrote(
         "# Samplers on problems from outside\n", f"## {PROBLEM} (tuning)", "](sampler-outside.png)",
         "| ours: never behind a sampler without features (p < 0.05) | yes |",
         "| ours against | after 5: won | lost | p | after 7: won | lost | p |",
-        f"| ours | {ARMS['ours'].sees} | {SEEDS} | {best[4]:.4g} | {best[6]:.4g} |",
+        f"| ours | {ARMS['ours'].sees} | {SEEDS} | ", f" | {best[4]:.4g} | {best[6]:.4g} |",
         *(f"| {ARMS[arm].label} | {ARMS[arm].sees} |" for arm in RUN_ARMS),
         *(f"| {name} |" for name in problem.feature_meanings),
     ]  # fmt: skip
@@ -199,7 +212,7 @@ def compared(ours: list[float], tpe: list[float], ranking: list[float]) -> Any:
     seeds = 1.0 + 0.001 * np.arange(12)[:, None]
     after = {"ours": ours, "tpe": tpe, "ranking": ranking}
     costs = {(PROBLEM, arm): np.repeat(c, 5)[None] * seeds for arm, c in after.items()}
-    return TOOL.Comparison(costs)
+    return TOOL.Comparison(costs, dict.fromkeys(costs, 0.5))
 
 
 def test_bars_hold_where_ours_leads_and_name_where_it_does_not() -> None:
@@ -217,6 +230,16 @@ def test_bars_hold_where_ours_leads_and_name_where_it_does_not() -> None:
     assert not test.is_ahead and not test.is_behind
     # Runs that repeat each other are counted once; the median is of the best so far.
     costs = np.array([[3.0, 2.0, 5.0], [3.0, 2.0, 4.0], [3.0, 2.0, 5.0]])
-    made = TOOL.Comparison({(PROBLEM, "ours"): costs, (PROBLEM, "tpe"): costs[:1].repeat(3, 0)})
-    assert "| ours | features | 2 | 2 |" in made.figures()
-    assert "| TPESampler | nothing | 1 | 2 |" in made.figures()
+    found = {(PROBLEM, "ours"): costs, (PROBLEM, "tpe"): costs[:1].repeat(3, 0)}
+    made = TOOL.Comparison(found, dict.fromkeys(found, 0.25))
+    assert "| ours | features | 2 | 0.25 | 2 |" in made.figures()
+    assert "| TPESampler | nothing | 1 | 0.25 | 2 |" in made.figures()
+
+
+def test_nobody_knows_the_good_end_of_a_descriptor(monkeypatch: pytest.MonkeyPatch) -> None:
+    which = ("--problems", "suzuki", "--arms")
+    assert run_tool(monkeypatch, "compare_outside", *which, "ranking") == 2
+    assert run_tool(monkeypatch, "compare_outside", "--problems", "suzuki,cart-pole") == 2
+    section = TOOL.Comparison({("suzuki", "ours"): np.ones((2, 3))}, {("suzuki", "ours"): 1.0})
+    rows = [line for line in section.figures() if line.startswith("| ligand_1 | unknown | ")]
+    assert len(rows) == 1 and not any(line.startswith("| ranking") for line in section.figures())
