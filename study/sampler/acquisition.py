@@ -9,6 +9,7 @@ import scipy
 from numpy.typing import NDArray
 
 from study.sampler.gp import Covariance, Kernel, Posterior, condition, learn, new_covariance
+from study.sampler.similarity import Relation
 from study.sampler.transforms import Points, PriorMean, log_excess, of_log_excess, squarable
 from study.sampler.worlds import Ensemble
 
@@ -46,7 +47,7 @@ class Model:
     limits: Floats  # c constraints of each, feasible where <= 0, NaN where unknown, [n, c]
     running: Points  # trials of other workers whose parameters are known
     known: Learned  # constants that were learned so far; new ones are added
-    ensemble: Ensemble | None = None  # of simulated worlds, whose costs are expected
+    ensemble: Relation | None = None  # of simulated worlds, whose costs are expected
     success: float | None = None  # cost up to which a trial has succeeded
 
     @cached_property
@@ -82,7 +83,7 @@ class Model:
             cost = self.cost(some)
             return cost - self.expected(self.trials, cost)[some]
 
-        posterior = self._after(self.trials, y, standardised=not self._in_costs)
+        posterior = self._after(self.trials, y, standardised=self._in_costs is None)
         running = self.visible(self.running)
         return posterior.believing(running) if len(running) else posterior
 
@@ -108,14 +109,14 @@ class Model:
 
     def standard(self, values: Floats, costs: Floats) -> Floats:
         """Values [m] as the process sees them after costs [n]."""
-        if self.ensemble is not None and self._in_costs:
-            return self.ensemble.standard(values)
+        if self._in_costs is not None:
+            return self._in_costs.standard(values)
         return log_excess(values, costs) if self.kernel.by_order else squarable(values)
 
     def in_units(self, cost: Floats) -> Floats:
         """The inverse of `cost`, [m]."""
-        if self.ensemble is not None and self._in_costs:
-            return self.ensemble.costs(cost)
+        if self._in_costs is not None:
+            return self._in_costs.costs(cost)
         return of_log_excess(cost, self.costs) if self.kernel.by_order else cost
 
     def expected(self, points: Points, cost: Floats) -> Floats:
@@ -125,12 +126,13 @@ class Model:
             mean = points.features[:, -1]
         elif self.prior_mean is not None:
             mean = self.prior_mean.cost(points.features)
-        return mean if self._in_costs else (float(cost.std()) or 1.0) * mean
+        return mean if self._in_costs is not None else (float(cost.std()) or 1.0) * mean
 
     @property
-    def _in_costs(self) -> bool:
-        """Whether the worlds' outcomes are in the unit of the study's values."""
-        return self.ensemble is not None and self.ensemble.in_costs
+    def _in_costs(self) -> Ensemble | None:
+        """Worlds whose outcomes are in the unit of the study's values."""
+        found = self.ensemble
+        return found if isinstance(found, Ensemble) and found.in_costs else None
 
     def _after(
         self, points: Points, y: Callable[[slice], Floats], *, standardised: bool = True

@@ -253,7 +253,9 @@ def worth_of(present: Present | None, *, maximised: bool) -> Worth:
         len(cost),
         present.names,
         tuple(RankCorrelation.of(feature, cost) for feature in present.features.T),
-        weights_of(present.model, present.candidates, present.owners, count) if enough else None,
+        weights_of(present.model, present.candidates, present.owners, count)
+        if enough and count
+        else None,
         _errors(present.model) if enough else None,
         present.is_doubted,
         maximised,

@@ -30,6 +30,8 @@ place of the terms of features,
 | shift | c^2, the same for all rows; v m m' where outcomes are in units of their own |
 | nearness | t^2 exp(-sum_j (u_j - u'_j)^2 / 2 L^2), L shared |
 
+On a pool of which a similarity K is known (`study.sampler.similarity`), it is s^2 K alone.
+
 With slopes w ~ N(0, v I), the first term is the covariance of w . phi (Rasmussen, Williams 2006,
 section 2.7). The constants maximise
 
@@ -125,6 +127,7 @@ class Kernel:
 ADDITIVE = Kernel(True, "each", "shared", by_order=True)
 NEARNESS = Kernel(False, None, "shared", by_order=True)  # `ADDITIVE` without features
 WORLDS = replace(ADDITIVE, worlds=True)
+SIMILARITY = Kernel(False, None, None, by_order=True, worlds=True)
 KERNELS = {
     "additive": ADDITIVE,
     "rbf": Kernel(False, "shared", None, by_order=False),
@@ -274,6 +277,8 @@ def new_covariance(
     terms = []
     if kernel.worlds:
         first = k - w - 2
+        if not kernel.of_parameters:
+            return Covariance((Term(first, first + w, SIGNAL, ()),), FEATURE_NOISE)
         common = Term(k - 1, k, SLOPE, ()) if standardised else Term(k - 2, k - 1, SHIFT, ())
         terms = [Term(first, first + w, WORLD, ()), common]
         if first:

@@ -36,8 +36,8 @@ from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, generator
 from study.sampler.gp import ADDITIVE, NEARNESS, Kernel
 from study.sampler.history import History, read_limits
+from study.sampler.similarity import Relation
 from study.sampler.transforms import Points, PriorMean, Scale, is_doubtful
-from study.sampler.worlds import Ensemble
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
@@ -135,7 +135,7 @@ class Policy:
         parameters: int,
         seen: Points,
         cost: Floats,
-        ensemble: Ensemble | None = None,
+        ensemble: Relation | None = None,
     ) -> Model:
         """The model after finished trials alone, whatever limits they have."""
         limits, running = np.empty((len(cost), 0)), seen.take(np.arange(0))
@@ -150,7 +150,7 @@ class Policy:
         seen: Points,
         running: Points,
         own_turn: int,
-        ensemble: Ensemble | None = None,
+        ensemble: Relation | None = None,
     ) -> Model:
         """The model of one trial, after the trials of a history, at the points where they were."""
         plain = self.plain_model(prior_mean, parameters, seen, history.cost, ensemble)

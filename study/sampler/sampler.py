@@ -16,12 +16,13 @@ from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
 from study.sampler.diagnostics import Best, Likeness, Worth, best_of, likeness_of, worth_of
-from study.sampler.gp import KERNELS, WORLDS
+from study.sampler.gp import KERNELS, SIMILARITY, WORLDS
 from study.sampler.policy import Features, Options, one_thread
 from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
 from study.sampler.space_policy import SpacePolicy
 from study.sampler.table import FeatureTable
 from study.sampler.table_policy import TablePolicy
+from study.sampler.worlds import Ensemble
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
@@ -154,13 +155,17 @@ class FeatureKernelSampler(BaseSampler):
     ) -> None:
         """Check the options; nothing is computed yet."""
         given = dict(locals())
-        has_worlds = isinstance(features, FeatureTable) and features.rows.worlds is not None
         self._kernel = kernel if kernel is not None else DEFAULT_KERNELS[features is None]
         if self._kernel not in KERNELS:
             raise InputError("kernel", self._kernel, f"one of {', '.join(KERNELS)}")
-        chosen = WORLDS if has_worlds and kernel is None else KERNELS[self._kernel]
+        chosen = KERNELS[self._kernel]
+        if isinstance(features, FeatureTable) and kernel is None:
+            if features.rows.alike is not None:
+                chosen = SIMILARITY
+            elif features.rows.worlds is not None:
+                chosen = WORLDS
         if off_grid is None:
-            off_grid = OFF_GRID if chosen.worlds else 0
+            off_grid = OFF_GRID if chosen == WORLDS else 0
         extra = frozenset(extra_parameters)
         options = Options(chosen, prior, off_grid, nearest, space, extra, strict, success)
         _require_sense(features, feature_function, options, self._kernel)
@@ -206,7 +211,7 @@ class FeatureKernelSampler(BaseSampler):
             )
         with one_thread():
             present = self._policy.present(study)
-            if present is not None and present.model.ensemble is not None:
+            if present is not None and isinstance(present.model.ensemble, Ensemble):
                 return likeness_of(present.model, present.model.ensemble.names)
             maximised = study.direction is StudyDirection.MAXIMIZE
             return worth_of(present, maximised=maximised)
@@ -317,13 +322,15 @@ def _require_sense(
             raise InputError(field, value, allowed)
 
     if options.kernel.worlds:
-        allowed = "none beside outcomes in worlds, which do its work"
+        allowed = "none beside outcomes in worlds or a similarity, which do its work"
         refuse(has_function, "feature_function", "given", allowed)
         refuse(nearest is not None, "nearest", nearest, allowed)
         refuse(prior is not None, "prior", prior, allowed)
     if isinstance(features, FeatureTable):
         without = not has_function and not options.kernel.worlds
         refuse(off_grid and without, "off_grid", off_grid, "0 without a feature_function")
+        pool = options.kernel == SIMILARITY
+        refuse(off_grid and pool, "off_grid", off_grid, "0: a similarity knows its rows alone")
         refuse(options.space is not None, "space", "given", "none: a table knows its own")
         allowed = "none with a feature_function, which knows the features of any point"
         refuse(nearest is not None and has_function, "nearest", nearest, allowed)

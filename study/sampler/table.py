@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from optuna.distributions import BaseDistribution
 
 from study.sampler.columns import Bounds, FileColumns, checked_columns, feature_matrix
+from study.sampler.similarity import Alike, Relation, factor_of_gram, factor_of_graph
 from study.sampler.space import Space, first_not_taken
 from study.sampler.transforms import (
     BLOCK,
@@ -57,6 +58,7 @@ class Rows:
     feature_names: tuple[str, ...]  # k names
     features: Floats  # [n, k], of any scale; NaN where unknown
     worlds: Worlds | None = None  # what each row costs in simulated worlds
+    alike: Floats | None = None  # [n, r], whose products are the covariance of the rows
 
     def __len__(self) -> int:
         """Number of rows, n."""
@@ -101,7 +103,7 @@ class Rows:
         return np.flatnonzero(self.offered)
 
     def points(
-        self, *, by_order: bool, coordinates: bool, ensemble: Ensemble | None = None
+        self, *, by_order: bool, coordinates: bool, ensemble: Relation | None = None
     ) -> Points:
         """Rows that may be proposed as points, on one of the scales; made once.
 
@@ -117,9 +119,11 @@ class Rows:
 
         return self._once((by_order, coordinates, id(ensemble)), made)
 
-    def ensemble(self, *, maximise: bool) -> Ensemble:
-        """The worlds as the model takes them, of rows that may be proposed; made once."""
-        worlds, sign = self.worlds, -1.0 if maximise else 1.0
+    def ensemble(self, *, maximise: bool) -> Relation:
+        """Worlds, or likeness, as the model takes them, of rows that may be proposed; made once."""
+        worlds, alike, sign = self.worlds, self.alike, -1.0 if maximise else 1.0
+        if alike is not None:
+            return self._once("alike", lambda: Alike(self._chosen(alike)))
         assert worlds is not None
         return self._once(("ensemble", sign), lambda: Ensemble(worlds, self.numbers, sign))
 
@@ -212,6 +216,8 @@ class Rows:
         """SHA-256 of names, distributions, parameters, features and worlds."""
         head = [*self.names, *map(str, self.space.distributions), *self.feature_names]
         matrices = [self.parameters, self.features]
+        if self.alike is not None:
+            matrices.append(self.alike)
         if self.worlds is not None:
             head += [*self.worlds.names, *filter(None, [self.worlds.better])]
             matrices.append(self.worlds.costs)
@@ -425,6 +431,55 @@ class FeatureTable:
         return cls(Rows(*content))
 
     @classmethod
+    @checks.checked("table.", parameters=checks.optional(checks.by_name(checks.anything)))
+    def from_kernel(
+        cls, gram: ArrayLike, parameters: Mapping[str, ArrayLike] | None = None
+    ) -> Self:
+        """A pool of n rows of which a similarity is known, and nothing else.
+
+        Args:
+            gram: K [n, n], symmetric and positive semidefinite: the covariance of what the rows
+                cost, up to a factor, such as Tanimoto similarities of molecules.
+            parameters: columns that the study suggests, as in `from_arrays`; by default the number
+                of the row, an integer `row` from 0.
+
+        Raises:
+            InputError: K is not such a matrix, or what `from_arrays` refuses.
+        """
+        return cls._of_factor(factor_of_gram(gram), parameters)
+
+    @classmethod
+    @checks.checked(
+        "table.",
+        hops=checks.number(1e-3, 1e3),
+        parameters=checks.optional(checks.by_name(checks.anything)),
+    )
+    def from_graph(
+        cls,
+        weights: ArrayLike,
+        parameters: Mapping[str, ArrayLike] | None = None,
+        *,
+        hops: float = 10.0,
+    ) -> Self:
+        """A pool of n rows that are the nodes of a graph: neighbours cost about the same.
+
+        Args:
+            weights: of edges, [n, n], symmetric, 0 where there is none; an array, or sparse.
+            parameters: as in `from_kernel`.
+            hops: how many edges away nodes are still alike.
+
+        Raises:
+            InputError: no such weights, or what `from_arrays` refuses.
+        """
+        return cls._of_factor(factor_of_graph(weights, hops), parameters)
+
+    @classmethod
+    def _of_factor(cls, factor: Floats, parameters: Mapping[str, ArrayLike] | None) -> Self:
+        columns = {"row": np.arange(len(factor))} if parameters is None else parameters
+        space, raw, *_ = checked_columns(columns, factor, None, None, None)
+        return cls(Rows(space, raw, (), np.empty((len(factor), 0)), alike=factor))
+
+    @classmethod
     @checks.checked(frame=_frame, parameters=checks.each(checks.text), **COLUMN_CHECKS)
     def from_dataframe(
         cls,
@@ -494,9 +549,16 @@ def _size_text(rows: Rows) -> str:
     names = rows.feature_names
     shown = ", ".join(names[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")
     numbers = {"row": len(rows), "parameter": len(rows.names), "feature": len(names)}
+    if rows.alike is not None:
+        del numbers["feature"]
+        return ", ".join([*_counts(numbers), f"similarity of rank {rows.alike.shape[1]}"])
     if rows.worlds is not None:
         numbers |= {"world": len(rows.worlds.names)}
         if not names:
             del numbers["feature"]
-    counts = [f"{n} {thing}" if n == 1 else f"{n} {thing}s" for thing, n in numbers.items()]
-    return f"{', '.join(counts)}{': ' * bool(names)}{shown}"
+    return f"{', '.join(_counts(numbers))}{': ' * bool(names)}{shown}"
+
+
+def _counts(numbers: Mapping[str, int]) -> list[str]:
+    """Numbers of things in words."""
+    return [f"{n} {thing}" if n == 1 else f"{n} {thing}s" for thing, n in numbers.items()]

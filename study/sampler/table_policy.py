@@ -53,10 +53,10 @@ from study.sampler.policy import (
     one_thread,
     set_attributes,
 )
+from study.sampler.similarity import Relation
 from study.sampler.space import as_suggested, nearby, not_among
 from study.sampler.table import FeatureTable, Rows
 from study.sampler.transforms import Points, PriorMean, Scale
-from study.sampler.worlds import Ensemble
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -289,15 +289,15 @@ class TablePolicy(Policy):
     def _places_all(self) -> bool:
         """Whether any point has features, or none are needed."""
         looked_at = self.options.kernel.of_features or self.options.prior is not None
-        return self.function is not None or self.options.kernel.worlds or not looked_at
+        return self.function is not None or self.rows.worlds is not None or not looked_at
 
-    def _ensemble(self, study: optuna.Study) -> Ensemble | None:
+    def _ensemble(self, study: optuna.Study) -> Relation | None:
         """The worlds, with costs that are minimised; None where they do not count."""
         if not self.options.kernel.worlds:
             return None
         return self.rows.ensemble(maximise=study.direction is StudyDirection.MAXIMIZE)
 
-    def _first_row(self, offered: Mask, own_turn: int, ensemble: Ensemble | None) -> Proposal:
+    def _first_row(self, offered: Mask, own_turn: int, ensemble: Relation | None) -> Proposal:
         """A row before there is a model, of equal ones any."""
         rows, points = self.rows, self._points(ensemble)
         if ensemble is not None:
@@ -309,7 +309,7 @@ class TablePolicy(Policy):
         return self._of_row(int(rows.numbers[best]))
 
     def _best_candidate(
-        self, history: History, offered: Mask, own_turn: int, ensemble: Ensemble | None
+        self, history: History, offered: Mask, own_turn: int, ensemble: Relation | None
     ) -> Proposal:
         """The candidate of the largest utility, of equal ones any.
 
@@ -346,7 +346,7 @@ class TablePolicy(Policy):
         utility: Floats,
         model: Model,
         own_turn: int,
-        ensemble: Ensemble | None,
+        ensemble: Relation | None,
     ) -> tuple[float, Proposal]:
         """The best of some points near the best rows and trials, and its utility.
 
@@ -392,7 +392,7 @@ class TablePolicy(Policy):
         """The scale of the features, as the kernel takes them."""
         return self.rows.scale(by_order=self.options.kernel.by_order)
 
-    def _points(self, ensemble: Ensemble | None = None) -> Points:
+    def _points(self, ensemble: Relation | None = None) -> Points:
         """Rows that may be proposed, with coordinates only where the kernel uses them."""
         by_order, coordinates = self.options.kernel.by_order, self.options.kernel.of_parameters
         return self.rows.points(by_order=by_order, coordinates=coordinates, ensemble=ensemble)
@@ -402,7 +402,7 @@ class TablePolicy(Policy):
         parameters: Floats,
         numbers: NDArray[np.int64],
         trials: Sequence[FrozenTrial],
-        ensemble: Ensemble | None,
+        ensemble: Relation | None,
     ) -> Points:
         """Trials as points: with worlds, those off the table have what their nearest rows have."""
         if ensemble is None:

@@ -1,0 +1,122 @@
+"""Pools of which a similarity is known: factors of it, the posterior, and what a study finds."""
+
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+import scipy
+
+from study import FeatureKernelSampler, FeatureTable
+from study.sampler.acquisition import Model
+from study.sampler.gp import SIMILARITY
+from study.sampler.similarity import Alike, factor_of_gram, factor_of_graph
+from study.sampler.transforms import Points, log_excess
+from taichi_nmm.errors import InputError
+
+PLACES = np.random.default_rng(3).random((300, 2))
+APART = ((PLACES[:, None] - PLACES[None]) ** 2).sum(axis=2)
+GRAM = np.exp(-0.5 * APART / 0.3**2)
+COST = np.hypot(*(PLACES - [0.7, 0.2]).T) + 0.05 * np.sin(20.0 * PLACES[:, 0])
+RING = np.roll(np.eye(40), 1, axis=0) + np.roll(np.eye(40), -1, axis=0)
+
+
+def trials_to_best(table: FeatureTable, seed: int, cost: Any = COST, rank: int = 3) -> int:
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=seed))
+    for number in range(1, 41):
+        trial = study.ask()
+        row = trial.suggest_int("row", 0, len(cost) - 1)
+        assert study.tell(trial, float(cost[row])).user_attrs["row"] == row
+        if cost[row] <= np.sort(cost)[rank - 1]:
+            return number
+    return 41
+
+
+def test_factors_give_the_covariance_again() -> None:
+    factor = factor_of_gram(GRAM)
+    assert factor.shape[1] < 150  # it is smooth
+    np.testing.assert_allclose(factor @ factor.T, GRAM, atol=1e-4)
+    np.testing.assert_allclose(factor_of_gram(GRAM.astype("f4")) @ factor[7], GRAM[:, 7], atol=1e-3)
+    plain = factor_of_gram(np.eye(5))
+    np.testing.assert_array_equal(plain @ plain.T, np.eye(5))
+    graph = factor_of_graph(scipy.sparse.csr_array(RING), 4.0)
+    laplacian = np.eye(40) - RING / 2.0
+    matern = np.linalg.matrix_power(3.0 / 16.0 * np.eye(40) + laplacian, 3)
+    expected = np.linalg.inv(scipy.linalg.sqrtm(matern).real)  # (...)^-3/2
+    np.testing.assert_allclose(graph @ graph.T, expected / expected[0, 0], atol=1e-8)
+
+
+def test_the_posterior_is_that_of_the_gram_matrix() -> None:
+    points = Points(Alike(factor_of_gram(GRAM)).columns, np.empty((300, 0)))
+    seen, nobody = points.take(np.arange(9)), points.take(np.arange(0))
+    limits = np.empty((9, 0))
+    alike = Alike(factor_of_gram(GRAM))
+    model = Model(SIMILARITY, None, 1, seen, COST[:9], limits, nobody, {}, alike)
+    size, noise = np.exp(model.posterior.theta)
+    y = log_excess(COST[:9], COST[:9])
+    gain = size * GRAM[:, :9] @ np.linalg.inv(size * GRAM[:9, :9] + noise * np.eye(9))
+    mean, variance = model.posterior.predict(points)
+    np.testing.assert_allclose(mean, y.mean() + gain @ (y - y.mean()), atol=1e-3)
+    left = size * np.diag(GRAM - gain @ GRAM[:9]) + noise
+    np.testing.assert_allclose(variance, y.var() * left, atol=1e-3)
+
+
+def test_likeness_finds_the_best_rows_sooner_than_chance() -> None:
+    table = FeatureTable.from_kernel(GRAM)
+    assert repr(table).startswith("FeatureTable(300 rows, 1 parameter, similarity of rank ")
+    found = [trials_to_best(table, seed) for seed in range(6)]
+    assert np.mean(found) < 20  # at random 75
+    ring = np.minimum(np.arange(40), 40 - np.arange(40)) ** 1.5
+    graph = FeatureTable.from_graph(RING)
+    assert np.mean([trials_to_best(graph, seed, ring, 1) for seed in range(6)]) < 15  # 20.5
+
+
+def test_rows_may_have_names_and_a_study_is_examined() -> None:
+    words = [f"molecule {row}" for row in range(300)]
+    table = FeatureTable.from_kernel(GRAM, {"name": words})
+    sampler = FeatureKernelSampler(table, seed=1)
+    study = optuna.create_study(sampler=sampler)
+    study.add_trial(optuna.create_trial(  # of no row: it has no likeness
+        params={"name": "other"}, value=0.0,
+        distributions={"name": optuna.distributions.CategoricalDistribution([*words, "other"])},
+    ))  # fmt: skip
+    choices = [*words, "other"]
+    with pytest.warns(UserWarning, match="no row of the table are ignored"):
+        study.optimize(
+            lambda t: COST[words.index(t.suggest_categorical("name", choices))], n_trials=20
+        )
+    assert "worth" in str(sampler.worth(study)) or "explain" in str(sampler.worth(study))
+    assert sampler.best(study).row == words.index(sampler.best(study).params["name"])
+
+
+@pytest.mark.parametrize(("gram", "match"), [
+    (np.ones((2, 3)), r"^table.gram.shape: \(2, 3\) .* \[n, n\]"),
+    ([["a"]], r"^table.gram: '<U1' .* numbers"),
+    ([[np.nan]], "^table.gram: 'NaN or infinity' .* semidefinite"),
+    ([[1.0, 0.5], [0.2, 1.0]], "^table.gram: 'not symmetric'"),
+    ([[1.0, 2.0], [2.0, 1.0]], "^table.gram: 'no variance that row 0 can have' .* semidefinite"),
+    ([[1.0, 0.0], [0.0, -1.0]], r"^table.gram\[1, same\]: -1.0 .* semidefinite"),
+    (np.zeros((2, 2)), "^table.gram"),
+])  # fmt: skip
+def test_matrices_that_are_refused(gram: Any, match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        FeatureTable.from_kernel(gram)
+
+
+@pytest.mark.parametrize(("weights", "match"), [
+    (np.ones((2, 3)), r"^table.weights.shape: \(2, 3\)"),
+    ("road", "^table.weights: 'str' .* weights of edges"),
+    (-RING, "^table.weights: 'a negative or infinite weight'"),
+    (np.triu(RING), "^table.weights: 'not symmetric'"),
+])  # fmt: skip
+def test_graphs_that_are_refused(weights: Any, match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        FeatureTable.from_graph(weights)
+
+
+def test_a_similarity_goes_with_its_rows_alone() -> None:
+    table = FeatureTable.from_kernel(GRAM)
+    with pytest.raises(InputError, match=r"^off_grid: 9 .* a similarity knows its rows alone"):
+        FeatureKernelSampler(table, seed=1, off_grid=9)
+    with pytest.raises(InputError, match=r"^table.row.shape: \(3,\)"):
+        FeatureTable.from_kernel(GRAM, {"row": [1, 2, 3]})
