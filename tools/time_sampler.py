@@ -46,6 +46,7 @@ NOISE = 0.3  # of the cost, in standard deviations of what the features explain
 FINISHED, SWEEP, MOST_FINISHED = 100, (10, 30, 300), 1000  # trials before the first proposal
 MOST_FEATURES = 5
 WORLDS, ROWS_IN_WORLDS = 128, 20_000
+ALIKE_ROWS = 20_000  # at most, of a Gram matrix: 1.6 GB in 32 bits
 LEAST_ROWS, MOST_ROWS, MOST_REPEATS = 5_000, 1_000_000, 300  # a tenth has trials to choose
 LARGE = 10  # times as many rows
 GP_RATIO_BAR = 5.0  # GPSampler's time over ours with one feature
@@ -54,6 +55,7 @@ LABELS = {
     "foreign": "ours, trials that are no rows of the table",
     "rbf": "ours, the paper's kernel",
     "worlds": "ours, costs in so many worlds in place of features",
+    "similarity": "ours, a similarity of all rows in place of features",
     "gp": "GPSampler",
 }
 
@@ -113,6 +115,13 @@ def cases(rows: int, repeats: int) -> list[Case]:
         replace(base, sampler="foreign", observations=MOST_FINISHED, bars=more),
         replace(base, sampler="rbf", bars=some),
         replace(base, sampler="worlds", rows=ROWS_IN_WORLDS, features=WORLDS, bars=many),
+        replace(
+            base,
+            sampler="similarity",
+            rows=min(rows, ALIKE_ROWS),
+            features=MOST_FEATURES,
+            bars=(("median_cpu_ms", 30.0), ("peak_mib", 4e9 / 2**20)),
+        ),
         *(replace(base, observations=finished) for finished in SWEEP),
         replace(base, observations=MOST_FINISHED, bars=(("median_ms", 1000.0),)),
         replace(base, rows=LARGE * rows, features=MOST_FEATURES, bars=(first,)),
@@ -226,6 +235,12 @@ def _sampler(case: Case, points: Floats, features: Floats) -> BaseSampler:
     if case.sampler == "worlds":
         table = FeatureTable.from_arrays(columns, outcomes=features, space=SPACE)
         return FeatureKernelSampler(table, seed=SEED)
+    if case.sampler == "similarity":
+        small = features.astype(np.float32)
+        gram = np.empty((case.rows, case.rows), dtype=np.float32)
+        for row, own in zip(gram, small, strict=True):
+            np.exp(-0.5 * ((small - own) ** 2).sum(axis=1), out=row)
+        return FeatureKernelSampler(FeatureTable.from_kernel(gram, columns), seed=SEED)
     table = FeatureTable.from_arrays(columns, features, names, space=SPACE)
     return FeatureKernelSampler(table, seed=SEED, kernel="rbf" if case.sampler == "rbf" else None)
 

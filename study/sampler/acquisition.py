@@ -193,7 +193,11 @@ class Model:
         """Minus the costs by a ridge regression on the features, unit slopes against unit noise."""
         seen, residual = self.trials.features, self.posterior.y
         residual = residual[: len(seen)]  # less what running trials are believed to show
-        slopes = np.linalg.solve(seen.T @ seen + np.eye(seen.shape[1]), seen.T @ residual)
+        n, k = seen.shape
+        if k <= n:
+            slopes = np.linalg.solve(seen.T @ seen + np.eye(k), seen.T @ residual)
+        else:  # the same by fewer equations
+            slopes = seen.T @ np.linalg.solve(seen @ seen.T + np.eye(n), residual)
         learned = self.posterior.cost_sd * (points.features @ slopes)
         return np.asarray(-(learned + self.expected(points, self.cost())))
 
