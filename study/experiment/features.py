@@ -1,11 +1,7 @@
-"""What a store knows of its rows: columns, mean survivals, and what a trial costs in each world.
-
-Gaits are alike that survive the same grounds. Their survival was computed beforehand, on several
-families of disturbed bodies and uneven grounds; docs/comparison.md explains the choices.
-"""
+"""What a store knows of its rows: columns, and what a trial costs in each world."""
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
-from storage.store import Store, evaluated_name, open_store
+from storage.store import Store, open_store
 from study.sampler.columns import store_parameters
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
@@ -23,27 +19,6 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, smooth_cost, walking_cost
 
 Floats = NDArray[np.float64]
-
-COLUMN_END = "_survived_fraction_mean"
-
-
-@dataclass(frozen=True)
-class Survival:
-    """The mean share of the time that a row survives in the settings of a store's families."""
-
-    families: tuple[str, ...] = ()  # of settings; () are all that the store has
-    name: str = "survival"  # of the feature
-    survivors: bool = False  # rows that no family ran (they fell on level ground) are left out
-
-    def families_of(self, store: Store) -> tuple[str, ...]:
-        """The families that are averaged, or an InputError: the store lacks one, or has none."""
-        ends = (name for name in store.columns if name.endswith(COLUMN_END))
-        known = tuple(name.removesuffix(COLUMN_END) for name in ends)
-        for family in self.families or known or ("robust",):
-            if family not in known:
-                allowed = f"a store with the column {family}{COLUMN_END}"
-                raise InputError("store", str(store.path), allowed)
-        return self.families or known
 
 
 @dataclass(frozen=True)
@@ -58,19 +33,8 @@ class InWorlds:
         return "mean_over_worlds" if self.mean else "worlds"
 
 
-Feature = str | Survival | InWorlds
-"""A column's name, or what is computed of several."""
-
-
-def survivals(features: Iterable[Feature]) -> list[Survival]:
-    """Every survival that some features are made of."""
-    found: list[Survival] = []
-    for feature in features:
-        if isinstance(feature, Survival):
-            found.append(feature)
-        elif isinstance(feature, InWorlds):
-            found.append(Survival())
-    return found
+Feature = str | InWorlds
+"""A column's name, or what is computed of the worlds."""
 
 
 def name_of(feature: Feature) -> str:
@@ -82,18 +46,13 @@ def definition_of(feature: Feature) -> Any:
     """The definition of a feature as JSON values."""
     if isinstance(feature, str):
         return feature
-    if isinstance(feature, InWorlds):
-        return [feature.name, f"cost of a trial of {TRIAL_S:g} s"]
-    families = feature.families or ("all families",)
-    return [feature.name, *families, *["survivors only"] * feature.survivors]
+    return [feature.name, f"cost of a trial of {TRIAL_S:g} s"]
 
 
 def check_feature(feature: Feature, store: Store) -> None:
     """Refuse a store without a column of the feature by an InputError that names both."""
     if isinstance(feature, InWorlds):
         outcomes_of(store, smooth_costs)
-    elif isinstance(feature, Survival):
-        feature.families_of(store)
     elif feature not in store.columns:
         raise InputError("store", str(store.path), f"a store with the column {feature}")
 
@@ -101,18 +60,11 @@ def check_feature(feature: Feature, store: Store) -> None:
 def feature_values(feature: Feature, store: Store, cost: str = "smooth") -> Floats:
     """The feature of every row, NaN where the row is left out, [n]."""
     if isinstance(feature, str):
-        return np.asarray(_columns(store, [feature])[0])
-    if isinstance(feature, InWorlds):
-        rows = table_of_worlds(store, COSTS[cost]).rows
-        values = np.full(len(rows), np.nan)
-        values[rows.numbers] = -rows.ensemble(maximise=False).mean
-        return values
-    families = feature.families_of(store)
-    values = _columns(store, [f"{family}{COLUMN_END}" for family in families]).mean(axis=0)
-    if feature.survivors:
-        ran = _columns(store, [evaluated_name(family) for family in families]).any(axis=0)
-        values[~ran] = np.nan
-    return np.asarray(values)
+        return np.asarray(store.table([feature])[feature].to_numpy(), dtype=np.float64)
+    rows = table_of_worlds(store, COSTS[cost]).rows
+    values = np.full(len(rows), np.nan)
+    values[rows.numbers] = -rows.ensemble(maximise=False).mean
+    return values
 
 
 def feature_table(
@@ -144,28 +96,6 @@ def _table(
         # Rows are left out on purpose; stores themselves have no gaps.
         warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)
         return FeatureTable.from_arrays(columns, bounds=bounds, space=own, **known)
-
-
-def _columns(store: Store, names: list[str]) -> Floats:
-    """Columns as rows of numbers, [k, n]."""
-    table = store.table(names)
-    return np.array([table[name].to_numpy() for name in names], dtype=np.float64)
-
-
-# Without stairs, which a gait survives that hardly moves.
-FAMILIES = ("rough", "blocks", "up", "down")
-SPEED = "mean_speed_mps"  # on the base setting
-MEAN = Survival().name  # the feature that is also the prior
-OPTIONS: dict[str, Any] = {"prior": MEAN}
-
-
-def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ...]:
-    """Mean survival of these families, survival of each, and the speed on the base setting.
-
-    Rows that fell on the base setting have no survival, and are not proposed.
-    """
-    each = (Survival((family,), family, survivors=True) for family in families)
-    return (Survival(families, survivors=True), *each, SPEED)
 
 
 Cost = Callable[[Mapping[str, Floats], float], Floats]

@@ -100,13 +100,13 @@ class AfterRanking(RankedSampler):
 
 @lru_cache(maxsize=32)
 def score_order(table: FeatureTable) -> NDArray[np.int64]:
-    """Rows by the first feature, descending; ties by the second, and so on, then by row, [m].
+    """Rows by the feature, descending; ties by row, [m].
 
     Unknown features come last; rows that repeat the parameters of another are left out.
     """
     rows = table.rows
-    known = np.where(np.isfinite(rows.features), rows.features, -np.inf)
-    order = np.lexsort((np.arange(len(rows)), *(-known).T[::-1]))
+    score = rows.features[:, 0]
+    order = np.argsort(-np.where(np.isfinite(score), score, -np.inf), kind="stable")
     return order[rows.offered[order]]
 
 

@@ -31,7 +31,7 @@ from taichi_nmm.terrain import Ground
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons, refused
 
-LIVE = ("dog", "cmaes-cold", "cmaes-warm", "best", "random", "tpe")
+LIVE = ("dog", "cmaes-cold", "cmaes-warm", "worlds", "random", "tpe")
 RESUMED = ("dog", "cmaes-cold", "cmaes-warm", "tpe")  # each kind of sampler with a memory
 TRIALS = 16  # beyond a generation of 12
 
@@ -72,7 +72,7 @@ def test_trials_say_what_happened(toy: Experiment, arm: str) -> None:
         assert noted["end_reason"] in ("completed", "fell", "diverged")
         assert 0 < noted["duration_s"] <= 20
         first = arm == "cmaes-warm" and trial.number == 0
-        assert ("row" in noted) == (arm in ("dog", "best") or first)
+        assert ("row" in noted) == (arm in ("dog", "worlds") or first)
         assert ("score" in noted) == (arm == "dog" or first)
 
 

@@ -81,8 +81,8 @@ def test_the_table_has_every_trial_once_and_no_gaps(comparisons: Comparisons) ->
     assert times[["arm", "run", "trial"]].equals(keys) and (times.proposal_s > 0).all()
     written = json.loads((comparisons.folder / "out" / "experiment.json").read_text())
     assert json.loads(table.schema.metadata[b"taichi_nmm"]) == written
-    assert written["name"] == "toy" and set(written["stores"]) == {"flat", "diverse"}
-    assert set(written["arms"]) == {"random", "dog", "score-first-diverse"}
+    assert written["name"] == "toy" and set(written["stores"]) == {"flat", "worlds"}
+    assert set(written["arms"]) == {"random", "dog", "ranking"}
     assert written["arms"]["dog"]["options"] == {"kernel": "rbf"}
 
 
@@ -242,7 +242,7 @@ def test_a_seventeenth_parameter_is_searched_and_written(comparisons: Comparison
     folder.mkdir()
     experiment = fake_walker.experiment(folder, 'searched = ["theta_ref"]')
     fake_walker.calls.clear()
-    arms = ("random", "dog", "cmaes-warm", "cmaes-cold", "bo-euclidean", "score-first-diverse")
+    arms = ("random", "dog", "cmaes-warm", "cmaes-cold", "bo-euclidean", "ranking")
     comparisons.run("torso/out", experiment=experiment, arms=arms, trials=5)
     frame = comparisons.table("torso/out").to_pandas()
     assert frame.theta_ref.nunique() > 50
@@ -251,5 +251,5 @@ def test_a_seventeenth_parameter_is_searched_and_written(comparisons: Comparison
     walks = frame.drop_duplicates(["run", *GAIN_NAMES, "theta_ref"])  # of two arms, once
     assert sorted(simulated) == sorted(walks.theta_ref)
     store = pq.read_table(folder / "store" / "part-00000.parquet").to_pandas()
-    ranked = frame[frame.arm == "score-first-diverse"]
+    ranked = frame[frame.arm == "ranking"]
     np.testing.assert_array_equal(ranked.theta_ref, store.theta_ref[ranked.row])

@@ -44,7 +44,7 @@ DECIDING: dict[type, dict[str, Any]] = {
 }  # fmt: skip
 IDLE: dict[type, dict[str, Any]] = {
     Experiment: {
-        "runs": 9, "trials": 50, "arms": ("best",), "stores": {"flat": Path("elsewhere")},
+        "runs": 9, "trials": 50, "arms": ("worlds",), "stores": {"flat": Path("elsewhere")},
     },
     Conditions: {},
     # Of another engine than the tiny experiment's.
@@ -132,10 +132,10 @@ def test_an_experiment_on_mujoco_says_so_and_with_which_version(own: MujocoSetti
 
 
 def test_arms_and_the_stores_that_they_read_are_those_of_the_call(toy: Experiment) -> None:
-    ours = document(toy, (find_arm("dog"), find_arm("best"), find_arm("random")))
-    assert list(ours["arms"]) == ["best", "dog", "random"]
+    ours = document(toy, (find_arm("dog"), find_arm("worlds"), find_arm("random")))
+    assert list(ours["arms"]) == ["dog", "random", "worlds"]
     assert ours["arms"]["dog"] == json.loads(json.dumps(find_arm("dog").definition))
-    assert list(ours["stores"]) == ["diverse", "flat"]
+    assert list(ours["stores"]) == ["flat", "worlds"]
     assert len(set(ours["stores"].values())) == 1  # they are one store
     assert document(toy, ())["arms"] == document(toy, ())["stores"] == {}
 
