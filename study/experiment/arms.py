@@ -13,7 +13,7 @@ from optuna.samplers import BaseSampler, TPESampler
 from storage.store import Store, open_store
 from study.experiment import samplers
 from study.experiment.experiment import SUCCESS_SPEED_MPS, Experiment
-from study.experiment.features import Feature, InWorlds, definition_of, name_of
+from study.experiment.features import IN_WORLDS, RANKING, WORLDS, definition_of
 from study.experiment.samplers import Task
 from study.experiment.stores import candidates, check_store
 from study.sampler.draws import Purpose, seed_32bit
@@ -25,8 +25,7 @@ PAPER_ARM = "dog"  # the paper's
 OUR_ARM = "worlds"  # ours, to which all others are compared; to the paper's where it is missing
 Kind = Literal["ours", "peer", "control"]  # peers are of others, or plain; controls: no model
 
-PRINTED = ("phi_printed",)
-MEAN = (InWorlds(mean=True),)
+PRINTED = "phi_printed"
 NOTHING = "nothing but its own trials"  # what an arm without a store has seen
 
 # Arms of version 0.2.0 that are gone, and the arm to use instead.
@@ -51,20 +50,15 @@ class Arm:
     summary: str  # in a line
     new_sampler: Callable[[Task], BaseSampler]
     store: str = ""  # key of the store that it reads, in the configuration's [stores]; "" for none
-    features: tuple[Feature, ...] = ()  # columns of that store, or computed of several
+    feature: str = ""  # a column of that store, or of `IN_WORLDS`; "" for none
     fresh: bool = False  # a new sampler for each trial, since the library keeps a state in it
     replayed: bool = False  # the library keeps a state in trials, which a resumed study repeats
     options: Mapping[str, Any] = field(default_factory=dict)  # that decide its proposals as well
 
     @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the features."""
-        return tuple(name_of(feature) for feature in self.features)
-
-    @property
     def definition(self) -> dict[str, Any]:
         """All that decides its proposals, as JSON values; trials of two definitions never mix."""
-        features = [definition_of(feature) for feature in self.features]
+        features = [definition_of(self.feature)] if self.feature else []
         return {"store": self.store, "features": features, "options": dict(self.options)}
 
 
@@ -88,8 +82,8 @@ def _worlds_arm(name: str, label: str, summary: str, store: str) -> Arm:
     def new_sampler(task: Task) -> BaseSampler:
         return FeatureKernelSampler(task.table, seed=task.seed, success=task.experiment.success)
 
-    features, options = (InWorlds(),), {"success_speed_mps": SUCCESS_SPEED_MPS}
-    return Arm(name, label, "ours", summary, new_sampler, store, features, options=options)
+    options = {"success_speed_mps": SUCCESS_SPEED_MPS}
+    return Arm(name, label, "ours", summary, new_sampler, store, WORLDS, options=options)
 
 
 def _paper(task: Task) -> BaseSampler:
@@ -135,12 +129,12 @@ _ALL = (
     ),
     Arm(
         "ranking", "ranking", "control", "the rows of worlds by their mean cost, without a model",
-        samplers.RankedSampler, "worlds", MEAN,
+        samplers.RankedSampler, "worlds", RANKING,
     ),
     Arm(
         "bo-ranking", "plain BO after 3", "peer",
         "the ranking's first three rows, then Bayesian optimisation over the gains", _bo_ranking,
-        "worlds", MEAN,
+        "worlds", RANKING,
     ),
     _worlds_arm(
         "worlds-stairs", "worlds, stairs' store", "worlds, having seen other stairs alone",
@@ -164,8 +158,8 @@ def check_arms(experiment: Experiment, names: Sequence[str], trials: int) -> tup
     for arm in arms:
         if not arm.store:
             continue
-        store = check_store(experiment, arm.store, arm.features)
-        rows = int(candidates(experiment, arm.store, arm.features).rows.offered.sum())
+        store = check_store(experiment, arm.store, arm.feature)
+        rows = int(candidates(experiment, arm.store, arm.feature).rows.offered.sum())
         if trials > rows:
             allowed = f"at most {rows}, the rows that {arm.name} may take of the store {store.path}"
             raise InputError("trials", trials, allowed)
@@ -192,7 +186,7 @@ def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
     """
     if not arm.store:
         return NOTHING
-    in_worlds = any(isinstance(feature, InWorlds) for feature in arm.features)
+    in_worlds = arm.feature in IN_WORLDS
     try:
         return _of_store(open_store(stores[arm.store]), in_worlds=in_worlds)
     except (KeyError, TypeError, InputError):  # of another simulator, or edited

@@ -1,8 +1,7 @@
 """What a store knows of its rows: columns, and what a trial costs in each world."""
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,68 +20,40 @@ from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, smooth_cost, walkin
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class InWorlds:
-    """What a trial costs in each world of a store, or minus its mean over the worlds."""
-
-    mean: bool = False
-
-    @property
-    def name(self) -> str:
-        """In tables."""
-        return "mean_over_worlds" if self.mean else "worlds"
+# Features that are no columns: what a trial costs in each world, and minus its mean over them.
+WORLDS, RANKING = "worlds", "mean_over_worlds"
+IN_WORLDS = (WORLDS, RANKING)
 
 
-Feature = str | InWorlds
-"""A column's name, or what is computed of the worlds."""
-
-
-def name_of(feature: Feature) -> str:
-    """The name of a feature in tables and in `prior`."""
-    return feature if isinstance(feature, str) else feature.name
-
-
-def definition_of(feature: Feature) -> Any:
+def definition_of(feature: str) -> Any:
     """The definition of a feature as JSON values."""
-    if isinstance(feature, str):
-        return feature
-    return [feature.name, f"cost of a trial of {TRIAL_S:g} s"]
+    return [feature, f"cost of a trial of {TRIAL_S:g} s"] if feature in IN_WORLDS else feature
 
 
-def check_feature(feature: Feature, store: Store) -> None:
+def check_feature(feature: str, store: Store) -> None:
     """Refuse a store without a column of the feature by an InputError that names both."""
-    if isinstance(feature, InWorlds):
+    if feature in IN_WORLDS:
         outcomes_of(store, smooth_costs)
     elif feature not in store.columns:
         raise InputError("store", str(store.path), f"a store with the column {feature}")
 
 
-def feature_values(feature: Feature, store: Store, cost: str = "smooth") -> Floats:
-    """The feature of every row, NaN where the row is left out, [n]."""
-    if isinstance(feature, str):
-        return np.asarray(store.table([feature])[feature].to_numpy(), dtype=np.float64)
-    rows = table_of_worlds(store, COSTS[cost]).rows
-    values = np.full(len(rows), np.nan)
-    values[rows.numbers] = -rows.ensemble(maximise=False).mean
-    return values
-
-
 def feature_table(
-    store: Store,
-    features: Sequence[Feature],
-    space: Mapping[str, BaseDistribution] | None = None,
-    cost: str = "smooth",
+    store: Store, feature: str, space: Mapping[str, BaseDistribution], cost: str
 ) -> FeatureTable:
-    """The rows of a store as candidates; those that a feature leaves out are not proposed.
+    """The rows of a store as candidates; those that no world ran are not proposed.
 
-    `space` has the columns that studies suggest, with distributions; None: the store's own. `cost`
-    is that of a trial, for features in worlds.
+    `space` has the columns that studies suggest, with distributions. `cost` is that of a trial.
     """
-    if InWorlds() in features:
+    if feature == WORLDS:
         return table_of_worlds(store, COSTS[cost], space)
-    values = [feature_values(feature, store, cost) for feature in features]
-    names = [name_of(feature) for feature in features]
-    return _table(store, space, features=np.column_stack(values), feature_names=names)
+    if feature == RANKING:
+        rows = table_of_worlds(store, COSTS[cost]).rows
+        values = np.full(len(rows), np.nan)
+        values[rows.numbers] = -rows.ensemble(maximise=False).mean
+    else:
+        values = store.table([feature])[feature].to_numpy().astype(np.float64)
+    return _table(store, space, features=values[:, None], feature_names=[feature])
 
 
 def _table(
@@ -185,5 +156,5 @@ def world_table(path: str | Path, cost: Cost = smooth_costs) -> FeatureTable:
 def table_of_worlds(
     store: Store, cost: Cost, space: Mapping[str, BaseDistribution] | None = None
 ) -> FeatureTable:
-    """`world_table` of an opened store; `space` as for `feature_table`."""
+    """`world_table` of an opened store; `space` as for `feature_table`, None: the store's own."""
     return _table(store, space, outcomes=outcomes_of(store, cost))

@@ -18,7 +18,6 @@ from optuna.samplers import BaseSampler, CmaEsSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from study.experiment.experiment import Experiment
-from study.experiment.features import Feature
 from study.experiment.stores import candidates
 from study.sampler.draws import Purpose, generator, seed_32bit, turn
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
@@ -44,12 +43,12 @@ class Task:
     seed: int  # of the sampler
     turn: int  # number of the trial
     store: str  # key of the arm's store; "" for none
-    features: tuple[Feature, ...]  # of the arm
+    feature: str  # of the arm
 
     @property
     def table(self) -> FeatureTable:
-        """The arm's candidates and features."""
-        return candidates(self.experiment, self.store, self.features)
+        """The arm's candidates with its feature."""
+        return candidates(self.experiment, self.store, self.feature)
 
 
 class RowSampler(ReproducibleRandomSampler):

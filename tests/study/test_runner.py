@@ -152,7 +152,7 @@ def test_a_trial_found_running_is_run_again(toy: Experiment, arm: str, tmp_path:
     for trials, suggested in ((4, 16), (7, 1), (13, 0)):
         run(toy, arm, trials, storage)
         study = open_study(toy, found, 0, storage)
-        task = Task(toy, sampler_seed(toy.seed, arm, 0), trials, found.store, found.features)
+        task = Task(toy, sampler_seed(toy.seed, arm, 0), trials, found.store, found.feature)
         study.sampler = found.new_sampler(task)
         trial = study.ask()
         for name, ends in list(toy.space.items())[:suggested]:

@@ -46,7 +46,7 @@ def test_every_arm_over_features_can_tell(toy):
     for arm in ARMS.values():
         study = run_study(toy, find_arm("random"), 0, 1, InMemoryStorage())
         worth = worth_of_study(toy, arm, 0, study)
-        assert worth is None or arm.name.startswith("worlds") or worth.names == arm.columns
+        assert worth is None or arm.name.startswith("worlds") or worth.names == (arm.feature,)
         assert (worth is not None) == arm.name.startswith(("dog", "worlds"))
 
 

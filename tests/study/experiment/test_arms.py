@@ -34,7 +34,7 @@ def test_all_arms_stay_in_bounds_and_go_on_after_a_restart(comparisons: Comparis
 
 def table_of(experiment: Experiment, arm: str) -> FeatureTable:
     found = find_arm(arm)
-    return Task(experiment, 0, 0, found.store, found.features).table
+    return Task(experiment, 0, 0, found.store, found.feature).table
 
 
 def test_the_ranking_goes_down_the_scores_then_rows(comparisons: Comparisons) -> None:
@@ -75,10 +75,8 @@ def test_every_arm_is_found_by_its_name_and_says_what_it_is(toy: Experiment) -> 
     for name, arm in ARMS.items():
         assert find_arm(name) is arm and arm.name == name
         assert arm.label and arm.summary
-        known = arm.definition["features"]
-        assert arm.columns == tuple(known) or not isinstance(known[0], str)
         assert json.loads(json.dumps(arm.definition)) == arm.definition
-        assert bool(arm.store) == bool(arm.features)
+        assert bool(arm.store) == bool(arm.feature)
         for stores in (toy.stores, {}):
             assert (saw(arm, stores) == NOTHING) == (not arm.store)
     assert len({arm.label for arm in ARMS.values()}) == len(ARMS)

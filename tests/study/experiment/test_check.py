@@ -24,25 +24,12 @@ def test_arms_are_found_each_once_in_their_order(toy: Experiment) -> None:
 @pytest.mark.parametrize(("names", "trials", "message"), [
     ((), 8, "arms: 'none' .* one arm or more"),
     (("dog",), ROWS + 1, rf"trials: {ROWS + 1} .* at most {ROWS}, the rows that dog may take"),
-    (("ranking",), ROWS + 1, f"at most {ROWS}, the rows that ranking"),
 ])  # fmt: skip
 def test_arms_that_cannot_run(
     names: tuple[str, ...], trials: int, message: str, toy: Experiment
 ) -> None:
     with refused(message):
         check_arms(toy, names, trials)
-
-
-def test_rows_that_an_arm_leaves_out_do_not_count(toy: Experiment, tmp_path: Path) -> None:
-    strict = {"settings": 1, "min_survival_s": 2.8, "body": {"disturbance": 0.15}}
-    families = dict.fromkeys(("up", "down"), strict)
-    fake_walker.write_store(tmp_path / "strict", robust=strict, families=families)
-    experiment = replace(toy, stores={"worlds": tmp_path / "strict"})
-    rows = int(candidates(experiment, "worlds", find_arm("worlds").features).rows.offered.sum())
-    assert 0 < rows < ROWS
-    assert check_arms(experiment, ("worlds",), rows)
-    with refused(f"trials: {rows + 1} .* at most {rows}, the rows that w"):
-        check_arms(experiment, ("worlds",), rows + 1)
 
 
 def test_a_store_that_is_not_there_or_not_named(toy: Experiment, tmp_path: Path) -> None:
@@ -66,12 +53,12 @@ def test_a_store_without_a_feature(toy: Experiment, tmp_path: Path) -> None:
 
 
 def test_a_store_is_read_once_and_anew_when_made_anew(toy: Experiment, tmp_path: Path) -> None:
-    features = find_arm("ranking").features
-    before = candidates(toy, "worlds", features)
-    assert candidates(toy, "worlds", features) is before
+    feature = find_arm("ranking").feature
+    before = candidates(toy, "worlds", feature)
+    assert candidates(toy, "worlds", feature) is before
     toy.stores["worlds"].rename(tmp_path / "before")
     fake_walker.write_store(toy.stores["worlds"], samples=100)
-    assert len(before) != len(candidates(toy, "worlds", features))
+    assert len(before) != len(candidates(toy, "worlds", feature))
 
 
 def test_a_store_of_other_parameters(toy: Experiment, tmp_path: Path) -> None:

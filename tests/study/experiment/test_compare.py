@@ -11,7 +11,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-import taichi_nmm
 from storage.pool import InProcess, Pool
 from study.experiment import compare as comparing
 from study.experiment.compare import Progress, Request, compare, cut
@@ -96,21 +95,6 @@ def test_growing_an_experiment_is_the_same_as_all_at_once(comparisons: Compariso
     assert comparisons.content("grown") == comparisons.content("whole")
 
 
-@pytest.mark.parametrize("call", [1, 4, 8])
-def test_an_interrupted_experiment_goes_on(
-    call: int, comparisons: Comparisons, cut_into: CutInto, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cut_into(9, 1)
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(call))
-    with pytest.raises(KeyboardInterrupt):
-        comparisons.run("out")
-    assert not (comparisons.folder / "out" / "trials.parquet").exists()
-    outcome = comparisons.run("out")
-    assert outcome.computed == 72 - (call - 1) * 9  # finished stretches were kept
-    comparisons.run("whole")
-    assert comparisons.content("out") == comparisons.content("whole")
-
-
 def test_results_depend_on_no_cut_slot_or_stop(comparisons: Comparisons, cut_into: CutInto) -> None:
     comparisons.run("whole", arms=STATEFUL)
     for slots in (2, 5, 100):
@@ -190,6 +174,7 @@ def test_checkpoints_and_the_database_are_written_on_the_way(
     def watch(progress: Progress) -> None:
         file = comparisons.folder / "out" / "arms" / "dog.parquet"
         seen.append(pq.read_metadata(file).num_rows if file.exists() else 0)
+        assert not (comparisons.folder / "out" / "trials.parquet").exists()
         told.append((progress.trials, progress.total, progress.studies))
 
     request = Request(comparisons.folder / "out", arms=("dog",), runs=2, trials=4, artifacts=False)
