@@ -258,7 +258,7 @@ COMPARED, LIVE = "--storage OUT", "--storage URL"
     ("study", "--arm random --store STORE", "store: "), ("study", "--arm best", "store: "),
     *(("walk", f"--trial {trial} {storage}", "trial: ") for trial, storage in [
         (f"{FIRST}/4", COMPARED), ("rough8-smooth/dog/run-002/0", COMPARED),
-        ("rough8-smooth/best/run-001/0", COMPARED), (f"{FIRST}/{10**30}", COMPARED),
+        ("rough8-smooth/tpe/run-001/0", COMPARED), (f"{FIRST}/{10**30}", COMPARED),
         (FIRST, COMPARED), (f"{FIRST}/4", LIVE), (f"{FIRST}/{10**30}", LIVE),
         ("rough8-smooth/dog/0", LIVE),
     ]),

@@ -88,11 +88,3 @@ def test_interrupt_exits_130_and_resumes(command: Command, uninterrupted: dict[s
     assert (done.code, done.last) == (130, INTERRUPTED) and shards(command.out) == 2
     assert json.loads(run(command, "--json").out)["points_computed"] == 8 * (SHARDS - 2)
     assert content(command.out) == uninterrupted
-
-
-def test_a_full_disk_is_one_line(command: Command, uninterrupted: dict[str, bytes]) -> None:
-    done = run(command, largest_b=8000)
-    assert done.code == 2 and done.last.startswith("error: out: ") and "File too large" in done.last
-    assert sorted(content(command.out)) == [".lock", "specification.json"]
-    assert command.run() == 0
-    assert content(command.out) == uninterrupted

@@ -1,9 +1,8 @@
-"""taichi-nmm study as its users meet it: every arm, output, exit codes, locks, kill -9."""
+"""taichi-nmm study as its users meet it: every arm, output, exit codes, locks."""
 
 import json
 import re
 import shlex
-import signal
 import sqlite3
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,7 +24,7 @@ from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import Result
 from tests.study import fake_walker, synthetic_gait
 from tests.tools.conftest import Command, Simulator, Tool
-from tests.tools.running import ROOT, load_command, start
+from tests.tools.running import ROOT, load_command
 
 ROUGH8 = ROOT / "configs" / "rough8.toml"
 NAME = "rough8/dog/run-000"
@@ -169,16 +168,3 @@ def test_ctrl_c_says_that_work_is_kept(command: Study, simulator: Simulator) -> 
     simulator(fake_walker.stopped_in_call(1))
     assert command.run() == 130
     assert "resumes" in command.tool.err
-
-
-@pytest.mark.slow
-def test_killed_and_resumed_is_the_same_study(command: Study) -> None:
-    whole = f"sqlite:///{command.folder / 'whole.db'}"
-    assert command.run(trials=7, storage=whole) == 0
-    with start(*command.words(trials=7), signal="5:SIGKILL") as killed:
-        _, error = killed.communicate()
-    assert killed.returncode == -signal.SIGKILL
-    assert error.count(NAME) == 4
-    assert len(command.rows()) == 4
-    assert command.run(trials=7) == 0
-    assert command.rows() == command.rows(url=whole)
