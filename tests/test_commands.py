@@ -255,7 +255,7 @@ COMPARED, LIVE = "--storage OUT", "--storage URL"
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("command", "options", "says"), [
-    ("study", "--arm random --store STORE", "store: "), ("study", "--arm best", "store: "),
+    ("study", "--arm random --store STORE", "store: "), ("study", "--arm worlds", "store: "),
     *(("walk", f"--trial {trial} {storage}", "trial: ") for trial, storage in [
         (f"{FIRST}/4", COMPARED), ("rough8-smooth/dog/run-002/0", COMPARED),
         ("rough8-smooth/tpe/run-001/0", COMPARED), (f"{FIRST}/{10**30}", COMPARED),

@@ -86,16 +86,8 @@ def _worlds_arm(name: str, label: str, summary: str, store: str) -> Arm:
     return Arm(name, label, "ours", summary, new_sampler, store, WORLDS, options=options)
 
 
-def _paper(task: Task) -> BaseSampler:
-    return FeatureKernelSampler(task.table, seed=task.seed, **PAPER)
-
-
 def _plain(task: Task) -> BaseSampler:
     return FeatureKernelSampler(None, seed=task.seed, space=task.experiment.space)
-
-
-def _bo_ranking(task: Task) -> BaseSampler:
-    return samplers.AfterRanking(task, _plain(task))
 
 
 _ALL = (
@@ -121,7 +113,8 @@ _ALL = (
         fresh=True,
     ),
     Arm(
-        PAPER_ARM, "DoG, as printed", "ours", "the paper's method: kernel over the score", _paper,
+        PAPER_ARM, "DoG, as printed", "ours", "the paper's method: kernel over the score",
+        lambda task: FeatureKernelSampler(task.table, seed=task.seed, **PAPER),
         "flat", PRINTED, options=PAPER,
     ),
     _worlds_arm(
@@ -133,8 +126,8 @@ _ALL = (
     ),
     Arm(
         "bo-ranking", "plain BO after 3", "peer",
-        "the ranking's first three rows, then Bayesian optimisation over the gains", _bo_ranking,
-        "worlds", RANKING,
+        "the ranking's first three rows, then Bayesian optimisation over the gains",
+        lambda task: samplers.RankedSampler(task, then=_plain(task)), "worlds", RANKING,
     ),
     _worlds_arm(
         "worlds-stairs", "worlds, stairs' store", "worlds, having seen other stairs alone",

@@ -72,19 +72,12 @@ class RowSampler(ReproducibleRandomSampler):
 
 
 class RankedSampler(RowSampler):
-    """The rows of a table in `score_order`: trial t is the row of rank t."""
+    """The rows of a table in `score_order`: trial t is the row of rank t.
 
-    def sample_relative(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
-    ) -> dict[str, Any]:
-        """The trial's row."""
-        return self.take(study, trial, int(score_order(self._table)[turn(study, trial)]))
+    With `then`, only the first of them; the other sampler of the same parameters follows.
+    """
 
-
-class AfterRanking(RankedSampler):
-    """The first rows of a ranking, then another sampler of the same parameters."""
-
-    def __init__(self, task: Task, then: BaseSampler) -> None:
+    def __init__(self, task: Task, then: BaseSampler | None = None) -> None:
         super().__init__(task)
         self._then = then
 
@@ -92,9 +85,10 @@ class AfterRanking(RankedSampler):
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
         """The trial's row, or what the other sampler makes of all trials so far."""
-        if turn(study, trial) < FIRST_ROWS:
-            return super().sample_relative(study, trial, search_space)
-        return self._then.sample_relative(study, trial, search_space)
+        rank = turn(study, trial)
+        if self._then is not None and rank >= FIRST_ROWS:
+            return self._then.sample_relative(study, trial, search_space)
+        return self.take(study, trial, int(score_order(self._table)[rank]))
 
 
 @lru_cache(maxsize=32)

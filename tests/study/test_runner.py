@@ -241,19 +241,8 @@ def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: Experiment) -> None
     assert any(walked)
 
 
-def test_a_run_out_of_range(toy: Experiment) -> None:
-    storage = InMemoryStorage()
-    for number in (-1, 3):
-        with refused(f"run: {number} .* 0 to 2, the runs of toy"):
-            run(toy, "random", 1, storage, number)
-    assert not optuna.get_all_study_names(storage)
-
-
 @pytest.mark.parametrize(("change", "message"), [
     ({"seed": 7}, r"study toy/dog/run-000: seed: 7 .* allowed: 5, with which it was made"),
-    ({"cost": "walking"}, r"run-000: objective\.cost: 'walking' .* 'smooth'"),
-    ({"duration_s": 50.0}, r"run-000: simulation\.duration_s: 50"),
-    ({"disturbance": 0.1}, r"run-000: body\.disturbance: 0\.1 .* 0\.15"),
     ({"ground": Ground("flat")}, r"run-000: terrain\.name: 'flat' .* 'rough"),
 ])  # fmt: skip
 def test_another_configuration_is_refused_by_name(
@@ -261,7 +250,7 @@ def test_another_configuration_is_refused_by_name(
 ) -> None:
     storage = InMemoryStorage()
     run(toy, "dog", 2, storage)
-    if set(change) <= {"duration_s", "disturbance", "ground"}:
+    if "ground" in change:
         change = {"conditions": replace(toy.conditions, **change)}
     with refused(message):
         run(replace(toy, **change), "dog", 3, storage)
@@ -284,17 +273,13 @@ def test_another_store_or_definition_of_the_arm_is_refused(
         run(toy, "dog", 3, storage)
 
 
-def test_a_study_of_an_earlier_version_or_another_program_is_refused(toy: Experiment) -> None:
-    for there, message in (
-        ("toy/dog", r"study: 'toy/dog' .* of an earlier version, and is now toy/dog/run-001"),
-        ("toy/dog/run-001", r"study: 'toy/dog/run-001' .* of another program"),
-    ):
-        storage = InMemoryStorage()
-        optuna.create_study(storage=storage, study_name=there).ask()
-        with refused(message):
-            run(toy, "dog", 2, storage, 1)
-        assert optuna.get_all_study_names(storage) == [there]
-        assert len(run(toy, "random", 1, storage, 1)) == 1
+def test_a_study_of_another_program_is_refused(toy: Experiment) -> None:
+    storage, there = InMemoryStorage(), "toy/dog/run-001"
+    optuna.create_study(storage=storage, study_name=there).ask()
+    with refused(r"study: 'toy/dog/run-001' .* of another program"):
+        run(toy, "dog", 2, storage, 1)
+    assert optuna.get_all_study_names(storage) == [there]
+    assert len(run(toy, "random", 1, storage, 1)) == 1
 
 
 @pytest.mark.slow

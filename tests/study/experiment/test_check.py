@@ -7,7 +7,7 @@ import pytest
 
 from study.experiment.arms import ARMS, check_arms, find_arm, with_store
 from study.experiment.experiment import Experiment
-from study.experiment.stores import candidates, store_path
+from study.experiment.stores import candidates, check_store, store_path
 from tests.study import fake_walker
 from tests.study.conftest import refused
 
@@ -47,6 +47,8 @@ def test_a_store_without_a_feature(toy: Experiment, tmp_path: Path) -> None:
     fake_walker.write_plain_store(tmp_path / "plain")
     experiment = replace(toy, stores=dict.fromkeys(toy.stores, tmp_path / "plain"))
     assert check_arms(experiment, ("dog", "cmaes-warm"), 3)
+    with refused("plain.*a store with the column phi_reprinted"):
+        check_store(experiment, "flat", "phi_reprinted")
     for arm in ("ranking", "worlds"):
         with refused("plain.*a store with families of worlds"):
             check_arms(experiment, (arm,), 3)

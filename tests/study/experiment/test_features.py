@@ -10,7 +10,6 @@ from storage.store import open_store
 from study.experiment import features
 from study.experiment.arms import ARMS, check_arms
 from study.experiment.stores import candidates
-from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 from tests.study.conftest import refused
 
@@ -32,16 +31,6 @@ def test_rows_that_no_family_ran_are_left_out_and_do_not_count(comparisons):
         assert ran[rows[rows >= 0]].all()  # others are between rows
         with refused(f"trials: {ran.sum() + 1} .* at most {ran.sum()}, the rows that {arm} may"):
             check_arms(experiment, (arm,), ran.sum() + 1)
-
-
-def test_a_store_without_what_a_feature_needs(fake_simulator, tmp_path):
-    fake_walker.write_plain_store(tmp_path)
-    store = open_store(tmp_path)
-    features.check_feature("mean_speed_mps", store)
-    with pytest.raises(InputError, match=r"a store with the column phi_reprinted$"):
-        features.check_feature("phi_reprinted", store)
-    with pytest.raises(InputError, match=r"a store with families of worlds$"):
-        features.check_feature(features.RANKING, store)
 
 
 @pytest.mark.parametrize(("cost", "walker", "faller"), [
