@@ -24,7 +24,7 @@ from study.experiment.experiment import Experiment, study_name
 from study.experiment.live_study import open_study, run_study
 from study.experiment.one_study import OneStudy, sampler_seed
 from study.experiment.samplers import Task
-from study.experiment.trials import ATTRIBUTES, progress_line, simulate_trials, study_facts
+from study.experiment.trials import ATTRIBUTES, simulate_trials
 from study.options import config_path
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.terrain import Ground
@@ -296,19 +296,6 @@ def test_live_studies_and_comparisons_leave_each_other(toy: Experiment, tmp_path
     assert len(str(other.value)) < 200 + len(url)
     study = optuna.load_study(study_name="toy/dog/run-000", storage=open_studies(url))
     assert len(study.trials) == 2
-
-
-def test_what_a_study_says(toy: Experiment) -> None:
-    lines: list[str] = []
-    study = run_study(
-        toy, find_arm("dog"), 2, 6, InMemoryStorage(),
-        lambda study, trial: lines.append(progress_line(study, trial, 6)),
-    )  # fmt: skip
-    assert len(lines) == 6
-    assert lines[5].startswith("toy/dog/run-002  6/6  cost ")
-    found = study_facts(study)
-    assert found["study"] == study_name("toy", "dog", 2)
-    assert found["best_cost"] == study.best_value
 
 
 def test_the_lines_to_look_at_it_name_what_is_not_the_default() -> None:

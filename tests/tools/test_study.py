@@ -53,7 +53,9 @@ def test_json_is_one_object(command: Study) -> None:
     assert found["study"] == NAME
     assert found["trials"] == 4
     assert found["end_reason"] in ("completed", "fell")
+    assert found["best_cost"] == command.study().best_value
     assert command.tool.err.count(NAME) == 4  # a line a trial
+    assert f"{NAME}  4/4  cost " in command.tool.err
     gains = command.folder / "out" / "dog-run-000-best.json"
     assert tuple(json.loads(gains.read_text())) == GAIN_NAMES
     taichi_nmm.load_gains(str(gains))

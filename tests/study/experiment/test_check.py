@@ -21,15 +21,9 @@ def test_arms_are_found_each_once_in_their_order(toy: Experiment) -> None:
     assert found == (find_arm("dog"), find_arm("random"))
 
 
-@pytest.mark.parametrize(("names", "trials", "message"), [
-    ((), 8, "arms: 'none' .* one arm or more"),
-    (("dog",), ROWS + 1, rf"trials: {ROWS + 1} .* at most {ROWS}, the rows that dog may take"),
-])  # fmt: skip
-def test_arms_that_cannot_run(
-    names: tuple[str, ...], trials: int, message: str, toy: Experiment
-) -> None:
-    with refused(message):
-        check_arms(toy, names, trials)
+def test_no_arms_are_refused(toy: Experiment) -> None:
+    with refused("arms: 'none' .* one arm or more"):
+        check_arms(toy, (), 8)
 
 
 def test_a_store_that_is_not_there_or_not_named(toy: Experiment, tmp_path: Path) -> None:

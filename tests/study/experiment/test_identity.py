@@ -90,11 +90,6 @@ def test_what_decides_trials_changes_the_document_and_is_read_back(other: Experi
     assert document(read_back(other), ()) == document(other, ())
 
 
-def test_another_seed_changes_the_seed_and_the_first_ground_of_a_document() -> None:
-    one, two = document(TINY, ()), document(replace(TINY, seed=8), ())
-    assert {name for name in one if one[name] != two[name]} == {"seed", "terrain"}
-
-
 @pytest.mark.parametrize("other", named(IDLE))
 def test_what_decides_nothing_changes_nothing(other: Experiment) -> None:
     assert other != TINY
