@@ -15,12 +15,12 @@ BIN := .venv/bin
 PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: quickstart compare results test test-fast test-campaign fuzz docs lint hooks store store-diverse store-worlds store-torso store-stairs
+.PHONY: quickstart compare results test test-fast test-campaign fuzz docs lint hooks store store-worlds store-torso store-stairs
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
 
-STORES := store store-diverse store-worlds
+STORES := store store-worlds
 PAPER := rough8-smooth rough6-walking rough8-walking risers $(foreach way,up down,ramp-$(way) ramp-$(way)-gentle) stairs-down
 STAIRS := stairs-up stairs-up-high stairs-up-short
 TORSO := $(foreach way,up down,ramp-$(way)-torso stairs-$(way)-torso)

@@ -96,7 +96,7 @@ def configurations(words: Words) -> set[str]:
 def test_every_configuration_is_named_by_a_command() -> None:
     pairs = {(words[0], config) for words in COMMANDS for config in configurations(words)}
     assert {tool for tool, _ in pairs} == set(SHORT)
-    assert {config for _, config in pairs} - {"walk", "short-diverse", "pole"} == CONFIGS
+    assert {config for _, config in pairs} - {"walk", "pole"} == CONFIGS
     assert len(pairs) > len(CONFIGS)
 
 
@@ -112,7 +112,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (folder / name).write_text(text)
         out = folder / "out"
         fake_walker.write_store(out / "store")
-        for kind in ("diverse", "worlds", "stairs", "diverse-10s", "worlds-large"):
+        for kind in ("worlds", "stairs", "worlds-large"):
             (out / f"store-{kind}").symlink_to(out / "store")
         fake_walker.write_store(out / "store-torso", searched=["theta_ref"])
         for name in ("walker2d", "ant"):
@@ -255,10 +255,10 @@ COMPARED, LIVE = "--storage OUT", "--storage URL"
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("command", "options", "says"), [
-    ("study", "--arm random --store STORE", "store: "), ("study", "--arm best", "store: "),
+    ("study", "--arm random --store STORE", "store: "), ("study", "--arm worlds", "store: "),
     *(("walk", f"--trial {trial} {storage}", "trial: ") for trial, storage in [
         (f"{FIRST}/4", COMPARED), ("rough8-smooth/dog/run-002/0", COMPARED),
-        ("rough8-smooth/best/run-001/0", COMPARED), (f"{FIRST}/{10**30}", COMPARED),
+        ("rough8-smooth/tpe/run-001/0", COMPARED), (f"{FIRST}/{10**30}", COMPARED),
         (FIRST, COMPARED), (f"{FIRST}/4", LIVE), (f"{FIRST}/{10**30}", LIVE),
         ("rough8-smooth/dog/0", LIVE),
     ]),

@@ -13,17 +13,7 @@ from optuna.samplers import BaseSampler, TPESampler
 from storage.store import Store, open_store
 from study.experiment import samplers
 from study.experiment.experiment import SUCCESS_SPEED_MPS, Experiment
-from study.experiment.features import (
-    FAMILIES,
-    Feature,
-    InWorlds,
-    Survival,
-    definition_of,
-    name_of,
-    survival_features,
-    survivals,
-)
-from study.experiment.features import OPTIONS as BEST
+from study.experiment.features import IN_WORLDS, RANKING, WORLDS, definition_of
 from study.experiment.samplers import Task
 from study.experiment.stores import candidates, check_store
 from study.sampler.draws import Purpose, seed_32bit
@@ -35,20 +25,18 @@ PAPER_ARM = "dog"  # the paper's
 OUR_ARM = "worlds"  # ours, to which all others are compared; to the paper's where it is missing
 Kind = Literal["ours", "peer", "control"]  # peers are of others, or plain; controls: no model
 
-PRINTED = ("phi_printed",)
-TIES = "phi_corrected"
+PRINTED = "phi_printed"
 NOTHING = "nothing but its own trials"  # what an arm without a store has seen
 
 # Arms of version 0.2.0 that are gone, and the arm to use instead.
 REMOVED = {
-    "gp-optuna": "bo-euclidean", "dog-kd": "dog", "dog-robust": "best", "dog-off-grid": "dog",
-    "dog-mild": "best", "dog-ramps": "best", "dog-diverse": "best",
-    "score-first": "score-first-diverse", "score-top": "score-first-diverse",
-    "score-first-flat": "score-first-diverse", "ei-prior": "best", "best-robust": "best",
-    "best-mild": "best", "best-ramps": "best", "best-without-rough": "best",
-    "best-without-ramps": "best", "best-worlds": "worlds", "best-worlds-grid": "worlds",
-    "score-first-worlds": "ranking", "best-stairs": "worlds-stairs",
-    "score-first-stairs": "worlds-stairs", "cmaes-source": "cmaes-warm",
+    "gp-optuna": "bo-euclidean", "dog-kd": "dog", "dog-robust": "worlds", "dog-off-grid": "dog",
+    "dog-mild": "worlds", "dog-ramps": "worlds", "dog-diverse": "worlds", "score-first": "ranking",
+    "score-top": "ranking", "score-first-flat": "ranking", "score-first-diverse": "ranking",
+    "score-first-worlds": "ranking", "score-first-stairs": "worlds-stairs", "ei-prior": "worlds",
+    "best": "worlds", "best-robust": "worlds", "best-mild": "worlds", "best-ramps": "worlds",
+    "best-without-rough": "worlds", "best-without-ramps": "worlds", "best-worlds": "worlds",
+    "best-worlds-grid": "worlds", "best-stairs": "worlds-stairs", "cmaes-source": "cmaes-warm",
 }  # fmt: skip
 
 
@@ -62,20 +50,15 @@ class Arm:
     summary: str  # in a line
     new_sampler: Callable[[Task], BaseSampler]
     store: str = ""  # key of the store that it reads, in the configuration's [stores]; "" for none
-    features: tuple[Feature, ...] = ()  # columns of that store, or computed of several
+    feature: str = ""  # a column of that store, or of `IN_WORLDS`; "" for none
     fresh: bool = False  # a new sampler for each trial, since the library keeps a state in it
     replayed: bool = False  # the library keeps a state in trials, which a resumed study repeats
     options: Mapping[str, Any] = field(default_factory=dict)  # that decide its proposals as well
 
     @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the features."""
-        return tuple(name_of(feature) for feature in self.features)
-
-    @property
     def definition(self) -> dict[str, Any]:
         """All that decides its proposals, as JSON values; trials of two definitions never mix."""
-        features = [definition_of(feature) for feature in self.features]
+        features = [definition_of(self.feature)] if self.feature else []
         return {"store": self.store, "features": features, "options": dict(self.options)}
 
 
@@ -93,46 +76,18 @@ def find_arm(name: str) -> Arm:
     return ARMS[name]
 
 
-def _table_arm(
-    name: str,
-    label: str,
-    summary: str,
-    store: str,
-    features: tuple[Feature, ...],
-    kind: Kind = "ours",
-    **options: Any,
-) -> Arm:
-    """Our sampler over a store's rows, `options` being those of `FeatureKernelSampler`."""
-
-    def new_sampler(task: Task) -> BaseSampler:
-        return FeatureKernelSampler(task.table, seed=task.seed, **options)
-
-    return Arm(name, label, kind, summary, new_sampler, store, features, options=options)
-
-
 def _worlds_arm(name: str, label: str, summary: str, store: str) -> Arm:
     """Our sampler over what a store's rows cost in each world, which aims at the first success."""
 
     def new_sampler(task: Task) -> BaseSampler:
         return FeatureKernelSampler(task.table, seed=task.seed, success=task.experiment.success)
 
-    features, options = (InWorlds(),), {"success_speed_mps": SUCCESS_SPEED_MPS}
-    return Arm(name, label, "ours", summary, new_sampler, store, features, options=options)
-
-
-def _ordered_arm(
-    name: str, label: str, summary: str, store: str, features: tuple[Feature, ...]
-) -> Arm:
-    """The rows of a store in the order of its features: the first, ties by the second, then row."""
-    return Arm(name, label, "control", summary, samplers.RankedSampler, store, features)
+    options = {"success_speed_mps": SUCCESS_SPEED_MPS}
+    return Arm(name, label, "ours", summary, new_sampler, store, WORLDS, options=options)
 
 
 def _plain(task: Task) -> BaseSampler:
     return FeatureKernelSampler(None, seed=task.seed, space=task.experiment.space)
-
-
-def _bo_ranking(task: Task) -> BaseSampler:
-    return samplers.AfterRanking(task, _plain(task))
 
 
 _ALL = (
@@ -157,33 +112,26 @@ _ALL = (
         lambda task: TPESampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn)),
         fresh=True,
     ),
-    _table_arm(
-        PAPER_ARM, "DoG, as printed", "the paper's method: kernel over the score",
-        "flat", PRINTED, **PAPER,
+    Arm(
+        PAPER_ARM, "DoG, as printed", "ours", "the paper's method: kernel over the score",
+        lambda task: FeatureKernelSampler(task.table, seed=task.seed, **PAPER),
+        "flat", PRINTED, options=PAPER,
     ),
     _worlds_arm(
         "worlds", "worlds", "learns which world of its store the robot is like", "worlds",
     ),
-    _ordered_arm(
-        "ranking", "ranking", "the rows of worlds by their mean cost, without a model", "worlds",
-        (InWorlds(mean=True),),
+    Arm(
+        "ranking", "ranking", "control", "the rows of worlds by their mean cost, without a model",
+        samplers.RankedSampler, "worlds", RANKING,
     ),
     Arm(
         "bo-ranking", "plain BO after 3", "peer",
-        "the ranking's first three rows, then Bayesian optimisation over the gains", _bo_ranking,
-        "worlds", (InWorlds(mean=True),),
+        "the ranking's first three rows, then Bayesian optimisation over the gains",
+        lambda task: samplers.RankedSampler(task, then=_plain(task)), "worlds", RANKING,
     ),
     _worlds_arm(
         "worlds-stairs", "worlds, stairs' store", "worlds, having seen other stairs alone",
         "stairs",
-    ),
-    _ordered_arm(
-        "score-first-diverse", "best diverse score first",
-        "best mean score of all families first", "diverse", (Survival(FAMILIES), TIES),
-    ),
-    _table_arm(
-        "best", "best of 0.2.0", "survival of families, chosen by hand", "diverse",
-        survival_features(FAMILIES), **BEST,
     ),
 )  # fmt: skip
 
@@ -203,8 +151,8 @@ def check_arms(experiment: Experiment, names: Sequence[str], trials: int) -> tup
     for arm in arms:
         if not arm.store:
             continue
-        store = check_store(experiment, arm.store, arm.features)
-        rows = int(candidates(experiment, arm.store, arm.features).rows.offered.sum())
+        store = check_store(experiment, arm.store, arm.feature)
+        rows = int(candidates(experiment, arm.store, arm.feature).rows.offered.sum())
         if trials > rows:
             allowed = f"at most {rows}, the rows that {arm.name} may take of the store {store.path}"
             raise InputError("trials", trials, allowed)
@@ -227,27 +175,24 @@ def with_store(experiment: Experiment, names: Sequence[str], path: Path) -> Expe
 def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
     """The bodies and grounds that an arm's store had seen before the first trial, in words.
 
-    `stores` are folders by key. If the arm's store is missing or cannot be read, only the names of
-    the families that the arm reads are given.
+    `stores` are folders by key. If the arm's store is missing or cannot be read, its key is given.
     """
     if not arm.store:
         return NOTHING
+    in_worlds = arm.feature in IN_WORLDS
     try:
-        return _of_store(arm, open_store(stores[arm.store]))
+        return _of_store(open_store(stores[arm.store]), in_worlds=in_worlds)
     except (KeyError, TypeError, InputError):  # of another simulator, or edited
-        read = [name for each in survivals(arm.features) for name in each.families or ("all",)]
-        names = ", ".join(dict.fromkeys(read))
-        return f"base setting of the store {arm.store}{f'; its families: {names}' * bool(names)}"
+        return f"base setting of the store {arm.store}{', and its families' * in_worlds}"
 
 
-def _of_store(arm: Arm, store: Store) -> str:
+def _of_store(store: Store, *, in_worlds: bool) -> str:
+    """The base setting, and, if it is read in worlds, the settings of its families."""
     specification = store.specification
     known = {"robust": specification.get("robust"), **specification.get("families", {})}
-    names = dict.fromkeys(
-        name for each in survivals(arm.features) for name in each.families_of(store)
-    )
+    families = store.families if in_worlds else ()
     grounds: dict[str, dict[str, None]] = {}
-    for setting in (specification, *(known[name] for name in names)):
+    for setting in (specification, *(known[name] for name in families)):
         percent = 100.0 * setting["body"]["disturbance"]
         body = f"bodies disturbed by {percent:g} %" if percent else "undisturbed body"
         body += ", in worlds that differ" * ("world" in setting)

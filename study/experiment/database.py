@@ -179,7 +179,7 @@ def note_worths(
     Raises:
         InputError: the database cannot be used.
     """
-    if not any(arm.features for arm in arms):
+    if not any(arm.feature for arm in arms):
         return
     from optuna_dashboard import get_note  # a second
 
@@ -195,7 +195,7 @@ def _noted(
 ) -> Iterator[tuple[Arm, int, str]]:
     """Each study that has trials and gets a note, by its name."""
     counts = trial_counts(storage)
-    for arm, run in product((arm for arm in arms if arm.features), runs):
+    for arm, run in product((arm for arm in arms if arm.feature), runs):
         name = study_name(experiment.name, arm.name, run)
         if counts.get(name):
             yield arm, run, name

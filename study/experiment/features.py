@@ -1,12 +1,7 @@
-"""What a store knows of its rows: columns, mean survivals, and what a trial costs in each world.
-
-Gaits are alike that survive the same grounds. Their survival was computed beforehand, on several
-families of disturbed bodies and uneven grounds; docs/comparison.md explains the choices.
-"""
+"""What a store knows of its rows: columns, and what a trial costs in each world."""
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
-from storage.store import Store, evaluated_name, open_store
+from storage.store import Store, open_store
 from study.sampler.columns import store_parameters
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
@@ -24,113 +19,41 @@ from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, smooth_cost, walkin
 
 Floats = NDArray[np.float64]
 
-COLUMN_END = "_survived_fraction_mean"
+
+# Features that are no columns: what a trial costs in each world, and minus its mean over them.
+WORLDS, RANKING = "worlds", "mean_over_worlds"
+IN_WORLDS = (WORLDS, RANKING)
 
 
-@dataclass(frozen=True)
-class Survival:
-    """The mean share of the time that a row survives in the settings of a store's families."""
-
-    families: tuple[str, ...] = ()  # of settings; () are all that the store has
-    name: str = "survival"  # of the feature
-    survivors: bool = False  # rows that no family ran (they fell on level ground) are left out
-
-    def families_of(self, store: Store) -> tuple[str, ...]:
-        """The families that are averaged, or an InputError: the store lacks one, or has none."""
-        ends = (name for name in store.columns if name.endswith(COLUMN_END))
-        known = tuple(name.removesuffix(COLUMN_END) for name in ends)
-        for family in self.families or known or ("robust",):
-            if family not in known:
-                allowed = f"a store with the column {family}{COLUMN_END}"
-                raise InputError("store", str(store.path), allowed)
-        return self.families or known
-
-
-@dataclass(frozen=True)
-class InWorlds:
-    """What a trial costs in each world of a store, or minus its mean over the worlds."""
-
-    mean: bool = False
-
-    @property
-    def name(self) -> str:
-        """In tables."""
-        return "mean_over_worlds" if self.mean else "worlds"
-
-
-Feature = str | Survival | InWorlds
-"""A column's name, or what is computed of several."""
-
-
-def survivals(features: Iterable[Feature]) -> list[Survival]:
-    """Every survival that some features are made of."""
-    found: list[Survival] = []
-    for feature in features:
-        if isinstance(feature, Survival):
-            found.append(feature)
-        elif isinstance(feature, InWorlds):
-            found.append(Survival())
-    return found
-
-
-def name_of(feature: Feature) -> str:
-    """The name of a feature in tables and in `prior`."""
-    return feature if isinstance(feature, str) else feature.name
-
-
-def definition_of(feature: Feature) -> Any:
+def definition_of(feature: str) -> Any:
     """The definition of a feature as JSON values."""
-    if isinstance(feature, str):
-        return feature
-    if isinstance(feature, InWorlds):
-        return [feature.name, f"cost of a trial of {TRIAL_S:g} s"]
-    families = feature.families or ("all families",)
-    return [feature.name, *families, *["survivors only"] * feature.survivors]
+    return [feature, f"cost of a trial of {TRIAL_S:g} s"] if feature in IN_WORLDS else feature
 
 
-def check_feature(feature: Feature, store: Store) -> None:
+def check_feature(feature: str, store: Store) -> None:
     """Refuse a store without a column of the feature by an InputError that names both."""
-    if isinstance(feature, InWorlds):
+    if feature in IN_WORLDS:
         outcomes_of(store, smooth_costs)
-    elif isinstance(feature, Survival):
-        feature.families_of(store)
     elif feature not in store.columns:
         raise InputError("store", str(store.path), f"a store with the column {feature}")
 
 
-def feature_values(feature: Feature, store: Store, cost: str = "smooth") -> Floats:
-    """The feature of every row, NaN where the row is left out, [n]."""
-    if isinstance(feature, str):
-        return np.asarray(_columns(store, [feature])[0])
-    if isinstance(feature, InWorlds):
+def feature_table(
+    store: Store, feature: str, space: Mapping[str, BaseDistribution], cost: str
+) -> FeatureTable:
+    """The rows of a store as candidates; those that no world ran are not proposed.
+
+    `space` has the columns that studies suggest, with distributions. `cost` is that of a trial.
+    """
+    if feature == WORLDS:
+        return table_of_worlds(store, COSTS[cost], space)
+    if feature == RANKING:
         rows = table_of_worlds(store, COSTS[cost]).rows
         values = np.full(len(rows), np.nan)
         values[rows.numbers] = -rows.ensemble(maximise=False).mean
-        return values
-    families = feature.families_of(store)
-    values = _columns(store, [f"{family}{COLUMN_END}" for family in families]).mean(axis=0)
-    if feature.survivors:
-        ran = _columns(store, [evaluated_name(family) for family in families]).any(axis=0)
-        values[~ran] = np.nan
-    return np.asarray(values)
-
-
-def feature_table(
-    store: Store,
-    features: Sequence[Feature],
-    space: Mapping[str, BaseDistribution] | None = None,
-    cost: str = "smooth",
-) -> FeatureTable:
-    """The rows of a store as candidates; those that a feature leaves out are not proposed.
-
-    `space` has the columns that studies suggest, with distributions; None: the store's own. `cost`
-    is that of a trial, for features in worlds.
-    """
-    if InWorlds() in features:
-        return table_of_worlds(store, COSTS[cost], space)
-    values = [feature_values(feature, store, cost) for feature in features]
-    names = [name_of(feature) for feature in features]
-    return _table(store, space, features=np.column_stack(values), feature_names=names)
+    else:
+        values = store.table([feature])[feature].to_numpy().astype(np.float64)
+    return _table(store, space, features=values[:, None], feature_names=[feature])
 
 
 def _table(
@@ -144,28 +67,6 @@ def _table(
         # Rows are left out on purpose; stores themselves have no gaps.
         warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)
         return FeatureTable.from_arrays(columns, bounds=bounds, space=own, **known)
-
-
-def _columns(store: Store, names: list[str]) -> Floats:
-    """Columns as rows of numbers, [k, n]."""
-    table = store.table(names)
-    return np.array([table[name].to_numpy() for name in names], dtype=np.float64)
-
-
-# Without stairs, which a gait survives that hardly moves.
-FAMILIES = ("rough", "blocks", "up", "down")
-SPEED = "mean_speed_mps"  # on the base setting
-MEAN = Survival().name  # the feature that is also the prior
-OPTIONS: dict[str, Any] = {"prior": MEAN}
-
-
-def survival_features(families: tuple[str, ...] = FAMILIES) -> tuple[Feature, ...]:
-    """Mean survival of these families, survival of each, and the speed on the base setting.
-
-    Rows that fell on the base setting have no survival, and are not proposed.
-    """
-    each = (Survival((family,), family, survivors=True) for family in families)
-    return (Survival(families, survivors=True), *each, SPEED)
 
 
 Cost = Callable[[Mapping[str, Floats], float], Floats]
@@ -255,5 +156,5 @@ def world_table(path: str | Path, cost: Cost = smooth_costs) -> FeatureTable:
 def table_of_worlds(
     store: Store, cost: Cost, space: Mapping[str, BaseDistribution] | None = None
 ) -> FeatureTable:
-    """`world_table` of an opened store; `space` as for `feature_table`."""
+    """`world_table` of an opened store; `space` as for `feature_table`, None: the store's own."""
     return _table(store, space, outcomes=outcomes_of(store, cost))

@@ -158,10 +158,6 @@ def _check_study(
     """Name and document of the study, which is new or was begun with this document."""
     name, identity = study_name(experiment.name, arm.name, run), document(experiment, (arm,))
     names = optuna.get_all_study_names(storage)
-    older = f"{experiment.name}/{arm.name}"  # of before studies had runs; its seeds were others
-    if older in names:
-        allowed = f"another --storage: this study is of an earlier version, and is now {name}"
-        raise InputError("study", older, allowed)
     if name not in names:
         return name, identity
     study = optuna.load_study(study_name=name, storage=storage)

@@ -141,7 +141,7 @@ class OneStudy:
 def new_sampler(experiment: Experiment, arm: Arm, run: int, turn: int = 0) -> BaseSampler:
     """The sampler of an arm in a run, for its trial of this number."""
     seed = sampler_seed(experiment.seed, arm.name, run)
-    return arm.new_sampler(Task(experiment, seed, turn, arm.store, arm.features))
+    return arm.new_sampler(Task(experiment, seed, turn, arm.store, arm.feature))
 
 
 class LiveStudy(OneStudy):
@@ -193,15 +193,15 @@ class LiveStudy(OneStudy):
 def shown(arm: Arm, rows: NDArray[np.void]) -> dict[str, Any]:
     """The attributes by which samplers learn from a trial, beside its cost; rows [1]."""
     found: dict[str, Any] = {FELL_ATTRIBUTE: bool(fell(rows)[0])}
-    if arm.columns and all(name in KEPT for name in arm.columns):
-        found[SHOWN_ATTRIBUTE] = [float(rows[name][0]) for name in arm.columns]
+    if arm.feature in KEPT:
+        found[SHOWN_ATTRIBUTE] = [float(rows[arm.feature][0])]
     return found
 
 
 def worth_of_study(
     experiment: Experiment, arm: Arm, run: int, study: optuna.Study
 ) -> Worth | Likeness | None:
-    """The worth of the arm's features or worlds in the trials of its study; None: it has none."""
+    """The worth of the arm's feature or worlds in the trials of its study; None: it has none."""
     sampler = new_sampler(experiment, arm, run) if arm.store else None
     if not isinstance(sampler, FeatureKernelSampler) or not sampler.has_features:
         return None

@@ -18,7 +18,6 @@ from optuna.samplers import BaseSampler, CmaEsSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from study.experiment.experiment import Experiment
-from study.experiment.features import Feature
 from study.experiment.stores import candidates
 from study.sampler.draws import Purpose, generator, seed_32bit, turn
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
@@ -44,12 +43,12 @@ class Task:
     seed: int  # of the sampler
     turn: int  # number of the trial
     store: str  # key of the arm's store; "" for none
-    features: tuple[Feature, ...]  # of the arm
+    feature: str  # of the arm
 
     @property
     def table(self) -> FeatureTable:
-        """The arm's candidates and features."""
-        return candidates(self.experiment, self.store, self.features)
+        """The arm's candidates with its feature."""
+        return candidates(self.experiment, self.store, self.feature)
 
 
 class RowSampler(ReproducibleRandomSampler):
@@ -73,19 +72,12 @@ class RowSampler(ReproducibleRandomSampler):
 
 
 class RankedSampler(RowSampler):
-    """The rows of a table in `score_order`: trial t is the row of rank t."""
+    """The rows of a table in `score_order`: trial t is the row of rank t.
 
-    def sample_relative(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
-    ) -> dict[str, Any]:
-        """The trial's row."""
-        return self.take(study, trial, int(score_order(self._table)[turn(study, trial)]))
+    With `then`, only the first of them; the other sampler of the same parameters follows.
+    """
 
-
-class AfterRanking(RankedSampler):
-    """The first rows of a ranking, then another sampler of the same parameters."""
-
-    def __init__(self, task: Task, then: BaseSampler) -> None:
+    def __init__(self, task: Task, then: BaseSampler | None = None) -> None:
         super().__init__(task)
         self._then = then
 
@@ -93,20 +85,21 @@ class AfterRanking(RankedSampler):
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
         """The trial's row, or what the other sampler makes of all trials so far."""
-        if turn(study, trial) < FIRST_ROWS:
-            return super().sample_relative(study, trial, search_space)
-        return self._then.sample_relative(study, trial, search_space)
+        rank = turn(study, trial)
+        if self._then is not None and rank >= FIRST_ROWS:
+            return self._then.sample_relative(study, trial, search_space)
+        return self.take(study, trial, int(score_order(self._table)[rank]))
 
 
 @lru_cache(maxsize=32)
 def score_order(table: FeatureTable) -> NDArray[np.int64]:
-    """Rows by the first feature, descending; ties by the second, and so on, then by row, [m].
+    """Rows by the feature, descending; ties by row, [m].
 
     Unknown features come last; rows that repeat the parameters of another are left out.
     """
     rows = table.rows
-    known = np.where(np.isfinite(rows.features), rows.features, -np.inf)
-    order = np.lexsort((np.arange(len(rows)), *(-known).T[::-1]))
+    score = rows.features[:, 0]
+    order = np.argsort(-np.where(np.isfinite(score), score, -np.inf), kind="stable")
     return order[rows.offered[order]]
 
 

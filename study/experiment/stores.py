@@ -7,14 +7,14 @@ from pathlib import Path
 from storage.store import MANIFEST_NAME, Manifest, Store, open_store
 from storage.tables import file_hash
 from study.experiment.experiment import Experiment, search_space
-from study.experiment.features import Feature, check_feature, feature_table
+from study.experiment.features import check_feature, feature_table
 from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import Parameter
 
 
-def candidates(experiment: Experiment, store: str, features: tuple[Feature, ...]) -> FeatureTable:
-    """The rows of a store with some features, for studies of an experiment.
+def candidates(experiment: Experiment, store: str, feature: str) -> FeatureTable:
+    """The rows of a store with a feature, for studies of an experiment.
 
     Raises:
         InputError: the configuration names no such store, or it cannot be read.
@@ -25,18 +25,18 @@ def candidates(experiment: Experiment, store: str, features: tuple[Feature, ...]
         written_ns = written.stat().st_mtime_ns
     except OSError:
         written_ns = 0  # opening the store tells what is missing
-    return _read(path, written_ns, features, experiment.parameters, experiment.cost)
+    return _read(path, written_ns, feature, experiment.parameters, experiment.cost)
 
 
 @lru_cache(maxsize=16)
 def _read(
     path: Path,
     _written_ns: int,
-    features: tuple[Feature, ...],
+    feature: str,
     parameters: tuple[Parameter, ...],
     cost: str,
 ) -> FeatureTable:
-    return feature_table(open_store(path), features, search_space(parameters), cost)
+    return feature_table(open_store(path), feature, search_space(parameters), cost)
 
 
 def store_path(experiment: Experiment, store: str) -> Path:
@@ -52,8 +52,8 @@ def store_path(experiment: Experiment, store: str) -> Path:
     return experiment.stores[store]
 
 
-def check_store(experiment: Experiment, store: str, features: tuple[Feature, ...]) -> Store:
-    """Open a store, and see that it has the experiment's parameters and these features.
+def check_store(experiment: Experiment, store: str, feature: str) -> Store:
+    """Open a store, and see that it has the experiment's parameters and this feature.
 
     Raises:
         InputError: no such store, not a finished store, other parameters or bounds, or no such
@@ -69,8 +69,7 @@ def check_store(experiment: Experiment, store: str, features: tuple[Feature, ...
         allowed = f"a store of {' and '.join(('the 16 gains', *experiment.searched))}"
         raise InputError(field, found, allowed)
     opened.require_bounds()
-    for feature in features:
-        check_feature(feature, opened)
+    check_feature(feature, opened)
     return opened
 
 

@@ -33,7 +33,6 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from storage.store import EVOLVED_ROW, ORIGIN, Store
-from study.experiment.features import COLUMN_END
 from study.explore.server import Message
 from study.explore.stage import SCRIPTS
 from study.pictures import style
@@ -189,7 +188,7 @@ def first_columns(store: Store) -> list[str]:
 
     Of other simulators than the walker: the first numbers after the parameters.
     """
-    survived = [name for name in store.columns if name.endswith(COLUMN_END)]
+    survived = [name for name in store.columns if name.endswith("_survived_fraction_mean")]
     first = [*FIRST[:2], *(survived[:1] or FIRST[2:3]), *FIRST[3:]]
     known = numeric_columns(store)
     if set(first) <= set(known):

@@ -44,7 +44,7 @@ WORDS: tuple[str, ...] = (
 OPTIONS: tuple[str, ...] = (
     "", " ", "-", "--", "-1", "0", "1", "2", "00", "+1", "1.5", "1e3", "nan", "inf", "-inf",
     "1e400", "9" * 30, "9" * 5000, "\u0663", "\u00b2", "1_0", "0x1", " 1 ", "1\n", "a", "dog",
-    "dog,dog", "dog,", ",", "random", "best", "é", "\u202ea", "\U0001f600", "a b", "a\nb", "a\tb",
+    "dog,dog", "dog,", ",", "random", "worlds", "é", "\u202ea", "\U0001f600", "a b", "a\nb", "a\tb",
     "\x1b[31m", SURROGATE, f"a{SURROGATE}", "x" * 300, "x" * 5000, "%s", "%(default)s", "{}", "{0}",
     "*", "~", ".", "..", "./.", "a/b/c", "store", "compared", "toy.toml", "hill.csv", "live.db",
     "gains.json", "toy.toml/x", "/dev/null/x", "auto", "cpu", "cuda", "vulkan", "mujoco", "both",

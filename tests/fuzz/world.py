@@ -75,7 +75,6 @@ kind = "rough"
 amplitude_m = 0.08
 [stores]
 flat = "store"
-diverse = "store"
 """
 ON_A_TABLE = 'seed = 1\n[terrain]\nkind = "file"\nfile = "{}"\n'
 GRID = """\

@@ -30,7 +30,7 @@ def test_shards_cover_the_samples_which_may_be_given_by_hand() -> None:
 def test_shipped_configs_are_valid() -> None:
     flat = read_specification(read_toml(CONFIGS / "store.toml"))
     assert (flat.horizon_s, flat.families, flat.worlds.terrains[0].name) == (5.0, (), "flat")
-    families = read_specification(read_toml(CONFIGS / "store-diverse.toml")).families
+    families = read_specification(read_toml(CONFIGS / "store-torso.toml")).families
     assert [family.name for family in families] == ["blocks", "down", "rough", "up"]
     for each in families:
         assert len(each.worlds.bodies) == len(each.worlds.terrains) == 4

@@ -130,13 +130,13 @@ name = "toy"
 seed = 5
 runs = 3
 trials = 8
-arms = ["random", "dog", "score-first-diverse"]
+arms = ["random", "dog", "ranking"]
 {top}
 objective.cost = "smooth"
 simulation.duration_s = 20.0
 body.disturbance = 0.15
 terrain.kind = "rough"
-stores = {{flat = "{store}", diverse = "{store}", worlds = "{store}", stairs = "{store}"}}
+stores = {{flat = "{store}", worlds = "{store}", stairs = "{store}"}}
 """
 
 

@@ -82,16 +82,6 @@ def test_the_list_shows_the_studies(page: Any, address: str) -> None:
     assert page.get_by_text("tiny/random/run-001").is_visible()
 
 
-def test_a_studys_history_draws(page: Any, address: str, studies: dict[str, int]) -> None:
-    page.goto(f"{address}/dashboard/studies/{studies['tiny/dog/run-000']}")
-    page.get_by_text("History").filter(visible=True).first.wait_for()
-    curves(page, 2)  # the trials and the best so far
-    points = page.locator(f"{BARS} path.point")
-    points.first.wait_for(state="attached")
-    assert points.count() >= 3
-    save(page, "history")
-
-
 def test_a_best_trial_shows_its_pictures(page: Any, address: str, studies: dict[str, int]) -> None:
     page.goto(f"{address}/dashboard/studies/{studies['tiny/dog/run-000']}/trials?numbers=1")
     page.get_by_text("Best Trial").first.wait_for()

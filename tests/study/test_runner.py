@@ -24,14 +24,14 @@ from study.experiment.experiment import Experiment, study_name
 from study.experiment.live_study import open_study, run_study
 from study.experiment.one_study import OneStudy, sampler_seed
 from study.experiment.samplers import Task
-from study.experiment.trials import ATTRIBUTES, progress_line, simulate_trials, study_facts
+from study.experiment.trials import ATTRIBUTES, simulate_trials
 from study.options import config_path
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.terrain import Ground
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons, refused
 
-LIVE = ("dog", "cmaes-cold", "cmaes-warm", "best", "random", "tpe")
+LIVE = ("dog", "cmaes-cold", "cmaes-warm", "worlds", "random", "tpe")
 RESUMED = ("dog", "cmaes-cold", "cmaes-warm", "tpe")  # each kind of sampler with a memory
 TRIALS = 16  # beyond a generation of 12
 
@@ -72,7 +72,7 @@ def test_trials_say_what_happened(toy: Experiment, arm: str) -> None:
         assert noted["end_reason"] in ("completed", "fell", "diverged")
         assert 0 < noted["duration_s"] <= 20
         first = arm == "cmaes-warm" and trial.number == 0
-        assert ("row" in noted) == (arm in ("dog", "best") or first)
+        assert ("row" in noted) == (arm in ("dog", "worlds") or first)
         assert ("score" in noted) == (arm == "dog" or first)
 
 
@@ -152,7 +152,7 @@ def test_a_trial_found_running_is_run_again(toy: Experiment, arm: str, tmp_path:
     for trials, suggested in ((4, 16), (7, 1), (13, 0)):
         run(toy, arm, trials, storage)
         study = open_study(toy, found, 0, storage)
-        task = Task(toy, sampler_seed(toy.seed, arm, 0), trials, found.store, found.features)
+        task = Task(toy, sampler_seed(toy.seed, arm, 0), trials, found.store, found.feature)
         study.sampler = found.new_sampler(task)
         trial = study.ask()
         for name, ends in list(toy.space.items())[:suggested]:
@@ -241,19 +241,8 @@ def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: Experiment) -> None
     assert any(walked)
 
 
-def test_a_run_out_of_range(toy: Experiment) -> None:
-    storage = InMemoryStorage()
-    for number in (-1, 3):
-        with refused(f"run: {number} .* 0 to 2, the runs of toy"):
-            run(toy, "random", 1, storage, number)
-    assert not optuna.get_all_study_names(storage)
-
-
 @pytest.mark.parametrize(("change", "message"), [
     ({"seed": 7}, r"study toy/dog/run-000: seed: 7 .* allowed: 5, with which it was made"),
-    ({"cost": "walking"}, r"run-000: objective\.cost: 'walking' .* 'smooth'"),
-    ({"duration_s": 50.0}, r"run-000: simulation\.duration_s: 50"),
-    ({"disturbance": 0.1}, r"run-000: body\.disturbance: 0\.1 .* 0\.15"),
     ({"ground": Ground("flat")}, r"run-000: terrain\.name: 'flat' .* 'rough"),
 ])  # fmt: skip
 def test_another_configuration_is_refused_by_name(
@@ -261,7 +250,7 @@ def test_another_configuration_is_refused_by_name(
 ) -> None:
     storage = InMemoryStorage()
     run(toy, "dog", 2, storage)
-    if set(change) <= {"duration_s", "disturbance", "ground"}:
+    if "ground" in change:
         change = {"conditions": replace(toy.conditions, **change)}
     with refused(message):
         run(replace(toy, **change), "dog", 3, storage)
@@ -284,17 +273,13 @@ def test_another_store_or_definition_of_the_arm_is_refused(
         run(toy, "dog", 3, storage)
 
 
-def test_a_study_of_an_earlier_version_or_another_program_is_refused(toy: Experiment) -> None:
-    for there, message in (
-        ("toy/dog", r"study: 'toy/dog' .* of an earlier version, and is now toy/dog/run-001"),
-        ("toy/dog/run-001", r"study: 'toy/dog/run-001' .* of another program"),
-    ):
-        storage = InMemoryStorage()
-        optuna.create_study(storage=storage, study_name=there).ask()
-        with refused(message):
-            run(toy, "dog", 2, storage, 1)
-        assert optuna.get_all_study_names(storage) == [there]
-        assert len(run(toy, "random", 1, storage, 1)) == 1
+def test_a_study_of_another_program_is_refused(toy: Experiment) -> None:
+    storage, there = InMemoryStorage(), "toy/dog/run-001"
+    optuna.create_study(storage=storage, study_name=there).ask()
+    with refused(r"study: 'toy/dog/run-001' .* of another program"):
+        run(toy, "dog", 2, storage, 1)
+    assert optuna.get_all_study_names(storage) == [there]
+    assert len(run(toy, "random", 1, storage, 1)) == 1
 
 
 @pytest.mark.slow
@@ -311,19 +296,6 @@ def test_live_studies_and_comparisons_leave_each_other(toy: Experiment, tmp_path
     assert len(str(other.value)) < 200 + len(url)
     study = optuna.load_study(study_name="toy/dog/run-000", storage=open_studies(url))
     assert len(study.trials) == 2
-
-
-def test_what_a_study_says(toy: Experiment) -> None:
-    lines: list[str] = []
-    study = run_study(
-        toy, find_arm("dog"), 2, 6, InMemoryStorage(),
-        lambda study, trial: lines.append(progress_line(study, trial, 6)),
-    )  # fmt: skip
-    assert len(lines) == 6
-    assert lines[5].startswith("toy/dog/run-002  6/6  cost ")
-    found = study_facts(study)
-    assert found["study"] == study_name("toy", "dog", 2)
-    assert found["best_cost"] == study.best_value
 
 
 def test_the_lines_to_look_at_it_name_what_is_not_the_default() -> None:

@@ -3,17 +3,12 @@
     FAKE_SIGNAL=5:SIGINT python tests/tools/fake_command.py precompute --config FILE --out DIR
 
 The environment asks for accidents. FAKE_TRIAL_S: seconds that a simulation takes. FAKE_SIGNAL: a
-signal in the n-th simulation. FAKE_DEATH: die, as by kill -9, before the n-th file gets its name.
-FAKE_LARGEST_B: the system refuses larger files, as a full disk does. FAKE_STRETCH: trials between
-two checkpoints of a comparison. Spawned processes import this file, which stays the main module,
-and so have the same simulator.
+signal in the n-th simulation. FAKE_STRETCH: trials between two checkpoints of a comparison. Spawned
+processes import this file, which stays the main module, and so have the same simulator.
 """
 
 import os
-import resource
-import signal
 import sys
-from itertools import count
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -27,18 +22,6 @@ vars(taichi_nmm)["simulate"] = fake_walker.simulate
 
 if stretch := os.environ.get("FAKE_STRETCH"):
     compare.CHECKPOINT_S, compare.EXPORT_S, compare.STRETCH_TRIALS = 0.0, 1e9, int(stretch)
-
-if largest := os.environ.get("FAKE_LARGEST_B"):
-    resource.setrlimit(resource.RLIMIT_FSIZE, (int(largest), int(largest)))
-
-if death := os.environ.get("FAKE_DEATH"):
-    numbers = count(1)
-
-    def die(event: str, _: object) -> None:
-        if event == "os.rename" and next(numbers) == int(death):
-            os.kill(os.getpid(), signal.SIGKILL)
-
-    sys.addaudithook(die)
 
 if __name__ == "__main__":
     main()

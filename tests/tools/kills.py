@@ -66,7 +66,7 @@ objective = {{cost = "smooth"}}
 simulation = {{duration_s = 2.0}}
 body = {{disturbance = 0.15}}
 terrain = {{kind = "rough"}}
-stores = {{flat = "{base}/store", diverse = "{base}/store"}}
+stores = {{flat = "{base}/store"}}
 """
 ONE = "--workers 1"
 COMPARE = f"compare --config {{base}}/rough.toml {ONE} --no-artifacts --out"

@@ -51,7 +51,7 @@ def command(tmp_path: Path, tool: Tool, simulator: Simulator) -> Comparison:
 def test_json_is_one_object(command: Comparison) -> None:
     found = command.json(trials=3)
     assert found["trials"] == found["trials_computed"] == 27
-    assert [arm["arm"] for arm in found["arms"]] == ["dog", "random", "score-first-diverse"]
+    assert [arm["arm"] for arm in found["arms"]] == ["dog", "random", "ranking"]
     assert "studies with a walker" in command.tool.err
     assert "toy/dog/run-002" in optuna.get_all_study_names(found["storage"])
     # Without it a table for people.
@@ -133,7 +133,7 @@ ENDS: dict[str, tuple[signal.Signals, int, str]] = {
     "victim", ["all", "a worker", pytest.param("it", marks=pytest.mark.campaign)]
 )
 def test_all_processes_end_and_the_table_is_the_same(victim: str, command: Comparison) -> None:
-    arms = {"arms": "random,dog,score-first-diverse,cmaes-cold,cmaes-warm", "trials": 30}
+    arms = {"arms": "random,dog,ranking,cmaes-cold,cmaes-warm", "trials": 30}
     process = command.start(**arms, workers=2)
     command.wait_for_more(process)
     number, code, line = ENDS[victim]

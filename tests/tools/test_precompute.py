@@ -1,7 +1,6 @@
-"""The command: in this process, and in processes that are killed and interrupted for real."""
+"""The command: in this process, and in a process that is interrupted for real."""
 
 import json
-import signal
 from pathlib import Path
 
 import pytest
@@ -73,26 +72,8 @@ def test_text_says_what_was_done_where(command: Command, monkeypatch: pytest.Mon
     assert (command.folder / "out" / "store" / "manifest.json").is_file()
 
 
-def test_kill_9_before_a_file_is_named(command: Command, uninterrupted: dict[str, bytes]) -> None:
-    # Files get their names in this order: the specification, twelve shards, the manifest.
-    for rename, expected in ((1, 0), (3, 1), (12, SHARDS)):
-        done = run(command, death=rename)
-        assert (done.code, shards(command.out)) == (-signal.SIGKILL, expected)
-        assert len(list(command.out.glob(".*.tmp"))) == 1
-    assert command.run() == 0
-    assert content(command.out) == uninterrupted
-
-
 def test_interrupt_exits_130_and_resumes(command: Command, uninterrupted: dict[str, bytes]) -> None:
     done = run(command, signal="5:SIGINT")  # a shard takes two, for its family
     assert (done.code, done.last) == (130, INTERRUPTED) and shards(command.out) == 2
     assert json.loads(run(command, "--json").out)["points_computed"] == 8 * (SHARDS - 2)
-    assert content(command.out) == uninterrupted
-
-
-def test_a_full_disk_is_one_line(command: Command, uninterrupted: dict[str, bytes]) -> None:
-    done = run(command, largest_b=8000)
-    assert done.code == 2 and done.last.startswith("error: out: ") and "File too large" in done.last
-    assert sorted(content(command.out)) == [".lock", "specification.json"]
-    assert command.run() == 0
     assert content(command.out) == uninterrupted

@@ -89,7 +89,7 @@ REFUSED: list[tuple[str, str, str]] = [
         ("--repeats 0", "repeats: 0"),
     ]),
     *(("compare_outside", words, line) for words, line in [
-        ("--arms random,best", f"arms: 'best' {ONE_OF}"), ("--problems easy", "problems: 'easy'"),
+        ("--arms random,cat", f"arms: 'cat' {ONE_OF}"), ("--problems easy", "problems: 'easy'"),
         ("--trials 1", "trials: 1"), ("--seeds 0", "seeds: 0"), (f"--seeds {HUGE}", "seeds: "),
     ]),
     *((name, words, line) for name in ("precompute", "compare") for words, line in [

@@ -21,7 +21,7 @@ from tests.tools.running import ROOT, run_tool
 
 pytestmark = pytest.mark.slow
 
-ARMS = {"dog": (0.05, 0.01), "random": (0.01, 0.0), "best": (0.9, 0.0)}
+ARMS = {"dog": (0.05, 0.01), "random": (0.01, 0.0), "worlds-stairs": (0.9, 0.0)}
 
 
 def write(folder: Path, cost: str = "smooth") -> Path:
@@ -35,7 +35,7 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write(root / "one")
     begun = write(root / "two", "walking")
     table = pq.read_table(begun / "trials.parquet")
-    behind = pc.and_(pc.equal(table["arm"], "best"), pc.greater(table["trial"], 3))
+    behind = pc.and_(pc.equal(table["arm"], "worlds-stairs"), pc.greater(table["trial"], 3))
     (begun / "arms").mkdir()
     pq.write_table(table.filter(pc.invert(behind)), begun / "arms" / "all.parquet")
     (begun / "trials.parquet").unlink()
@@ -97,7 +97,7 @@ def test_what_a_folder_says_is_simulated(tmp_path: Path, tool: Tool, simulator: 
     assert not seen and not (folder / "report" / "strips.svg").exists()
     assert tool("report", folder) == 0
     assert (folder / "report" / "strips.svg").exists()
-    assert "Before: best of 0.2.0, trial" in (folder / "report" / "report.md").read_text()
+    assert "Before: worlds, stairs' store, trial" in (folder / "report" / "report.md").read_text()
     (terrain,) = seen[0]["terrains"]
     grounds = [read_experiment(config, seed=523001).terrain(run).height(50.0) for run in range(5)]
     assert float(terrain.height(50.0)) in [float(height) for height in grounds]

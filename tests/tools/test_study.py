@@ -1,9 +1,8 @@
-"""taichi-nmm study as its users meet it: every arm, output, exit codes, locks, kill -9."""
+"""taichi-nmm study as its users meet it: every arm, output, exit codes, locks."""
 
 import json
 import re
 import shlex
-import signal
 import sqlite3
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,7 +24,7 @@ from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import Result
 from tests.study import fake_walker, synthetic_gait
 from tests.tools.conftest import Command, Simulator, Tool
-from tests.tools.running import ROOT, load_command, start
+from tests.tools.running import ROOT, load_command
 
 ROUGH8 = ROOT / "configs" / "rough8.toml"
 NAME = "rough8/dog/run-000"
@@ -54,7 +53,9 @@ def test_json_is_one_object(command: Study) -> None:
     assert found["study"] == NAME
     assert found["trials"] == 4
     assert found["end_reason"] in ("completed", "fell")
+    assert found["best_cost"] == command.study().best_value
     assert command.tool.err.count(NAME) == 4  # a line a trial
+    assert f"{NAME}  4/4  cost " in command.tool.err
     gains = command.folder / "out" / "dog-run-000-best.json"
     assert tuple(json.loads(gains.read_text())) == GAIN_NAMES
     taichi_nmm.load_gains(str(gains))
@@ -169,16 +170,3 @@ def test_ctrl_c_says_that_work_is_kept(command: Study, simulator: Simulator) -> 
     simulator(fake_walker.stopped_in_call(1))
     assert command.run() == 130
     assert "resumes" in command.tool.err
-
-
-@pytest.mark.slow
-def test_killed_and_resumed_is_the_same_study(command: Study) -> None:
-    whole = f"sqlite:///{command.folder / 'whole.db'}"
-    assert command.run(trials=7, storage=whole) == 0
-    with start(*command.words(trials=7), signal="5:SIGKILL") as killed:
-        _, error = killed.communicate()
-    assert killed.returncode == -signal.SIGKILL
-    assert error.count(NAME) == 4
-    assert len(command.rows()) == 4
-    assert command.run(trials=7) == 0
-    assert command.rows() == command.rows(url=whole)

@@ -99,7 +99,7 @@ def test_the_commands_explain_themselves_and_list_configurations(installed: Inst
     others = installed.run("taichi-nmm", "study", "--list-configs").splitlines()
     names = [line.split()[0] for line in (*stores, *others)]
     assert sorted(names) == sorted([*shipped_configs(stores=True), *shipped_configs(stores=False)])
-    assert any(line.startswith("store-diverse ") for line in stores)
+    assert any(line.startswith("store-torso ") for line in stores)
     assert any(line.startswith("rough8-smooth ") and "first experiment" in line for line in others)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from study.experiment.arms import ARMS, check_arms, find_arm, with_store
 from study.experiment.experiment import Experiment
-from study.experiment.stores import candidates, store_path
+from study.experiment.stores import candidates, check_store, store_path
 from tests.study import fake_walker
 from tests.study.conftest import refused
 
@@ -21,37 +21,18 @@ def test_arms_are_found_each_once_in_their_order(toy: Experiment) -> None:
     assert found == (find_arm("dog"), find_arm("random"))
 
 
-@pytest.mark.parametrize(("names", "trials", "message"), [
-    ((), 8, "arms: 'none' .* one arm or more"),
-    (("dog",), ROWS + 1, rf"trials: {ROWS + 1} .* at most {ROWS}, the rows that dog may take"),
-    (("score-first-diverse",), ROWS + 1, f"at most {ROWS}, the rows that score-first-div"),
-])  # fmt: skip
-def test_arms_that_cannot_run(
-    names: tuple[str, ...], trials: int, message: str, toy: Experiment
-) -> None:
-    with refused(message):
-        check_arms(toy, names, trials)
-
-
-def test_rows_that_an_arm_leaves_out_do_not_count(toy: Experiment, tmp_path: Path) -> None:
-    strict = {"settings": 1, "min_survival_s": 2.8, "body": {"disturbance": 0.15}}
-    families = dict.fromkeys(("rough", "blocks", "up", "down"), strict)
-    fake_walker.write_store(tmp_path / "strict", families=families)
-    experiment = replace(toy, stores={"diverse": tmp_path / "strict"})
-    rows = int(candidates(experiment, "diverse", find_arm("best").features).rows.offered.sum())
-    assert 0 < rows < ROWS
-    assert check_arms(experiment, ("best",), rows)
-    with refused(f"trials: {rows + 1} .* at most {rows}, the rows that b"):
-        check_arms(experiment, ("best",), rows + 1)
+def test_no_arms_are_refused(toy: Experiment) -> None:
+    with refused("arms: 'none' .* one arm or more"):
+        check_arms(toy, (), 8)
 
 
 def test_a_store_that_is_not_there_or_not_named(toy: Experiment, tmp_path: Path) -> None:
     experiment = replace(toy, stores={n: path for n, path in toy.stores.items() if n != "flat"})
-    with refused(r"stores\.flat: 'missing' .* which has diverse, worlds"):
+    with refused(r"stores\.flat: 'missing' .* which has worlds, stairs"):
         check_arms(experiment, ("dog",), 3)
     with refused(r"stores\.flat: 'missing' .* which has none"):
         store_path(replace(toy, stores={}), "flat")
-    assert check_arms(experiment, ("score-first-diverse",), 3)
+    assert check_arms(experiment, ("ranking",), 3)
     with refused("nowhere"):
         check_arms(replace(toy, stores=toy.stores | {"flat": tmp_path / "nowhere"}), ("dog",), 3)
 
@@ -60,18 +41,20 @@ def test_a_store_without_a_feature(toy: Experiment, tmp_path: Path) -> None:
     fake_walker.write_plain_store(tmp_path / "plain")
     experiment = replace(toy, stores=dict.fromkeys(toy.stores, tmp_path / "plain"))
     assert check_arms(experiment, ("dog", "cmaes-warm"), 3)
-    for arm in ("score-first-diverse", "best"):
-        with refused("plain.*rough_survived_fraction_mean"):
+    with refused("plain.*a store with the column phi_reprinted"):
+        check_store(experiment, "flat", "phi_reprinted")
+    for arm in ("ranking", "worlds"):
+        with refused("plain.*a store with families of worlds"):
             check_arms(experiment, (arm,), 3)
 
 
 def test_a_store_is_read_once_and_anew_when_made_anew(toy: Experiment, tmp_path: Path) -> None:
-    features = find_arm("score-first-diverse").features
-    before = candidates(toy, "diverse", features)
-    assert candidates(toy, "diverse", features) is before
-    toy.stores["diverse"].rename(tmp_path / "before")
-    fake_walker.write_store(toy.stores["diverse"], samples=100)
-    assert len(before) != len(candidates(toy, "diverse", features))
+    feature = find_arm("ranking").feature
+    before = candidates(toy, "worlds", feature)
+    assert candidates(toy, "worlds", feature) is before
+    toy.stores["worlds"].rename(tmp_path / "before")
+    fake_walker.write_store(toy.stores["worlds"], samples=100)
+    assert len(before) != len(candidates(toy, "worlds", feature))
 
 
 def test_a_store_of_other_parameters(toy: Experiment, tmp_path: Path) -> None:
@@ -92,7 +75,7 @@ def test_a_store_of_the_callers_is_that_of_the_arms(toy: Experiment, tmp_path: P
 
 @pytest.mark.parametrize(("names", "message"), [
     (("random", "tpe"), "store: '.*' .* arms that read one store; random, tpe: none"),
-    (("dog", "best"), "store: '.*' .* arms that read one store; dog, best: diverse and flat"),
+    (("dog", "worlds"), "store: '.*' .* arms that read one store; dog, worlds: flat and worlds"),
     (("dog", "cat"), "arm: 'cat' "),
 ])  # fmt: skip
 def test_a_store_for_arms_that_read_none_or_several(

@@ -1,74 +1,37 @@
-"""Features of a store's rows, and the sampler that uses them."""
+"""What a store knows of its rows, as candidates of studies."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from storage.store import Store, open_store
+from storage.store import open_store
 from study.experiment import features
-from study.experiment.arms import ARMS
-from study.experiment.features import Survival, feature_values
+from study.experiment.arms import ARMS, check_arms
 from study.experiment.stores import candidates
-from taichi_nmm.errors import InputError
 from tests.study import fake_walker
-
-# A third of the fake's points falls sooner.
-STRICT = {"settings": 1, "min_survival_s": 2.8, "body": {"disturbance": 0.15}}
-
-
-def write(folder: Path, families: tuple[str, ...]) -> Store:
-    fake_walker.write_store(folder, robust={}, families=dict.fromkeys(families, STRICT))
-    return open_store(folder)
-
-
-def test_survival_is_the_mean_over_the_families_of_a_store(fake_simulator, tmp_path):
-    store = write(tmp_path / "store", ("up", "down"))
-    names = [f"{name}_survived_fraction_mean" for name in ("up", "down")]
-    up, down = (store.table()[name].to_numpy() for name in names)
-    assert_allclose(feature_values(Survival(), store), (up + down) / 2)
-    assert_array_equal(feature_values(Survival(("up",)), store), up)
+from tests.study.conftest import refused
 
 
 @pytest.mark.filterwarnings("error:FeatureTable")
-def test_rows_that_no_family_ran_are_left_out(comparisons):
-    store = write(comparisons.folder / "strict", features.FAMILIES)
+def test_rows_that_no_family_ran_are_left_out_and_do_not_count(comparisons):
+    strict = {"settings": 1, "min_survival_s": 2.8}  # a third of the fake's points falls sooner
+    families = dict.fromkeys(("rough", "up"), strict)
+    fake_walker.write_store(comparisons.folder / "strict", robust=strict, families=families)
+    store = open_store(comparisons.folder / "strict")
     ran = store.table()["rough_evaluated"].to_numpy()
-    assert 30 < ran.sum() < len(store) - 30
-    survivors = replace(Survival(features.FAMILIES), survivors=True)
-    everyone = feature_values(Survival(features.FAMILIES), store)
-    assert_array_equal(feature_values(survivors, store), np.where(ran, everyone, np.nan))
-    stores = dict.fromkeys(comparisons.experiment.stores, store.path)
-    experiment = replace(comparisons.experiment, stores=stores)
-    table = candidates(experiment, "diverse", ARMS["best"].features)
-    assert_array_equal(table.rows.offered, ran)
-    comparisons.run("out", experiment=experiment, arms=("best",), runs=2, trials=20)
-    assert ran[comparisons.table("out")["row"].to_numpy()].all()
-
-
-@pytest.mark.parametrize(("feature", "column"), [
-    (Survival(), "robust_survived_fraction_mean"),
-    (Survival(("up", "rough")), "rough_survived_fraction_mean"),
-    (Survival(("rough",), survivors=True), "rough_survived_fraction_mean"),
-    ("phi_reprinted", "phi_reprinted"),
-])  # fmt: skip
-def test_a_store_without_what_a_feature_needs(feature, column, fake_simulator, tmp_path):
-    store = write(tmp_path / "store", () if feature == Survival() else ("up",))
-    features.check_feature("mean_speed_mps", store)
-    assert feature_values("mean_speed_mps", store).shape == (len(store),)
-    with pytest.raises(InputError) as caught:
-        features.check_feature(feature, store)
-    assert str(caught.value).endswith(f"a store with the column {column}")
-
-
-# The arms of the comparisons.
-def test_the_best_arm_is_what_its_definition_says():
-    assert ARMS["best"].definition["options"] == features.OPTIONS
-    each = [[name, name, "survivors only"] for name in features.FAMILIES]
-    expected = [["survival", *features.FAMILIES, "survivors only"], *each, "mean_speed_mps"]
-    assert ARMS["best"].definition["features"] == expected
+    count = int(ran.sum())
+    assert 30 < count < len(store) - 30
+    experiment = replace(comparisons.experiment, stores={"worlds": store.path})
+    for arm in ("worlds", "ranking"):
+        table = candidates(experiment, "worlds", ARMS[arm].feature)
+        assert_array_equal(table.rows.offered, ran)
+        comparisons.run(arm, experiment=experiment, arms=(arm,), runs=2, trials=20)
+        rows = comparisons.table(arm)["row"].to_numpy()
+        assert ran[rows[rows >= 0]].all()  # others are between rows
+        with refused(f"trials: {count + 1} .* at most {count}, the rows that {arm} may"):
+            check_arms(experiment, (arm,), count + 1)
 
 
 @pytest.mark.parametrize(("cost", "walker", "faller"), [
@@ -87,7 +50,7 @@ def test_costs_in_worlds_are_those_of_a_trial(cost, walker, faller):
 def test_worlds_count_in_the_units_of_the_experiments_cost(fake_simulator, tmp_path):
     experiment = fake_walker.experiment(tmp_path)
     tables = {
-        cost: candidates(replace(experiment, cost=cost), "worlds", ARMS["worlds"].features)
+        cost: candidates(replace(experiment, cost=cost), "worlds", ARMS["worlds"].feature)
         for cost in ("smooth", "walking")
     }
     costs = {cost: table.rows.worlds.costs for cost, table in tables.items()}

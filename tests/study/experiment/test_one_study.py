@@ -41,6 +41,6 @@ def test_only_arms_whose_features_a_trial_has_are_shown_them() -> None:
     rows = np.zeros(1, RESULT_DTYPE)
     rows["end_reason"], rows["m5_mean_mps"] = FELL, 1.25
     assert shown(find_arm("random"), rows) == {"fell": True}
-    assert shown(find_arm("best"), rows) == {"fell": True}  # of families, which it did not walk
-    speed = replace(find_arm("dog"), features=("m5_mean_mps",))
+    assert shown(find_arm("worlds"), rows) == {"fell": True}  # of worlds, in which it did not walk
+    speed = replace(find_arm("dog"), feature="m5_mean_mps")
     assert shown(speed, rows)["shown"] == [1.25]

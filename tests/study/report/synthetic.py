@@ -17,8 +17,8 @@ Chances = dict[str, tuple[float, float]]
 ARMS = {
     "random": (0.004, 0.0), "cmaes-cold": (0.005, 0.0004), "cmaes-warm": (0.02, 0.0006),
     "bo-euclidean": (0.006, 0.0003), "tpe": (0.006, 0.0005), "dog": (0.02, 0.002),
-    "worlds-stairs": (0.015, 0.003), "worlds": (0.4, 0.01), "score-first-diverse": (0.6, 0.0),
-    "ranking": (0.4, 0.0), "best": (0.75, 0.005),
+    "worlds-stairs": (0.015, 0.003), "worlds": (0.4, 0.01),
+    "ranking": (0.4, 0.0),
 }  # fmt: skip
 
 

@@ -77,7 +77,7 @@ def test_every_run_has_a_dot_of_its_own() -> None:
 @pytest.mark.slow
 def test_figures_are_written_twice_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(style, "PNG_DPI", 80)
-    arms = {"dog": (0.1, 0.01), "random": (0.0, 0.0), "best": (0.9, 0.0)}
+    arms = {"dog": (0.1, 0.01), "random": (0.0, 0.0), "worlds-stairs": (0.9, 0.0)}
     results = read_results(synthetic.write(tmp_path / "data", arms, 6, 12, "walking"))
     names = []
     for folder in (tmp_path / "a", tmp_path / "b"):

@@ -80,32 +80,34 @@ def test_facts_of_several_sessions(tmp_path: Path) -> None:
 
 
 def test_one_table_a_quantity_of_several_experiments() -> None:
-    first = counted(arm("dog", [2] * 4, trials=10), arm("best", [1, 1, 1, 4], trials=10), name="a")
+    first = counted(
+        arm("dog", [2] * 4, trials=10), arm("worlds-stairs", [1, 1, 1, 4], trials=10), name="a"
+    )
     second = counted(arm("dog", [np.inf] * 4, trials=10), arm("tpe", [1] * 4, trials=10), name="b")
     text = overview_text([numbers(first), numbers(second)])
     tables = [rows(part) for part in text.split("\n\n") if part.startswith("|")]
     assert len(tables) == 4
     for found in tables:
-        assert found["experiment"][1:] == ["DoG, as printed", "TPE", "best of 0.2.0"]
+        assert found["experiment"][1:] == ["DoG, as printed", "TPE", "worlds, stairs' store"]
     assert [found["a"][3] for found in tables] == ["4", "3", "3", "1"]
     assert [found["b"][1:] for found in tables] == [["0", "4", ""]] * 3 + [["> 10", "1", ""]]
 
 
 def test_the_condensed_table_has_the_numbers() -> None:
-    dog, best = arm("dog", [9] * 20, cost=2.0), arm("best", [1] * 20, cost=1.5)
+    dog, best = arm("dog", [9] * 20, cost=2.0), arm("worlds-stairs", [1] * 20, cost=1.5)
     found = numbers(counted(dog, best, arm("random", [30.0] + [np.inf] * 19, cost=3.0)))
     table = rows(condensed_table(found))
-    assert list(table)[2:] == ["`best`", "`dog`", "`random`"]  # most walkers, the soonest
+    assert list(table)[2:] == ["`worlds-stairs`", "`dog`", "`random`"]  # most walkers, the soonest
     cost = found.arms[0].cost_after[30]
-    assert table["`best`"] == [
-        "`best`", "20", "20", "84 to 100", "1", "1 to 1", "20", "20", "20", "20", "20",
+    assert table["`worlds-stairs`"] == [
+        "`worlds-stairs`", "20", "20", "84 to 100", "1", "1 to 1", "20", "20", "20", "20", "20",
         f"{found.arms[0].cost_after[10].value:.4g}", "-0.5", "< 1e-4", f"{cost.value:.4g}", "-0.5",
         "< 1e-4",
     ]  # fmt: skip
     assert table["`dog`"][10] == "20" and table["`random`"][10] == "-"  # known without 60 trials
     assert table["`dog`"][12:14] == table["`dog`"][15:] == ["-", "-"]
-    short = rows(condensed_table(numbers(counted(arm("best", [1, 1], trials=12)))))
-    assert short["`best`"][12:] == ["-", "-", "-", "-", "-"]  # one arm, 12 trials
+    short = rows(condensed_table(numbers(counted(arm("worlds-stairs", [1, 1], trials=12)))))
+    assert short["`worlds-stairs`"][12:] == ["-", "-", "-", "-", "-"]  # one arm, 12 trials
 
 
 def test_a_comparison_ends_with_a_line_an_arm(tmp_path: Path) -> None:

@@ -11,10 +11,10 @@ from tests.study.report.synthetic import arm, counted
 
 def test_the_best_peer_has_most_walkers_then_the_earliest() -> None:
     few, late, early = arm("tpe", [1, np.inf]), arm("random", [9, 9]), arm("cmaes-warm", [4, 4])
-    ours = arm("best", [1, 1])
+    ours = arm("worlds-stairs", [1, 1])
     assert counts.best_peer([few, late, early, ours]) == "cmaes-warm"
     ranked = counts.by_rank({each.arm: each for each in (few, late, early, ours)})
-    assert ranked == ["best", "cmaes-warm", "random", "tpe"]
+    assert ranked == ["worlds-stairs", "cmaes-warm", "random", "tpe"]
     assert counts.best_peer([ours]) is None
     assert (counts.kind_of("tpe"), counts.label_of("tpe")) == ("peer", "TPE")
     old = "score-first-old"
@@ -39,14 +39,17 @@ def test_walkers_are_counted() -> None:
 
 def test_arms_are_compared_with_ours_or_the_papers_on_the_same_runs() -> None:
     paper = arm("dog", [40] * 12, cost=2.0)
-    better = arm("best", [1] * 10, cost=1.5)
+    better = arm("worlds-stairs", [1] * 10, cost=1.5)
     found = numbers(counted(paper, better)).comparisons
-    assert [(each.arm, each.after) for each in found] == [("best", 10), ("best", 30)]
+    assert [(each.arm, each.after) for each in found] == [
+        ("worlds-stairs", 10),
+        ("worlds-stairs", 30),
+    ]
     assert found[0].cost.pairs == found[1].cost.pairs == 10
     assert found[0].difference.value == pytest.approx(-0.5)
     assert found[0].cost.p == pytest.approx(2 / 2**10, rel=0.2)  # ties: all differ by as much
     assert found[0].walkers.unequal == 0
-    arms = [arm(name, [1] * 10, cost=1.5) for name in ("best", "tpe", "random")]
+    arms = [arm(name, [1] * 10, cost=1.5) for name in ("worlds-stairs", "tpe", "random")]
     found = numbers(counted(arm("dog", [40] * 10, cost=2.0), *arms)).comparisons
     assert len(found) == 6
     for each in found:
