@@ -87,7 +87,7 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
     options: dict[str, Any] = {
         "seed": 1, "prior": "-feature_0", "kernel": "rbf", "feature_function": np.sin,
         "off_grid": 2, "space": None, "strict": True, "extra_parameters": ("y",),
-        "independent_sampler": optuna.samplers.RandomSampler(seed=1), "nearest": None,
+        "independent_sampler": optuna.samplers.RandomSampler(seed=1), "success": 0.5,
         "constraints_func": None,
     }  # fmt: skip
     frame = pd.DataFrame({"x": [0.0, 1.0], "f": [1.0, 2.0]})
@@ -145,6 +145,9 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         (from_arrays, {"parameters": {"x": [0.0, 1.0]}, "features": [1, 2],
                        "feature_names": ["f"], "bounds": {"x": (0, 1)}, "space": None}),
         (study.FeatureTable.from_dataframe, {"frame": frame} | named),
+        (study.FeatureTable.from_kernel, {"gram": np.eye(2), "parameters": {"x": [0.0, 1.0]}}),
+        (study.FeatureTable.from_graph, {"weights": np.ones((2, 2)), "parameters": None,
+                                         "hops": 2.0}),
         (study.FeatureTable.from_parquet, {"path": folder / "frame.parquet"} | named),
         (study.world_table, {"path": store, "cost": smooth_costs}),
         (terrain.blocks, rough | {"riser_m": 0.1}),

@@ -58,7 +58,6 @@ class Options:
     kernel: Kernel
     prior: str | None
     off_grid: int
-    nearest: float | None
     space: Mapping[str, BaseDistribution] | None
     extra_parameters: frozenset[str]
     strict: bool

@@ -102,11 +102,6 @@ class FeatureKernelSampler(BaseSampler):
             that the table does not have (they go to the independent sampler). Those suggested
             after the table's need not be named.
         independent_sampler: for parameters that the features do not cover; by default uniform.
-        nearest: of a table: the distance from its nearest row at which a trial off the table (of an
-            earlier study, or enqueued) is learned from, with the features of that row. The root
-            mean square of the parameters' differences, each as a share of its range (of its
-            logarithm, where it is logarithmic; two choices are 1 apart): 0.05 is a twentieth of
-            the ranges. None: such trials are ignored, unless there is a `feature_function`.
         success: the value of the study from which on a trial has succeeded: at most this, or at
             least, where values are maximised. Until one has, the candidate that most likely
             succeeds comes next, then that of the largest expected improvement. None: improvement
@@ -132,7 +127,6 @@ class FeatureKernelSampler(BaseSampler):
         strict=checks.flag,
         extra_parameters=checks.each(checks.text),
         independent_sampler=checks.optional(checks.instance(BaseSampler)),
-        nearest=checks.optional(checks.number(0)),
         success=checks.optional(checks.number()),
         constraints_func=_no_constraints,
     )
@@ -149,7 +143,6 @@ class FeatureKernelSampler(BaseSampler):
         strict: bool = True,
         extra_parameters: Collection[str] = (),
         independent_sampler: BaseSampler | None = None,
-        nearest: float | None = None,
         success: float | None = None,
         constraints_func: None = None,
     ) -> None:
@@ -167,7 +160,7 @@ class FeatureKernelSampler(BaseSampler):
         if off_grid is None:
             off_grid = OFF_GRID if chosen == WORLDS else 0
         extra = frozenset(extra_parameters)
-        options = Options(chosen, prior, off_grid, nearest, space, extra, strict, success)
+        options = Options(chosen, prior, off_grid, space, extra, strict, success)
         _require_sense(features, feature_function, options, self._kernel)
         seed = new_seed() if seed is None else seed
         independent = independent_sampler or ReproducibleRandomSampler(seed=seed)
@@ -315,7 +308,7 @@ def _require_sense(
 ) -> None:
     """Refuse options that do not go together."""
     has_function = function is not None
-    off_grid, nearest, prior = options.off_grid, options.nearest, options.prior
+    off_grid, prior = options.off_grid, options.prior
 
     def refuse(is_wrong: object, field: str, value: object, allowed: str) -> None:
         if is_wrong:
@@ -324,7 +317,6 @@ def _require_sense(
     if options.kernel.worlds:
         allowed = "none beside outcomes in worlds or a similarity, which do its work"
         refuse(has_function, "feature_function", "given", allowed)
-        refuse(nearest is not None, "nearest", nearest, allowed)
         refuse(prior is not None, "prior", prior, allowed)
     if isinstance(features, FeatureTable):
         without = not has_function and not options.kernel.worlds
@@ -332,15 +324,12 @@ def _require_sense(
         pool = options.kernel == SIMILARITY
         refuse(off_grid and pool, "off_grid", off_grid, "0: a similarity knows its rows alone")
         refuse(options.space is not None, "space", "given", "none: a table knows its own")
-        allowed = "none with a feature_function, which knows the features of any point"
-        refuse(nearest is not None and has_function, "nearest", nearest, allowed)
         no_features = options.kernel.of_features and not options.kernel.worlds
         no_features = no_features and not features.rows.feature_names
         refuse(no_features, "kernel", kernel, "none, or euclidean: the table has no features")
         return
     allowed = "none: only a table needs it beside `features`"
     refuse(has_function, "feature_function", "given", allowed)
-    refuse(nearest is not None, "nearest", nearest, "none without a table: it has no rows")
     if features is not None:
         allowed = "a FeatureTable, a function, or None"
         refuse(not callable(features), "features", type(features).__name__, allowed)

@@ -232,28 +232,6 @@ class Rows:
         """Those of rows [n, ...] that may be proposed; a copy only where that leaves some out."""
         return values if len(self.numbers) == len(self) else values[self.numbers]
 
-    def nearest(self, parameters: Floats) -> tuple[int, float]:
-        """The row that is nearest to a point [d], of equal ones the first, and its distance.
-
-        It is the root mean square, over the d parameters, of how far the two are apart in the unit
-        cube: a parameter's whole range is 1 (of a logarithmic one, the range of its logarithm;
-        outside the range it goes on), and two different choices are 1 apart. At a distance of 0.05,
-        parameters differ by a twentieth of their ranges. Only rows that may be proposed count;
-        where there are none, the distance is infinite.
-        """
-        return self._once(parameters.tobytes(), lambda: self._measured(parameters))
-
-    def _measured(self, parameters: Floats) -> tuple[int, float]:
-        """`nearest`, computed."""
-        if not len(self.numbers):
-            return 0, np.inf
-        point = self.space.unit(parameters[None], beyond=True)[0]
-        squares = np.zeros(len(self.numbers))
-        for column, value in enumerate(point):  # column by column: no second table is made
-            squares += (self.unit[:, column] - value) ** 2
-        best = int(np.argmin(squares))
-        return int(self.numbers[best]), float(np.sqrt(squares[best] / len(parameters)))
-
     @cached_property
     def _kept(self) -> dict[Any, Any]:
         """Results of `_once`."""

@@ -273,15 +273,11 @@ class TablePolicy(Policy):
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
         """The history that a trial is proposed from."""
-        rows, nearest = self.rows, self.options.nearest
+        rows = self.rows
 
         def lend(other: FrozenTrial, parameters: Floats) -> int | None:
-            if self._places_all or noted_features(other) is not None:
-                return OFF_TABLE
-            if nearest is None:
-                return None
-            row, distance = rows.nearest(parameters)
-            return row if distance <= nearest else None
+            is_placed = self._places_all or noted_features(other) is not None
+            return OFF_TABLE if is_placed else None
 
         return read_history(study, trial, rows.space, rows, lend, self._looked_up)
 
@@ -444,7 +440,7 @@ class TablePolicy(Policy):
         """An error or a warning: no row is left, or none that has the fixed values."""
         if history.fixed:
             error = no_row_has(self.rows, history.fixed)
-            if not (self._places_all or self.options.nearest is not None):
+            if not self._places_all:
                 self.misfit(error)
             else:
                 self.warn(f"{error}; the independent sampler takes over")
@@ -467,14 +463,9 @@ class TablePolicy(Policy):
         """Warn that trials off the table are ignored; the message says what can be done."""
         if not history.unplaced or IGNORED in self._said:
             return
-        trial, far = history.unplaced[0], ""
-        parameters = self.rows.space.row(trial.params)
-        if parameters is not None:
-            far = f", {self.rows.nearest(parameters)[1]:.2g} from its nearest row"
         self.warn(
-            f"{IGNORED}: such as trial {trial.number}{far}; enqueue rows of the table instead, or "
-            "give the sampler a feature_function, or nearest=, the distance at which a row lends "
-            "its features"
+            f"{IGNORED}: such as trial {history.unplaced[0].number}; enqueue rows of the table "
+            "instead, or give the table outcomes in worlds, or the sampler a feature_function"
         )
 
     def _warn_of_prior(self, history: History) -> None:

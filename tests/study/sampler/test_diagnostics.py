@@ -1,6 +1,5 @@
 """What `sampler.worth(study)` says: its closed forms, features of known worth, and its texts."""
 
-import importlib
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -375,19 +374,6 @@ def test_turns_that_are_left_to_the_parameters_are_said():
         add(study, row, 9.0)
     assert "left to the parameters" in str(worth_of(study))
     assert "left to the parameters" not in str(worth_of(study, kernel="rbf"))
-
-
-@pytest.mark.parametrize(("old", "new"), [
-    ("worth.Worth", "diagnostics.Worth"), ("candidate_table.CandidateTable", "table.FeatureTable"),
-    ("table_source.TableExhaustedError", "table_policy.TableExhaustedError"),
-])  # fmt: skip
-def test_documented_names_of_0_2_0_are_still_found_and_say_their_new_place(old, new):
-    def found(place):
-        module, name = place.split(".")
-        return getattr(importlib.import_module(f"study.sampler.{module}"), name)
-
-    with pytest.warns(DeprecationWarning, match=f"study.sampler.{old} is study.sampler.{new} now"):
-        assert found(old) is found(new)
 
 
 @pytest.mark.parametrize(("prior", "is_wrong"), [("-error", False), ("error", True)])

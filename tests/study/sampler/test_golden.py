@@ -149,7 +149,6 @@ def cases() -> dict[str, Callable[[], Iterator[dict[str, Any]]]]:
     near: dict[str, Any] = {"feature_function": features_of, "off_grid": 50}
     rows = columns(120, 1)
     two_rows = tuple({name: column[row] for name, column in rows.items()} for row in (17, 44))
-    beside = ({"a": 0.1, "b": 1.0, "c": 4, "d": "x"},)
     return {
         **{f"table-{kernel}": lambda k=kernel: proposals(fks(table(), kernel=k, seed=1), 14)
            for kernel in KERNELS},
@@ -179,8 +178,6 @@ def cases() -> dict[str, Callable[[], Iterator[dict[str, Any]]]]:
         "file": lambda: proposals(fks(file_table(), seed=24), 6),
         "survival": lambda: proposals(fks(survival_rows(), prior="survival", seed=25), 8),
         "large": lambda: proposals(fks(table(6000, 9), seed=26), 6),
-        "nearest": lambda: proposals(
-            fks(table(), nearest=0.2, seed=27, strict=False), 6, enqueued=beside),
         "many-trials": lambda: proposals(fks(table(60), seed=28), 40, tied),
     }  # fmt: skip
 

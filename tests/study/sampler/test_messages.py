@@ -103,8 +103,6 @@ CASES: dict[str, Callable[[], object]] = {
     "kernel: … allowed: one that uses features, or there is nothing to report":
         lambda: (FeatureKernelSampler().worth(optuna.create_study())),
     "prior: … allowed: one of …, or one with a minus": lambda: sampler(prior="phi"),
-    "nearest: … allowed: none with a feature_function, …":
-        lambda: sampler(nearest=0.1, feature_function=len),
     "constraints_func: … allowed: None: call trial.set_constraint(key, value) in the objective":
         lambda: sampler(constraints_func=3),
     "off_grid: … allowed: 0 without a feature_function": lambda: sampler(off_grid=9),
@@ -291,10 +289,6 @@ def test_a_fixed_parameter_and_a_declared_one_that_is_never_suggested():
 
 
 @pytest.mark.parametrize(("features", "options", "message"), [
-    (FEATURES, {"nearest": -0.1}, r"nearest: .* a finite number from 0"),
-    (FEATURES, {"nearest": float("nan")}, r"nearest: .* a finite number from 0"),
-    (None, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
-    (len, {"nearest": 0.1}, r"nearest: 0.1 .* table"),
     (FEATURES, {"prior": "-speed"}, "prior: '-speed' .*feature_0, or one with a minus"),
     (FEATURES, {"off_grid": -1}, "off_grid: -1 .* from 0 to 1000000"),
     (None, {"kernel": "additive"}, "kernel: 'additive' .*no features"),

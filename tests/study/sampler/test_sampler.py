@@ -371,8 +371,8 @@ TABLE = "FeatureTable(600 rows, 16 parameters, 6 features: survival, b, c, ...)"
 
 @pytest.mark.parametrize(("made", "shown"), [
     (lambda: FeatureKernelSampler(SHOWN, seed=3), f"FeatureKernelSampler({TABLE}, seed=3)"),
-    (lambda: FeatureKernelSampler(SHOWN, kernel="rbf", strict=True, nearest=0.1, seed=3),
-     f"FeatureKernelSampler({TABLE}, seed=3, kernel='rbf', nearest=0.1)"),
+    (lambda: FeatureKernelSampler(SHOWN, kernel="rbf", strict=True, success=0.1, seed=3),
+     f"FeatureKernelSampler({TABLE}, seed=3, kernel='rbf', success=0.1)"),
     (lambda: FeatureKernelSampler(
         features, seed=3, independent_sampler=RandomSampler(), extra_parameters=["n"]),
      "FeatureKernelSampler(features, seed=3, extra_parameters=('n',), "

@@ -222,7 +222,6 @@ def test_outcomes_that_are_refused(outcomes: Any, match: str) -> None:
 
 @pytest.mark.parametrize(("options", "match"), [
     ({"prior": "a"}, "^prior: 'a' .* none beside outcomes"),
-    ({"nearest": 0.1}, "^nearest: 0.1 .* none beside outcomes"),
     ({"feature_function": np.sin}, "^feature_function: 'given' .* none beside outcomes"),
     ({"kernel": "rbf"}, "^kernel: 'rbf' .* the table has no features"),
 ])  # fmt: skip
