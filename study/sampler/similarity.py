@@ -46,7 +46,10 @@ def factor_of_gram(gram: Any) -> Floats:
         InputError: not square, not finite, not symmetric, or not positive semidefinite.
     """
     field, allowed = "table.gram", "a symmetric positive semidefinite matrix [n, n]"
-    matrix = np.asarray(gram)
+    try:
+        matrix = np.asarray(gram)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(field, type(gram).__name__, "numbers, [n, n]") from None
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not len(matrix):
         raise InputError(f"{field}.shape", matrix.shape, "[n, n], n at least 1")
     if matrix.dtype.kind not in "biuf":
@@ -93,7 +96,7 @@ def factor_of_graph(weights: Any, hops: float) -> Floats:
     field = "table.weights"
     try:
         edges = scipy.sparse.csr_array(weights, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(field, type(weights).__name__, "weights of edges, [n, n]") from None
     n = edges.shape[0]
     if edges.ndim != 2 or edges.shape != (n, n) or n < 2:
