@@ -12,6 +12,7 @@ the code, the packages or the numbers that made it have changed.
 import ast
 import hashlib
 import json
+import logging
 import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -281,6 +282,7 @@ def _ax(problem: OutsideProblem, seed: int, trials: int) -> Floats:
     from ax.api.client import Client
     from ax.api.configs import ChoiceParameterConfig
 
+    logging.getLogger("ax").setLevel(logging.ERROR)
     client, costs = Client(random_seed=seed), list[float]()
     client.configure_experiment(
         parameters=[
