@@ -16,8 +16,8 @@ import pyarrow.parquet as pq
 from numpy.random import Generator
 
 from storage.tables import DIGEST_KEY, FOOTER_KEY, document_hash, table_digest
+from tests.cases import ASSETS
 
-ASSETS = Path(__file__).resolve().parents[1] / "assets"
 HUGE = 10**400
 
 

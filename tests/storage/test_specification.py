@@ -11,6 +11,7 @@ from storage.specification import read_specification
 from storage.tables import difference, document_hash
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
+from tests.cases import asset
 from tests.storage.fake import configuration, specification
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -88,8 +89,7 @@ def test_difference_names_the_first_field() -> None:
     assert document_hash(json.loads(json.dumps(document))) == document_hash(document)
 
 
-ASSETS = Path(__file__).parents[1] / "assets"
-BAD = tomllib.loads((ASSETS / "bad-stores.toml").read_text(encoding="utf-8"))
+BAD = asset("bad-stores.toml")
 
 
 @pytest.mark.parametrize(

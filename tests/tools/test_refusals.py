@@ -7,7 +7,6 @@ a folder with the files below.
 import json
 import re
 import shlex
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,9 +17,9 @@ import pytest
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 from taichi_nmm.settings import Settings
+from tests.cases import asset
 from tests.study import fake_walker
 from tests.tools.conftest import Tool
-from tests.tools.running import ROOT
 
 GAINS = dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
 
@@ -39,9 +38,7 @@ BASE = {
     "compare_outside": "--out new --cache new",
 }  # fmt: skip
 
-REFUSED: dict[str, dict[str, str]] = tomllib.loads(
-    (ROOT / "tests" / "assets" / "refusals.toml").read_text(encoding="utf-8")
-)
+REFUSED: dict[str, dict[str, str]] = asset("refusals.toml")
 REFUSED["compare"][f"--runs {'9' * 5000}"] = "runs: '999"
 
 
