@@ -16,23 +16,7 @@ sys.path.insert(0, str(ROOT))
 from study.options import COMMANDS, parser_of  # noqa: E402
 
 PAGE = ROOT / "docs" / "commands.md"
-INTRODUCTION = """\
-# Commands
-
-Each command prints this text with `--help`. Made by `python docs/write_commands.py`.
-
-- **Three spellings** do the same: `taichi-nmm walk` after an installation, `python -m taichi_nmm
-  walk` in a checkout, and for some commands `python tools/walk.py`.
-- **Configurations**: one TOML file describes a store or an experiment. `--config` takes a file, or
-  the name of a file that ships; `--list-configs` lists these names.
-- **Extras**: `explore`, `mujoco`, `repertoire`, `postgres` and `cluster` install what some commands
-  need besides, as in `pip install -c constraints.txt '.[mujoco]'`. Commands name a missing package.
-- **Bad input** ends a command with one line and exit code 2. The line names the field, its value
-  and what is allowed.
-- **Ctrl-C or a kill** loses some seconds of work. The same command resumes, and its results are the
-  same bits, with any number of `--workers`, or with `--cluster` on [many machines](cluster.md).
-- **`--json`** prints one object in place of text.
-"""
+INTRODUCTION = (ROOT / "docs" / "commands-introduction.txt").read_text(encoding="utf-8")
 
 
 def page() -> str:

@@ -13,6 +13,7 @@ A control holds for some physics steps, in which no Python runs.
 """
 
 import hashlib
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -31,35 +32,13 @@ from taichi_nmm.errors import InputError, one_line, shortened
 
 Floats = NDArray[np.float64]
 
-WORLDS = {
-    "mass": 1.0,  # of all bodies, times this, and their inertias
-    "mass_spread": 0.0,  # each body's mass and inertia, times 1 +- this at most
-    "inertia": 1.0,  # of all bodies, times this
-    "friction": 1.0,  # of all contacts, times this
-    "damping": 1.0,  # of all joints, times this
-    "armature": 1.0,  # of all joints, times this
-    "strength": 1.0,  # forces of all actuators, times this
-    "delay_s": 0.0,  # of controls, rounded to whole control steps
-    "noise": 0.0,  # standard deviation of a sensed position, in rad and m
-    "noise_rate": 0.0,  # of a sensed velocity, in rad/s and m/s
-    "slope": 0.0,  # of the ground, upwards along x; a slope of 0.1 rises 1 m in 10 m
-    "rough_m": 0.0,  # from the lowest to the highest place of rough ground
-    "push_mps": 0.0,  # the root's velocity along x changes by +- this, once in `PUSH_EVERY_S`
-}
+KNOWN = tomllib.loads(Path(__file__).with_name("mujoco.toml").read_text(encoding="utf-8"))
+WORLDS: dict[str, float] = KNOWN["worlds"]
+COLUMNS: tuple[str, ...] = (SURVIVED, *KNOWN["columns"])
 POSITIVE = ("mass", "inertia", "strength")
 SIGNED = ("slope",)  # all others are zero or more
 MOST_SPREAD = 0.9
 LONGEST_DELAY_S = 1.0
-
-COLUMNS = (
-    SURVIVED,
-    "distance_m",  # along x, to where it stood or fell
-    "speed_mps",
-    "energy_j",  # of actuators, positive and negative work alike, sampled with the controls
-    "cost_of_transport",  # energy over weight and distance; `MOST_COST` where it got nowhere
-    "peak_torque_nm",  # of all joints, in N where a joint slides
-    "effort",  # mean square of the controls
-)
 MOST_COST = 100.0
 NUMERICS = b"1"  # raised with each change of this file that changes what a run gives
 

@@ -5,6 +5,7 @@ Sources: P = Antonova, Rai, Atkeson 2016; T = the transfemoral-prosthesis walker
 fixed gains.
 """
 
+import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -32,45 +33,27 @@ class Parameter:
     source: str
 
 
+def _group(name: str) -> tuple[Parameter, ...]:
+    """The parameters of a group, from parameters.csv."""
+    with Path(__file__).with_suffix(".csv").open(encoding="utf-8", newline="") as file:
+        rows: list[Any] = [row for row in csv.DictReader(file) if row.pop("group") == name]
+    numbers = ("low", "high", "default")
+    return tuple(Parameter(**row | {key: _number(row[key]) for key in numbers}) for row in rows)
+
+
+def _number(text: str) -> float:
+    """A cell's number; angles are in degrees there, in rad here."""
+    number, _, unit = text.partition(" ")
+    return float(np.deg2rad(float(number))) if unit == "deg" else float(number)
+
+
 # Force gains multiply F/Fmax. Bounds: wide enough that about 6 % of uniform draws walk 100 s on
 # flat ground. Defaults: PUBLISHED_GAINS, T's published rough-ground optimum.
-GAINS: tuple[Parameter, ...] = (
-    Parameter("K_GAS", "1", 0.0, 8.0, 3.874, "positive force feedback of gastrocnemius", "P 1"),
-    Parameter("K_GLU", "1", 0.0, 3.0, 0.5755, "positive force feedback of gluteus", "P 2"),
-    Parameter("K_HAM", "1", 0.0, 3.0, 0.1282, "positive force feedback of hamstrings", "P 3"),
-    Parameter("K_SOL", "1", 0.0, 24.0, 16.58, "positive force feedback of soleus", "P 4"),
-    Parameter("K_TA_SOL", "1", 0.0, 8.0, 3.879, "inhibition of tibialis by soleus force", "P 5"),
-    Parameter("K_TA", "1", 0.0, 9.0, 4.727, "positive length feedback of tibialis", "P 6"),
-    Parameter("K_VAS", "1", 0.0, 8.0, 1.989, "positive force feedback of vastus", "P 7"),
-    Parameter("Kp_stance", "1/rad", 0.0, 9.0, 4.572, "trunk lean onto hip muscles", "P 8"),
-    Parameter("Kd_stance", "s/rad", 0.0, 2.0, 0.5131, "trunk rate onto hip muscles", "P 9"),
-    Parameter("K_mix_GLU", "1", 0.0, 3.5, 1.492, "share of trunk feedback to gluteus", "P 10"),
-    Parameter("Kp_swing", "N m/rad", 5.0, 300.0, 63.94, "hip torque on leg-angle error", "P 11"),
-    Parameter("Kd_swing", "N m s/rad", 0.0, 45.0, 17.54, "hip torque on leg-angle rate", "P 12"),
-    Parameter(
-        "alpha_0", "rad", np.deg2rad(55.0), np.deg2rad(92.0), np.deg2rad(70.57),
-        "nominal target leg angle, 90 deg is vertical", "P 13",
-    ),
-    Parameter("C_d", "rad/m", 0.0, 0.5, 0.00476, "target angle per distance CoM - ankle", "P 14"),
-    Parameter("C_v", "rad s/m", 0.0, 0.5, 0.02548, "target angle per CoM speed", "P 15"),
-    Parameter("l_clr", "m", 0.55, 0.99, 0.7591, "leg length that counts as cleared", "P 16"),
-)  # fmt: skip
+GAINS: tuple[Parameter, ...] = _group("searched")
 """The 16 searched gains, in the order of a row of `gains`."""
 
 # Not searched by the paper, but of the same form, so that a later study can search them.
-LOW_LEVEL_GAINS: tuple[Parameter, ...] = (
-    Parameter("k_oe", "1/rad", 0.0, 10.0, 1.0204, "knee over-extension inhibits vastus", "T"),
-    Parameter("k_flex", "N m s/rad", 0.0, 50.0, 7.95, "knee flexion on leg-angle rate", "T"),
-    Parameter("k_hold_1", "N m s/rad", 0.0, 50.0, 10.28, "knee damping, flexing", "T"),
-    Parameter("k_hold_2", "N m s/rad", 0.0, 50.0, 0.400, "knee damping, extending", "T"),
-    Parameter("k_stop", "N m/rad", 0.0, 500.0, 6.72, "stop of the leg near its target", "T"),
-    Parameter("k_ext", "N m/m", 0.0, 1500.0, 577.1, "knee extension before landing", "T"),
-    Parameter("w_filter", "1/s", 10.0, 500.0, 64.47, "leg-angle rate filter", "T"),
-    Parameter(
-        "theta_ref", "rad", np.deg2rad(-10.0), np.deg2rad(30.0), np.deg2rad(6.0),
-        "torso reference angle, forward positive", "T",
-    ),
-)  # fmt: skip
+LOW_LEVEL_GAINS: tuple[Parameter, ...] = _group("fixed")
 """The 8 fixed gains, in the order of a row of `low_level_gains`."""
 
 GAIN_NAMES: tuple[str, ...] = tuple(parameter.name for parameter in GAINS)

@@ -10,8 +10,10 @@ is made in a turn, and a process that finds itself alone need not wait until hea
 """
 
 import threading
+import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sql
@@ -36,22 +38,11 @@ KEY = "hashtextextended(:study, 0)"
 TURN_KEY = "hashtextextended(:study || '/turn', 0)"
 NOW = "(now() AT TIME ZONE 'utc')"  # the server's clock, whatever zone a client is in
 OF_STUDY = "trials JOIN studies USING (study_id) WHERE study_name = :study"
-BEAT = f"""
-    INSERT INTO trial_heartbeats (trial_id, heartbeat)
-    SELECT trial_id, {NOW} FROM {OF_STUDY} AND number = :number
-    ON CONFLICT (trial_id) DO UPDATE SET heartbeat = {NOW}
-"""
-STILL = f"""
-    DELETE FROM trial_heartbeats
-    WHERE trial_id IN (SELECT trial_id FROM {OF_STUDY} AND state = 'RUNNING')
-"""
-DEAD = f"""
-    SELECT number FROM {OF_STUDY} AND state = 'RUNNING' AND NOT EXISTS (
-        SELECT 1 FROM trial_heartbeats
-        WHERE trial_heartbeats.trial_id = trials.trial_id
-        AND heartbeat >= {NOW} - make_interval(secs => :grace)
-    )
-"""
+_TEXT = Path(__file__).with_name("heartbeats.toml").read_text(encoding="utf-8")
+BEAT, STILL, DEAD = (
+    tomllib.loads(_TEXT)[name].format(now=NOW, of_study=OF_STUDY)
+    for name in ("beat", "still", "dead")
+)
 
 
 def require_server(url: str) -> str:

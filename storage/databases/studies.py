@@ -7,6 +7,7 @@ may lose the last transactions, never the file.
 A database is looked at before it is opened: nothing of a refused one is changed.
 """
 
+import json
 import os
 import sqlite3
 import stat
@@ -40,23 +41,8 @@ ALONE = "a study that no other program changes while it runs"
 BUSY_TIMEOUT_S = 5.0  # a writer of ours holds the database for milliseconds
 
 SCHEMA_VERSION = 12  # Optuna 3.0 to 5.0, with the column types of revision v3.2.0.a and later
-TABLES: dict[str, set[str]] = {  # with their columns
-    "studies": {"study_id", "study_name"},
-    "study_directions": {"study_direction_id", "direction", "study_id", "objective"},
-    "study_user_attributes": {"study_user_attribute_id", "study_id", "key", "value_json"},
-    "study_system_attributes": {"study_system_attribute_id", "study_id", "key", "value_json"},
-    "trials": {"trial_id", "number", "study_id", "state", "datetime_start", "datetime_complete"},
-    "trial_values": {"trial_value_id", "trial_id", "objective", "value", "value_type"},
-    "trial_params": {"param_id", "trial_id", "param_name", "param_value", "distribution_json"},
-    "trial_user_attributes": {"trial_user_attribute_id", "trial_id", "key", "value_json"},
-    "trial_system_attributes": {"trial_system_attribute_id", "trial_id", "key", "value_json"},
-    "trial_intermediate_values": {
-        "trial_intermediate_value_id", "trial_id", "step", "intermediate_value",
-        "intermediate_value_type",
-    },
-    "trial_heartbeats": {"trial_heartbeat_id", "trial_id", "heartbeat"},
-    "version_info": {"version_info_id", "schema_version", "library_version"},
-}  # fmt: skip
+_SCHEMA = json.loads(Path(__file__).with_name("schema.json").read_text(encoding="utf-8"))
+TABLES: dict[str, set[str]] = {name: set(columns) for name, columns in _SCHEMA.items()}
 REVISION_TABLE = "alembic_version"
 OWNED = ("study_directions", "study_user_attributes", "study_system_attributes", "trials")
 OF_TRIALS = tuple(

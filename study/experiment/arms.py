@@ -3,6 +3,7 @@
 An arm is added here and nowhere else: studies, comparisons and reports take it from this list.
 """
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,15 +30,9 @@ PRINTED = "phi_printed"
 NOTHING = "nothing but its own trials"  # what an arm without a store has seen
 
 # Arms of version 0.2.0 that are gone, and the arm to use instead.
-REMOVED = {
-    "gp-optuna": "bo-euclidean", "dog-kd": "dog", "dog-robust": "worlds", "dog-off-grid": "dog",
-    "dog-mild": "worlds", "dog-ramps": "worlds", "dog-diverse": "worlds", "score-first": "ranking",
-    "score-top": "ranking", "score-first-flat": "ranking", "score-first-diverse": "ranking",
-    "score-first-worlds": "ranking", "score-first-stairs": "worlds-stairs", "ei-prior": "worlds",
-    "best": "worlds", "best-robust": "worlds", "best-mild": "worlds", "best-ramps": "worlds",
-    "best-without-rough": "worlds", "best-without-ramps": "worlds", "best-worlds": "worlds",
-    "best-worlds-grid": "worlds", "best-stairs": "worlds-stairs", "cmaes-source": "cmaes-warm",
-}  # fmt: skip
+REMOVED: dict[str, str] = json.loads(
+    Path(__file__).with_name("removed_arms.json").read_text(encoding="utf-8")
+)
 
 
 @dataclass(frozen=True)

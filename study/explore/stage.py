@@ -141,7 +141,7 @@ class Cycle:
                 toolbar_location=None, title=panel.title, y_axis_label=panel.unit,
                 x_range=(0, 100), y_range=(panel.low, panel.high),
             )  # fmt: skip
-            mean, sd = panel.human.at(PERCENT)
+            mean, sd = panel.at(PERCENT)
             plot.varea(PERCENT, mean - sd, mean + sd, fill_color=style.HUMAN, fill_alpha=0.35)
             plot.line(PERCENT, mean, line_color=style.FAINT, line_dash="dashed")
             empty = np.full(len(PERCENT), np.nan)

@@ -2,7 +2,9 @@
 
 import json
 import math
+import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -27,32 +29,10 @@ from taichi_nmm.result import (
 )
 from taichi_nmm.terrain import GRID_SPACING_M, Terrain
 
-GROUNDS: dict[str, dict[str, Any]] = {
-    "flat": {"kind": "flat"},
-    "rough, 4 cm a metre": {"kind": "rough", "amplitude_m": 0.04},
-    "rough, 8 cm a metre": {"kind": "rough", "amplitude_m": 0.08},
-    "blocks of 8 cm, risers of 25 cm": {"kind": "blocks", "amplitude_m": 0.08, "riser_m": 0.25},
-    "blocks of 8 cm, risers of 10 cm": {"kind": "blocks", "amplitude_m": 0.08, "riser_m": 0.10},
-    "ramp up to 10 %": {"kind": "ramp", "direction": "up", "largest_slope": 0.10},
-    "ramp up to 20 %": {"kind": "ramp", "direction": "up", "largest_slope": 0.20},
-    "ramp down to 20 %": {"kind": "ramp", "direction": "down", "largest_slope": 0.20},
-    "stairs up, 8 cm a step": {"kind": "stairs", "rise_m": 0.08, "run_m": 1.0},
-    "stairs up, 10 cm a step": {"kind": "stairs", "rise_m": 0.10, "run_m": 1.0},
-    "stairs down, 10 cm a step": {
-        "kind": "stairs", "rise_m": 0.10, "run_m": 1.0, "direction": "down",
-    },
-}  # fmt: skip
-WORLDS: dict[str, dict[str, list[float]]] = {
-    "nominal": {},
-    "slippery: friction 0.5": {"friction": [0.5, 0.5]},
-    "weak: muscles at 80 %": {"strength": [0.8, 0.8]},
-    "slow and noisy nerves": {"nerve_lag_s": [0.005, 0.005], "sensing_noise": [0.01, 0.01]},
-    "drawn by the seed": {
-        "friction": [0.6, 1.0], "strength": [0.9, 1.1], "nerve_lag_s": [0.0, 0.005],
-        "sensing_noise": [0.0, 0.01],
-    },
-}  # fmt: skip
-DISTURBANCES = {"nominal": 0.0, "within 15 %": 0.15, "within 25 %": 0.25}
+CHOICES = tomllib.loads(Path(__file__).with_name("choices.toml").read_text(encoding="utf-8"))
+GROUNDS: dict[str, dict[str, Any]] = CHOICES["grounds"]
+WORLDS: dict[str, dict[str, list[float]]] = CHOICES["worlds"]
+DISTURBANCES: dict[str, float] = CHOICES["disturbances"]
 DURATIONS_S = (5.0, 10.0, 20.0, 100.0)
 NAME = "walk"  # of the configuration
 

@@ -5,7 +5,9 @@ D(th) = (-sin th, -cos th), a foot along F(th) = (cos th, -sin th), the trunk al
 Muscle paths are for the eye: plausible origins and insertions, not the moment arms of the model.
 """
 
+import tomllib
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -89,22 +91,11 @@ SHOULDER_M = 0.50  # above the hip, along the trunk
 HEAD_M = 0.69  # centre of the head; the trunk link is 0.80 m long
 HEAD_RADIUS_M = 0.105
 
+SEGMENTS = ("hat", "thigh", "shank", "foot")
 HAT, THIGH, SHANK, FOOT = range(4)
 LEG_COLUMNS = ((2, 3, 4, 5), (2, 6, 7, 8))  # th of HAT, thigh, shank, foot in q; left, right
 
-# A path is a list of points (segment, metres along it, metres in front of it).
-MUSCLE_PATHS: dict[str, tuple[tuple[int, float, float], ...]] = {
-    "SOL": ((SHANK, 0.12, -0.022), (SHANK, 0.27, -0.045), (FOOT, -0.040, 0.005)),
-    "TA": ((SHANK, 0.10, 0.028), (SHANK, 0.33, 0.042), (FOOT, 0.070, 0.010)),
-    "GAS": ((THIGH, 0.45, -0.038), (SHANK, 0.13, -0.078), (FOOT, -0.042, 0.008)),
-    "VAS": ((THIGH, 0.14, 0.038), (THIGH, 0.42, 0.075), (SHANK, 0.07, 0.033)),
-    "HAM": ((HAT, -0.02, -0.065), (THIGH, 0.28, -0.075), (SHANK, 0.06, -0.033)),
-    "GLU": ((HAT, 0.13, -0.085), (HAT, -0.01, -0.135), (THIGH, 0.15, -0.033)),
-    "HFL": ((HAT, 0.16, 0.045), (HAT, 0.01, 0.110), (THIGH, 0.13, 0.030)),
-}
-BELLY_M: dict[str, float] = {  # half the thickness drawn, about with the cube root of F_max
-    "SOL": 0.021, "TA": 0.014, "GAS": 0.018, "VAS": 0.024, "HAM": 0.021, "GLU": 0.022, "HFL": 0.019,
-}  # fmt: skip
+DRAWN = tomllib.loads(Path(__file__).with_name("muscle_paths.toml").read_text(encoding="utf-8"))
 PATH_POINTS = 15
 
 
@@ -152,7 +143,7 @@ def trunk(q: Array) -> tuple[Array, Array]:
 def muscle_outlines(q: Array, side: int) -> list[Array]:
     """Closed outlines of the seven muscles of a leg in poses q [..., 9], order of `MUSCLES`."""
     frames = _frames(q, side)
-    return [_belly(_path(frames, name), BELLY_M[name]) for name in MUSCLES]
+    return [_belly(_path(frames, name), DRAWN[name]["belly_m"]) for name in MUSCLES]
 
 
 def _frames(q: Array, side: int) -> list[tuple[Array, Array, Array]]:
@@ -167,8 +158,8 @@ def _frames(q: Array, side: int) -> list[tuple[Array, Array, Array]]:
 def _path(frames: list[tuple[Array, Array, Array]], name: str) -> Array:
     """A smooth line from origin to insertion that bends towards the middle point, [..., k, 2]."""
     points = []
-    for segment, along, ahead in MUSCLE_PATHS[name]:
-        origin, axis, front = frames[segment]
+    for segment, along, ahead in DRAWN[name]["path"]:
+        origin, axis, front = frames[SEGMENTS.index(segment)]
         points.append((origin + along * axis + ahead * front)[..., None, :])
     start, middle, end = points
     s = np.linspace(0.0, 1.0, PATH_POINTS)[:, None]

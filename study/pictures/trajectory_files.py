@@ -5,6 +5,7 @@ counter-clockwise positive, flexion of the knee negative. Its pelvis is our hip,
 bend. Numbers have as many digits as needed to read the same float64 back.
 """
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +20,7 @@ Columns = dict[str, NDArray[np.float64]]
 FORMATS = (".csv", ".mot", ".sto")
 RECORD_RATE_HZ = 200.0  # of walks that are kept
 
-OPENSIM_MUSCLES = {
-    "SOL": "soleus", "TA": "tib_ant", "GAS": "gastroc", "VAS": "vasti", "HAM": "hamstrings",
-    "GLU": "glut_max", "HFL": "iliopsoas",
-}  # fmt: skip
+OPENSIM = tomllib.loads(Path(__file__).with_name("opensim.toml").read_text(encoding="utf-8"))
 SIDES = ("l", "r")
 OPENSIM_JOINTS = ("hip_flexion", "knee_angle", "ankle_angle")
 SEGMENTS = ("thigh", "shank", "foot")
@@ -34,16 +32,6 @@ JOINTS = tuple(
     for side in SIDES
     for joint in ("hip_extension", "knee_flexion", "ankle_plantarflexion")
 )
-SIGNS = """\
-Units are S.I. units (second, meters, Newtons, ...).
-Angles are in degrees, counter-clockwise positive: hip flexion +, knee flexion -, dorsiflexion +.
-pelvis_tx and pelvis_ty are the hip's, pelvis_tilt is the trunk's (backward +).
-"""
-FORCES = """\
-Units are S.I. units (second, meters, Newtons, ...).
-ground_force_*_vx forward +, _vy upward +, on the foot, mean over the sample interval.
-*.activation is 0 to 1; *.tendon_force in N.
-"""
 
 
 def own_columns(trajectory: Trajectory) -> Columns:
@@ -89,7 +77,7 @@ def forces(trajectory: Trajectory) -> Columns:
         ("activation", trajectory.activation),
         ("tendon_force", trajectory.muscle_force_n),
     ):
-        names = [f"{OPENSIM_MUSCLES[muscle]}_{side}.{quantity}" for side, muscle in sides]
+        names = [f"{OPENSIM['muscles'][muscle]}_{side}.{quantity}" for side, muscle in sides]
         columns |= dict(zip(names, values.T, strict=True))
     return columns
 
@@ -107,9 +95,9 @@ def trajectory_text(trajectory: Trajectory, suffix: str, name: str = "walk") -> 
         columns = own_columns(trajectory)
         return ",".join(columns) + "\n" + _lines(columns, ",")
     if suffix == ".mot":
-        columns, degrees, words = coordinates(trajectory), "yes", SIGNS
+        columns, degrees, words = coordinates(trajectory), "yes", OPENSIM["coordinates"]
     else:
-        columns, degrees, words = forces(trajectory), "no", FORCES
+        columns, degrees, words = forces(trajectory), "no", OPENSIM["forces"]
     # OpenSim's storage, version 1: lines before `endheader` that are no keys are remarks.
     rows = len(trajectory.time_s)
     head = f"{name}\nversion=1\nnRows={rows}\nnColumns={len(columns)}\ninDegrees={degrees}\n\n"

@@ -1,6 +1,7 @@
 """The words of a report: an experiment, several side by side, and the table `compare` prints."""
 
 import html
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -27,23 +28,8 @@ SECONDS_A_MINUTE = 60.0
 NO_STORES: Mapping[str, Path] = MappingProxyType({})
 ABSENT = "-"
 UNKNOWN = "not recorded"
-METHOD = f"""\
-A trial walks if it lasts to its end at 0.3 m/s or more; trials are counted from 1. Runs are the \
-unit of all statistics: an arm's trials in one run are one sample. Intervals are 95 %: Wilson's \
-score interval for proportions; for medians the percentile bootstrap over runs ({RESAMPLES:,} \
-resamples from a fixed `SeedSequence`). A run without a walker counts as later than every trial, \
-so that a median "> T" says that no more than half of the runs had one within T trials."""
-TESTS = """\
-Two-sided tests on pairs of runs, each a body and a ground that both arms met: Wilcoxon's \
-signed-rank test of the best costs after so many *trials*, McNemar's exact test of having a \
-walker. A test rests on the pairs that *differ*. *Holm* is p adjusted over all arms of the table. \
-A difference below 0 means that the arm is better."""
-PROPOSAL = "The last column is the median time in ms that the sampler took to propose a trial."
-FIGURES = {
-    "best-cost": "Best cost so far against trials",
-    "walkers": "Share of runs with a walker against trials",
-    "first-walker": "Trials to the first walker, a dot a run",
-}
+WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
+METHOD = WORDS["method"].format(resamples=RESAMPLES)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], rule: str = "---:") -> str:
@@ -114,7 +100,7 @@ def report_text(
     `strips` are the words below the figure of stick figures, "" where there is none. `stores` are
     folders of the stores that the arms read, by key, where they are known.
     """
-    figures = FIGURES | ({"strips": strips} if strips else {})
+    figures = WORDS["figures"] | ({"strips": strips} if strips else {})
     parts = [
         f"# {results.name}",
         _state(results),
@@ -125,7 +111,7 @@ def report_text(
         _peer(numbers),
         "## Best cost",
         _costs(numbers, results.cost),
-        PROPOSAL if any(arm.proposal_ms is not None for arm in numbers.arms) else "",
+        WORDS["proposal"] if any(arm.proposal_ms is not None for arm in numbers.arms) else "",
         *_tests(numbers),
         "## What the arms saw before their first trial",
         _saw(numbers, stores),
@@ -200,7 +186,7 @@ def _tests(numbers: Numbers) -> list[str]:
         ]
         for each in numbers.comparisons
     ]  # fmt: skip
-    return [f"## Against `{numbers.reference}`", TESTS, table(header, rows)]
+    return [f"## Against `{numbers.reference}`", WORDS["tests"], table(header, rows)]
 
 
 def _test_cells(test: PairedTest, holm: float) -> list[str]:

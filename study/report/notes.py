@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from study.experiment.database import Summary
 from study.experiment.experiment import study_name
-from study.report.markdown import count_text, table
+from study.report.markdown import WORDS, count_text, table
 from study.report.runs import ArmRuns, runs_of
 
 DASHBOARD = "/dashboard"  # where optuna-dashboard serves its pages
@@ -29,21 +29,14 @@ def dashboard_summary(
     """
     arms = list(runs_of(trials).values())
     state = "all trials" if final else "so far; the experiment is running or was stopped"
-    note = f"""\
-# {name}
-{len(trials)} trials ({state}).
-
-{table(["arm", "runs", "walked", "walked, %", "first walker", "best cost"], list(map(_row, arms)))}
-
-walked: runs with a walker, which lasts to the end at 0.3 m/s or more. first walker: trials to it, \
-median over runs. best cost: median over runs. All are of the trials that every run of the arm has.
-
-Run r has the same body and ground in every arm. The best trial of each study shows its picture, \
-of the first runs its film too.
-
-{_links(name, arms, studies)}
-
-Each best cost links to its study; bold: the study has a walker."""
+    heads = ["arm", "runs", "walked", "walked, %", "first walker", "best cost"]
+    note = WORDS["note"].format(
+        name=name,
+        trials=len(trials),
+        state=state,
+        table=table(heads, list(map(_row, arms))),
+        links=_links(name, arms, studies),
+    )
     return Summary(note, best_cost_figure(arms))
 
 

@@ -16,47 +16,24 @@ import pyarrow.parquet as pq
 from numpy.random import Generator
 
 from storage.tables import DIGEST_KEY, FOOTER_KEY, document_hash, table_digest
+from tests.cases import ASSETS
 
 HUGE = 10**400
-SURROGATE = "\udcff"  # of a name that is not UTF-8, as Python has it
 
-# Values for JSON, TOML, Parquet and SQLite.
-VALUES: tuple[Any, ...] = (
-    None, True, False, 0, -1, 1, 2, 3, 7, 2**31, 2**63 - 1, 2**63, -(2**63), 10**30, HUGE, 0.0,
-    -0.0, 0.5, -1.5, 1e-320, 1e-9, 1e16, 1e308, -1e308, float("nan"), float("inf"), float("-inf"),
-    "", " ", "a", "dog", "random", "flat", "rough", "file", "mujoco", "cuda", "1", "nan", "null",
-    "..", ".", "/", "a/b", "../toy", "hill.csv", "store", "nowhere", "\n", "\x00", "\x1b[31m", "é",
-    "\u202eab", "\U0001f600", "%s{0}", "$x^2$", "<script>", "x" * 5000, [], [[]], {}, {"a": 1},
-    [1, 2], [2, 1], [0.5, 0.5], [None], ["a", "a"], ["theta_ref"], [{}], {"": ""}, {"kind": "flat"},
-    [0] * 2000,
-)  # fmt: skip
 
-# For text files, in place of a word or between two.
-WORDS: tuple[str, ...] = (
-    "", "nan", "inf", "-inf", "1e400", "-1", "0", "-0.0", "1e-320", "9" * 5000, "0x10", "1_000",
-    "\u0663", "true", "null", "None", "\"a\"", "'", '"', "[" * 200, "{", "}", "]", ",", ":", "=",
-    "#", "\\", "\\u0000", "\\ud800", "\x00", "\ufeff", "\r", "\r\n", "\t", "\x1b", "\x85", "\u2028",
-    "/*", "//", "[a]", "[[a]]", "a.b = 1", "\n\n", ";", "1,2,3", "1 2", "1;2", "1,5",
-)  # fmt: skip
+def short(written: dict[str, Any]) -> Any:
+    """What an object of damage.json stands for, if it is a value too long to be written there."""
+    if "power" in written:
+        return 10 ** written["power"]
+    return written["of"] * written["times"] if "times" in written else written
 
-# Values for options, some of them names of files and folders of the world. None is an absolute path
-# that can be written: the tests may run as root.
-OPTIONS: tuple[str, ...] = (
-    "", " ", "-", "--", "-1", "0", "1", "2", "00", "+1", "1.5", "1e3", "nan", "inf", "-inf",
-    "1e400", "9" * 30, "9" * 5000, "\u0663", "\u00b2", "1_0", "0x1", " 1 ", "1\n", "a", "dog",
-    "dog,dog", "dog,", ",", "random", "worlds", "é", "\u202ea", "\U0001f600", "a b", "a\nb", "a\tb",
-    "\x1b[31m", SURROGATE, f"a{SURROGATE}", "x" * 300, "x" * 5000, "%s", "%(default)s", "{}", "{0}",
-    "*", "~", ".", "..", "./.", "a/b/c", "store", "compared", "toy.toml", "hill.csv", "live.db",
-    "gains.json", "toy.toml/x", "/dev/null/x", "auto", "cpu", "cuda", "vulkan", "mujoco", "both",
-    "taichi", "few", "all", "sqlite:///", "sqlite:///live.db", "sqlite:///toy.toml",
-    "sqlite:///store", "sqlite:///a/b.db", "sqlite:///:memory:", "sqlite:///x?mode=ro",
-    "sqlite:///%00", "sqlite:///%ff", "sqlite:///~/x", "sqlite://", "mysql://a",
-    "postgresql+psycopg://", "postgresql://x:secret@y/z",
-    "postgresql+psycopg://u:secret@127.0.0.1:1/x", "postgresql+psycopg://[::1",
-    "toy/dog/run-000/0", "toy/dog/run-000/1", "toy/dog/run-000/9", "toy/dog/run-000/x", "toy/dog/0",
-    "////", "toy/dog/run-000/\u0663", "toy/dog/run-000/-1", "published", "reference", "rough8",
-    "store-v",
-)  # fmt: skip
+
+KNOWN = json.loads((ASSETS / "damage.json").read_text(encoding="utf-8"), object_hook=short)
+VALUES: tuple[Any, ...] = tuple(KNOWN["values"])  # for JSON, TOML, Parquet and SQLite
+WORDS: tuple[str, ...] = tuple(KNOWN["words"])  # for text files, for a word or between two
+# Values for options, some of them names of files and folders of the world, or, with half a
+# character, of no UTF-8. None is an absolute path that can be written: the tests may run as root.
+OPTIONS: tuple[str, ...] = tuple(KNOWN["options"])
 
 
 PIECES = re.compile(r"[\w.+-]+|\s+|[^\w\s]")

@@ -11,6 +11,7 @@ from storage.specification import read_specification
 from storage.tables import difference, document_hash
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
+from tests.cases import asset
 from tests.storage.fake import configuration, specification
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -88,66 +89,18 @@ def test_difference_names_the_first_field() -> None:
     assert document_hash(json.loads(json.dumps(document))) == document_hash(document)
 
 
-LATER = "settings = 2\nafter = 'down'\nmin_survived_fraction = 0.5"
-# Ends of configurations by the field that their error names; "!": without `samples = 5` before it.
-BAD: dict[str, list[str]] = {
-    "samples": ["!sample = 5", "!samples = 0", "!samples = 2_000_000_000", '!samples = "many"',
-        "!samples = true"],
-    "shard_rows": ["shard_rows = 0"],
-    "seed": ["seed = -1"],
-    "colour": ["colour = 1"],
-    "simulation": ["simulation = 3"],
-    "simulation.duration_s": ["[simulation]\nduration_s = nan", "[simulation]\nduration_s = 0"],
-    "simulation.threads": ["[simulation]\nthreads = 2"],
-    "simulation.precision": ["[simulation]\nprecision = 'float16'"],
-    "terrain.kind": ["[terrain]\nkind = 'moon'"],
-    "body.disturbance": ["[body]\ndisturbance = 2.0"],
-    "body.mass": ["[body]\nmass = 2.0"],
-    "robust.horizon_s": ["[robust]\nhorizon_s = 8.0"],
-    "robust.settings": ["[robust]\nsettings = 65"],
-    "robust.min_survival_s": ["[robust]\nsettings = 6\nmin_survival_s = 6"],
-    "robust.survival": ["[robust]\nsettings = 6\nsurvival = 6"],
-    "robust.terrain.slope": ["[robust]\nsettings = 6\n[robust.terrain]\nkind = 'rough'\nslope = 2"],
-    "robust.body.disturbance": ["[robust]\nsettings = 6\n[robust.body]\ndisturbance = -1"],
-    "families.up": ["[families]\nup = 3"],
-    "families.up.settings": ["[families.up]\nhorizon_s = 3.0", "[families.up]\nsettings = 0"],
-    "families.up.slope": ["[families.up]\nsettings = 2\nslope = 1"],
-    "families.up.min_survival_s": ["[families.up]\nsettings = 2\nmin_survival_s = 6"],
-    "families.up.terrain.kind": ["[families.up]\nsettings = 2\nterrain = {kind = 'r'}"],
-    "families": ["[families.Up]\nsettings = 2", "[families.2up]\nsettings = 2",
-        "[families.'up-hill']\nsettings = 2", "[families.'']\nsettings = 2",
-        '[families."up\\n"]\nsettings = 2', "[families.robust]\nsettings = 2",
-        "[families.m1]\nsettings = 2", "[families.row]\nsettings = 2",
-        "searched = ['theta_ref']\n[families.theta]\nsettings = 2", "families = 3",
-        "[families.origin]\nsettings = 2\n[repertoire]\nseed = 1"],
-    "families.up.after": [f'[families.up]\n{LATER}', "[families.up]\nsettings = 2\nafter = 3"],
-    "families.down.after": [f'[families.up]\n{LATER}\n[families.down]\n{LATER}'],
-    "robust.after": ["[robust]\nsettings = 2\nafter = 'up'"],
-    "families.up.min_survived_fraction": [
-        "[families.up]\nsettings = 2\nmin_survived_fraction = 0.5",
-        "[families.up]\nsettings = 2\nafter = 'robust'"],
-    "families.up.world.friction": ["[families.up]\nsettings = 2\nworld = {friction = 0.5}"],
-    "families.up.world.grip": ["[families.up]\nsettings = 2\nworld = {grip = [0, 1]}"],
-    "world.strength": ["world = {strength = [1, 0.5]}"],
-    "repertoire": ["[repertoire]\nseed = 1", "repertoire = 3"],
-    "repertoire.evaluations": ["[families.up]\nsettings = 2\n[repertoire]\nevaluations = 10",
-        "[families.up]\nsettings = 2\n[repertoire]\nevaluations = 0"],
-    "repertoire.candidates": ["[families.up]\nsettings = 2\n[repertoire]\ncandidates = 0",
-        "[families.up]\nsettings = 2\n[repertoire]\ncandidates = 1e3",
-        "[families.a]\nsettings = 2\n[families.b]\nsettings = 2\n[repertoire]\ncandidates = 1"],
-    "repertoire.settings": ["[families.up]\nsettings = 2\n[repertoire]\nsettings = 65"],
-    "repertoire.families": ["[families.up]\nsettings = 2\n[repertoire]\nfamilies = ['u']",
-        "[families.up]\nsettings = 2\n[repertoire]\nfamilies = 'up'"],
-    "repertoire.seed": ["[families.up]\nsettings = 2\n[repertoire]\nseed = -1"],
-    "repertoire.sigma": ["[families.up]\nsettings = 2\n[repertoire]\nseed = 1\nsigma = 1"],
-    "searched": ['searched = ["theta"]', 'searched = ["K_GAS"]',
-        'searched = ["theta_ref", "theta_ref"]', 'searched = "theta_ref"', "searched = [3]",
-        'searched = [["theta_ref"]]', "searched = 1"],
-}  # fmt: skip
+BAD = asset("bad-stores.toml")
 
 
-@pytest.mark.parametrize(("field", "text"), [(field, text) for field in BAD for text in BAD[field]])
+@pytest.mark.parametrize(
+    ("field", "text"),
+    [
+        pytest.param(field, text, id=f"{field}: {why}")
+        for field, texts in BAD.items()
+        for why, text in texts.items()
+    ],
+)
 def test_bad_configurations_name_the_field(field: str, text: str) -> None:
-    whole = text[1:] if text.startswith("!") else f"samples = 5\n{text}"
+    whole = text if field == "samples" else f"samples = 5\n{text}"
     with pytest.raises(InputError, match=rf"^{field}: "):
         read_specification(Table(tomllib.loads(whole)))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from study.pictures import gait_cycle as human_ranges
+from study.pictures.gait_cycle import PANELS
 from study.pictures.stick_figure import leg
 from taichi_nmm.result import EVENT_DTYPE, Trajectory
 
@@ -36,9 +36,9 @@ def walk(duration_s: float = 8.0, rate_hz: float = 100.0) -> Trajectory:
 
 def _leg_angles(percent: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Absolute angles of thigh, shank and foot."""
-    hip = np.deg2rad(human_ranges.HIP_FLEXION_DEG.at(percent)[0])
-    knee = np.deg2rad(human_ranges.KNEE_FLEXION_DEG.at(percent)[0])
-    ankle = np.deg2rad(human_ranges.DORSIFLEXION_DEG.at(percent)[0])
+    hip = np.deg2rad(PANELS["hip_flexion_deg"].at(percent)[0])
+    knee = np.deg2rad(PANELS["knee_flexion_deg"].at(percent)[0])
+    ankle = np.deg2rad(PANELS["dorsiflexion_deg"].at(percent)[0])
     thigh = TRUNK_RAD - hip
     return thigh, thigh + knee, thigh + knee - ankle
 
@@ -50,8 +50,8 @@ def _activations(percent: np.ndarray) -> np.ndarray:
 
 
 def _force(percent: np.ndarray) -> np.ndarray:
-    forward = human_ranges.FORWARD_FORCE_BW.at(percent)[0]
-    up = human_ranges.VERTICAL_FORCE_BW.at(percent)[0]
+    forward = PANELS["forward_bw"].at(percent)[0]
+    up = PANELS["vertical_bw"].at(percent)[0]
     return BODY_WEIGHT_N * np.column_stack([forward, up])
 
 

@@ -19,6 +19,7 @@ from study.experiment.experiment import Experiment
 from study.experiment.gains import gains_of_trial
 from study.experiment.live_study import check_study, run_study
 from taichi_nmm.errors import InputError
+from tests.cases import cases
 from tests.study import fake_walker
 
 Refuses = Callable[[str, Callable[[str], bytes], str], None]
@@ -71,19 +72,7 @@ def assert_refused(call: Callable[[], Any], message: str) -> None:
         call()
 
 
-@pytest.mark.parametrize("command", [
-    "UPDATE trials SET datetime_start = '[[]]'",
-    "UPDATE trials SET state = 'DONE'",
-    "UPDATE trials SET number = 'a' WHERE number = 1",
-    "UPDATE trial_values SET objective = 3",
-    "UPDATE trial_params SET distribution_json = '{\"name\": 3}'",
-    "ALTER TABLE trial_intermediate_values RENAME COLUMN step TO step_",
-    "ALTER TABLE studies RENAME COLUMN study_name TO name",
-    "DROP TABLE trial_heartbeats",
-    "DELETE FROM studies",
-    "UPDATE studies SET study_name = x'61'",
-    "DELETE FROM trials WHERE number = 1",  # whose rows would be those of the next trial
-])  # fmt: skip
+@cases("unreadable-studies.toml", "command")
 def test_what_cannot_be_read_is_one_line(url: str, check: Callable[[], None], command: str) -> None:
     before = edit(url, command)
     for read in (check, lambda: gains_of_trial("toy/dog/run-000/1", url)):
@@ -91,29 +80,7 @@ def test_what_cannot_be_read_is_one_line(url: str, check: Callable[[], None], co
     assert edit(url) == before
 
 
-PARAMS = "UPDATE trial_params SET {} WHERE param_name = '{}'"
-WRITTEN = "UPDATE trial_user_attributes SET value_json = {} WHERE key = '{}'"
-NOTE = "UPDATE study_system_attributes SET {} WHERE key LIKE 'dashboard:note_{}'"
-UNLOGGED = "distribution_json = replace(distribution_json, '\"log\": false', '\"log\": null')"
-
-
-@pytest.mark.parametrize(("command", "message"), [
-    ("DELETE FROM trial_params WHERE param_name = 'K_SOL'", ".*trial 0: parameters"),
-    (PARAMS.format("param_value = 1e9", "K_SOL"), ".*trial 0"),
-    ("UPDATE trials SET number = number + 1", ".*trial 1"),
-    (PARAMS.format(UNLOGGED, "K_SOL"), ".*trial 0: K_SOL: 'FloatDistr.*log=None"),
-    ("DELETE FROM trial_user_attributes WHERE key = 'walked'", ".*0: walked: 'missing'"),
-    (WRITTEN.format("'[1]'", "walked"), r".*trial 0: walked: \[1\]"),
-    (WRITTEN.format("'null'", "duration_s"), ".*trial 0: duration_s: None"),
-    (WRITTEN.format("'3'", "end_reason"), ".*trial 0: end_reason: 3"),
-    (WRITTEN.format("'\"a\"'", "score"), ".*trial 0: score: 'a'"),
-    ("UPDATE study_directions SET direction = 'MAXIMIZE'", ".*directions"),
-    ("UPDATE trial_values SET value = 1e400", ".*trial 0: values"),
-    (PARAMS.format("param_value = 'a'", "K_GAS"), ".*0: K_GAS: 'a'"),
-    (NOTE.format("value_json = '[[]]'", "str:%"), r": note: \[\[\]\]"),
-    (NOTE.format("value_json = '\"/\"'", "ver"), ": note: '/'"),
-    (NOTE.format("key = 'dashboard:note_str:7'", "str:0"), r": note: \[7\]"),
-])  # fmt: skip
+@cases("unwritten-studies.toml", "command", "message")
 def test_what_no_study_has_written_is_named(
     url: str, check: Callable[[], None], command: str, message: str
 ) -> None:
@@ -163,28 +130,11 @@ def refuses_before_it_works(toy: Experiment, made: Path, tmp_path: Path) -> Refu
 OF_SUMMARY = r"^(storage|study toy/summary: note): "
 
 
-@pytest.mark.parametrize(("arm", "message", "command"), [
-    ("dog", OF_DOG, "UPDATE studies SET study_name = x'61' WHERE study_name LIKE '%run-000'"),
-    ("dog", OF_DOG, "DELETE FROM trials WHERE number = 1"),
-    ("dog", OF_DOG, "DELETE FROM trial_params WHERE param_name = 'K_SOL'"),
-    ("dog", OF_DOG, "UPDATE trial_params SET distribution_json = '{\"name\": 3}'"),
-    ("dog", OF_DOG, PARAMS.format("param_value = 1e9", "K_SOL")),
-    ("dog", OF_DOG, WRITTEN.format("'[1]'", "walked")),
-    ("dog", OF_DOG, "UPDATE trials SET datetime_start = 3"),
-    ("dog", OF_DOG, "UPDATE trials SET datetime_start = 'never'"),
-    ("dog", OF_DOG, "UPDATE study_system_attributes SET key = CAST(key AS BLOB)"),
-    ("dog", OF_DOG, "UPDATE study_user_attributes SET key = CAST(key AS BLOB)"),
-    ("dog", OF_DOG, "UPDATE trial_user_attributes SET key = CAST(key AS BLOB)"),
-    ("dog", OF_DOG, "UPDATE trial_params SET param_name = CAST(param_name AS BLOB)"),
-    ("random", OF_SUMMARY, "UPDATE study_directions SET direction = 'cuda'"),
-    ("random", OF_SUMMARY, "UPDATE study_system_attributes SET value_json = '\"a'"),
-    ("random", OF_SUMMARY,
-     "UPDATE study_user_attributes SET value_json = '\"a' WHERE key <> 'experiment_config'"),
-    ("random", OF_SUMMARY, NOTE.format("value_json = 'null'", "ver")),
-])  # fmt: skip
+@cases("damaged-comparisons.toml", "arm", "command")
 def test_a_comparison_writes_no_table_before_its_database_is_refused(
-    refuses_before_it_works: Refuses, arm: str, message: str, command: str
+    refuses_before_it_works: Refuses, arm: str, command: str
 ) -> None:
+    message = {"dog": OF_DOG, "random": OF_SUMMARY}[arm]
     refuses_before_it_works(arm, lambda url: edit(url, command), message)
 
 

@@ -72,12 +72,11 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installe
     return Installed(tmp_path_factory.mktemp("installed"), wheel)
 
 
-def test_it_holds_every_configuration_script_and_the_hub_package(wheel: Path) -> None:
+def test_it_holds_every_configuration_and_every_file_of_the_packages(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     for path in (ROOT / "configs").glob("*.toml"):
         assert f"study/configs/{path.name}" in names
-    package, scripts = (ROOT / "study" / part for part in ("hub/package", "explore/scripts"))
-    for path in (*package.rglob("*"), *scripts.iterdir()):
+    for path in (path for package in SOURCES[:3] for path in (ROOT / package).rglob("*")):
         if path.is_file() and "__pycache__" not in path.parts:
             assert str(path.relative_to(ROOT)) in names
     assert not {name.split("/")[0] for name in names} & {"tests", "tools", "docs", "configs"}

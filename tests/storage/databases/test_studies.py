@@ -18,6 +18,7 @@ from storage.databases.bulk import study_attributes
 from storage.databases.studies import only_run, open_studies, read_studies, storage_errors
 from storage.databases.urls import file_url
 from taichi_nmm.errors import InputError
+from tests.cases import asset
 from tests.storage.fake import content
 
 
@@ -51,22 +52,7 @@ def test_other_urls_are_refused_without_their_passwords(url: str, match: str) ->
     assert text.startswith("storage: ") and "secret" not in text
 
 
-@pytest.mark.parametrize(("url", "shown"), [
-    ("sqlite:///out/studies.db", "sqlite:///out/studies.db"),
-    ("sqlite:////home/me@work/a.db", "sqlite:////home/me@work/a.db"),
-    ("sqlite:///a.db?password=secret", "sqlite:///a.db?***"),
-    ("sqlite:///me:secret@host/db", "sqlite:///***@host/db"),
-    ("postgresql+psycopg://host/db", "postgresql+psycopg://host/db"),
-    ("postgresql+psycopg://me:secret@host:5432/db", "postgresql+psycopg://***@host:5432/db"),
-    ("postgresql+psycopg://me:a@secret@host/db", "postgresql+psycopg://***@host/db"),
-    ("postgresql+psycopg://host/db?password=secret", "postgresql+psycopg://host/db?***"),
-    ("postgresql+psycopg://host/db?password=a@secret", "postgresql+psycopg://***"),
-    ("postgresql+psycopg://me:secret?@host/db", "postgresql+psycopg://***"),
-    ("postgresql+psycopg://me:secret/db", "postgresql+psycopg://***"),
-    ("postgresql+psycopg://me:secret@[::1]:5432/db", "postgresql+psycopg://***@[::1]:5432/db"),
-    ("me:secret@host/db", "***"), ("mysql://host/secret", "***"),
-    ("postgres://me:secret@host/db", "***"), ("", "***"),
-])  # fmt: skip
+@pytest.mark.parametrize(("url", "shown"), asset("shown-urls.toml").items())
 def test_what_of_a_url_is_shown(url: str, shown: str) -> None:
     assert studies.public_url(url) == shown
 

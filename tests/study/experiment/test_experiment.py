@@ -15,6 +15,7 @@ from study.experiment.stores import store_path
 from study.options import config_path, shipped_configs
 from taichi_nmm.config import Table
 from taichi_nmm.parameters import GAIN_NAMES
+from tests.cases import cases
 from tests.study.conftest import refused
 
 CONFIGS = Path(__file__).parents[3] / "configs"
@@ -70,23 +71,7 @@ def test_an_experiment_pickles_and_hashes_and_is_read_back_from_what_it_writes()
     assert one_thread.conditions.settings.threads == 1 and as_written(one_thread) == written
 
 
-@pytest.mark.parametrize(("old", "new", "message"), [
-    ("seed = 1", "seed = -1", "seed: -1"), ("seed = 1", "sead = 1", "seed: 'missing'"),
-    ("seed = 1", "seed = 1\ntrails = 30", "trails: 30 .* only the keys objective, "),
-    ("seed = 1", "seed = 1\nuntil_walker = 1", "until_walker: 1 .* true or false"),
-    ("seed = 1", 'seed = 1\nuntil_walker = "yes"', "until_walker: 'yes' .* true or false"),
-    ("seed = 1", 'seed = 1\nsearched = ["k_ext"]', "searched: 'k_ext' .* theta_ref"),
-    ("runs = 50", "runs = 0", "runs: 0"), ("runs = 50", "runs = 10001", "runs: 10001"),
-    ("trials = 30", "trials = 0", "trials: 0"),
-    ('arms = ["dog"', 'arms = ["random"', "arms: .* each once"),
-    ('"rough8"', '"rough 8/x"', "name: 'rough 8/x'"),
-    ('cost = "smooth"', 'cost = "cheap"', "objective.cost: 'cheap' .* smooth or walking"),
-    ("[objective]", "[objektive]", "objektive"),
-    ("duration_s = 100.0", "duration_s = 0", "simulation.duration_s: 0"),
-    ("disturbance = 0.15", "disturbance = 1.5", "body.disturbance: 1.5"),
-    ("amplitude_m = 0.08", "amplitude = 8", "terrain.amplitude: 8"),
-    ('flat = "out/store"', "flat = 3", "stores.flat: 3"),
-])  # fmt: skip
+@cases("bad-experiments.toml", "old", "new", "message")
 def test_bad_configurations_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     with refused(message):
         read_experiment(edited(tmp_path, old, new))

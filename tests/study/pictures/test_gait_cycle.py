@@ -20,8 +20,8 @@ GLIMPSE = synthetic_gait.walk(0.3)
 COUNT = 4
 
 
-@pytest.mark.parametrize("human", [panel.human for panel in PANELS.values()], ids=list(PANELS))
-def test_a_human_range_covers_the_stride_and_closes(human: cycle.HumanRange) -> None:
+@pytest.mark.parametrize("human", PANELS.values(), ids=list(PANELS))
+def test_a_human_range_covers_the_stride_and_closes(human: cycle.Panel) -> None:
     percent = [row[0] for row in human.rows]
     mean, sd = human.at(PERCENT)
     assert percent[0] == 0 and percent[-1] == 100 and np.all(np.diff(percent) > 0)
@@ -30,8 +30,7 @@ def test_a_human_range_covers_the_stride_and_closes(human: cycle.HumanRange) -> 
 
 
 def test_human_ranges_have_the_landmarks_of_walking() -> None:
-    knee, ankle = cycle.KNEE_FLEXION_DEG.at(PERCENT)[0], cycle.DORSIFLEXION_DEG.at(PERCENT)[0]
-    up, forward = cycle.VERTICAL_FORCE_BW.at(PERCENT)[0], cycle.FORWARD_FORCE_BW.at(PERCENT)[0]
+    _, knee, ankle, up, forward = (panel.at(PERCENT)[0] for panel in PANELS.values())
     assert 60 < knee.max() < 70 and 68 < PERCENT[knee.argmax()] < 76
     assert -25 < ankle.min() < -15 and 58 < PERCENT[ankle.argmin()] < 68
     # Over a stride each leg carries half the weight and gives back what it braked.
@@ -48,9 +47,9 @@ def test_strides_are_cut_at_left_heel_strikes_in_clinical_signs() -> None:
     np.testing.assert_allclose(strides.duration_s, STRIDE_S)
     inner = slice(5, -5)  # the synthetic walk has a corner at the strike
     for curves, human, tolerance in (
-        (strides.hip_flexion_deg, cycle.HIP_FLEXION_DEG, 0.2),
-        (strides.knee_flexion_deg, cycle.KNEE_FLEXION_DEG, 0.5),
-        (strides.dorsiflexion_deg, cycle.DORSIFLEXION_DEG, 0.3),
+        (strides.hip_flexion_deg, PANELS["hip_flexion_deg"], 0.2),
+        (strides.knee_flexion_deg, PANELS["knee_flexion_deg"], 0.5),
+        (strides.dorsiflexion_deg, PANELS["dorsiflexion_deg"], 0.3),
     ):
         expected = human.at(PERCENT)[0]
         np.testing.assert_allclose(curves[:, inner], [expected[inner]] * 3, atol=tolerance)
@@ -60,7 +59,7 @@ def test_strides_are_cut_at_left_heel_strikes_in_clinical_signs() -> None:
 def test_forces_are_in_body_weights_and_belong_to_the_middle_of_their_interval() -> None:
     strides = left_strides(WALK, BODY_WEIGHT_N)
     half_interval = 100.0 * 0.005 / STRIDE_S
-    expected = cycle.VERTICAL_FORCE_BW.at(np.minimum(PERCENT + half_interval, 100.0))[0]
+    expected = PANELS["vertical_bw"].at(np.minimum(PERCENT + half_interval, 100.0))[0]
     np.testing.assert_allclose(strides.vertical_bw.mean(axis=0)[5:-5], expected[5:-5], atol=0.01)
     assert strides.forward_bw.min() < -0.1 and strides.forward_bw.max() > 0.15
     strides = left_strides(GLIMPSE, BODY_WEIGHT_N)
@@ -73,7 +72,7 @@ def shifted(shifts: dict[str, float], deviations: float = 0.0) -> cycle.Strides:
     """Strides whose mean is that of people, shifted by so much and by so many deviations."""
     curves = {}
     for name, panel in PANELS.items():
-        mean, sd = panel.human.at(PERCENT)
+        mean, sd = panel.at(PERCENT)
         curves[name] = np.tile(mean + shifts.get(name, 0.0) + deviations * sd, (COUNT, 1))
     activation = np.zeros((7, COUNT, len(PERCENT)))
     return cycle.Strides(
