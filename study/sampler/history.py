@@ -35,9 +35,6 @@ FEATURES_ATTRIBUTE = "features"  # as a list, where there are several, or no tab
 FIXED_ATTRIBUTE = "fixed_params"  # Optuna's, of the system: what `enqueue_trial` was given
 OFF_TABLE = -1
 
-# Of a trial that is no row, with its parameters [d]: the row whose features it is taken to have,
-# OFF_TABLE if it has its own (or none are needed), None if it cannot be learned from.
-Lend = Callable[[FrozenTrial, Floats], int | None]
 LookedUp = dict[int, tuple[FrozenTrial, int | None, Floats | None]]
 """Finished trials by number, each with the row that it is and its parameters [d]."""
 
@@ -48,9 +45,7 @@ class History:
 
     trials: tuple[FrozenTrial, ...]  # the n finished ones that can be learned from, by number
     parameters: Floats  # of each, [n, d]
-    rows: NDArray[
-        np.int64
-    ]  # of each, the row whose features it has; OFF_TABLE: it has its own, [n]
+    rows: NDArray[np.int64]  # of each, the row that it is, or OFF_TABLE, [n]
     cost: Floats  # of each, lower is better, finite, [n]
     sign: float  # of costs in the study's values: -1 where these are maximised
     running: Floats  # parameters of those running elsewhere, [r, d]
@@ -72,7 +67,7 @@ def read_history(
     before: FrozenTrial,
     space: Space,
     table: Rows | None = None,
-    lend: Lend = lambda trial, parameters: OFF_TABLE,
+    has_place: Callable[[FrozenTrial], bool] = lambda trial: True,
     known: LookedUp | None = None,
 ) -> History:
     """The history that the trial `before` is proposed from.
@@ -82,7 +77,7 @@ def read_history(
         before: left out itself.
         space: parameters that a trial must have to be learned from.
         table: where rows are looked up.
-        lend: features to trials that are no row of the table.
+        has_place: whether a trial that is no row can be learned from.
         known: trials that were looked up before in this table; new ones are added.
     """
     known = {} if known is None else known
@@ -98,8 +93,8 @@ def read_history(
             tried[row] = True
         if trial.state not in placed:
             continue
-        if row is None and parameters is not None:
-            row = lend(trial, parameters)
+        if row is None and has_place(trial):
+            row = OFF_TABLE
         if row is not None and parameters is not None:
             placed[trial.state].append((trial, parameters, row))
         elif table is not None and trial.state is TrialState.COMPLETE:

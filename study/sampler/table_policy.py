@@ -275,11 +275,10 @@ class TablePolicy(Policy):
         """The history that a trial is proposed from."""
         rows = self.rows
 
-        def lend(other: FrozenTrial, parameters: Floats) -> int | None:
-            is_placed = self._places_all or noted_features(other) is not None
-            return OFF_TABLE if is_placed else None
+        def has_place(other: FrozenTrial) -> bool:
+            return self._places_all or noted_features(other) is not None
 
-        return read_history(study, trial, rows.space, rows, lend, self._looked_up)
+        return read_history(study, trial, rows.space, rows, has_place, self._looked_up)
 
     @property
     def _places_all(self) -> bool:

@@ -327,7 +327,7 @@ def test_a_trial_that_ends_early_says_nothing_and_one_that_is_refused_keeps_no_r
     assert set(rows_of(study)[1:]) == set(range(18))
 
 
-# Trials off the table, of this study or an earlier one, that the nearest row lends its features.
+# Trials off the table, of this study or an earlier one.
 NEAR = {"a": FloatDistribution(0, 1), "b": FloatDistribution(0.01, 100, log=True)}
 LINE = np.linspace(0, 1, 40)
 LINES = FeatureTable.from_arrays(
