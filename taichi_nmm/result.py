@@ -1,7 +1,9 @@
 """What a simulation returns: a structured row a walker, trajectories on request; costs of rows."""
 
 import math
+import tomllib
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,38 +26,10 @@ MUSCLES = ("SOL", "TA", "GAS", "VAS", "HAM", "GLU", "HFL")
 Fields = tuple[tuple[str, str], ...]
 
 
-def _floats(*names: str) -> Fields:
-    return tuple((name, "f8") for name in names)
-
-
-OUTCOME_FIELDS: Fields = (
-    ("duration_s", "f8"),
-    ("end_reason", "u1"),  # index into END_REASONS
-    *_floats("hip_x_m", "hip_z_m", "distance_m", "mean_speed_mps", "cost_of_transport_jpkgpm"),
-)
-
-# The determinants of gait: sums and means over the scored steps.
-SCORE_FIELDS: Fields = (
-    ("survived_fraction", "f8"),
-    ("step_count", "i4"),
-    *_floats("m1_sum", "m2_sum", "m3_sum", "m4_sum", "m5_sum_mps", "m5_corrected_sum"),
-    *_floats("m1_mean", "m2_mean", "m3_mean", "m4_mean", "m5_mean_mps"),
-    *_floats("phi_printed", "phi_corrected"),
-)
-
-# Zero where no step was scored. Angles: knee flexion, plantarflexion and forward lean positive.
-# Peaks of ground forces are means over steps, of the force behind a low pass of 20 ms.
-SUMMARY_FIELDS: Fields = (
-    *_floats("knee_peak_swing_rad", "knee_peak_stance_rad", "ankle_strike_rad"),
-    *_floats("ankle_takeoff_rad", "trunk_mean_rad", "trunk_sd_rad"),
-    *_floats("step_length_mean_m", "step_length_sd_m"),
-    *_floats("step_duration_mean_s", "step_duration_sd_s"),
-    *_floats("double_support_fraction", "flight_fraction"),
-    *_floats("hip_height_mean_m", "hip_height_sd_m", "hip_speed_sd_mps"),  # over the ground
-    *_floats("grf_vertical_mean_bw", "grf_vertical_peak_bw"),
-    *_floats("grf_braking_peak_bw", "grf_propulsion_peak_bw"),
-    *_floats(*(f"activation_{muscle.lower()}_mean" for muscle in MUSCLES)),
-)
+_COLUMNS = tomllib.loads(Path(__file__).with_name("columns.toml").read_text(encoding="utf-8"))
+OUTCOME_FIELDS: Fields = tuple(_COLUMNS["outcome"].items())
+SCORE_FIELDS: Fields = tuple(_COLUMNS["score"].items())  # the determinants of gait
+SUMMARY_FIELDS: Fields = tuple(_COLUMNS["summary"].items())
 
 RESULT_DTYPE = np.dtype([*OUTCOME_FIELDS, *SCORE_FIELDS, *SUMMARY_FIELDS])
 

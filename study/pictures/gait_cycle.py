@@ -111,11 +111,6 @@ SIZE_IN = (8.8, 9.6)
 GRID = {
     "left": 0.075, "right": 0.985, "top": 0.875, "bottom": 0.055, "hspace": 0.42, "wspace": 0.3,
 }  # fmt: skip
-PANEL_MUSCLES = ("HFL", "GLU", "HAM", "VAS", "GAS", "SOL", "TA")  # from the hip down
-MUSCLE_WORDS = {
-    "HFL": "hip flexors", "GLU": "gluteus", "HAM": "hamstrings", "VAS": "vasti",
-    "GAS": "gastrocnemius", "SOL": "soleus", "TA": "tibialis anterior",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -173,12 +168,12 @@ def write_gait_cycle(
         _draw_model(axes, getattr(strides, name), strides)
         _finish(axes, panel.title, panel.unit)
         _scale(axes, panel, getattr(strides, name))
-    for muscle in PANEL_MUSCLES:
+    for muscle, words in PEOPLE["muscles"].items():
         axes = next(panels)
         for start, end in EMG_ON_PERCENT[muscle]:
             axes.axvspan(start, end, color=style.EMG, alpha=0.6, linewidth=0, zorder=0.5)
         _draw_model(axes, strides.activation[MUSCLES.index(muscle)], strides)
-        _finish(axes, f"{muscle}, {MUSCLE_WORDS[muscle]}", "activation (1)")
+        _finish(axes, f"{muscle}, {words}", "activation (1)")
         axes.set(ylim=(0.0, 1.05), yticks=[0.0, 0.5, 1.0])
     for axes in grid[-1]:
         axes.set_xlabel("stride (%)", fontsize=style.TEXT_PT, color=style.INK)
