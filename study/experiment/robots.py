@@ -431,7 +431,7 @@ def _candidates(path: Path, survived: str, cost: str, fell_cost: float) -> Featu
 
 def _ranking(table: FeatureTable) -> NDArray[np.int64]:
     """Rows by their mean cost over the worlds, the best first, [m]."""
-    order = np.argsort(table.rows.ensemble(maximise=False).mean, kind="stable")
+    order = np.argsort(table.rows.ensemble(maximise=False).columns[:, -1], kind="stable")
     return table.rows.numbers[order]
 
 
