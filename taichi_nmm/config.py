@@ -113,7 +113,7 @@ def read_toml(path: str | Path) -> Table:
         InputError: no such file, one that cannot be read, or no such variant.
     """
     file, name = _file_and_variant(Path(path))
-    data = toml_document("config", file, READABLE)
+    data = _completed(toml_document("config", file, READABLE))
     variants = data.pop("variants", {})
     if not isinstance(variants, dict) or not all(isinstance(v, dict) for v in variants.values()):
         raise InputError("variants", variants, "tables by name")
@@ -125,11 +125,11 @@ def read_toml(path: str | Path) -> Table:
             toml_document("config", path, READABLE)  # raises: no such file
         raise InputError("config", str(path), allowed)
     if name:
-        data = laid_over(data, _completed(variants, inner=False)[name])
+        data = laid_over(data, variants[name])
         data.pop("about", None)
         if isinstance(data.get("name"), str):
             data["name"] += f"-{name}"
-    return Table(_completed(data), folder=file.parent)
+    return Table(data, folder=file.parent)
 
 
 def laid_over(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
@@ -156,11 +156,8 @@ def _file_and_variant(path: Path) -> tuple[Path, str]:
     return path, ""
 
 
-def _completed(data: dict[str, Any], *, inner: bool = True) -> dict[str, Any]:
-    """The tables, each laid over the one that it is `like`; those within them too, or as they are.
-
-    Tables within a variant may be like tables of the file that the variant is laid over.
-    """
+def _completed(data: dict[str, Any]) -> dict[str, Any]:
+    """The tables, each laid over the one that it is `like`."""
     done: dict[str, Any] = {}
 
     def complete(key: str, asked_by: tuple[str, ...]) -> Any:
@@ -172,7 +169,7 @@ def _completed(data: dict[str, Any], *, inner: bool = True) -> dict[str, Any]:
             if other not in beside or not isinstance(data[other], dict):
                 raise InputError(f"{key}.like", other, "a table beside it that is not like it")
             table = laid_over(complete(other, (*asked_by, other)), table)
-        done[key] = _completed(table) if inner else table
+        done[key] = _completed(table)
         return done[key]
 
     return {key: complete(key, (key,)) for key in data}

@@ -67,14 +67,6 @@ def test_variants_lie_over_a_file(tmp_path: Path, file: str, terrain: dict[str, 
     assert read_toml(tmp_path / f"{file}.toml").unread == {"seed": 3}
 
 
-def test_a_table_of_a_variant_may_be_like_one_of_its_file(tmp_path: Path) -> None:
-    added = '[variants.both.other]\nlike = "terrain"\ndirection = "down"'
-    (tmp_path / "hill.toml").write_text(HILLS + added)
-    read = read_toml(tmp_path / "hill-both.toml").unread
-    assert read["other"] == {"kind": "ramp", "increment": 0.04, "direction": "down"}
-    assert read["terrain"] == {"kind": "ramp", "increment": 0.04, "direction": "up"}
-
-
 @pytest.mark.parametrize(("text", "file", "message"), [
     (HILLS, "hill-flat", "hill-flat.toml.* a variant of .*hill.toml: steep, rough, steep-down"),
     ("only_variants = true" + HILLS, "hill", "hill.toml.* a variant of .*: steep, rough"),
