@@ -60,7 +60,8 @@ class FeatureKernelSampler(BaseSampler):
         g ~ GP(0, t^2 exp(-|u - u'|^2 / 2 L^2))
 
     On a table with outcomes in worlds, costs are in the table's units, and the mean and covariance
-    of the rows over the worlds are a part of the model (`study.sampler.worlds`).
+    of the rows over the worlds are a part of the model (`study.sampler.worlds`). On a pool of which
+    a similarity is known, that alone is the model (`study.sampler.similarity`).
 
     v, s, t, the length scales and the noise maximise the marginal likelihood times a prior
     (`study.sampler.gp`): what explains nothing gets no weight. Once no trial has been better
