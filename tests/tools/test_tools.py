@@ -168,9 +168,9 @@ TIMES = load_tool("time_sampler")
 def test_every_case_is_measured(tmp_path: Path) -> None:
     printed("time_sampler", "--rows", 5000, "--repeats", 3, "--out", tmp_path)
     cases = TIMES.cases(5000, 3)
-    assert [(case.sampler, case.features, case.observations) for case in cases[:11]] == [
+    assert [(case.sampler, case.features, case.observations) for case in cases[:12]] == [
         ("ours", 1, 100), ("ours", 5, 100), ("foreign", 1, 100), ("foreign", 1, 1000),
-        ("rbf", 1, 100), ("worlds", 128, 100),
+        ("rbf", 1, 100), ("worlds", 128, 100), ("similarity", 5, 100),
         *(("ours", 1, count) for count in (10, 30, 300, 1000)), ("ours", 5, 100),
     ]  # fmt: skip
     lines = (tmp_path / "sampler-timing.md").read_text().splitlines()
@@ -178,7 +178,7 @@ def test_every_case_is_measured(tmp_path: Path) -> None:
     for row, case in zip(rows, cases, strict=True):
         sizes = f"{case.rows:,} | {case.features} | {case.observations:,} | 3 |"
         assert row.startswith(f"| {TIMES.LABELS[case.sampler]} | {sizes}")
-    numbers = [float(cell) for cell in rows[10].strip("| ").split(" | ")[5:]]
+    numbers = [float(cell) for cell in rows[11].strip("| ").split(" | ")[5:]]
     if Path("/proc/self/status").exists():  # memory is read on Linux only
         assert 50_000 * (16 + 5) * 8 / 2**20 < numbers[-1] < 1000
     assert (tmp_path / "sampler-timing.png").stat().st_size > 5_000
