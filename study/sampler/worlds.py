@@ -33,6 +33,7 @@ Outcomes = ArrayLike | Mapping[str, ArrayLike]
 Better = Literal["lower", "higher"]
 
 NEARNESS = 0.3  # s; of 0.03 to 1 the best compromise on tuning robots of five stores
+FARTHEST = 1e6  # standard deviations: what is farther is taken for it: sums of squares stay finite
 LEAST_SHARE = 1e-3  # of the least cost in the table: what is lower is taken for it
 
 
@@ -117,7 +118,8 @@ class Ensemble:
         the table: a logarithm under which costs near the least do not look alike. Below c_0,
         y = log(c / c_0).
         """
-        return np.asarray((self._spread(costs) - self._middle) / self._unit)
+        standard = (self._spread(costs) - self._middle) / self._unit
+        return np.clip(standard, -FARTHEST, FARTHEST)
 
     def costs(self, y: Floats) -> Floats:
         """The costs of which these are the standard ones, [m]."""

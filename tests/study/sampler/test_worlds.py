@@ -343,3 +343,15 @@ def test_a_study_without_trials_has_no_best_one() -> None:
     study = optuna.create_study(study_name="new", sampler=sampler)
     with pytest.raises(InputError, match=r"^study: 'new' .* a finished trial of these parameters"):
         sampler.best(study)
+
+
+@pytest.mark.parametrize("direction", DIRECTIONS.values())
+def test_huge_values_leave_the_best_trial_finite(direction: str) -> None:
+    for outcomes in (COSTS, -COSTS):
+        sampler = FeatureKernelSampler(table(outcomes), seed=1)
+        study = optuna.create_study(direction=direction, sampler=sampler)
+        for value in (1e300, -1e300, 0.0):
+            study.tell(study.ask(SPACE), value)
+        best = sampler.best(study)
+        assert np.isfinite([best.value, best.low, best.high]).all()
+        assert study.ask(SPACE).params != best.params
