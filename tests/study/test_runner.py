@@ -5,9 +5,11 @@ import json
 import pickle
 import shlex
 import sqlite3
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import optuna
@@ -18,6 +20,7 @@ from optuna.trial import FrozenTrial, TrialState
 import taichi_nmm
 from storage.databases.studies import open_studies
 from study.commands.study import dashboard_command, film_command
+from study.experiment import live_study
 from study.experiment.arms import ARMS, find_arm
 from study.experiment.compare import Request, compare
 from study.experiment.experiment import Experiment, study_name
@@ -225,6 +228,29 @@ def test_a_repetition_is_not_queued_twice(toy: Experiment, monkeypatch: pytest.M
     run(toy, "random", 3, storage)
     states = [trial.state for trial in study.trials]
     assert states == [TrialState.FAIL] + [TrialState.COMPLETE] * 3
+
+
+@pytest.mark.parametrize("look", range(1, 9))
+def test_a_trial_that_ends_between_two_looks_is_counted(
+    toy: Experiment, look: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a crew, another process tells its trial right after some look of ours at the study."""
+    storage, get_trials, looks = InMemoryStorage(), optuna.Study.get_trials, count(1)
+    arm = find_arm("random")
+    other = live_study.LiveStudy(toy, arm, 0, open_study(toy, arm, 0, storage))
+    gains = other.ask()
+
+    def looked(study: optuna.Study, *args: Any, **options: Any) -> list[FrozenTrial]:
+        found = get_trials(study, *args, **options)
+        if next(looks) == look:
+            live_study._simulated(toy, other, gains)
+        return found
+
+    monkeypatch.setattr(optuna.Study, "get_trials", looked)
+    monkeypatch.setattr(live_study, "WAIT_S", 0.0)
+    crew: Any = SimpleNamespace(turn=nullcontext, dead=list, alive=lambda number: nullcontext())
+    study = run_study(toy, arm, 0, 1, storage, crew=crew)
+    assert [trial.state for trial in study.trials] == [TrialState.COMPLETE]
 
 
 def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: Experiment) -> None:
