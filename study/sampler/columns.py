@@ -7,6 +7,7 @@ the bounds and distributions.
 import json
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -230,6 +231,11 @@ class FileColumns:
         """Read the columns, and check them."""
         if not self.features:
             raise InputError("features", "none", "at least one column")
+        # Where the sampler is installed alone, Arrow may be missing, and stores are.
+        if find_spec("pyarrow") is None:
+            raise InputError("store", str(self.path), "an installed pyarrow, which reads it")
+        if self.parameters is None and find_spec("storage.store") is None:
+            raise InputError("parameters", "none", "columns; only taichi-nmm whole reads stores")
         if self.parameters is None:
             return self._of_store()
         table = _read(self.path, (*self.parameters, *self.features))

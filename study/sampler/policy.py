@@ -7,7 +7,7 @@ end that the user names.
 |---|---|
 | a feature's good end is known (`prior`) | the best `RANKED` of that ranking, in its order |
 | features without a prior | both ends of what they have in common |
-| a kernel that takes features as they are, or none | `RANDOM`, at random |
+| a kernel that takes features as they are, or none; a similarity | `RANDOM`, at random |
 
 What features have in common is their first principal component: candidates at its ends are extreme
 by most of them at once. Where several features predict the cost, the good end is one of the two.
@@ -34,7 +34,7 @@ from threadpoolctl import ThreadpoolController
 from study.sampler.acquisition import Learned, Model
 from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, generator
-from study.sampler.gp import ADDITIVE, NEARNESS, Kernel
+from study.sampler.gp import ADDITIVE, NEARNESS, WORLDS, Kernel
 from study.sampler.history import History, read_limits
 from study.sampler.similarity import Relation
 from study.sampler.transforms import Points, PriorMean, Scale, is_doubtful
@@ -90,7 +90,7 @@ class Policy:
         unranked = ENDS if self.learns_trust else RANDOM
         # How many trials have to finish before there is a model.
         self.first_trials = unranked if options.prior is None else RANKED
-        if options.kernel.worlds:
+        if options.kernel == WORLDS:
             self.first_trials = 1  # the worlds are a model before any trial
         self.known: Learned = {}  # in this process
         self._proposals: dict[tuple[int, datetime | None], Proposal] = {}

@@ -75,11 +75,12 @@ def factor_of_gram(gram: Any) -> Floats:
 
 
 def factor_of_graph(weights: Any, hops: float) -> Floats:
-    """F [n, r] of Matern's covariance on a graph, of mean variance 1.
+    """F [n, r] of Matern's covariance on a graph, of variance 1 at each node.
 
     K ~ U (2 nu / hops^2 + lambda)^-nu U', with eigenvalues lambda and eigenvectors U of the
     normalised Laplacian I - D^-1/2 W D^-1/2 (Borovitskiy et al. 2021, "Matern Gaussian processes on
-    graphs", equation 10); of the smallest `GRAPH_RANK`.
+    graphs", equation 10); of the smallest `GRAPH_RANK`. As it is, its variance is largest at the
+    rim, where the first trials would then be.
 
     Args:
         weights: W, of edges, [n, n]: an array or a sparse matrix, symmetric, 0 where there is none.
@@ -110,4 +111,5 @@ def factor_of_graph(weights: Any, hops: float) -> Floats:
         values, vectors = scipy.sparse.linalg.eigsh(smooth, k=GRAPH_RANK, which="LA", v0=start)
     spectrum = (2.0 * SMOOTHNESS / hops**2 + np.maximum(2.0 - values, 0.0)) ** -SMOOTHNESS
     factor = vectors * np.sqrt(spectrum)
-    return np.asarray(factor / np.sqrt((factor**2).sum() / n))
+    norms = np.linalg.norm(factor, axis=1, keepdims=True)
+    return np.asarray(factor / np.where(norms > 0.0, norms, 1.0))

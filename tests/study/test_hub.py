@@ -1,4 +1,4 @@
-"""The OptunaHub package loads from disk, as from the registry, and its examples run."""
+"""The OptunaHub packages load from disk, as from the registry, and their examples run."""
 
 import importlib
 import os
@@ -8,7 +8,9 @@ import runpy
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+import numpy as np
 import optuna
 import pytest
 import yaml
@@ -17,7 +19,7 @@ import study
 
 ROOT = Path(__file__).parents[2]
 REGISTRY = ROOT / "study" / "hub" / "package"
-PACKAGE = REGISTRY / "samplers" / "feature_kernel"
+SAMPLERS = {"feature_kernel": "FeatureKernelSampler", "pool": "PoolSampler"}  # one class a package
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +28,12 @@ def optunahub():
     return importlib.import_module("optunahub")
 
 
-def load(optunahub: ModuleType) -> ModuleType:
-    module = optunahub.load_local_module("samplers/feature_kernel", registry_root=str(REGISTRY))
+def folder(package: str) -> Path:
+    return REGISTRY / "samplers" / package
+
+
+def load(optunahub: ModuleType, package: str = "feature_kernel") -> ModuleType:
+    module = optunahub.load_local_module(f"samplers/{package}", registry_root=str(REGISTRY))
     assert isinstance(module, ModuleType)
     return module
 
@@ -43,43 +49,89 @@ def test_it_loads_the_one_sampler_there_is_which_unpickles_without_the_hub(optun
     assert type(pickle.loads(data)) is study.FeatureKernelSampler
 
 
-def test_its_example_finds_a_good_throw(optunahub, capsys):
-    runpy.run_path(str(PACKAGE / "example.py"), run_name="__main__")
+def test_a_pool_is_a_table_of_that_similarity(optunahub):
+    sampler = load(optunahub, "pool").PoolSampler
+    ring = np.roll(np.eye(12), 1, axis=0) + np.roll(np.eye(12), -1, axis=0)
+    gram, names = ring + 2.0 * np.eye(12), {"node": [f"n{number}" for number in range(12)]}
+    both = [
+        (sampler(kernel=gram, seed=2), study.FeatureTable.from_kernel(gram)),
+        (sampler(gram, candidates=names, seed=2), study.FeatureTable.from_kernel(gram, names)),
+        (sampler(graph=ring, hops=3.0, seed=2), study.FeatureTable.from_graph(ring, hops=3.0)),
+    ]
+    for ours, table in both:
+        column = table.rows.names[0]
+        theirs = study.FeatureKernelSampler(table, seed=2)
+        assert trials_of(ours, column) == trials_of(theirs, column)
+    for wrong in ({}, {"kernel": gram, "graph": ring}):
+        with pytest.raises(ValueError, match=r"one of kernel= and graph="):
+            sampler(**wrong)
+
+
+def trials_of(sampler: optuna.samplers.BaseSampler, column: str) -> list[Any]:
+    """What a sampler tries of twelve candidates, six times."""
+    found = optuna.create_study(sampler=sampler)
+    for value in (3.0, 1.0, 2.0, 5.0, 4.0, 6.0):
+        asked = found.ask()
+        if column == "row":
+            asked.suggest_int(column, 0, 11)
+        else:
+            asked.suggest_categorical(column, [f"n{number}" for number in range(12)])
+        found.tell(asked, value)
+    return [trial.params for trial in found.trials]
+
+
+def test_example_of_feature_kernel_finds_a_good_throw(optunahub, capsys):
+    runpy.run_path(str(folder("feature_kernel") / "example.py"), run_name="__main__")
     line = capsys.readouterr().out
     miss = re.match(r"best miss (\d+\.\d\d) m with \{'pull_m': .*, 'angle_deg': .*\}", line)
     assert miss is not None, line
     assert float(miss[1]) < 0.5  # 30 throws of a catapult that reaches 60 m
 
 
-def test_the_readmes_example_runs(optunahub, monkeypatch, capsys):
+def test_example_of_pool_finds_a_loud_crossing(optunahub, capsys):
+    runpy.run_path(str(folder("pool") / "example.py"), run_name="__main__")
+    line = capsys.readouterr().out
+    loud = re.match(r"loudest (\d+\.\d) dB of (\d+\.\d), \{'row': \d+\}", line)
+    assert loud is not None, line
+    assert float(loud[1]) > 0.9 * float(loud[2])  # the other hill has 0.71 of it
+
+
+@pytest.mark.parametrize("package", SAMPLERS)
+def test_the_readmes_example_runs(optunahub, package, monkeypatch, capsys):
     """With the local registry in the place of the one on the net."""
-    (code,) = re.findall(r"```python\n(.*?)```", (PACKAGE / "README.md").read_text(), re.DOTALL)
-    monkeypatch.setattr(optunahub, "load_module", lambda name: load(optunahub))
+    text = (folder(package) / "README.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    monkeypatch.setattr(optunahub, "load_module", lambda name: load(optunahub, Path(name).name))
     names: dict[str, object] = {}
     exec(compile(code, "README.md", "exec"), names)
     found = names["study"]
     assert isinstance(found, optuna.Study)
-    assert len(found.trials) == 15
-    assert abs(found.best_params["x"] - 1.0) < 0.5
-    assert capsys.readouterr().out.startswith("{'x': ")
+    if package == "pool":  # among the best five of 500, after 20 trials
+        assert found.best_value >= np.sort(np.asarray(names["binding"]))[-5]
+    else:
+        assert abs(found.best_params["x"] - 1.0) < 0.5
+    assert str(found.best_params) in capsys.readouterr().out
 
 
-def test_without_taichi_nmm_the_error_says_what_to_install(optunahub, monkeypatch):
+@pytest.mark.parametrize("package", SAMPLERS)
+def test_without_taichi_nmm_the_error_says_what_to_install(optunahub, package, monkeypatch):
     monkeypatch.setitem(sys.modules, "study", None)  # as if it were not there
-    with pytest.raises(ImportError, match=r"needs taichi-nmm: install it as its README says"):
-        load(optunahub)
+    with pytest.raises(ImportError, match=r"needs taichi-nmm-sampler: install it as its README"):
+        load(optunahub, package)
 
 
-def test_files_and_front_matter_are_what_the_registry_asks_for(optunahub):
-    files = {path.name for path in PACKAGE.iterdir() if path.name != "__pycache__"}
-    assert files == {"README.md", "LICENSE", "__init__.py", "example.py"}  # and no data
-    assert (PACKAGE / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
-    readme = (PACKAGE / "README.md").read_text()
+@pytest.mark.parametrize(("package", "name"), SAMPLERS.items())
+def test_files_and_front_matter_are_what_the_registry_asks_for(optunahub, package, name):
+    files = {path.name for path in folder(package).iterdir() if path.name != "__pycache__"}
+    assert files == {"README.md", "LICENSE", "__init__.py", "example.py", "tests"}  # and no data
+    assert (folder(package) / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
+    readme = (folder(package) / "README.md").read_text()
     front = yaml.load(readme.split("---\n")[1], Loader=yaml.BaseLoader)  # all must be strings
     assert set(front) == {"author", "title", "description", "tags", "optuna_versions", "license"}
-    assert "sampler" in front["tags"]
+    assert "sampler" in front["tags"] and all(front.values())
     assert optuna.__version__ in front["optuna_versions"]
     assert front["license"] == "MIT License"
-    table = load(optunahub).FeatureTable
-    methods = re.findall(r"`FeatureTable\.(\w+)", readme)
-    assert methods and all(callable(getattr(table, method)) for method in methods)
+    assert not re.search(r"<\w+[ >/]", readme)  # its page shows no HTML
+    assert issubclass(getattr(load(optunahub, package), name), optuna.samplers.BaseSampler)
+    for method in re.findall(r"`FeatureTable\.(\w+)", readme):
+        assert callable(getattr(study.FeatureTable, method))

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -22,19 +23,27 @@ MOST_BYTES = 2_000_000
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel, built of a copy: a build leaves folders in its source."""
-    folder = tmp_path_factory.mktemp("wheel")
-    source = folder / "source"
-    source.mkdir()
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of what wheels are built of: a build leaves folders in its source."""
+    source = tmp_path_factory.mktemp("source")
     for name in SOURCES:
         copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy2
         copy(ROOT / name, source / name)
+    return source
+
+
+def built(source: Path, folder: Path) -> Path:
+    """The wheel of a folder with a pyproject.toml."""
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", str(source)]
     offline = ["--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(folder)]
     done = subprocess.run([*pip, *offline], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return next(folder.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def wheel(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return built(source, tmp_path_factory.mktemp("wheel"))
 
 
 class Installed:
@@ -114,3 +123,39 @@ def test_the_main_job_is_done_by_name(installed: Installed) -> None:
     walked = installed.run("taichi-nmm", "walk", "--gains", found["gains"], *short)
     strip = json.loads(walked)["pictures"]["strip"]
     assert (installed.folder / strip).is_file()
+
+
+# Nothing of the simulator can be imported, and Arrow only in the end.
+ALONE = """
+import sys
+sys.modules["pyarrow"] = sys.modules["taichi"] = None
+import optuna
+from study import FeatureKernelSampler, FeatureTable
+
+table = FeatureTable.from_arrays({"x": [0.0, 1.0, 2.0, 3.0]}, [[9.0], [4.0], [1.0], [0.0]])
+study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
+study.optimize(lambda trial: trial.suggest_float("x", 0, 3) ** 2, n_trials=4)
+print(study.best_value)
+for names in {"parameters": ["x"]}, {}:
+    try:
+        FeatureTable.from_parquet("a.parquet", features=["y"], **names)
+    except ValueError as error:
+        print(str(error).split("allowed: ")[1])
+    sys.modules.pop("pyarrow", None)
+"""
+
+
+def test_the_sampler_alone_needs_neither_simulator_nor_arrow(
+    source: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    wheel = built(source / "study" / "hub", tmp_path_factory.mktemp("alone"))
+    parts = zipfile.ZipFile(wheel)
+    (metadata,) = (name for name in parts.namelist() if name.endswith("METADATA"))
+    needed = re.findall(r"^Requires-Dist: (\w+)[^;\n]*$", parts.read(metadata).decode(), re.M)
+    assert needed == ["numpy", "scipy", "optuna", "threadpoolctl"]  # and extras
+    alone = Installed(tmp_path_factory.mktemp("alone-installed"), wheel)
+    assert alone.run("python", "-c", ALONE).splitlines() == [
+        "0.0",
+        "an installed pyarrow, which reads it",
+        "columns; only taichi-nmm whole reads stores",
+    ]

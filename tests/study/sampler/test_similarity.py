@@ -46,6 +46,15 @@ def test_factors_give_the_covariance_again() -> None:
     np.testing.assert_allclose(graph @ graph.T, expected / expected[0, 0], atol=1e-8)
 
 
+def test_no_node_of_a_graph_stands_out_before_a_trial() -> None:
+    """At the rim, where nodes have few neighbours, the raw covariance is largest."""
+    path = np.diag(np.ones(29), 1) + np.diag(np.ones(29), -1)
+    path[:, 7] = path[7] = 0.0  # and one has none
+    factor = factor_of_graph(path, 10.0)
+    np.testing.assert_allclose((factor**2).sum(axis=1), 1.0)
+    assert (factor @ factor.T)[20, 21] > 0.9 and abs((factor @ factor.T)[7, 8]) < 1e-9
+
+
 def test_the_posterior_is_that_of_the_gram_matrix() -> None:
     points = Points(Alike(factor_of_gram(GRAM)).columns, np.empty((300, 0)))
     seen, nobody = points.take(np.arange(9)), points.take(np.arange(0))

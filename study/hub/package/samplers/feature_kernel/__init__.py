@@ -6,11 +6,13 @@ class of a package that OptunaHub has loaded cannot before that worker has loade
 """
 
 try:
-    from study import DoGSampler, FeatureKernelSampler, FeatureTable
+    from study import FeatureKernelSampler
+    from study import FeatureTable
 except ImportError as error:
     raise ImportError(
-        "samplers/feature_kernel needs taichi-nmm: install it as its README says, and see that no "
-        "file or folder of yours is called `study`"
+        "samplers/feature_kernel needs taichi-nmm-sampler: install it as its README says, and see "
+        "that no file or folder of yours is called `study`"
     ) from error
 
-__all__ = ["DoGSampler", "FeatureKernelSampler", "FeatureTable"]
+
+__all__ = ["FeatureKernelSampler", "FeatureTable"]

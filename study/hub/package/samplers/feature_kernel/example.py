@@ -6,9 +6,11 @@ Run it from the root of the registry: python package/samplers/feature_kernel/exa
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 import optuna
 import optunahub
-from numpy.typing import ArrayLike, NDArray
+
 
 TARGET_M = 20.0
 GRAVITY_MPS2 = 9.81
