@@ -3,6 +3,7 @@
     python tools/compare_outside.py                    # the problems for tuning
     python tools/compare_outside.py --problems all     # those that are only reported as well
     python tools/compare_outside.py --problems measured  # yields of reactions, beside BayBE and Ax
+    python tools/compare_outside.py --problems measured --batch 5  # five reactions at a time
     python tools/compare_outside.py --seeds 3 --arms ours,tpe --problems transport-solver
 
 The cache keeps finished runs: the same command resumes, and a run is repeated only where the code
@@ -34,7 +35,7 @@ with guarded_imports():
 PAGES = {False: ("sampler-outside", "Samplers on problems from outside"),
          True: ("sampler-measured", "Samplers on measured reactions")}  # fmt: skip
 MOST_SEEDS, MOST_TRIALS = 10_000, 100_000
-CHECKPOINTS = (5, 10, 20, 40)  # trials
+CHECKPOINTS = (5, 10, 20, 30, 40)  # trials
 OUR_ARMS = [name for name, arm in ARMS.items() if arm.ours]
 OTHERS = [name for name, arm in ARMS.items() if not arm.ours]
 WITHOUT_HINT = [name for name in OTHERS if ARMS[name].sees == outside.NOTHING]
@@ -44,15 +45,16 @@ BEHIND_P, AHEAD_P = 0.05, 0.01
 def main() -> None:
     options = parse()
     keys = list(product(options.problems, options.arms))
-    runs = [
-        outside.Run(*key, seed, options.trials) for key in keys for seed in range(options.seeds)
-    ]
+    batches = outside.Batches(options.trials, options.batch)
+    runs = [outside.Run(*key, seed, batches) for key in keys for seed in range(options.seeds)]
     costs = np.array(outside.execute(runs, options.cache, options.processes))
     costs = costs.reshape(len(keys), options.seeds, options.trials)
     seconds = np.array([run.seconds(options.cache) for run in runs]).reshape(costs.shape[:2])
     found = (dict(zip(keys, values, strict=True)) for values in (costs, np.median(seconds, axis=1)))
     compared = Comparison(*found)
     name, title = PAGES[options.problems[0] in outside.MEASURED]
+    if options.batch > 1:
+        name, title = f"{name}-by-{options.batch}", f"{title}, {options.batch} at a time"
     options.out.mkdir(parents=True, exist_ok=True)
     compared.plot(options.out / f"{name}.png")
     write_page(options.out / f"{name}.md", title, compared.figures())
@@ -63,6 +65,7 @@ def parse() -> Namespace:
     parser = Options(__file__)
     parser.whole("--seeds", 1, MOST_SEEDS, default=30, help="of each arm; %(default)s")
     parser.whole("--trials", 2, MOST_TRIALS, default=40, help="of a run; %(default)s")
+    parser.whole("--batch", 1, MOST_TRIALS, default=1, help="trials at a time; %(default)s")
     parser.add_argument("--arms", help="all that know what the problems have")
     known = f"{', '.join(outside.GROUPS)}, or some of {','.join(PROBLEMS)}; %(default)s"
     parser.add_argument("--problems", default="tuning", help=known)

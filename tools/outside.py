@@ -15,7 +15,7 @@ import json
 import logging
 import time
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from itertools import repeat
@@ -211,21 +211,34 @@ def table(problem: OutsideProblem, ranking: bool) -> FeatureTable:
         return FeatureTable.from_arrays(problem.columns, features, names, space=problem.space)
 
 
+@dataclass(frozen=True)
+class Batches:
+    """Trials of a run: so many at a time are proposed before any of them is told."""
+
+    trials: int
+    size: int = 1
+
+    def __iter__(self) -> Iterator[int]:
+        """The size of each batch; the last may be smaller."""
+        for begun in range(0, self.trials, self.size):
+            yield min(self.size, self.trials - begun)
+
+
 def study_costs(
-    problem: OutsideProblem, sampler: BaseSampler, trials: int, first: Iterable[Settings] = ()
+    problem: OutsideProblem, sampler: BaseSampler, batches: Batches, first: Iterable[Settings] = ()
 ) -> Floats:
     """Costs of the trials of a study in their order, [trials]; settings `first` are tried first."""
     study, costs = optuna.create_study(sampler=sampler), []
     for settings in first:
         study.enqueue_trial(dict(settings))
-    for _ in range(trials):
-        trial = study.ask(problem.space)
-        costs.append(problem.cost_at(trial.params))
-        study.tell(trial, costs[-1])
+    for size in batches:
+        for trial in [study.ask(problem.space) for _ in range(size)]:
+            costs.append(problem.cost_at(trial.params))
+            study.tell(trial, costs[-1])
     return np.array(costs)
 
 
-Costs = Callable[[OutsideProblem, int, int], Floats]  # of a problem, a seed, a number of trials
+Costs = Callable[[OutsideProblem, int, Batches], Floats]  # of a problem, a seed, trials
 
 
 def of_optuna(sampler: Callable[..., BaseSampler], **options: Any) -> Costs:
@@ -233,21 +246,41 @@ def of_optuna(sampler: Callable[..., BaseSampler], **options: Any) -> Costs:
     return lambda problem, seed, trials: study_costs(problem, sampler(seed=seed, **options), trials)
 
 
-def _ours(problem: OutsideProblem, seed: int, trials: int, prior: str | None = None) -> Floats:
+def _ours(problem: OutsideProblem, seed: int, trials: Batches, prior: str | None = None) -> Floats:
     pool = table(problem, ranking=prior is not None)
     return study_costs(problem, FeatureKernelSampler(pool, seed=seed, prior=prior), trials)
 
 
-def _ranking_alone(problem: OutsideProblem, seed: int, trials: int) -> Floats:
-    return problem.cost[rows_by_ranking(problem, seed)[:trials]]
+def _by_formula(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
+    """Ours over a pool of which only the formulas of its components (SMILES) are known."""
+    pool = FeatureTable.from_kernel(formula_similarity(problem.columns), problem.columns)
+    return study_costs(problem, FeatureKernelSampler(pool, seed=seed), trials)
 
 
-def _tpe_after_ranking(problem: OutsideProblem, seed: int, trials: int) -> Floats:
+def formula_similarity(columns: Columns) -> Floats:
+    """The mean over the columns of the share of common words of four letters, [n, n].
+
+    LINGO: words of two molecules' texts, as a Tanimoto index (Vidal, Thormann, Pons 2005).
+    """
+    similar = []
+    for column in columns.values():
+        kinds, place = np.unique(column, return_inverse=True)
+        words = [{f"^{kind}$"[at : at + 4] for at in range(len(kind) - 1)} for kind in kinds]
+        shared = [[len(one & other) / len(one | other) for other in words] for one in words]
+        similar.append(np.array(shared)[np.ix_(place, place)])
+    return np.asarray(np.mean(similar, axis=0))
+
+
+def _ranking_alone(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
+    return problem.cost[rows_by_ranking(problem, seed)[: trials.trials]]
+
+
+def _tpe_after_ranking(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
     first = [problem.settings(int(row)) for row in rows_by_ranking(problem, seed)[:ENQUEUED]]
     return study_costs(problem, TPESampler(seed=seed), trials, first)
 
 
-def _baybe(problem: OutsideProblem, seed: int, trials: int) -> Floats:
+def _baybe(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
     """BayBE over the rows, a descriptor table a component, as its user guide has it for chemistry.
 
     It is of problems whose parameters are choices, and whose features belong to one of them each.
@@ -270,14 +303,15 @@ def _baybe(problem: OutsideProblem, seed: int, trials: int) -> Floats:
         parameters.append(CustomDiscreteParameter(name, data=data))
     target = NumericalTarget(COST, mode="MIN").to_objective()
     campaign, costs = Campaign(SearchSpace.from_dataframe(rows, parameters), target), []
-    for _ in range(trials):
-        tried = campaign.recommend(batch_size=1)
-        costs.append(problem.cost_at(tried.iloc[0].to_dict()))
-        campaign.add_measurements(tried.assign(**{COST: costs[-1]}))
+    for size in trials:
+        tried = campaign.recommend(batch_size=size)
+        found = [problem.cost_at(settings) for settings in tried.to_dict("records")]
+        campaign.add_measurements(tried.assign(**{COST: found}))
+        costs += found
     return np.array(costs)
 
 
-def _ax(problem: OutsideProblem, seed: int, trials: int) -> Floats:
+def _ax(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
     """Ax's client with its defaults; it takes no descriptors."""
     from ax.api.client import Client
     from ax.api.configs import ChoiceParameterConfig
@@ -291,14 +325,14 @@ def _ax(problem: OutsideProblem, seed: int, trials: int) -> Floats:
         ]
     )  # fmt: skip
     client.configure_optimization(objective=f"-{COST}")
-    for _ in range(trials):
-        ((number, settings),) = client.get_next_trials(max_trials=1).items()
-        costs.append(problem.cost_at(settings))
-        client.complete_trial(trial_index=number, raw_data={COST: costs[-1]})
+    for size in trials:
+        for number, settings in client.get_next_trials(max_trials=size).items():
+            costs.append(problem.cost_at(settings))
+            client.complete_trial(trial_index=number, raw_data={COST: costs[-1]})
     return np.array(costs)
 
 
-NOTHING, FEATURES = "nothing", "features"
+NOTHING, FEATURES, FORMULAS = "nothing", "features", "formulas"
 RANKED = "features, and which end of each is good"
 
 
@@ -317,8 +351,8 @@ class Arm(NamedTuple):
         return not self.needs or bool(installed(self.needs))
 
     def knows(self, problem: str) -> bool:
-        """Whether a problem has what the arm sees: of descriptors no end is known to be good."""
-        return problem not in MEASURED or self.sees != RANKED
+        """Whether a problem has what the arm sees: molecules have formulas, and no good ends."""
+        return self.sees != (RANKED if problem in MEASURED else FORMULAS)
 
 
 # CmaEsSampler draws choices at random, as always in Optuna.
@@ -327,6 +361,7 @@ ARMS = {
     "ours-prior": Arm(
         "ours, ranking as prior", RANKED, partial(_ours, prior=f"-{RANKING}"), ours=True
     ),
+    "ours-formulas": Arm("ours, formulas alone", FORMULAS, _by_formula, ours=True),
     "ranking": Arm("the ranking alone", RANKED, _ranking_alone),
     "tpe-ranking": Arm(
         f"TPESampler, {ENQUEUED} best-ranked rows first", RANKED, _tpe_after_ranking
@@ -346,11 +381,12 @@ class Run(NamedTuple):
     problem: str
     arm: str
     seed: int
-    trials: int
+    trials: Batches
 
     def file(self, cache: Path) -> Path:
         """The file of its costs."""
-        name = f"{self.trials}-trials-seed-{self.seed:03d}.json"
+        size = f"-by-{self.trials.size}" if self.trials.size > 1 else ""
+        name = f"{self.trials.trials}-trials{size}-seed-{self.seed:03d}.json"
         return cache / self.problem / self.arm / name
 
     def kept(self, cache: Path) -> list[float] | None:

@@ -19,6 +19,7 @@ from tools.outside import (
     GROUPS,
     PROBLEMS,
     Arm,
+    Batches,
     Feature,
     Run,
     outside_problem,
@@ -98,7 +99,7 @@ def test_the_nearest_row_is_on_each_parameters_scale(settings: dict[str, Any], r
 
 def test_a_trial_costs_as_much_as_the_nearest_row_and_rows_are_ranked() -> None:
     sampler = optuna.samplers.RandomSampler(seed=1)
-    found = outside.study_costs(WHOLE, sampler, 5, first=[WHOLE.settings(3)])
+    found = outside.study_costs(WHOLE, sampler, Batches(5), first=[WHOLE.settings(3)])
     assert found[0] == WHOLE.cost[3] and len(found) == 5
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=1))
     free = [study.ask(WHOLE.space).params for _ in range(4)]
@@ -107,6 +108,31 @@ def test_a_trial_costs_as_much_as_the_nearest_row_and_rows_are_ranked() -> None:
     # The ranking is the mean rank: equal values share that of their ranks; what failed ranks last.
     np.testing.assert_array_equal(WHOLE.ranks, [[1, 4], [2, 1], [3.5, 2.5], [3.5, 2.5]])
     np.testing.assert_array_equal(WHOLE.ranking, [2.5, 1.5, 3, 3])
+
+
+def test_a_batch_is_told_after_all_of_it_was_proposed() -> None:
+    assert list(Batches(7, 3)) == [3, 3, 1] and list(Batches(4)) == [1] * 4
+    half, seen = outside_problem("suzuki").drawn(1), list[int]()
+
+    class Watched(optuna.samplers.RandomSampler):
+        def before_trial(self, study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+            seen.append(len(study.get_trials(states=(optuna.trial.TrialState.COMPLETE,))))
+
+    assert len(outside.study_costs(half, Watched(seed=1), Batches(7, 3))) == 7
+    assert seen == [0, 0, 0, 3, 3, 3, 6]
+
+
+def test_formulas_are_alike_as_far_as_they_have_common_words() -> None:
+    columns = {"one": np.array(["CCO", "CCO", "CCN"]), "two": np.array(["Br", "Cl", "Br"])}
+    # ^CCO, CCO$ against ^CCN, CCN$: none of four; ^Br$ is one word, as is ^Cl$.
+    expected = [[1, 0.5, 0.5], [0.5, 1, 0], [0.5, 0, 1]]
+    np.testing.assert_allclose(outside.formula_similarity(columns), expected)
+    half = outside_problem("amination").drawn(1)
+    similar = outside.formula_similarity(half.columns)
+    assert np.linalg.eigvalsh(similar[:300, :300]).min() > -1e-9
+    near = similar > np.quantile(similar, 0.9)
+    apart = np.abs(half.cost[:, None] - half.cost[None])
+    assert apart[near].mean() < apart[~near].mean()  # formulas tell something of yields
 
 
 def test_a_bad_file_is_one_line(tmp_path: Path) -> None:
@@ -119,7 +145,7 @@ def test_a_bad_file_is_one_line(tmp_path: Path) -> None:
 PROBLEM = "transport-solver"
 TRIALS, SEEDS = 7, 2
 TOOL = load_tool("compare_outside")
-RUN_ARMS = [arm for arm in ARMS if not ARMS[arm].needs]
+RUN_ARMS = [arm for arm in ARMS if not ARMS[arm].needs and ARMS[arm].knows(PROBLEM)]
 
 
 @pytest.mark.slow
@@ -139,7 +165,7 @@ def test_the_command_writes_a_page_and_keeps_runs_and_what_people_wrote(
     written = compare()
     assert len(written) == SEEDS * len(RUN_ARMS)
     costs = {
-        (arm, seed): Run(PROBLEM, arm, seed, TRIALS).kept(cache) or []
+        (arm, seed): Run(PROBLEM, arm, seed, Batches(TRIALS)).kept(cache) or []
         for arm, seed in product(RUN_ARMS, range(SEEDS))
     }
     for (_, seed), found in costs.items():
@@ -165,7 +191,7 @@ def test_the_command_writes_a_page_and_keeps_runs_and_what_people_wrote(
     assert compare() == written
     assert page.read_text() == text.replace("# Samplers on", "# People on")
     # A run of other code, or one whose file is broken, is none.
-    run = Run(PROBLEM, "random", 0, TRIALS)
+    run = Run(PROBLEM, "random", 0, Batches(TRIALS))
     known = json.loads(run.file(cache).read_text())
     for content in (json.dumps({**known, "code": "other"}), "{"):
         run.file(cache).write_text(content)
