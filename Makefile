@@ -6,6 +6,7 @@
 # make test-campaign   runs the longest tests: 2,000 damaged inputs, dozens of kills
 # make fuzz CASES=20000 SEED=7   gives every command damaged input of every format; keeps failures in out/fuzz
 # make docs         builds the site, out/site/index.html: runs the notebooks, needs no network
+# make dist         builds the distributions of a release into out/dist, the same bytes each time, and checks them
 # make lint         checks style and types, as CI does
 # make hooks        lets git run the lint before every commit
 # Needs Python 3.11 to 3.14 and make; everything else goes into .venv.
@@ -15,7 +16,7 @@ BIN := .venv/bin
 PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: quickstart compare results test test-fast test-campaign fuzz docs lint hooks store store-worlds store-torso store-stairs
+.PHONY: quickstart compare results test test-fast test-campaign fuzz docs dist lint hooks store store-worlds store-torso store-stairs
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
@@ -62,6 +63,18 @@ fuzz: .venv/test-installed
 docs: .venv/docs-installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
+# Setuptools writes the time of the build into the archive of sources, which is therefore packed again.
+dist: export SOURCE_DATE_EPOCH = $(shell git log -1 --format=%ct)
+dist: .venv/dist-installed
+	rm -rf out/dist build study/hub/build study/hub/*.egg-info
+	$(BIN)/python -m build --outdir out/dist
+	$(BIN)/python -m build --wheel --outdir out/dist study/hub
+	cd out/dist && tar -xzf *.tar.gz && rm *.tar.gz && for name in */; do tar --sort=name --mtime=@$$SOURCE_DATE_EPOCH --owner=0 \
+		--group=0 --numeric-owner -c $${name%/} | gzip -n > $${name%/}.tar.gz && rm -r $$name; done
+	rm -rf build study/hub/build study/hub/*.egg-info
+	$(BIN)/twine check --strict out/dist/*
+	$(BIN)/check-wheel-contents out/dist
+
 lint: .venv/lint-installed
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -86,6 +99,10 @@ hooks: .venv/lint-installed
 
 .venv/docs-installed: .venv/installed
 	$(INSTALL) -e '.[docs]'
+	@touch $@
+
+.venv/dist-installed: .venv/installed
+	$(INSTALL) -e '.[dist]'
 	@touch $@
 
 .venv/lint-installed: .venv/installed

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from taichi_nmm.terrain import Terrain
     from taichi_nmm.world import WorldRanges, Worlds
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 __all__ = [
     "END_REASONS",

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import taichi_nmm
-from taichi_nmm import __version__
 from taichi_nmm.body import Bodies
 from taichi_nmm.conditions import read_disturbance, read_settings
 from taichi_nmm.config import Table
@@ -110,7 +109,7 @@ class Walker:
     searched: tuple[Parameter, ...] = ()  # low-level gains that points have after the 16 gains
 
     name: ClassVar[str] = "walker"
-    code_version: ClassVar[str] = __version__
+    code_version: ClassVar[str] = "0.2.0"  # the release that first gave these numbers
     packages: ClassVar[tuple[str, ...]] = (COMPILER, "numpy")
     columns: ClassVar[np.dtype[np.void]] = RESULT_DTYPE
     survived: ClassVar[str] = "survived_fraction"

@@ -12,7 +12,9 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
 
+import taichi_nmm
 from study.options import shipped_configs
 from tests.tools.running import ROOT
 
@@ -86,7 +88,7 @@ def test_it_holds_every_configuration_and_every_file_of_the_packages(wheel: Path
     for path in (ROOT / "configs").glob("*.toml"):
         assert f"study/configs/{path.name}" in names
     for path in (path for package in SOURCES[:3] for path in (ROOT / package).rglob("*")):
-        if path.is_file() and "__pycache__" not in path.parts:
+        if path.is_file() and not {"__pycache__", "hub"} & set(path.parts):
             assert str(path.relative_to(ROOT)) in names
     assert not {name.split("/")[0] for name in names} & {"tests", "tools", "docs", "configs"}
     assert wheel.stat().st_size < MOST_BYTES
@@ -123,6 +125,14 @@ def test_the_main_job_is_done_by_name(installed: Installed) -> None:
     walked = installed.run("taichi-nmm", "walk", "--gains", found["gains"], *short)
     strip = json.loads(walked)["pictures"]["strip"]
     assert (installed.folder / strip).is_file()
+
+
+def test_all_say_the_same_version(wheel: Path) -> None:
+    assert wheel.name.split("-")[1] == taichi_nmm.__version__
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == taichi_nmm.__version__
+    newest = re.findall(r"^## (\S+) \((.*)\)$", (ROOT / "CHANGELOG.md").read_text(), re.M)[0]
+    assert newest == (taichi_nmm.__version__, str(citation["date-released"]))
 
 
 # Nothing of the simulator can be imported, and Arrow only in the end.
