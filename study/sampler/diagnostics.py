@@ -1,4 +1,4 @@
-"""What trials have shown: the importance of features and of worlds (worth), and the best trial."""
+"""What trials have shown: what features and worlds are worth, the best trial, what is next."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -10,10 +10,11 @@ import scipy
 from numpy.typing import NDArray
 from optuna.trial import FrozenTrial
 
-from study.sampler.acquisition import Model
+from study.sampler.acquisition import Model, log_kept
 from study.sampler.gp import JITTER, Posterior, misfit, shape_of
 from study.sampler.history import read_limits
 from study.sampler.transforms import Points
+from study.sampler.worlds import Ensemble
 
 Floats = NDArray[np.float64]
 
@@ -466,6 +467,46 @@ def best_of(present: Present, *, maximised: bool) -> Best:
     trial, row = trials[best], present.rows[best]
     same = sum(other.params == trial.params for other in trials)
     return Best(trial.number, dict(trial.params), row, value, low, high, same)
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What the trials of a study, and all that was known before, let expect of m candidates."""
+
+    rows: NDArray[np.int64]  # of the table, [m]; -1 off it
+    value: Floats  # as likely too high as too low, [m]; NaN where nothing is known
+    low: Floats  # end of the interval that holds the next trial's value with 95 %, [m]
+    high: Floats  # its other end, [m]
+    success: Floats  # chance of a value that is a success, [m]; NaN where none is defined
+    kept: Floats  # chance that all limits are kept, [m]
+
+
+def prediction_of(model: Model, points: Points, rows: NDArray[np.int64], sign: float) -> Prediction:
+    """The prediction at points; `sign` is -1 where values are maximised.
+
+    Before any trial only worlds in the study's units tell something: their mean and spread.
+    """
+    visible, unknown = model.visible(points), np.full(len(points), np.nan)
+    kept = np.zeros(len(points))
+    if len(model.costs):
+        mean, variance = model.posterior.predict(visible)
+        mean += model.expected(points, model.cost())
+        for posterior in model.limit_posteriors:
+            kept += log_kept(*posterior.predict(visible))
+    elif isinstance(model.ensemble, Ensemble) and model.ensemble.in_costs:
+        *_, w = model.ensemble.parts.shape
+        mean, parts = points.features[:, -1], points.features[:, -w - 2 : -2]
+        variance = (parts**2).sum(axis=1)
+    else:
+        return Prediction(rows, *(unknown,) * 4, np.exp(kept))
+    away = NORMAL_95 * np.sqrt(variance)
+    value, low, high = (sign * model.in_units(y) for y in (mean, mean - away, mean + away))
+    low, high = (low, high) if sign > 0 else (high, low)
+    success = unknown
+    if model.success is not None:
+        (goal,) = model.standard(np.array([model.success]), model.costs)
+        success = np.exp(log_kept(mean - goal, variance))
+    return Prediction(rows, value, low, high, success, np.exp(kept))
 
 
 def _over_noise(model: Model) -> tuple[Floats, Floats]:

@@ -62,6 +62,7 @@ class Options:
     extra_parameters: frozenset[str]
     strict: bool
     success: float | None
+    allowed: NDArray[np.bool_] | None
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,23 @@ import inspect
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import optuna
+from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
-from study.sampler.diagnostics import Best, Likeness, Worth, best_of, likeness_of, worth_of
+from study.sampler.diagnostics import (
+    Best,
+    Likeness,
+    Prediction,
+    Worth,
+    best_of,
+    likeness_of,
+    worth_of,
+)
 from study.sampler.gp import KERNELS, SIMILARITY, WORLDS
 from study.sampler.policy import Features, Options, one_thread
 from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
@@ -39,6 +49,14 @@ def _no_constraints(field: str, value: object) -> None:
         raise InputError(
             field, value, "None: call trial.set_constraint(key, value) in the objective"
         )
+
+
+def _mask(field: str, value: Any) -> NDArray[np.bool_]:
+    """Which rows of a table: [n] flags."""
+    mask = np.asarray(value)
+    if mask.ndim != 1 or mask.dtype != bool:
+        raise InputError(field, value, "an array of flags, one a row")
+    return mask
 
 
 class FeatureKernelSampler(BaseSampler):
@@ -107,6 +125,8 @@ class FeatureKernelSampler(BaseSampler):
             least, where values are maximised. Until one has, the candidate that most likely
             succeeds comes next, then that of the largest expected improvement. None: improvement
             alone counts.
+        allowed: which rows of a table may be proposed, [n]; None: all. Points off it are not looked
+            at then.
         constraints_func: gone; call `trial.set_constraint(key, value)` in the objective.
 
     Raises:
@@ -129,6 +149,7 @@ class FeatureKernelSampler(BaseSampler):
         extra_parameters=checks.each(checks.text),
         independent_sampler=checks.optional(checks.instance(BaseSampler)),
         success=checks.optional(checks.number()),
+        allowed=checks.optional(_mask),
         constraints_func=_no_constraints,
     )
     def __init__(
@@ -145,6 +166,7 @@ class FeatureKernelSampler(BaseSampler):
         extra_parameters: Collection[str] = (),
         independent_sampler: BaseSampler | None = None,
         success: float | None = None,
+        allowed: NDArray[np.bool_] | None = None,
         constraints_func: None = None,
     ) -> None:
         """Check the options; nothing is computed yet."""
@@ -159,9 +181,9 @@ class FeatureKernelSampler(BaseSampler):
             elif features.rows.worlds is not None:
                 chosen = WORLDS
         if off_grid is None:
-            off_grid = OFF_GRID if chosen == WORLDS else 0
+            off_grid = OFF_GRID if chosen == WORLDS and allowed is None else 0
         extra = frozenset(extra_parameters)
-        options = Options(chosen, prior, off_grid, space, extra, strict, success)
+        options = Options(chosen, prior, off_grid, space, extra, strict, success, allowed)
         _require_sense(features, feature_function, options, self._kernel)
         seed = new_seed() if seed is None else seed
         independent = independent_sampler or ReproducibleRandomSampler(seed=seed)
@@ -228,6 +250,26 @@ class FeatureKernelSampler(BaseSampler):
                 allowed = "a study with a finished trial of these parameters"
                 raise InputError("study", study.study_name, allowed)
             return best_of(present, maximised=study.direction is StudyDirection.MAXIMIZE)
+
+    @checks.checked(study=checks.instance(optuna.Study))
+    def predict(
+        self, study: optuna.Study, params: Sequence[Mapping[str, Any]] | None = None
+    ) -> Prediction:
+        """What to expect of rows of the table that may be proposed, or of given parameters.
+
+        Args:
+            study: of these parameters; it is not changed, and need not have a trial.
+            params: parameters by name, m times; None: the rows.
+
+        Raises:
+            InputError: the sampler has no table, or parameters that it cannot have.
+            ValueError: the study has several objectives.
+        """
+        self._raise_error_if_multi_objective(study)
+        if not isinstance(self._policy, TablePolicy):
+            raise InputError("features", "no table", "a FeatureTable: its rows are predicted")
+        with one_thread():
+            return self._policy.predict(study, params)
 
     def infer_relative_search_space(
         self, study: optuna.Study, trial: FrozenTrial
@@ -319,7 +361,12 @@ def _require_sense(
         allowed = "none beside outcomes in worlds or a similarity, which do its work"
         refuse(has_function, "feature_function", "given", allowed)
         refuse(prior is not None, "prior", prior, allowed)
+    mask, is_table = options.allowed, isinstance(features, FeatureTable)
+    refuse(mask is not None and not is_table, "allowed", "given", "none without a table")
     if isinstance(features, FeatureTable):
+        rows = len(features.rows)
+        refuse(mask is not None and mask.shape != (rows,), "allowed", "another size", f"[{rows}]")
+        refuse(mask is not None and off_grid, "off_grid", off_grid, "0 beside `allowed` rows")
         without = not has_function and not options.kernel.worlds
         refuse(off_grid and without, "off_grid", off_grid, "0 without a feature_function")
         pool = options.kernel == SIMILARITY

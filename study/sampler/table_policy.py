@@ -19,7 +19,7 @@ from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
 from study.sampler.acquisition import Model, argmax_random_tie
-from study.sampler.diagnostics import Present
+from study.sampler.diagnostics import Prediction, Present, prediction_of
 from study.sampler.draws import Purpose, turn
 from study.sampler.history import (
     FEATURES_ATTRIBUTE,
@@ -258,6 +258,8 @@ class TablePolicy(Policy):
         self._warn_of(history)
         offered = rows.offered & ~history.tried
         offered[list(withdrawn)] = False
+        if self.options.allowed is not None:
+            offered &= self.options.allowed
         if history.fixed:
             offered &= rows.having(history.fixed)
         if not offered.any() and not (self.options.off_grid and len(history.cost)):
@@ -492,6 +494,30 @@ class TablePolicy(Policy):
         trials, names = history.trials, self.rows.feature_names
         rows, points = tuple(row_of(self.rows, trial) for trial in trials), self._points(ensemble)
         return self.present_of(trials, rows, names, shown, model, points, self._scale, first)
+
+    def predict(
+        self, study: optuna.Study, params: Sequence[Mapping[str, Any]] | None
+    ) -> Prediction:
+        """See `FeatureKernelSampler.predict`."""
+        self._adopt(suggested_so_far(self.own_rows.names, study))
+        rows, ensemble = self.rows, self._ensemble(study)
+        history = self._history(study, next_trial(study))
+        seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
+        running = self._seen(history.running, history.running_rows, (), ensemble)
+        sizes = self.prior_mean, len(rows.space)
+        model = self.model(*sizes, history, seen, running, len(history.cost), ensemble)
+        if params is None:
+            return prediction_of(model, self._points(ensemble), rows.numbers, history.sign)
+        places = np.empty((len(params), len(rows.names)))
+        for place, values in enumerate(params):
+            known = rows.space.row(values)
+            if known is None:
+                raise InputError(f"params[{place}]", dict(values), f"one of {rows.space.as_dict()}")
+            places[place] = known
+        numbers = np.array([OFF_TABLE if (row := rows.find(v)) is None else row for v in params])
+        return prediction_of(
+            model, self._seen(places, numbers, (), ensemble), numbers, history.sign
+        )
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.
