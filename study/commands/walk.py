@@ -113,7 +113,8 @@ def write_engines(
     gains: NamedGains, result: taichi_nmm.Result, experiment: Experiment, run: int, folder: Path
 ) -> dict[str, str]:
     """Simulate the same gains on MuJoCo, and draw both walks one above the other."""
-    from study.report.before_after import Pair, Shown, write_strips  # the report: 0.4 s
+    from study.pictures.strip import Shown
+    from study.report.before_after import Pair, write_strips  # the report: 0.4 s
 
     other = simulate(gains, experiment.with_settings(engine="mujoco"), run)
     first, second = (

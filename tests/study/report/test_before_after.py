@@ -11,7 +11,8 @@ import pytest
 
 import taichi_nmm
 from study.experiment.identity import document, documented_experiment
-from study.report.before_after import Pair, Shown, before_and_after, choose, write_strips
+from study.pictures.strip import Shown
+from study.report.before_after import Pair, before_and_after, choose, write_strips
 from study.report.runs import Results, read_results
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
