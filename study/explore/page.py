@@ -92,10 +92,7 @@ def _store(path: Path) -> Store:
 
 def _comparison(path: Path) -> tuple[Results, Experiment]:
     results = read_results(path)
-    experiment = documented_experiment(results.facts)
-    if experiment is None:
-        raise InputError("folder", str(path), "a comparison whose experiment.json names its ground")
-    return results, experiment
+    return results, documented_experiment(results.facts)
 
 
 def _store_half(path: Path, message: Message, view: WalkView) -> Left:
