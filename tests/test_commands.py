@@ -245,35 +245,3 @@ def test_a_17th_parameter_is_kept(walk: Walk, tmp_path: Path, tool: Tool) -> Non
     cheapest = min(rows, key=lambda row: float(row["cost"]))
     again = walk("--config", config, "--gains", best)
     assert again["distance_m"] == cheapest["distance_m"]
-
-
-# Bad input: one line, exit code 2, and nothing written.
-
-FIRST = "rough8-smooth/dog/run-001"  # study of a comparison
-COMPARED, LIVE = "--storage OUT", "--storage URL"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("command", "options", "says"), [
-    ("study", "--arm random --store STORE", "store: "), ("study", "--arm worlds", "store: "),
-    *(("walk", f"--trial {trial} {storage}", "trial: ") for trial, storage in [
-        (f"{FIRST}/4", COMPARED), ("rough8-smooth/dog/run-002/0", COMPARED),
-        ("rough8-smooth/tpe/run-001/0", COMPARED), (f"{FIRST}/{10**30}", COMPARED),
-        (FIRST, COMPARED), (f"{FIRST}/4", LIVE), (f"{FIRST}/{10**30}", LIVE),
-        ("rough8-smooth/dog/0", LIVE),
-    ]),
-    ("walk", f"--trial 12 {COMPARED}", "trial: '12' cannot be used; allowed: EXP"),
-    ("walk", f"--trial {FIRST}/0 --storage STORE", "storage: "),
-    ("walk", f"--trial {FIRST}/0 --storage nowhere", "storage: '***'"),
-    ("walk", f"--trial {FIRST}/0 --storage sqlite:///no.db", "storage: 'no.db'"),
-    ("walk", "--row 3 --store OUT", "store: "),
-])  # fmt: skip
-def test_what_is_not_there_is_refused(
-    real: Real, command: str, options: str, says: str, tmp_path: Path, tool: Tool, monkeypatch: Any
-) -> None:
-    places = {"STORE": str(real.store), "OUT": str(real.compared), "URL": real.url}
-    words = [places.get(word, word) for word in options.split()]
-    monkeypatch.chdir(tmp_path)
-    database = ("--storage", "sqlite:///new.db") if command == "study" else ()
-    tool.refuses(re.escape(says), command, "--config", real.config, *words, *database)
-    assert list(tmp_path.iterdir()) == []

@@ -1,6 +1,6 @@
-"""How fast the simulator is: start-up and run time apart, lane widths, MuJoCo beside it.
+"""How fast the simulator is: start-up and run time apart.
 
-    python tools/bench.py --lanes 1,4,8,16 --threads --mujoco
+    python tools/bench.py
     taskset -c 0 python tools/bench.py --against ../before   # another checkout, by turns
 
 Each figure comes from a fresh process. "Cold" starts with an empty cache of compiled kernels,
@@ -31,14 +31,8 @@ with guarded_imports():
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKER = ROOT / "tools" / "bench_worker.py"
-MUJOCO_MODULE = "tests.parity.mujoco_bench_model"
 
-LARGEST_LANES = 64
 MOST_SAMPLES = 10_000_000
-LANE_SAMPLES = 8192  # points for a row of the table of lane widths, at most
-MUJOCO_ROLLOUTS = 256  # of a second each
-SOBOL = "--duration 5"  # options of the worker: points of the search space
-FEW = "--walkers 400 --steady --duration 10 --repeats 5"  # a round of a comparison
 LOADS = {  # of --against: near the published gains, where all stay up; and the search space
     "steady": "--walkers 512 --steady --duration 3 --repeats 3",
     "Sobol": "--walkers 2048 --duration 5 --repeats 3",
@@ -63,34 +57,19 @@ def main() -> None:
 def parse() -> argparse.Namespace:
     parser = Options(__file__)
     parser.whole("--samples", 1, MOST_SAMPLES, default=100_000, help="%(default)s")
-    parser.add_argument("--lanes", default="", metavar="1,4,8,16", help="compare widths on the CPU")
-    parser.flag("--threads", "few walkers on one thread, on all")
-    parser.flag("--mujoco", "time MuJoCo's mj_step beside it")
     parser.path("--against", "only compare ns a walker-step by turns", "CHECKOUT")
     parser.add_argument("--arch", choices=ARCHITECTURES, default="auto")
     options = parser.parse_args()
-    options.lanes = lane_widths(options.lanes)
     if options.against and not (options.against / "taichi_nmm").is_dir():
         raise InputError("against", options.against, "the folder of a checkout of this project")
     return options
 
 
-def lane_widths(listed: str) -> list[int]:
-    """The comma-separated widths; none for an empty list."""
-    try:
-        widths = [int(width) for width in listed.split(",") if listed]
-    except ValueError:
-        widths = [0]
-    if not all(1 <= width <= LARGEST_LANES for width in widths):
-        raise InputError("lanes", listed, f"widths from 1 to {LARGEST_LANES}, such as 1,4,8,16")
-    return widths
-
-
 def measure(options: argparse.Namespace, cache: Path) -> Iterator[str]:
-    """Lines on all that the options name, one measurement after the other."""
+    """Lines on a cold start, then on a warm start and a run."""
     samples, arch = options.samples, f"--arch {options.arch}"
     cold = worker("cold start", cache / "main", arch)
-    run = worker("run", cache / "main", f"--walkers {samples} {SOBOL} {arch}")
+    run = worker("run", cache / "main", f"--walkers {samples} --duration 5 {arch}")
     seconds, steps_per_s = run["run_s"], run["steps"] / run["run_s"]
     yield (f"machine        {os.cpu_count()} cores, {platform.system()} {platform.machine()};"
            f" {run['arch']}, {run['precision']}, {run['lanes']} lanes")  # fmt: skip
@@ -104,28 +83,6 @@ def measure(options: argparse.Namespace, cache: Path) -> Iterator[str]:
         ratio = samples / seconds * reference_s / REFERENCE_POINTS
         yield (f"{ratio:6.2f} x the speed of {name} ({reference_s:g} s for {REFERENCE_POINTS:,},"
                " on another 2-core machine)")  # fmt: skip
-    few = min(samples, LANE_SAMPLES)
-    if options.lanes:
-        yield f"\n{few:,} points, CPU\nlanes  cold start s     run s  walkers/s   alive"
-    for width in options.lanes:  # each from a cache of its own
-        words = f"--walkers {few} {SOBOL} --arch cpu --lanes {width}"
-        row = worker(f"{width} lanes", cache / f"lanes-{width}", words)
-        yield (f"{width:5d}  {row['start_s']:12.1f}  {row['run_s']:8.2f}"
-               f"  {few / row['run_s']:9,.0f}  {row['alive']:6d}")  # fmt: skip
-    if options.threads:
-        yield "\n400 walkers near the published gains x 10 s, CPU\nthreads     run s  faster"
-        took = {}
-        for count in sorted({1, os.cpu_count() or 1}):
-            row = worker(f"{count} threads", cache / "main", f"{FEW} --threads {count}")
-            took[count] = row["run_s"]
-            yield f"{count:7d}  {took[count]:8.2f}  {took[1] / took[count]:6.2f} x"
-    if options.mujoco:
-        rollouts = str(min(samples, MUJOCO_ROLLOUTS))
-        row = run_json("MuJoCo", ["-m", MUJOCO_MODULE, "--rollouts", rollouts], {})
-        yield f"\nMuJoCo {row['version']}, mj_step of the same body, 14 muscles, contacts, 1 ms"
-        for threads, name in (("1 thread", "single"), (f"{row['threads']} threads", "all")):
-            theirs = row[f"steps_per_s_{name}"]
-            yield f"{threads:14} {theirs:,.0f} steps/s; ours {steps_per_s / theirs:.1f} x"
 
 
 def by_turns(options: argparse.Namespace, cache: Path) -> Iterator[str]:
@@ -148,18 +105,12 @@ def turns_line(load: str, this: list[float], other: list[float]) -> str:
 
 
 def worker(what: str, cache: Path, words: str, *more: str) -> Measured:
-    """A measurement by `bench_worker.py` with this cache of kernels."""
-    command = [str(WORKER), *words.split(), *more]
-    return run_json(what, command, {CACHE_VARIABLE: str(cache)})
-
-
-def run_json(what: str, arguments: list[str], environment: dict[str, str]) -> Measured:
-    """Run Python in a fresh process; its last line is the result."""
+    """A measurement by `bench_worker.py` in a fresh process with this cache of kernels."""
     print(f"measuring: {what}", file=sys.stderr, flush=True)
     done = subprocess.run(
-        [sys.executable, *arguments],
+        [sys.executable, str(WORKER), *words.split(), *more],
         cwd=ROOT,
-        env={**os.environ, **environment},
+        env={**os.environ, CACHE_VARIABLE: str(cache)},
         capture_output=True,
         text=True,
         check=False,

@@ -30,11 +30,6 @@ def main() -> None:
     began_s = time.perf_counter()
     from taichi_nmm import Settings, load_gains, simulate
 
-    if options.lanes is not None:
-        from taichi_nmm.kernel import backend, registers
-
-        backend.LANES_CPU = options.lanes
-        registers.WIDTHS = dict.fromkeys(registers.WIDTHS, options.lanes)
     arch = "cpu" if options.threads else options.arch
     run = partial(simulate, settings=Settings(arch=arch, threads=options.threads))
     run(load_gains(PUBLISHED), duration_s=TICK_S)  # compiles
@@ -67,7 +62,6 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--arch", default="auto")
     parser.add_argument("--root", default=str(Path(__file__).resolve().parents[1]))
     parser.add_argument("--threads", type=int, help="on the CPU")
-    parser.add_argument("--lanes", type=int, help="walkers side by side; default: the simulator's")
     return parser.parse_args()
 
 

@@ -1,15 +1,11 @@
 """Measure MuJoCo as the engine of a walk against the figures it must show, as a Markdown table.
 
 Standing load, the two known gaits, agreement with our own engine over the search space and of
-MuJoCo with itself at half the step, speed of the engine and of the controller. Needs the package
-mujoco. About ten minutes for 1,000 points; the speeds need an idle machine. Exit codes: 0, 2 bad
-input, 130 interrupted.
+MuJoCo with itself at half the step. Needs the package mujoco. About ten minutes for 1,000 points.
+Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
-import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 from checkout import guarded_imports, run_command
 
@@ -19,11 +15,10 @@ with guarded_imports():
 
     import taichi_nmm
     from storage.points import sobol_points
-    from storage.pool import cores
     from study.commands.validate import Figure, show
     from study.experiment.trials import walked
     from study.options import LARGEST_SEED, Options
-    from taichi_nmm import GAINS, PUBLISHED_GAINS, Bodies, Settings, load_gains, terrain
+    from taichi_nmm import GAINS, PUBLISHED_GAINS, Settings, load_gains
     from taichi_nmm.walker_simulator import require_engine
 
 LONG_S = 100.0
@@ -33,11 +28,6 @@ OURS = Settings()
 MUJOCO = Settings(engine="mujoco")
 HALF_STEP = Settings(engine="mujoco", physics_step_s=0.5e-3)
 BATCH = 250  # Sobol points at once
-
-WALKERS = 64  # of the speeds
-TIMED_S = 3.0  # of walking
-TIMED_TICKS = 2000
-GENTLE = 0.02  # roughness, m, and disturbance: so that all stay up while they are timed
 
 
 def main() -> None:
@@ -52,7 +42,6 @@ def main() -> None:
 
 
 def measure(samples: int, seed: int) -> Iterator[Figure]:
-    yield from speeds()
     yield from known_gaits()
     gains = sobol_points(seed, 0, samples, GAINS)
     ours, mujoco, half = (verdicts(gains, settings) for settings in (OURS, MUJOCO, HALF_STEP))
@@ -91,60 +80,6 @@ def verdicts(
 
 def share(which: NDArray[np.bool_]) -> float:
     return 100.0 * float(np.mean(which))
-
-
-def speeds() -> Iterator[Figure]:
-    """Walker-steps a second of processes side by side, and the time of a tick of the controller."""
-    together = []
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        list(pool.map(walker_steps_per_s, range(2)))  # compiles
-        alone = list(pool.map(walker_steps_per_s, range(1)))
-        if cores() > 1:
-            together = list(pool.map(walker_steps_per_s, range(2)))
-    what = f"walker-steps a second, {WALKERS} walkers on rough ground, one core"
-    yield Figure(what, alone[0], 45_000)
-    if together:
-        yield Figure("two processes on two cores, over one", sum(together) / alone[0], 1.8)
-    yield Figure(f"controller: a tick of {WALKERS} walkers", tick_us(), 0, 200, "us")
-
-
-def walker_steps_per_s(index: int) -> float:
-    """The speed of `WALKERS` walkers that stay up, on one thread; setting up is not timed."""
-    settings = Settings(engine="mujoco", threads=1)
-    grounds = [terrain.rough(seed, amplitude_m=GENTLE) for seed in range(WALKERS)]
-    bodies = Bodies.disturbed(range(WALKERS), GENTLE)
-    times: dict[float, float] = {}
-
-    def note(simulated_s: float, active: int) -> None:
-        times[simulated_s] = time.perf_counter()
-        if active < WALKERS:
-            raise RuntimeError("a walker fell while it was timed")
-
-    taichi_nmm.simulate(
-        np.tile(PUBLISHED_GAINS, (WALKERS, 1)),
-        duration_s=TIMED_S, bodies=bodies, terrains=grounds, settings=settings, progress=note,
-    )  # fmt: skip
-    first, last = min(times), max(times)
-    return WALKERS * 1e3 * (last - first) / (times[last] - times[first])
-
-
-def tick_us() -> float:
-    """Median time of `Controller.step` for `WALKERS` standing walkers."""
-    pairs, joints = np.ones((WALKERS, 2)), np.zeros((WALKERS, 6))
-    zeros = np.zeros(WALKERS)
-    sensed = taichi_nmm.Observation(
-        joints, joints, zeros, zeros, pairs, 400.0 * pairs,
-        pairs, 0.5 * np.pi * pairs, 0.0 * pairs, zeros,
-    )  # fmt: skip
-    gains, settings = np.tile(PUBLISHED_GAINS, (WALKERS, 1)), Settings(threads=1)
-    controller = taichi_nmm.Controller(gains, settings=settings)
-    controller.step(sensed)
-    took = []
-    for _ in range(TIMED_TICKS):
-        began_s = time.perf_counter()
-        controller.step(sensed)
-        took.append(time.perf_counter() - began_s)
-    return 1e6 * float(np.median(took))
 
 
 if __name__ == "__main__":

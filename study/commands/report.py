@@ -8,7 +8,6 @@ unfinished comparison covers its finished trials, and states how many those are.
 comparison are simulated again and drawn. Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
-import sys
 from argparse import Namespace
 
 from storage.commit import require_named
@@ -18,8 +17,6 @@ from study.report.runs import known_stores, read_results
 from study.report.writing import REPORT_NAME, write_overview, write_report
 from taichi_nmm.errors import InputError
 
-NO_GROUND = "the folder is of version 0.1.0 and does not name its ground"
-
 
 def main(args: Namespace) -> None:
     """Report on every folder."""
@@ -28,16 +25,13 @@ def main(args: Namespace) -> None:
             "out", str(args.out), f"two folders or more; of one, it is DIR/{REPORT_NAME}"
         )
     everything = [read_results(folder) for folder in args.folders]
-    experiments = [documented_experiment(results.facts) for results in everything]
+    drawn = not args.no_strips
+    experiments = [documented_experiment(known.facts) if drawn else None for known in everything]
     if args.out is not None:
         require_named(args.out)
     found = []
     for results, experiment in zip(everything, experiments, strict=True):
-        pair = None
-        if not args.no_strips and experiment is not None:
-            pair = before_and_after(results, experiment)
-        elif not args.no_strips:
-            print(f"{results.name}: no strips ({NO_GROUND})", file=sys.stderr)
+        pair = before_and_after(results, experiment) if experiment is not None else None
         found.append(write_report(results, pair, stores=known_stores(results)))
         state = "" if results.complete else f" ({results.found:,} of {results.planned:,} trials)"
         print(f"{results.folder / REPORT_NAME}: {results.name}{state}", flush=True)

@@ -93,14 +93,13 @@ def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.
 def write_model(path: Path, experiment: Experiment, run: int) -> None:
     """MuJoCo's model of a run's body and ground, standing where the walk starts."""
     from taichi_nmm.mujoco_engine.engine import start_state
-    from taichi_nmm.mujoco_engine.ground import boxes
     from taichi_nmm.mujoco_engine.mjcf import write_mjcf
 
     terrain, settings = experiment.terrain(run), experiment.conditions.settings
     body, friction = experiment.body(run), float(experiment.world(run).friction[0])
 
     def write(temporary: Path) -> None:
-        write_mjcf(temporary, body, friction, boxes(terrain), settings, start_state(terrain))
+        write_mjcf(temporary, body, friction, terrain, settings, start_state(terrain))
 
     def check(temporary: Path) -> None:
         if not temporary.read_text(encoding="utf-8").endswith("</mujoco>\n"):
@@ -113,7 +112,8 @@ def write_engines(
     gains: NamedGains, result: taichi_nmm.Result, experiment: Experiment, run: int, folder: Path
 ) -> dict[str, str]:
     """Simulate the same gains on MuJoCo, and draw both walks one above the other."""
-    from study.report.before_after import Pair, Shown, write_strips  # the report: 0.4 s
+    from study.pictures.strip import Shown
+    from study.report.before_after import Pair, write_strips  # the report: 0.4 s
 
     other = simulate(gains, experiment.with_settings(engine="mujoco"), run)
     first, second = (

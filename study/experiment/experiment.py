@@ -160,11 +160,8 @@ def experiment_of(
     """The experiment of a configuration's tables; `name` is used where they have none."""
     objective, stores = table.table("objective"), table.table("stores")
     configured = table.integer("seed")
-    name = table.text("name", name)  # becomes a part of studies' and folders' names
-    if not re.fullmatch(NAME_PATTERN, name):
-        raise InputError("name", name, NAME_WORDS)
     experiment = Experiment(
-        name=name,
+        name=read_name(table, name),
         seed=configured if seed is None else Table({"seed": seed}).integer("seed"),
         searched=table.texts("searched", SEARCHABLE),
         cost=objective.text("cost", "smooth", tuple(COST_FUNCTIONS)),
@@ -178,6 +175,14 @@ def experiment_of(
     objective.done()
     table.done()
     return experiment
+
+
+def read_name(table: Table, name: str) -> str:
+    """The name of an experiment, which becomes a part of studies' and folders' names."""
+    name = table.text("name", name)
+    if not re.fullmatch(NAME_PATTERN, name):
+        raise InputError("name", name, NAME_WORDS)
+    return name
 
 
 def as_written(experiment: Experiment) -> dict[str, Any]:

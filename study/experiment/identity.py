@@ -17,11 +17,12 @@ from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.stores import store_digest, store_path
 from taichi_nmm import __version__
 from taichi_nmm.config import Table
+from taichi_nmm.errors import InputError
 from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.walker_simulator import terrain_document
 
 PACKAGES = (COMPILER, "optuna", "cma", "cmaes", "numpy", "scipy")
-GROWING = ("ground", "arms", "stores")  # parts that later calls add to
+GROWING = ("arms", "stores")  # parts that later calls add to
 FINGERPRINT_LENGTH = 16
 LIVE_ATTRIBUTE = "experiment"  # of a live study: its document; of a comparison's: a name
 
@@ -66,14 +67,15 @@ def fingerprint(experiment: Experiment) -> str:
     return document_hash(document(experiment, ()))[:FINGERPRINT_LENGTH]
 
 
-def documented_experiment(known: dict[str, Any]) -> Experiment | None:
-    """The experiment of a document; None of one from before grounds were written into it.
+def documented_experiment(known: dict[str, Any]) -> Experiment:
+    """The experiment of a document.
 
     Raises:
-        InputError: a document that is damaged.
+        InputError: a document that is damaged, or names no ground.
     """
     if not known.get("ground"):
-        return None
+        allowed = "a comparison whose experiment.json names its ground; or report with --no-strips"
+        raise InputError("folder", known.get("name"), allowed)
     names = ("name", "seed", "searched", "objective", "simulation", "body")
     tables = {name: known.get(name) for name in names} | {"terrain": known["ground"]}
     tables["world"] = known.get("world", {})

@@ -6,7 +6,6 @@ of the same parameters is the same for all arms. Beside our sampler stand the ra
 Optuna's samplers, which begin with nothing or with the ranking's first rows.
 """
 
-import re
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator
@@ -36,8 +35,7 @@ from study.experiment.compare import work_through
 from study.experiment.experiment import (
     MOST_RUNS,
     MOST_TRIALS,
-    NAME_PATTERN,
-    NAME_WORDS,
+    read_name,
     study_name,
 )
 from study.experiment.features import table_of_worlds
@@ -181,9 +179,6 @@ def read_robots(
     simulator = read_simulator(table, None)
     simulation, objective = table.table("simulation"), table.table("objective")
     costs = [name for name in simulator.scores if name != simulator.survived]
-    name = table.text("name", path.stem)  # becomes a part of studies' and folders' names
-    if not re.fullmatch(NAME_PATTERN, name):
-        raise InputError("name", name, NAME_WORDS)
     numbers = (
         table.integer("seed"),
         table.integer("runs", 50, 1, MOST_RUNS),
@@ -192,7 +187,7 @@ def read_robots(
     chosen = zip((seed, runs, trials), numbers, strict=True)
     seed, runs, trials = (own if given is None else given for given, own in chosen)
     experiment = RobotExperiment(
-        name=name,
+        name=read_name(table, path.stem),
         seed=seed,
         simulator=simulator,
         rule=simulator.read_worlds(table),

@@ -22,8 +22,7 @@ from bokeh.plotting import figure
 
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.gains import NamedGains, gains_of_trial
-from study.explore.server import Message
-from study.explore.stage import SCRIPTS
+from study.explore.server import SCRIPTS, Message
 from study.explore.walk import Setting
 from study.pictures import style
 from study.report.figures import TICKS, Look, looks, piles, trial_places

@@ -3,6 +3,7 @@
 import html
 from collections.abc import Callable
 from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -91,10 +92,7 @@ def _store(path: Path) -> Store:
 
 def _comparison(path: Path) -> tuple[Results, Experiment]:
     results = read_results(path)
-    experiment = documented_experiment(results.facts)
-    if experiment is None:
-        raise InputError("folder", str(path), "a comparison whose experiment.json names its ground")
-    return results, experiment
+    return results, documented_experiment(results.facts)
 
 
 def _store_half(path: Path, message: Message, view: WalkView) -> Left:
@@ -103,7 +101,7 @@ def _store_half(path: Path, message: Message, view: WalkView) -> Left:
         store,
         message,
         pick=lambda place, row: view.show(gains_at(store, place, row)),
-        save=lambda ranges, suffix: view.save(file_of_selection, path, ranges, suffix),
+        save=partial(view.save, file_of_selection, path),
     )
     title = f"{path}: {len(store):,} rows"
     return title, points.layout, lambda: view.show(gains_of_source(FIRST_GAIT))
@@ -114,7 +112,7 @@ def _robot_half(path: Path, store: Store, message: Message, view: RobotView) -> 
         store,
         message,
         pick=lambda place, row: view.show(store, place),
-        save=lambda ranges, suffix: view.save(file_of_selection, path, ranges, suffix),
+        save=partial(view.save, file_of_selection, path),
     )
     title = f"{path}: {len(store):,} rows of {store.simulator}"
     return title, points.layout, lambda: None

@@ -8,20 +8,17 @@ import base64
 import html
 import os
 import tempfile
-from collections.abc import Callable
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 from bokeh.document import Document
 from bokeh.layouts import column, row
-from bokeh.models import Button, ColumnDataSource, CustomJS, Div, Select
+from bokeh.models import Button, Div, Select
 
 from storage.store import Store
-from study.explore.server import Latest, Message
-from study.explore.stage import SCRIPTS
+from study.explore.server import Latest, Message, Saver
 from taichi_nmm.errors import InputError
 
 BASE = "base setting"
@@ -41,14 +38,11 @@ class RobotView:
         self._message, self._simulator = message, simulator
         self._shown: tuple[Store, int] | None = None
         self._films = Latest(document, makers, self._filmed, message.failed)
-        self._files = Latest(document, makers, self._made, message.failed)
-        self._save = ColumnDataSource(
-            {"name": [""], "content": [np.zeros(0, np.uint8)]}, name="save"
-        )
-        self._save.js_on_change("data", CustomJS.from_file(SCRIPTS / "save.mjs", source=self._save))
+        saver = Saver(document, makers, message)
+        self.save = saver.save
         self._numbers = Div(text="click a point", name="numbers", width=WIDTH_PX, disable_math=True)
         self._video = Div(text="", name="film", width=WIDTH_PX, disable_math=True)
-        self._video.tags = [self._save]  # Bokeh sends only models that the layout refers to
+        self._video.tags = [saver.source]
         self._world = Select(title="world", options=[BASE], value=BASE, width=230, name="world")
         durations = [f"{duration:g} s" for duration in DURATIONS_S]
         self._duration = Select(title="at most", options=durations, value=durations[0], width=90)
@@ -65,11 +59,6 @@ class RobotView:
         self._numbers.text = numbers_text(store, place)
         if self._simulator is not None:
             self._film()
-
-    def save(self, function: Callable[..., Any], *arguments: Any) -> None:
-        """Make a file in another process; then the browser saves it."""
-        self._message.tell("making the file ...")
-        self._files.ask(function, *arguments)
 
     def _film(self) -> None:
         if self._shown is None or self._simulator is None:
@@ -89,11 +78,6 @@ class RobotView:
             f'<video width="{WIDTH_PX}" autoplay loop controls muted '
             f'src="data:video/mp4;base64,{film}"></video>'
         )
-
-    def _made(self, file: tuple[str, bytes]) -> None:
-        name, content = file
-        self._message.tell("")
-        self._save.data = {"name": [name], "content": [np.frombuffer(content, np.uint8)]}
 
 
 def world_names(store: Store) -> list[str]:

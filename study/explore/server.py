@@ -12,10 +12,12 @@ import zlib
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from functools import partial
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 from bokeh.document import Document
-from bokeh.models import Div
+from bokeh.models import ColumnDataSource, CustomJS, Div
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
 from bokeh.server.util import bind_sockets
@@ -123,6 +125,7 @@ class Latest:
         self._closed, self._waits = True, None
 
 
+SCRIPTS = Path(__file__).parent / "scripts"
 WARNING = "#B3261E"
 OURS = "this did not work; the error is printed where the command was started"
 
@@ -164,3 +167,26 @@ class Message:
         """Call when an attribute of a model has changed."""
         answer = self.safely(call)
         model.on_change(attribute, lambda attr, old, new: answer())
+
+
+class Saver:
+    """Files that are made in another process, and saved by the browser."""
+
+    def __init__(self, document: Document, makers: Executor, message: Message) -> None:
+        self._message = message
+        self._files = Latest(document, makers, self._made, message.failed)
+        self.source = ColumnDataSource(
+            {"name": [""], "content": [np.zeros(0, np.uint8)]}, name="save"
+        )  # a model of the layout has it among its `tags`: Bokeh sends no others
+        script = CustomJS.from_file(SCRIPTS / "save.mjs", source=self.source)
+        self.source.js_on_change("data", script)
+
+    def save(self, function: Callable[..., tuple[str, bytes]], *arguments: Any) -> None:
+        """Make a file, of this name and content; then the browser saves it."""
+        self._message.tell("making the file ...")
+        self._files.ask(function, *arguments)
+
+    def _made(self, file: tuple[str, bytes]) -> None:
+        name, content = file
+        self._message.tell("")
+        self.source.data = {"name": [name], "content": [np.frombuffer(content, np.uint8)]}

@@ -1,7 +1,6 @@
 """A walk on the page: the stick figure that plays, its gait cycle, and its scores."""
 
 import html
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +8,7 @@ from bokeh.layouts import column, row
 from bokeh.models import Column, ColumnDataSource, CustomJS, Div, Range1d, Select, Slider, Toggle
 from bokeh.plotting import figure
 
+from study.explore.server import SCRIPTS
 from study.explore.walk import COLOURS, Walk
 from study.pictures import style
 from study.pictures.gait_cycle import (
@@ -23,7 +23,6 @@ from study.pictures.scene import BELOW_GROUND_M, VIEW_WIDTH_M
 from study.pictures.stick_figure import HEAD_RADIUS_M, PATH_POINTS, finite
 from taichi_nmm.result import MUSCLES, OUTCOME_FIELDS, SCORE_FIELDS
 
-SCRIPTS = Path(__file__).parent / "scripts"
 FRAME_PX = (720, 370)
 BONE_PX = 7
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x")

@@ -33,8 +33,7 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from storage.store import EVOLVED_ROW, ORIGIN, Store
-from study.explore.server import Message
-from study.explore.stage import SCRIPTS
+from study.explore.server import SCRIPTS, Message
 from study.pictures import style
 from taichi_nmm.errors import InputError
 

@@ -13,8 +13,6 @@ from bokeh.layouts import column, row
 from bokeh.models import (
     Button,
     Column,
-    ColumnDataSource,
-    CustomJS,
     Div,
     NumericInput,
     RadioButtonGroup,
@@ -25,8 +23,8 @@ from bokeh.models import (
 
 from study.experiment.gains import NamedGains, gains_of_source
 from study.explore.downloads import NAMES, command_line, file_of_walk
-from study.explore.server import Latest, Message
-from study.explore.stage import SCRIPTS, Cycle, Player, Score
+from study.explore.server import Latest, Message, Saver
+from study.explore.stage import Cycle, Player, Score
 from study.explore.walk import (
     DISTURBANCES,
     DURATIONS_S,
@@ -65,7 +63,8 @@ class WalkView:
         self._beside: NamedGains | None = None
         self._first = True  # later walks are compared with the next one
         self._walks = Latest(document, walkers, self._walked, message.failed)
-        self._files = Latest(document, makers, self._made, message.failed)
+        saver = Saver(document, makers, message)
+        self.save = saver.save
         self._player, self._score, self._cycle = Player(), Score(), Cycle()
         beside = partial(self._player.show, place=1)
         self._others = Latest(document, walkers, beside, message.failed)
@@ -73,17 +72,13 @@ class WalkView:
         self._choices = _choices(tried)
         for name, choice in self._choices.items():
             message.watch(choice, "value", partial(self._chosen, name))
-        self._save = ColumnDataSource(
-            {"name": [""], "content": [np.zeros(0, np.uint8)]}, name="save"
-        )
-        self._save.js_on_change("data", CustomJS.from_file(SCRIPTS / "save.mjs", source=self._save))
         self._command = Div(text="", name="command", width=700, disable_math=True)
         self._parts = {
             "gains": self._hands.layout, "score": self._score.layout,
             "stride beside people": self._cycle.layout, "take it with you": self._taking(),
         }  # fmt: skip
         self._part = RadioButtonGroup(labels=list(self._parts), active=0, name="part")
-        self._part.tags = [self._save]  # Bokeh sends only models that the layout refers to
+        self._part.tags = [saver.source]
         self._below = column(self._hands.layout)
         message.watch(self._part, "active", self._turn)
         keep = Button(label="keep it beside", width=110, name="keep")
@@ -100,11 +95,6 @@ class WalkView:
         self._first = True
         self._tried = setting or self._tried
         self._again()
-
-    def save(self, function: Callable[..., Any], *arguments: Any) -> None:
-        """Make a file in another process; then the browser saves it."""
-        self._message.tell("making the file ...")
-        self._files.ask(function, *arguments)
 
     def _setting(self) -> Setting:
         chosen = {name: choice.value for name, choice in self._choices.items()}
@@ -143,11 +133,6 @@ class WalkView:
         if self._walk is not None:
             self._beside = self._walk.gains
             self._player.show(self._walk, place=1)
-
-    def _made(self, file: tuple[str, bytes]) -> None:
-        name, content = file
-        self._message.tell("")
-        self._save.data = {"name": [name], "content": [np.frombuffer(content, np.uint8)]}
 
     def _taking(self) -> Any:
         buttons = []

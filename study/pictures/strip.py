@@ -1,8 +1,7 @@
-"""A strip of stick figures over the ground they walk on, to scale."""
+"""Strips of stick figures over the ground they walk on, to scale; one or several walks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,10 +29,13 @@ SHOWN_M = 6.6
 POSE_SPACING_M = 0.66  # not a whole number of steps: the poses run through the stride
 GHOST_INTERVAL_S = 0.04
 MARGIN_M = 0.7
+COMPARED_M = SHOWN_M + 2.0 * MARGIN_M  # width of the strips of several walks
 NARROWEST_M = 4.0
 ABOVE_HIP_M = 0.95
 BELOW_GROUND_M = 0.16
 SCALE_IN_PER_M = 1.12
+LEFT_IN, RIGHT_IN, TITLE_IN, AXIS_IN, PROFILE_IN = 0.75, 1.0, 0.35, 0.45, 0.7
+COLOURS = (style.VERMILION, style.BLUE)  # of two walks
 KEY = f"Left leg in front. Thin: left leg every {1e3 * GHOST_INTERVAL_S:.0f} ms. Blue: hip."
 GROUND_LAYER = 100.0  # over the soles: a foot is a line, and half its drawn width is below it
 LEVEL_M = 0.01  # ground that varies by less is level
@@ -82,20 +84,22 @@ class Stretch:
         axes.plot(*near.hip.T, color=hip_colour, linewidth=0.8, zorder=1.6)
 
 
-def last_stretch(
-    trajectory: Trajectory,
-    terrain: Terrain,
-    shown_m: float = SHOWN_M,
-    width_m: float | None = None,
-    below_m: float = BELOW_GROUND_M,
-) -> Stretch:
-    """The last `shown_m` metres of the hip's way; poses are about `POSE_SPACING_M` apart, evenly.
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A walk as it was simulated for a picture."""
 
-    The frame is by default as wide as the poses, and shows `below_m` of ground below its lowest
-    point.
+    label: str  # a word for it, such as "before"
+    title: str  # which walk it is, and how it ended
+    trajectory: Trajectory  # about 50 samples a second or more
+
+
+def last_stretch(trajectory: Trajectory, terrain: Terrain, width_m: float | None = None) -> Stretch:
+    """The last `SHOWN_M` of the hip's way; poses are about `POSE_SPACING_M` apart, evenly.
+
+    The frame is by default as wide as the poses.
     """
     trajectory = finite(trajectory)
-    start_s, end_s = last_metres(trajectory, shown_m)
+    start_s, end_s = last_metres(trajectory, SHOWN_M)
     x = np.interp([start_s, end_s], trajectory.time_s, trajectory.q[:, 0])
     count = max(round(abs(x[1] - x[0]) / POSE_SPACING_M), 1) + 1
     poses_s = np.linspace(start_s, end_s, count)
@@ -104,7 +108,7 @@ def last_stretch(
     low_x = 0.5 * (q[:, 0].min() + q[:, 0].max() - width)
     high_x = low_x + width
     ground = terrain.height(np.linspace(low_x, high_x, 200))
-    frame = (low_x, high_x, ground.min() - below_m, q[:, 1].max() + ABOVE_HIP_M)
+    frame = (low_x, high_x, ground.min() - BELOW_GROUND_M, q[:, 1].max() + ABOVE_HIP_M)
     return Stretch(terrain, trajectory, poses_s, frame)
 
 
@@ -130,38 +134,49 @@ def write_strip(
     Raises:
         InputError: the file cannot be written.
     """
-    shown = last_stretch(trajectory, terrain)
-    x = shown.trajectory.q[:, 0]
-    ground = terrain.height(np.linspace(x.min(), x.max() + 1.0, 4000))
-    figure, axes, bar, profile = _layout(shown.size_m, bool(np.ptp(ground) > LEVEL_M), dpi)
-    activation_bar(bar, shown.draw(axes, style.MODEL))
-    if profile is not None:
-        draw_profile(profile, [shown], [style.MODEL])
-        profile.set_xlabel("from the start: distance (m)", fontsize=style.TEXT_PT, color=style.INK)
-    axes.set_title(title, loc="left", fontsize=style.TITLE_PT, color=style.INK, pad=20)
-    axes.text(0.0, 1.012, KEY, transform=axes.transAxes, fontsize=style.SMALL_PT, color=style.INK)
+    figure = strips_figure([Shown("", KEY, trajectory)], terrain, title, dpi)
     return style.save_png(figure, path)
 
 
-def _layout(
-    size_m: tuple[float, float], with_profile: bool, dpi: int
-) -> tuple[Figure, Axes, Axes, Axes | None]:
-    """Figure, axes of the poses, of the colour bar, and of the profile if there is one."""
-    strip_in = size_m[1] * SCALE_IN_PER_M
-    profile_in = 1.25 if with_profile else 0.0
-    width_in = size_m[0] * SCALE_IN_PER_M + 1.6
-    height_in = strip_in + profile_in + 1.05
-    figure = style.new_figure(width_in, height_in, dpi)
-    box = partial(style.axes_at, figure)
-    axes = box(0.6, profile_in + 0.5, width_in - 1.6, strip_in)
-    axes.set_aspect("equal", anchor="W")
-    axes.set_xlabel("distance (m)", fontsize=style.TEXT_PT, color=style.INK)
-    bar = box(width_in - 0.85, profile_in + 0.5 + 0.15 * strip_in, 0.13, 0.7 * strip_in)
-    profile = box(0.6, 0.5, width_in - 1.6, profile_in - 0.65) if with_profile else None
-    return figure, axes, bar, profile
+def strips_figure(
+    walks: Sequence[Shown], terrain: Terrain, title: str, dpi: int = style.PNG_DPI
+) -> Figure:
+    """Walks on one ground below each other; then, where it is not level, the ground's profile."""
+    width_m = COMPARED_M if len(walks) > 1 else None
+    parts = [last_stretch(walk.trajectory, terrain, width_m) for walk in walks]
+    colours = COLOURS if len(walks) > 1 else (style.MODEL,)
+    x = [part.trajectory.q[:, 0] for part in parts]
+    from_m, to_m = min(each.min() for each in x), max(each.max() for each in x) + 1.0
+    with_profile = np.ptp(terrain.height(np.linspace(from_m, to_m, 4000))) > LEVEL_M
+    strip_in = [part.size_m[1] * SCALE_IN_PER_M for part in parts]
+    wide_in = parts[0].size_m[0] * SCALE_IN_PER_M
+    width = LEFT_IN + wide_in + RIGHT_IN
+    height = TITLE_IN + sum(strip_in) + len(parts) * (TITLE_IN + AXIS_IN)
+    height += (PROFILE_IN + AXIS_IN + 0.1) * with_profile
+    figure = style.new_figure(width, height, dpi)
+    figure.text(
+        LEFT_IN / width, 1.0 - 0.2 / height, title,
+        fontsize=style.TITLE_PT, color=style.INK, va="center",
+    )  # fmt: skip
+    bottom = height - TITLE_IN
+    for walk, part, colour, high_in in zip(walks, parts, colours, strip_in, strict=True):
+        bottom -= TITLE_IN + high_in
+        axes = style.axes_at(figure, LEFT_IN, bottom, wide_in, high_in)
+        muscles = part.draw(axes, colour)
+        axes.set_title(walk.title, loc="left", fontsize=style.TEXT_PT, color=style.INK)
+        axes.set_xlabel("distance (m)", fontsize=style.TEXT_PT, color=style.INK)
+        bottom -= AXIS_IN
+    bar_in, bar_bottom = min(1.6, strip_in[0]), height - 2.0 * TITLE_IN - strip_in[0]
+    activation_bar(style.axes_at(figure, width - 0.85, bar_bottom, 0.13, bar_in), muscles)
+    if with_profile:
+        axes = style.axes_at(figure, LEFT_IN, AXIS_IN, wide_in, PROFILE_IN)
+        _draw_profile(axes, walks, parts, colours)
+    return figure
 
 
-def draw_profile(axes: Axes, parts: Sequence[Stretch], colours: Sequence[str]) -> None:
+def _draw_profile(
+    axes: Axes, walks: Sequence[Shown], parts: Sequence[Stretch], colours: Sequence[str]
+) -> None:
     """The ground as far as walks on it came, small, with the stretches marked in their colours."""
     low = min(min(part.trajectory.q[0, 0], part.frame[0]) for part in parts)
     high = max(max(part.trajectory.q[:, 0].max() + 1.0, part.frame[1]) for part in parts)
@@ -172,9 +187,15 @@ def draw_profile(axes: Axes, parts: Sequence[Stretch], colours: Sequence[str]) -
     style.tidy(axes)
     _draw_ground(axes, x, height, bottom)
     axes.set(xlim=(low, high), ylim=(bottom, height.max() + margin))
+    axes.set_xlabel("from the start: distance (m)", fontsize=style.TEXT_PT, color=style.INK)
     axes.set_ylabel("ground (m)", fontsize=style.TEXT_PT, color=style.INK)
-    for part, colour in zip(parts, colours, strict=True):
+    for walk, part, colour in zip(walks, parts, colours, strict=True):
         axes.axvspan(*part.frame[:2], color=colour, alpha=0.25, linewidth=0, zorder=3)
+        axes.annotate(
+            walk.label, xy=(np.mean(part.frame[:2]), 1.0), xytext=(0, 2),
+            xycoords=("data", "axes fraction"), textcoords="offset points", ha="center",
+            fontsize=style.SMALL_PT, color=colour,
+        )  # fmt: skip
 
 
 def _draw_ground(axes: Axes, x_m: Array, height_m: Array, bottom_m: float) -> None:

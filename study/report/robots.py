@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from study.experiment.robots import ARMS, RobotExperiment
+from study.report.markdown import table
 from study.report.numbers import mcnemar, wilcoxon
 from study.report.runs import ArmRuns
 
@@ -46,61 +47,54 @@ class RobotResults:
     def markdown(self) -> str:
         """The report."""
         known = self.experiment
-        return "\n".join([
+        return "\n\n".join([
             f"# {known.name}",
-            "",
             f"{known.runs} robots of {known.simulator.name}, {known.trials} trials of"
             f" {known.duration_s:g} s on each, seed {known.seed}. A robot's world is drawn from the"
             f" ranges of the configuration. A run that lasts costs its {known.cost}, at most"
             f" {known.fell_cost:g}; one that ends early costs more, up to {2 * known.fell_cost:g}."
             f" Samplers are told costs with {100 * known.noise:g} % noise; the tables are without.",
-            "",
-            *self._walkers(),
-            "",
-            *self._costs(),
+            self._walkers(),
+            self._costs(),
             *self._tests(),
-            "",
-        ])  # fmt: skip
+        ]) + "\n"  # fmt: skip
 
-    def _walkers(self) -> Iterator[str]:
+    def _walkers(self) -> str:
         within = [at for at in FIRST_TRIALS if at < self.experiment.trials]
         heads = ["first trial" if at == 1 else f"one of the first {at}" for at in within]
-        yield f"| robots on which a trial lasted | knows of the store | {' | '.join(heads)} | any |"
-        yield "|---|---|" + "---:|" * (len(within) + 1)
+        rows = []
         for arm, own in self.arms.items():
             counts = [str(own.has_walker[:, at - 1].sum()) for at in (*within, own.trials)]
-            yield f"| {ARMS[arm].label} | {ARMS[arm].sees} | {' | '.join(counts)} |"
+            rows.append([ARMS[arm].label, ARMS[arm].sees, *counts])
+        first = "robots on which a trial lasted", "knows of the store"
+        return table([*first, *heads, "any"], rows)
 
-    def _costs(self) -> Iterator[str]:
-        at = self.checkpoints
-        heads = " | ".join(f"after {trials}" for trials in at)
-        yield f"| median of the least cost | first trial that lasts | {heads} |"
-        yield "|---|---:|" + "---:|" * len(at)
+    def _costs(self) -> str:
+        rows = []
         for arm, own in self.arms.items():
             first = float(np.median(own.first_walker))
-            cells = [f"{np.median(own.best[:, trials - 1]):.3g}" for trials in at]
-            shown = f"{first:g}" if np.isfinite(first) else "none"
-            yield f"| {ARMS[arm].label} | {shown} | {' | '.join(cells)} |"
+            cells = [f"{np.median(own.best[:, trials - 1]):.3g}" for trials in self.checkpoints]
+            rows.append([ARMS[arm].label, f"{first:g}" if np.isfinite(first) else "none", *cells])
+        heads = [f"after {trials}" for trials in self.checkpoints]
+        return table(["median of the least cost", "first trial that lasts", *heads], rows)
 
     def _tests(self) -> Iterator[str]:
         """Wilcoxon's signed ranks of costs, McNemar's test of robots with a walker."""
-        at = self.checkpoints
         for ours in OURS:
             others = [arm for arm in self.arms if arm != ours]
             if ours not in self.arms or not others:
                 continue
-            heads = " | ".join(f"after {trials}: won | lost | p" for trials in at)
-            yield ""
-            yield f"| {ARMS[ours].label} against | {heads} | walkers: p |"
-            yield "|---|" + "---:|" * (3 * len(at) + 1)
+            rows = []
             for other in others:
                 cells = []
-                for trials in at:
+                for trials in self.checkpoints:
                     mine, theirs = (self.arms[arm].best[:, trials - 1] for arm in (ours, other))
                     p = wilcoxon(mine, theirs).p
                     cells += [str((mine < theirs).sum()), str((mine > theirs).sum()), f"{p:.2g}"]
                 p = mcnemar(*(self.arms[arm].has_walker[:, -1] for arm in (ours, other))).p
-                yield f"| {ARMS[other].label} | {' | '.join(cells)} | {p:.2g} |"
+                rows.append([ARMS[other].label, *cells, f"{p:.2g}"])
+            heads = [h for at in self.checkpoints for h in (f"after {at}: won", "lost", "p")]
+            yield table([f"{ARMS[ours].label} against", *heads, "walkers: p"], rows)
 
     def draw(self, path: Path) -> None:
         """Robots with a walker, and the median of the least cost, against trials."""

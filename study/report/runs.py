@@ -35,7 +35,6 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, json_document, reading
 
 COLUMNS = ("experiment", "arm", "run", "trial", "cost", "best_cost", "walked")
-LARGEST_SMOOTH_COST = 20.0  # the smooth cost is below 1.4 unless a walker races; a fall is 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,9 +134,7 @@ def read_results(folder: str | Path) -> Results:
         for arm, rows in arms.items()
     }
     name = next(iter(arms.values()))["experiment"][0].as_py()
-    largest = max(float(arm.best[:, 0].max()) for arm in runs.values())
-    as_its_size_tells = "smooth" if largest < LARGEST_SMOOTH_COST else "walking"
-    cost = facts.get("objective", {}).get("cost", as_its_size_tells)
+    cost = facts.get("objective", {}).get("cost", "smooth")
     return Results(folder, name, cost, runs, facts)
 
 

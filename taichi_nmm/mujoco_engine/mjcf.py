@@ -45,8 +45,8 @@ from taichi_nmm.body import (
 )
 from taichi_nmm.kernel import joints as stops
 from taichi_nmm.kernel.contact_planes import PLANES, PLANES_PER_SOLE, SOLE_RADIUS_M
-from taichi_nmm.mujoco_engine.ground import Boxes
 from taichi_nmm.settings import LIMITS_AS_STOPS, Settings
+from taichi_nmm.terrain import GRID_X_M, Terrain
 
 Array = NDArray[np.float64]
 
@@ -159,6 +159,8 @@ IMPRATIO = 10.0  # of friction to normal impedance: feet creep less
 SIDES = ("l", "r")
 JOINTS = tuple(f"{segment}_{side}" for side in SIDES for segment in STOPS)
 VIEWED_M = 2.0  # of a file opened in MuJoCo's viewer
+HALF_WIDTH_M, BASE_M = 1.0, 1.0  # of its ground; the second below the lowest place
+LEAST_RANGE_M = 1e-3  # of heights of a level ground
 FOOT_SENSOR = 4  # numbers: contacts found, then the force x, y, z
 
 
@@ -187,23 +189,29 @@ def write_mjcf(
     path: Path,
     bodies: Bodies,
     friction: float,
-    ground: Boxes,
+    ground: Terrain,
     settings: Settings,
     start: Array,
 ) -> None:
-    """Write the model, with the whole ground and the start as key frame, for MuJoCo's viewer.
+    """Write the model, with the ground and the start as key frame, for MuJoCo's viewer.
 
-    `start` is qpos then qvel, [18].
+    A file can only have solids: the ground is a height field of the whole table. `start` is qpos
+    then qvel, [18].
     """
     root = _walker(bodies, settings, friction)
     world = _find(root, "worldbody")
-    for box in range(len(ground)):
-        SubElement(
-            world, "geom",
-            type="box", contype="0", conaffinity="1", rgba="0.6 0.6 0.55 1",
-            size=_numbers(ground.half_size[box]), pos=_numbers(ground.position[box]),
-            quat=_numbers(ground.quaternion[box]),
-        )  # fmt: skip
+    height_m = ground.height_m
+    range_m = max(float(np.ptp(height_m)), LEAST_RANGE_M)  # MuJoCo scales heights from 0 to this
+    SubElement(
+        SubElement(root, "asset"), "hfield",
+        name="ground", nrow="2", ncol=str(len(height_m)), elevation=_numbers(np.tile(height_m, 2)),
+        size=_numbers((0.5 * np.ptp(GRID_X_M), HALF_WIDTH_M, range_m, BASE_M)),
+    )  # fmt: skip
+    SubElement(
+        world, "geom",
+        type="hfield", hfield="ground", contype="0", conaffinity="1", rgba="0.6 0.6 0.55 1",
+        pos=_numbers((GRID_X_M.mean(), 0.0, height_m.min())),
+    )  # fmt: skip
     keyframe = SubElement(root, "keyframe")
     SubElement(keyframe, "key", name="start", qpos=_numbers(start[:9]), qvel=_numbers(start[9:]))
     # Where the viewer looks, and from how far: not at the whole ground.

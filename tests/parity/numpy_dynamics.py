@@ -11,13 +11,9 @@ Arrays: states q, qdot [n, 9] as in `taichi_nmm`, joint torques [n, 6], bodies o
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
+from taichi_nmm.body import SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
 
 Array = NDArray[np.float64]
-
-# Column of q for parent and child of each joint: left hip, knee, ankle, right hip, knee, ankle.
-JOINT_PARENT = (2, 3, 4, 2, 6, 7)
-JOINT_CHILD = (3, 4, 5, 6, 7, 8)
 
 
 def contract(subscripts: str, *operands: Array) -> Array:
@@ -59,26 +55,6 @@ def jacobians(q: Array, bodies: Bodies) -> Array:
     return np.concatenate([base, contract("nik,nkc->nick", arms_m(bodies), e)], axis=-1)
 
 
-def mass_matrix(q: Array, bodies: Bodies) -> Array:
-    """[n, 9, 9]."""
-    jacobian = jacobians(q, bodies)
-    matrix = contract("ni,nica,nicb->nab", bodies.mass_kg, jacobian, jacobian)
-    matrix[:, range(2, 9), range(2, 9)] += bodies.inertia_kgm2
-    return matrix
-
-
-def forward_dynamics(q: Array, qdot: Array, joint_torque: Array, bodies: Bodies) -> Array:
-    """Accelerations [n, 9] in free flight."""
-    turning = contract("nik,nkc,nk->nic", arms_m(bodies), unit_vectors(q), qdot[:, 2:] ** 2)
-    pull = turning + np.array([0.0, -GRAVITY_MPS2])
-    force = contract("ni,nica,nic->na", bodies.mass_kg, jacobians(q, bodies), pull)
-    force[:, JOINT_CHILD] += joint_torque
-    for joint, parent in enumerate(JOINT_PARENT):  # the HAT is parent twice
-        force[:, parent] -= joint_torque[:, joint]
-    acceleration = np.linalg.solve(mass_matrix(q, bodies), force[..., None])[..., 0]
-    return acceleration.astype(np.float64)
-
-
 def com_positions(q: Array, bodies: Bodies) -> Array:
     """Centre of mass of each segment, [n, 7, 2]."""
     return q[:, None, :2] + contract("nik,nkc->nic", arms_m(bodies), unit_vectors(q))
@@ -88,13 +64,6 @@ def com_accelerations(q: Array, qdot: Array, qddot: Array, bodies: Bodies) -> Ar
     """Acceleration of each segment's centre of mass, [n, 7, 2]."""
     turning = contract("nik,nkc,nk->nic", arms_m(bodies), unit_vectors(q), qdot[:, 2:] ** 2)
     return contract("nica,na->nic", jacobians(q, bodies), qddot) - turning
-
-
-def energy(q: Array, qdot: Array, bodies: Bodies) -> Array:
-    """Kinetic and potential energy in J, [n]."""
-    kinetic = 0.5 * contract("na,nab,nb->n", qdot, mass_matrix(q, bodies), qdot)
-    height = com_positions(q, bodies)[..., 1]
-    return kinetic + GRAVITY_MPS2 * contract("ni,ni->n", bodies.mass_kg, height)
 
 
 def momentum(q: Array, qdot: Array, bodies: Bodies) -> Array:

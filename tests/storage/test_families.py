@@ -235,22 +235,6 @@ def test_points_of_plain_stores_are_what_they_were() -> None:
     assert [parameter.name for parameter in one.simulator.searched] == ["k_oe", "theta_ref"]
 
 
-def test_the_simulator_gets_each_walkers_low_level_gains(monkeypatch: pytest.MonkeyPatch) -> None:
-    specification = fake.specification(searched=["theta_ref"], robust=True)
-    angles = []
-
-    def spy(gains: np.ndarray, **options: object) -> object:
-        assert gains.shape[1] == 16
-        angles.append(options["low_level_gains"][:, 7])
-        return fake.simulate(gains, **options)
-
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", spy)
-    table, _ = score_rows(specification, FIRST, lambda _: None)
-    expected, evaluated = (table[name].to_numpy() for name in ("theta_ref", "robust_evaluated"))
-    assert np.array_equal(angles[0], expected)
-    assert np.array_equal(angles[1], np.repeat(expected[evaluated], 6))
-
-
 def test_numbers_of_a_store_are_those_of_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
     """On the real simulator: 17 parameters, and a family called as a user would call it."""
     monkeypatch.delitem(vars(taichi_nmm), "simulate")

@@ -5,11 +5,9 @@ import os
 import shutil
 import signal
 import socket
-import sqlite3
 import subprocess
 import sys
 import urllib.request
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -121,18 +119,6 @@ def test_a_file_that_is_no_database_and_no_experiment_at_all(folder: Path, tool:
     tool.refuses("storage: .*file is not a database", "dashboard", folder)
     shutil.rmtree("out")
     tool.refuses("folder: .*a folder with experiments", "dashboard")
-
-
-@pytest.mark.parametrize("change", [
-    "UPDATE version_info SET schema_version = ''",
-    "UPDATE studies SET study_name = x'61' WHERE study_id = 1",
-])  # fmt: skip
-def test_a_damaged_database_is_refused_and_unchanged(folder: Path, tool: Tool, change: str) -> None:
-    with closing(sqlite3.connect(folder / "studies.db")) as connection, connection:
-        connection.execute(change)
-    before = sorted(folder.iterdir())
-    tool.refuses("storage: ", "dashboard", "--storage", f"sqlite:///{folder}/studies.db")
-    assert sorted(folder.iterdir()) == before
 
 
 def test_a_port_in_use(folder: Path, tool: Tool) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import mujoco
 import pytest
 
-from storage.store import open_store
 from study import pictures
 from study.experiment.experiment import read_experiment
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
@@ -100,14 +99,6 @@ def test_a_run_and_a_seed_have_their_own_body_and_ground(walk: Walk) -> None:
         experiment, call = read_experiment(ROUGH8, seed=seed), fake_walker.calls[-1]
         assert call["terrains"].height(50.0) == experiment.terrain(run).height(50.0)
         assert call["bodies"].mass_kg.tolist() == experiment.body(run).mass_kg.tolist()
-
-
-@pytest.mark.parametrize("searched", [(), ("theta_ref",)])
-def test_a_row_of_a_store(walk: Walk, tmp_path: Path, searched: tuple[str, ...]) -> None:
-    fake_walker.write_store(tmp_path / "store", searched=list(searched))
-    found = walk("--store", tmp_path / "store", "--row", 17)["gains"]
-    table = open_store(tmp_path / "store").table()
-    assert found == {name: table[name][17].as_py() for name in (*GAIN_NAMES, *searched)}
 
 
 def test_the_engine_and_its_model_file_are_those_asked_for(walk: Walk, tmp_path: Path) -> None:

@@ -127,18 +127,6 @@ def test_results_do_not_depend_on_processes_and_stops(engine: str, tmp_path: Pat
     assert frame.cost.nunique() > 6 and frame.duration_s.between(0.1, 1.0).all()
 
 
-def test_a_folder_of_before_grounds_goes_on(comparisons: Comparisons) -> None:
-    comparisons.run("whole")
-    comparisons.run("out", trials=3)
-    file = comparisons.folder / "out" / "experiment.json"
-    known = json.loads(file.read_text())
-    assert known.pop("ground") == {"kind": "rough"}
-    file.write_text(json.dumps(known))
-    comparisons.run("out")
-    assert comparisons.content("out") == comparisons.content("whole")
-    assert json.loads(file.read_text())["ground"] == {"kind": "rough"}
-
-
 def test_studies_are_cut_into_blocks_for_all_slots() -> None:
     studies = [(arm, run) for run in range(7) for arm in ("a", "b", "c")]
     for slots in (1, 2, 5, 21, 50):

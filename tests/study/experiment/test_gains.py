@@ -112,7 +112,7 @@ FORM = "EXPERIMENT/ARM/run-NNN/NUMBER, such as"
 TRIAL = "toy/dog/run-001/2"
 NOT_IN_THE_FOLDER = (
     "toy/cat/run-001/2", "toy/dog/run-007/2", "toy/dog/run-001/3", "boy/dog/run-001/2",
-    "toy/dog/2", "dog/2", "toy/dog/run-x/2", "a/b/c/d/2",
+    f"toy/dog/run-001/{10**30}", "toy/dog/2", "dog/2", "toy/dog/run-x/2", "a/b/c/d/2",
 )  # fmt: skip
 
 
@@ -123,7 +123,7 @@ NOT_IN_THE_FOLDER = (
     ("toy/cat/run-001/2", LIVE, "trial: 'toy/cat/run-001/2' .* a study of"),
     ("toy/dog/run-000/2", LIVE, "trial: 'toy/dog/run-000/2' .* a study of"),
     ("toy/dog/run-001/3", LIVE, "trial: .* a finished trial of"),  # which is running
-    ("toy/dog/run-001/4", LIVE, "trial: .* a finished trial of"),
+    *((f"toy/dog/run-001/{n}", LIVE, "trial: .* a finished trial of") for n in (4, 10**30)),
     ("other/0", OTHER, "K_GAS"),  # by what it lacks
     (TRIAL, "sqlite:///none.db", "storage: .* a database that is there, or a comparison's"),
     (TRIAL, "nowhere", "storage"),

@@ -162,13 +162,15 @@ def test_the_experiment_of_a_document_draws_alike(kind: str, seed: int, tmp_path
         assert read.terrain(run).height_m.tobytes() == ours.terrain(run).height_m.tobytes()
 
 
-def test_a_document_of_before_grounds_gives_none() -> None:
-    ours = document(TINY, ())
-    assert documented_experiment({key: ours[key] for key in ours if key != "ground"}) is None
-
-
 @pytest.mark.parametrize(
-    "damage", [{"seed": None}, {"ground": {"kind": "hilly"}}, {"simulation": 3}, {"name": "a/b"}]
+    "damage",
+    [
+        {"seed": None},
+        {"ground": {"kind": "hilly"}},
+        {"simulation": 3},
+        {"name": "a/b"},
+        {"ground": None},
+    ],
 )
 def test_a_damaged_document_is_one_line(damage: dict[str, Any]) -> None:
     with refused("."):

@@ -11,7 +11,8 @@ import pytest
 
 import taichi_nmm
 from study.experiment.identity import document, documented_experiment
-from study.report.before_after import Pair, Shown, before_and_after, choose, write_strips
+from study.pictures.strip import Shown
+from study.report.before_after import Pair, before_and_after, choose, write_strips
 from study.report.runs import Results, read_results
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
@@ -72,7 +73,6 @@ def test_walks_of_the_tables_gains_and_run(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate)
     made = experiment()
     documented = documented_experiment(json.loads(json.dumps(document(made, ()))))
-    assert documented is not None
     pair = before_and_after(results, documented)
     assert pair is not None and pair.run == 1
     for number, trial in enumerate((0, 4)):

@@ -84,14 +84,6 @@ def test_a_checkpoint_with_more_trials_counts(folder: Path, table: pa.Table) -> 
     assert list(read_results(folder).arms) == ["dog"]
 
 
-@pytest.mark.parametrize("cost", ["smooth", "walking"])
-def test_the_cost_is_known_by_its_size_where_nothing_says_it(tmp_path: Path, cost: str) -> None:
-    folder = synthetic.write(tmp_path, TWO, RUNS, TRIALS, cost)
-    assert read_results(folder).cost == cost
-    (folder / "experiment.json").unlink()
-    assert read_results(folder).cost == cost
-
-
 def test_facts_of_the_run_are_kept(folder: Path) -> None:
     (folder / "run.json").write_text(json.dumps({"machine": "two cores"}))
     known = read_results(folder).facts

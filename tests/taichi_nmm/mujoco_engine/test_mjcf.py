@@ -13,7 +13,6 @@ from taichi_nmm.kernel.contact_planes import PLANES, PLANES_PER_SOLE, SOLE_RADIU
 from taichi_nmm.kernel.joints import STOP_STIFFNESS_NMPRAD
 from taichi_nmm.mujoco_engine import mjcf
 from taichi_nmm.mujoco_engine.engine import Herd, start_state
-from taichi_nmm.mujoco_engine.ground import boxes
 from taichi_nmm.mujoco_engine.mjcf import JOINTS, LEAST_RANGE_RAD, STOPS, limit, walk_model
 from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.settings import MujocoSettings, Settings
@@ -32,7 +31,7 @@ SETTINGS = Settings(
 def model(tmp_path_factory: pytest.TempPathFactory) -> mujoco.MjModel:
     """As MuJoCo's own viewer reads it."""
     path = tmp_path_factory.mktemp("mjcf") / "walker.xml"
-    mjcf.write_mjcf(path, BODY, FRICTION, boxes(GROUND), SETTINGS, start_state(GROUND))
+    mjcf.write_mjcf(path, BODY, FRICTION, GROUND, SETTINGS, start_state(GROUND))
     return mujoco.MjModel.from_xml_path(str(path))
 
 
@@ -65,7 +64,7 @@ def test_contacts_follow_the_settings(model: mujoco.MjModel) -> None:
     np.testing.assert_array_equal(model.geom_solref, np.tile([0.005, 0.7], (model.ngeom, 1)))
     np.testing.assert_array_equal(model.geom_friction[:, 0], FRICTION)
     # Feet meet the ground, and nothing else meets anything.
-    assert model.ngeom == len(boxes(GROUND)) + 4
+    assert model.ngeom == 1 + 4
     spheres = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
     assert spheres.sum() == 4
     collide = model.geom_contype[:, None] & model.geom_conaffinity
