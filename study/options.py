@@ -63,6 +63,7 @@ class Options(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         self.bounds: dict[str, tuple[int, Bound]] = {}  # of whole numbers
+        self.takes_others = False  # options of names that a file gives, as `others`
 
     def parse_args(self, words: Sequence[str] | None = None) -> argparse.Namespace:  # type: ignore[override]
         """The options of a command line; by default that of this process.
@@ -71,7 +72,8 @@ class Options(argparse.ArgumentParser):
             InputError: a number out of its bounds, a word that is not text of one line, or a path
                 that no file can have.
         """
-        words = sys.argv[1:] if words is None else words
+        words = list(sys.argv[1:] if words is None else words)
+        others = self._others(words) if self.takes_others else {}
         for word in words:
             flag, _, value = word.partition("=")
             if flag.startswith("--") and value == "--":  # argparse makes a list of it
@@ -83,6 +85,18 @@ class Options(argparse.ArgumentParser):
                 _check_word(field, word)
             if name in self.bounds and isinstance(value, str):
                 setattr(found, name, _whole(field, value, *self.bounds[name]))
+        if self.takes_others:
+            found.others = others
+        return found
+
+    def _others(self, words: list[str]) -> dict[str, str]:
+        """Take options of other names, with the words that follow them, out of a command line."""
+        found = {}
+        for flag in [word for word in words if word.startswith("--") and "=" not in word]:
+            place = words.index(flag)
+            if flag not in self._option_string_actions and place + 1 < len(words):
+                found[flag.removeprefix("--")] = words[place + 1]
+                del words[place : place + 2]
         return found
 
     def error(self, message: str) -> NoReturn:
@@ -157,6 +171,25 @@ class Options(argparse.ArgumentParser):
             "--list-configs", action=_ListConfigs, nargs=0, const=stores,
             help="list the shipped configurations and exit",
         )  # fmt: skip
+
+
+def bench(options: Options) -> None:
+    """Options of `bench`."""
+    options.takes_others = True
+    options.add_argument("action", metavar="ACTION", help="one of those above")
+    options.add_argument(
+        "what", nargs="?", metavar="WHAT", help="a trial, an entry, a name, a file"
+    )
+    options.path("--bench", "default: the only bench among the *.toml of this folder", "FILE")
+    options.add_argument("--cost", "--value", type=float, metavar="X", help="of a trial: its value")
+    options.add_argument("--seconds", type=float, metavar="S", help="after which a trial failed")
+    options.add_argument("--note", default="", metavar="TEXT", help="kept with the entry")
+    options.path("--log", "CSV with columns time (s) and position (m), of a walk", "FILE")
+    options.path("--gains", "JSON of parameters by name", "FILE")
+    options.whole("--batch", 1, 1000, default=1, help="trials to run side by side (%(default)s)")
+    options.add_argument("--repeat", type=int, metavar="N", help="a trial to run once more")
+    options.path("--json", "write the next trials' parameters there too", "FILE")
+    options.add_argument("--operator", metavar="NAME", help="default: the user and the machine")
 
 
 def compare(options: Options) -> None:
@@ -288,9 +321,9 @@ def walk(options: Options) -> None:
 
 
 COMMANDS: dict[str, Callable[[Options], None]] = {
-    "compare": compare, "dashboard": dashboard, "draw-store": draw_store, "explore": explore,
-    "precompute": precompute, "quickstart": quickstart, "report": report, "study": study,
-    "validate": validate, "walk": walk,
+    "bench": bench, "compare": compare, "dashboard": dashboard, "draw-store": draw_store,
+    "explore": explore, "precompute": precompute, "quickstart": quickstart, "report": report,
+    "study": study, "validate": validate, "walk": walk,
 }  # fmt: skip
 
 # Commands of version 0.2.0 that are gone, and what to use instead.

@@ -1,0 +1,507 @@
+"""A bench: what to try next on a real machine, what came of it, and what all of it tells.
+
+The sampler sees the trials of the present context alone, in a study in memory, in their order and
+without gaps: so what was entered wrongly and corrected, broken off and tried again, or undone,
+leaves no trace in later proposals. What was learned in other contexts is one more world, or one
+more feature and the ranking by it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+from numpy.typing import NDArray
+from optuna.distributions import BaseDistribution
+from optuna.trial import FrozenTrial, TrialState, create_trial
+
+from storage.tables import difference
+from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
+from study.bench.plan import Candidates, Plan, read_plan
+from study.sampler.diagnostics import Best, Prediction
+from study.sampler.sampler import FeatureKernelSampler
+from study.sampler.table import FeatureTable, Rows
+from study.sampler.table_policy import TableExhaustedError
+from study.sampler.worlds import Worlds
+from taichi_nmm import checks
+from taichi_nmm.errors import InputError
+
+BEFORE = "as before"  # the feature, or the world, that other contexts tell of
+TOLD = {True: TrialState.COMPLETE, False: TrialState.RUNNING}
+
+
+class Bench:
+    """A file of a bench, with the entries in its database.
+
+    Args:
+        path: of the TOML file.
+        operator: who makes the entries; by default the user and the machine.
+
+    Raises:
+        InputError: naming the key of the file; or the bench was begun with another file.
+    """
+
+    def __init__(self, path: str | Path, operator: str | None = None) -> None:
+        self.plan: Plan = read_plan(Path(path))
+        self._journal = Journal(self.plan.url, self.plan.name, operator)
+        self._entries = self._journal.entries()
+        if self._entries and (found := difference(self.plan.document, self._begun["plan"])):
+            field, ours, theirs = found
+            allowed = f"{theirs!r}, with which the bench was begun; or another name for a new one"
+            raise InputError(f"{self.plan.path.name}: {field}", ours, allowed)
+
+    @classmethod
+    def new(cls, path: str | Path, operator: str | None = None) -> "Bench":
+        """Begin a bench, or open the one that was begun with this file."""
+        bench = cls(path, operator)
+        simulated = bench.candidates.table
+        with bench._turn():
+            if not bench._entries:
+                begun = {"plan": bench.plan.document, "digest": simulated.digest}
+                bench._add("begin", begun | {"range": _range(simulated.rows)})
+        return bench
+
+    @property
+    def state(self) -> State:
+        """What the entries come to."""
+        return read_state(self._entries)
+
+    @property
+    def entries(self) -> Sequence[Entry]:
+        """All entries, those that were undone too."""
+        return tuple(self._entries)
+
+    @cached_property
+    def candidates(self) -> Candidates:
+        """The candidates, as they were when the bench was begun.
+
+        Raises:
+            InputError: they cannot be read, or have changed since.
+        """
+        found = self.plan.read_candidates()
+        if self._entries and found.table.digest != self._begun["digest"]:
+            allowed = "the candidates with which the bench was begun (their digest differs)"
+            raise InputError("candidates", str(self.plan.path), allowed)
+        return found
+
+    def next(self, batch: int = 1, repeat: int | None = None) -> list[Trial]:
+        """Trials to run: those that this operator has not entered yet, and new ones up to `batch`.
+
+        Args:
+            batch: how many.
+            repeat: a finished trial, whose parameters are tried once more.
+
+        Raises:
+            InputError: no candidate is left, or none within the limits of [safety].
+        """
+        with self._turn() as state:
+            mine = [
+                trial for trial in state.trials.values()
+                if trial.value is None and trial.context == state.context
+                and (trial.operator == self._journal.operator or trial.aborted)
+            ]  # fmt: skip
+            asked = list[dict[str, Any]]()
+            if repeat is not None:
+                again = state.trial(repeat, finished=True)
+                why = f"Once more what trial {repeat} was."
+                asked.append(self._asked(again.params, {}, state.count, why))
+            while len(mine) + len(asked) < batch and repeat is None:
+                asked.append(self._propose(state, asked))
+            if asked:
+                self._add("next", {"trials": asked})
+            numbers = [trial["number"] for trial in asked]
+            return [*mine, *(self.state.trials[number] for number in numbers)][: max(batch, 1)]
+
+    def record(
+        self, number: int, value: float, columns: Mapping[str, float] | None = None, note: str = ""
+    ) -> None:
+        """Enter the result of a trial.
+
+        Raises:
+            InputError: no pending trial, or no finite number, or a column that the file has not.
+        """
+        self._tell("record", number, value, columns, note)
+
+    def fail(
+        self, number: int, seconds: float, columns: Mapping[str, float] | None = None,
+        note: str = "",
+    ) -> None:  # fmt: skip
+        """Enter that a trial failed after so long: its value follows from [goal]."""
+        value = self.plan.goal.of_failure(checks.number()("seconds", seconds))
+        self._tell("fail", number, value, columns, note)
+
+    def correct(
+        self, number: int, value: float | None = None,
+        columns: Mapping[str, float] | None = None, note: str = "",
+    ) -> None:  # fmt: skip
+        """Replace what was entered of a finished trial; what is not given stays."""
+        self._tell("correct", number, value, columns, note)
+
+    def abort(self, number: int, note: str = "") -> None:
+        """Enter that a trial was broken off: nothing is learned, and it is the next one again."""
+        with self._turn() as state:
+            state.trial(number, finished=False)
+            self._add("abort", {"trial": number, "note": note})
+
+    def add(
+        self, params: Mapping[str, Any], value: float,
+        columns: Mapping[str, float] | None = None, note: str = "",
+    ) -> int:  # fmt: skip
+        """Enter a trial that nobody proposed; its number. See `add_all`."""
+        return self.add_all([(params, value, columns or {}, note)])[0]
+
+    def add_all(
+        self, rows: Sequence[tuple[Mapping[str, Any], float, Mapping[str, float], str]]
+    ) -> list[int]:
+        """Enter trials that nobody proposed: parameters, value, columns and note; their numbers.
+
+        Raises:
+            InputError: a parameter is missing, unknown or out of its range, by name; or a result
+                as of `record`. Nothing is entered then.
+        """
+        space = self.candidates.table.rows.space.as_dict()
+        for params, *_ in rows:
+            for name in dict.fromkeys([*space, *params]):
+                if name not in space or name not in params:
+                    what = params.get(name, "missing")
+                    raise InputError(name, what, f"one value of each of {', '.join(space)}")
+                if not fits(space[name], params[name]):
+                    raise InputError(name, params[name], str(space[name]))
+        results = [self._checked(value, columns, note) for _, value, columns, note in rows]
+        with self._turn() as state:
+            numbers = list(range(state.count, state.count + len(rows)))
+            trials = [
+                self._asked(dict(row[0]), {}, number, "The operator's own.", expect=False) | result
+                for number, row, result in zip(numbers, rows, results, strict=True)
+            ]
+            self._add("add", {"trials": trials})
+        return numbers
+
+    def context(self, name: str) -> None:
+        """Go on in another context: other ground, shoes or motors; or in one that was before."""
+        checks.text("context", name)
+        with self._turn() as state:
+            if name == state.context:
+                raise InputError("context", name, "another one than the present")
+            self._add("context", {"name": name})
+
+    def undo(self, number: int | None = None) -> Entry:
+        """Undo an entry, by default the last one that stands; an undoing can be undone."""
+        with self._turn():
+            chosen = undoable(self._entries, number)
+            self._add("undo", {"entry": chosen.number})
+        return chosen
+
+    def best(self) -> Best:
+        """The trial of the present context that is best by the model, with its interval."""
+        return self._sampler().best(self._study(self.state))
+
+    def repeat(self) -> int | None:
+        """The trial of which a repeat would tell most: the least sure one that may be the best."""
+        state, best = self.state, self.best()
+        told = [trial for trial in state.trials.values()
+                if trial.value is not None and trial.context == state.context]  # fmt: skip
+        found = self._sampler().predict(self._study(state), [trial.params for trial in told])
+        may_be = found.high >= best.value if self.plan.goal.maximise else found.low <= best.value
+        sure = np.where(may_be, found.low - found.high, np.inf)
+        return told[int(sure.argmin())].number if may_be.any() else None
+
+    def worth(self) -> str:
+        """Which simulated worlds the machine is like, or what the features are worth."""
+        sampler = self._sampler()
+        return str(sampler.worth(self._study(self.state))) if sampler.has_features else ""
+
+    def simulated(self) -> dict[int, float]:
+        """What the candidates' worlds let expect of each finished trial, before any, by number."""
+        state = self.state
+        told = [trial for trial in state.trials.values() if trial.value is not None]
+        blank = optuna.create_study(direction=self.plan.direction)
+        sampler = self.candidates.sampler(self.plan)
+        found = sampler.predict(blank, [trial.params for trial in told]) if told else None
+        values = [] if found is None else found.value.tolist()
+        return dict(zip([trial.number for trial in told], values, strict=True))
+
+    def _tell(
+        self, kind: str, number: int, value: float | None,
+        columns: Mapping[str, float] | None, note: str,
+    ) -> None:  # fmt: skip
+        result = self._checked(value, columns, note)
+        with self._turn() as state:
+            state.trial(number, finished=kind == "correct")
+            self._add(kind, {"trial": number} | result)
+
+    def _checked(
+        self, value: float | None, columns: Mapping[str, float] | None, note: str
+    ) -> dict[str, Any]:
+        """A result as an entry has it."""
+        if value is not None:
+            value = float(checks.number()("value", value))
+        for name, given in (columns or {}).items():
+            if name not in self.plan.columns:
+                known = ", ".join(self.plan.columns) or "none: [columns] of the file names them"
+                raise InputError(name, given, f"one of the columns {known}")
+            checks.number()(name, given)
+        return {"value": value, "columns": dict(columns or {}), "note": note}
+
+    def odd(self, value: float) -> str:
+        """A warning of a value that no simulated world has, such as one of the wrong sign."""
+        low, high = self._begun["range"] or (-np.inf, np.inf)
+        beyond = 0.5 * (high - low)
+        other_sign = (low > 0.0 > value) or (high < 0.0 < value)
+        if low - beyond <= value <= high + beyond and not other_sign:
+            return ""
+        return (
+            f"{value:g} is far from all that was simulated, {low:.4g} to {high:.4g}: is it right?"
+        )
+
+    def require_begun(self) -> None:
+        """Refuse a bench without entries."""
+        if not self._entries:
+            new = f"a bench that was begun: taichi-nmm bench new {self.plan.path}"
+            raise InputError("bench", str(self.plan.path), new)
+
+    def shown(self) -> optuna.Study:
+        """The study that the dashboard shows."""
+        return optuna.load_study(study_name=self.plan.name, storage=self._journal.storage)
+
+    @property
+    def _begun(self) -> Mapping[str, Any]:
+        """The first entry."""
+        return self._entries[0].data
+
+    @contextmanager
+    def _turn(self) -> Iterator[State]:
+        """Alone, after the entries of others; in the end what is shown follows from all entries."""
+        with self._journal.turn():
+            self._entries = self._journal.entries()
+            yield self.state
+            show(self)
+
+    def _add(self, kind: str, data: Mapping[str, Any]) -> None:
+        self._entries.append(self._journal.append(kind, data))
+
+    def _propose(self, state: State, asked: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """The next trial, after those that were just asked for."""
+        numbers = {given["number"]: Trial(operator="", **given) for given in asked}
+        state = replace(state, trials=state.trials | numbers, count=state.count + len(asked))
+        study, sampler = self._study(state), self._sampler()
+        if self.plan.safety.is_asked:
+            sampler = self._sampler(self._allowed(study, sampler))
+        study.sampler = sampler
+        try:
+            trial = study.ask(self.candidates.table.rows.space.as_dict())
+        except TableExhaustedError as error:
+            raise InputError("candidates", str(error), "a row that nobody has tried") from None
+        notes = dict(study.get_trials(deepcopy=False)[trial.number].user_attrs)
+        return self._asked(trial.params, notes, state.count, self._why(study))
+
+    def _asked(
+        self, params: dict[str, Any], notes: dict[str, Any], number: int, why: str,
+        expect: bool = True,
+    ) -> dict[str, Any]:  # fmt: skip
+        """A trial as an entry has it, with what is expected of it."""
+        if expect:
+            found = self._sampler().predict(self._study(self.state), [params])
+            why = f"{why} {self._expected(found)}".strip()
+        return {
+            "number": number, "params": params, "notes": notes, "why": why,
+            "context": self.state.context,
+        }  # fmt: skip
+
+    def _expected(self, found: Prediction) -> str:
+        """What is expected of a candidate, in a sentence."""
+        value, parts = float(found.value[0]), list[str]()
+        if np.isfinite(value):
+            parts.append(f"{value:.4g} ({found.low[0]:.4g} to {found.high[0]:.4g})")
+        if np.isfinite(found.success[0]):
+            parts.append(f"success {100 * found.success[0]:.0f} %")
+        if any(column.limits("", 0.0) for column in self.plan.columns.values()):
+            parts.append(f"all limits kept {100 * found.kept[0]:.0f} %")
+        return f"Expected: {', '.join(parts)}." if parts else ""
+
+    def _why(self, study: optuna.Study) -> str:
+        """Why a proposal is made, in a sentence."""
+        told = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+        if not told:
+            known = BEFORE if self._others(self.state) else "simulated"
+            return f"The first one: the best {known}, or one of several to begin with."
+        kept = [trial for trial in told if all(v <= 0.0 for v in trial.constraints.values())]
+        if not kept:
+            return "No trial has kept all limits yet: the one that most likely does."
+        if self.plan.goal.success is not None and not self._successful(kept):
+            return "No trial has succeeded yet: the one that most likely does."
+        best = (max if self.plan.goal.maximise else min)(trial.values[0] for trial in kept)
+        return f"The largest improvement to be expected on {best:.4g}."
+
+    def _allowed(self, study: optuna.Study, sampler: FeatureKernelSampler) -> NDArray[np.bool_]:
+        """Rows within the limits of [safety].
+
+        Raises:
+            InputError: there is none.
+        """
+        safety, rows = self.plan.safety, self.candidates.table.rows
+        found = sampler.predict(study)
+        keeps = (found.kept >= safety.least_kept) & ~(found.success < safety.least_success)
+        told = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+        good = self._successful(told)
+        if good and safety.most_step < 1.0:
+            places = rows.space.unit(np.array([rows.space.row(trial.params) for trial in good]))
+            steps = np.abs(rows.unit[:, None] - places[None]).max(axis=2).min(axis=1)
+            keeps &= steps <= safety.most_step
+        allowed = np.zeros(len(rows), dtype=bool)
+        allowed[found.rows[keeps]] = True
+        tried = [row for trial in study.get_trials(deepcopy=False)
+                 if (row := rows.find(trial.params)) is not None]  # fmt: skip
+        allowed[tried] = False
+        if not allowed.any():
+            raise InputError("safety", "no candidate within the limits", "wider limits in [safety]")
+        return allowed
+
+    def _successful(self, told: Sequence[FrozenTrial]) -> list[FrozenTrial]:
+        """Trials that succeeded; without `goal.success`, those that did not fail."""
+        sign, success = -1.0 if self.plan.goal.maximise else 1.0, self.plan.goal.success
+        if success is None:
+            return [trial for trial in told if not trial.user_attrs["failed"]]
+        return [trial for trial in told if sign * trial.values[0] <= sign * success]
+
+    def _study(self, state: State, context: str | None = None) -> optuna.Study:
+        """The trials of a context, by default the present one, as if all had been right at once."""
+        study = optuna.create_study(direction=self.plan.direction)
+        space = self.candidates.table.rows.space.as_dict()
+        here = state.context if context is None else context
+        for trial in state.trials.values():
+            if trial.context == here:
+                study.add_trial(frozen(trial, space, self.plan))
+        return study
+
+    def _others(self, state: State) -> list[str]:
+        """Other contexts in which a trial is finished, in their order."""
+        told = [trial.context for trial in state.trials.values() if trial.value is not None]
+        return [name for name in dict.fromkeys(told) if name != state.context]
+
+    def _sampler(self, allowed: NDArray[np.bool_] | None = None) -> FeatureKernelSampler:
+        """The sampler of the present context."""
+        found, state = self.candidates, self.state
+        told = list[np.ndarray[Any, np.dtype[np.float64]]]()
+        for context in self._others(state):
+            known = found.sampler(self.plan).predict(self._study(state, context))
+            column = np.full(len(found.table.rows), np.nan)
+            column[known.rows] = known.value
+            told.append(column)
+        if told:
+            found = with_before(found, np.column_stack(told), maximise=self.plan.goal.maximise)
+        return found.sampler(self.plan, allowed)
+
+
+def with_before(candidates: Candidates, told: Any, *, maximise: bool) -> Candidates:
+    """Candidates of which k other contexts tell something too.
+
+    It is a family of worlds with the weight of all others; without worlds, a feature, the mean of
+    what the contexts tell, whose ranking is believed as far as trials confirm it.
+
+    Args:
+        candidates: as they are.
+        told: predicted values of the rows, in the study's units, [n, k]; NaN where unknown.
+        maximise: high values are good.
+    """
+    rows, k = candidates.table.rows, told.shape[1]
+    if rows.worlds is None:
+        features = np.column_stack([rows.features, told.mean(axis=1)])
+        names = (*rows.feature_names, BEFORE)
+        table = FeatureTable(replace(rows, features=features, feature_names=names))
+        return Candidates(table, BEFORE if maximise else f"-{BEFORE}")
+    own = rows.worlds
+    if own.better is not None:  # in units of their own: as many standard deviations
+        sign = 1.0 if maximise is (own.better == "higher") else -1.0
+        spread = float(np.nanstd(told)) or 1.0
+        told = sign * (told - np.nanmean(told)) / spread * np.nanstd(own.costs)
+        told = told + np.nanmean(own.costs)
+    weights = np.concatenate([own.weights / 2.0, np.full(k, 0.5 / k)])
+    names = (*own.names, *(f"{BEFORE} {place}" for place in range(k)))
+    worlds = Worlds(names, np.hstack([own.costs, told]), weights, own.better)
+    return Candidates(FeatureTable(replace(rows, worlds=worlds)))
+
+
+def fits(distribution: BaseDistribution, value: Any) -> bool:
+    """Whether a parameter can have a value."""
+    try:
+        return bool(distribution._contains(distribution.to_internal_repr(value)))
+    except (TypeError, ValueError):
+        return False
+
+
+def _range(rows: Rows) -> list[float] | None:
+    """The least and the largest value that was simulated; None: in no worlds of these units."""
+    if rows.worlds is None or rows.worlds.better is not None:
+        return None
+    return [float(np.nanmin(rows.worlds.costs)), float(np.nanmax(rows.worlds.costs))]
+
+
+def frozen(trial: Trial, space: Mapping[str, Any], plan: Plan) -> FrozenTrial:
+    """A trial as Optuna has it."""
+    known = asdict(trial)
+    shown = {key: known[key] for key in ("context", "operator", "note", "failed", "why")}
+    limits = {
+        limit: excess
+        for name, value in trial.columns.items()
+        for limit, excess in plan.columns[name].limits(name, value).items()
+    }
+    return create_trial(
+        state=TOLD[trial.value is not None], value=trial.value, params=trial.params,
+        distributions=dict(space), user_attrs=trial.notes | shown | trial.columns,
+        constraints=limits if trial.value is not None else None,
+    )  # fmt: skip
+
+
+def show(bench: Bench) -> None:
+    """Bring the study that the dashboard shows up to date with the entries.
+
+    Its trials are those of the bench, by number. It is made of the entries whenever it does not
+    follow from them: also after a command that was killed between the two.
+    """
+    plan, state, storage = bench.plan, bench.state, bench._journal.storage
+    study = optuna.create_study(
+        storage=storage, study_name=plan.name, direction=plan.direction, load_if_exists=True
+    )
+    space = bench.candidates.table.rows.space.as_dict()
+    gone = create_trial(state=TrialState.FAIL, user_attrs={"note": "undone"})
+    wanted = [
+        frozen(state.trials[number], space, plan) if number in state.trials else gone
+        for number in range(state.count)
+    ]
+    known = study.get_trials(deepcopy=False)
+    for place, trial in enumerate(known):
+        if place < len(wanted) and _same(trial, wanted[place]):
+            continue
+        if place >= len(wanted) or not _finish(study, trial, wanted[place]):
+            optuna.delete_study(study_name=plan.name, storage=storage)
+            show(bench)
+            return
+    for trial in wanted[len(known) :]:
+        study.add_trial(trial)
+
+
+def _same(trial: FrozenTrial, other: FrozenTrial) -> bool:
+    """Whether two trials show the same."""
+    parts = ("state", "values", "params", "user_attrs")
+    return all(getattr(trial, part) == getattr(other, part) for part in parts)
+
+
+def _finish(study: optuna.Study, trial: FrozenTrial, wanted: FrozenTrial) -> bool:
+    """Finish a running trial as wanted; whether it could be."""
+    if trial.state is not TrialState.RUNNING or trial.params != wanted.params:
+        return False
+    if wanted.state is TrialState.FAIL:
+        return False
+    storage, number = study._storage, trial._trial_id
+    for key, value in wanted.user_attrs.items():
+        storage.set_trial_user_attr(number, key, value)
+    for key, value in wanted.system_attrs.items():
+        storage.set_trial_system_attr(number, key, value)
+    return wanted.state is TrialState.RUNNING or storage.set_trial_state_values(
+        number, wanted.state, wanted.values
+    )

@@ -1,0 +1,203 @@
+"""The entries of a bench, of which none is ever changed, and the trials that follow from them.
+
+An entry is one attribute of an Optuna study, `NAME (log)`, written in one transaction: it is there,
+or it is not. A correction and an undoing are entries too. The trials are read from all entries that
+are not undone, in their order. What a clock says decides nothing.
+"""
+
+import getpass
+import socket
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+import optuna
+
+from storage.databases.studies import only_run, open_studies, storage_errors
+from taichi_nmm.errors import InputError
+
+LOG = " (log)"  # after the name of the study whose attributes are the entries
+KEY = "entry {:06d}"
+WAIT_S = 20.0  # for another command on the same bench
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Something that an operator did."""
+
+    number: int
+    kind: str  # begin, next, record, fail, correct, abort, add, context, undo
+    time: str  # of the operator's clock, ISO 8601
+    operator: str
+    data: Mapping[str, Any]
+
+    def __str__(self) -> str:
+        """One line."""
+        trials = ", ".join(map(str, trials_of(self)))
+        what = f"entry {self.data['entry']}" if self.kind == "undo" else trials
+        what = self.data.get("name", what) if self.kind == "context" else what
+        return f"{self.number:>4}  {self.time}  {self.operator}: {self.kind} {what}".rstrip()
+
+
+@dataclass
+class Trial:
+    """A trial as the entries leave it."""
+
+    number: int
+    params: dict[str, Any]
+    notes: dict[str, Any]  # of the sampler
+    context: str
+    operator: str
+    why: str = ""
+    value: float | None = None  # None: nobody has entered a result
+    columns: dict[str, float] = field(default_factory=dict)
+    failed: bool = False
+    note: str = ""
+    aborted: int = 0  # times that it was broken off and nothing learned
+
+
+@dataclass
+class State:
+    """What all entries come to."""
+
+    trials: dict[int, Trial]  # by number; those of an entry that was undone are missing
+    context: str
+    count: int  # of numbers that were ever given to a trial
+    undone: frozenset[int]  # entries
+
+    def trial(self, number: int, finished: bool) -> Trial:
+        """A trial of this number.
+
+        Raises:
+            InputError: there is none, or it is finished where it must not be, or the reverse.
+        """
+        pending = ", ".join(str(n) for n, trial in self.trials.items() if trial.value is None)
+        if number not in self.trials:
+            known = f"0 to {self.count - 1}; pending: {pending or 'none'}"
+            raise InputError("trial", number, known if self.count else "none: ask for the next one")
+        found = self.trials[number]
+        if (found.value is not None) != finished:
+            allowed = "a finished trial" if finished else f"a pending trial ({pending or 'none'})"
+            other = "" if finished else "; `correct` changes the result of a finished one"
+            raise InputError("trial", number, allowed + other)
+        return found
+
+
+class Journal:
+    """The entries of one bench in a study database."""
+
+    def __init__(self, url: str, name: str, operator: str | None = None) -> None:
+        self.url, self.name = url, name
+        self.operator = operator or f"{getpass.getuser()}@{socket.gethostname()}"
+        self.storage = open_studies(url)
+
+    @contextmanager
+    def turn(self) -> Iterator[None]:
+        """Be the only one who writes; wait for others.
+
+        Raises:
+            InputError: another command holds the bench for long, or the database cannot be written.
+        """
+        deadline_s = time.monotonic() + WAIT_S
+        while True:
+            held = only_run(self.url, self.name + LOG)
+            try:
+                held.__enter__()
+                break
+            except InputError as error:
+                if error.field != "study" or time.monotonic() > deadline_s:
+                    raise
+                time.sleep(0.1)
+        try:
+            with storage_errors(self.url):
+                yield
+        finally:
+            held.__exit__(None, None, None)
+
+    def entries(self) -> list[Entry]:
+        """All entries, in their order; none where the bench has not begun."""
+        with storage_errors(self.url):
+            names = optuna.get_all_study_names(self.storage)
+            if self.name + LOG not in names:
+                if self.name in names:
+                    raise InputError("name", self.name, "a name that no other study has")
+                return []
+            known = optuna.load_study(study_name=self.name + LOG, storage=self.storage).user_attrs
+        found, number = list[Entry](), 0
+        while (data := known.get(KEY.format(number))) is not None:
+            rest = {key: value for key, value in data.items() if key not in ("kind", "time", "by")}
+            found.append(Entry(number, data["kind"], data["time"], data["by"], rest))
+            number += 1
+        return found
+
+    def append(self, kind: str, data: Mapping[str, Any]) -> Entry:
+        """Add an entry, in a turn."""
+        number = len(self.entries())
+        study = optuna.create_study(
+            storage=self.storage, study_name=self.name + LOG, load_if_exists=True
+        )
+        moment = datetime.now(UTC).isoformat(timespec="seconds")
+        head = {"kind": kind, "time": moment, "by": self.operator}
+        study.set_user_attr(KEY.format(number), head | dict(data))
+        return Entry(number, kind, moment, self.operator, dict(data))
+
+
+def trials_of(entry: Entry) -> list[int]:
+    """Numbers of the trials that an entry is about."""
+    if "trials" in entry.data:
+        return [int(trial["number"]) for trial in entry.data["trials"]]
+    return [int(entry.data["trial"])] if "trial" in entry.data else []
+
+
+def read_state(entries: list[Entry]) -> State:
+    """The trials that follow from entries."""
+    undone = set[int]()
+    for entry in reversed(entries):
+        if entry.kind == "undo" and entry.number not in undone:
+            undone.add(int(entry.data["entry"]))
+    state = State({}, "", 0, frozenset(undone))
+    for entry in entries:
+        numbers = trials_of(entry)
+        state.count = max([state.count, *(number + 1 for number in numbers)])
+        if entry.number in undone:
+            continue
+        data = entry.data
+        if entry.kind == "context":
+            state.context = data["name"]
+        for given in data.get("trials", ()):
+            state.trials[given["number"]] = Trial(operator=entry.operator, **given)
+        if "trial" in data:
+            trial = state.trials[data["trial"]]
+            trial.aborted += entry.kind == "abort"
+            trial.note = data.get("note") or trial.note
+            trial.columns |= data.get("columns", {})
+            if data.get("value") is not None:
+                trial.value, trial.failed = data["value"], entry.kind == "fail"
+    return state
+
+
+def undoable(entries: list[Entry], number: int | None) -> Entry:
+    """The entry to undo: this one, or the last one that stands and is no undoing itself.
+
+    Raises:
+        InputError: there is none, or a later entry stands on it.
+    """
+    undone = read_state(entries).undone
+    standing = [entry for entry in entries if entry.number not in undone and entry.number]
+    done = [entry for entry in standing if entry.kind != "undo"]
+    found = done[-1:] if number is None else [one for one in standing if one.number == number]
+    if not found:
+        numbers = ", ".join(str(entry.number) for entry in standing) or "there is none"
+        raise InputError("undo", "the last" if number is None else number,
+                         f"an entry that stands: {numbers}")  # fmt: skip
+    (chosen,) = found
+    about = set(trials_of(chosen))
+    later = [entry for entry in standing if entry.number > chosen.number]
+    stands_on = next((entry for entry in later if about & set(trials_of(entry))), None)
+    if stands_on is not None:
+        allowed = f"entry {stands_on.number} first, which is about the same trial"
+        raise InputError("undo", chosen.number, allowed)
+    return chosen

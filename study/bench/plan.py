@@ -1,0 +1,279 @@
+"""The file of a bench: its candidates, what a trial is, and what is good.
+
+name = "walk"
+[candidates]
+file = "candidates.csv"            # or a Parquet file; or store = "out/store-worlds"
+parameters = ["stiffness", "damping"]
+outcomes = ["cost in world *"]     # or features = [...], and prior = "-simulated_cost"
+[goal]
+value = "J/m"
+success = 0.3
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+from numpy.typing import NDArray
+from optuna.distributions import BaseDistribution, FloatDistribution
+from optuna.study import StudyDirection
+
+from storage.databases.studies import shown_url
+from storage.databases.urls import file_url
+from storage.tables import read_any
+from study.experiment.features import COSTS, world_table
+from study.sampler.sampler import FeatureKernelSampler
+from study.sampler.table import FeatureTable
+from study.sampler.worlds import Better
+from taichi_nmm import checks
+from taichi_nmm.config import Table
+from taichi_nmm.errors import InputError
+from taichi_nmm.reading import reading, toml_document
+
+Floats = NDArray[np.float64]
+
+CSV = (".csv", ".tsv", ".txt")
+FREE = ("about", "safety", "storage")  # parts of the file that may change under a running bench
+READABLE = "a readable TOML file of a bench"
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a trial is tried for."""
+
+    value: str  # the number of a trial in words, with its unit
+    maximise: bool
+    success: float | None  # the value from which on a trial has succeeded
+    failed: tuple[float, float] | None  # value of a trial that fails at once, and at its end
+    duration_s: float  # of a whole trial; infinite where it has no end
+
+    def of_failure(self, seconds: float) -> float:
+        """The value of a trial that failed after so long: the later, the better.
+
+        Raises:
+            InputError: the file does not say what failures are worth, or no such time.
+        """
+        if self.failed is None:
+            allowed = "failed = [value at once, value at the end], and duration_s, in [goal]"
+            raise InputError("goal.failed", "missing", allowed)
+        checks.number(0.0, self.duration_s)("seconds", seconds)
+        first, last = self.failed
+        return first + (last - first) * seconds / self.duration_s
+
+
+@dataclass(frozen=True)
+class Column:
+    """Another number of a trial, and the limits that it must keep."""
+
+    unit: str
+    least: float
+    most: float
+
+    def limits(self, name: str, value: float) -> dict[str, float]:
+        """What is above zero where a limit is broken, by name."""
+        both = {f"{name} at least": self.least - value, f"{name} at most": value - self.most}
+        return {limit: excess for limit, excess in both.items() if math.isfinite(excess)}
+
+
+@dataclass(frozen=True)
+class Safety:
+    """Limits of what may be proposed."""
+
+    most_step: float  # of the range of any parameter, from the nearest trial that succeeded
+    least_success: float  # predicted chance to succeed
+    least_kept: float  # predicted chance that the limits of all columns are kept
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether there is any."""
+        return self.most_step < 1.0 or self.least_success > 0.0 or self.least_kept > 0.0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The content of a bench's file."""
+
+    path: Path
+    document: Mapping[str, Any]  # as it is written, without what may change
+    name: str
+    about: str
+    seed: int
+    candidates: Table
+    goal: Goal
+    columns: Mapping[str, Column]
+    safety: Safety
+    url: str  # of the study database
+
+    @property
+    def direction(self) -> StudyDirection:
+        """As Optuna has it."""
+        return StudyDirection.MAXIMIZE if self.goal.maximise else StudyDirection.MINIMIZE
+
+    def read_candidates(self) -> "Candidates":
+        """The table of candidates.
+
+        Raises:
+            InputError: naming the key of the file, or the column and row.
+        """
+        table = Table(self.candidates.unread, "candidates", self.candidates.folder)
+        prior = table.text("prior", "") or None
+        found = _of_store(table) if "store" in table.unread else _of_file(table)
+        table.done()
+        if prior is not None and prior.removeprefix("-") not in found.rows.feature_names:
+            names = ", ".join(found.rows.feature_names) or "none: there are no features"
+            raise InputError("candidates.prior", prior, f"one of {names}")
+        return Candidates(found, prior)
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """What may be tried, and what is known of it before."""
+
+    table: FeatureTable
+    prior: str | None = None  # of the sampler
+
+    def sampler(self, plan: Plan, allowed: NDArray[np.bool_] | None = None) -> FeatureKernelSampler:
+        """The sampler over them; trials off the table have what their nearest rows have."""
+        rows, options = self.table.rows, dict[str, Any]()
+        if rows.worlds is None and rows.alike is None:
+
+            def features(points: Floats) -> Floats:
+                places = rows.space.unit(points)
+                return rows.mixed(rows.features[rows.numbers], places, places)
+
+            options = {"feature_function": features, "prior": self.prior}
+        return FeatureKernelSampler(
+            self.table, seed=plan.seed, success=plan.goal.success, allowed=allowed, **options
+        )
+
+
+def read_plan(path: Path) -> Plan:
+    """The plan in a TOML file; the files that it names are not read yet.
+
+    Raises:
+        InputError: naming the key.
+    """
+    data = toml_document("bench", path, READABLE)
+    table = Table(data, folder=path.parent)
+    name = table.text("name", path.stem)
+    if not name.strip() or "/" in name:
+        raise InputError("name", name, "a name without /")
+    goal = table.table("goal")
+    columns = {key: _column(table.table("columns").table(key)) for key in data.get("columns", {})}
+    safety = table.table("safety")
+    storage = table.table("storage").text("url", file_url(path.with_suffix(".db")))
+    shown_url(storage)  # refuses what is no study database
+    plan = Plan(
+        path,
+        {key: value for key, value in data.items() if key not in FREE},
+        name,
+        table.text("about", ""),
+        table.integer("seed", 0),
+        table.table("candidates"),
+        _goal(goal),
+        columns,
+        Safety(
+            safety.number("most_step", 1.0, 0.0, 1.0),
+            safety.number("least_success", 0.0, 0.0, 1.0),
+            safety.number("least_kept", 0.0, 0.0, 1.0),
+        ),
+        storage,
+    )
+    for part in (table, goal, safety, table.table("columns"), table.table("storage")):
+        part.done()
+    if plan.safety.least_success > 0.0 and plan.goal.success is None:
+        raise InputError(
+            "safety.least_success", plan.safety.least_success, "0 without goal.success"
+        )
+    return plan
+
+
+def _goal(table: Table) -> Goal:
+    def optional(key: str) -> float | None:
+        return table.number(key) if key in table.unread else None
+
+    success, duration_s = optional("success"), optional("duration_s")
+    ends = optional("failed_at_once"), optional("failed_at_end")
+    if ends != (None, None) and (None in ends or duration_s is None or duration_s <= 0.0):
+        allowed = "all of failed_at_once, failed_at_end and duration_s (above 0), or none"
+        raise InputError("goal", "a part", allowed)
+    failed = None if ends[0] is None or ends[1] is None else (ends[0], ends[1])
+    maximise, value = table.boolean("maximise", False), table.text("value", "value")
+    return Goal(value, maximise, success, failed, duration_s or math.inf)
+
+
+def _column(table: Table) -> Column:
+    least, most = (
+        table.number(key) if key in table.unread else far
+        for key, far in (("least", -math.inf), ("most", math.inf))
+    )
+    column = Column(table.text("unit", ""), least, most)
+    table.done()
+    return column
+
+
+def read_columns(path: Path, field: str) -> dict[str, NDArray[Any]]:
+    """The columns of a CSV or Parquet file, whose first line, or schema, names them."""
+    with reading(field, path, "a CSV or Parquet file of columns with names") as file:
+        found = pa.csv.read_csv(file) if path.suffix in CSV else read_any(file)
+        return {name: found[name].to_numpy() for name in found.column_names}
+
+
+def _better(table: Table) -> Better | None:
+    """Which outcomes are good, where they are in units of their own."""
+    given = table.text("better", "costs", ("lower", "higher", "costs"))
+    return cast(Better, given) if given != "costs" else None
+
+
+def _of_store(table: Table) -> FeatureTable:
+    """The rows of a store: with features, or else in the worlds of its families."""
+    path, features = table.folder / table.text("store"), table.texts("features")
+    cost = table.text("cost", "smooth")
+    better = _better(table)
+    if features:
+        return FeatureTable.from_parquet(path, features=features)
+    costs = COSTS.get(cost, lambda given, horizon_s: given[cost])  # or a column of the store
+    rows = world_table(path, costs).rows
+    assert rows.worlds is not None
+    worlds = replace(rows.worlds, better=better)
+    return FeatureTable(replace(rows, worlds=worlds))
+
+
+def _of_file(table: Table) -> FeatureTable:
+    """The rows of a CSV or Parquet file."""
+    path, names = table.folder / table.text("file"), table.texts("parameters")
+    features, patterns = table.texts("features"), table.texts("outcomes")
+    better = _better(table)
+    logarithmic, bounds = table.texts("log"), table.table("bounds")
+    columns = read_columns(path, "candidates.file")
+
+    def column(name: str) -> NDArray[Any]:
+        if name not in columns:
+            raise InputError("candidates", name, f"one of the columns {', '.join(columns)}")
+        return columns[name]
+
+    outcomes = {}  # each pattern is a family
+    for pattern in patterns:
+        named = [name for name in columns if fnmatch(name, pattern)]
+        if not named:
+            raise InputError("candidates.outcomes", pattern, f"some of {', '.join(columns)}")
+        outcomes[pattern] = np.column_stack([columns[name] for name in named])
+    ends = {name: bounds.range(name, (0, 0), -1e300, 1e300) for name in list(bounds.unread)}
+    space: dict[str, BaseDistribution] = {}
+    for name in logarithmic:
+        values = column(name).astype(np.float64)
+        low, high = ends.pop(name, (values.min(), values.max()))
+        if low <= 0.0:
+            raise InputError("candidates.log", name, f"a column above 0; its least value is {low}")
+        space[name] = FloatDistribution(float(low), float(high), log=True)
+    return FeatureTable.from_arrays(
+        {name: column(name) for name in names},
+        np.column_stack([column(name) for name in features]) if features else None,
+        features or None, outcomes=outcomes or None, better=better, bounds=ends, space=space,
+    )  # fmt: skip

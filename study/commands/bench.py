@@ -1,0 +1,252 @@
+"""Tune a real machine: what to try next, and results entered by hand, over days.
+
+    taichi-nmm bench new walk.toml      # begins a bench: candidates, what a trial is, what is good
+    taichi-nmm bench next --batch 3     # what to try, why, and what is expected
+    taichi-nmm bench record 17 --cost 0.21 --torque 81 --note "slipped on the mat"
+    taichi-nmm bench fail 18 --seconds 2.1    # how far it came teaches
+    taichi-nmm bench abort 19           # the machine broke: nothing is learned, it is tried again
+    taichi-nmm bench correct 17 --cost 0.31
+    taichi-nmm bench undo               # the last entry, or the one of a number in `status`
+    taichi-nmm bench add --gains mine.json --cost 0.4     # a trial of your own
+    taichi-nmm bench context gravel     # new ground: what was learned counts as far as it agrees
+    taichi-nmm bench status | recommend | compare-to-simulator
+    taichi-nmm bench export trials.csv | import trials.csv
+
+Options of other names (--torque) are the columns of the file. Every entry is kept with its time and
+operator; the study can be opened with `taichi-nmm dashboard`. Exit codes: 0, 2 bad input.
+"""
+
+import csv
+import json
+import sys
+from argparse import Namespace
+from collections.abc import Callable
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+
+from storage.commit import commit_text
+from study.bench.bench import Bench
+from study.bench.journal import Trial
+from study.bench.plan import read_columns
+from study.sampler.diagnostics import RankCorrelation
+from taichi_nmm.errors import InputError
+from taichi_nmm.reading import json_document, toml_document
+from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, smooth_cost
+
+PARAMETERS = "a JSON object of parameters by name"
+
+
+def main(args: Namespace) -> None:
+    """Do the action, and say what it did."""
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    if args.action not in ACTIONS:
+        raise InputError("action", args.action, ", ".join(ACTIONS))
+    if args.action == "new":
+        bench = Bench.new(needed(args.what, "what", "the TOML file of the bench"), args.operator)
+        rows = bench.candidates.table
+        print(f"{bench.plan.name}: {rows}; begun by {bench.entries[0].operator}")
+        print(f"next: taichi-nmm bench next --bench {bench.plan.path}")
+        return
+    bench = Bench(args.bench or only_bench(), args.operator)
+    bench.require_begun()
+    ACTIONS[args.action](bench, args)
+
+
+def only_bench() -> Path:
+    """The TOML file of the working folder that describes a bench."""
+    found = [
+        path for path in sorted(Path().glob("*.toml"))
+        if {"candidates", "goal"} <= toml_document("bench", path, "readable TOML").keys()
+    ]  # fmt: skip
+    if len(found) != 1:
+        names = ", ".join(map(str, found)) or "none in this folder"
+        raise InputError("bench", names, "one: give --bench FILE")
+    return found[0]
+
+
+def next_trials(bench: Bench, args: Namespace) -> None:
+    """Propose, and print a sheet."""
+    trials = bench.next(args.batch, args.repeat)
+    for trial in trials:
+        print(sheet(bench, trial))
+    if args.json is not None:
+        known = [{"trial": trial.number, "params": trial.params} for trial in trials]
+        commit_text(args.json, json.dumps(known, indent=1) + "\n")
+
+
+def sheet(bench: Bench, trial: Trial) -> str:
+    """A trial to run, for paper."""
+    width = max(map(len, trial.params))
+    head = " | ".join(filter(None, [f"trial {trial.number}", bench.plan.name, trial.context]))
+    again = f" (again: broken off {trial.aborted} times)" if trial.aborted else ""
+    values = [
+        f"  {name:<{width}}  {value:.8g}" if isinstance(value, float) else
+        f"  {name:<{width}}  {value}"
+        for name, value in trial.params.items()
+    ]  # fmt: skip
+    asked = "".join(f" --{name} ..." for name in bench.plan.columns)
+    enter = f"taichi-nmm bench record {trial.number} --cost ...{asked}"
+    return "\n".join([f"{head}{again}", *values, trial.why, f"enter: {enter}", ""])
+
+
+def record(bench: Bench, args: Namespace) -> None:
+    """Enter, correct or add the result of a trial."""
+    value, columns = args.cost, others(args)
+    if args.log is not None:
+        value = of_log(bench, args.log) if value is None else value
+    if args.action == "fail":
+        bench.fail(number(args), needed(args.seconds, "seconds", "a time"), columns, args.note)
+    elif args.action == "correct":
+        bench.correct(number(args), value, columns, args.note)
+    elif args.action == "add":
+        gains = json_document("gains", needed(args.gains, "gains", PARAMETERS), PARAMETERS)
+        value = needed(value, "cost", "the trial's value")
+        print(f"trial {bench.add(gains, value, columns, args.note)}")
+    else:
+        value = needed(value, "cost", "the trial's value, or --log")
+        bench.record(number(args), value, columns, args.note)
+    if value is not None and (odd := bench.odd(value)):
+        print(f"warning: {odd}", file=sys.stderr)
+    print(bench.entries[-1])
+
+
+def of_log(bench: Bench, path: Path) -> float:
+    """The walker's smooth cost of a walk that was logged."""
+    columns = read_columns(path, "log")
+    for name in ("time", "position"):
+        if name not in columns or not np.isfinite(columns[name].astype(float)).all():
+            raise InputError("log", name, "a column of finite numbers")
+    time, position = columns["time"].astype(float), columns["position"].astype(float)
+    rows = np.zeros(1, RESULT_DTYPE)
+    rows["duration_s"], rows["distance_m"] = time[-1] - time[0], position[-1] - position[0]
+    rows["end_reason"] = COMPLETED if time[-1] - time[0] >= bench.plan.goal.duration_s else FELL
+    rows["mean_speed_mps"] = rows["distance_m"] / max(float(rows["duration_s"][0]), 1e-9)
+    return float(smooth_cost(rows)[0])
+
+
+def status(bench: Bench, args: Namespace) -> None:
+    """Print the trials, and the entries."""
+    state = bench.state
+    print(" | ".join(filter(None, [bench.plan.name, bench.plan.about, state.context])))
+    for trial in state.trials.values():
+        value = "pending" if trial.value is None else f"{trial.value:.6g}"
+        marks = ", ".join(filter(None, ["failed" * trial.failed, trial.context, trial.note]))
+        columns = "".join(f"  {name} {given:g}" for name, given in trial.columns.items())
+        print(f"trial {trial.number:>3}  {value:<10}{columns}  {marks}".rstrip())
+    for entry in bench.entries:
+        print(f"{entry}{' (undone)' if entry.number in state.undone else ''}")
+
+
+def recommend(bench: Bench, args: Namespace) -> None:
+    """Print the best gains by the model, and what to repeat."""
+    best = bench.best()
+    print(best)
+    print(json.dumps(dict(best.params)))
+    print(f"A repeat of trial {(number := bench.repeat())} would tell most: --repeat {number}")
+
+
+def compare_to_simulator(bench: Bench, args: Namespace) -> None:
+    """Print, draw and note what was simulated beside what was seen."""
+    from optuna_dashboard import save_note
+
+    from study.pictures import style
+
+    trials, simulated = bench.state.trials, bench.simulated()
+    told = np.array([(simulated[n], trials[n].value) for n in simulated], dtype=float)
+    lines = [f"trial {n:>3}  simulated {a:10.4g}  seen {b:10.4g}"
+             for n, (a, b) in zip(simulated, told.tolist(), strict=True)]  # fmt: skip
+    r = RankCorrelation.of(told[:, 0], told[:, 1]) if len(told) else None
+    lines += [f"Rank correlation of simulated and seen: {r or 'too few trials'}", "", bench.worth()]
+    print("\n".join(lines))
+    path = bench.plan.path.with_name(f"{bench.plan.name}-simulator.png")
+    figure = style.new_figure(4.5, 4.0)
+    axes = figure.add_subplot()
+    style.tidy(axes)
+    axes.plot(*told.T, "o", color=style.BLACK)
+    axes.set_xlabel("simulated, mean over the worlds")
+    axes.set_ylabel(f"seen: {bench.plan.goal.value}")
+    figure.tight_layout()
+    print(f"picture: {style.save_png(figure, path)}")
+    save_note(bench.shown(), "\n".join(["```text", *lines, "```"]))
+
+
+def export(bench: Bench, args: Namespace) -> None:
+    """Write the trials as CSV."""
+    names, columns = bench.candidates.table.rows.names, bench.plan.columns
+    text = StringIO()
+    write = csv.writer(text, lineterminator="\n").writerow
+    write(["trial", "context", "value", "failed", *names, *columns, "operator", "note"])
+    for trial in bench.state.trials.values():
+        write([
+            trial.number, trial.context, trial.value, int(trial.failed),
+            *(trial.params[name] for name in names), *(trial.columns.get(c) for c in columns),
+            trial.operator, trial.note,
+        ])  # fmt: skip
+    commit_text(Path(needed(args.what, "what", "a file to write")), text.getvalue())
+    print(f"{len(bench.state.trials)} trials: {args.what}")
+
+
+def import_trials(bench: Bench, args: Namespace) -> None:
+    """Enter the trials of a CSV as the operator's own."""
+    table = read_columns(Path(needed(args.what, "what", "a CSV file")), "import")
+    names, columns = bench.candidates.table.rows.names, bench.plan.columns
+    for name in (*names, "value"):
+        if name not in table:
+            raise InputError("import", name, f"a file with the columns {', '.join(names)}, value")
+    rows = []
+    for place in np.flatnonzero(np.isfinite(table["value"].astype(float))).tolist():
+        row = {name: column[place] for name, column in table.items()}
+        numbers = {name: float(row[name]) for name in columns if name in row}
+        own = {name: value for name, value in numbers.items() if np.isfinite(value)}
+        note = row.get("note") or ""
+        rows.append(({name: row[name] for name in names}, float(row["value"]), own, str(note)))
+    print(f"trials {', '.join(map(str, bench.add_all(rows)))}")
+
+
+def other(bench: Bench, args: Namespace) -> None:
+    """Abort a trial, undo an entry, or go on in another context."""
+    if args.action == "abort":
+        bench.abort(number(args), args.note)
+    elif args.action == "undo":
+        print(f"undone: {bench.undo(number(args) if args.what else None)}")
+    else:
+        bench.context(needed(args.what, "what", "the name of a context"))
+    print(bench.entries[-1])
+
+
+def number(args: Namespace) -> int:
+    """The number of a trial or an entry."""
+    word = needed(args.what, "what", "the number of a trial")
+    if not word.isdecimal():
+        raise InputError("what", word, "a number")
+    return int(word)
+
+
+def needed(value: Any, field: str, allowed: str) -> Any:
+    """An option that the action cannot do without."""
+    if value is None:
+        raise InputError(field, "missing", allowed)
+    return value
+
+
+def others(args: Namespace) -> dict[str, float]:
+    """Columns that options name."""
+    found = {}
+    for name, word in args.others.items():
+        try:
+            found[name] = float(word)
+        except ValueError:
+            raise InputError(name, word, "a number") from None
+    return found
+
+
+ACTIONS: dict[str, Callable[[Bench, Namespace], None]] = {
+    "new": other, "next": next_trials, "record": record, "fail": record, "abort": other,
+    "correct": record, "undo": other, "add": record, "context": other, "status": status,
+    "recommend": recommend, "compare-to-simulator": compare_to_simulator, "export": export,
+    "import": import_trials,
+}  # fmt: skip

@@ -1,0 +1,58 @@
+"""A robot: two parameters, six simulated worlds, and the truth, which is none of them."""
+
+from pathlib import Path
+
+import numpy as np
+
+from study.bench.bench import Bench
+
+ROWS, DURATION_S = 150, 30.0
+TOML = """
+name = "walk"
+about = "10 m of treadmill"
+[candidates]
+file = "candidates.csv"
+parameters = ["stiffness", "damping"]
+log = ["stiffness"]
+{known}
+[goal]
+value = "J/m"
+success = 0.5
+duration_s = 30
+failed_at_once = 6
+failed_at_end = 3
+[columns.torque]
+unit = "N m"
+most = 90
+"""
+WORLDS = 'outcomes = ["world*"]'
+FEATURES = 'features = ["world0", "world1"]\nprior = "-world0"'
+
+
+def write(folder: Path, known: str = WORLDS, more: str = "") -> Path:
+    """The candidates and the file of a bench."""
+    rng = np.random.default_rng(1)
+    stiffness, damping = 10 ** rng.uniform(1, 3, ROWS), rng.uniform(0.1, 2.0, ROWS)
+    middles = zip(10 ** rng.uniform(1.5, 2.5, 6), rng.uniform(0.5, 1.5, 6), strict=True)
+    worlds = [0.2 + abs(np.log(stiffness / k)) + abs(damping - d) for k, d in middles]
+    head = "stiffness,damping," + ",".join(f"world{number}" for number in range(6))
+    columns = np.column_stack([stiffness, damping, *worlds])
+    np.savetxt(folder / "candidates.csv", columns, "%.17g", ",", header=head, comments="")
+    path = folder / "walk.toml"
+    path.write_text(TOML.format(known=known) + more)
+    return path
+
+
+def cost(params: dict[str, float], stiffness: float = 150.0) -> float:
+    """What a trial shows, on a ground that wants this stiffness."""
+    return 0.2 + abs(np.log(params["stiffness"] / stiffness)) + abs(params["damping"] - 0.9)
+
+
+def run(bench: Bench, trials: int, stiffness: float = 150.0) -> list[dict[str, float]]:
+    """Run the next trials one after another; their parameters."""
+    tried = []
+    for _ in range(trials):
+        (trial,) = bench.next()
+        bench.record(trial.number, cost(trial.params, stiffness))
+        tried.append(trial.params)
+    return tried

@@ -1,0 +1,313 @@
+"""A bench: entries, what follows from them, and that nothing is lost, whoever writes and dies."""
+
+import multiprocessing
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import optuna
+import pytest
+import sqlalchemy as sql
+from optuna.trial import TrialState
+
+from study.bench import journal
+from study.bench.bench import Bench
+from study.sampler.table_policy import TableExhaustedError
+from taichi_nmm.errors import InputError
+from tests.study.bench import robot
+
+FORK = multiprocessing.get_context("fork")
+
+
+@pytest.fixture(params=[robot.WORLDS, robot.FEATURES], ids=["worlds", "features"])
+def path(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    return robot.write(tmp_path, request.param)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench.new(robot.write(tmp_path), "me")
+
+
+def shown(bench: Bench) -> optuna.Study:
+    """The dashboard's study agrees with the entries."""
+    trials, study = bench.state.trials, bench.shown()
+    for trial in study.trials:
+        own = trials.get(trial.number)
+        if own is None:
+            assert trial.state is TrialState.FAIL
+            continue
+        assert (trial.params, trial.user_attrs["operator"]) == (own.params, own.operator)
+        assert trial.state is (TrialState.RUNNING if own.value is None else TrialState.COMPLETE)
+        assert trial.values == (None if own.value is None else [own.value])
+    assert len(study.trials) == bench.state.count
+    return study
+
+
+def test_who_asks_twice_gets_the_same_and_others_get_others(path: Path) -> None:
+    mine, yours = Bench.new(path, "me"), Bench(path, "you")
+    (first,) = mine.next()
+    assert mine.next() == [first] == Bench(path, "me").next()
+    (other,) = yours.next()
+    assert other.number == 1 and other.params != first.params
+    three = mine.next(batch=3)
+    assert [trial.number for trial in three] == [0, 2, 3] and three[0] == first
+    assert len({str(trial.params) for trial in [*three, other]}) == 4
+    mine.record(0, 1.0)
+    assert [trial.number for trial in mine.next()] == [2]
+    assert shown(mine).trials[0].value == 1.0
+
+
+def test_what_was_mended_leaves_no_trace_in_later_proposals(path: Path, tmp_path: Path) -> None:
+    """Wrong values, wrong limits, breakdowns and needless trials, against a study without any."""
+    (tmp_path / "right").mkdir()
+    known = robot.WORLDS if "outcomes" in path.read_text() else robot.FEATURES
+    right = Bench.new(robot.write(tmp_path / "right", known))
+    expected = robot.run(right, 9)
+    bench, found = Bench.new(path), list[Any]()
+    for place in range(9):
+        (trial,) = bench.next()
+        found.append(trial.params)
+        value = robot.cost(trial.params)
+        if place == 1:
+            bench.record(trial.number, -value, {"torque": 99.0})
+            bench.correct(trial.number, value)
+            bench.correct(trial.number, columns={"torque": 80.0})
+            bench.undo()
+            bench.undo()
+            bench.undo()  # of the record itself
+            bench.record(trial.number, value)
+        elif place == 3:
+            bench.abort(trial.number, "a cable")
+            assert bench.next()[0].params == trial.params
+            bench.record(trial.number, value)
+        elif place == 5:
+            bench.fail(trial.number, 3.0)
+            bench.correct(trial.number, value)
+            assert not bench.state.trials[trial.number].failed
+        elif place == 6:
+            bench.record(trial.number, value)
+            bench.add({"stiffness": 20.0, "damping": 0.2}, 5.0)
+            bench.undo()
+            bench.next()
+            bench.undo()
+        else:
+            bench.record(trial.number, value)
+    assert found == expected
+    assert bench.best().value == right.best().value
+    assert shown(bench).trials[7].user_attrs["note"] == "undone"
+
+
+def test_a_failure_teaches_by_how_far_it_came_and_limits_are_learned(bench: Bench) -> None:
+    for number, seconds in enumerate((0.0, 15.0, 30.0)):
+        bench.next()
+        bench.fail(number, seconds, {"torque": 100.0})
+    trials = bench.state.trials
+    assert [trials[number].value for number in range(3)] == [6.0, 4.5, 3.0]
+    assert all(trial.failed for trial in trials.values())
+    (trial,) = bench.next()
+    assert "all limits kept" in trial.why and "No trial has kept all limits yet" in trial.why
+    assert shown(bench).trials[0].constraints == {"torque at most": 10.0}
+
+
+def test_a_repeat_is_pooled_and_the_least_sure_one_is_recommended(bench: Bench) -> None:
+    robot.run(bench, 6)
+    best, repeat = bench.best(), bench.repeat()
+    assert repeat in bench.state.trials and best.trials == 1
+    (again,) = bench.next(repeat=best.number)
+    assert again.params == dict(best.params) and again.number == 6
+    bench.record(6, best.value)
+    assert bench.best().trials == 2
+    assert "world" in bench.worth()
+
+
+def test_new_ground_begins_with_what_was_good_before(path: Path) -> None:
+    """On ground that is as before, the first trial is as good as the best so far."""
+    bench = Bench.new(path)
+    robot.run(bench, 12)
+    best = min(trial.value or 0.0 for trial in bench.state.trials.values())
+    bench.context("gravel")
+    assert "as before" in bench.next()[0].why
+    (params,) = robot.run(bench, 1)
+    assert robot.cost(params) <= best + 0.3
+    robot.run(bench, 2, stiffness=60.0)
+    assert {trial.context for trial in bench.state.trials.values()} == {"", "gravel"}
+    bench.context("")
+    assert bench.best().number < 12  # of the present context alone
+    assert shown(bench).trials[13].user_attrs["context"] == "gravel"
+
+
+def test_trials_of_ones_own_are_learned_from_and_checked_by_name(path: Path) -> None:
+    bench = Bench.new(path)
+    robot.run(bench, 3)
+    near = {"stiffness": 149.0, "damping": 0.91}  # no row of the table
+    assert bench.add(near, robot.cost(near)) == 3
+    assert bench.best().number == 3
+    bad = {"stiffness": 1e5}, {"damping": 57.3}, {"mass": 1.0}, {"stiffness": "soft"}
+    for change in bad:
+        with pytest.raises(InputError, match=next(iter(change))):
+            bench.add(near | change, 1.0)
+    assert len(bench.state.trials) == 4
+
+
+def test_proposals_keep_within_the_limits_of_safety(tmp_path: Path) -> None:
+    limits = "\n[safety]\nmost_step = 0.15\nleast_success = 0.05"
+    bench = Bench.new(robot.write(tmp_path, more=limits))
+    good = {"stiffness": 149.0, "damping": 0.91}
+    bench.add(good, robot.cost(good))
+    for params in robot.run(bench, 4):
+        assert abs(params["damping"] - 0.91) < 0.15 * 1.9 * 2
+    (tmp_path / "walk.toml").write_text(
+        (tmp_path / "walk.toml").read_text().replace("least_success = 0.05", "least_success = 1.0")
+    )
+    with pytest.raises(InputError, match="safety: 'no candidate within the limits'"):
+        Bench(tmp_path / "walk.toml").next()
+
+
+def test_what_cannot_be_entered_is_one_line_and_changes_nothing(bench: Bench) -> None:
+    bench.next()
+    before, wrong = bench.entries, list[tuple[Callable[[], object], str]]()
+    wrong += [
+        (lambda: bench.record(7, 1.0), r"trial: 7 .* pending: 0"),
+        (lambda: bench.record(0, float("nan")), r"value: nan"),
+        (lambda: bench.record(0, 1.0, {"speed": 3.0}), r"speed: 3.0 .* columns torque"),
+        (lambda: bench.record(0, 1.0, {"torque": float("inf")}), r"torque: inf"),
+        (lambda: bench.correct(0, 1.0), r"trial: 0 .* a finished trial"),
+        (lambda: bench.fail(0, 31.0), r"seconds: 31.0 .* to 30"),
+        (lambda: bench.abort(9), r"trial: 9"),
+        (lambda: bench.undo(9), r"undo: 9 .* an entry that stands: 1"),
+        (lambda: bench.context(""), r"context: ''"),
+        (lambda: bench.next(repeat=0), r"trial: 0 .* finished"),
+    ]
+    for act, said in wrong:
+        with pytest.raises(InputError, match=said):
+            act()
+    assert Bench(bench.plan.path).entries == before
+    bench.record(0, 1.0)
+    with pytest.raises(InputError, match=r"undo: 1 .* entry 2 first"):
+        bench.undo(1)
+    assert "far from all that was simulated" in bench.odd(-3.0) and not bench.odd(1.0)
+
+
+def test_another_file_or_other_candidates_are_refused(bench: Bench, tmp_path: Path) -> None:
+    path, text = bench.plan.path, bench.plan.path.read_text()
+    path.write_text(text.replace("success = 0.5", "success = 0.6"))
+    with pytest.raises(InputError, match=r"walk.toml: goal.success: 0.6 .* 0.5, with which"):
+        Bench(path)
+    path.write_text(text.replace("10 m of treadmill", "12 m"))  # words may change
+    rows = (tmp_path / "candidates.csv").read_text()
+    (tmp_path / "candidates.csv").write_text(rows.rsplit("\n", 2)[0] + "\n")
+    again = Bench(path, "me")
+    with pytest.raises(InputError, match=r"candidates: .* digest differs"):
+        again.next()
+    optuna.create_study(storage=bench.plan.url, study_name="mine")
+    path.write_text(text.replace('name = "walk"', 'name = "mine"'))
+    with pytest.raises(InputError, match=r"name: 'mine' .* no other study has"):
+        Bench(path)
+
+
+@pytest.mark.parametrize(("old", "new", "said"), [
+    ("log = [", "logs = [", r"candidates.logs"),
+    ('"damping"]', '"dampin"]', r"candidates: 'dampin' .* one of the columns stiffness, damping"),
+    ("world*", "wold*", r"candidates.outcomes: 'wold\*'"),
+    ("candidates.csv", "nothing.csv", r"candidates.file: .*nothing.csv"),
+    ("failed_at_end = 3", "", r"goal: 'a part' .* failed_at_end"),
+    ("most = 90", "mots = 90", r"columns.torque.mots"),
+    ('name = "walk"', 'name = "a/b"', r"name: 'a/b'"),
+    ("[goal]", "[goal", r"bench: .*walk.toml"),
+    ("[columns.torque]", "[safety]\nleast_kept = 2\n[columns.torque]", r"safety.least_kept: 2"),
+])  # fmt: skip
+def test_a_file_that_cannot_be_used_is_one_line(
+    tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    path = robot.write(tmp_path)
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(InputError, match=said):
+        Bench.new(path)
+
+
+def test_all_rows_may_have_been_tried(tmp_path: Path) -> None:
+    path = robot.write(tmp_path, robot.FEATURES)
+    rows = (tmp_path / "candidates.csv").read_text().splitlines()
+    (tmp_path / "candidates.csv").write_text("\n".join(rows[:4]) + "\n")
+    bench = Bench.new(path)
+    robot.run(bench, 3)
+    with pytest.raises(InputError, match=r"all 3 rows .* a row that nobody has tried"):
+        bench.next()
+    assert issubclass(TableExhaustedError, RuntimeError)
+
+
+def forked(work: Callable[[], object]) -> int:
+    """Do it in a process of its own; its exit code."""
+    process = FORK.Process(target=work)
+    process.start()
+    process.join(60)
+    assert process.exitcode is not None
+    return process.exitcode
+
+
+@pytest.mark.slow
+def test_a_command_that_is_killed_at_any_commit_has_done_it_or_not(tmp_path: Path) -> None:
+    path = robot.write(tmp_path)
+    expected = robot.run(Bench.new(path), 4)
+    deaths = 0
+    for commit in range(1, 40):
+        folder = tmp_path / str(commit)
+        folder.mkdir()
+        place = robot.write(folder)
+
+        def die_at(commit: int = commit, place: Path = place) -> None:
+            commits = iter(range(1, 10_000))
+
+            def committed(*_: object) -> None:
+                if next(commits) == commit:
+                    os._exit(9)
+
+            sql.event.listen(sql.Engine, "commit", committed)
+            robot.run(Bench.new(place), 2)
+
+        deaths += forked(die_at) == 9
+        bench = Bench.new(place)
+        told = [trial for trial in bench.state.trials.values() if trial.value is not None]
+        assert len(bench.state.trials) - len(told) <= 1
+        robot.run(bench, 4 - len(told))
+        assert [trial.params for trial in bench.state.trials.values()] == expected
+        shown(bench)
+    assert deaths > 20
+
+
+@pytest.mark.slow
+def test_two_operators_at_once_lose_nothing_and_get_different_trials(tmp_path: Path) -> None:
+    path = robot.write(tmp_path)
+    Bench.new(path)
+
+    def operate(name: str) -> None:
+        robot.run(Bench(path, name), 8)
+
+    both = [FORK.Process(target=operate, args=(name,)) for name in ("me", "you")]
+    for process in both:
+        process.start()
+    for process in both:
+        process.join(120)
+    assert [process.exitcode for process in both] == [0, 0]
+    bench = Bench(path)
+    assert [entry.number for entry in bench.entries] == list(range(1 + 2 * 16))
+    trials = shown(bench).trials
+    assert len({str(trial.params) for trial in trials}) == 16
+    assert {trial.user_attrs["operator"] for trial in trials} == {"me", "you"}
+
+
+def test_a_clock_that_goes_back_decides_nothing(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Clock:
+        def isoformat(self, timespec: str) -> str:
+            return "1999-01-01T00:00:00+00:00"
+
+    (trial,) = bench.next()
+    bench.record(trial.number, 1.0)
+    monkeypatch.setattr(journal, "datetime", type("T", (), {"now": lambda _: Clock()}))
+    bench.correct(trial.number, 2.0)
+    assert bench.entries[-1].time.startswith("1999") and bench.state.trials[0].value == 2.0
