@@ -200,7 +200,7 @@ def import_trials(bench: Bench, args: Namespace) -> None:
     rows = []
     for place in np.flatnonzero(np.isfinite(table["value"].astype(float))).tolist():
         row = {name: column[place] for name, column in table.items()}
-        numbers = {name: float(row[name]) for name in columns if name in row}
+        numbers = {name: float(row[name]) for name in columns if row.get(name) is not None}
         own = {name: value for name, value in numbers.items() if np.isfinite(value)}
         note = row.get("note") or ""
         rows.append(({name: row[name] for name in names}, float(row["value"]), own, str(note)))

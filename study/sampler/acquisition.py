@@ -20,6 +20,8 @@ TIE_TOLERANCE = 1e-9  # relative: below this, two candidates differ by rounding
 LOG_SQRT_2PI = 0.5 * np.log(2.0 * np.pi)
 SQRT_HALF = np.sqrt(0.5)
 SQRT_HALF_PI = np.sqrt(0.5 * np.pi)
+# Of success: below, the likeliest candidate is any that is near the best one, and teaches nothing.
+LEAST_LOG_CHANCE = np.log(0.01)
 FAR_BELOW, FAR_ABOVE = -1e3, 1e1  # standard deviations
 # A squared exponential bends by 1 / (8 x 100^2) = 1.3e-5 of its height between two nodes.
 NODES_A_LENGTH = 100
@@ -59,7 +61,7 @@ class Model:
         """How good each of m candidates is, [m]; minus infinity where not offered or not examined.
 
         The log of the expected improvement times the probability that all limits are kept; until a
-        trial has succeeded, of the probability of success times that.
+        trial has succeeded, of the probability of success times that, while any has a chance.
 
         Args:
             points: the candidates.
@@ -215,7 +217,10 @@ class Model:
         mean += self.expected(points, cost)
         if self.success is not None and self.costs[feasible].min() > self.success:
             (goal,) = self.standard(np.array([self.success]), self.costs)
-            return log_kept(mean - goal, variance) + kept
+            chance = log_kept(mean - goal, variance) + kept
+            # Rows come first, and decide for the points off the table too.
+            if self.__dict__.setdefault("_in_sight", bool(chance.max() >= LEAST_LOG_CHANCE)):
+                return chance
         best = float(cost[feasible].min())
         return log_expected_improvement(mean, np.sqrt(variance), best) + kept
 

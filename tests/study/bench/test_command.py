@@ -1,0 +1,150 @@
+"""`taichi-nmm bench`: the sheet, results by hand, files in and out, one line for what is wrong."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from study.bench.bench import Bench
+from study.cli import main
+from study.commands.bench import ACTIONS
+from tests.study.bench import robot
+from tests.tools.running import ROOT
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    robot.write(tmp_path)
+    (tmp_path / "other.toml").write_text("[tool]\n")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def bench(line: str, capsys: pytest.CaptureFixture[str], code: int = 0) -> str:
+    """What a command line prints, on either stream."""
+    if code:
+        with pytest.raises(SystemExit) as left:
+            main(["bench", *line.split()])
+        assert left.value.code == code
+    else:
+        main(["bench", *line.split()])
+    said = capsys.readouterr()
+    return said.out + said.err
+
+
+def test_a_bench_from_its_file_to_a_recommendation(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "walk: FeatureTable(150 rows" in bench("new walk.toml --operator me", capsys)
+    sheet = bench("next --batch 2 --json next.json --operator me", capsys)
+    assert re.search(r"^trial 0 \| walk$", sheet, re.M) and "Expected: " in sheet
+    assert "enter: taichi-nmm bench record 1 --cost ... --torque ..." in sheet
+    asked = json.loads((folder / "next.json").read_text())
+    assert [trial["trial"] for trial in asked] == [0, 1]
+    (folder / "mine.json").write_text(json.dumps(asked[0]["params"]))
+    bench("record 0 --torque 81 --cost 0.9 --note slipped", capsys)
+    bench("fail 1 --seconds 2.1", capsys)
+    assert "far from all" in bench("correct 0 --cost -31", capsys)
+    assert "undone:" in bench("undo", capsys)
+    assert "trial 2" in bench("add --gains mine.json --cost 0.4", capsys)
+    told = bench("status", capsys)
+    assert "trial   0  0.9         torque 81  slipped" in told and "correct 0 (undone)" in told
+    assert re.search(r"^Trial \d.*\n\{.*\}\nA repeat of trial \d", bench("recommend", capsys))
+    compared = bench("compare-to-simulator", capsys)
+    assert "trial   2  simulated" in compared and "most like" in compared
+    assert (folder / "walk-simulator.png").stat().st_size > 5000
+    bench("context gravel", capsys)
+    assert "trial 3 | walk | gravel" in bench("next", capsys)
+    assert "again: broken off 1 times" in bench("abort 3", capsys) + bench("next", capsys)
+
+
+def test_trials_go_out_and_come_in(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot.run(Bench.new("walk.toml"), 4)
+    Bench("walk.toml").next()
+    assert "5 trials: trials.csv" in bench("export trials.csv", capsys)
+    (folder / "second").mkdir()
+    robot.write(folder / "second")
+    bench("new second/walk.toml", capsys)
+    assert "trials 0, 1, 2, 3" in bench("import trials.csv --bench second/walk.toml", capsys)
+    told, again = Bench("walk.toml").state.trials, Bench("second/walk.toml").state.trials
+    assert [(told[n].params, told[n].value) for n in again] == [
+        (trial.params, trial.value) for trial in again.values()
+    ]
+    (folder / "trials.csv").write_text("stiffness,value\n1,2\n")
+    said = bench("import trials.csv --bench second/walk.toml", capsys, 2)
+    assert (
+        said.startswith("error: import: 'damping'") and len(Bench("second/walk.toml").entries) == 2
+    )
+
+
+def test_a_log_of_a_walk_gives_the_cost(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bench("new walk.toml", capsys)
+    bench("next", capsys)
+    for seconds, name in ((30, "whole"), (10, "short")):
+        rows = "\n".join(f"{t},{1.2 * t}" for t in range(seconds + 1))
+        (folder / f"{name}.csv").write_text(f"time,position\n{rows}\n")
+    assert "record 0" in bench("record 0 --log whole.csv", capsys)
+    whole = Bench("walk.toml").state.trials[0].value
+    bench("correct 0 --log short.csv", capsys)
+    short = Bench("walk.toml").state.trials[0].value
+    assert whole is not None and short is not None and whole < short
+
+
+@pytest.mark.parametrize(("line", "said"), [
+    ("dance", "action: 'dance'"),
+    ("new", "what: 'missing' cannot be used; allowed: the TOML file of the bench"),
+    ("status --bench nothing.toml", "bench: 'nothing.toml'"),
+    ("record 0 --cost nan", "value: nan"),
+    ("record one --cost 1", "what: 'one' cannot be used; allowed: a number"),
+    ("record 0", "cost: 'missing'"),
+    ("record 0 --cost 1 --speed 2", "speed: 2.0 cannot be used; allowed: one of the columns"),
+    ("record 0 --cost 1 --torque much", "torque: 'much' cannot be used; allowed: a number"),
+    ("fail 0", "seconds: 'missing'"),
+    ("add --cost 1", "gains: 'missing'"),
+    ("next --batch 0", "batch: 0"),
+])  # fmt: skip
+def test_what_is_wrong_is_one_line(
+    folder: Path, line: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench("new walk.toml", capsys)
+    bench("next", capsys)
+    found = bench(line, capsys, 2)
+    assert found.startswith(f"error: {said}") and found.count("\n") == 1
+    assert len(Bench("walk.toml").entries) == 2
+
+
+def test_a_folder_needs_one_bench_that_was_begun(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "a bench that was begun: taichi-nmm bench new" in bench("next", capsys, 2)
+    assert not (folder / "walk.db").exists() or not Bench("walk.toml").entries
+    robot.write(folder).rename(folder / "second.toml")
+    robot.write(folder)
+    assert "bench: 'second.toml, walk.toml'" in bench("next", capsys, 2)
+
+
+def test_the_page_runs_from_top_to_bottom(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs" / "bench.md").read_text()
+    toml, *_ = re.findall(r"^```toml\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    (tmp_path / "walk.toml").write_text(toml)
+    for language, code in re.findall(
+        r"^```(python|sh)\n(.*?)^```$", page, re.DOTALL | re.MULTILINE
+    ):
+        if language == "python":
+            exec(compile(code, "bench.md", "exec"), {})
+            continue
+        for line in code.splitlines():
+            program, *words = shlex.split(line)
+            if program == "echo":
+                Path(words[2]).write_text(words[0])
+            else:
+                assert (program, words[0]) == ("taichi-nmm", "bench")
+                main(words)
+    said = capsys.readouterr()
+    assert "warning" not in said.err and "trial 8 | walk | gravel" in said.out
+    assert set(re.findall(r"taichi-nmm bench ([a-z-]+)", page)) >= set(ACTIONS) - {"import"}
