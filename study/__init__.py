@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any
 from taichi_nmm.neighbours import require_neighbours
 
 if TYPE_CHECKING:
-    from study.bench.bench import Bench
     from study.experiment.features import world_table
     from study.sampler.sampler import DoGSampler, FeatureKernelSampler
     from study.sampler.table import FeatureTable
 
 __all__ = [
-    "Bench",
     "DoGSampler",
     "FeatureKernelSampler",
     "FeatureTable",
@@ -23,7 +21,6 @@ __all__ = [
 ]
 
 _MODULES = {
-    "Bench": "study.bench.bench",
     "DoGSampler": "study.sampler.sampler",
     "FeatureKernelSampler": "study.sampler.sampler",
     "FeatureTable": "study.sampler.table",

@@ -88,7 +88,7 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         "seed": 1, "prior": "-feature_0", "kernel": "rbf", "feature_function": np.sin,
         "off_grid": 2, "space": None, "strict": True, "extra_parameters": ("y",),
         "independent_sampler": optuna.samplers.RandomSampler(seed=1), "success": 0.5,
-        "constraints_func": None,
+        "allowed": None, "constraints_func": None,
     }  # fmt: skip
     frame = pd.DataFrame({"x": [0.0, 1.0], "f": [1.0, 2.0]})
     named = {"parameters": ["x"], "features": ["f"], "bounds": {"x": (0, 1)}, "space": None}
@@ -141,6 +141,7 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
           for read in (opened.numpy, opened.pandas, opened.table, opened.tables)),
         (sampler.worth, {"study": tried(lambda: sampler)()}),
         (sampler.best, {"study": tried(lambda: sampler)()}),
+        (sampler.predict, {"study": tried(lambda: sampler)(), "params": [{"x": 0.5}]}),
         (study.FeatureTable, {"rows": table.rows, "file": None}),
         (from_arrays, {"parameters": {"x": [0.0, 1.0]}, "features": [1, 2],
                        "feature_names": ["f"], "bounds": {"x": (0, 1)}, "space": None}),

@@ -30,6 +30,7 @@ from study.sampler.worlds import Worlds
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
+WHOLE, COLUMNS = checks.whole(0), checks.optional(checks.by_name(checks.number()))
 BEFORE = "as before"  # the feature, or the world, that other contexts tell of
 TOLD = {True: TrialState.COMPLETE, False: TrialState.RUNNING}
 
@@ -88,6 +89,7 @@ class Bench:
             raise InputError("candidates", str(self.plan.path), allowed)
         return found
 
+    @checks.checked(batch=checks.whole(1), repeat=checks.optional(WHOLE))
     def next(self, batch: int = 1, repeat: int | None = None) -> list[Trial]:
         """Trials to run: those that this operator has not entered yet, and new ones up to `batch`.
 
@@ -116,6 +118,7 @@ class Bench:
             numbers = [trial["number"] for trial in asked]
             return [*mine, *(self.state.trials[number] for number in numbers)][: max(batch, 1)]
 
+    @checks.checked(number=WHOLE, value=checks.number(), columns=COLUMNS, note=checks.text)
     def record(
         self, number: int, value: float, columns: Mapping[str, float] | None = None, note: str = ""
     ) -> None:
@@ -126,14 +129,18 @@ class Bench:
         """
         self._tell("record", number, value, columns, note)
 
+    @checks.checked(number=WHOLE, seconds=checks.number(), columns=COLUMNS, note=checks.text)
     def fail(
         self, number: int, seconds: float, columns: Mapping[str, float] | None = None,
         note: str = "",
     ) -> None:  # fmt: skip
         """Enter that a trial failed after so long: its value follows from [goal]."""
-        value = self.plan.goal.of_failure(checks.number()("seconds", seconds))
+        value = self.plan.goal.of_failure(seconds)
         self._tell("fail", number, value, columns, note)
 
+    @checks.checked(
+        number=WHOLE, value=checks.optional(checks.number()), columns=COLUMNS, note=checks.text
+    )
     def correct(
         self, number: int, value: float | None = None,
         columns: Mapping[str, float] | None = None, note: str = "",
@@ -141,6 +148,7 @@ class Bench:
         """Replace what was entered of a finished trial; what is not given stays."""
         self._tell("correct", number, value, columns, note)
 
+    @checks.checked(number=WHOLE, note=checks.text)
     def abort(self, number: int, note: str = "") -> None:
         """Enter that a trial was broken off: nothing is learned, and it is the next one again."""
         with self._turn() as state:
@@ -164,7 +172,8 @@ class Bench:
                 as of `record`. Nothing is entered then.
         """
         space = self.candidates.table.rows.space.as_dict()
-        for params, *_ in rows:
+        for params, value, columns, note in rows:
+            checks.number()("value", value), COLUMNS("columns", columns), checks.text("note", note)
             for name in dict.fromkeys([*space, *params]):
                 if name not in space or name not in params:
                     what = params.get(name, "missing")
@@ -181,14 +190,15 @@ class Bench:
             self._add("add", {"trials": trials})
         return numbers
 
+    @checks.checked("context.", name=checks.text)
     def context(self, name: str) -> None:
         """Go on in another context: other ground, shoes or motors; or in one that was before."""
-        checks.text("context", name)
         with self._turn() as state:
             if name == state.context:
                 raise InputError("context", name, "another one than the present")
             self._add("context", {"name": name})
 
+    @checks.checked("undo.", number=checks.optional(WHOLE))
     def undo(self, number: int | None = None) -> Entry:
         """Undo an entry, by default the last one that stands; an undoing can be undone."""
         with self._turn():
@@ -238,13 +248,10 @@ class Bench:
         self, value: float | None, columns: Mapping[str, float] | None, note: str
     ) -> dict[str, Any]:
         """A result as an entry has it."""
-        if value is not None:
-            value = float(checks.number()("value", value))
         for name, given in (columns or {}).items():
             if name not in self.plan.columns:
                 known = ", ".join(self.plan.columns) or "none: [columns] of the file names them"
                 raise InputError(name, given, f"one of the columns {known}")
-            checks.number()(name, given)
         return {"value": value, "columns": dict(columns or {}), "note": note}
 
     def odd(self, value: float) -> str:

@@ -53,10 +53,9 @@ def _no_constraints(field: str, value: object) -> None:
 
 def _mask(field: str, value: Any) -> NDArray[np.bool_]:
     """Which rows of a table: [n] flags."""
-    mask = np.asarray(value)
-    if mask.ndim != 1 or mask.dtype != bool:
+    if not isinstance(value, np.ndarray) or value.ndim != 1 or value.dtype != bool:
         raise InputError(field, value, "an array of flags, one a row")
-    return mask
+    return value
 
 
 class FeatureKernelSampler(BaseSampler):
@@ -251,7 +250,10 @@ class FeatureKernelSampler(BaseSampler):
                 raise InputError("study", study.study_name, allowed)
             return best_of(present, maximised=study.direction is StudyDirection.MAXIMIZE)
 
-    @checks.checked(study=checks.instance(optuna.Study))
+    @checks.checked(
+        study=checks.instance(optuna.Study),
+        params=checks.optional(checks.each(checks.by_name(checks.anything))),
+    )
     def predict(
         self, study: optuna.Study, params: Sequence[Mapping[str, Any]] | None = None
     ) -> Prediction:

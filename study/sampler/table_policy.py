@@ -514,7 +514,8 @@ class TablePolicy(Policy):
             if known is None:
                 raise InputError(f"params[{place}]", dict(values), f"one of {rows.space.as_dict()}")
             places[place] = known
-        numbers = np.array([OFF_TABLE if (row := rows.find(v)) is None else row for v in params])
+        found = [OFF_TABLE if (row := rows.find(v)) is None else row for v in params]
+        numbers = np.array(found, dtype=np.int64)
         return prediction_of(
             model, self._seen(places, numbers, (), ensemble), numbers, history.sign
         )

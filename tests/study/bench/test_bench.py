@@ -4,7 +4,7 @@ import multiprocessing
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import optuna
 import pytest
@@ -172,13 +172,16 @@ def test_what_cannot_be_entered_is_one_line_and_changes_nothing(bench: Bench) ->
         (lambda: bench.record(7, 1.0), r"trial: 7 .* pending: 0"),
         (lambda: bench.record(0, float("nan")), r"value: nan"),
         (lambda: bench.record(0, 1.0, {"speed": 3.0}), r"speed: 3.0 .* columns torque"),
-        (lambda: bench.record(0, 1.0, {"torque": float("inf")}), r"torque: inf"),
+        (lambda: bench.record(0, 1.0, {"torque": float("inf")}), r"columns.torque: inf"),
         (lambda: bench.correct(0, 1.0), r"trial: 0 .* a finished trial"),
         (lambda: bench.fail(0, 31.0), r"seconds: 31.0 .* to 30"),
         (lambda: bench.abort(9), r"trial: 9"),
         (lambda: bench.undo(9), r"undo: 9 .* an entry that stands: 1"),
         (lambda: bench.context(""), r"context: ''"),
         (lambda: bench.next(repeat=0), r"trial: 0 .* finished"),
+        (lambda: bench.next(batch=cast(Any, "two")), r"batch: 'two'"),
+        (lambda: bench.record(0, cast(Any, None)), r"value: None"),
+        (lambda: bench.abort(cast(Any, [])), r"number: \[\]"),
     ]
     for act, said in wrong:
         with pytest.raises(InputError, match=said):

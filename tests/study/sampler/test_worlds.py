@@ -274,8 +274,9 @@ def test_until_a_trial_succeeds_the_likeliest_success_comes_next(sign: float) ->
         return [sign * trial.values[0] for trial in study.trials]
 
     assert tried(sign * 1e9) == tried(None)  # all have succeeded
-    never = tried(sign * 1e-9)
-    assert never != tried(None) and len(set(never)) == 10
+    aimed = tried(sign * 0.145)
+    assert aimed != tried(None) and len(set(aimed)) == 10
+    assert tried(sign * 1e-9) == tried(None)  # out of sight
 
 
 def test_the_chance_of_success_is_that_of_the_posterior() -> None:
@@ -288,10 +289,46 @@ def test_the_chance_of_success_is_that_of_the_posterior() -> None:
     away = ensemble.standard(np.array([0.15])) - mean - ensemble.mean
     chance = norm.logcdf(away / np.sqrt(variance))
     rng = np.random.default_rng(0)
-    aimed = replace(model, success=0.15)
+    aimed, far = replace(model, success=0.15), replace(model, success=1e-3)
+    assert chance.max() > np.log(0.01)
+    np.testing.assert_array_equal(
+        far.utility(points, offered, rng), model.utility(points, offered, rng)
+    )
     np.testing.assert_allclose(aimed.utility(points, offered, rng), chance, rtol=1e-6)
     reached = replace(model, success=float(costs.min())).utility(points, offered, rng)
     np.testing.assert_array_equal(reached, model.utility(points, offered, rng))
+
+
+def test_what_is_predicted_is_the_posterior_and_before_a_trial_the_spread_of_worlds() -> None:
+    sampler = FeatureKernelSampler(table(), seed=1, success=0.3)
+    blank = sampler.predict(optuna.create_study())
+    ensemble = Ensemble(Worlds.of(COSTS), np.arange(60), 1.0)
+    np.testing.assert_allclose(blank.value, ensemble.costs(ensemble.mean))
+    assert (blank.low < blank.value).all() and (blank.value < blank.high).all()
+    study = studied(sampler, 12)
+    true = cost(ROWS, (0.85, 0.75))
+    found = sampler.predict(study)
+    assert found.rows.tolist() == list(range(60)) and (found.kept == 1.0).all()
+    assert np.mean((found.low < true) & (true < found.high)) > 0.8  # of 95 %, if it were so
+    assert found.success[true < 0.2].mean() > 0.5 > found.success[true > 0.5].mean()
+    some = sampler.predict(study, [study.best_params, {"x": 0.85, "y": 100.0**0.75}])
+    assert np.abs(some.value - [study.best_value, 0.1]).max() < 0.1
+    upwards = FeatureKernelSampler(table(-COSTS), seed=1, success=-0.3)
+    other = upwards.predict(studied(upwards, 12, -1.0))
+    np.testing.assert_allclose([-other.high, -other.low], [found.low, found.high])
+    with pytest.raises(InputError, match=r"^params\[0\]: .*'z'"):
+        sampler.predict(study, [{"z": 1.0}])
+    with pytest.raises(InputError, match=r"^features: 'no table'"):
+        FeatureKernelSampler().predict(study)
+
+
+def test_rows_that_are_not_allowed_are_never_proposed() -> None:
+    allowed = ROWS[:, 0] < 0.5  # the best are not
+    study = studied(FeatureKernelSampler(table(), seed=1, allowed=allowed), 8)
+    assert max(trial.params["x"] for trial in study.trials) < 0.5
+    for wrong in (allowed[:5], allowed.astype(int), "all"):
+        with pytest.raises(InputError, match=r"^allowed: "):
+            FeatureKernelSampler(table(), allowed=wrong)  # type: ignore[arg-type]
 
 
 NOISE = 0.05
