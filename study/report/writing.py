@@ -5,7 +5,7 @@ from pathlib import Path
 
 from storage.commit import commit_json, commit_text, together
 from study.report.before_after import Pair, write_strips
-from study.report.figures import write_best_cost, write_first_walker, write_grid, write_walkers
+from study.report.figures import write_best_cost, write_first_walker
 from study.report.markdown import NO_STORES, condensed_table, overview_text, report_text
 from study.report.numbers import Numbers, numbers
 from study.report.runs import Results
@@ -39,7 +39,6 @@ def write_report(
     }
     with together(folder or results.folder / REPORT_NAME) as new:
         write_best_cost(new, results)
-        write_walkers(new, results)
         write_first_walker(new, results)
         if pair is not None:
             write_strips(new, f"{results.name}, run {pair.run}: before and after", pair)
@@ -49,17 +48,14 @@ def write_report(
 
 
 def write_overview(folder: Path, experiments: Sequence[Numbers]) -> None:
-    """Write overview.md, overview.json and a figure of several experiments, all or none.
+    """Write overview.md and overview.json of several experiments, both or none.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    text = (
-        f"# {len(experiments)} experiments\n\n{overview_text(experiments)}\n"
-        "![Runs with a walker](overview.png)\n"
-    ) + "".join(f"\n## {each.experiment}\n\n{condensed_table(each)}\n" for each in experiments)
+    parts = [f"## {each.experiment}\n\n{condensed_table(each)}\n" for each in experiments]
+    text = "\n".join([f"# {len(experiments)} experiments\n", overview_text(experiments), *parts])
     with together(folder) as new:
         document = {"experiments": [each.as_dict() for each in experiments]}
         commit_json(new / "overview.json", document)
-        write_grid(new, experiments)
         commit_text(new / "overview.md", text)

@@ -50,7 +50,7 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_report_has_its_figures_and_its_numbers(reported: Path) -> None:
     folder = reported / "one" / "report"
-    pictures = {f"{name}.{kind}" for name in ("best-cost", "walkers", "first-walker")
+    pictures = {f"{name}.{kind}" for name in ("best-cost", "first-walker")
                 for kind in ("png", "svg")}  # fmt: skip
     assert {file.name for file in folder.iterdir()} == pictures | {"report.md", "summary.json"}
     summary = json.loads((folder / "summary.json").read_text())
@@ -71,8 +71,7 @@ def test_several_folders_share_an_overview(reported: Path) -> None:
     text = (folder / "overview.md").read_text()
     assert "| one |" in text and "| two |" in text
     assert "\n## one\n" in text and "\n## two\n" in text
-    assert (folder / "overview.png").stat().st_size > 5_000
-    assert (folder / "overview.svg").exists()
+    assert {file.name for file in folder.iterdir()} == {"overview.md", "overview.json"}
     known = json.loads((folder / "overview.json").read_text())
     assert [each["experiment"] for each in known["experiments"]] == ["one", "two"]
 
