@@ -26,7 +26,6 @@ pytestmark = pytest.mark.slow
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SCRIPT = "<img src=x onerror=window.ran=1>"  # whoever writes to a database names its studies
-BARS = ".js-plotly-plot .scatterlayer .trace"  # a curve or a cloud of points of plotly
 
 
 @pytest.fixture(scope="module")
@@ -65,11 +64,6 @@ def studies(address: str) -> dict[str, int]:
     return {study["study_name"]: study["study_id"] for study in listed}
 
 
-def curves(page: Any, count: int) -> None:
-    """Wait until plots with so many curves in all are drawn."""
-    page.wait_for_function(f"document.querySelectorAll('{BARS}').length >= {count}")
-
-
 def test_the_list_shows_the_studies(page: Any, address: str) -> None:
     page.goto(f"{address}/dashboard")
     for name in ("tiny/dog/run-000", "tiny/random/run-001", "tiny/summary"):
@@ -96,7 +90,7 @@ def test_a_best_trial_shows_its_pictures(page: Any, address: str, studies: dict[
     save(page, "trial")
 
 
-def test_the_summary_has_table_and_figure(page: Any, address: str, studies: dict[str, int]) -> None:
+def test_the_summary_leads_to_studies(page: Any, address: str, studies: dict[str, int]) -> None:
     page.goto(f"{address}/dashboard/studies/{studies['tiny/summary']}/note")
     row = page.locator("tr", has_text="dog").first
     row.wait_for()
@@ -108,8 +102,3 @@ def test_the_summary_has_table_and_figure(page: Any, address: str, studies: dict
     page.go_back()
     page.get_by_role("link", name="compare").first.click()
     page.get_by_text("Best Value of tiny/random/run-000").first.wait_for()
-    page.goto(f"{address}/dashboard/studies/{studies['tiny/summary']}")
-    figure = page.get_by_text("best cost so far, median over runs")
-    figure.scroll_into_view_if_needed()
-    curves(page, 2)
-    save(page, "figure")
