@@ -64,9 +64,7 @@ def main(args: Namespace) -> None:
     require_engine(settings)
     workers = Walker(settings).processes(cores()) if args.workers is None else args.workers
     drawn, cluster = not args.no_artifacts, Cluster.asked(args.cluster, args.mixed)
-    request = Request(
-        out, args.storage, arms, args.runs, args.trials, workers, drawn, args.films, cluster
-    )
+    request = Request(out, args.storage, arms, args.runs, args.trials, workers, drawn, cluster)
     with closing(ProgressBar()) as bar:
 
         def show(progress: Progress) -> None:

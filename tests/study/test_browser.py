@@ -76,17 +76,11 @@ def test_the_list_shows_the_studies(page: Any, address: str) -> None:
     assert page.get_by_text("tiny/random/run-001").is_visible()
 
 
-def test_a_best_trial_shows_its_pictures(page: Any, address: str, studies: dict[str, int]) -> None:
+def test_a_best_trial_shows_its_picture(page: Any, address: str, studies: dict[str, int]) -> None:
     page.goto(f"{address}/dashboard/studies/{studies['tiny/dog/run-000']}/trials?numbers=1")
     page.get_by_text("Best Trial").first.wait_for()
     page.get_by_text("strip.png").wait_for()
-    page.get_by_text("film.mp4").wait_for()
     page.wait_for_function("document.querySelector('img[src*=artifacts]')?.naturalWidth > 500")
-    page.wait_for_function("document.querySelector('video')?.readyState >= 2")  # has a frame
-    film = page.evaluate("(v => [v.videoWidth, v.duration])(document.querySelector('video'))")
-    assert film[0] == 640 and 1.5 < film[1] < 2.5
-    page.evaluate("document.querySelector('video').currentTime = 1.0")
-    page.wait_for_function("!document.querySelector('video').seeking")
     save(page, "trial")
 
 
