@@ -252,7 +252,6 @@ def report(options: Options) -> None:
     """Options of `report`."""
     options.path("folders", "folder of a comparison", nargs="+")
     options.path("--out", "folder for the overview of several comparisons")
-    options.flag("--no-strips", "simulate and draw no walks")
 
 
 def study(options: Options) -> None:
