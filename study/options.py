@@ -203,11 +203,7 @@ def compare(options: Options) -> None:
     options.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
     options.path("--store", f"store of scores, if the arms read one; {FROM_CONFIG}")
     options.workers()
-    options.add_argument(
-        "--films", choices=("few", "all"), default="few",
-        help="films of the best trials: of each arm's first runs, or of all runs (%(default)s)",
-    )  # fmt: skip
-    options.flag("--no-artifacts", "no pictures, no films")
+    options.flag("--no-artifacts", "no pictures")
     options.arch()
     options.json()
 
@@ -256,7 +252,6 @@ def report(options: Options) -> None:
     """Options of `report`."""
     options.path("folders", "folder of a comparison", nargs="+")
     options.path("--out", "folder for the overview of several comparisons")
-    options.flag("--no-strips", "simulate and draw no walks")
 
 
 def study(options: Options) -> None:

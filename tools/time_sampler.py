@@ -1,11 +1,9 @@
 """Time one proposal of the feature-kernel sampler, and measure the memory it holds.
 
-    python tools/time_sampler.py                   # a table and a plot into docs/; minutes
+    python tools/time_sampler.py                   # a table into docs/; minutes
     python tools/time_sampler.py --rows 5000 --out out/timing
 
-Each figure comes from a fresh process on one thread. Optuna's GPSampler is timed in the same run
-where PyTorch, which it needs, is installed; greenlet, where it is installed too, halves its time.
-Run it on an idle machine.
+Each figure comes from a fresh process on one thread. Run it on an idle machine.
 """
 
 import time
@@ -23,7 +21,6 @@ with guarded_imports():
     from numpy.typing import NDArray
     from optuna.distributions import BaseDistribution, FloatDistribution
     from optuna.exceptions import ExperimentalWarning
-    from optuna.samplers import BaseSampler, GPSampler
     from tqdm import tqdm
 
     from storage.commit import require_folder
@@ -31,7 +28,7 @@ with guarded_imports():
     from study import FeatureKernelSampler, FeatureTable
     from study.options import Options
     from study.sampler.history import ROW_ATTRIBUTE
-    from tools.page import ROOT, installed, write_page
+    from tools.page import ROOT, write_page
 
 Floats = NDArray[np.float64]
 
@@ -43,35 +40,29 @@ SPACE: dict[str, BaseDistribution] = {
 SEED = 16
 NOISE = 0.3  # of the cost, in standard deviations of what the features explain
 
-FINISHED, SWEEP, MOST_FINISHED = 100, (10, 30, 300), 1000  # trials before the first proposal
+FINISHED, MOST_FINISHED = 100, 1000  # trials before the first proposal
+REPEATS = 11  # proposals after the first one
 MOST_FEATURES = 5
 WORLDS, ROWS_IN_WORLDS = 128, 20_000
 ALIKE_ROWS = 20_000  # at most, of a Gram matrix: 1.6 GB in 32 bits
-LEAST_ROWS, MOST_ROWS, MOST_REPEATS = 5_000, 1_000_000, 300  # a tenth has trials to choose
+LEAST_ROWS, MOST_ROWS = 5_000, 1_000_000  # a tenth has trials to choose
 LARGE = 10  # times as many rows
-GP_RATIO_BAR = 5.0  # GPSampler's time over ours with one feature
 LABELS = {
     "ours": "ours",
-    "foreign": "ours, trials that are no rows of the table",
     "rbf": "ours, the paper's kernel",
     "worlds": "ours, costs in so many worlds in place of features",
     "similarity": "ours, a similarity of all rows in place of features",
-    "gp": "GPSampler",
 }
 
 
 @dataclass(frozen=True)
 class Case:
-    """A sampler, a table and a study whose proposals are timed.
-
-    Ours has its defaults, unless its label says otherwise; GPSampler is in the box of the table.
-    """
+    """A sampler, a table and a study; our defaults, unless the sampler's label says otherwise."""
 
     sampler: str  # one of `LABELS`
     rows: int  # of the table
     features: int  # of a row
     observations: int  # finished trials before the first proposal
-    repeats: int  # proposals after the first one
     bars: tuple[tuple[str, float], ...] = ()  # the most that is allowed, by names of `Measured`
 
 
@@ -92,27 +83,23 @@ class Measured:
 def main() -> None:
     parser = Options(__file__)
     parser.whole("--rows", LEAST_ROWS, MOST_ROWS, default=100_000, help="of a table; %(default)s")
-    parser.whole("--repeats", 1, MOST_REPEATS, default=11, help="of a proposal; %(default)s")
-    parser.path("--out", "of the page and plot; docs", default=ROOT / "docs")
+    parser.path("--out", "of the page; docs", default=ROOT / "docs")
     options = parser.parse_args()
     require_folder(options.out)
-    measured = [fresh(case) for case in tqdm(cases(options.rows, options.repeats), unit="case")]
+    measured = [fresh(case) for case in tqdm(cases(options.rows), unit="case")]
     options.out.mkdir(parents=True, exist_ok=True)
-    plot(measured, options.out / f"{NAME}.png")
     title = "One proposal of the feature-kernel sampler"
     write_page(options.out / f"{NAME}.md", title, figures(measured))
 
 
-def cases(rows: int, repeats: int) -> list[Case]:
-    """What is measured; the first is our sampler with one feature."""
-    base = Case("ours", rows, 1, FINISHED, repeats)
-    few, some, more, many = ((("median_cpu_ms", most),) for most in (6.0, 10.0, 13.0, 15.0))
+def cases(rows: int) -> list[Case]:
+    """What is measured."""
+    base = Case("ours", rows, 1, FINISHED)
+    few, some, many = ((("median_cpu_ms", most),) for most in (6.0, 10.0, 15.0))
     memory, first = ("peak_mib", 200e6 / 2**20), ("first_cpu_ms", 500.0)  # 200 MB
-    found = [
+    return [
         replace(base, bars=few),
         replace(base, features=MOST_FEATURES, bars=(*many, memory)),
-        replace(base, sampler="foreign", bars=more),
-        replace(base, sampler="foreign", observations=MOST_FINISHED, bars=more),
         replace(base, sampler="rbf", bars=some),
         replace(base, sampler="worlds", rows=ROWS_IN_WORLDS, features=WORLDS, bars=many),
         replace(
@@ -122,11 +109,9 @@ def cases(rows: int, repeats: int) -> list[Case]:
             features=MOST_FEATURES,
             bars=(("median_cpu_ms", 30.0), ("peak_mib", 4e9 / 2**20)),
         ),
-        *(replace(base, observations=finished) for finished in SWEEP),
         replace(base, observations=MOST_FINISHED, bars=(("median_ms", 1000.0),)),
         replace(base, rows=LARGE * rows, features=MOST_FEATURES, bars=(first,)),
     ]
-    return [*found, replace(base, sampler="gp")] if installed("torch") else found
 
 
 def figures(measured: Sequence[Measured]) -> list[str]:
@@ -139,44 +124,14 @@ def figures(measured: Sequence[Measured]) -> list[str]:
     bars = ["", "## Bars", "", "| what | measured | holds |", "|---|---|---|"]
     for each in measured:
         (sampler, *sizes, allowed), *values = astuple(each)
-        cells = " | ".join(f"{number:,.0f}" for number in (*sizes, *values))
+        cells = " | ".join(f"{number:,.0f}" for number in (*sizes, REPEATS, *values))
         lines.append(f"| {LABELS[sampler]} | {cells} |")
         size = "{:,} rows x {}, {:,} trials".format(*sizes)
         for name, most in allowed:
             value, what = getattr(each, name), f"{LABELS[sampler]}, {size}: {name}"
             holds = "yes" if value <= most else "**no**"
             bars.append(f"| {what.replace('_', ' ')} | {value:.0f}, at most {most:.0f} | {holds} |")
-        if sampler == "gp":
-            ratio = each.median_ms / measured[0].median_ms
-            holds = "yes" if ratio >= GP_RATIO_BAR else "**no**"
-            said = f"{ratio:.1f}, at least {GP_RATIO_BAR:g}"
-            bars.append(f"| GPSampler's median over ours | {said} | {holds} |")
-    if all(each.case.sampler != "gp" for each in measured):
-        lines += ["", "GPSampler was not measured: no PyTorch."]
     return [*lines, *bars]
-
-
-def plot(measured: Sequence[Measured], path: Path) -> None:
-    """Processor time of a proposal against finished trials, with one feature."""
-    from study.pictures import style  # not in the processes that are measured
-
-    figure = style.new_figure(5.0, 3.4)
-    axes = figure.add_subplot()
-    style.tidy(axes)
-    for name, colour, marker in (("ours", style.MODEL, "o-"), ("gp", style.INK, "s")):
-        points = sorted(
-            (each.case.observations, each.median_cpu_ms)
-            for each in measured
-            if (each.case.sampler, each.case.features) == (name, 1)
-        )
-        if points:
-            axes.semilogx(*zip(*points, strict=True), marker, color=colour, label=LABELS[name])
-    axes.set_xlabel("finished trials", fontsize=style.TEXT_PT)
-    axes.set_ylim(bottom=0.0)
-    axes.set_ylabel("processor time of a proposal (ms)", fontsize=style.TEXT_PT)
-    axes.legend(fontsize=style.SMALL_PT, frameon=False)
-    figure.tight_layout()
-    style.save_png(figure, path)
 
 
 def fresh(case: Case) -> Measured:
@@ -187,13 +142,13 @@ def fresh(case: Case) -> Measured:
 
 
 def measure_case(case: Case) -> Measured:
-    """Propose `repeats` times; each proposal sees one finished trial more than the one before."""
+    """Propose `REPEATS` times; each proposal sees one finished trial more than the one before."""
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     small = replace(case, sampler="ours", rows=1000, observations=10)
     _propose(_prepare(small), case.features)  # loads the libraries
     before_mib = memory_mib("VmRSS")
     study = _prepare(case)
-    (_, first), *later = (_propose(study, case.features) for _ in range(1 + case.repeats))
+    (_, first), *later = (_propose(study, case.features) for _ in range(1 + REPEATS))
     ms, cpu_ms = zip(*later, strict=True)
     kept, peak = memory_mib("VmRSS") - before_mib, memory_mib("VmHWM") - before_mib
     return Measured(case, median(ms), min(ms), max(ms), median(cpu_ms), first, kept, peak)
@@ -207,12 +162,10 @@ def _prepare(case: Case) -> optuna.Study:
     seen = rng.choice(case.rows, case.observations, replace=False)
     costs = features[seen].sum(axis=1) + NOISE * rng.standard_normal(case.observations)
     study = optuna.create_study(sampler=_sampler(case, points, features))
-    foreign = case.sampler == "foreign"
     for row, cost in zip(seen, costs, strict=True):
-        point = rng.uniform(size=DIMENSION) if foreign else points[row]
         trial = optuna.create_trial(
-            params=dict(zip(SPACE, point.tolist(), strict=True)), distributions=SPACE,
-            user_attrs={} if foreign else {ROW_ATTRIBUTE: int(row)}, value=float(cost),
+            params=dict(zip(SPACE, points[row].tolist(), strict=True)), distributions=SPACE,
+            user_attrs={ROW_ATTRIBUTE: int(row)}, value=float(cost),
         )  # fmt: skip
         study.add_trial(trial)
     return study
@@ -224,12 +177,9 @@ def _features(points: Floats, k: int) -> Floats:
     return np.asarray(np.sqrt(2.0) * np.sin(2.0 * points @ directions))
 
 
-def _sampler(case: Case, points: Floats, features: Floats) -> BaseSampler:
+def _sampler(case: Case, points: Floats, features: Floats) -> FeatureKernelSampler:
     """The sampler of a case, over points [n, 16] with features [n, k]."""
     warnings.simplefilter("ignore", ExperimentalWarning)
-    warnings.simplefilter("ignore", UserWarning)  # of foreign trials
-    if case.sampler == "gp":
-        return GPSampler(seed=SEED)
     names = [f"feature_{column}" for column in range(case.features)]
     columns = dict(zip(SPACE, points.T, strict=True))
     if case.sampler == "worlds":

@@ -10,7 +10,7 @@ A configuration that names a simulator, such as walker2d-robots, compares on its
     taichi-nmm precompute --config walker2d
     taichi-nmm compare --config walker2d-robots --runs 10
 
-writes trials.parquet, report.md and report.png. Exit codes: 0, 2 bad input, 130 interrupted.
+writes trials.parquet and report.md. Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
 import json
@@ -64,9 +64,7 @@ def main(args: Namespace) -> None:
     require_engine(settings)
     workers = Walker(settings).processes(cores()) if args.workers is None else args.workers
     drawn, cluster = not args.no_artifacts, Cluster.asked(args.cluster, args.mixed)
-    request = Request(
-        out, args.storage, arms, args.runs, args.trials, workers, drawn, args.films, cluster
-    )
+    request = Request(out, args.storage, arms, args.runs, args.trials, workers, drawn, cluster)
     with closing(ProgressBar()) as bar:
 
         def show(progress: Progress) -> None:
@@ -98,8 +96,6 @@ def on_robots(args: Namespace) -> None:
         trials = compare_robots(experiment, out, pool, partial(bar.move, "study"))
     results = RobotResults.of(experiment, trials)
     commit_text(out / "report.md", results.markdown())
-    if not args.no_artifacts:
-        results.draw(out / "report.png")
     if args.json:
         wall_s = round(time.monotonic() - began_s, 1)
         print(json.dumps({"out": str(out), "trials": len(trials), "wall_s": wall_s}))

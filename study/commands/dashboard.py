@@ -1,4 +1,4 @@
-"""Show the studies of an experiment in optuna-dashboard, with their pictures and films.
+"""Show the studies of an experiment in optuna-dashboard, with their pictures.
 
     taichi-nmm dashboard                         # the newest folder in out/compare
     taichi-nmm dashboard out/compare/rough8-smooth
@@ -31,7 +31,7 @@ EXPERIMENTS = Path("out") / "compare"
 
 
 class Server(ThreadingMixIn, WSGIServer):
-    """A thread for each request: a film must not hold up the page."""
+    """A thread for each request: a picture must not hold up the page."""
 
     daemon_threads = True
 
@@ -65,7 +65,7 @@ def newest() -> Path:
 
 
 def find_artifacts(folder: Path | None, url: str, artifacts: Path | None) -> Path | None:
-    """The folder of pictures and films; None where an experiment has none yet."""
+    """The folder of pictures; None where an experiment has none yet."""
     if artifacts is not None:
         if not is_folder(artifacts):
             raise InputError("artifacts", str(artifacts), "a folder that is there")

@@ -4,15 +4,13 @@
     taichi-nmm report out/compare/* --out out/overview
 
 Each folder gets a folder `report`; the overview of several goes to --out. The report of an
-unfinished comparison covers its finished trials, and states how many those are. Two walks of each
-comparison are simulated again and drawn. Exit codes: 0, 2 bad input, 130 interrupted.
+unfinished comparison covers its finished trials, and states how many those are. Exit codes: 0, 2
+bad input, 130 interrupted.
 """
 
 from argparse import Namespace
 
 from storage.commit import require_named
-from study.experiment.identity import documented_experiment
-from study.report.before_after import before_and_after
 from study.report.runs import known_stores, read_results
 from study.report.writing import REPORT_NAME, write_overview, write_report
 from taichi_nmm.errors import InputError
@@ -25,14 +23,11 @@ def main(args: Namespace) -> None:
             "out", str(args.out), f"two folders or more; of one, it is DIR/{REPORT_NAME}"
         )
     everything = [read_results(folder) for folder in args.folders]
-    drawn = not args.no_strips
-    experiments = [documented_experiment(known.facts) if drawn else None for known in everything]
     if args.out is not None:
         require_named(args.out)
     found = []
-    for results, experiment in zip(everything, experiments, strict=True):
-        pair = before_and_after(results, experiment) if experiment is not None else None
-        found.append(write_report(results, pair, stores=known_stores(results)))
+    for results in everything:
+        found.append(write_report(results, stores=known_stores(results)))
         state = "" if results.complete else f" ({results.found:,} of {results.planned:,} trials)"
         print(f"{results.folder / REPORT_NAME}: {results.name}{state}", flush=True)
     if args.out is not None:

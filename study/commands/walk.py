@@ -112,8 +112,8 @@ def write_engines(
     gains: NamedGains, result: taichi_nmm.Result, experiment: Experiment, run: int, folder: Path
 ) -> dict[str, str]:
     """Simulate the same gains on MuJoCo, and draw both walks one above the other."""
-    from study.pictures.strip import Shown
-    from study.report.before_after import Pair, write_strips  # the report: 0.4 s
+    from study.pictures.strip import Shown, strips_figure
+    from study.report.figures import save  # the report: 0.4 s
 
     other = simulate(gains, experiment.with_settings(engine="mujoco"), run)
     first, second = (
@@ -122,7 +122,7 @@ def write_engines(
     )
     terrain = experiment.terrain(run)
     title = f"{gains.name} on {terrain.name}, run {run}: two engines"
-    write_strips(folder, title, Pair(run, terrain, first, second))
+    save(strips_figure((first, second), terrain, title), folder, "strips")
     return {"strips": str(folder / "strips.png")}
 
 

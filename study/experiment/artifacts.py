@@ -1,7 +1,7 @@
-"""A picture and a film of the best trial of each study, where the dashboard looks for them.
+"""A picture of the best trial of each study, where the dashboard looks for it.
 
 The trials are simulated once more, recorded, many at a time; processes draw them. Equal trials of
-several arms share their files. A file that is there is whole, and is not made again.
+several arms share their file. A file that is there is whole, and is not made again.
 """
 
 import json
@@ -28,22 +28,16 @@ from study.experiment.experiment import Experiment, study_name
 from study.experiment.folder import ARTIFACTS_NAME, by_study, cheapest, live_artifacts
 from study.experiment.identity import fingerprint
 from study.experiment.trials import outcome_text, simulate_trials
-from study.pictures import SMALL, find_ffmpeg, write_movie, write_strip
+from study.pictures import write_strip
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
 
-STRIP, FILM = "strip", "film"
 STRIP_DPI = 100
-FILM_S = 8.0
 RECORDED_S = 12.0  # from the start of the trial
 RECORD_RATE_HZ = 50.0
-FILM_RUNS = 2  # of each arm: a film takes five times as long as a picture
 WALKS_PER_BATCH = 64  # 1.5 MB each while they are recorded
 NAMESPACE = uuid.UUID("6f1d2b3c-5d0e-4b57-9a52-0f4a7f6f3b11")
-KINDS = {
-    STRIP: {"filename": "strip.png", "mimetype": "image/png"},
-    FILM: {"filename": "film.mp4", "mimetype": "video/mp4"},
-}
+STRIP = {"filename": "strip.png", "mimetype": "image/png"}
 
 Drawn = Callable[[int, int], None]
 
@@ -56,7 +50,7 @@ class Walk:
     gains: NDArray[np.float64]  # the searched parameters, [16 + k]
     title: str  # how the walk ended
     trials: tuple[tuple[str, int], ...]  # name of the study and number of the trial, of each
-    files: dict[str, str]  # names by kind; the same walk has the same ones in all calls
+    file: str  # its name; the same walk has the same one in all calls
 
     @classmethod
     def of(
@@ -66,48 +60,37 @@ class Walk:
         gains: NDArray[np.float64],
         trials: tuple[tuple[str, int], ...],
         outcome: Mapping[str, Any],
-        film: bool,
     ) -> "Walk":
         """The walk of trials of an experiment, with the outcome that they share."""
         walk = f"{fingerprint(experiment)}/{run}/{gains.tobytes().hex()}"
-        kinds = (STRIP, FILM) if film else (STRIP,)
-        files = {kind: str(uuid.uuid5(NAMESPACE, f"{walk}/{kind}")) for kind in kinds}
+        file = str(uuid.uuid5(NAMESPACE, f"{walk}/strip"))
         title = f"{experiment.name}, run {run}: {outcome_text(outcome)}"
-        return cls(run, gains, title, trials, files)
+        return cls(run, gains, title, trials, file)
 
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """A unit of work for any pool: a walk as it was simulated, its folder, and the encoder."""
+    """A unit of work for any pool: a walk as it was simulated, and its folder."""
 
     walk: Walk
     trajectory: Trajectory
     terrain: Terrain
     folder: Path
-    encoder: str
 
 
 def draw(drawing: Drawing) -> bool:
-    """Draw the files that are missing.
+    """Draw the picture.
 
     Returns:
         Whether there was anything to draw: a walk that diverged before its first sample has none.
 
     Raises:
-        InputError: a file cannot be written, or the encoder failed.
+        InputError: the file cannot be written.
     """
-    walk, trajectory, terrain = drawing.walk, drawing.trajectory, drawing.terrain
+    walk, trajectory = drawing.walk, drawing.trajectory
     if not np.isfinite(trajectory.q).all(axis=1).any():
         return False
-    files = {kind: drawing.folder / name for kind, name in walk.files.items()}
-    missing = {kind: path for kind, path in files.items() if not path.exists()}
-    if STRIP in missing:
-        write_strip(missing[STRIP], trajectory, terrain, walk.title, STRIP_DPI)
-    if FILM in missing:
-        write_movie(
-            missing[FILM], trajectory, terrain, FILM_S, walk.title,
-            film=SMALL, program=drawing.encoder,
-        )  # fmt: skip
+    write_strip(drawing.folder / walk.file, trajectory, drawing.terrain, walk.title, STRIP_DPI)
     return True
 
 
@@ -118,23 +101,21 @@ def make_artifacts(
     out: Path,
     pool: Pool = IN_PROCESS,
     drawn: Drawn | None = None,
-    film_runs: int = FILM_RUNS,
 ) -> None:
-    """Draw the best trial of each study and attach picture and film to it.
+    """Draw the best trial of each study and attach the picture to it.
 
     The trials are rows of the results table, exported to the database before; the files go to the
     folder artifacts in `out`. `drawn` is called with the number of walks that are done, and of all.
-    Walks of the first `film_runs` runs get a film, the others a picture alone.
 
     Raises:
-        InputError: no ffmpeg that works (before anything is drawn), or no place to write.
+        InputError: no place to write.
     """
-    walks = best_walks(experiment, trials, film_runs)
+    walks = best_walks(experiment, trials)
     _draw_walks(experiment, walks, url, out / ARTIFACTS_NAME, pool, drawn)
 
 
 def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, out: Path) -> None:
-    """Draw the best trial of a live study of the database, a picture alone, and attach it.
+    """Draw the best trial of a live study of the database, and attach the picture.
 
     The picture goes to `live_artifacts`; `out` is the folder of the study.
 
@@ -144,7 +125,7 @@ def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, o
     best = study.best_trial
     gains = np.array([best.params[name] for name in experiment.names])
     trials = ((study.study_name, best.number),)
-    walk = Walk.of(experiment, run, gains, trials, best.user_attrs, film=False)
+    walk = Walk.of(experiment, run, gains, trials, best.user_attrs)
     _draw_walks(experiment, [walk], url, live_artifacts(url, out))
 
 
@@ -157,11 +138,10 @@ def _draw_walks(
     drawn: Drawn | None = None,
 ) -> None:
     """Draw walks that are not drawn yet, and attach them to their trials."""
-    encoder = find_ffmpeg() if any(FILM in walk.files for walk in walks) else ""
     with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
     remove(folder, f".*{TEMPORARY_SUFFIX}")
-    done = [w for w in walks if all((folder / name).exists() for name in w.files.values())]
+    done = [walk for walk in walks if (folder / walk.file).exists()]
     missing = [walk for walk in walks if walk not in done]
     _attach(done, url)
     finished = len(done)
@@ -178,7 +158,7 @@ def _draw_walks(
             record_rate_hz=RECORD_RATE_HZ,
         )
         drawings = deque(
-            Drawing(walk, trajectory, experiment.terrain(walk.run), folder, encoder)
+            Drawing(walk, trajectory, experiment.terrain(walk.run), folder)
             for walk, trajectory in zip(batch, result.trajectories, strict=True)
         )
         drawn_now = []
@@ -189,7 +169,7 @@ def _draw_walks(
         _attach(drawn_now, url)
 
 
-def best_walks(experiment: Experiment, trials: pa.Table, film_runs: int = FILM_RUNS) -> list[Walk]:
+def best_walks(experiment: Experiment, trials: pa.Table) -> list[Walk]:
     """The best trial of each study, the first of equals; equal ones of several arms once."""
     found: dict[tuple[int, bytes], Walk] = {}
     for arm, run, rows in by_study(trials):
@@ -198,7 +178,7 @@ def best_walks(experiment: Experiment, trials: pa.Table, film_runs: int = FILM_R
         trial = (study_name(experiment.name, arm, run), row["trial"])
         key = (run, gains.tobytes())
         same = (*found[key].trials, trial) if key in found else (trial,)
-        found[key] = Walk.of(experiment, run, gains, same, row, film=run < film_runs)
+        found[key] = Walk.of(experiment, run, gains, same, row)
     return list(found.values())
 
 
@@ -206,16 +186,15 @@ def _attach(walks: Sequence[Walk], url: str) -> None:
     """Register the files with the trials, as `optuna.artifacts.upload_artifact` would."""
     attributes = []
     for walk in walks:
-        for kind, identity in walk.files.items():
-            value = json.dumps({"artifact_id": identity, **KINDS[kind], "encoding": None})
-            attributes += [(*trial, f"artifacts:{identity}", value) for trial in walk.trials]
+        value = json.dumps({"artifact_id": walk.file, **STRIP, "encoding": None})
+        attributes += [(*trial, f"artifacts:{walk.file}", value) for trial in walk.trials]
     if not attributes:
         return
     with opened(url) as storage, read_errors(url):
         attach(storage, attributes)
         for walk in walks:
             for trial in walk.trials:  # all: one that was killed may have attached files alone
-                _note(storage, *trial, walk.title, walk.files[STRIP])
+                _note(storage, *trial, walk.title, walk.file)
 
 
 def _note(storage: RDBStorage, study_name: str, number: int, title: str, strip: str) -> None:

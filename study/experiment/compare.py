@@ -130,8 +130,7 @@ class Request:
     runs: int | None = None  # at least 1
     trials: int | None = None  # at least 1, of each arm in each run, in total
     workers: int = 1  # processes of this machine that try trials and draw pictures
-    artifacts: bool = True  # whether the best trial of each study gets a picture, of some a film
-    films: str = "few"  # of the first runs of each arm, or "all"
+    artifacts: bool = True  # whether the best trial of each study gets a picture
     cluster: Cluster | None = None  # that tries trials in place of the workers
 
 
@@ -173,10 +172,6 @@ def compare(
         checks.whole(1)(name, value)
     runs, trials = range(asked["runs"]), asked["trials"]
     arms = check_arms(experiment, request.arms or experiment.arms, trials)
-    if request.artifacts:
-        from study.pictures import find_ffmpeg  # Matplotlib: a second, which workers need not spend
-
-        find_ffmpeg()
     identity = document(experiment, arms)
     url = request.storage or file_url(request.out / DATABASE_NAME)
     ExperimentFolder.check(request.out, identity)
@@ -225,11 +220,10 @@ def compare(
         note_worths(experiment, arms, runs, url, renew=computed > 0)
         note_session()
         if request.artifacts:
-            from study.experiment.artifacts import FILM_RUNS, make_artifacts  # Matplotlib
+            from study.experiment.artifacts import make_artifacts  # Matplotlib
 
-            filmed = len(runs) if request.films == "all" else FILM_RUNS
             with local_pool(request.workers) if request.cluster else nullcontext(chosen) as here:
-                make_artifacts(experiment, results, url, folder.path, here, drawn, filmed)
+                make_artifacts(experiment, results, url, folder.path, here, drawn)
         return Outcome(results, url, computed, time.monotonic() - began_s)
 
 

@@ -3,13 +3,9 @@
 The database gets all trials, a study that compares the arms, and notes on the features' worth.
 """
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import product
-from types import SimpleNamespace
-from typing import Any
 
 import optuna
 import pyarrow as pa
@@ -43,20 +39,11 @@ from study.sampler.history import ROW_ATTRIBUTE
 from taichi_nmm.errors import InputError
 
 CONFIG_ATTRIBUTE = "experiment_config"
-FIGURE_ID = "best-cost"
 
 
-@dataclass(frozen=True)
-class Summary:
-    """The content of an experiment's summary study in the dashboard."""
-
-    note: str  # in Markdown
-    figure: dict[str, Any]  # data and layout, as plotly reads them
-
-
-Summarise = Callable[[str, pa.Table, bool, Mapping[str, int]], Summary]
-"""Makes a summary of an experiment's name, its results, whether these are all, and the numbers that
-the dashboard's addresses have for studies, by name."""
+Summarise = Callable[[str, pa.Table, bool, Mapping[str, int]], str]
+"""Makes a note, in Markdown, of an experiment's name, its results, whether these are all, and the
+numbers that the dashboard's addresses have for studies, by name."""
 
 
 def export(
@@ -75,8 +62,8 @@ def export(
         write_studies(storage, _new_studies(experiment, trials, trial_counts(storage)))
         if summarise is not None:
             shown = as_if_gone_on(trials) if experiment.until_walker else trials
-            summary = summarise(experiment.name, shown, final, study_ids(storage))
-            _show(experiment, storage, url, summary)
+            note = summarise(experiment.name, shown, final, study_ids(storage))
+            _show(experiment, storage, url, note)
 
 
 @contextmanager
@@ -151,9 +138,9 @@ def _new_studies(
         yield FinishedStudy(name, new, first=first, user_attrs=user_attrs, metric=metric)
 
 
-def _show(experiment: Experiment, storage: RDBStorage, url: str, summary: Summary) -> None:
-    """Write the summary study, which compares the arms: a note with a table, and a figure."""
-    from optuna_dashboard import save_note, save_plotly_graph_object  # a second, once a minute
+def _show(experiment: Experiment, storage: RDBStorage, url: str, note: str) -> None:
+    """Write the summary study, whose note compares the arms."""
+    from optuna_dashboard import save_note  # a second, once a minute
 
     with read_errors(url):
         study = optuna.create_study(
@@ -163,10 +150,7 @@ def _show(experiment: Experiment, storage: RDBStorage, url: str, summary: Summar
         known = study.user_attrs
     if CONFIG_ATTRIBUTE not in known:
         study.set_user_attr(CONFIG_ATTRIBUTE, fingerprint(experiment))
-    save_note(study, summary.note)
-    # Of a figure the dashboard needs `to_json` alone: plotly itself is not needed.
-    figure = SimpleNamespace(to_json=lambda: json.dumps(summary.figure))
-    save_plotly_graph_object(study, figure, graph_object_id=FIGURE_ID)
+    save_note(study, note)
 
 
 def note_worths(

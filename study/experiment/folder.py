@@ -6,7 +6,7 @@ trials.parquet          written last: all arms
 proposal_times.parquet  written last: how long the samplers took, which differs from run to run
 run.json                when, on what machine, and how long
 studies.db              the study database, unless another one is asked for
-artifacts/              pictures and films of each study's best trial
+artifacts/              a picture of each study's best trial
 .lock                   held by the one process that writes
 
 The tables of arms have two columns more than the results: the seconds that the sampler took, and

@@ -74,7 +74,7 @@ def documented_experiment(known: dict[str, Any]) -> Experiment:
         InputError: a document that is damaged, or names no ground.
     """
     if not known.get("ground"):
-        allowed = "a comparison whose experiment.json names its ground; or report with --no-strips"
+        allowed = "a comparison whose experiment.json names its ground"
         raise InputError("folder", known.get("name"), allowed)
     names = ("name", "seed", "searched", "objective", "simulation", "body")
     tables = {name: known.get(name) for name in names} | {"terrain": known["ground"]}

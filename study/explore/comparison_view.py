@@ -1,4 +1,4 @@
-"""A comparison on the page: a dot a run at its first walker, best costs, and each run's robot."""
+"""A comparison on the page: a dot a run at its first walker, and each run's robot."""
 
 from collections.abc import Callable
 from typing import Any
@@ -60,13 +60,11 @@ class ComparisonView:
             title="trial, from 0", step=1, value=0, mode="int", width=100, name="trial"
         )
         shown = MultiChoice(options=self._arms, value=self._arms, width=WIDTH_PX, name="arms")
-        styles = looks(results.arms)
-        self._dots, dots = self._drawn_dots(styles)
-        curves, lines = self._drawn_curves(styles)
-        for name, *renderers in zip(self._arms, dots, lines, strict=True):
+        self._dots, dots = self._drawn_dots(looks(results.arms))
+        for name, of_arm in zip(self._arms, dots, strict=True):
             shown.js_on_change("value", CustomJS(
-                args={"renderers": renderers, "name": name},
-                code="for (const one of renderers) one.visible = cb_obj.value.includes(name)",
+                args={"dots": of_arm, "name": name},
+                code="dots.visible = cb_obj.value.includes(name)",
             ))  # fmt: skip
         self._clicked = ColumnDataSource({"arm": [""], "run": [0], "trial": [0]}, name="clicked")
         message.watch(self._clicked, "data", self._click)
@@ -82,7 +80,7 @@ class ComparisonView:
                                toolbar_location=None, title=" ", y_axis_label="m")  # fmt: skip
         self._profile.line("x", "y", source=self._ground, line_color=style.INK)
         self.layout: Column = column(
-            shown, self._dots, curves, row(self._arm, self._run, self._trial, go), self._profile,
+            shown, self._dots, row(self._arm, self._run, self._trial, go), self._profile,
             self._robot,
         )  # fmt: skip
 
@@ -135,22 +133,6 @@ class ComparisonView:
             dots.append(plot.scatter("x", "y", source=source, size=DOT_PX, fill_alpha=0.8,
                                      color=styles[name].colour))  # fmt: skip
         return plot, dots
-
-    def _drawn_curves(self, styles: dict[str, Look]) -> tuple[Any, list[Any]]:
-        plot = figure(
-            name="curves", width=WIDTH_PX, height=240, tools="pan,wheel_zoom,reset",
-            x_axis_label="trials", y_axis_label=f"best {self._results.cost} cost, median",
-            x_axis_type="log", y_axis_type="log",
-        )  # fmt: skip
-        plot.toolbar.logo = None
-        lines = []
-        for name in self._arms:
-            best = np.median(self._results.arms[name].best, axis=0)
-            trials = np.arange(1, len(best) + 1)
-            look = styles[name]
-            lines.append(plot.line(trials, best, line_color=look.colour,
-                                   line_width=3 if look.front else 1.5))  # fmt: skip
-        return plot, lines
 
 
 def robot_table(setting: Setting) -> str:

@@ -1,4 +1,4 @@
-"""A store on the page: a cloud of its rows, histograms, parallel lines, a selection and a table.
+"""A store on the page: a cloud of its rows, histograms, a selection and a table.
 
 The selection is a text, "column low..high, column low..high". The page's script (scripts/brush.mjs)
 reads the same text, and so needs no server while a person drags a box.
@@ -135,24 +135,6 @@ def histograms() -> tuple[list[Any], list[ColumnDataSource]]:
     return plots, sources
 
 
-def parallel() -> tuple[Any, ColumnDataSource]:
-    """A figure of an axis for each column, and the lines across them."""
-    source = ColumnDataSource({"xs": [], "ys": []}, name="parallel")
-    axes = list(range(len(ROLES)))
-    plot = figure(
-        name="parallel", width=WIDTH_PX, height=150, tools="", toolbar_location=None,
-        x_range=Range1d(-0.35, len(ROLES) - 0.65), y_range=Range1d(-0.04, 1.04),
-    )  # fmt: skip
-    plot.add_tools(BoxSelectTool(renderers=[]))
-    plot.xaxis.ticker = axes
-    plot.xaxis.major_label_text_font_size = "9px"
-    plot.yaxis.visible = False
-    plot.grid.visible = False
-    plot.multi_line("xs", "ys", source=source, line_color=style.MODEL, line_alpha=0.25)
-    plot.segment(axes, 0, axes, 1, line_color=style.INK)
-    return plot, source
-
-
 def table(source: ColumnDataSource, names: list[str]) -> DataTable:
     """The listed rows. A DataTable keeps its first titles, so other columns need a new one."""
     numbers = NumberFormatter(format="0.[0000]")
@@ -231,7 +213,6 @@ class StoreView:
         self.row = Spinner(title="row that walks", step=1, mode="int", width=120, name="row")
         self._cloud, self._image = cloud()
         self._histograms, self._bars = histograms()
-        self._lines, self._parallel = parallel()
         fields = ("row", "bred", *(f"c{slot}" for slot in range(len(ROLES))))
         self._listed = ColumnDataSource({name: [] for name in fields}, name="listed")
         self._count = Div(name="count", width=220)
@@ -247,7 +228,7 @@ class StoreView:
         parquet.on_click(message.safely(lambda: save(self._ranges(), ".parquet")))
         self._above = [
             row(*self._columns), self._cloud, row(self.selection, clear), row(*self._histograms),
-            self._lines, row(self._count, self.row, csv, parquet),
+            row(self._count, self.row, csv, parquet),
         ]  # fmt: skip
         self.layout = column(*self._above, table(self._listed, self._names))
         message.watch(self.selection, "value", self._check)
@@ -319,7 +300,6 @@ class StoreView:
             self._cloud.title.text = PlainText(
                 f"colour: {name}, {low:.3g} (dark) to {high:.3g} (light)"
             )
-        self._lines.xaxis.major_label_overrides = dict(enumerate(map(PlainText, self._names)))
         self._source.data[f"c{slot}"] = values  # last: it makes the script paint
 
     def _script(self) -> None:
@@ -328,10 +308,10 @@ class StoreView:
             SCRIPTS / "brush.mjs",
             source=self._source, columns=self._columns, selection=self.selection, image=self._image,
             plot=self._cloud, histograms=self._histograms, bars=self._bars, bounds=self._bounds,
-            parallel=self._parallel, table=self._listed, count=self._count, row=self.row,
+            table=self._listed, count=self._count, row=self.row,
             palette=rgba.view("<u4").ravel().tolist(),
         )  # fmt: skip
-        for plot in (self._cloud, *self._histograms, self._lines):
+        for plot in (self._cloud, *self._histograms):
             plot.js_on_event("selectiongeometry", script)
         self._cloud.js_on_event("tap", script)
         self._cloud.js_on_change("inner_width", script)  # it has been laid out

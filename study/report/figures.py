@@ -1,9 +1,7 @@
-"""Figures: best cost and walkers against trials, a dot a run at its first walker, an overview.
+"""Figures: best cost against trials, and a dot a run at its first walker.
 
-The overview has an experiment in each row and an arm in each column; the darker, the more runs with
-a walker. In the others colour shows the kind of an arm, marker and dash the arm; three arms stand
-in front. In a grey print width and dash show the lines in front, and the label at its end names
-every line.
+Colour shows the kind of an arm, marker and dash the arm; three arms stand in front. In a grey print
+width and dash show the lines in front, and the label at its end names every line.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,27 +13,14 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator, PercentFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
 from storage.commit import commit
 from study.experiment.arms import OUR_ARM, PAPER_ARM
 from study.pictures import style
-from study.report.markdown import arms_of, count_text
-from study.report.numbers import (
-    ArmNumbers,
-    Curve,
-    Interval,
-    Numbers,
-    Statistic,
-    best_peer,
-    by_rank,
-    curve,
-    kind_of,
-    label_of,
-    median,
-    wilson,
-)
+from study.report.markdown import count_text
+from study.report.numbers import Interval, best_peer, by_rank, curve, kind_of, label_of, median
 from study.report.runs import ArmRuns, Results
 
 Floats = NDArray[np.float64]
@@ -198,81 +183,48 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     return [png, svg]
 
 
-PANEL_IN = 3.9
-WIDE_PANEL_IN = 5.6
+PANEL_IN = 5.6
 LABELS_IN = 2.3
 LEFT_IN = 0.75
 HEIGHT_IN = 4.6  # of up to 20 arms: more labels need more
 MARGINS_IN = 1.3
-STATISTICS: tuple[tuple[str, Statistic], ...] = (
-    ("median over runs", np.median),
-    ("mean over runs", np.mean),
-)
 WALKS_BELOW = 100.0  # the walking cost of a walker that goes on to the end
-IN_FRONT = "bold: the paper's method, our best, the best peer; their bands are 95 %"
+IN_FRONT = "bold: the paper's method, our best, the best peer; bands: 95 %, by bootstrap over runs"
 
 
 def write_best_cost(folder: Path, results: Results) -> list[Path]:
-    """Best cost so far against trials, median beside mean, as best-cost.png and .svg.
+    """Best cost so far against trials, median over runs, as best-cost.png and .svg.
 
     The arms in front have bands.
     """
-    figure = style.new_figure(2.0 * (PANEL_IN + LABELS_IN) + LEFT_IN, _height_in(results))
-    for panel, (title, statistic) in enumerate(STATISTICS):
-        axes = _panel(figure, panel)
-        _cost_axis(axes, results)
-        if panel:
-            axes.set_ylabel("")
-        curves = {name: curve(arm.best, statistic) for name, arm in results.arms.items()}
-        ends = _draw_arms(axes, results, curves, "{:.3g}", up=1)
-        axes.set_title(title, fontsize=style.TEXT_PT, loc="left", color=style.INK)
-        label_ends(axes, ends, results.trials)
-    title = f"{results.name}: best {results.cost} cost so far"
-    headline(figure, LEFT_IN, title, f"{IN_FRONT} bootstrap bands over runs")
+    # Room for a label an arm on the right, at a fixed size whatever the labels.
+    labels_in = len(results.arms) * LABEL_SPACING_PT / POINTS_AN_INCH
+    height_in = max(HEIGHT_IN, MARGINS_IN + labels_in)
+    figure = style.new_figure(LEFT_IN + PANEL_IN + LABELS_IN, height_in)
+    axes = style.axes_at(figure, LEFT_IN, 0.5, PANEL_IN, height_in - MARGINS_IN)
+    style.tidy(axes)
+    _cost_axis(axes, results)
+    label_ends(axes, _draw_arms(axes, results), results.trials)
+    title = f"{results.name}: best {results.cost} cost so far, median over runs"
+    headline(figure, LEFT_IN, title, IN_FRONT)
     return save(figure, folder, "best-cost")
 
 
-def write_walkers(folder: Path, results: Results) -> list[Path]:
-    """Share of runs with a walker against trials, with Wilson's intervals, as walkers.png, .svg."""
-    figure = style.new_figure(WIDE_PANEL_IN + LABELS_IN + LEFT_IN, _height_in(results))
-    axes = _panel(figure, 0, WIDE_PANEL_IN)
-    trial_axis(axes, results.trials)
-    axes.set_ylim(-0.02, 1.02)
-    axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
-    axes.set_ylabel("runs with a walker", fontsize=style.TEXT_PT, color=style.INK)
-    curves = {name: _walker_share(arm) for name, arm in results.arms.items()}
-    ends = _draw_arms(axes, results, curves, "{:.0%}", up=-1)
-    label_ends(axes, ends, results.trials)
-    title = f"{results.name}: runs that have found a walker"
-    headline(figure, LEFT_IN, title, f"{IN_FRONT} Wilson intervals")
-    return save(figure, folder, "walkers")
-
-
-def _walker_share(arm: ArmRuns) -> Curve:
-    counts = arm.has_walker.sum(axis=0)
-    intervals = [wilson(int(count), len(arm.runs)) for count in counts]
-    rows = np.array([[each.value, each.low, each.high] for each in intervals])
-    return rows[:, 0], rows[:, 1], rows[:, 2]
-
-
-def _draw_arms(
-    axes: Axes, results: Results, curves: Mapping[str, Curve], number: str, up: int
-) -> list[End]:
+def _draw_arms(axes: Axes, results: Results) -> list[End]:
     """Draw the line of each arm, worst first, with bands for those in front; return their ends.
 
-    Where lines end at one place, the best label is lowest (`up` 1) or highest (-1).
+    Where lines end at one place, the best label is lowest.
     """
     styles, ends = looks(results.arms), []
     order = by_rank(results.arms)
     for arm in sorted(order[::-1], key=lambda name: styles[name].front):
-        values, low, high = curves[arm]
+        values, low, high = curve(results.arms[arm].best)
         look, rank = styles[arm], order.index(arm)
         trials = np.arange(1, len(values) + 1)
         axes.plot(trials, values, markevery=marked(len(values), rank), **look.line())
         if look.front:
             axes.fill_between(trials, low, high, color=look.colour, alpha=0.15, linewidth=0)
-        text = f"{look.label} {number.format(values[-1])}".replace("%", " %")
-        ends.append(End(float(values[-1]), look, text, up * rank))
+        ends.append(End(float(values[-1]), look, f"{look.label} {values[-1]:.3g}", rank))
     return ends
 
 
@@ -292,19 +244,6 @@ def _cost_axis(axes: Axes, results: Results) -> None:
             xytext=(4, -2), textcoords="offset points", va="top", fontsize=style.SMALL_PT,
             color=style.INK, zorder=2.0,
         )  # fmt: skip
-
-
-def _height_in(results: Results) -> float:
-    """High enough for a label an arm."""
-    return max(HEIGHT_IN, MARGINS_IN + len(results.arms) * LABEL_SPACING_PT / POINTS_AN_INCH)
-
-
-def _panel(figure: Figure, number: int, width_in: float = PANEL_IN) -> Axes:
-    """Axes with room for labels on their right, at a fixed size whatever the labels."""
-    left_in = LEFT_IN + number * (PANEL_IN + LABELS_IN)
-    axes = style.axes_at(figure, left_in, 0.5, width_in, figure.get_figheight() - MARGINS_IN)
-    style.tidy(axes)
-    return axes
 
 
 ROW_IN = 0.38
@@ -427,57 +366,3 @@ def _frame_dots(axes: Axes, trials: int, rows: int) -> None:
     for place, words in ((MEDIAN_AT, "median"), (RUNS_AT, "runs")):
         axes.text(place, -0.6, words, ha="center", va="bottom", fontsize=style.SMALL_PT,
                   color=style.INK)  # fmt: skip
-
-
-CELL_IN = (0.72, 0.46)
-GRID_LEFT_IN, GRID_RIGHT_IN, GRID_TOP_IN, GRID_BOTTOM_IN = 1.75, 0.95, 1.95, 0.2
-SHADES = "Blues"
-DARKEST = 0.62  # of the map, so that words on it can be read, in a grey print too
-FRONT_OF = {PAPER_ARM: FRONT["paper"], OUR_ARM: FRONT["best"]}
-
-
-def write_grid(folder: Path, experiments: Sequence[Numbers]) -> list[Path]:
-    """Runs with a walker and median trial of the first, as overview.png and .svg."""
-    arms = arms_of(experiments)
-    wide, high = CELL_IN[0] * len(arms), CELL_IN[1] * len(experiments)
-    figure = style.new_figure(
-        max(wide + GRID_LEFT_IN + GRID_RIGHT_IN, 6.0), high + GRID_TOP_IN + GRID_BOTTOM_IN
-    )
-    axes = style.axes_at(figure, GRID_LEFT_IN, GRID_BOTTOM_IN, wide, high)
-    shares = np.full((len(experiments), len(arms)), np.nan)
-    for row, experiment in enumerate(experiments):
-        for arm in experiment.arms:
-            column = arms.index(arm.arm)
-            shares[row, column] = arm.share.value
-            _write_cell(axes, row, column, arm, best=arm is experiment.arms[0])
-    axes.imshow(shares, cmap=SHADES, vmin=0.0, vmax=1.0 / DARKEST, aspect="auto")
-    _frame_grid(axes, [experiment.experiment for experiment in experiments], arms)
-    remark = "above: runs with a walker; below: median trial of the first; bold: first of its row"
-    headline(figure, 0.15, "Walkers found", remark)
-    return save(figure, folder, "overview")
-
-
-def _write_cell(axes: Axes, row: int, column: int, arm: ArmNumbers, best: bool) -> None:
-    words = f"{arm.share.value:.0%}".replace("%", " %")
-    axes.text(
-        column, row, f"{words}\n{count_text(arm.first_walker.value, arm.trials)}",
-        ha="center", va="center", fontsize=style.SMALL_PT, linespacing=1.15,
-        color=style.INK, fontweight="bold" if best else "normal",
-    )  # fmt: skip
-
-
-def _frame_grid(axes: Axes, experiments: list[str], arms: list[str]) -> None:
-    axes.set_xticks(range(len(arms)), [label_of(arm) for arm in arms])
-    axes.set_yticks(range(len(experiments)), experiments)
-    axes.xaxis.tick_top()
-    axes.tick_params(length=0, labelsize=style.TEXT_PT, colors=style.INK, pad=4)
-    for label, arm in zip(axes.get_xticklabels(), arms, strict=True):
-        label.set(rotation=40, ha="left", va="bottom", rotation_mode="anchor")
-        if arm in FRONT_OF:
-            label.set(color=FRONT_OF[arm], fontweight="bold")
-    for side in axes.spines.values():
-        side.set_visible(False)
-    axes.set_xticks(np.arange(len(arms) + 1) - 0.5, minor=True)
-    axes.set_yticks(np.arange(len(experiments) + 1) - 0.5, minor=True)
-    axes.grid(which="minor", color="white", linewidth=2.0)
-    axes.tick_params(which="minor", length=0)

@@ -92,15 +92,12 @@ def _walkers(numbers: Numbers, limits: Sequence[int]) -> tuple[list[str], list[l
 def report_text(
     results: Results,
     numbers: Numbers,
-    strips: str = "",
     stores: Mapping[str, Path] = NO_STORES,
 ) -> str:
     """The document; it links the figures beside it.
 
-    `strips` are the words below the figure of stick figures, "" where there is none. `stores` are
-    folders of the stores that the arms read, by key, where they are known.
+    `stores` are folders of the stores that the arms read, by key, where they are known.
     """
-    figures = WORDS["figures"] | ({"strips": strips} if strips else {})
     parts = [
         f"# {results.name}",
         _state(results),
@@ -116,7 +113,7 @@ def report_text(
         "## What the arms saw before their first trial",
         _saw(numbers, stores),
         "## Figures",
-        *(f"![{words}]({name}.png)" for name, words in figures.items()),
+        *(f"![{words}]({name}.png)" for name, words in WORDS["figures"].items()),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 

@@ -1,43 +1,37 @@
-"""The summary study of an experiment in the dashboard: two tables and a figure.
+"""The note of an experiment's summary study in the dashboard: two tables.
 
 It is renewed once a minute while the experiment runs: medians only, no resampling. Its second table
 links to the studies, of which the dashboard lists hundreds.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from study.experiment.database import Summary
 from study.experiment.experiment import study_name
 from study.report.markdown import WORDS, count_text, table
 from study.report.runs import ArmRuns, runs_of
 
 DASHBOARD = "/dashboard"  # where optuna-dashboard serves its pages
-DASHES = ("solid", "dash", "dot", "dashdot", "longdash")  # plotly's, once colours are used up
-FIGURE_POINTS = 50  # of a curve: attributes of a study hold 2 kB each
 
 
-def dashboard_summary(
-    name: str, trials: pa.Table, final: bool, studies: Mapping[str, int]
-) -> Summary:
-    """Note and figure of an experiment's trials, as `study.experiment.database.Summarise`.
+def dashboard_summary(name: str, trials: pa.Table, final: bool, studies: Mapping[str, int]) -> str:
+    """The note of an experiment's trials, as `study.experiment.database.Summarise`.
 
     Of each arm those rows of the results table count that all its runs have.
     """
     arms = list(runs_of(trials).values())
     state = "all trials" if final else "so far; the experiment is running or was stopped"
     heads = ["arm", "runs", "walked", "walked, %", "first walker", "best cost"]
-    note = WORDS["note"].format(
+    note: str = WORDS["note"].format(
         name=name,
         trials=len(trials),
         state=state,
         table=table(heads, list(map(_row, arms))),
         links=_links(name, arms, studies),
     )
-    return Summary(note, best_cost_figure(arms))
+    return note
 
 
 def _row(arm: ArmRuns) -> list[str]:
@@ -67,34 +61,3 @@ def _cell(arm: ArmRuns, run: int, number: int | None) -> str:
     cost = f"{arm.best[place[0], -1]:.4g}"
     cost = f"**{cost}**" if np.isfinite(arm.first_walker[place[0]]) else cost
     return cost if number is None else f"[{cost}]({DASHBOARD}/studies/{number})"
-
-
-def best_cost_figure(arms: Sequence[ArmRuns]) -> dict[str, Any]:
-    """Median over runs of the best cost so far against trials, an arm a curve, as plotly has it."""
-    layout = {
-        "title": {"text": "best cost so far, median over runs"},
-        "xaxis": {"title": {"text": "trials"}},
-        "yaxis": {"title": {"text": "cost"}, "type": "log"},
-        "template": {"layout": {"plot_bgcolor": "white"}},
-    }
-    return {"data": [_trace(number, arm) for number, arm in enumerate(arms)], "layout": layout}
-
-
-def _trace(number: int, arm: ArmRuns) -> dict[str, Any]:
-    """The curve of an arm, in the colour and dash of its number."""
-    from study.pictures.style import SERIES  # Matplotlib: a second
-
-    median = np.median(arm.best, axis=0)
-    shown = np.unique(np.linspace(0, len(median) - 1, FIGURE_POINTS).astype(int))
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "name": arm.arm,
-        "x": (shown + 1).tolist(),
-        "y": [float(f"{value:.5g}") for value in median[shown]],
-        "line": {
-            "color": SERIES[number % len(SERIES)],
-            "dash": DASHES[number // len(SERIES) % len(DASHES)],
-            "shape": "hv",
-        },
-    }

@@ -5,7 +5,7 @@ alone seeds the resampling: a report made twice is the same, and arms with as ma
 resampled alike.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import Any, Literal
@@ -19,7 +19,6 @@ from study.report.runs import ArmRuns, Results
 
 Floats = NDArray[np.float64]
 Curve = tuple[Floats, Floats, Floats]  # its points and the ends of their intervals, each [t]
-Statistic = Callable[..., Floats]  # np.mean or np.median
 
 CONFIDENCE = 0.95
 ENDS = (0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE))  # as quantiles
@@ -63,25 +62,21 @@ def median(values: ArrayLike) -> Interval:
     """
     known = np.asarray(values, dtype=np.float64)
     # Not interpolated: between a number and infinity there is nothing.
-    low, high = _bootstrap(known, np.median, RESAMPLES, "inverted_cdf")
+    low, high = _bootstrap(known, RESAMPLES, "inverted_cdf")
     return Interval(float(np.median(known)), low, high)
 
 
-def curve(values: Floats, statistic: Statistic) -> Curve:
-    """Mean or median over runs of curves [r, t], with the bootstrap interval of each point."""
-    ends = [_bootstrap(runs, statistic, CURVE_RESAMPLES) for runs in values.T]
-    low, high = np.array(ends).T
-    return statistic(values, axis=0), low, high
+def curve(values: Floats) -> Curve:
+    """Median over runs of curves [r, t], with the bootstrap interval of each point."""
+    low, high = np.array([_bootstrap(runs, CURVE_RESAMPLES) for runs in values.T]).T
+    return np.median(values, axis=0), low, high
 
 
 def _bootstrap(
-    values: Floats,
-    statistic: Statistic,
-    times: int,
-    method: Literal["linear", "inverted_cdf"] = "linear",
+    values: Floats, times: int, method: Literal["linear", "inverted_cdf"] = "linear"
 ) -> tuple[float, float]:
-    """Ends of the percentile interval of a statistic over runs, [r]."""
-    drawn = statistic(values[resamples(len(values), times)], axis=1)
+    """Ends of the percentile interval of the median over runs, [r]."""
+    drawn = np.median(values[resamples(len(values), times)], axis=1)
     low, high = np.quantile(drawn, ENDS, method=method)
     return float(low), float(high)
 

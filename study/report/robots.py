@@ -1,9 +1,7 @@
-"""The report of a comparison on robots of any simulator: tables in Markdown, and a figure."""
+"""The report of a comparison on robots of any simulator: tables in Markdown."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -95,30 +93,3 @@ class RobotResults:
                 rows.append([ARMS[other].label, *cells, f"{p:.2g}"])
             heads = [h for at in self.checkpoints for h in (f"after {at}: won", "lost", "p")]
             yield table([f"{ARMS[ours].label} against", *heads, "walkers: p"], rows)
-
-    def draw(self, path: Path) -> None:
-        """Robots with a walker, and the median of the least cost, against trials."""
-        from study.pictures import style  # Matplotlib: a second
-
-        figure = style.new_figure(9.0, 3.6)
-        trials = np.arange(1, self.experiment.trials + 1)
-        left, right = (figure.add_subplot(1, 2, place) for place in (1, 2))
-        colours = {arm: style.SERIES[place % len(style.SERIES)] for place, arm in enumerate(ARMS)}
-        for arm, own in self.arms.items():
-            look: dict[str, Any] = {"color": colours[arm], "label": ARMS[arm].label,
-                    "linewidth": 2.0 if arm in OURS else 1.2,
-                    "linestyle": "-" if ARMS[arm].sees != "nothing" else "--"}  # fmt: skip
-            left.step(trials, own.has_walker.sum(axis=0), where="post", **look)
-            right.plot(trials, np.median(own.best, axis=0), **look)
-        left.set_ylabel("robots with a trial that lasted", fontsize=style.TEXT_PT)
-        left.set_ylim(0, self.experiment.runs)
-        right.set_ylabel("median of the least cost", fontsize=style.TEXT_PT)
-        right.set_yscale("log")
-        for axes in (left, right):
-            style.tidy(axes)
-            axes.set_xlabel("trials", fontsize=style.TEXT_PT)
-        handles, labels = left.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="center left", bbox_to_anchor=(0.8, 0.5),
-                      fontsize=style.SMALL_PT, frameon=False)  # fmt: skip
-        figure.tight_layout(rect=(0, 0, 0.8, 1))
-        style.save_png(figure, path)

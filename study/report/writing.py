@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from storage.commit import commit_json, commit_text, together
-from study.report.before_after import Pair, write_strips
-from study.report.figures import write_best_cost, write_first_walker, write_grid, write_walkers
+from study.report.figures import write_best_cost, write_first_walker
 from study.report.markdown import NO_STORES, condensed_table, overview_text, report_text
 from study.report.numbers import Numbers, numbers
 from study.report.runs import Results
@@ -15,7 +14,6 @@ REPORT_NAME = "report"
 
 def write_report(
     results: Results,
-    pair: Pair | None = None,
     folder: Path | None = None,
     stores: Mapping[str, Path] = NO_STORES,
 ) -> Numbers:
@@ -28,8 +26,7 @@ def write_report(
         InputError: the folder cannot be written.
     """
     found = numbers(results)
-    strips = f"{pair.first.title}. {pair.second.title}. Run {pair.run}." if pair else ""
-    text = report_text(results, found, strips, stores)
+    text = report_text(results, found, stores)
     document = {
         "complete": results.complete,
         "trials_found": results.found,
@@ -39,27 +36,21 @@ def write_report(
     }
     with together(folder or results.folder / REPORT_NAME) as new:
         write_best_cost(new, results)
-        write_walkers(new, results)
         write_first_walker(new, results)
-        if pair is not None:
-            write_strips(new, f"{results.name}, run {pair.run}: before and after", pair)
         commit_json(new / "summary.json", document)
         commit_text(new / "report.md", text)
     return found
 
 
 def write_overview(folder: Path, experiments: Sequence[Numbers]) -> None:
-    """Write overview.md, overview.json and a figure of several experiments, all or none.
+    """Write overview.md and overview.json of several experiments, both or none.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    text = (
-        f"# {len(experiments)} experiments\n\n{overview_text(experiments)}\n"
-        "![Runs with a walker](overview.png)\n"
-    ) + "".join(f"\n## {each.experiment}\n\n{condensed_table(each)}\n" for each in experiments)
+    parts = [f"## {each.experiment}\n\n{condensed_table(each)}\n" for each in experiments]
+    text = "\n".join([f"# {len(experiments)} experiments\n", overview_text(experiments), *parts])
     with together(folder) as new:
         document = {"experiments": [each.as_dict() for each in experiments]}
         commit_json(new / "overview.json", document)
-        write_grid(new, experiments)
         commit_text(new / "overview.md", text)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from optuna.trial import FrozenTrial
 
 from study.sampler.acquisition import Model, log_kept
-from study.sampler.gp import JITTER, Posterior, misfit, shape_of
+from study.sampler.gp import JITTER, Posterior, misfit
 from study.sampler.history import read_limits
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble
@@ -26,14 +26,11 @@ TITLE = "Are the features worth anything?"
 WORLDS_TITLE = "Which worlds is the robot like?"
 SHOWN_WORLDS = 6  # most and least like
 BAR = 30  # characters of the longest bar
-HEAD = ("feature", "rank correlation with the cost", "weight")
+HEAD = ("feature", "rank correlation with the cost")
 UNKNOWN = "-"
 CHOSEN = (
     "In brackets: 95 % intervals. The sampler selected these trials, so correlations are biased "
     "towards zero. Evaluate some random rows for an unbiased estimate."
-)
-WEIGHT = (
-    "Weight: the share of the costs' variation over all candidates that the model attributes to it."
 )
 MAXIMISED = "The cost is minus the study's value."
 DOUBTED = (
@@ -43,7 +40,6 @@ DOUBTED = (
 LEAST_RANKED = 4  # trials with a feature, for its correlation
 NORMAL_95 = 1.959964  # 97.5 % quantile of the normal distribution
 NOISES = np.geomspace(1e-3, 1.0, 11)  # variances, in standard units
-CANDIDATES = 512  # whose variation is computed, evenly among all
 
 
 @dataclass(frozen=True)
@@ -92,15 +88,6 @@ class RankCorrelation:
 
 
 @dataclass(frozen=True)
-class Weights:
-    """Shares of the expected variation, which sum to 1."""
-
-    features: tuple[float, ...]  # of each of the k features
-    parameters: float  # of their likeness; 0 where the kernel does not use them
-    noise: float  # of what nothing explains
-
-
-@dataclass(frozen=True)
 class Errors:
     """Leave-one-out errors, as shares of that of a constant."""
 
@@ -119,7 +106,6 @@ class Worth:
         trials: that could be learned from.
         names: of the k features; () where nothing is known of them yet.
         correlations: of each with the cost; None: too few trials have it, or it is constant.
-        weights: that the model gives; None: too few trials.
         errors: None: too few trials, or all cost the same.
         is_doubted: every other trial is left to the parameters at present.
         maximised: the study's value is; costs are minus the values.
@@ -129,7 +115,6 @@ class Worth:
     trials: int
     names: tuple[str, ...]
     correlations: tuple[RankCorrelation | None, ...]
-    weights: Weights | None
     errors: Errors | None
     is_doubted: bool
     maximised: bool
@@ -175,34 +160,21 @@ class Worth:
     def __str__(self) -> str:
         """A table for people."""
         rows = [HEAD, *self._rows()]
-        widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]
-        lines = [
-            f"{name:<{widths[0]}}  {r:<{widths[1]}}  {weight:>{widths[2]}}"
-            for name, r, weight in rows
-        ]
+        width = max(len(name) for name, _ in rows)
+        lines = [f"{name:<{width}}  {r}" for name, r in rows]
         return "\n".join([self.verdict, "", *(lines if self.names else ()), *self._remarks()])
 
     def markdown(self) -> str:
         """The table in Markdown, for a note in the dashboard."""
-        head = [f"| {' | '.join(HEAD)} |", "|---|---|--:|"]
-        escaped = [[cell.replace("|", "\\|") for cell in row] for row in self._rows()]
-        rows = [f"| {' | '.join(row)} |" for row in escaped]
+        head = [f"| {' | '.join(HEAD)} |", "|---|---|"]
+        rows = ["| {} | {} |".format(name.replace("|", "\\|"), r) for name, r in self._rows()]
         table = [*head, *rows, ""] if self.names else []
         return "\n".join([f"## {TITLE}", "", self.verdict, "", *table, *self._remarks()]).rstrip()
 
-    def _rows(self) -> Iterator[tuple[str, str, str]]:
-        """Rows of the table: features, then parameters and noise."""
-        weights = [UNKNOWN] * len(self.names)
-        others: list[tuple[str, str, str]] = []
-        if self.weights is not None:
-            shares = (*self.weights.features, self.weights.parameters, self.weights.noise)
-            *weights, parameters, noise = (f"{share} %" for share in percents(shares))
-            if self.weights.parameters > 0:
-                others.append(("(parameters)", "", parameters))
-            others.append(("(noise)", "", noise))
-        for name, r, weight in zip(self.names, self.correlations, weights, strict=True):
-            yield name, UNKNOWN if r is None else str(r), weight
-        yield from others
+    def _rows(self) -> Iterator[tuple[str, str]]:
+        """Rows of the table: features."""
+        for name, r in zip(self.names, self.correlations, strict=True):
+            yield name, UNKNOWN if r is None else str(r)
 
     def _remarks(self) -> Iterator[str]:
         """Notes on how to read the figures."""
@@ -210,8 +182,6 @@ class Worth:
         if not self.names:
             return
         yield f"{self.trials} trials. {CHOSEN}"
-        if self.weights is not None:
-            yield WEIGHT
         if self.maximised:
             yield MAXIMISED
         if self.is_doubted:
@@ -227,8 +197,6 @@ class Present:
     names: tuple[str, ...]  # of the k features
     features: Floats  # of the n trials, in units of their own, NaN where unknown, [n, k]
     model: Model  # the sampler's, for trials that follow the features
-    candidates: Points  # rows that may be proposed, or points anywhere, as the kernel sees them
-    owners: tuple[int, ...]  # of each column of their features, the number of the feature
     is_doubted: bool  # whether every other trial is left to the parameters at present
     first: Mapping[int, Floats]  # rows that the prior ranks first, with their features, {row: [k]}
 
@@ -247,16 +215,13 @@ def worth_of(present: Present | None, *, maximised: bool) -> Worth:
         maximised: the study's values are.
     """
     if present is None:
-        return Worth(0, (), (), None, None, False, maximised)
-    cost, count = present.model.costs, len(present.names)
+        return Worth(0, (), (), None, False, maximised)
+    cost = present.model.costs
     enough = len(cost) >= LEAST_TRIALS
     return Worth(
         len(cost),
         present.names,
         tuple(RankCorrelation.of(feature, cost) for feature in present.features.T),
-        weights_of(present.model, present.candidates, present.owners, count)
-        if enough and count
-        else None,
         _errors(present.model) if enough else None,
         present.is_doubted,
         maximised,
@@ -306,56 +271,6 @@ def _gain(ours: Floats, others: Floats) -> float:
     less = np.abs(others) - np.abs(ours)
     spread = float(less.std(ddof=1)) / sqrt(len(less))
     return float(less.mean()) / spread if spread > 0 else 0.0
-
-
-def weights_of(model: Model, candidates: Points, owners: tuple[int, ...], count: int) -> Weights:
-    """The shares of the costs' variation that a model attributes to features, parameters and noise.
-
-    A function of the candidates varies among m of them by (1/m) sum_a (f_a - mean f)^2. With the
-    learned constants, a model expects of its parts, in standard units of the cost,
-
-    | part | expected variation among the candidates |
-    |---|---|
-    | slope along column j | E[w_j^2 given the trials] var(phi_j) |
-    | likeness, nearness | s^2 (1 - mean_ab k(x_a, x_b)): little where length scales are long |
-    | noise | its variance |
-
-    The slopes have one variance v in common, which tells nothing about one feature: so they count
-    as the trials leave them, w = m + v Phi^T K^-1 y with covariance v I - v^2 Phi^T K^-1 Phi, m
-    being the prior mean (Rasmussen, Williams 2006, section 2.7). Where m = 0 and v is likeliest,
-    v is the mean of these E[w_j^2] (a fixed point of expectation maximisation: Dempster, Laird,
-    Rubin 1977). Likeness is divided among the columns by var(phi_j) / l_j^2, their share of a
-    squared distance.
-
-    Args:
-        model: after at least one trial.
-        candidates: the m rows that may be proposed, or points anywhere.
-        owners: of each column of their features, the number of the feature.
-        count: of features, k.
-    """
-    m = len(candidates)
-    evenly = np.unique(np.linspace(0, m - 1, min(m, CANDIDATES)).astype(np.int64))
-    points = candidates.take(evenly)
-    x = points.only(features=True, coordinates=model.kernel.of_parameters).matrix()
-    posterior, columns = model.posterior, len(owners)
-    each, parameters = np.zeros(columns), 0.0
-    spread = x[:, :columns].var(axis=0)
-    for term, variance, scales in posterior.covariance.valued(posterior.theta):
-        if not len(scales):
-            each += _slopes_squared(model, variance, columns) * spread
-            continue
-        shape, _ = shape_of(x[:, term.first : term.end], scales)
-        variation = variance * max(1.0 - float(np.mean(shape)), 0.0)
-        if term.first >= columns:
-            parameters += variation
-            continue
-        relative = spread / np.broadcast_to(scales, columns) ** 2
-        if relative.any():
-            each += variation * relative / relative.sum()
-    features = np.bincount(owners, each, minlength=count)
-    total = float(features.sum()) + parameters + posterior.noise
-    shares = tuple((features / total).tolist())
-    return Weights(shares, parameters / total, posterior.noise / total)
 
 
 @dataclass(frozen=True)
@@ -526,30 +441,6 @@ def _over_noise(model: Model) -> tuple[Floats, Floats]:
     weights = scipy.special.softmax(-np.array(misfits))
     mean = weights @ np.array(means)
     return mean, weights @ (np.array(variances) + (np.array(means) - mean) ** 2)
-
-
-def percents(shares: tuple[float, ...]) -> tuple[int, ...]:
-    """Shares that sum to 1 as whole percents that sum to 100, the largest remainders rounded up."""
-    exact = 100.0 * np.array(shares)
-    rounded = np.floor(exact)
-    missing = round(100 - float(rounded.sum()))
-    up = np.argsort(rounded - exact, kind="stable")[:missing]
-    rounded[up] += 1.0
-    return tuple(rounded.astype(int).tolist())
-
-
-def _slopes_squared(model: Model, v: float, columns: int) -> Floats:
-    """E[w_j^2] of the first columns after the trials, in standard units of the cost, [columns]."""
-    posterior = model.posterior
-    k = posterior.gram()
-    phi = posterior.x[:, :columns]
-    noisy = k + (posterior.noise + JITTER) * np.eye(len(k))
-    solved = np.linalg.solve(noisy, np.column_stack([posterior.y, phi]))
-    ends = Points(np.eye(columns), np.empty((columns, 0)))
-    expected = model.expected(ends, model.cost()) / posterior.cost_sd
-    mean = expected + v * (phi.T @ solved[:, 0])
-    variance = v - v**2 * np.einsum("nj,nj->j", phi, solved[:, 1:])
-    return np.asarray(mean**2 + np.maximum(variance, 0.0))
 
 
 def residuals(posterior: Posterior) -> Floats:

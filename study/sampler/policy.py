@@ -37,7 +37,7 @@ from study.sampler.draws import Purpose, generator
 from study.sampler.gp import ADDITIVE, NEARNESS, WORLDS, Kernel
 from study.sampler.history import History, read_limits
 from study.sampler.similarity import Relation
-from study.sampler.transforms import Points, PriorMean, Scale, is_doubtful
+from study.sampler.transforms import Points, PriorMean, is_doubtful
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
@@ -173,18 +173,13 @@ class Policy:
         names: Sequence[str],
         features: Floats,
         model: Model,
-        candidates: Points,
-        scale: Scale,
         first: Mapping[int, Floats] = MappingProxyType({}),
     ) -> Present:
         """See `Present`."""
         has_prior = model.prior_mean is not None
         is_doubted = any(is_doubtful(model.costs, turn, has_prior) for turn in (0, 1))
         is_doubted = is_doubted and self.learns_trust
-        owners = scale.owners
-        return Present(
-            trials, rows, tuple(names), features, model, candidates, owners, is_doubted, first
-        )
+        return Present(trials, rows, tuple(names), features, model, is_doubted, first)
 
     def rng(self, purpose: Purpose, turn: int) -> np.random.Generator:
         """The generator of one draw of one trial."""

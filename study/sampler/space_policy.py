@@ -93,7 +93,7 @@ class SpacePolicy(Policy):
         return self.independent.sample_independent(study, trial, name, distribution)
 
     def present(self, study: optuna.Study) -> Present | None:
-        """See `Present`; candidates are those of the next trial. None: there is nothing to show."""
+        """See `Present`; None: there is nothing to show."""
         trial = next_trial(study)
         known = self.search_space(study, trial)
         if not known:
@@ -108,10 +108,9 @@ class SpacePolicy(Policy):
         scale, prior_mean = self._scale(features), self._prior_mean(features)
         seen = _placed(scale, shown, space, history.parameters)
         model = self.plain_model(prior_mean, len(space), seen, history.cost)
-        candidates = _placed(scale, features, space, points)
         names = _names(features)
         trials, rows = history.trials, (None,) * len(history.trials)
-        return self.present_of(trials, rows, names, shown, model, candidates, scale)
+        return self.present_of(trials, rows, names, shown, model)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Nothing is noted."""

@@ -479,7 +479,7 @@ class TablePolicy(Policy):
             )
 
     def present(self, study: optuna.Study) -> Present:
-        """See `Present`; candidates are all rows that may be proposed, tried or not."""
+        """See `Present`."""
         self._adopt(suggested_so_far(self.own_rows.names, study))
         history, ensemble = self._history(study, next_trial(study)), self._ensemble(study)
         shown = self._features(history.parameters, history.rows, history.trials)
@@ -492,8 +492,8 @@ class TablePolicy(Policy):
             best = np.argsort(-merit, kind="stable")[:RANKED]
             first = {row: self.rows.features[row] for row in self.rows.numbers[best].tolist()}
         trials, names = history.trials, self.rows.feature_names
-        rows, points = tuple(row_of(self.rows, trial) for trial in trials), self._points(ensemble)
-        return self.present_of(trials, rows, names, shown, model, points, self._scale, first)
+        rows = tuple(row_of(self.rows, trial) for trial in trials)
+        return self.present_of(trials, rows, names, shown, model, first)
 
     def predict(
         self, study: optuna.Study, params: Sequence[Mapping[str, Any]] | None

@@ -149,11 +149,6 @@ class Standard:
         finite = np.where(np.isfinite(features), squarable(features), self.mean)
         return np.asarray((finite - self.mean) / self.sd)
 
-    @property
-    def owners(self) -> tuple[int, ...]:
-        """The number of the feature of each of these columns."""
-        return tuple(range(len(self.mean)))
-
 
 @dataclass(frozen=True, eq=False)
 class NormalScores:
@@ -202,11 +197,6 @@ class NormalScores:
         ]
         gaps = _gap_columns(features, self.gaps)
         return np.column_stack([features[:, :0], *columns, *gaps])
-
-    @property
-    def owners(self) -> tuple[int, ...]:
-        """The number of the feature of each of these columns."""
-        return (*range(len(self.known)), *(column for column, _ in self.gaps))
 
 
 Scale = Standard | NormalScores

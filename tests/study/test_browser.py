@@ -26,7 +26,6 @@ pytestmark = pytest.mark.slow
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SCRIPT = "<img src=x onerror=window.ran=1>"  # whoever writes to a database names its studies
-BARS = ".js-plotly-plot .scatterlayer .trace"  # a curve or a cloud of points of plotly
 
 
 @pytest.fixture(scope="module")
@@ -65,11 +64,6 @@ def studies(address: str) -> dict[str, int]:
     return {study["study_name"]: study["study_id"] for study in listed}
 
 
-def curves(page: Any, count: int) -> None:
-    """Wait until plots with so many curves in all are drawn."""
-    page.wait_for_function(f"document.querySelectorAll('{BARS}').length >= {count}")
-
-
 def test_the_list_shows_the_studies(page: Any, address: str) -> None:
     page.goto(f"{address}/dashboard")
     for name in ("tiny/dog/run-000", "tiny/random/run-001", "tiny/summary"):
@@ -82,21 +76,15 @@ def test_the_list_shows_the_studies(page: Any, address: str) -> None:
     assert page.get_by_text("tiny/random/run-001").is_visible()
 
 
-def test_a_best_trial_shows_its_pictures(page: Any, address: str, studies: dict[str, int]) -> None:
+def test_a_best_trial_shows_its_picture(page: Any, address: str, studies: dict[str, int]) -> None:
     page.goto(f"{address}/dashboard/studies/{studies['tiny/dog/run-000']}/trials?numbers=1")
     page.get_by_text("Best Trial").first.wait_for()
     page.get_by_text("strip.png").wait_for()
-    page.get_by_text("film.mp4").wait_for()
     page.wait_for_function("document.querySelector('img[src*=artifacts]')?.naturalWidth > 500")
-    page.wait_for_function("document.querySelector('video')?.readyState >= 2")  # has a frame
-    film = page.evaluate("(v => [v.videoWidth, v.duration])(document.querySelector('video'))")
-    assert film[0] == 640 and 1.5 < film[1] < 2.5
-    page.evaluate("document.querySelector('video').currentTime = 1.0")
-    page.wait_for_function("!document.querySelector('video').seeking")
     save(page, "trial")
 
 
-def test_the_summary_has_table_and_figure(page: Any, address: str, studies: dict[str, int]) -> None:
+def test_the_summary_leads_to_studies(page: Any, address: str, studies: dict[str, int]) -> None:
     page.goto(f"{address}/dashboard/studies/{studies['tiny/summary']}/note")
     row = page.locator("tr", has_text="dog").first
     row.wait_for()
@@ -108,8 +96,3 @@ def test_the_summary_has_table_and_figure(page: Any, address: str, studies: dict
     page.go_back()
     page.get_by_role("link", name="compare").first.click()
     page.get_by_text("Best Value of tiny/random/run-000").first.wait_for()
-    page.goto(f"{address}/dashboard/studies/{studies['tiny/summary']}")
-    figure = page.get_by_text("best cost so far, median over runs")
-    figure.scroll_into_view_if_needed()
-    curves(page, 2)
-    save(page, "figure")

@@ -1,5 +1,5 @@
-// The views of a store's five columns: a cloud of points, histograms, parallel axes and a table, all
-// of the rows that `selection` names. It is a text, "column low..high, ...": a brush writes it, a
+// The views of a store's five columns: a cloud of points, histograms and a table, all of the
+// rows that `selection` names. It is a text, "column low..high, ...": a brush writes it, a
 // person may, and the server reads it. Points are painted as pixels: a hundred thousand in some
 // milliseconds on any machine, where WebGL without a GPU takes seconds.
 
@@ -7,7 +7,6 @@ const HERE = {sync: false}
 const RANGE = /^\s*(\w+)\s+(\S+?)\.\.(\S+)\s*$/
 const PALE = 0xffe0dcd8 // ABGR, as pixels lie in memory
 const DARK = 0xff000000
-const MOST_LINES = 150
 const MOST_ROWS = 200
 const NEAR_PX = 14
 let state = null
@@ -47,16 +46,8 @@ function brush(args, {geometry, origin}) {
   if (origin === args.plot) {
     found.set(0, sorted(geometry.x0, geometry.x1))
     found.set(1, sorted(geometry.y0, geometry.y1))
-  } else if (slot >= 0) {
-    found.set(slot, sorted(geometry.x0, geometry.x1))
   } else {
-    const [left, right] = sorted(geometry.x0, geometry.x1)
-    const shares = sorted(geometry.y0, geometry.y1)
-    for (let axis = 0; axis < args.columns.length; axis++) {
-      if (left > axis || axis > right) continue
-      const [low, high] = [bounds.low[axis], bounds.high[axis]]
-      found.set(axis, shares.map((share) => low + share * (high - low)))
-    }
+    found.set(slot, sorted(geometry.x0, geometry.x1))
   }
   for (const [place, ends] of found) { // a box up to the edge takes what lies beyond, too
     if (ends[0] <= bounds.low[place]) ends[0] = -Infinity
@@ -81,7 +72,6 @@ function refresh(args) {
   Object.assign(state, {inside, all: chosen.length === rows, chosen: chosen.length})
   paint(args)
   count(args, chosen)
-  lines(args, spread(chosen, MOST_LINES))
   list(args, chosen.slice(0, MOST_ROWS))
   args.count.setv({text: `${chosen.length.toLocaleString("en")} of ${rows.toLocaleString("en")} rows`}, HERE)
   state.ms = performance.now() - began
@@ -133,13 +123,6 @@ function count({source, bars, bounds}, chosen) {
   })
 }
 
-function lines({source, parallel, bounds, columns}, some) {
-  const axes = columns.map((_, slot) => slot)
-  const ys = some.map((i) => axes.map((slot) =>
-    (source.data[`c${slot}`][i] - bounds.data.low[slot]) / (bounds.data.high[slot] - bounds.data.low[slot] || 1)))
-  parallel.setv({data: {xs: some.map(() => axes), ys}}, HERE)
-}
-
 function list({source, table, columns}, some) {
   const data = {row: some.map((i) => source.data.row[i]), bred: some.map((i) => source.data.evolved[i] ? "bred" : "")}
   columns.forEach((_, slot) => { data[`c${slot}`] = some.map((i) => source.data[`c${slot}`][i]) })
@@ -157,11 +140,6 @@ function pick({source, plot, image, row}, {x, y}) {
     if (away < least) [nearest, least] = [i, away]
   }
   if (nearest >= 0) row.value = source.data.row[nearest]
-}
-
-function spread(chosen, most) {
-  const step = Math.max(1, chosen.length / most)
-  return Array.from({length: Math.min(most, chosen.length)}, (_, i) => chosen[Math.floor(i * step)])
 }
 
 function sorted(one, other) {

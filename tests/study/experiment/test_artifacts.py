@@ -1,4 +1,4 @@
-"""Pictures and films of the best trials, as Optuna and its dashboard find them."""
+"""Pictures of the best trials, as Optuna and its dashboard find them."""
 
 import json
 from collections import deque
@@ -15,10 +15,9 @@ from optuna_dashboard import get_note, save_note
 from storage.databases.studies import open_studies
 from storage.pool import IN_PROCESS, Pool, local_pool
 from study.experiment import artifacts
-from study.experiment.artifacts import FILM_RUNS, Drawing, best_walks, draw, make_artifacts
+from study.experiment.artifacts import Drawing, best_walks, draw, make_artifacts
 from study.experiment.database import export
 from study.experiment.folder import gains_of
-from study.pictures import movie
 from taichi_nmm.result import Result
 from tests.study import synthetic_gait
 from tests.study.conftest import refused
@@ -93,20 +92,17 @@ def found(url: str, name: str, number: int) -> dict[str, Any]:
     return {meta.filename: meta for meta in metas}
 
 
-def test_the_best_trial_of_each_study_gets_picture_and_film(made: tuple[Path, str]) -> None:
+def test_the_best_trial_of_each_study_gets_a_picture(made: tuple[Path, str]) -> None:
     folder, url = made
     store = FileSystemArtifactStore(folder / "artifacts")
     for name in STUDIES:
         best = load(url, name).best_trial.number
         metas = found(url, name, best)
-        kinds = {"strip.png": "image/png", "film.mp4": "video/mp4"}
-        assert {key: meta.mimetype for key, meta in metas.items()} == kinds
+        assert {key: meta.mimetype for key, meta in metas.items()} == {"strip.png": "image/png"}
         with store.open_reader(metas["strip.png"].artifact_id) as file:
             assert file.read(4) == b"\x89PNG"
-        with store.open_reader(metas["film.mp4"].artifact_id) as file:
-            assert file.read(12)[4:8] == b"ftyp"
         assert not found(url, name, (best + 1) % 3)
-    assert len(list((folder / "artifacts").iterdir())) == 8
+    assert len(list((folder / "artifacts").iterdir())) == 4
 
 
 def test_they_are_registered_and_noted(made: tuple[Path, str], tmp_path: Path) -> None:
@@ -146,7 +142,7 @@ def test_a_note_of_the_users_stays_and_one_that_a_kill_left_out_is_made_up_for(
     assert not best_note(second)
     make(results(TINY), url, tmp_path)
     assert best_note(first) == "mine" and best_note(second)
-    assert len(found(url, STUDIES[0], first.best_trial.number)) == 2
+    assert len(found(url, STUDIES[0], first.best_trial.number)) == 1
 
 
 def test_the_best_is_the_first_of_the_cheapest_and_equal_ones_are_shared() -> None:
@@ -166,7 +162,7 @@ def test_the_best_is_the_first_of_the_cheapest_and_equal_ones_are_shared() -> No
 
 def test_shared_files_are_drawn_once(tmp_path: Path, url: str, fake: Fake) -> None:
     make(results(TINY, arms=("abc", "two")), url, tmp_path)
-    assert len(list((tmp_path / "artifacts").iterdir())) == 4
+    assert len(list((tmp_path / "artifacts").iterdir())) == 2
     assert found(url, "tiny/abc/run-001", 1) == found(url, "tiny/two/run-001", 1) != {}
 
 
@@ -197,7 +193,7 @@ def test_what_is_there_is_kept_and_the_rest_is_made(tmp_path: Path, url: str, fa
     assert make(table, url, tmp_path) == [(4, 4)] and len(fake.runs) == 2
     another = f"sqlite:///{tmp_path}/another.db"  # a new database, the files as they are
     assert make(table, another, tmp_path) == [(4, 4)]
-    assert set(found(another, STUDIES[0], 1)) == {"strip.png", "film.mp4"}
+    assert set(found(another, STUDIES[0], 1)) == {"strip.png"}
 
 
 def test_whoever_diverged_at_once_has_no_picture(tmp_path: Path, url: str, fake: Fake) -> None:
@@ -214,40 +210,16 @@ def test_several_processes_draw_the_same_files(tmp_path: Path, url: str, fake: F
     with local_pool(2) as pool:
         make(table, url, tmp_path / "two", pool)
     one, two = (sorted((tmp_path / name / "artifacts").iterdir()) for name in ("one", "two"))
-    assert len(one) == 3 + FILM_RUNS and [file.name for file in one] == [file.name for file in two]
+    assert len(one) == 3 and [file.name for file in one] == [file.name for file in two]
     assert [file.read_bytes() for file in one] == [file.read_bytes() for file in two]
-
-
-def test_later_runs_get_a_film_where_it_is_asked_for(tmp_path: Path, url: str, fake: Fake) -> None:
-    table = results(TINY, runs=FILM_RUNS + 1, arms=("dog",))
-    make(table, url, tmp_path)
-    name = f"tiny/dog/run-{FILM_RUNS:03d}"
-    best = load(url, name).best_trial.number
-    assert set(found(url, name, best)) == {"strip.png"}
-    before = list((tmp_path / "artifacts").iterdir())
-    times = {file: file.stat().st_mtime_ns for file in before}
-    make_artifacts(TINY, table, url, tmp_path, film_runs=FILM_RUNS + 1)
-    assert set(found(url, name, best)) == {"strip.png", "film.mp4"}
-    assert {file: file.stat().st_mtime_ns for file in before} == times
-    assert len(list((tmp_path / "artifacts").iterdir())) == len(before) + 1
 
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_process_that_cannot_write_says_so_in_one_line(tmp_path: Path, workers: int) -> None:
     walk = best_walks(TINY, results(TINY))[0]
-    drawing = Drawing(walk, GLIMPSE, TINY.terrain(0), tmp_path / "no", "")
+    drawing = Drawing(walk, GLIMPSE, TINY.terrain(0), tmp_path / "no")
     with local_pool(workers) as pool, refused("out: .* a place that can be written"):
         list(pool.results(draw, deque([drawing, drawing])))
-
-
-def test_a_missing_ffmpeg_is_told_before_anything_is_drawn(
-    tmp_path: Path, url: str, fake: Fake, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
-    with refused("ffmpeg: .* a working ffmpeg"):
-        make(results(TINY), url, tmp_path)
-    assert not fake.runs and not (tmp_path / "artifacts").exists()
-    assert movie.FIXING  # one line names what to install
 
 
 def test_the_real_simulator_repeats_the_trial(

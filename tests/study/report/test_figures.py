@@ -83,11 +83,10 @@ def test_figures_are_written_twice_alike(tmp_path: Path, monkeypatch: pytest.Mon
     for folder in (tmp_path / "a", tmp_path / "b"):
         folder.mkdir()
         files = figures.write_best_cost(folder, results)
-        files += figures.write_walkers(folder, results)
         files += figures.write_first_walker(folder, results)
         names = [file.name for file in files]
         assert sorted(names) == sorted(file.name for file in folder.iterdir())
-    assert len(names) == 6
+    assert len(names) == 4
     for name in names:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
@@ -98,11 +97,10 @@ def test_labels_stay_within_the_figure(tmp_path: Path, monkeypatch: pytest.Monke
     results = counted(*(arm(name, [3, 17, np.inf]) for name in ARMS))
     seen: list[Figure] = []
     monkeypatch.setattr(figures, "save", lambda figure, *_: seen.append(figure))
-    figures.write_walkers(tmp_path, results)
     figures.write_best_cost(tmp_path, results)
     figures.write_first_walker(tmp_path, results)
     texts = [(figure, text) for figure in seen for axes in figure.axes for text in axes.texts]
-    assert len(texts) > 3 * len(results.arms)
+    assert len(texts) > 2 * len(results.arms)
     for figure, text in texts:
         box = text.get_window_extent()
         assert box.x0 >= 0 and box.x1 <= figure.bbox.width, text.get_text()

@@ -1,13 +1,11 @@
-"""The note and the figure that the dashboard shows of an experiment."""
+"""The note that the dashboard shows of an experiment."""
 
 import time
 
-import numpy as np
 import pyarrow as pa
 
 from study.experiment.arms import ARMS
 from study.experiment.experiment import study_name
-from study.pictures.style import SERIES
 from study.report.notes import dashboard_summary
 from tests.study.report import synthetic
 
@@ -26,26 +24,23 @@ def trials(best: dict[str, list[list[float]]], walked_below: float) -> pa.Table:
     return pa.Table.from_pylist(rows)
 
 
-def test_a_row_and_a_curve_are_medians_over_runs() -> None:
+def test_a_row_has_medians_over_runs() -> None:
     best = {"random": [[290.0, 280.0]] * 2, "dog": [[300.0, 90.0], [290.0, 280.0], [90.0, 80.0]]}
-    summary = dashboard_summary("tiny", trials(best, 100.0), True, {})
-    assert "10 trials (all trials)" in summary.note
-    rows = [line for line in summary.note.splitlines() if line.startswith("| ")][2:4]
+    note = dashboard_summary("tiny", trials(best, 100.0), True, {})
+    assert "10 trials (all trials)" in note
+    rows = [line for line in note.splitlines() if line.startswith("| ")][2:4]
     assert rows == ["| dog | 3 | 2 | 67 | 2 | 90 |", "| random | 2 | 0 | 0 | > 2 | 280 |"]
-    dog, random = summary.figure["data"]
-    assert (dog["x"], dog["y"]) == ([1, 2], [290.0, 90.0])
-    assert [each["line"]["color"] for each in (dog, random)] == list(SERIES[:2])
     best = {"dog": [[300.0, 90.0, 90.0], [290.0, 280.0]]}
-    summary = dashboard_summary("tiny", trials(best, 100.0), False, {})
-    assert "5 trials (so far" in summary.note
-    assert "| dog | 2 | 1 | 50 | > 2 | 185 |" in summary.note
+    note = dashboard_summary("tiny", trials(best, 100.0), False, {})
+    assert "5 trials (so far" in note
+    assert "| dog | 2 | 1 | 50 | > 2 | 185 |" in note
 
 
 def test_a_table_leads_to_every_study() -> None:
     best = {"random": [[290.0, 280.0]], "dog": [[300.0, 90.0], [290.0, 280.0]]}
     ids = {"dog/run-000": 4, "random/run-000": 7, "dog/run-001": 5, "summary": 9}
     ids = {f"tiny/{name}": number for name, number in ids.items()}
-    note = dashboard_summary("tiny", trials(best, 100.0), True, ids).note
+    note = dashboard_summary("tiny", trials(best, 100.0), True, ids)
     table = note[note.index("| run |") :].splitlines()
     assert table[0] == "| run | dog | random | all arms |"
     both = "[compare](/dashboard/compare-studies?ids=4,7)"
@@ -59,9 +54,6 @@ def test_every_arm_can_be_renewed_once_a_minute() -> None:
     table = pa.table(synthetic.columns(dict.fromkeys(ARMS, (0.05, 0.0)), 50, 100, "smooth"))
     ids = {study_name("all", arm, run): run for arm in ARMS for run in range(50)}
     before = time.process_time()
-    summary = dashboard_summary("all", table, False, ids)
-    traces = summary.figure["data"]
+    note = dashboard_summary("all", table, False, ids)
     assert time.process_time() - before < 2.0
-    assert summary.note.count("/dashboard/studies/") == len(ids)
-    assert len({(each["line"]["color"], each["line"]["dash"]) for each in traces}) == len(ARMS)
-    assert all(len(each["x"]) <= 50 and np.all(np.diff(each["y"]) <= 0) for each in traces)
+    assert note.count("/dashboard/studies/") == len(ids)

@@ -20,10 +20,10 @@ def test_a_single_arm_of_a_single_run_is_reported(tmp_path: Path) -> None:
 
 def test_a_failed_report_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(new: Path, results: Results) -> None:
-        (new / "walkers.png").touch()
+        (new / "best-cost.png").touch()
         raise InputError("disk", "full", "space")
 
-    monkeypatch.setattr(writing, "write_walkers", fails)
+    monkeypatch.setattr(writing, "write_best_cost", fails)
     (tmp_path / "report.md").write_text("an older one")
     with pytest.raises(InputError, match="disk"):
         write_report(counted(arm("random", [np.inf], trials=2)), folder=tmp_path)
