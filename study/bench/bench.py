@@ -30,7 +30,10 @@ from study.sampler.worlds import Worlds
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
-WHOLE, COLUMNS = checks.whole(0), checks.optional(checks.by_name(checks.number()))
+WHOLE, VALUE = checks.whole(0), checks.optional(checks.number())
+COLUMNS = checks.optional(checks.by_name(checks.number()))
+Own = tuple[Mapping[str, Any], float, Mapping[str, float], str]
+"""Parameters, value, columns and note of a trial that nobody proposed."""
 BEFORE = "as before"  # the feature, or the world, that other contexts tell of
 TOLD = {True: TrialState.COMPLETE, False: TrialState.RUNNING}
 
@@ -108,41 +111,35 @@ class Bench:
             ]  # fmt: skip
             asked = list[dict[str, Any]]()
             if repeat is not None:
-                again = state.trial(repeat, finished=True)
+                again, mine = state.trial(repeat, finished=True), []
                 why = f"Once more what trial {repeat} was."
                 asked.append(self._asked(again.params, {}, state.count, why))
-            while len(mine) + len(asked) < batch and repeat is None:
+            while len(mine) + len(asked) < batch:
                 asked.append(self._propose(state, asked))
             if asked:
                 self._add("next", {"trials": asked})
-            numbers = [trial["number"] for trial in asked]
-            return [*mine, *(self.state.trials[number] for number in numbers)][: max(batch, 1)]
+            new = [self.state.trials[trial["number"]] for trial in asked]
+            return [*mine, *new][:batch]
 
-    @checks.checked(number=WHOLE, value=checks.number(), columns=COLUMNS, note=checks.text)
+    @checks.checked(number=WHOLE, value=VALUE, failed_s=VALUE, columns=COLUMNS, note=checks.text)
     def record(
-        self, number: int, value: float, columns: Mapping[str, float] | None = None, note: str = ""
-    ) -> None:
-        """Enter the result of a trial.
+        self, number: int, value: float | None = None, *, failed_s: float | None = None,
+        columns: Mapping[str, float] | None = None, note: str = "",
+    ) -> None:  # fmt: skip
+        """Enter the result of a trial: its value, or after how many seconds it failed.
 
         Raises:
-            InputError: no pending trial, or no finite number, or a column that the file has not.
+            InputError: no pending trial, no finite number, or a column that the file has not.
         """
-        self._tell("record", number, value, columns, note)
+        if failed_s is not None:
+            value = self.plan.goal.of_failure(failed_s)
+        if value is None:
+            raise InputError("value", None, "the trial's value, or after how long it failed")
+        self._tell("record" if failed_s is None else "fail", number, value, columns, note)
 
-    @checks.checked(number=WHOLE, seconds=checks.number(), columns=COLUMNS, note=checks.text)
-    def fail(
-        self, number: int, seconds: float, columns: Mapping[str, float] | None = None,
-        note: str = "",
-    ) -> None:  # fmt: skip
-        """Enter that a trial failed after so long: its value follows from [goal]."""
-        value = self.plan.goal.of_failure(seconds)
-        self._tell("fail", number, value, columns, note)
-
-    @checks.checked(
-        number=WHOLE, value=checks.optional(checks.number()), columns=COLUMNS, note=checks.text
-    )
+    @checks.checked(number=WHOLE, value=VALUE, columns=COLUMNS, note=checks.text)
     def correct(
-        self, number: int, value: float | None = None,
+        self, number: int, value: float | None = None, *,
         columns: Mapping[str, float] | None = None, note: str = "",
     ) -> None:  # fmt: skip
         """Replace what was entered of a finished trial; what is not given stays."""
@@ -155,17 +152,8 @@ class Bench:
             state.trial(number, finished=False)
             self._add("abort", {"trial": number, "note": note})
 
-    def add(
-        self, params: Mapping[str, Any], value: float,
-        columns: Mapping[str, float] | None = None, note: str = "",
-    ) -> int:  # fmt: skip
-        """Enter a trial that nobody proposed; its number. See `add_all`."""
-        return self.add_all([(params, value, columns or {}, note)])[0]
-
-    def add_all(
-        self, rows: Sequence[tuple[Mapping[str, Any], float, Mapping[str, float], str]]
-    ) -> list[int]:
-        """Enter trials that nobody proposed: parameters, value, columns and note; their numbers.
+    def add(self, rows: Sequence[Own]) -> list[int]:
+        """Enter trials that nobody proposed: parameters, value, columns, note; their numbers.
 
         Raises:
             InputError: a parameter is missing, unknown or out of its range, by name; or a result

@@ -99,16 +99,17 @@ def record(bench: Bench, args: Namespace) -> None:
     if args.log is not None:
         value = of_log(bench, args.log) if value is None else value
     if args.action == "fail":
-        bench.fail(number(args), needed(args.seconds, "seconds", "a time"), columns, args.note)
+        seconds = needed(args.seconds, "seconds", "a time")
+        bench.record(number(args), failed_s=seconds, columns=columns, note=args.note)
     elif args.action == "correct":
-        bench.correct(number(args), value, columns, args.note)
+        bench.correct(number(args), value, columns=columns, note=args.note)
     elif args.action == "add":
         gains = json_document("gains", needed(args.gains, "gains", PARAMETERS), PARAMETERS)
         value = needed(value, "cost", "the trial's value")
-        print(f"trial {bench.add(gains, value, columns, args.note)}")
+        print(f"trial {bench.add([(gains, value, columns, args.note)])[0]}")
     else:
         value = needed(value, "cost", "the trial's value, or --log")
-        bench.record(number(args), value, columns, args.note)
+        bench.record(number(args), value, columns=columns, note=args.note)
     if value is not None and (odd := bench.odd(value)):
         print(f"warning: {odd}", file=sys.stderr)
     print(bench.entries[-1])
@@ -204,7 +205,7 @@ def import_trials(bench: Bench, args: Namespace) -> None:
         own = {name: value for name, value in numbers.items() if np.isfinite(value)}
         note = row.get("note") or ""
         rows.append(({name: row[name] for name in names}, float(row["value"]), own, str(note)))
-    print(f"trials {', '.join(map(str, bench.add_all(rows)))}")
+    print(f"trials {', '.join(map(str, bench.add(rows)))}")
 
 
 def other(bench: Bench, args: Namespace) -> None:

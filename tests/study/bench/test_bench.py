@@ -71,7 +71,7 @@ def test_what_was_mended_leaves_no_trace_in_later_proposals(path: Path, tmp_path
         found.append(trial.params)
         value = robot.cost(trial.params)
         if place == 1:
-            bench.record(trial.number, -value, {"torque": 99.0})
+            bench.record(trial.number, -value, columns={"torque": 99.0})
             bench.correct(trial.number, value)
             bench.correct(trial.number, columns={"torque": 80.0})
             bench.undo()
@@ -83,12 +83,12 @@ def test_what_was_mended_leaves_no_trace_in_later_proposals(path: Path, tmp_path
             assert bench.next()[0].params == trial.params
             bench.record(trial.number, value)
         elif place == 5:
-            bench.fail(trial.number, 3.0)
+            bench.record(trial.number, failed_s=3.0)
             bench.correct(trial.number, value)
             assert not bench.state.trials[trial.number].failed
         elif place == 6:
             bench.record(trial.number, value)
-            bench.add({"stiffness": 20.0, "damping": 0.2}, 5.0)
+            bench.add([({"stiffness": 20.0, "damping": 0.2}, 5.0, {}, "")])
             bench.undo()
             bench.next()
             bench.undo()
@@ -102,7 +102,7 @@ def test_what_was_mended_leaves_no_trace_in_later_proposals(path: Path, tmp_path
 def test_a_failure_teaches_by_how_far_it_came_and_limits_are_learned(bench: Bench) -> None:
     for number, seconds in enumerate((0.0, 15.0, 30.0)):
         bench.next()
-        bench.fail(number, seconds, {"torque": 100.0})
+        bench.record(number, failed_s=seconds, columns={"torque": 100.0})
     trials = bench.state.trials
     assert [trials[number].value for number in range(3)] == [6.0, 4.5, 3.0]
     assert all(trial.failed for trial in trials.values())
@@ -142,12 +142,12 @@ def test_trials_of_ones_own_are_learned_from_and_checked_by_name(path: Path) -> 
     bench = Bench.new(path)
     robot.run(bench, 3)
     near = {"stiffness": 149.0, "damping": 0.91}  # no row of the table
-    assert bench.add(near, robot.cost(near)) == 3
+    assert bench.add([(near, robot.cost(near), {}, "")]) == [3]
     assert bench.best().number == 3
     bad = {"stiffness": 1e5}, {"damping": 57.3}, {"mass": 1.0}, {"stiffness": "soft"}
     for change in bad:
         with pytest.raises(InputError, match=next(iter(change))):
-            bench.add(near | change, 1.0)
+            bench.add([(near | change, 1.0, {}, "")])
     assert len(bench.state.trials) == 4
 
 
@@ -155,7 +155,7 @@ def test_proposals_keep_within_the_limits_of_safety(tmp_path: Path) -> None:
     limits = "\n[safety]\nmost_step = 0.15\nleast_success = 0.05"
     bench = Bench.new(robot.write(tmp_path, more=limits))
     good = {"stiffness": 149.0, "damping": 0.91}
-    bench.add(good, robot.cost(good))
+    bench.add([(good, robot.cost(good), {}, "")])
     for params in robot.run(bench, 4):
         assert abs(params["damping"] - 0.91) < 0.15 * 1.9 * 2
     (tmp_path / "walk.toml").write_text(
@@ -171,10 +171,10 @@ def test_what_cannot_be_entered_is_one_line_and_changes_nothing(bench: Bench) ->
     wrong += [
         (lambda: bench.record(7, 1.0), r"trial: 7 .* pending: 0"),
         (lambda: bench.record(0, float("nan")), r"value: nan"),
-        (lambda: bench.record(0, 1.0, {"speed": 3.0}), r"speed: 3.0 .* columns torque"),
-        (lambda: bench.record(0, 1.0, {"torque": float("inf")}), r"columns.torque: inf"),
+        (lambda: bench.record(0, 1.0, columns={"speed": 3.0}), r"speed: 3.0 .* columns torque"),
+        (lambda: bench.record(0, 1.0, columns={"torque": float("inf")}), r"columns.torque: inf"),
         (lambda: bench.correct(0, 1.0), r"trial: 0 .* a finished trial"),
-        (lambda: bench.fail(0, 31.0), r"seconds: 31.0 .* to 30"),
+        (lambda: bench.record(0, failed_s=31.0), r"seconds: 31.0 .* to 30"),
         (lambda: bench.abort(9), r"trial: 9"),
         (lambda: bench.undo(9), r"undo: 9 .* an entry that stands: 1"),
         (lambda: bench.context(""), r"context: ''"),
