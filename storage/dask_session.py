@@ -10,7 +10,6 @@ likewise. Workers share no disk with the command, so stores are sent to them.
 """
 
 import asyncio
-import io
 import logging
 import multiprocessing
 import os
@@ -18,7 +17,6 @@ import pickle
 import shutil
 import signal
 import sys
-import tarfile
 import threading
 import time
 import traceback
@@ -62,34 +60,25 @@ REMEDY = "--mixed; or another --out"
 GOES_ON = "the same command goes on where it stopped"
 
 
-def packed(store: Path) -> bytes:
-    """A tar of "store": a store's folder, or the one file that it is.
+def packed(store: Path) -> dict[str, bytes]:
+    """A store's files by name; the one file that it is has none.
 
     Raises:
         InputError: a file of it cannot be read.
     """
-    whole = io.BytesIO()
-    names = (MANIFEST_NAME, *Manifest.read(store).hashes) if store.is_dir() else ("",)
-    with tarfile.open(fileobj=whole, mode="w") as tar:
-        for name in names:
-            with reading("store", store / name, "a file that can be read") as file:
-                tar.add(file, Path("store", name))
-    return whole.getvalue()
+    files = {}
+    for name in (MANIFEST_NAME, *Manifest.read(store).hashes) if store.is_dir() else ("",):
+        with reading("store", store / name, "a file that can be read") as file:
+            files[name] = file.read_bytes()
+    return files
 
 
-def unpack(package: bytes, place: Path) -> None:
-    """Lay a store down at a place that is called "store".
-
-    Of a member only the last part of its name is used, so that none lies elsewhere: the filters of
-    `tarfile` are newer than Python 3.11.2, which Debian 12 has.
-    """
-    with tarfile.open(fileobj=io.BytesIO(package)) as tar:
-        for member in tar:
-            content = tar.extractfile(member)
-            if content is not None:
-                target = place if member.name == place.name else place / Path(member.name).name
-                target.parent.mkdir(parents=True, exist_ok=True)
-                target.write_bytes(content.read())
+def unpack(files: dict[str, bytes], place: Path) -> None:
+    """Lay a store down; of a name only the last part is used, so that no file lies elsewhere."""
+    for name, content in files.items():
+        target = place / Path(name).name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(content)
 
 
 def dask_setup(worker: Any) -> None:
@@ -104,11 +93,11 @@ class Workplace(WorkerPlugin):  # type: ignore[misc]
         session: name of the session: of this plugin, of its events, and of the resource that a
             worker offers once it is let in.
         describe: makes the worker's kind; called in one of the processes.
-        freights: packed stores that calls read, by their places in the folder that these run in.
+        freights: files of stores that calls read, by their places in the folder that these run in.
     """
 
     def __init__(
-        self, session: str, describe: Callable[[], Kind], freights: dict[Path, bytes]
+        self, session: str, describe: Callable[[], Kind], freights: dict[Path, dict[str, bytes]]
     ) -> None:
         self.name = session
         self._describe = describe
@@ -122,8 +111,8 @@ class Workplace(WorkerPlugin):  # type: ignore[misc]
         self._folder = Path(worker.local_directory) / self.name
         self._folder.mkdir(parents=True, exist_ok=True)
         self._processes = Processes(worker.state.nthreads)
-        for place, package in self._freights.items():
-            unpack(package, self._folder / place)
+        for place, files in self._freights.items():
+            unpack(files, self._folder / place)
 
         def introduce(done: "Future[bytes]") -> None:
             event = {"worker": worker.address}

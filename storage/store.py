@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -16,9 +16,6 @@ from taichi_nmm import checks
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, json_document, reading
-
-if TYPE_CHECKING:
-    import pandas
 
 MANIFEST_NAME = "manifest.json"
 SHARD_PATTERN = "part-*.parquet"
@@ -199,7 +196,7 @@ class Store:
 
     @checks.checked(columns=checks.optional(checks.each(checks.text)))
     def table(self, columns: Iterable[str] | None = None) -> pa.Table:
-        """The rows as an Arrow table: all columns, or those named in that order."""
+        """The rows as an Arrow table, which has `to_pandas()`: all columns, or those named."""
         return pa.concat_tables(self.tables(columns))
 
     @checks.checked(columns=checks.optional(checks.each(checks.text)))
@@ -227,15 +224,6 @@ class Store:
         for name, values in arrays.items():
             rows[name] = values
         return rows
-
-    def pandas(self, columns: Iterable[str] | None = None) -> "pandas.DataFrame":
-        """The rows as a pandas data frame, if pandas is installed."""
-        try:
-            import pandas  # noqa: F401
-        except ImportError:
-            allowed = "an installed package (Arrow and NumPy need none)"
-            raise InputError("pandas", "missing", allowed) from None
-        return self.table(columns).to_pandas()
 
     @property
     def gain_names(self) -> tuple[str, ...]:

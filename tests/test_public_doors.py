@@ -137,8 +137,7 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         (storage.merge, {"source": store, "target": folder / "merged.parquet"}),
         (storage.open_store, {"path": store, "verify": False}),
         (opened.gains, {}), (opened.require_bounds, {}),
-        *((read, {"columns": ["row"]})
-          for read in (opened.numpy, opened.pandas, opened.table, opened.tables)),
+        *((read, {"columns": ["row"]}) for read in (opened.numpy, opened.table, opened.tables)),
         (sampler.worth, {"study": tried(lambda: sampler)()}),
         (sampler.best, {"study": tried(lambda: sampler)()}),
         (sampler.predict, {"study": tried(lambda: sampler)(), "params": [{"x": 0.5}]}),

@@ -20,7 +20,6 @@ from optuna.storages import RDBStorage
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial
 
-from storage.databases.postgresql import copy_rows
 from storage.databases.studies import known_tables
 
 Row = dict[str, Any]
@@ -242,9 +241,7 @@ def _pairs(connection: sql.Connection, query: sql.Executable) -> dict[Any, Any]:
 
 
 def _insert(connection: sql.Connection, table: sql.Table, rows: list[Row]) -> None:
-    if rows and connection.dialect.name == "postgresql":
-        copy_rows(connection, table, rows)
-    elif rows:
+    if rows:
         connection.execute(sql.insert(table), rows)
 
 

@@ -11,14 +11,14 @@ is made in a turn, and a process that finds itself alone need not wait until hea
 
 import threading
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sql
 from optuna.storages import RDBStorage
-from sqlalchemy.exc import DBAPIError, NoSuchModuleError, OperationalError, SQLAlchemyError
+from sqlalchemy.exc import NoSuchModuleError, OperationalError, SQLAlchemyError
 
 from storage.databases.urls import POSTGRESQL_FORM, public_url
 from taichi_nmm.errors import InputError
@@ -104,24 +104,6 @@ def connected(url: str) -> Iterator[sql.Engine]:
         raise unusable(shown, error) from None
     finally:
         engine.dispose()
-
-
-def copy_rows(connection: sql.Connection, table: sql.Table, rows: Sequence[dict[str, Any]]) -> None:
-    """Insert rows of the same columns by COPY, within the connection's transaction.
-
-    Twice as fast as INSERT; columns that are not given take their defaults, keys from sequences
-    too.
-    """
-    preparer = connection.dialect.identifier_preparer
-    columns = ", ".join(preparer.quote(name) for name in rows[0])
-    command = f"COPY {preparer.format_table(table)} ({columns}) FROM STDIN"
-    driver: Any = connection.connection.driver_connection
-    try:
-        with driver.cursor() as cursor, cursor.copy(command) as copy:
-            for row in rows:
-                copy.write_row(tuple(row.values()))
-    except connection.dialect.loaded_dbapi.Error as error:
-        raise DBAPIError(command, None, error) from error
 
 
 class Crew:

@@ -48,7 +48,6 @@ OWNED = ("study_directions", "study_user_attributes", "study_system_attributes",
 OF_TRIALS = tuple(
     name for name, columns in TABLES.items() if "trial_id" in columns and name != "trials"
 )
-NAMES = ("study_name", "key", "param_name")  # columns of texts
 COUNTED = ("studies", "version_info", REVISION_TABLE)  # the last two have a row, which Optuna adds
 
 
@@ -106,8 +105,7 @@ def read_studies(url: str) -> Iterator[RDBStorage | None]:
                 with engine.connect() as connection:
                     empty = _is_empty(connection, shown)
                     if not empty:
-                        _check_texts(connection, shown)
-                        _check_owners(connection, shown)
+                        _check_whole(connection, shown)
             finally:
                 engine.dispose()
             if not empty:
@@ -161,40 +159,19 @@ def _is_empty(connection: sql.Connection, shown: str) -> bool:
     return empty
 
 
-def _check_texts(connection: sql.Connection, shown: str) -> None:
-    """Refuse a SQLite file with a damaged page, or with a number for a name.
+def _check_whole(connection: sql.Connection, shown: str) -> None:
+    """Refuse a SQLite file with a damaged page, or with rows of a study or trial that is gone.
 
-    By itself SQLite reads the pages that it needs, and keeps any value; Optuna compares names with
-    texts.
+    By itself SQLite reads the pages that it needs, and gives such rows to the next study or trial.
     """
-    if connection.dialect.name != "sqlite":
-        return
-    said = str(connection.execute(sql.text("PRAGMA quick_check(1)")).scalar())
-    if said != "ok":
-        allowed = f"a database that SQLite finds whole ({said.splitlines()[-1]})"
-        raise InputError("storage", shown, allowed)
-    for table, columns in TABLES.items():
-        for name in columns.intersection(NAMES):
-            other = f"SELECT {name} FROM {table} WHERE typeof({name}) <> 'text' LIMIT 1"
-            for (found,) in connection.execute(sql.text(other)):
-                allowed = f"a database whose {table} have texts for {name}, not {found!r}"
-                raise InputError("storage", shown, allowed)
-
-
-def _check_owners(connection: sql.Connection, shown: str) -> None:
-    """Refuse rows of a study or a trial that is gone: they would be given to the next one.
-
-    Trials have many rows; only rows after the last trial matter.
-    """
-    known = "SELECT 1 FROM studies WHERE studies.study_id = owned.study_id"
-    last = "SELECT COALESCE(MAX(trial_id), 0) FROM trials"
-    for name in (*OWNED, *OF_TRIALS):
-        owner, gone = "study", f"NOT EXISTS ({known})"
-        if name in OF_TRIALS:
-            owner, gone = "trial", f"trial_id > ({last})"
-        query = sql.text(f"SELECT 1 FROM {name} AS owned WHERE {gone} LIMIT 1")
-        if connection.execute(query).first():
-            allowed = f"a database without rows in {name} of a {owner} that is not there"
+    if connection.dialect.name == "sqlite":
+        said = str(connection.execute(sql.text("PRAGMA quick_check(1)")).scalar())
+        if said == "ok" and (
+            orphan := connection.exec_driver_sql("PRAGMA foreign_key_check").first()
+        ):
+            said = f"a row of {orphan[0]} belongs to nothing"
+        if said != "ok":
+            allowed = f"a database that SQLite finds whole ({said.splitlines()[-1]})"
             raise InputError("storage", shown, allowed)
 
 

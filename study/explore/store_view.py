@@ -183,7 +183,7 @@ class StoreView:
     """The left half of a store's page.
 
     It calls `pick` with the place of a clicked row among the store's rows and with its number, and
-    `save` with a selection and the suffix of a file.
+    `save` with a selection.
     """
 
     def __init__(
@@ -191,7 +191,7 @@ class StoreView:
         store: Store,
         message: Message,
         pick: Callable[[int, int], None],
-        save: Callable[[Ranges, str], None],
+        save: Callable[[Ranges], None],
     ) -> None:
         self._store, self._message, self._pick = store, message, pick
         self._rows: NDArray[np.int64] = self._read("row").astype(np.int64)
@@ -221,14 +221,11 @@ class StoreView:
         self._script()
         clear = Button(label="all rows", width=70)
         clear.on_click(lambda: self.selection.update(value=""))
-        csv, parquet = (
-            Button(label=f"selection as {kind}", width=150) for kind in ("CSV", "Parquet")
-        )
-        csv.on_click(message.safely(lambda: save(self._ranges(), ".csv")))
-        parquet.on_click(message.safely(lambda: save(self._ranges(), ".parquet")))
+        take = Button(label="selection as Parquet", width=150)
+        take.on_click(message.safely(lambda: save(self._ranges())))
         self._above = [
             row(*self._columns), self._cloud, row(self.selection, clear), row(*self._histograms),
-            row(self._count, self.row, csv, parquet),
+            row(self._count, self.row, take),
         ]  # fmt: skip
         self.layout = column(*self._above, table(self._listed, self._names))
         message.watch(self.selection, "value", self._check)

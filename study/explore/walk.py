@@ -154,14 +154,14 @@ class Walk:
     ended: str  # how the walk ended, and why, in words
 
 
-def walk(gains: NamedGains, setting: Setting, rate_hz: float = SEEN_RATE_HZ) -> Walk:
-    """Simulate, with so many samples a second, and prepare what is drawn.
+def walk(gains: NamedGains, setting: Setting) -> Walk:
+    """Simulate, and prepare what is drawn.
 
     Raises:
         InputError: what the simulator refuses.
     """
     experiment = setting.experiment.on_one_thread()  # other tabs' walks run beside this one
-    result = recorded_walk(gains, experiment.with_settings(arch="cpu"), setting.run, rate_hz)
+    result = recorded_walk(gains, experiment.with_settings(arch="cpu"), setting.run, SEEN_RATE_HZ)
     row, trajectory, terrain = result.rows[0], result.trajectories[0], setting.terrain
     ended = f"{row_text(row)}{_why(row, trajectory, terrain)}"
     return Walk(gains, setting, row, trajectory, frames_of(trajectory, terrain), ended)

@@ -140,9 +140,8 @@ class WalkView:
             button = Button(label=name, width=110, name=f"save-{name}")
             button.on_click(self._message.safely(partial(self._take, name)))
             buttons.append(button)
-        half = (len(buttons) + 1) // 2
-        words = Div(text="The commands take gains.json and walk.toml. Without a page:")
-        return column(row(*buttons[:half]), row(*buttons[half:]), words, self._command)
+        words = Div(text="With both files, this command draws, films and records the walk:")
+        return column(row(*buttons), words, self._command)
 
     def _take(self, name: str) -> None:
         if self._walk is not None:

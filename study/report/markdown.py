@@ -105,7 +105,6 @@ def report_text(
         "## What the arms reached",
         METHOD,
         _reached(numbers),
-        _peer(numbers),
         "## Best cost",
         _costs(numbers, results.cost),
         WORDS["proposal"] if any(arm.proposal_ms is not None for arm in numbers.arms) else "",
@@ -141,18 +140,6 @@ def _reached(numbers: Numbers) -> str:
     header, rows = _walkers(numbers, limits)
     labelled = [[_label(arm.arm), *row] for arm, row in zip(numbers.arms, rows, strict=True)]
     return table(["arm", *header], labelled)
-
-
-def _peer(numbers: Numbers) -> str:
-    """A line about the peer that the figures put in front."""
-    if numbers.peer is None:
-        return ""
-    peer = next(arm for arm in numbers.arms if arm.arm == numbers.peer)
-    median, interval = _first_walker(peer)
-    return (
-        f"Best of the peers (most runs with a walker, then the earliest): {_label(peer.arm)}, "
-        f"median trial {median} ({interval})."
-    )
 
 
 def _costs(numbers: Numbers, cost: str) -> str:

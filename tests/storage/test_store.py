@@ -28,15 +28,15 @@ FOOTERS = ["3", "{", '{"rows": 1}', '{"rows": 1, "specification": 4}']
 OLD_STORE = Path(__file__).parents[1] / "assets" / "store-v1"
 
 
-def test_arrow_numpy_and_pandas_agree(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_arrow_and_numpy_agree(folder: Path) -> None:
     store = open_store(folder, verify=True)
-    table, rows, frame = store.table(), store.numpy(), store.pandas()
-    assert len(store) == len(table) == len(rows) == len(frame) == 50
-    assert list(store.columns) == table.column_names == list(rows.dtype.names) == list(frame)
+    table, rows = store.table(), store.numpy()
+    assert len(store) == len(table) == len(rows) == 50
+    assert list(store.columns) == table.column_names == list(rows.dtype.names)
     assert pickle.loads(pickle.dumps(store)).table() == table
     for name in store.columns:
         values = np.array(table[name].to_pylist())
-        assert np.array_equal(values, rows[name]) and np.array_equal(values, np.stack(frame[name]))
+        assert np.array_equal(values, rows[name])
     assert rows["row"].tolist() == list(range(50))
     assert rows["end_reason"].dtype.kind == "U"
     assert rows["step_count"].dtype == np.int32
@@ -44,12 +44,8 @@ def test_arrow_numpy_and_pandas_agree(folder: Path, monkeypatch: pytest.MonkeyPa
     names = ("phi_printed", "row")
     assert store.table(names).column_names == list(names)
     assert store.numpy(names).dtype.names == names
-    assert list(store.pandas(names)) == list(names)
     with pytest.raises(InputError, match="column: 'phi'"):
         store.table(["phi"])
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match="pandas"):
-        open_store(folder).pandas()
 
 
 def test_one_shard_opens_alone(folder: Path, tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """What a user may ask for, and what a machine is taken for."""
 
-import io
-import tarfile
 from pathlib import Path
 from typing import Any
 
@@ -81,9 +79,7 @@ def test_a_store_is_packed_and_unpacked(tmp_path: Path) -> None:
     assert not (found.path / "mine.txt").exists()
     unpack(packed(store / "part-00000.parquet"), tmp_path / "one" / "store")
     assert len(open_store(tmp_path / "one" / "store")) == 8
-    with tarfile.open(fileobj=(outside := io.BytesIO()), mode="w") as tar:
-        tar.add(store / "part-00000.parquet", "../../outside.parquet")
-    unpack(outside.getvalue(), tmp_path / "two" / "store")
+    unpack({"../../outside.parquet": b""}, tmp_path / "two" / "store")
     assert [file.name for file in tmp_path.rglob("outside*")] == ["outside.parquet"]
     assert (tmp_path / "two" / "store" / "outside.parquet").is_file()
     with pytest.raises(InputError, match=r"part-00001\.parquet"):

@@ -6,8 +6,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 
@@ -323,25 +321,16 @@ def test_the_stride_beside_people(page: Any, store: Path) -> None:
     save(page, "cycle")
 
 
-def test_what_is_taken_reads_back(page: Any, store: Path, tmp_path: Path) -> None:
+def test_what_is_taken_reads_back(page: Any, store: Path) -> None:
     walks(page, lambda: change(page, "duration", "value", "5 s"))
     page.get_by_text("take it with you").click()
     page.get_by_text("taichi-nmm walk --gains gains.json --config walk.toml").wait_for()
     gains = json.loads(download(page, "gains.json"))
     assert list(gains)[:2] == ["K_GAS", "K_GLU"]
     assert b"[terrain]" in download(page, "walk.toml")
-    (tmp_path / "walk.csv").write_bytes(download(page, "walk.csv"))
-    table = pyarrow.csv.read_csv(tmp_path / "walk.csv")
-    shown = page.evaluate(f"[...{MODEL}('stage-frames').data.camera_m[0]]")[::2]
-    times = page.evaluate(f"[...{MODEL}('stage-frames').data.time_s[0]]")
-    recorded = np.interp(times, table["time_s"].to_numpy(), table["x_m"].to_numpy())
-    np.testing.assert_allclose(shown, recorded, atol=1e-3)  # samples lie between samples
-    assert download(page, "walk.mot").startswith(b"reference\n")
-    assert download(page, "walk.mp4")[4:8] == b"ftyp"
-    assert download(page, "strip.png").startswith(b"\x89PNG")
 
 
-def test_the_selection_reads_back(page: Any, store: Path, tmp_path: Path) -> None:
+def test_the_selection_reads_back(page: Any, store: Path) -> None:
     change(page, "selection", "value", "mean_speed_mps 0..0.5")
     page.wait_for_timeout(300)
     with page.expect_download() as saved:

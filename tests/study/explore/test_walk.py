@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 
@@ -79,7 +78,7 @@ def fell() -> Walk:
 
 
 @pytest.mark.slow
-def test_a_fall_has_frames_a_reason_and_files(fell: Walk) -> None:
+def test_a_fall_has_frames_and_a_reason(fell: Walk) -> None:
     frames, trajectory = fell.frames, fell.trajectory
     count = len(frames["time_s"])
     assert count == pytest.approx(walking.RATE_HZ * trajectory.time_s[-1], abs=1)
@@ -95,12 +94,6 @@ def test_a_fall_has_frames_a_reason_and_files(fell: Walk) -> None:
     assert ("the trunk leaned" in fell.ended) == leaned
     assert ("the hip sank to" in fell.ended) == (not leaned)
     assert leaned or height_m < 0.62
-    begins = {"png": b"\x89PNG", "mp4": b"", "json": b"{", "toml": b"runs", "csv": b"time_s,"}
-    begins |= dict.fromkeys(("mot", "sto"), b"published\n")
-    for wanted in NAMES:
-        name, content = file_of_walk(fell, wanted)
-        assert name == wanted and len(content) > 100
-        assert content.startswith(begins[name.rpartition(".")[2]])
 
 
 def test_a_walk_that_never_was_finite_still_has_frames_or_says_so() -> None:
@@ -117,7 +110,7 @@ def test_what_is_taken_walks_the_same_to_the_bit(
     fell: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for wanted in ("gains.json", "walk.toml"):
+    for wanted in NAMES:
         name, content = file_of_walk(fell, wanted)
         Path(name).write_bytes(content)
     words = command_line(fell).split()
@@ -128,8 +121,7 @@ def test_what_is_taken_walks_the_same_to_the_bit(
     for field in ("duration_s", "distance_m", "phi_printed", "cost_of_transport_jpkgpm"):
         assert found[field] == fell.row[field], field
     assert found["gains"] == dict(zip(GAIN_NAMES, fell.gains.gains.tolist(), strict=True))
-    title, _, rest = file_of_walk(fell, "walk.sto")[1].partition(b"\n")
-    assert title == b"published" and Path("walk.sto").read_bytes() == b"gains\n" + rest
+    assert Path("walk.sto").read_bytes().startswith(b"gains\n")
 
 
 def test_a_selection_is_read_back(fake_simulator: None, tmp_path: Path) -> None:
@@ -138,16 +130,5 @@ def test_a_selection_is_read_back(fake_simulator: None, tmp_path: Path) -> None:
     low = float(np.median(table["mean_speed_mps"].to_numpy()))
     wanted = table.filter(table["mean_speed_mps"].to_numpy() >= low)
     ranges = {"mean_speed_mps": (low, np.inf)}
-    name, content = file_of_selection(tmp_path / "store", ranges, ".parquet")
+    name, content = file_of_selection(tmp_path / "store", ranges)
     assert name == "selection.parquet" and pq.read_table(io.BytesIO(content)).equals(wanted)
-    name, content = file_of_selection(tmp_path / "store", ranges, ".csv")
-    again = pyarrow.csv.read_csv(io.BytesIO(content))
-    assert again["row"].to_pylist() == wanted["row"].to_pylist()
-    assert again["phi_printed"].to_pylist() == wanted["phi_printed"].to_pylist()
-    fake_walker.write_store(tmp_path / "families")  # what each world gave is a column a world
-    name, content = file_of_selection(tmp_path / "families", {"row": (0, np.inf)}, ".csv")
-    again, store = pyarrow.csv.read_csv(io.BytesIO(content)), open_store(tmp_path / "families")
-    family = store.families[0]
-    for world, values in enumerate(store.numpy()[f"{family}_survived_fraction_worlds"].T):
-        found = again[f"{family}_survived_fraction_worlds_{world}"].to_numpy()
-        np.testing.assert_allclose(found, values, rtol=1e-6)

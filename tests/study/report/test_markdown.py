@@ -41,7 +41,6 @@ def test_the_document_has_what_was_counted_and_how(results: Results) -> None:
         assert row[first : first + 2] == [str(test.pairs), str(test.unequal)]
         assert row[first + 3] == ("< 1e-4" if test.p < 1e-4 else f"{test.p:.2g}")
     assert "bootstrap" in text and "Wilson" in text and "Holm" in text and "SeedSequence" in text
-    assert "Best of the peers (most runs with a walker, then the earliest): cmaes-warm" in text
     assert all(ARMS[name].label in text for name in synthetic.ARMS)
 
 
