@@ -6,6 +6,7 @@ leaves no trace in later proposals. What was learned in other contexts is one mo
 more feature and the ranking by it.
 """
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 import optuna
 from numpy.typing import NDArray
-from optuna.distributions import BaseDistribution
+from optuna.distributions import BaseDistribution, distribution_to_json, json_to_distribution
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from storage.tables import difference
@@ -65,14 +66,24 @@ class Bench:
         simulated = bench.candidates.table
         with bench._turn():
             if not bench._entries:
-                begun = {"plan": bench.plan.document, "digest": simulated.digest}
-                bench._add("begin", begun | {"range": _range(simulated.rows)})
+                space = simulated.rows.space.as_dict()
+                begun = {
+                    "plan": bench.plan.document, "digest": simulated.digest,
+                    "space": {name: distribution_to_json(of) for name, of in space.items()},
+                    "range": _range(simulated.rows),
+                }  # fmt: skip
+                bench._add("begin", begun)
         return bench
 
     @property
     def state(self) -> State:
         """What the entries come to."""
         return read_state(self._entries)
+
+    @property
+    def space(self) -> dict[str, BaseDistribution]:
+        """The distributions of the parameters, by name; the candidates are not read for them."""
+        return {name: json_to_distribution(text) for name, text in self._begun["space"].items()}
 
     @property
     def entries(self) -> Sequence[Entry]:
@@ -159,7 +170,7 @@ class Bench:
             InputError: a parameter is missing, unknown or out of its range, by name; or a result
                 as of `record`. Nothing is entered then.
         """
-        space = self.candidates.table.rows.space.as_dict()
+        space = self.space
         for params, value, columns, note in rows:
             checks.number()("value", value), COLUMNS("columns", columns), checks.text("note", note)
             for name in dict.fromkeys([*space, *params]):
@@ -288,7 +299,7 @@ class Bench:
             sampler = self._sampler(self._allowed(study, sampler))
         study.sampler = sampler
         try:
-            trial = study.ask(self.candidates.table.rows.space.as_dict())
+            trial = study.ask(self.space)
         except TableExhaustedError as error:
             raise InputError("candidates", str(error), "a row that nobody has tried") from None
         notes = dict(study.get_trials(deepcopy=False)[trial.number].user_attrs)
@@ -366,7 +377,7 @@ class Bench:
     def _study(self, state: State, context: str | None = None) -> optuna.Study:
         """The trials of a context, by default the present one, as if all had been right at once."""
         study = optuna.create_study(direction=self.plan.direction)
-        space = self.candidates.table.rows.space.as_dict()
+        space = self.space
         here = state.context if context is None else context
         for trial in state.trials.values():
             if trial.context == here:
@@ -388,7 +399,9 @@ class Bench:
             column[known.rows] = known.value
             told.append(column)
         if told:
-            found = with_before(found, np.column_stack(told), maximise=self.plan.goal.maximise)
+            column, maximise = np.column_stack(told), self.plan.goal.maximise
+            with warnings.catch_warnings(action="ignore", category=UserWarning):  # rows left out
+                found = with_before(found, column, maximise=maximise)
         return found.sampler(self.plan, allowed)
 
 
@@ -462,7 +475,7 @@ def show(bench: Bench) -> None:
     study = optuna.create_study(
         storage=storage, study_name=plan.name, direction=plan.direction, load_if_exists=True
     )
-    space = bench.candidates.table.rows.space.as_dict()
+    space = bench.space
     gone = create_trial(state=TrialState.FAIL, user_attrs={"note": "undone"})
     wanted = [
         frozen(state.trials[number], space, plan) if number in state.trials else gone

@@ -11,6 +11,7 @@ success = 0.3
 """
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
@@ -123,7 +124,8 @@ class Plan:
         """
         table = Table(self.candidates.unread, "candidates", self.candidates.folder)
         prior = table.text("prior", "") or None
-        found = _of_store(table) if "store" in table.unread else _of_file(table)
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # of rows left out
+            found = _of_store(table) if "store" in table.unread else _of_file(table)
         table.done()
         if prior is not None and prior.removeprefix("-") not in found.rows.feature_names:
             names = ", ".join(found.rows.feature_names) or "none: there are no features"

@@ -177,7 +177,7 @@ def compare_to_simulator(bench: Bench, args: Namespace) -> None:
 
 def export(bench: Bench, args: Namespace) -> None:
     """Write the trials as CSV."""
-    names, columns = bench.candidates.table.rows.names, bench.plan.columns
+    names, columns = list(bench.space), bench.plan.columns
     text = StringIO()
     write = csv.writer(text, lineterminator="\n").writerow
     write(["trial", "context", "value", "failed", *names, *columns, "operator", "note"])
@@ -194,7 +194,7 @@ def export(bench: Bench, args: Namespace) -> None:
 def import_trials(bench: Bench, args: Namespace) -> None:
     """Enter the trials of a CSV as the operator's own."""
     table = read_columns(Path(needed(args.what, "what", "a CSV file")), "import")
-    names, columns = bench.candidates.table.rows.names, bench.plan.columns
+    names, columns = list(bench.space), bench.plan.columns
     for name in (*names, "value"):
         if name not in table:
             raise InputError("import", name, f"a file with the columns {', '.join(names)}, value")
