@@ -118,7 +118,7 @@ class Bench:
             mine = [
                 trial for trial in state.trials.values()
                 if trial.value is None and trial.context == state.context
-                and (trial.operator == self._journal.operator or trial.aborted)
+                and trial.operator == self._journal.operator
             ]  # fmt: skip
             asked = list[dict[str, Any]]()
             if repeat is not None:

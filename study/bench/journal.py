@@ -171,7 +171,8 @@ def read_state(entries: list[Entry]) -> State:
             state.trials[given["number"]] = Trial(operator=entry.operator, **given)
         if "trial" in data:
             trial = state.trials[data["trial"]]
-            trial.aborted += entry.kind == "abort"
+            if entry.kind == "abort":  # who breaks it off has it again
+                trial.aborted, trial.operator = trial.aborted + 1, entry.operator
             trial.note = data.get("note") or trial.note
             trial.columns |= data.get("columns", {})
             if data.get("value") is not None:

@@ -56,6 +56,9 @@ def test_who_asks_twice_gets_the_same_and_others_get_others(path: Path) -> None:
     assert len({str(trial.params) for trial in [*three, other]}) == 4
     mine.record(0, 1.0)
     assert [trial.number for trial in mine.next()] == [2]
+    yours.abort(2)  # who breaks a trial off has it again
+    assert [trial.number for trial in yours.next(batch=2)] == [1, 2]
+    assert [trial.number for trial in mine.next()] == [3]
     assert shown(mine).trials[0].value == 1.0
 
 
