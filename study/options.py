@@ -216,12 +216,6 @@ def dashboard(options: Options) -> None:
     options.port(8080)
 
 
-def draw_store(options: Options) -> None:
-    """Options of `draw-store`."""
-    options.path("store", "folder or file of a store", "STORE")
-    options.out("beside the store", "PNG")
-
-
 def explore(options: Options) -> None:
     """Options of `explore`."""
     options.path("folder", "folder of a store or a comparison")
@@ -316,13 +310,16 @@ def walk(options: Options) -> None:
 
 
 COMMANDS: dict[str, Callable[[Options], None]] = {
-    "bench": bench, "compare": compare, "dashboard": dashboard, "draw-store": draw_store,
-    "explore": explore, "precompute": precompute, "quickstart": quickstart, "report": report,
-    "study": study, "validate": validate, "walk": walk,
+    "bench": bench, "compare": compare, "dashboard": dashboard, "explore": explore,
+    "precompute": precompute, "quickstart": quickstart, "report": report, "study": study,
+    "validate": validate, "walk": walk,
 }  # fmt: skip
 
 # Commands of version 0.2.0 that are gone, and what to use instead.
-REMOVED = {"optimum": "compare --config optimum-smooth --arms cmaes-cold --trials 10000"}
+REMOVED = {
+    "draw-store": "explore STORE",
+    "optimum": "compare --config optimum-smooth --arms cmaes-cold --trials 10000",
+}
 
 
 def parser_of(name: str) -> Options:

@@ -139,7 +139,7 @@ def options_of(command: str) -> tuple[str, ...]:
     return (*(word for word in options if word.startswith("--")), "--nothing")
 
 
-STORE = ("draw-store", "explore", *["walk of a row"] * 3, "study", "compare", COMPARE_NEW)
+STORE = ("explore", *["walk of a row"] * 3, "study", "compare", COMPARE_NEW)
 TERRAIN = ("walk", "--config", "{file}.toml", *STILL)
 DATABASE = ("walk of a live trial", "study", (*STUDY, "--trials", "3"),
             ("dashboard", "--storage", "sqlite:///live.db", "--port", "0"),

@@ -76,7 +76,6 @@ SCENES = {
     "study": "study --config {base}/rough.toml --arm dog --storage sqlite:///out/s.db --out out",
     "compare": f"{COMPARE} out",
     "report": "report compared",
-    "draw-store": "draw-store {base}/store --out store.png",
 }
 PREPARATIONS = (f"precompute --config {{base}}/store.toml --out store {ONE}", f"{COMPARE} compared")
 

@@ -136,7 +136,7 @@ def test_a_read_only_folder_is_one_line_and_nothing_is_left(folder: Path, comman
 
 
 @pytest.mark.parametrize("command", [
-    ("explore", "store", "--no-browser", "--port", 0), ("report", "store"), ("draw-store", "store"),
+    ("explore", "store", "--no-browser", "--port", 0), ("report", "store"),
     ("walk", "--store", "store", "--row", 0), ("walk", "--gains", "store/manifest.json"),
     ("precompute", "--config", "store/toy.toml"), (*COMPARE[:-1], "store/out"),
 ])  # fmt: skip
