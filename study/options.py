@@ -203,7 +203,6 @@ def compare(options: Options) -> None:
     options.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
     options.path("--store", f"store of scores, if the arms read one; {FROM_CONFIG}")
     options.workers()
-    options.flag("--no-artifacts", "no pictures")
     options.arch()
     options.json()
 

@@ -28,7 +28,7 @@ NEW = ("--out", "new", *ONE)
 NEW_STUDY = ("study", "--out", "new", "--storage", "sqlite:///new.db", "--config", "toy.toml",
              "--arm")  # fmt: skip
 WALK_SOFT = ("walk", "--config", "mujoco-rough8-soft.toml", *STILL)
-COMPARE_NEW = ("compare", "--config", "toy.toml", "--no-artifacts", *NEW)
+COMPARE_NEW = ("compare", "--config", "toy.toml", *NEW)
 PRECOMPUTE_NEW = ("precompute", "--config", "grid.toml", *NEW)
 PRECOMPUTE_WORLDS = ("precompute", "--config", "store-worlds.toml", "--samples", "8", *NEW)
 

@@ -29,7 +29,7 @@ from tests.study import fake_walker
 Words = tuple[str, ...]
 
 ONE = ("--workers", "1")
-COMPARE = ("compare", "--config", "toy.toml", "--out", "compared", "--no-artifacts", *ONE)
+COMPARE = ("compare", "--config", "toy.toml", "--out", "compared", *ONE)
 PRECOMPUTE = ("precompute", "--config", "grid.toml", "--out", "grid", *ONE)
 STUDY = ("study", "--config", "toy.toml", "--arm", "dog", "--out", "best", "--storage",
          "sqlite:///live.db")  # fmt: skip

@@ -69,7 +69,7 @@ terrain = {{kind = "rough"}}
 stores = {{flat = "{base}/store"}}
 """
 ONE = "--workers 1"
-COMPARE = f"compare --config {{base}}/rough.toml {ONE} --no-artifacts --out"
+COMPARE = f"compare --config {{base}}/rough.toml {ONE} --out"
 # The commands that write, run in a folder of their own; {base} is the folder of what they need.
 SCENES = {
     "precompute": f"precompute --config {{base}}/bred.toml --out out {ONE}",

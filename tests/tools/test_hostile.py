@@ -26,7 +26,7 @@ Trials, Words = list[dict[str, float]], tuple[object, ...]
 STUDY = ("study", "--config", "toy.toml", "--arm", "dog", "--storage", "sqlite:///studies.db",
          "--out", "out", "--trials", 4)  # fmt: skip
 COMPARE = ("compare", "--config", "toy.toml", "--arms", "random,dog", "--runs", 1, "--trials", 2,
-           "--no-artifacts", "--workers", 1, "--out", "out")  # fmt: skip
+           "--workers", 1, "--out", "out")  # fmt: skip
 LIST = ("walk", "--list-configs")
 FULL = "error: machine: 'No space left on device' cannot be used; allowed: space for files and for "
 REDIRECTED = 'exec "$@" {}'

@@ -30,7 +30,7 @@ NEW_FILE = {"walk": "--mjcf"}
 # What makes a command complete, for each of its options: of an option that is tried, the last
 # stands. CONFIG, STORE and DONE are of the fixture.
 COMPLETE: dict[str, tuple[str, ...]] = {
-    "compare": ("--config", "CONFIG", "--arms", "random", "--no-artifacts"),
+    "compare": ("--config", "CONFIG", "--arms", "random"),
     "explore": ("STORE", "--no-browser"), "report": ("DONE",),
     "dashboard": ("DONE",), "walk": ("--movie-seconds", "0"),
     "study": ("--config", "CONFIG", "--arm", "random", "--storage", "sqlite:///new.db"),
@@ -56,7 +56,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
         places["CONFIG"] = fake_walker.write_config(folder)
         given = ("--config", places["CONFIG"], "--arms", "random", "--runs", 1, "--trials", 1)
-        end = ("--no-artifacts", "--workers", 1, "--out", folder / "done")
+        end = ("--workers", 1, "--out", folder / "done")
         assert run_tool(patch, "compare", *given, *end) == 0
     return places | {"STORE": folder / "store", "DONE": folder / "done"}
 
