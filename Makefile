@@ -33,7 +33,7 @@ $(STORES) store-torso store-stairs: .venv/installed
 	$(BIN)/python tools/precompute.py --config $@
 
 compare-%: $(STORES)
-	$(BIN)/python tools/compare.py --config $* --no-artifacts
+	$(BIN)/python tools/compare.py --config $*
 
 $(addprefix compare-,$(TORSO)): store-torso
 $(addprefix compare-,$(STAIRS)): store-stairs

@@ -203,7 +203,6 @@ def compare(options: Options) -> None:
     options.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
     options.path("--store", f"store of scores, if the arms read one; {FROM_CONFIG}")
     options.workers()
-    options.flag("--no-artifacts", "no pictures")
     options.arch()
     options.json()
 
@@ -214,12 +213,6 @@ def dashboard(options: Options) -> None:
     options.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
     options.path("--artifacts", "default: DIR/artifacts")
     options.port(8080)
-
-
-def draw_store(options: Options) -> None:
-    """Options of `draw-store`."""
-    options.path("store", "folder or file of a store", "STORE")
-    options.out("beside the store", "PNG")
 
 
 def explore(options: Options) -> None:
@@ -316,13 +309,16 @@ def walk(options: Options) -> None:
 
 
 COMMANDS: dict[str, Callable[[Options], None]] = {
-    "bench": bench, "compare": compare, "dashboard": dashboard, "draw-store": draw_store,
-    "explore": explore, "precompute": precompute, "quickstart": quickstart, "report": report,
-    "study": study, "validate": validate, "walk": walk,
+    "bench": bench, "compare": compare, "dashboard": dashboard, "explore": explore,
+    "precompute": precompute, "quickstart": quickstart, "report": report, "study": study,
+    "validate": validate, "walk": walk,
 }  # fmt: skip
 
 # Commands of version 0.2.0 that are gone, and what to use instead.
-REMOVED = {"optimum": "compare --config optimum-smooth --arms cmaes-cold --trials 10000"}
+REMOVED = {
+    "draw-store": "explore STORE",
+    "optimum": "compare --config optimum-smooth --arms cmaes-cold --trials 10000",
+}
 
 
 def parser_of(name: str) -> Options:

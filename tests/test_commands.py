@@ -34,7 +34,7 @@ __all__ = ["tool"]  # a fixture of the commands' own tests
 SHORT: dict[str, tuple[object, ...]] = {
     "precompute": ("--samples", 24, "--workers", 1, "--out", "made"),
     "study": ("--trials", 2, "--out", "made"),
-    "compare": ("--runs", 1, "--trials", 2, "--no-artifacts", "--workers", 1, "--out", "made"),
+    "compare": ("--runs", 1, "--trials", 2, "--workers", 1, "--out", "made"),
     "walk": ("--duration", 2, "--movie-seconds", 0.3, "--out", "made"),
     "quickstart": ("--out", "made"),
 }
@@ -124,7 +124,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
             ("stairs-up-high", "worlds-stairs", 32, 10),
         ):
             given = ("--config", config, "--arms", arm, "--runs", runs, "--trials", trials)
-            assert run_tool(patch, "compare", *given, "--no-artifacts", "--workers", 1) == 0
+            assert run_tool(patch, "compare", *given, "--workers", 1) == 0
     return folder
 
 
@@ -179,7 +179,7 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> Real:
         store = ("--samples", 300, "--workers", 1, "--out", real.store)
         assert run_tool(patch, "precompute", "--config", ROOT / "configs/store.toml", *store) == 0
         given = ("--config", real.config, "--arms", ",".join(ARMS), "--runs", 2, "--trials", TRIALS)
-        rest = ("--no-artifacts", "--workers", 1, "--out", real.compared)
+        rest = ("--workers", 1, "--out", real.compared)
         assert run_tool(patch, "compare", *given, *rest) == 0
         for arm in ARMS:
             given = ("--config", real.config, "--arm", arm, "--run", 1, "--trials", TRIALS)
@@ -230,7 +230,7 @@ def test_a_17th_parameter_is_kept(walk: Walk, tmp_path: Path, tool: Tool) -> Non
     config = tmp_path / "ramp-up-torso.toml"
     out, live = tmp_path / "compared", tmp_path / "live"
     given = ("--config", config, "--arms", "random", "--runs", 1, "--trials", TRIALS)
-    assert tool("compare", *given, "--no-artifacts", "--workers", 1, "--out", out) == 0
+    assert tool("compare", *given, "--workers", 1, "--out", out) == 0
     url = f"sqlite:///{tmp_path / 'live.db'}"
     given = ("--config", config, "--arm", "random", "--trials", TRIALS, "--out", live)
     assert tool("study", *given, "--storage", url) == 0

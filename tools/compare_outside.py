@@ -1,4 +1,4 @@
-"""Compare our samplers with others on tuning problems from outside, and write tables and a plot.
+"""Compare our samplers with others on tuning problems from outside, and write tables.
 
     python tools/compare_outside.py                    # the problems for tuning
     python tools/compare_outside.py --problems all     # those that are only reported as well
@@ -15,7 +15,6 @@ import sys
 from argparse import Namespace
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
-from pathlib import Path
 from typing import NamedTuple
 
 from checkout import guarded_imports, run_command
@@ -56,7 +55,6 @@ def main() -> None:
     if options.batch > 1:
         name, title = f"{name}-by-{options.batch}", f"{title}, {options.batch} at a time"
     options.out.mkdir(parents=True, exist_ok=True)
-    compared.plot(options.out / f"{name}.png")
     write_page(options.out / f"{name}.md", title, compared.figures())
 
 
@@ -70,7 +68,7 @@ def parse() -> Namespace:
     known = f"{', '.join(outside.GROUPS)}, or some of {','.join(PROBLEMS)}; %(default)s"
     parser.add_argument("--problems", default="tuning", help=known)
     parser.whole("--processes", 1, MOST_WORKERS, default=2, help="runs at a time; %(default)s")
-    parser.path("--out", "of the page and plot; docs", default=ROOT / "docs")
+    parser.path("--out", "of the page; docs", default=ROOT / "docs")
     parser.path("--cache", "of the runs; out/outside", default=ROOT / "out" / "outside")
     found = parser.parse_args()
     require_folder(found.out)
@@ -252,37 +250,6 @@ class Comparison:
                 tests = [self.versus(name, ours, other, trial) for trial in at]
                 lines.append(f"| {ARMS[other].label} | {' | '.join(map(cells_of, tests))} |")
         return lines
-
-    def plot(self, path: Path) -> None:
-        """How many rows are as good as the best found against trials, a panel a problem."""
-        from study.pictures import style  # not in the processes of the runs
-
-        across = min(len(self.problems), 3)
-        down = -(-len(self.problems) // across)
-        figure = style.new_figure(3.6 * across + 2.9, 3.0 * down)
-        grey = ((style.FAINT, (0, (1, 1))), (style.FAINT, "--"))
-        bright = (style.SKY_BLUE, style.BROWN, style.VIOLET, style.ORANGE, style.GREEN, style.BLACK)
-        looks = dict(zip(OTHERS, (*grey, *((colour, "--") for colour in bright)), strict=False))
-        looks |= {arm: (colour, "-") for arm, colour in zip(OUR_ARMS, style.SERIES, strict=False)}
-        for place, problem in enumerate(self.problems):
-            axes = figure.add_subplot(down, across, place + 1)
-            style.tidy(axes)
-            costs = np.sort(outside_problem(problem).cost)
-            for arm in self.arms():
-                as_good = np.searchsorted(costs, self.best[problem, arm], side="right")
-                curve, (colour, dashes) = np.median(as_good, axis=0), looks[arm]
-                axes.semilogy(np.arange(1, len(curve) + 1), curve, label=ARMS[arm].label,
-                              color=colour, linestyle=dashes)  # fmt: skip
-            axes.set_title(problem, fontsize=style.TITLE_PT, loc="left")
-            axes.set_xlabel("trials", fontsize=style.TEXT_PT)
-            axes.set_ylabel("rows as good as the best found", fontsize=style.TEXT_PT)
-        right = 1.0 - 2.9 / figure.get_figwidth()
-        figure.legend(
-            *axes.get_legend_handles_labels(), loc="center left", bbox_to_anchor=(right, 0.5),
-            fontsize=style.SMALL_PT, frameon=False,
-        )  # fmt: skip
-        figure.tight_layout(rect=(0, 0, right, 1))
-        style.save_png(figure, path)
 
 
 def cells_of(test: Versus) -> str:

@@ -15,7 +15,7 @@ PACKAGES = ("numpy", "scipy", "scikit-learn", "optuna", "cmaes", "torch", "green
 
 
 def write_page(path: Path, title: str, figures: list[str]) -> None:
-    """Write a page, and print its figures; a picture of the same name beside it is shown.
+    """Write a page, and print its figures.
 
     A page that is there keeps its text above the figures, of which the first line is the same at
     all times; but the line 'Written by' is new.
@@ -25,8 +25,6 @@ def write_page(path: Path, title: str, figures: list[str]) -> None:
     """
     how = f"`docs/{path.name}` says how to read the figures."
     fresh = f"# {title}\n\n{how}\n\nWritten by\n"
-    if path.with_suffix(".png").exists():
-        fresh += f"\n![{title}]({path.stem}.png)\n"
     said = path.read_text(encoding="utf-8") if path.exists() else fresh
     above = said.partition(f"\n{figures[0]}\n")[0].rstrip()
     above = re.sub("^Written by.*", lambda _: made_by(), above, flags=re.MULTILINE)

@@ -63,16 +63,15 @@ def main(args: Namespace) -> None:
     settings = experiment.conditions.settings
     require_engine(settings)
     workers = Walker(settings).processes(cores()) if args.workers is None else args.workers
-    drawn, cluster = not args.no_artifacts, Cluster.asked(args.cluster, args.mixed)
-    request = Request(out, args.storage, arms, args.runs, args.trials, workers, drawn, cluster)
+    cluster = Cluster.asked(args.cluster, args.mixed)
+    request = Request(out, args.storage, arms, args.runs, args.trials, workers, cluster)
     with closing(ProgressBar()) as bar:
 
         def show(progress: Progress) -> None:
             walkers = f"{progress.walkers} of {progress.studies} studies with a walker"
             bar.move("trial", progress.trials, progress.total, walkers)
 
-        draw = partial(bar.move, "picture")
-        outcome = compare(experiment, request, show, draw, dashboard_summary)
+        outcome = compare(experiment, request, show, dashboard_summary)
     print(json.dumps(report(experiment, outcome, out)) if args.json else text(outcome, out))
 
 

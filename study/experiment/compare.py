@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from storage.cluster import open_pool
 from storage.databases.urls import file_url
-from storage.pool import Cluster, Pool, local_pool
+from storage.pool import Cluster, Pool
 from study.experiment.arms import check_arms
 from study.experiment.block import Advanced, Block, advance
 from study.experiment.database import Summarise, check_database, export, note_worths
@@ -129,8 +129,7 @@ class Request:
     arms: tuple[str, ...] | None = None  # by name
     runs: int | None = None  # at least 1
     trials: int | None = None  # at least 1, of each arm in each run, in total
-    workers: int = 1  # processes of this machine that try trials and draw pictures
-    artifacts: bool = True  # whether the best trial of each study gets a picture
+    workers: int = 1  # processes of this machine that try trials
     cluster: Cluster | None = None  # that tries trials in place of the workers
 
 
@@ -148,19 +147,17 @@ def compare(
     experiment: Experiment,
     request: Request,
     report: Callable[[Progress], None],
-    drawn: Callable[[int, int], None] | None = None,
     summarise: Summarise | None = None,
     pool: Pool | None = None,
 ) -> Outcome:
     """Run an experiment, or what is missing of it, and write its tables.
 
-    `report` is called whenever a stretch of trials is finished, `drawn` with the number of walks
-    that have their pictures, and of all. Without `summarise` the database has no summary study. A
-    pool does the work in place of the request's workers.
+    `report` is called whenever a stretch of trials is finished. Without `summarise` the
+    database has no summary study. A pool does the work in place of the request's workers.
 
     Raises:
         InputError: before anything is written: see `check_arms`, `ExperimentFolder.check` and
-            `check_database`, or there is no ffmpeg for the artifacts; later: see `advance`.
+            `check_database`; later: see `advance`.
         KeyboardInterrupt: finished trials are kept.
     """
     asked = {
@@ -219,11 +216,6 @@ def compare(
         computed = finished.count - before
         note_worths(experiment, arms, runs, url, renew=computed > 0)
         note_session()
-        if request.artifacts:
-            from study.experiment.artifacts import make_artifacts  # Matplotlib
-
-            with local_pool(request.workers) if request.cluster else nullcontext(chosen) as here:
-                make_artifacts(experiment, results, url, folder.path, here, drawn)
         return Outcome(results, url, computed, time.monotonic() - began_s)
 
 

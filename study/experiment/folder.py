@@ -6,7 +6,6 @@ trials.parquet          written last: all arms
 proposal_times.parquet  written last: how long the samplers took, which differs from run to run
 run.json                when, on what machine, and how long
 studies.db              the study database, unless another one is asked for
-artifacts/              a picture of each study's best trial
 .lock                   held by the one process that writes
 
 The tables of arms have two columns more than the results: the seconds that the sampler took, and
@@ -143,11 +142,6 @@ def gains_of(experiment: Experiment, table: pa.Table) -> Floats:
     """The searched parameters of a table's trials, [n, 16 + k]."""
     columns = [table[name].to_numpy() for name in experiment.names]
     return np.column_stack(columns).astype(np.float64)
-
-
-def cheapest(table: pa.Table) -> dict[str, Any]:
-    """The row of the least cost, the first of equals, as plain values."""
-    return dict(table.slice(int(np.argmin(table["cost"].to_numpy())), 1).to_pylist()[0])
 
 
 def outcomes_of(table: pa.Table) -> NDArray[np.void]:

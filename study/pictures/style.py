@@ -12,16 +12,10 @@ from matplotlib.figure import Figure
 
 from storage.commit import commit
 
-# The eight of Okabe and Ito survive colour blindness; two more where they are used up.
+# Of the eight of Okabe and Ito, which survive colour blindness.
 BLACK = "#000000"
-ORANGE = "#E69F00"
-SKY_BLUE = "#56B4E9"
-GREEN = "#009E73"
 BLUE = "#0072B2"
 VERMILION = "#D55E00"
-PURPLE = "#CC79A7"
-BROWN, VIOLET = "#A0522D", "#6A3D9A"
-SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE, BLACK)  # of curves that are all alike
 
 INK = "#22262B"
 FAINT = "#8A9099"  # of what stands back, such as spines and peers

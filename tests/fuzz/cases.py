@@ -28,7 +28,7 @@ NEW = ("--out", "new", *ONE)
 NEW_STUDY = ("study", "--out", "new", "--storage", "sqlite:///new.db", "--config", "toy.toml",
              "--arm")  # fmt: skip
 WALK_SOFT = ("walk", "--config", "mujoco-rough8-soft.toml", *STILL)
-COMPARE_NEW = ("compare", "--config", "toy.toml", "--no-artifacts", *NEW)
+COMPARE_NEW = ("compare", "--config", "toy.toml", *NEW)
 PRECOMPUTE_NEW = ("precompute", "--config", "grid.toml", *NEW)
 PRECOMPUTE_WORLDS = ("precompute", "--config", "store-worlds.toml", "--samples", "8", *NEW)
 
@@ -139,7 +139,7 @@ def options_of(command: str) -> tuple[str, ...]:
     return (*(word for word in options if word.startswith("--")), "--nothing")
 
 
-STORE = ("draw-store", "explore", *["walk of a row"] * 3, "study", "compare", COMPARE_NEW)
+STORE = ("explore", *["walk of a row"] * 3, "study", "compare", COMPARE_NEW)
 TERRAIN = ("walk", "--config", "{file}.toml", *STILL)
 DATABASE = ("walk of a live trial", "study", (*STUDY, "--trials", "3"),
             ("dashboard", "--storage", "sqlite:///live.db", "--port", "0"),

@@ -29,7 +29,7 @@ from tests.study import fake_walker
 Words = tuple[str, ...]
 
 ONE = ("--workers", "1")
-COMPARE = ("compare", "--config", "toy.toml", "--out", "compared", "--no-artifacts", *ONE)
+COMPARE = ("compare", "--config", "toy.toml", "--out", "compared", *ONE)
 PRECOMPUTE = ("precompute", "--config", "grid.toml", "--out", "grid", *ONE)
 STUDY = ("study", "--config", "toy.toml", "--arm", "dog", "--out", "best", "--storage",
          "sqlite:///live.db")  # fmt: skip
@@ -45,7 +45,6 @@ COMMANDS: dict[str, Words] = {
     "dashboard": ("dashboard", "compared", "--port", "0"),
     "explore": ("explore", "store", "--port", "0", "--no-browser"),
     "explore of a comparison": ("explore", "compared", "--port", "0", "--no-browser"),
-    "draw-store": ("draw-store", "store", "--out", "store.png"),
     "walk": ("walk", "--config", "toy.toml", *STILL),
     "walk on a table": ("walk", "--config", "hill.csv.toml", *STILL),
     "walk of gains": ("walk", "--gains", "gains.json", *STILL),

@@ -63,7 +63,7 @@ class Comparisons:
 
     def run(self, out: str, *, experiment: Experiment | None = None, **request: Any) -> Outcome:
         """Run it, or what is missing of it, in this process."""
-        made = Request(self.folder / out, **({"artifacts": False} | request))
+        made = Request(self.folder / out, **request)
         return compare(experiment or self.experiment, made, lambda progress: None)
 
     def stop_and_run(self, out: str, call: int, **request: Any) -> int:

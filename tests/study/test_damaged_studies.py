@@ -107,7 +107,7 @@ def test_a_name_too_long_for_a_lock_is_refused_at_once(toy: Experiment, tmp_path
 
 
 def compared(toy: Experiment, out: Path, arm: str) -> None:
-    request = Request(out, arms=(arm,), runs=1, trials=2, artifacts=False)
+    request = Request(out, arms=(arm,), runs=1, trials=2)
     compare(toy, request, lambda progress: None, summarise=lambda *_: "")
 
 

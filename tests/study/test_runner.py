@@ -311,7 +311,7 @@ def test_a_study_of_another_program_is_refused(toy: Experiment) -> None:
 @pytest.mark.slow
 def test_live_studies_and_comparisons_leave_each_other(toy: Experiment, tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path}/studies.db"
-    request = Request(tmp_path / "out", url, ("dog",), runs=1, trials=2, artifacts=False)
+    request = Request(tmp_path / "out", url, ("dog",), runs=1, trials=2)
     compare(toy, request, lambda progress: None)
     with refused(r"study: 'toy/dog/run-000' .* another --storage: .* of a comparison") as live:
         run(toy, "dog", 3, open_studies(url))

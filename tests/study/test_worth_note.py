@@ -60,7 +60,7 @@ def notes(url: str) -> dict[str, str]:
 @pytest.mark.slow
 def test_each_study_of_a_comparison_over_features_has_its_own(toy, tmp_path, monkeypatch):
     def outcome(**changes):
-        request = {"artifacts": False, "runs": 2, "trials": 6} | changes
+        request = {"runs": 2, "trials": 6} | changes
         return compare(toy, Request(tmp_path / "out", **request), lambda progress: None)
 
     url = outcome(arms=("dog", "random")).storage
@@ -84,7 +84,7 @@ def test_each_study_of_a_comparison_over_features_has_its_own(toy, tmp_path, mon
 
 
 def test_arms_of_earlier_sessions_need_no_store(toy, tmp_path):
-    request = Request(tmp_path / "out", artifacts=False, runs=1, trials=3, arms=("dog",))
+    request = Request(tmp_path / "out", runs=1, trials=3, arms=("dog",))
     compare(toy, request, lambda progress: None)
     without = replace(toy, stores={})
     outcome = compare(without, replace(request, arms=("random",)), lambda progress: None)

@@ -69,14 +69,13 @@ terrain = {{kind = "rough"}}
 stores = {{flat = "{base}/store"}}
 """
 ONE = "--workers 1"
-COMPARE = f"compare --config {{base}}/rough.toml {ONE} --no-artifacts --out"
+COMPARE = f"compare --config {{base}}/rough.toml {ONE} --out"
 # The commands that write, run in a folder of their own; {base} is the folder of what they need.
 SCENES = {
     "precompute": f"precompute --config {{base}}/bred.toml --out out {ONE}",
     "study": "study --config {base}/rough.toml --arm dog --storage sqlite:///out/s.db --out out",
     "compare": f"{COMPARE} out",
     "report": "report compared",
-    "draw-store": "draw-store {base}/store --out store.png",
 }
 PREPARATIONS = (f"precompute --config {{base}}/store.toml --out store {ONE}", f"{COMPARE} compared")
 

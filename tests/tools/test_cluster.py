@@ -83,7 +83,7 @@ def test_a_comparison_that_was_begun_here_goes_on_there(folder: Path, engine: st
     """Its store travels."""
     config = folder / f"{engine}.toml"
     config.write_text(EXPERIMENT.format(engine=engine))
-    words = ("compare", "--config", config, "--no-artifacts", "--out")
+    words = ("compare", "--config", config, "--out")
     run(folder, *words, f"{engine}-here", *HERE)
     expected = tables(folder / f"{engine}-here")
     assert list(expected) == ["trials.parquet"]

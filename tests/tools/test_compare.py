@@ -45,7 +45,7 @@ class Comparison(Command):
 @pytest.fixture
 def command(tmp_path: Path, tool: Tool, simulator: Simulator) -> Comparison:
     config = fake_walker.write_config(tmp_path)
-    return Comparison(tool, tmp_path, "compare", "--no-artifacts", config=config, workers=1)
+    return Comparison(tool, tmp_path, "compare", config=config, workers=1)
 
 
 def test_json_is_one_object(command: Comparison) -> None:

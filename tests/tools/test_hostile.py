@@ -26,7 +26,7 @@ Trials, Words = list[dict[str, float]], tuple[object, ...]
 STUDY = ("study", "--config", "toy.toml", "--arm", "dog", "--storage", "sqlite:///studies.db",
          "--out", "out", "--trials", 4)  # fmt: skip
 COMPARE = ("compare", "--config", "toy.toml", "--arms", "random,dog", "--runs", 1, "--trials", 2,
-           "--no-artifacts", "--workers", 1, "--out", "out")  # fmt: skip
+           "--workers", 1, "--out", "out")  # fmt: skip
 LIST = ("walk", "--list-configs")
 FULL = "error: machine: 'No space left on device' cannot be used; allowed: space for files and for "
 REDIRECTED = 'exec "$@" {}'
@@ -136,7 +136,7 @@ def test_a_read_only_folder_is_one_line_and_nothing_is_left(folder: Path, comman
 
 
 @pytest.mark.parametrize("command", [
-    ("explore", "store", "--no-browser", "--port", 0), ("report", "store"), ("draw-store", "store"),
+    ("explore", "store", "--no-browser", "--port", 0), ("report", "store"),
     ("walk", "--store", "store", "--row", 0), ("walk", "--gains", "store/manifest.json"),
     ("precompute", "--config", "store/toy.toml"), (*COMPARE[:-1], "store/out"),
 ])  # fmt: skip

@@ -27,17 +27,21 @@ def test_all_commands_resume_bit_equal_after_two_kills_each() -> None:
 
 FORGETFUL = """
 import os
-from study.commands import draw_store
+from study.commands import report
 from tests.tools import kills
-draw = draw_store.draw_store
-draw_store.draw_store = lambda store: (made := draw(store)).suptitle(str(os.getpid())) and made
+write = report.write_report
+def forget(results, **options):
+    found = write(results, **options)
+    (results.folder / "report" / "process.txt").write_text(str(os.getpid()))
+    return found
+report.write_report = forget
 kills.main()
 """
 
 
 @pytest.mark.campaign
-def test_a_command_whose_picture_differs_at_every_run_is_found() -> None:
-    words = [sys.executable, "-c", FORGETFUL, "--kills", "2", "--commands", "draw-store"]
+def test_a_command_whose_file_differs_at_every_run_is_found() -> None:
+    words = [sys.executable, "-c", FORGETFUL, "--kills", "2", "--commands", "report"]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
-    assert "draw-store: store.png" in done.stderr.splitlines()[-1]
+    assert "report: compared/report/process.txt" in done.stderr.splitlines()[-1]

@@ -177,7 +177,7 @@ def test_the_command_writes_a_page_and_keeps_runs_and_what_people_wrote(
     text = page.read_text()
     best = np.median([np.minimum.accumulate(costs["ours", seed]) for seed in range(SEEDS)], 0)
     wanted = [
-        "# Samplers on problems from outside\n", f"## {PROBLEM} (tuning)", "](sampler-outside.png)",
+        "# Samplers on problems from outside\n", f"## {PROBLEM} (tuning)",
         "| ours: never behind a sampler without features (p < 0.05) | yes |",
         "| ours against | after 5: won | lost | p | after 7: won | lost | p |",
         f"| ours | {ARMS['ours'].sees} | {SEEDS} | ", f" | {best[4]:.4g} | {best[6]:.4g} |",
@@ -185,7 +185,6 @@ def test_the_command_writes_a_page_and_keeps_runs_and_what_people_wrote(
         *(f"| {name} |" for name in problem.feature_meanings),
     ]  # fmt: skip
     assert [line for line in wanted if line not in text] == []
-    assert page.with_suffix(".png").stat().st_size > 10_000
     changed = text.replace("# Samplers on", "# People on").replace("Written by", "Written by X")
     page.write_text(changed.replace("| yes |", "| yse |"))
     assert compare() == written

@@ -103,7 +103,7 @@ def test_it_is_not_the_checkout_that_is_run(installed: Installed) -> None:
 def test_the_commands_explain_themselves_and_list_configurations(installed: Installed) -> None:
     for words in (("taichi-nmm", "--help"), ("python", "-m", "taichi_nmm")):
         said = installed.run(*words)
-        assert "walk  " in said and "draw-store  " in said
+        assert "walk  " in said and "validate  " in said
     assert "--list-configs" in installed.run("taichi-nmm", "walk", "--help")
     stores = installed.run("taichi-nmm", "precompute", "--list-configs").splitlines()
     others = installed.run("taichi-nmm", "study", "--list-configs").splitlines()

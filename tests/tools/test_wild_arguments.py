@@ -26,12 +26,12 @@ DEEP = {
     "power.json": f'{{"K_SOL": 1{"0" * 400}}}', "deep.toml": "a = " + "[" * 100_000,
     "digits.toml": f"seed = {'9' * 5000}", "power.toml": f"seed = 1{'0' * 400}",
 }  # fmt: skip
-NEW_FILE = {"draw-store": "--out", "walk": "--mjcf"}
+NEW_FILE = {"walk": "--mjcf"}
 # What makes a command complete, for each of its options: of an option that is tried, the last
 # stands. CONFIG, STORE and DONE are of the fixture.
 COMPLETE: dict[str, tuple[str, ...]] = {
-    "compare": ("--config", "CONFIG", "--arms", "random", "--no-artifacts"),
-    "draw-store": ("STORE",), "explore": ("STORE", "--no-browser"), "report": ("DONE",),
+    "compare": ("--config", "CONFIG", "--arms", "random"),
+    "explore": ("STORE", "--no-browser"), "report": ("DONE",),
     "dashboard": ("DONE",), "walk": ("--movie-seconds", "0"),
     "study": ("--config", "CONFIG", "--arm", "random", "--storage", "sqlite:///new.db"),
 }  # fmt: skip
@@ -56,7 +56,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
         places["CONFIG"] = fake_walker.write_config(folder)
         given = ("--config", places["CONFIG"], "--arms", "random", "--runs", 1, "--trials", 1)
-        end = ("--no-artifacts", "--workers", 1, "--out", folder / "done")
+        end = ("--workers", 1, "--out", folder / "done")
         assert run_tool(patch, "compare", *given, *end) == 0
     return places | {"STORE": folder / "store", "DONE": folder / "done"}
 

@@ -26,7 +26,6 @@ VICTIMS = ("worker", "scheduler", "client", "worker", "client")  # of each comma
 def started(folder: Path, tool: str, out: str, *options: str) -> subprocess.Popen[bytes]:
     """A command on the configuration of its own name."""
     words = ["--config", f"{tool}.toml", "--out", out, *options]
-    words += ["--no-artifacts"] if tool == "compare" else []
     words = [sys.executable, str(REPOSITORY / "tools" / f"{tool}.py"), *words]
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}

@@ -97,7 +97,7 @@ def test_growing_an_experiment_is_the_same_as_all_at_once(comparisons: Compariso
 def test_results_depend_on_no_cut_slot_or_stop(comparisons: Comparisons, cut_into: CutInto) -> None:
     comparisons.run("whole", arms=STATEFUL)
     for slots in (2, 5, 100):
-        request = Request(comparisons.folder / f"{slots}", arms=STATEFUL, artifacts=False)
+        request = Request(comparisons.folder / f"{slots}", arms=STATEFUL)
         compare(comparisons.experiment, request, lambda _: None, pool=Pool(InProcess(), slots))
         assert comparisons.content(f"{slots}") == comparisons.content("whole")
         assert all(call["settings"].threads == 1 for call in fake_walker.calls[-12:])
@@ -120,7 +120,7 @@ def test_results_do_not_depend_on_processes_and_stops(engine: str, tmp_path: Pat
     stopped, whole = {"runs": 1, "trials": 2}, {"runs": 2, "trials": 3}
     calls = (one, 1, whole, 12), (two, 1, stopped, 4), (two, 2, whole, 8)
     for table, workers, asked, computed in calls:
-        request = Request(table.parent, workers=workers, artifacts=False, **asked)
+        request = Request(table.parent, workers=workers, **asked)
         assert compare(tiny, request, lambda progress: None).computed == computed
     assert one.read_bytes() == two.read_bytes()
     frame = pq.read_table(one).to_pandas()
@@ -162,7 +162,7 @@ def test_checkpoints_and_the_database_are_written_on_the_way(
         assert not (comparisons.folder / "out" / "trials.parquet").exists()
         told.append((progress.trials, progress.total, progress.studies))
 
-    request = Request(comparisons.folder / "out", arms=("dog",), runs=2, trials=4, artifacts=False)
+    request = Request(comparisons.folder / "out", arms=("dog",), runs=2, trials=4)
     compare(comparisons.experiment, request, watch)
     assert seen == [0, 0, 2, 4, 6]  # reported before the checkpoint of its stretch
     assert told == [(done, 8, 2) for done in (0, 2, 4, 6, 8)]
@@ -173,7 +173,7 @@ def test_checkpoints_and_the_database_are_written_on_the_way(
 
 def test_progress_counts_studies_that_walked(comparisons: Comparisons) -> None:
     told: list[Progress] = []
-    request = Request(comparisons.folder / "out", artifacts=False)
+    request = Request(comparisons.folder / "out")
     compare(comparisons.experiment, request, told.append)
     table = comparisons.table("out").to_pandas()
     walkers = table.groupby(["arm", "run"]).walked.any().sum()

@@ -32,9 +32,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
         toy = fake_walker.experiment(folder, 'searched = ["theta_ref"]')
-        request = Request(folder / "out", arms=("dog", "random"), runs=2, trials=3, artifacts=False)
+        request = Request(folder / "out", arms=("dog", "random"), runs=2, trials=3)
         compare(toy, request, lambda progress: None)
-        dotted = Request(folder / "dots", arms=("random",), runs=1, trials=1, artifacts=False)
+        dotted = Request(folder / "dots", arms=("random",), runs=1, trials=1)
         compare(replace(toy, name="rough-8.5_b"), dotted, lambda progress: None)
         storage = open_studies(f"sqlite:///{folder}/live.db")
         run_study(toy, find_arm("dog"), 1, 3, storage).ask()  # a fourth, which nobody finishes

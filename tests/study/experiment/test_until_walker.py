@@ -62,7 +62,7 @@ def test_studies_end_with_first_walker(until: Comparisons, monkeypatch: pytest.M
 def test_progress_counts_what_there_is_to_do_and_the_report_reads(until: Comparisons) -> None:
     """A study that has ended has no trials before it; at the end all is done."""
     told: list[Progress] = []
-    request = Request(until.folder / "out", arms=ARMS, trials=TRIALS, artifacts=False)
+    request = Request(until.folder / "out", arms=ARMS, trials=TRIALS)
     compare(until.experiment, request, told.append)
     assert told[0] == Progress(0, 3 * len(ARMS) * TRIALS, 3 * len(ARMS), 0)
     done, walkers = len(until.table("out")), int(frame(until.table("out")).walked.sum())

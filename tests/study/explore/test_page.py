@@ -33,7 +33,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
         toy = fake_walker.experiment(folder)
-        request = Request(folder / "compared", arms=("dog", "random"), runs=2, artifacts=False)
+        request = Request(folder / "compared", arms=("dog", "random"), runs=2)
         compare(toy, request, lambda progress: None)
     return folder
 
