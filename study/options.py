@@ -217,7 +217,7 @@ def dashboard(options: Options) -> None:
 
 def explore(options: Options) -> None:
     """Options of `explore`."""
-    options.path("folder", "folder of a store or a comparison")
+    options.path("folder", "folder or file of a store")
     options.add_argument(
         "--simulator", metavar="FILE:NAME", help="films rows of a store of your own simulator"
     )

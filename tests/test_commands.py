@@ -19,7 +19,6 @@ from study.commands import quickstart
 from study.experiment import artifacts
 from study.options import config_path, shipped_configs
 from study.pictures import trajectory_files
-from study.report import figures
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker
 from tests.test_docs import code_blocks
@@ -134,7 +133,7 @@ def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
         for module in (pictures, artifacts):  # the second has imported them from the first
             monkeypatch.setattr(module, name, lambda path, *_: path, raising=module is pictures)
     monkeypatch.setattr("study.pictures.strip.strips_figure", lambda *_: None)
-    monkeypatch.setattr(figures, "save", lambda *_: [])
+    monkeypatch.setattr("study.pictures.style.save_png", lambda _, path: path)
     monkeypatch.setattr(trajectory_files, "write_trajectory", lambda *_: None)
 
 

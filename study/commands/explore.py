@@ -1,7 +1,6 @@
-"""Explore a store or a comparison in the browser, where a click lets any gait walk.
+"""Explore a store in the browser, where a click lets any gait walk.
 
     taichi-nmm explore out/store
-    taichi-nmm explore out/compare/rough8-smooth
     taichi-nmm explore out/walker2d --simulator configs/walker2d.py:robot
 
 opens a page that this machine alone can reach (127.0.0.1), until Ctrl-C, and prints its address.

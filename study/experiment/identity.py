@@ -13,11 +13,9 @@ from typing import Any
 
 from storage.tables import FORMAT, document_hash
 from study.experiment.arms import Arm
-from study.experiment.experiment import Experiment, as_written, experiment_of
+from study.experiment.experiment import Experiment, as_written
 from study.experiment.stores import store_digest, store_path
 from taichi_nmm import __version__
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
 from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.walker_simulator import terrain_document
 
@@ -65,22 +63,6 @@ def versions(*packages: str) -> dict[str, str]:
 def fingerprint(experiment: Experiment) -> str:
     """A short digest of all that decides trials but the arms: for databases and file names."""
     return document_hash(document(experiment, ()))[:FINGERPRINT_LENGTH]
-
-
-def documented_experiment(known: dict[str, Any]) -> Experiment:
-    """The experiment of a document.
-
-    Raises:
-        InputError: a document that is damaged, or names no ground.
-    """
-    if not known.get("ground"):
-        allowed = "a comparison whose experiment.json names its ground"
-        raise InputError("folder", known.get("name"), allowed)
-    names = ("name", "seed", "searched", "objective", "simulation", "body")
-    tables = {name: known.get(name) for name in names} | {"terrain": known["ground"]}
-    tables["world"] = known.get("world", {})
-    tables["until_walker"] = known.get("until_walker", False)
-    return experiment_of(Table(tables), "")
 
 
 def machine() -> dict[str, Any]:

@@ -8,22 +8,21 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from storage.store import open_store
+from study.experiment.experiment import as_written
 from study.explore.store_view import Ranges, selected
-from study.explore.walk import Walk
+from study.explore.walk import Walk, to_toml
 
 GAINS, CONFIG = NAMES = "gains.json", "walk.toml"  # what every command takes: --gains, --config
 
 
-def command_line(walk: Walk) -> str:
-    """The command that does the same without a page, in a folder with `GAINS` and `CONFIG`."""
-    run = f" --run {walk.setting.run}" if walk.setting.run else ""
-    return f"taichi-nmm walk --gains {GAINS} --config {CONFIG}{run} --trajectory walk.sto"
+# What does the same without a page, in a folder with both files.
+COMMAND = f"taichi-nmm walk --gains {GAINS} --config {CONFIG} --trajectory walk.sto"
 
 
 def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
     """One of `NAMES` and its content."""
     if name == CONFIG:
-        return name, walk.setting.toml().encode()
+        return name, to_toml(as_written(walk.experiment)).encode()
     return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()
 
 

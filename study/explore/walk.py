@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
-from study.experiment.experiment import Experiment, as_written, experiment_of
+from study.experiment.experiment import Experiment, experiment_of
 from study.experiment.gains import NamedGains, gains_of_source, recorded_walk
 from study.experiment.trials import row_text
 from study.pictures import style
@@ -37,33 +37,10 @@ DURATIONS_S = (5.0, 10.0, 20.0, 100.0)
 NAME = "walk"  # of the configuration
 
 
-@dataclass(frozen=True)
-class Setting:
-    """One run of an experiment: a robot on its ground."""
-
-    experiment: Experiment
-    run: int = 0
-
-    @property
-    def terrain(self) -> Terrain:
-        """The ground."""
-        return self.experiment.terrain(self.run)
-
-    @property
-    def weight_n(self) -> float:
-        """Of the robot."""
-        return self.experiment.weight_n(self.run)
-
-    def toml(self) -> str:
-        """The configuration that every command takes for it."""
-        runs = max(self.experiment.runs, self.run + 1)
-        return to_toml({"runs": runs, **as_written(self.experiment)})
-
-
 def chosen_setting(
     ground: str, disturbance: str, seed: int, world: str, engine: str, duration_s: float
-) -> Setting:
-    """The setting of the page's choices, by the names above.
+) -> Experiment:
+    """The experiment of the page's choices, by the names above; run 0 walks.
 
     Raises:
         InputError: a seed out of its bounds.
@@ -75,7 +52,7 @@ def chosen_setting(
         "terrain": GROUNDS[ground],
         "world": WORLDS[world],
     }
-    return Setting(experiment_of(Table(tables), NAME))
+    return experiment_of(Table(tables), NAME)
 
 
 def to_toml(tables: dict[str, Any], name: str = "") -> str:
@@ -147,24 +124,24 @@ class Walk:
     """A walk that was simulated."""
 
     gains: NamedGains
-    setting: Setting  # the robot and its ground
+    experiment: Experiment  # its run 0: the robot and its ground
     row: np.void  # of the simulator's result
     trajectory: Trajectory  # of the whole walk
     frames: Frames  # for the page to draw
     ended: str  # how the walk ended, and why, in words
 
 
-def walk(gains: NamedGains, setting: Setting) -> Walk:
+def walk(gains: NamedGains, experiment: Experiment) -> Walk:
     """Simulate, and prepare what is drawn.
 
     Raises:
         InputError: what the simulator refuses.
     """
-    experiment = setting.experiment.on_one_thread()  # other tabs' walks run beside this one
-    result = recorded_walk(gains, experiment.with_settings(arch="cpu"), setting.run, SEEN_RATE_HZ)
-    row, trajectory, terrain = result.rows[0], result.trajectories[0], setting.terrain
+    alone = experiment.on_one_thread()  # other tabs' walks run beside this one
+    result = recorded_walk(gains, alone.with_settings(arch="cpu"), 0, SEEN_RATE_HZ)
+    row, trajectory, terrain = result.rows[0], result.trajectories[0], experiment.terrain(0)
     ended = f"{row_text(row)}{_why(row, trajectory, terrain)}"
-    return Walk(gains, setting, row, trajectory, frames_of(trajectory, terrain), ended)
+    return Walk(gains, experiment, row, trajectory, frames_of(trajectory, terrain), ended)
 
 
 def _why(row: np.void, trajectory: Trajectory, terrain: Terrain) -> str:

@@ -1,6 +1,5 @@
 """The right half of a page: the gains of a gait, the ground it walks on, and the walk."""
 
-import html
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -22,7 +21,7 @@ from bokeh.models import (
 )
 
 from study.experiment.gains import NamedGains, gains_of_source
-from study.explore.downloads import NAMES, command_line, file_of_walk
+from study.explore.downloads import COMMAND, NAMES, file_of_walk
 from study.explore.server import Latest, Message, Saver
 from study.explore.stage import Cycle, Player, Score
 from study.explore.walk import (
@@ -30,7 +29,6 @@ from study.explore.walk import (
     DURATIONS_S,
     GROUNDS,
     WORLDS,
-    Setting,
     Walk,
     chosen_setting,
     walk,
@@ -39,26 +37,17 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS
 from taichi_nmm.settings import ENGINES
 
-AS_TRIED = "as it was tried"
-
 
 class WalkView:
     """Choices of a setting, the stages, the gains, and files to save.
 
-    Of processes, `walkers` simulate and `makers` make files. `tried`: walks may be shown as a
-    comparison tried them.
+    Of processes, `walkers` simulate and `makers` make files.
     """
 
     def __init__(
-        self,
-        document: Document,
-        walkers: Executor,
-        makers: Executor,
-        message: Message,
-        tried: bool = False,
+        self, document: Document, walkers: Executor, makers: Executor, message: Message
     ) -> None:
         self._message = message
-        self._tried: Setting | None = None
         self._walk: Walk | None = None
         self._beside: NamedGains | None = None
         self._first = True  # later walks are compared with the next one
@@ -69,10 +58,9 @@ class WalkView:
         beside = partial(self._player.show, place=1)
         self._others = Latest(document, walkers, beside, message.failed)
         self._hands = Hands(message, self._again, self.show)
-        self._choices = _choices(tried)
-        for name, choice in self._choices.items():
-            message.watch(choice, "value", partial(self._chosen, name))
-        self._command = Div(text="", name="command", width=700, disable_math=True)
+        self._choices = _choices()
+        for choice in self._choices.values():
+            message.watch(choice, "value", self._chosen)
         self._parts = {
             "gains": self._hands.layout, "score": self._score.layout,
             "stride beside people": self._cycle.layout, "take it with you": self._taking(),
@@ -89,30 +77,21 @@ class WalkView:
             self._below,
         )  # fmt: skip
 
-    def show(self, gains: NamedGains, setting: Setting | None = None) -> None:
-        """Let gains walk: as they were tried, or in the setting of the choices."""
+    def show(self, gains: NamedGains) -> None:
+        """Let gains walk in the setting of the choices."""
         self._hands.take(gains)
         self._first = True
-        self._tried = setting or self._tried
         self._again()
 
-    def _setting(self) -> Setting:
-        chosen = {name: choice.value for name, choice in self._choices.items()}
-        if chosen["ground"] == AS_TRIED and self._tried is not None:
-            return self._tried
-        chosen["duration_s"] = float(chosen["duration_s"].removesuffix(" s"))
-        return chosen_setting(**chosen)
-
-    def _chosen(self, name: str) -> None:
-        if name != "ground" and self._choices["ground"].value == AS_TRIED:
-            self._message.tell(f"{name}: counts once a ground is chosen")
-            return
+    def _chosen(self) -> None:
         self._first = True  # a walk of another setting is no comparison
         self._again()
 
     def _again(self) -> None:
         self._message.tell("")
-        setting = self._setting()
+        chosen = {name: choice.value for name, choice in self._choices.items()}
+        chosen["duration_s"] = float(chosen["duration_s"].removesuffix(" s"))
+        setting = chosen_setting(**chosen)
         self._walks.ask(walk, self._hands.gains, setting)
         if self._beside is not None:
             self._others.ask(walk, self._beside, setting)
@@ -122,7 +101,6 @@ class WalkView:
         self._player.show(found)
         self._score.show(found.row, self._first)
         self._first = False
-        self._command.text = f"<code>{html.escape(command_line(found))}</code>"
         self._cycle.show(found)
 
     def _turn(self) -> None:
@@ -141,16 +119,17 @@ class WalkView:
             button.on_click(self._message.safely(partial(self._take, name)))
             buttons.append(button)
         words = Div(text="With both files, this command draws, films and records the walk:")
-        return column(row(*buttons), words, self._command)
+        command = Div(text=f"<code>{COMMAND}</code>", name="command", width=700)
+        return column(row(*buttons), words, command)
 
     def _take(self, name: str) -> None:
         if self._walk is not None:
             self.save(file_of_walk, self._walk, name)
 
 
-def _choices(tried: bool) -> dict[str, Any]:
+def _choices() -> dict[str, Any]:
     """By the names of `chosen_setting`'s arguments."""
-    grounds = [AS_TRIED, *GROUNDS] if tried else list(GROUNDS)
+    grounds = list(GROUNDS)
     durations = [f"{duration:g} s" for duration in DURATIONS_S]
     return {
         "ground": Select(title="ground", options=grounds, value=grounds[0], width=230,

@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
-from storage.commit import commit
 from study.experiment.arms import OUR_ARM, PAPER_ARM
 from study.pictures import style
 from study.report.markdown import count_text
@@ -79,7 +77,6 @@ LABEL_SPACING_PT = 10.0
 POINTS_AN_INCH = 72.0
 LABEL_OFFSET_PT = 16.0
 TICKS = (1, 3, 10, 30, 100, 300, 1000)
-SVG: dict[Any, Any] = {"svg.hashsalt": "taichi-nmm", "svg.fonttype": "path"}  # the same file again
 
 
 @dataclass(frozen=True)
@@ -166,23 +163,6 @@ def spread_out(places: Sequence[float], apart: float, low: float, high: float) -
     return [float(place) for place in spread]
 
 
-def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write the figure as NAME.png and NAME.svg, each whole or not at all."""
-    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-
-    def write(temporary: Path) -> None:
-        with mpl.rc_context(SVG):
-            figure.savefig(temporary, format="svg", metadata={"Date": None})
-
-    def check(temporary: Path) -> None:
-        if not temporary.read_text(encoding="utf-8").rstrip().endswith("</svg>"):
-            raise OSError("the picture was not written whole")
-
-    style.save_png(figure, png)
-    commit(svg, write, check)
-    return [png, svg]
-
-
 PANEL_IN = 5.6
 LABELS_IN = 2.3
 LEFT_IN = 0.75
@@ -192,11 +172,8 @@ WALKS_BELOW = 100.0  # the walking cost of a walker that goes on to the end
 IN_FRONT = "bold: the paper's method, our best, the best peer; bands: 95 %, by bootstrap over runs"
 
 
-def write_best_cost(folder: Path, results: Results) -> list[Path]:
-    """Best cost so far against trials, median over runs, as best-cost.png and .svg.
-
-    The arms in front have bands.
-    """
+def write_best_cost(path: Path, results: Results) -> Path:
+    """Best cost so far against trials, median over runs; the arms in front have bands."""
     # Room for a label an arm on the right, at a fixed size whatever the labels.
     labels_in = len(results.arms) * LABEL_SPACING_PT / POINTS_AN_INCH
     height_in = max(HEIGHT_IN, MARGINS_IN + labels_in)
@@ -207,7 +184,7 @@ def write_best_cost(folder: Path, results: Results) -> list[Path]:
     label_ends(axes, _draw_arms(axes, results), results.trials)
     title = f"{results.name}: best {results.cost} cost so far, median over runs"
     headline(figure, LEFT_IN, title, IN_FRONT)
-    return save(figure, folder, "best-cost")
+    return style.save_png(figure, path)
 
 
 def _draw_arms(axes: Axes, results: Results) -> list[End]:
@@ -263,11 +240,8 @@ PITCH = 0.14
 DOTS_AT, MEDIAN_BELOW = -0.08, 0.35
 
 
-def write_first_walker(folder: Path, results: Results) -> list[Path]:
-    """Dots, median with its interval, runs with a walker: a row an arm, best first.
-
-    As first-walker.png and .svg.
-    """
+def write_first_walker(path: Path, results: Results) -> Path:
+    """Dots, median with its interval, runs with a walker: a row an arm, best first."""
     order, styles = by_rank(results.arms), looks(results.arms)
     height = ROW_IN * len(order) + DOTS_TOP_IN + DOTS_BOTTOM_IN
     figure = style.new_figure(WIDTH_IN, height)
@@ -279,7 +253,7 @@ def write_first_walker(folder: Path, results: Results) -> list[Path]:
     title = f"{results.name}: trials to the first walker, a dot a run"
     remark = "diamond: median with its 95 % bootstrap interval; open dots: runs without a walker"
     headline(figure, 0.15, title, remark)
-    return save(figure, folder, "first-walker")
+    return style.save_png(figure, path)
 
 
 def trial_places(which: ArrayLike, trials: int) -> Floats:

@@ -35,8 +35,8 @@ def write_report(
         **found.as_dict(),
     }
     with together(folder or results.folder / REPORT_NAME) as new:
-        write_best_cost(new, results)
-        write_first_walker(new, results)
+        write_best_cost(new / "best-cost.png", results)
+        write_first_walker(new / "first-walker.png", results)
         commit_json(new / "summary.json", document)
         commit_text(new / "report.md", text)
     return found

@@ -44,7 +44,6 @@ COMMANDS: dict[str, Words] = {
     "report of two": ("report", "compared", "compared", "--out", "overview"),
     "dashboard": ("dashboard", "compared", "--port", "0"),
     "explore": ("explore", "store", "--port", "0", "--no-browser"),
-    "explore of a comparison": ("explore", "compared", "--port", "0", "--no-browser"),
     "walk": ("walk", "--config", "toy.toml", *STILL),
     "walk on a table": ("walk", "--config", "hill.csv.toml", *STILL),
     "walk of gains": ("walk", "--gains", "gains.json", *STILL),

@@ -1,4 +1,4 @@
-"""The explorer as a person uses it: a headless Chromium on a store and on a comparison."""
+"""The explorer as a person uses it: a headless Chromium on a store."""
 
 import json
 from collections.abc import Iterator
@@ -9,10 +9,8 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-import taichi_nmm
 from storage.store import columns_of, open_store
 from storage.tables import document_hash, write_table
-from study.experiment.compare import Request, compare
 from study.explore.walk import RATE_HZ
 from tests.browser import opened_page, save
 from tests.storage.fake import content
@@ -27,14 +25,10 @@ MODEL = "Bokeh.documents[0].get_model_by_name"
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A store and a comparison: gains are real, scores are a formula's."""
+    """A store whose gains are real, and whose scores are a formula's."""
     pytest.importorskip("bokeh", reason="no bokeh: pip install 'taichi-nmm[explore]'")
     folder = tmp_path_factory.mktemp("explored")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-        toy = fake_walker.experiment(folder)
-        request = Request(folder / "compared", arms=("dog", "random"), runs=2)
-        compare(toy, request, lambda progress: None)
+    fake_walker.write_store(folder / "store")
     return folder
 
 
@@ -370,30 +364,3 @@ def test_a_store_that_is_being_filled(folders: Path, page: Any, tmp_path: Path) 
         (growing / shards[1].name).write_bytes(b"damaged")
         page.goto(address)
         page.get_by_text("store: ").first.wait_for()
-
-
-def test_a_comparison(folders: Path, page: Any) -> None:
-    with opened(page, folders / "compared"):
-        page.wait_for_function(f"{WALKS} > 0")
-        assert "ground of run 0" in model(page, "profile", "title.text.text")
-        assert "friction" in model(page, "robot", "text")
-        change(page, "arms", "value", ["dog"])
-        shown = f"{MODEL}('dots').renderers.map((one) => one.visible)"
-        page.wait_for_function(f"{shown}.includes(false)")
-        assert sorted(page.evaluate(shown)) == [False, True]
-        dot = point(page, "dots-dog", ("x", "y"), "run", 1)
-        walks(page, lambda: click(page, "dots", *dot))
-        page.wait_for_function(f"{MODEL}('run').value === 1")
-        page.get_by_text("toy-dog-run-001").first.wait_for()
-        assert "ground of run 1" in model(page, "profile", "title.text.text")
-        save(page, "comparison")
-        change(page, "engine", "value", "mujoco")
-        page.wait_for_function(f"{MODEL}('message').text.includes('once a ground is chosen')")
-        walks(page, lambda: change(page, "ground", "value", "flat"))
-        for field, wrong in (("trial", "999"), ("run", "99")):
-            kept = model(page, field, "value")
-            type_in(page, field, wrong)
-            page.get_by_text("watch it").click()
-            line = f"{wrong} cannot be used; allowed: 0 to"
-            page.wait_for_function(f"{MODEL}('message').text.includes('{line}')")
-            change(page, field, "value", kept)

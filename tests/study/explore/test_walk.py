@@ -10,11 +10,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from storage.store import open_store
-from study.experiment.experiment import as_written, read_experiment
+from study.experiment.experiment import Experiment, as_written, read_experiment
 from study.experiment.gains import gains_of_source
 from study.explore import walk as walking
-from study.explore.downloads import NAMES, command_line, file_of_selection, file_of_walk
-from study.explore.walk import Setting, Walk, chosen_setting, frames_of, to_toml, walk
+from study.explore.downloads import COMMAND, NAMES, file_of_selection, file_of_walk
+from study.explore.walk import Walk, chosen_setting, frames_of, to_toml, walk
 from study.options import config_path
 from taichi_nmm.config import read_toml
 from taichi_nmm.errors import InputError
@@ -23,22 +23,19 @@ from tests.study import fake_walker, synthetic_gait
 from tests.tools.running import run_tool
 
 
-def same_robot(one: Setting, other: Setting) -> None:
+def same_robot(one: Experiment, other: Experiment) -> None:
     """Body, world and ground have the same bits."""
-    bodies = [each.experiment.body(each.run) for each in (one, other)]
-    np.testing.assert_array_equal(bodies[0].mass_kg, bodies[1].mass_kg)
-    worlds = [each.experiment.world(each.run) for each in (one, other)]
-    np.testing.assert_array_equal(worlds[0].strength, worlds[1].strength)
-    heights = [each.experiment.terrain(each.run).height_m for each in (one, other)]
-    np.testing.assert_array_equal(*heights)
-    conditions = one.experiment.conditions, other.experiment.conditions
+    np.testing.assert_array_equal(one.body(0).mass_kg, other.body(0).mass_kg)
+    np.testing.assert_array_equal(one.world(0).strength, other.world(0).strength)
+    np.testing.assert_array_equal(one.terrain(0).height_m, other.terrain(0).height_m)
+    conditions = one.conditions, other.conditions
     assert conditions[0].simulation_document() == conditions[1].simulation_document()
 
 
-def reread(setting: Setting, folder: Path) -> Setting:
+def reread(experiment: Experiment, folder: Path) -> Experiment:
     path = folder / "walk.toml"
-    path.write_text(setting.toml())
-    return Setting(read_experiment(path), setting.run)
+    path.write_text(to_toml(as_written(experiment)))
+    return read_experiment(path)
 
 
 @pytest.mark.parametrize("ground", walking.GROUNDS)
@@ -47,19 +44,18 @@ def test_a_chosen_setting_is_a_configuration(ground: str, tmp_path: Path) -> Non
     for seed, (world, disturbance) in enumerate(robots):
         engine = ("taichi", "mujoco")[seed % 2]
         setting = chosen_setting(ground, disturbance, seed, world, engine, 12.5)
-        assert setting.experiment.conditions.settings.engine == engine
+        assert setting.conditions.settings.engine == engine
         same_robot(setting, reread(setting, tmp_path))
 
 
 @pytest.mark.parametrize(
     "name", ["rough8-smooth", "mujoco-rough8-soft", "outside-weak", "ramp-up-torso"]
 )
-def test_a_run_of_an_experiment_is_a_configuration(name: str, tmp_path: Path) -> None:
+def test_an_experiment_is_a_configuration(name: str, tmp_path: Path) -> None:
     experiment = read_experiment(config_path(name))
-    setting = Setting(experiment, run=7)
-    again = reread(setting, tmp_path)
-    same_robot(setting, again)
-    assert as_written(again.experiment) == as_written(experiment)
+    again = reread(experiment, tmp_path)
+    same_robot(experiment, again)
+    assert as_written(again) == as_written(experiment)
 
 
 def test_a_seed_that_no_configuration_takes_and_tables_within_tables(tmp_path: Path) -> None:
@@ -89,7 +85,7 @@ def test_a_fall_has_frames_and_a_reason(fell: Walk) -> None:
     assert np.ptp(frames["ground"][:, 1]) > 0.1  # steps
     assert fell.ended.startswith("fell after ")
     pose = fell.trajectory.q[-1]
-    height_m = pose[1] - fell.setting.terrain.height(pose[0])
+    height_m = pose[1] - fell.experiment.terrain(0).height(pose[0])
     leaned = abs(np.rad2deg(pose[2])) > 57.0  # a sample before the bound of 60
     assert ("the trunk leaned" in fell.ended) == leaned
     assert ("the hip sank to" in fell.ended) == (not leaned)
@@ -100,7 +96,7 @@ def test_a_walk_that_never_was_finite_still_has_frames_or_says_so() -> None:
     trajectory = synthetic_gait.walk(2.0, 100.0)
     q = trajectory.q.copy()
     q[50:] = np.nan
-    terrain = chosen_setting("flat", "nominal", 0, "nominal", "taichi", 5.0).experiment.terrain(0)
+    terrain = chosen_setting("flat", "nominal", 0, "nominal", "taichi", 5.0).terrain(0)
     frames = frames_of(replace(trajectory, q=q), terrain)
     assert np.isfinite(frames["near"]).all() and frames["time_s"][-1] <= trajectory.time_s[50]
 
@@ -113,7 +109,7 @@ def test_what_is_taken_walks_the_same_to_the_bit(
     for wanted in NAMES:
         name, content = file_of_walk(fell, wanted)
         Path(name).write_bytes(content)
-    words = command_line(fell).split()
+    words = COMMAND.split()
     assert words[:2] == ["taichi-nmm", "walk"]
     more = ("--movie-seconds", "0", "--json", "--out", "pictures")
     assert run_tool(monkeypatch, "walk", *words[2:], *more) == 0
