@@ -121,11 +121,11 @@ class Policy:
         Args:
             prior_mean: of the option `prior`.
             features: in standard units, [m, k].
-            turn: of the trial; ends are taken by turns.
+            turn: of the trial; the first are the ends.
         """
         if prior_mean is not None:
             return prior_mean.merit(features)
-        if not self.learns_trust:
+        if not self.learns_trust or turn >= ENDS:  # of a batch, when the ends are taken
             return np.zeros(len(features))
         return (1.0 if turn % ENDS == 0 else -1.0) * _common(features)
 
