@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution, distribution_to_json, json_to_distribution
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
+from storage.databases.studies import read_errors
 from storage.tables import difference
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
 from study.bench.plan import Candidates, Plan, read_plan
@@ -54,7 +55,12 @@ class Bench:
         self.plan: Plan = read_plan(Path(path))
         self._journal = Journal(self.plan.url, self.plan.name, operator)
         self._entries = self._journal.entries()
-        if self._entries and (found := difference(self.plan.document, self._begun["plan"])):
+        if not self._entries:
+            return
+        with read_errors(self.plan.url):  # which somebody may have edited
+            begun, _ = self._begun["plan"], (self.space, self._begun["range"], self.state)
+            found = difference(self.plan.document, begun)
+        if found:
             field, ours, theirs = found
             allowed = f"{theirs!r}, with which the bench was begun; or another name for a new one"
             raise InputError(f"{self.plan.path.name}: {field}", ours, allowed)

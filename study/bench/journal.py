@@ -16,7 +16,7 @@ from typing import Any
 
 import optuna
 
-from storage.databases.studies import only_run, open_studies, storage_errors
+from storage.databases.studies import only_run, open_studies, read_errors, storage_errors
 from taichi_nmm.errors import InputError
 
 LOG = " (log)"  # after the name of the study whose attributes are the entries
@@ -127,10 +127,11 @@ class Journal:
                 return []
             known = optuna.load_study(study_name=self.name + LOG, storage=self.storage).user_attrs
         found, number = list[Entry](), 0
-        while (data := known.get(KEY.format(number))) is not None:
-            rest = {key: value for key, value in data.items() if key not in ("kind", "time", "by")}
-            found.append(Entry(number, data["kind"], data["time"], data["by"], rest))
-            number += 1
+        with read_errors(self.url):
+            while (data := known.get(KEY.format(number))) is not None:
+                rest = {key: data[key] for key in data if key not in ("kind", "time", "by")}
+                found.append(Entry(number, data["kind"], data["time"], data["by"], rest))
+                number += 1
         return found
 
     def append(self, kind: str, data: Mapping[str, Any]) -> Entry:

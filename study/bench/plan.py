@@ -269,7 +269,7 @@ def _of_file(table: Table) -> FeatureTable:
     ends = {name: bounds.range(name, (0, 0), -1e300, 1e300) for name in list(bounds.unread)}
     space: dict[str, BaseDistribution] = {}
     for name in logarithmic:
-        values = column(name).astype(np.float64)
+        values = checks.numbers(f"candidates.{name}", column(name))
         low, high = ends.pop(name, (values.min(), values.max()))
         if low <= 0.0:
             raise InputError("candidates.log", name, f"a column above 0; its least value is {low}")

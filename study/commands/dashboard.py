@@ -99,7 +99,7 @@ def main(args: Namespace) -> None:
         print(f"artifacts  {artifacts or 'none'}")
         print(f"dashboard  {address}  (Ctrl-C ends it)", flush=True)
         for name, number in numbers.items():
-            if name.endswith(SUMMARY):
+            if str(name).endswith(SUMMARY):  # a damaged database may have bytes for it
                 print(f"summary    {address}/studies/{number}/note  ({name})", flush=True)
         with suppress(KeyboardInterrupt):
             server.serve_forever()

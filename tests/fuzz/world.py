@@ -21,10 +21,12 @@ import pyarrow.parquet as pq
 
 import taichi_nmm
 from storage.tables import DIGEST_KEY, FOOTER_KEY, write_stamped, write_table
+from study.bench import Bench
 from study.cli import main
 from study.experiment.folder import TIME_COLUMNS, in_order
 from study.options import CONFIGS
 from tests.study import fake_walker
+from tests.study.bench import robot
 
 Words = tuple[str, ...]
 
@@ -44,6 +46,8 @@ COMMANDS: dict[str, Words] = {
     "report of two": ("report", "compared", "compared", "--out", "overview"),
     "dashboard": ("dashboard", "compared", "--port", "0"),
     "explore": ("explore", "store", "--port", "0", "--no-browser"),
+    "bench": ("bench", "next", "--bench", "walk.toml"),
+    "bench of trials": ("bench", "import", "trials.csv", "--bench", "walk.toml"),
     "walk": ("walk", "--config", "toy.toml", *STILL),
     "walk on a table": ("walk", "--config", "hill.csv.toml", *STILL),
     "walk of gains": ("walk", "--gains", "gains.json", *STILL),
@@ -106,6 +110,9 @@ def make_world(folder: Path) -> None:
         (folder / f"{name}.toml").write_text(ON_A_TABLE.format(name))
     gains = dict(zip(taichi_nmm.GAIN_NAMES, taichi_nmm.PUBLISHED_GAINS.tolist(), strict=True))
     (folder / "gains.json").write_text(json.dumps(gains | {"theta_ref": 0.1}, indent=1))
+    bench = Bench.new(robot.write(folder), "me")
+    robot.run(bench, 3)
+    (folder / "trials.csv").write_text("stiffness,damping,value,torque\n50,1,0.9,80\n60,1,1.2,\n")
     simulator = mock.patch.dict(vars(taichi_nmm), simulate=fake_walker.simulate)
     shown = StringIO()
     with chdir(folder), simulator, redirect_stdout(shown), redirect_stderr(shown):
