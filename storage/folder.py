@@ -54,6 +54,11 @@ class Folder:
         with lock:
             lock_now(lock.fileno(), path)
             remove(path, UNFINISHED)
+            for pattern in (cls.FIRST, *cls.FILES):  # a folder would be met after the work
+                for file in sorted(path.glob(pattern)):
+                    if file.is_dir():
+                        allowed = "a file there, not a folder; or another --out"
+                        raise InputError("out", str(file), allowed)
             if fresh:  # the document goes last: it tells whose folder this is
                 remove(path, *cls.FILES, cls.FIRST)
             yield cls(path, cls._agree(path, document))

@@ -22,7 +22,7 @@ from taichi_nmm.reading import json_document, parse_json, reading
 
 FORMAT = 1  # of specification.json, manifest.json and the footers
 FOOTER_KEY = b"taichi_nmm"
-DIGEST_KEY = "content_sha256"  # in a stamped table's footer
+DIGEST_KEY = "content_sha256"  # in a stamped table's footer; files older than the key have none
 MOST_ROWS = 10**8  # 0.8 GB a column; a hundred times the largest store of docs/
 
 
@@ -144,7 +144,7 @@ def read_stamped(path: Path, document: dict[str, Any], growing: tuple[str, ...] 
         raise InputError("out", str(path), f"{allowed}{theirs!r}")
     with reading("out", path, "columns of strings, numbers and flags, none missing"):
         own = table_digest(table)
-    if digest != own:
+    if digest not in (None, own):
         allowed = "the file as it was written; its content does not fit the digest in its footer"
         raise InputError("out", str(path), allowed)
     return table

@@ -219,10 +219,20 @@ class ExperimentFolder(Folder):
         """The finished trials of an arm, by run and trial; empty for one that is new.
 
         Raises:
-            InputError: a damaged or edited file, or one of another experiment or of something else.
+            InputError: a damaged or edited file, one of another experiment or of something else, or
+                one with a gap.
         """
-        content = f"finished trials of {name}"
-        return self.read_state(f"{ARMS_NAME}/{name}.parquet", STATE_SCHEMA, content)
+        file, content = f"{ARMS_NAME}/{name}.parquet", f"finished trials of {name}"
+        table = self.read_state(file, STATE_SCHEMA, content)
+        if set(table["arm"].to_pylist()) - {name}:
+            raise InputError("out", str(self.path / file), f"{content}, and of no other arm")
+        run, trial = table["run"].to_numpy(), table["trial"].to_numpy()
+        first = np.diff(run, prepend=run[:1] - 1) != 0
+        sound = trial[first] == 0, np.diff(trial)[~first[1:]] == 1, np.diff(run) >= 0
+        if not all(part.all() for part in sound):
+            allowed = "every run's trials in their order, without a gap"
+            raise InputError("out", str(self.path / file), allowed)
+        return table
 
     def write_arm(self, name: str, table: pa.Table) -> None:
         """Commit the finished trials of an arm."""

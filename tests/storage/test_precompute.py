@@ -172,12 +172,13 @@ def test_a_damaged_manifest_is_written_again(store: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize("name", [SHARD, "manifest.json", "specification.json"])
-def test_a_folder_in_a_files_place_is_one_line_and_stays(store: Path, name: str) -> None:
+def test_a_folder_in_a_files_place_is_refused_before_the_work(store: Path, name: str) -> None:
     (store / name).unlink()
     (store / name).mkdir()
-    with pytest.raises(InputError, match=f"out: .*{name}"):
-        precompute(fake.specification(), store)
-    assert (store / name).is_dir()
+    before = sorted(store.iterdir())
+    with pytest.raises(InputError, match=f"out: .*{name}.*not a folder"):
+        precompute(fake.specification(), store, progress=lambda points: pytest.fail("it works"))
+    assert sorted(store.iterdir()) == before
 
 
 @pytest.mark.parametrize(("calls", "changes", "done"), STOPS)

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from storage.tables import DIGEST_KEY, table_digest, write_table
+from storage.tables import DIGEST_KEY, write_table
 from study.experiment import arms
 from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.folder import ExperimentFolder
@@ -116,19 +116,25 @@ def with_column(table: pa.Table, name: str, values: Any) -> pa.Table:
     return table.set_column(column, table.schema.field(name), pa.array(values))
 
 
+def undigested(table: pa.Table, footer: dict[str, Any]) -> tuple[pa.Table, dict[str, Any]]:
+    """As 0.2.0 wrote it before there were digests."""
+    return table, {key: value for key, value in footer.items() if key != DIGEST_KEY}
+
+
 EDITS: dict[str, tuple[Edit, str]] = {
     "cheaper": (
         lambda table, footer: (with_column(table, "cost", table["cost"].to_numpy() / 2), footer),
         "does not fit the digest"),
-    "from trial 1": (lambda table, footer: (table.slice(1), footer), "does not fit the digest"),
-    "without a digest": (
-        lambda table, footer: (table, {k: v for k, v in footer.items() if k != DIGEST_KEY}),
-        "does not fit the digest"),
-    "less a column": (
-        lambda table, footer: (
-            table.drop_columns("notes"),
-            footer | {DIGEST_KEY: table_digest(table.drop_columns("notes"))}),
-        "of random, in this version's form"),
+    "of two arms": (
+        lambda table, footer: undigested(
+            with_column(table, "arm", ["dog"] + ["random"] * (len(table) - 1)), footer),
+        "of random, and of no other arm"),
+    "with a gap": (
+        lambda table, footer: undigested(table.take([0, 2, *range(3, len(table))]), footer),
+        "without a gap"),
+    "from trial 1": (lambda table, footer: undigested(table.slice(1), footer), "without a gap"),
+    "less a column": (lambda table, footer: undigested(table.drop_columns("notes"), footer),
+                      "of random, in this version's form"),
     "of nothing": (lambda table, footer: (table, {}),
                    "whose format is 1; in the file's footer: None"),
 }  # fmt: skip
@@ -153,6 +159,18 @@ def test_an_arm_of_another_seed(comparisons: Comparisons) -> None:
     for arms_ in (("random",), ("dog",)):  # asked for, or only beside what is asked for
         with refused(r"random\.parquet' .*whose seed is 5; in the file's footer: 6"):
             comparisons.run("out", arms=arms_, trials=3)
+
+
+def test_a_folder_of_before_digests_goes_on(comparisons: Comparisons) -> None:
+    both = ("random", "cmaes-cold")
+    comparisons.run("whole", arms=both)
+    comparisons.run("out", arms=both, trials=3)
+    for name in both:
+        rewrite(arm_file(comparisons, name), undigested)
+    comparisons.run("out", arms=both)
+    assert comparisons.content("out") == comparisons.content("whole")
+    footer = pq.read_schema(arm_file(comparisons)).metadata[b"taichi_nmm"]
+    assert DIGEST_KEY in json.loads(footer)  # from now on
 
 
 def test_trials_that_the_sampler_did_not_propose(comparisons: Comparisons) -> None:
