@@ -33,6 +33,7 @@ from study.bench.bench import Bench
 from study.bench.journal import Trial
 from study.bench.plan import read_columns
 from study.sampler.diagnostics import RankCorrelation
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import json_document, toml_document
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, smooth_cost
@@ -193,13 +194,15 @@ def export(bench: Bench, args: Namespace) -> None:
 
 def import_trials(bench: Bench, args: Namespace) -> None:
     """Enter the trials of a CSV as the operator's own."""
-    table = read_columns(Path(needed(args.what, "what", "a CSV file")), "import")
+    found = read_columns(Path(needed(args.what, "what", "a CSV file")), "import")
+    table = {name: column.tolist() for name, column in found.items()}
     names, columns = list(bench.space), bench.plan.columns
     for name in (*names, "value"):
         if name not in table:
             raise InputError("import", name, f"a file with the columns {', '.join(names)}, value")
     rows = []
-    for place in np.flatnonzero(np.isfinite(table["value"].astype(float))).tolist():
+    values = checks.numbers("import: value", found["value"])
+    for place in np.flatnonzero(np.isfinite(values)).tolist():
         row = {name: column[place] for name, column in table.items()}
         numbers = {name: float(row[name]) for name in columns if row.get(name) is not None}
         own = {name: value for name, value in numbers.items() if np.isfinite(value)}

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 
 import taichi_nmm
 from storage.tables import DIGEST_KEY, FOOTER_KEY, write_stamped, write_table
-from study.bench import Bench
+from study.bench import Bench, journal
 from study.cli import main
 from study.experiment.folder import TIME_COLUMNS, in_order
 from study.options import CONFIGS
@@ -110,8 +110,11 @@ def make_world(folder: Path) -> None:
         (folder / f"{name}.toml").write_text(ON_A_TABLE.format(name))
     gains = dict(zip(taichi_nmm.GAIN_NAMES, taichi_nmm.PUBLISHED_GAINS.tolist(), strict=True))
     (folder / "gains.json").write_text(json.dumps(gains | {"theta_ref": 0.1}, indent=1))
-    bench = Bench.new(robot.write(folder), "me")
-    robot.run(bench, 3)
+    with mock.patch.object(journal, "datetime") as clock:
+        clock.now().isoformat.return_value = DAY
+        bench = Bench.new(robot.write(folder), "me")
+        robot.run(bench, 3)
+        bench._journal.storage.engine.dispose()
     (folder / "trials.csv").write_text("stiffness,damping,value,torque\n50,1,0.9,80\n60,1,1.2,\n")
     simulator = mock.patch.dict(vars(taichi_nmm), simulate=fake_walker.simulate)
     shown = StringIO()
