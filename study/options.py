@@ -252,7 +252,7 @@ def study(options: Options) -> None:
     options.config()
     options.add_argument(
         "--arm", required=True, metavar="ARM",
-        help="best, dog, random or another one; an unknown name lists all",
+        help="worlds, dog, random or another one; an unknown name lists all",
     )  # fmt: skip
     options.run("number of the body and the ground")
     options.whole("--trials", 1, MOST_TRIALS, help=f"in total; {FROM_CONFIG}")
