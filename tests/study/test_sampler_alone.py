@@ -1,4 +1,4 @@
-"""The samplers and their tables where only what the README's line installs is there."""
+"""The samplers, tables and stores where only what the sampler alone asks for is installed."""
 
 import re
 import tomllib
@@ -47,17 +47,19 @@ print("done")
 """
 
 
-def packages_of_the_line() -> set[str]:
-    line = r"`pip install --no-deps \. && pip install ([^`]*)`"
-    (words,) = re.findall(line, (ROOT / "docs" / "sampler.md").read_text())
-    return {word for word in words.split() if re.fullmatch(r"[a-z][a-z-]*", word)}
+def packages_of_the_sampler() -> set[str]:
+    """What the sampler alone asks for, with Arrow for stores."""
+    path = ROOT / "study" / "hub" / "pyproject.toml"
+    project = tomllib.loads(path.read_text())["project"]
+    asked = [*project["dependencies"], *project["optional-dependencies"]["parquet"]]
+    return {re.split(r"[<>=]", words)[0] for words in asked}
 
 
 def test_a_study_without_simulator_pictures_and_dashboard(tmp_path):
     fake_walker.write_store(tmp_path / "store")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     dependencies = {re.split(r"[<>=]", words)[0] for words in project["dependencies"]}
-    there = packages_of_the_line()
+    there = packages_of_the_sampler()
     assert there <= dependencies
     missing = dependencies - there - OPTUNA_HAS
     assert {"taichi", "quadrants", "matplotlib", "imageio-ffmpeg", "optuna-dashboard"} <= missing

@@ -17,7 +17,7 @@ from study.cli import main
 from study.options import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
-PARTS = {"bench_worker", "checkout", "outside", "page"}  # of other tools
+PARTS = {"time_walks_worker", "checkout", "outside", "page"}  # of other tools
 TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - PARTS)
 sys.path.append(str(ROOT / "tools"))  # where a tool that is run finds checkout.py
 WAIT_S = 300.0  # of a process, which may compile the simulator first

@@ -19,7 +19,7 @@ WALK = ("walk", "--duration", 1, "--movie-seconds", 0)
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes\n"
 # The tools beside the commands, and one command: all commands begin in study/cli.py.
 TOOLS = ["walk", *(tool for tool in ALL_TOOLS if tool not in COMMANDS)]
-FIRST = dict.fromkeys(TOOLS, "numpy") | {"bench": "taichi_nmm.settings"}
+FIRST = dict.fromkeys(TOOLS, "numpy") | {"time_walks": "taichi_nmm.settings"}
 
 
 @pytest.mark.parametrize("tool", TOOLS)

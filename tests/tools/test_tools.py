@@ -97,13 +97,13 @@ def printed(tool: str, *words: object) -> str:
     return done.stdout
 
 
-# tools/bench.py on a few walkers.
+# tools/time_walks.py on a few walkers.
 SAMPLES = 64
 
 
 @pytest.mark.campaign
 def test_start_and_run_are_timed_apart() -> None:
-    said = printed("bench", "--samples", SAMPLES, "--arch", "cpu")
+    said = printed("time_walks", "--samples", SAMPLES, "--arch", "cpu")
 
     def numbers(start: str) -> list[float]:
         (line,) = re.findall(rf"^{start} .*", said, re.MULTILINE)
@@ -119,7 +119,9 @@ def test_start_and_run_are_timed_apart() -> None:
 
 
 def test_checkouts_are_compared_by_median_turns() -> None:
-    line = load_tool("bench").turns_line("steady", [100.0, 300.0, 120.0], [200.0, 400.0, 240.0])
+    line = load_tool("time_walks").turns_line(
+        "steady", [100.0, 300.0, 120.0], [200.0, 400.0, 240.0]
+    )
     assert line.split() == ["steady", "120.0", "240.0", "0.500"]
 
 

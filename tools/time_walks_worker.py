@@ -1,6 +1,6 @@
 """One measurement of the simulator in one fresh process, printed as one JSON object.
 
-`tools/bench.py` starts it: start-up and compilation can only be timed in a process that has
+`tools/time_walks.py` starts it: start-up and compilation can only be timed in a process that has
 not imported anything, and the peak of memory belongs to a process.
 """
 
@@ -54,7 +54,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="One measurement, for tools/bench.py")
+    parser = argparse.ArgumentParser(description="One measurement, for tools/time_walks.py")
     parser.add_argument("--walkers", type=int, default=0, help="0 only starts up")
     parser.add_argument("--duration", type=float, help="seconds that they walk")
     parser.add_argument("--steady", action="store_true", help="near the published gains; or Sobol")

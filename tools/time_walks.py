@@ -1,7 +1,7 @@
 """How fast the simulator is: start-up and run time apart.
 
-    python tools/bench.py
-    taskset -c 0 python tools/bench.py --against ../before   # another checkout, by turns
+    python tools/time_walks.py
+    taskset -c 0 python tools/time_walks.py --against ../before   # another checkout, by turns
 
 Each figure comes from a fresh process. "Cold" starts with an empty cache of compiled kernels,
 "warm" with a full one; both import, start the engine and compile. Run the command on an idle
@@ -30,7 +30,7 @@ with guarded_imports():
     from taichi_nmm.settings import ARCHITECTURES
 
 ROOT = Path(__file__).resolve().parents[1]
-WORKER = ROOT / "tools" / "bench_worker.py"
+WORKER = ROOT / "tools" / "time_walks_worker.py"
 
 MOST_SAMPLES = 10_000_000
 LOADS = {  # of --against: near the published gains, where all stay up; and the search space
@@ -105,7 +105,7 @@ def turns_line(load: str, this: list[float], other: list[float]) -> str:
 
 
 def worker(what: str, cache: Path, words: str, *more: str) -> Measured:
-    """A measurement by `bench_worker.py` in a fresh process with this cache of kernels."""
+    """A measurement by `time_walks_worker.py` in a fresh process with this cache of kernels."""
     print(f"measuring: {what}", file=sys.stderr, flush=True)
     done = subprocess.run(
         [sys.executable, str(WORKER), *words.split(), *more],
@@ -117,7 +117,7 @@ def worker(what: str, cache: Path, words: str, *more: str) -> Measured:
     )
     if done.returncode != 0:
         reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise InputError("bench", what, f"a measurement that runs ({reason})")
+        raise InputError("time_walks", what, f"a measurement that runs ({reason})")
     measured: Measured = json.loads(done.stdout.splitlines()[-1])
     return measured
 
