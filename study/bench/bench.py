@@ -231,13 +231,17 @@ class Bench:
         return str(sampler.worth(self._study(self.state))) if sampler.has_features else ""
 
     def simulated(self) -> dict[int, float]:
-        """What the candidates' worlds let expect of each finished trial, before any, by number."""
-        state = self.state
-        told = [trial for trial in state.trials.values() if trial.value is not None]
-        blank = optuna.create_study(direction=self.plan.direction)
-        sampler = self.candidates.sampler(self.plan)
-        found = sampler.predict(blank, [trial.params for trial in told]) if told else None
-        values = [] if found is None else found.value.tolist()
+        """The mean over the worlds, or the feature of the prior, of each finished trial."""
+        rows, prior = self.candidates.table.rows, self.candidates.prior
+        told = [trial for trial in self.state.trials.values() if trial.value is not None]
+        if not told or (rows.worlds is None and prior is None):
+            return {}
+        if rows.worlds is not None:
+            known = rows.worlds.costs @ rows.worlds.weights
+        else:
+            known = rows.features[:, rows.feature_names.index(str(prior).removeprefix("-"))]
+        places = rows.space.unit(np.array([rows.space.row(trial.params) for trial in told]))
+        values = rows.mixed(known[rows.numbers][:, None], places, places)[:, 0].tolist()
         return dict(zip([trial.number for trial in told], values, strict=True))
 
     def _tell(
@@ -345,7 +349,7 @@ class Bench:
         if not kept:
             return "No trial has kept all limits yet: the one that most likely does."
         if self.plan.goal.success is not None and not self._successful(kept):
-            return "No trial has succeeded yet: the one that most likely does."
+            return "No trial has succeeded yet: the one that most likely does, or improves most."
         best = (max if self.plan.goal.maximise else min)(trial.values[0] for trial in kept)
         return f"The largest improvement to be expected on {best:.4g}."
 

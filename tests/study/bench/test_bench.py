@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import optuna
 import pytest
 import sqlalchemy as sql
@@ -143,7 +144,13 @@ def test_new_ground_begins_with_what_was_good_before(path: Path) -> None:
 
 def test_trials_of_ones_own_are_learned_from_and_checked_by_name(path: Path) -> None:
     bench = Bench.new(path)
-    robot.run(bench, 3)
+    assert bench.simulated() == {}
+    for params, simulated in zip(robot.run(bench, 3), bench.simulated().values(), strict=True):
+        worlds = bench.candidates.table.rows
+        row = worlds.find(params)
+        if row is not None:
+            known = worlds.features[row, 0] if worlds.worlds is None else worlds.worlds.costs[row]
+            assert simulated == pytest.approx(np.mean(known))
     near = {"stiffness": 149.0, "damping": 0.91}  # no row of the table
     assert bench.add([(near, robot.cost(near), {}, "")]) == [3]
     assert bench.best().number == 3
