@@ -177,15 +177,17 @@ class Bench:
                 as of `record`. Nothing is entered then.
         """
         space = self.space
-        for params, value, columns, note in rows:
-            checks.number()("value", value), COLUMNS("columns", columns), checks.text("note", note)
+        for params, *_ in rows:
             for name in dict.fromkeys([*space, *params]):
                 if name not in space or name not in params:
                     what = params.get(name, "missing")
                     raise InputError(name, what, f"one value of each of {', '.join(space)}")
                 if not fits(space[name], params[name]):
                     raise InputError(name, params[name], str(space[name]))
-        results = [self._checked(value, columns, note) for _, value, columns, note in rows]
+        results = [
+            self._checked(checks.number()("value", value), columns, checks.text("note", note))
+            for _, value, columns, note in rows
+        ]
         with self._turn() as state:
             numbers = list(range(state.count, state.count + len(rows)))
             trials = [
@@ -257,7 +259,7 @@ class Bench:
         self, value: float | None, columns: Mapping[str, float] | None, note: str
     ) -> dict[str, Any]:
         """A result as an entry has it."""
-        for name, given in (columns or {}).items():
+        for name, given in (COLUMNS("columns", columns) or {}).items():
             if name not in self.plan.columns:
                 known = ", ".join(self.plan.columns) or "none: [columns] of the file names them"
                 raise InputError(name, given, f"one of the columns {known}")
