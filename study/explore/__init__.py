@@ -1,1 +1,1 @@
-"""A page that shows stores and comparisons, and lets any of their gaits walk: `explore`."""
+"""A page that shows a store, and lets any of its gaits walk: `explore`."""
