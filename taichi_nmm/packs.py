@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.layout import FIRST_SUM, State, Sums
 
+PACKS_A_COPY = 16  # no second copy of all rows, and what is turned round stays in the cache
+
 
 class Packs:
     """Rows of the walkers that still walk, and the final rows of those that have ended.
@@ -100,9 +102,10 @@ class Packs:
         which = np.arange(len(flat)) if which is None else which
         packs = -(-len(which) // self.lanes)
         folded = np.empty((packs, flat.shape[1], self.lanes), dtype=flat.dtype)
-        for lane in range(self.lanes):  # one at a time: no second copy of all rows
-            places = lane + self.lanes * np.arange(packs)
-            folded[:, :, lane] = flat[which[np.minimum(places, len(which) - 1)]]
+        places = np.minimum(np.arange(packs * self.lanes), len(which) - 1).reshape(packs, -1)
+        for first in range(0, packs, PACKS_A_COPY):
+            some = slice(first, first + PACKS_A_COPY)
+            folded[some] = flat[which[places[some]]].transpose(0, 2, 1)
         return folded
 
     def unfold(self, folded: NDArray[Any]) -> NDArray[Any]:

@@ -16,7 +16,7 @@ from taichi_nmm.kernel.layout import COORDINATES, LEGS, Drive, Motion, Muscle, S
 from taichi_nmm.kernel.muscle_table import muscle_table
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
 from taichi_nmm.settings import Settings
-from taichi_nmm.walkers import blends, check_batch, constant_rows
+from taichi_nmm.walkers import Batch, blends, check_batch, constant_rows
 from taichi_nmm.world import WorldRanges
 from tests.parity.interpreter import AllLanes, interpreted, interpreted_walker
 
@@ -36,32 +36,39 @@ LARGEST_LOAD_N = 2000.0
 SEGMENT_COUNT = layout.SEGMENT_COUNT
 
 
+def walking_batch(count: int) -> Batch:
+    """Walkers of random gains, the first of the published ones: each body and each world another,
+    on five grounds in turn.
+    """
+    rng = np.random.default_rng(4)
+    gains = rng.uniform(lower_bounds(), upper_bounds(), (count, 16))
+    gains[0] = PUBLISHED_GAINS
+    grounds = [
+        terrain.flat(),
+        terrain.rough(3, flat_start_m=0.0),
+        terrain.blocks(4, flat_start_m=0.0, spacing_m=0.4),
+        terrain.ramp(increment=0.1, segment_m=0.5, direction="down"),
+        terrain.stairs(rise_m=0.03, run_m=0.3, flat_start_m=0.2),
+    ]
+    ranges = (0.5, 3.0), (0.5, 3.0), (0.5, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.01)
+    worlds = WorldRanges(*ranges, catch_ns=(0.0, 5.0)).draw(range(count))
+    bodies = Bodies.disturbed(range(count))
+    return check_batch(gains, bodies, grounds, np.arange(count) % len(grounds), worlds=worlds)
+
+
 class Both:
     """The same walkers in packs, for a compiled kernel, and as NumPy's blocks of rows."""
 
     def __init__(self, step_s: float) -> None:
-        rng = np.random.default_rng(4)
-        gains = rng.uniform(lower_bounds(), upper_bounds(), (WALKERS, 16))
-        gains[0] = PUBLISHED_GAINS
-        grounds = [
-            terrain.flat(),
-            terrain.rough(3, flat_start_m=0.0),
-            terrain.blocks(4, flat_start_m=0.0, spacing_m=0.4),
-            terrain.ramp(increment=0.1, segment_m=0.5, direction="down"),
-            terrain.stairs(rise_m=0.03, run_m=0.3, flat_start_m=0.2),
-        ]
-        self.index = np.arange(WALKERS) % len(grounds)
-        ranges = (0.5, 3.0), (0.5, 3.0), (0.5, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.01)
-        worlds = WorldRanges(*ranges, catch_ns=(0.0, 5.0)).draw(range(WALKERS))
-        bodies = Bodies.disturbed(range(WALKERS))
-        batch = check_batch(gains, bodies, grounds, self.index, worlds=worlds)
+        batch = walking_batch(WALKERS)
+        self.index = batch.terrain_index
         settings = Settings(precision="float64", arch="cpu", physics_step_s=step_s)
         backend.start(settings)
         self.packs = simulator.start_packs(batch, settings)
         self.walk = simulator.launcher(batch, settings)
         self.substeps, self.blends = settings.substeps, blends(step_s)
         self.table = muscle_table(step_s)
-        self.heights = np.array([ground.height_m for ground in grounds])
+        self.heights = np.array([ground.height_m for ground in batch.terrains])
         firsts = [layout.FIRST_FIBRE, layout.FIRST_DELAY, layout.FIRST_EVENT, layout.FIRST_SUM]
         self.blocks = np.split(np.ascontiguousarray(self.rows().T), firsts)
         self.state, self.fibres, self.delay, self.events, self.sums = self.blocks

@@ -1,0 +1,56 @@
+"""The kernel on a GPU against the same on the processor; skipped where there is no GPU.
+
+All walkers start with tendons that are slack to the last bit, and rounding decides whether one
+pulls. So the two are compared from a state that the processor has walked to.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from taichi_nmm import simulator
+from taichi_nmm.errors import InputError
+from taichi_nmm.kernel import backend
+from taichi_nmm.kernel.layout import State
+from taichi_nmm.packs import Packs
+from taichi_nmm.settings import Settings
+from taichi_nmm.walkers import Batch
+from tests.parity.test_compiler import walking_batch
+
+WALKERS = 64  # two warps
+START_TICK, MARKS = 100, (101, 150, 600)
+TOLERANCE = 1e-9  # of each row, or of 1: rounding, in float64
+
+
+def walked(batch: Batch, arch: str, ticks: tuple[int, ...], rows: NDArray[np.float64] | None = None
+           ) -> list[NDArray[np.float64]]:  # fmt: skip
+    """Rows of all walkers at the later ticks, [n, row] each, from `rows` at the first one."""
+    settings = Settings(arch=arch, precision="float64")
+    backend.start(settings)
+    packs, launch = simulator.start_packs(batch, settings), simulator.launcher(batch, settings)
+    if rows is not None:
+        packs.rows[...] = packs.fold(rows)
+    return [after(packs, launch, first, last - first) for first, last in pairwise(ticks)]
+
+
+def after(packs: Packs, launch: simulator.Launch, tick: int, ticks: int) -> NDArray[np.float64]:
+    launch(packs, tick, ticks)
+    return np.array(packs.unfold(packs.rows))
+
+
+def test_a_gpu_walks_as_the_processor() -> None:
+    try:
+        backend.start(Settings(arch="cuda"))
+    except InputError:
+        pytest.skip("no GPU")
+    batch = walking_batch(WALKERS)
+    (start,) = walked(batch, "cpu", (0, START_TICK))
+    later = (START_TICK, *MARKS)
+    gpus, cpus = walked(batch, "cuda", later, start), walked(batch, "cpu", later, start)
+    for gpu, cpu in zip(gpus, cpus, strict=True):
+        assert np.array_equal(gpu[:, State.active], cpu[:, State.active])
+        up = cpu[:, State.active] > 0.5
+        assert up.sum() > WALKERS / 2
+        assert np.max((np.abs(gpu - cpu) / np.maximum(np.abs(cpu), 1.0))[up]) < TOLERANCE
