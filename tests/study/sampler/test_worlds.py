@@ -11,7 +11,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 from scipy.stats import multivariate_normal, norm
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.acquisition import Model
+from study.sampler.acquisition import Model, log_expected_improvement
 from study.sampler.gp import WORLDS
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
@@ -297,6 +297,28 @@ def test_the_chance_of_success_is_that_of_the_posterior() -> None:
     np.testing.assert_allclose(aimed.utility(points, offered, rng), chance, rtol=1e-6)
     reached = replace(model, success=float(costs.min())).utility(points, offered, rng)
     np.testing.assert_array_equal(reached, model.utility(points, offered, rng))
+
+
+def test_after_two_successes_the_model_of_successes_says_what_one_costs() -> None:
+    ensemble = Ensemble(Worlds.of(COSTS), np.arange(60), 1.0)
+    points = Points(ensemble.columns, ROWS)
+    seen, nobody = points.take(np.arange(9)), points.take(np.arange(0))
+    costs, offered, rng = COSTS[:9, 2] + 0.2, np.ones(60, dtype=bool), np.random.default_rng(0)
+    model = Model(WORLDS, None, 2, seen, costs, np.empty((9, 0)), nobody, {}, ensemble)
+    won = np.argsort(costs)[:3]
+    success = float(costs[won].max())
+    successes = replace(model, trials=seen.take(np.sort(won)), costs=costs[np.sort(won)],
+                        limits=np.empty((3, 0)))  # fmt: skip
+    mean, variance = model.posterior.predict(points)
+    away = ensemble.standard(np.array([success])) - mean - ensemble.mean
+    chance = norm.logcdf(away / np.sqrt(variance))
+    own = ensemble.standard(costs[won])
+    mean = successes.posterior.predict(points)[0] + ensemble.mean
+    sd = np.minimum(np.sqrt(variance), own.std())
+    improvement = log_expected_improvement(mean, sd, float(own.min()))
+    aimed = replace(model, success=success).utility(points, offered, rng)
+    np.testing.assert_allclose(aimed, improvement + chance, rtol=1e-3)
+    assert not np.allclose(aimed, model.utility(points, offered, rng) + chance, rtol=1e-3)
 
 
 def test_what_is_predicted_is_the_posterior_and_before_a_trial_the_spread_of_worlds() -> None:
