@@ -66,11 +66,11 @@ def read_any(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
     Raises:
         ValueError: more than `MOST_ROWS`: a value repeated for ever takes a few bytes of a file.
     """
-    rows = pq.read_metadata(file).num_rows
-    if rows > MOST_ROWS:
-        raise ValueError(f"it has {rows:,} rows, and {MOST_ROWS:,} are allowed")
-    names = None if columns is None else list(columns)
-    return pq.read_table(file, columns=names, page_checksum_verification=True, partitioning=None)
+    with pq.ParquetFile(file, page_checksum_verification=True) as whole:  # faster than `read_table`
+        rows = whole.metadata.num_rows
+        if rows > MOST_ROWS:
+            raise ValueError(f"it has {rows:,} rows, and {MOST_ROWS:,} are allowed")
+        return whole.read() if columns is None else whole.read(list(columns)).select(list(columns))
 
 
 def read_columns(path: Path, columns: list[str] | None = None) -> pa.Table:

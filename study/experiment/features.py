@@ -88,6 +88,13 @@ class Given(dict[str, Floats]):
         return self[column]
 
 
+TRIAL_DTYPE = np.dtype([
+    (name, RESULT_DTYPE[name])  # what costs depend on
+    for name in ("end_reason", "duration_s", "distance_m", "mean_speed_mps",
+                 "cost_of_transport_jpkgpm")
+])  # fmt: skip
+
+
 def smooth_costs(given: Mapping[str, Floats], horizon_s: float) -> Floats:
     """The walker's smooth cost of a trial of 100 s: who lasts to the horizon is taken to go on."""
     return smooth_cost(_trials(given, horizon_s))
@@ -104,7 +111,7 @@ def _trials(given: Mapping[str, Floats], horizon_s: float) -> NDArray[np.void]:
     """Trials as the simulator would give them, of what worlds gave, [n, w]."""
     lasted, speed = given["survived_fraction"], given["mean_speed_mps"]
     seconds = np.where(lasted >= 1.0, TRIAL_S, lasted * horizon_s)
-    rows = np.zeros(lasted.shape, RESULT_DTYPE)
+    rows = np.zeros(lasted.shape, TRIAL_DTYPE)
     rows["end_reason"] = np.where(lasted >= 1.0, COMPLETED, FELL)
     rows["duration_s"], rows["distance_m"] = seconds, speed * seconds
     rows["mean_speed_mps"] = speed
