@@ -38,8 +38,7 @@ from study.experiment.robots import (
     read_robots,
     refuse_walkers_options,
 )
-from study.report.markdown import arms_documents, arms_text
-from study.report.notes import dashboard_summary
+from study.report.markdown import arms_documents, arms_text, dashboard_summary
 from study.report.numbers import numbers
 from study.report.robots import RobotResults
 from study.report.runs import read_facts, read_results

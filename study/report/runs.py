@@ -134,8 +134,7 @@ def read_results(folder: str | Path) -> Results:
         for arm, rows in arms.items()
     }
     name = next(iter(arms.values()))["experiment"][0].as_py()
-    cost = facts.get("objective", {}).get("cost", "smooth")
-    return Results(folder, name, cost, runs, facts)
+    return Results(folder, name, facts.get("objective", {}).get("cost", "smooth"), runs, facts)
 
 
 def runs_of(trials: pa.Table) -> dict[str, ArmRuns]:
@@ -181,20 +180,11 @@ def _arm_runs(
     trial = table["trial"].to_numpy()
     if not np.array_equal(trial, np.concatenate([np.arange(count) for count in counts])):
         raise InputError(source, f"arm {arm}", "trials 0, 1, 2, ... of each run, each once")
-    shared = trial < counts.min()
-
-    def square(name: str) -> NDArray[Any]:
-        return np.asarray(table[name].to_numpy()[shared].reshape(len(runs), -1))
-
-    return ArmRuns(
-        arm=arm,
-        runs=runs.astype(np.int64),
-        best=square("best_cost"),
-        walks=square("walked").astype(bool),
-        found=found,
-        proposal_ms=proposal_ms,
-        repeated=len(table) - found,
-    )
+    shared, shape = trial < counts.min(), (len(runs), -1)
+    best, walks = (table[name].to_numpy()[shared] for name in ("best_cost", "walked"))
+    best, walks = best.reshape(shape), walks.astype(bool).reshape(shape)
+    repeated = len(table) - found
+    return ArmRuns(arm, runs.astype(np.int64), best, walks, found, proposal_ms, repeated)
 
 
 def _proposal_times(folder: Path) -> dict[str, float]:
@@ -225,17 +215,6 @@ SESSION: dict[str, Check] = {
 }  # fmt: skip
 
 
-def read_document(path: Path) -> dict[str, Any]:
-    """A JSON object; empty where there is no such file.
-
-    Raises:
-        InputError: it cannot be read, or is something else than an object.
-    """
-    if not path.exists():
-        return {}
-    return json_document(path.name, path, "a readable JSON object")
-
-
 def read_facts(folder: Path) -> dict[str, Any]:
     """Both documents of the folder as one; empty where there are none.
 
@@ -246,9 +225,10 @@ def read_facts(folder: Path) -> dict[str, Any]:
     if not is_folder(folder):
         return facts
     for name, form in FORM.items():
-        document = _without_nulls(read_document(folder / name))
-        _require_form(document, form, name)
-        facts |= document
+        if (folder / name).exists():
+            document = _without_nulls(json_document(name, folder / name, "a readable JSON object"))
+            _require_form(document, form, name)
+            facts |= document
     for place, session in enumerate(facts.get("sessions", [])):
         _require_form(session, SESSION, f"{RUN_NAME}: sessions[{place}]")
     return facts
@@ -308,9 +288,9 @@ def _require_column(column: pa.ChunkedArray, name: str, path: Path) -> None:
         raise InputError(field, "NaN, infinite or larger", allowed)
     if kind is COUNTS and len(column) and pc.min(column).as_py() < 0:
         raise InputError(field, pc.min(column).as_py(), allowed)
-    for name in pc.unique(column).to_pylist() if kind is NAMES else ():
-        if not re.fullmatch(NAME_PATTERN, name):
-            raise InputError(field, name, allowed)
+    for value in pc.unique(column).to_pylist() if kind is NAMES else ():
+        if not re.fullmatch(NAME_PATTERN, value):
+            raise InputError(field, value, allowed)
 
 
 def known_stores(results: Results) -> dict[str, Path]:
