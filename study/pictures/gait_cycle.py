@@ -22,7 +22,7 @@ from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
 from study.pictures import style
-from study.pictures.stick_figure import finite
+from study.pictures.stick_figure import LEFT, finite
 from taichi_nmm.result import EVENT_KINDS, MUSCLES, Trajectory
 
 SOURCE = "human ± 1 sd, approximate, after Winter (1991)"
@@ -33,8 +33,6 @@ Array = NDArray[np.float64]
 PERCENT: Array = np.linspace(0.0, 100.0, 201)
 SETTLING_STRIDES = 3  # the first ones still carry the initial state
 FEWEST_STRIDES = 3
-
-LEFT = 0
 STRIKE, TAKE_OFF = EVENT_KINDS.index("strike"), EVENT_KINDS.index("takeoff")
 
 
@@ -155,14 +153,13 @@ def write_gait_cycle(
         mean, sd = panel.at(PERCENT)
         axes.fill_between(PERCENT, mean - sd, mean + sd, color=style.HUMAN, alpha=0.35, linewidth=0)
         axes.plot(PERCENT, mean, color=style.FAINT, linewidth=1.0, linestyle="--")
-        _draw_model(axes, getattr(strides, name), strides)
-        _finish(axes, panel.title, panel.unit)
+        _draw_model(axes, getattr(strides, name), strides, panel.title, panel.unit)
         _scale(axes, panel, getattr(strides, name))
     for (muscle, words), axes in zip(PEOPLE["muscles"].items(), places, strict=False):
         for start, end in EMG_ON_PERCENT[muscle]:
             axes.axvspan(start, end, color=style.EMG, alpha=0.6, linewidth=0, zorder=0.5)
-        _draw_model(axes, strides.activation[MUSCLES.index(muscle)], strides)
-        _finish(axes, f"{muscle}, {words}", "activation (1)")
+        curves = strides.activation[MUSCLES.index(muscle)]
+        _draw_model(axes, curves, strides, f"{muscle}, {words}", "activation (1)")
         axes.set(ylim=(0.0, 1.05), yticks=[0.0, 0.5, 1.0])
     for axes in grid[-1]:
         axes.set_xlabel("stride (%)", fontsize=style.TEXT_PT, color=style.INK)
@@ -170,18 +167,14 @@ def write_gait_cycle(
     return style.save_png(figure, path)
 
 
-def _draw_model(axes: Axes, curves: Array, strides: Strides) -> None:
-    if not strides.enough:
-        return
-    mean, sd = curves.mean(axis=0), curves.std(axis=0)
-    axes.fill_between(PERCENT, mean - sd, mean + sd, color=style.MODEL, alpha=0.3, linewidth=0)
-    axes.plot(PERCENT, mean, color=style.MODEL, linewidth=1.6)
-    if len(strides.take_off_percent):
-        mean_percent = strides.take_off_percent.mean()
-        axes.axvline(mean_percent, color=style.MODEL, linewidth=0.9, linestyle=":")
-
-
-def _finish(axes: Axes, title: str, unit: str) -> None:
+def _draw_model(axes: Axes, curves: Array, strides: Strides, title: str, unit: str) -> None:
+    if strides.enough:
+        mean, sd = curves.mean(axis=0), curves.std(axis=0)
+        axes.fill_between(PERCENT, mean - sd, mean + sd, color=style.MODEL, alpha=0.3, linewidth=0)
+        axes.plot(PERCENT, mean, color=style.MODEL, linewidth=1.6)
+        if len(strides.take_off_percent):
+            percent = strides.take_off_percent.mean()
+            axes.axvline(percent, color=style.MODEL, linewidth=0.9, linestyle=":")
     style.tidy(axes)
     axes.set(xlim=(0.0, 100.0), xticks=[0, 20, 40, 60, 80, 100])
     axes.set_title(title, loc="left", fontsize=style.TEXT_PT, color=style.INK, weight="bold")

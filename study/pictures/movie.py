@@ -39,15 +39,9 @@ def find_ffmpeg() -> str:
 
 
 def write_movie(
-    path: str | Path,
-    trajectory: Trajectory,
-    terrain: Terrain,
-    seconds: float = 8.0,
-    title: str = "",
-    *,
-    film: Film = LARGE,
-    program: str | None = None,
-) -> Path:
+    path: str | Path, trajectory: Trajectory, terrain: Terrain, seconds: float = 8.0,
+    title: str = "", *, film: Film = LARGE, program: str | None = None,
+) -> Path:  # fmt: skip
     """Film the last `seconds` of a walk in real time, with the forces of the ground.
 
     Args:
@@ -67,15 +61,9 @@ def write_movie(
 
 
 def film_run(
-    path: str | Path,
-    simulator: "MujocoSimulator",
-    point: Mapping[str, Any],
-    world: Mapping[str, float],
-    seconds: float,
-    *,
-    film: Film = LARGE,
-    program: str | None = None,
-) -> Path:
+    path: str | Path, simulator: "MujocoSimulator", point: Mapping[str, Any],
+    world: Mapping[str, float], seconds: float, *, film: Film = LARGE, program: str | None = None,
+) -> Path:  # fmt: skip
     """Film a run of a robot in MuJoCo, in real time, by the camera that its model names first.
 
     Args:

@@ -102,12 +102,9 @@ def last_stretch(trajectory: Trajectory, terrain: Terrain, width_m: float | None
 
 
 def write_strip(
-    path: str | Path,
-    trajectory: Trajectory,
-    terrain: Terrain,
-    title: str = "",
+    path: str | Path, trajectory: Trajectory, terrain: Terrain, title: str = "",
     dpi: int = style.PNG_DPI,
-) -> Path:
+) -> Path:  # fmt: skip
     """Draw the last metres of a walk as poses at their places, muscles coloured by activation.
 
     Below, where the ground is not level, its profile from the first sample on. A walker that fell

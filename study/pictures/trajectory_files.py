@@ -48,16 +48,13 @@ def own_columns(trajectory: Trajectory) -> Columns:
 def coordinates(trajectory: Trajectory) -> Columns:
     """Generalised coordinates of OpenSim's model, angles in degrees."""
     joints = -np.rad2deg(trajectory.joint_rad)  # extension, flexion, plantarflexion: all clockwise
-    columns = {
-        "time": trajectory.time_s,
-        "pelvis_tilt": -np.rad2deg(trajectory.q[:, 2]),
-        "pelvis_tx": trajectory.q[:, 0],
-        "pelvis_ty": trajectory.q[:, 1],
-    }
-    for side, first in (("r", 3), ("l", 0)):
-        for place, joint in enumerate(OPENSIM_JOINTS):
-            columns[f"{joint}_{side}"] = joints[:, first + place]
-    return columns | {"lumbar_extension": np.zeros(len(trajectory.time_s))}
+    return _columns("time", trajectory, [
+        (["pelvis_tilt"], -np.rad2deg(trajectory.q[:, 2:3])),
+        (["pelvis_tx", "pelvis_ty"], trajectory.q[:, :2]),
+        ([f"{joint}_r" for joint in OPENSIM_JOINTS], joints[:, 3:]),
+        ([f"{joint}_l" for joint in OPENSIM_JOINTS], joints[:, :3]),
+        (["lumbar_extension"], np.zeros((len(joints), 1))),
+    ])  # fmt: skip
 
 
 def forces(trajectory: Trajectory) -> Columns:
