@@ -19,13 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from storage.commit import commit_json, commit_text, together
 from study.experiment.arms import OUR_ARM, PAPER_ARM
 from study.pictures import style
-from study.report.markdown import (
-    NO_STORES,
-    condensed_table,
-    count_text,
-    overview_text,
-    report_text,
-)
+from study.report.markdown import NO_STORES, condensed_table, count_text, overview_text, report_text
 from study.report.numbers import (
     Interval,
     Numbers,
@@ -49,14 +43,12 @@ def write_report(
 ) -> Numbers:
     """Write report.md, summary.json and the figures of one experiment, all of them or none.
 
-    The folder is by default `report` in the experiment's own. `stores` are folders of the stores
-    that its arms read, where they are known.
+    The folder is by default `report` in the experiment's own; `stores` as `saw` takes them.
 
     Raises:
         InputError: the folder cannot be written.
     """
     found = numbers(results)
-    text = report_text(results, found, stores)
     document = {
         "complete": results.complete,
         "trials_found": results.found,
@@ -68,7 +60,7 @@ def write_report(
         write_best_cost(new / "best-cost.png", results)
         write_first_walker(new / "first-walker.png", results)
         commit_json(new / "summary.json", document)
-        commit_text(new / "report.md", text)
+        commit_text(new / "report.md", report_text(results, found, stores))
     return found
 
 
@@ -244,24 +236,6 @@ def write_best_cost(path: Path, results: Results) -> Path:
     figure = style.new_figure(LEFT_IN + PANEL_IN + LABELS_IN, height_in)
     axes = style.axes_at(figure, LEFT_IN, 0.5, PANEL_IN, height_in - MARGINS_IN)
     style.tidy(axes)
-    _cost_axis(axes, results)
-    # Worst first; of lines that end at one place, the best label is lowest.
-    styles, order, ends = looks(results.arms), by_rank(results.arms), []
-    for arm in sorted(order[::-1], key=lambda name: styles[name].front):
-        values, low, high = curve(results.arms[arm].best)
-        look, rank = styles[arm], order.index(arm)
-        trials = np.arange(1, len(values) + 1)
-        axes.plot(trials, values, markevery=marked(len(values), rank), **look.line())
-        if look.front:
-            axes.fill_between(trials, low, high, color=look.colour, alpha=0.15, linewidth=0)
-        ends.append(End(float(values[-1]), look, f"{look.label} {values[-1]:.3g}", rank))
-    label_ends(axes, ends, results.trials)
-    title = f"{results.name}: best {results.cost} cost so far, median over runs"
-    headline(figure, LEFT_IN, title, IN_FRONT)
-    return style.save_png(figure, path)
-
-
-def _cost_axis(axes: Axes, results: Results) -> None:
     trial_axis(axes, results.trials)
     axes.set_ylabel(f"best {results.cost} cost so far", fontsize=style.TEXT_PT, color=style.INK)
     if results.cost == "smooth":
@@ -277,6 +251,20 @@ def _cost_axis(axes: Axes, results: Results) -> None:
             xytext=(4, -2), textcoords="offset points", va="top", fontsize=style.SMALL_PT,
             color=style.INK, zorder=2.0,
         )  # fmt: skip
+    # Worst first; of lines that end at one place, the best label is lowest.
+    styles, order, ends = looks(results.arms), by_rank(results.arms), []
+    for arm in sorted(order[::-1], key=lambda name: styles[name].front):
+        values, low, high = curve(results.arms[arm].best)
+        look, rank = styles[arm], order.index(arm)
+        trials = np.arange(1, len(values) + 1)
+        axes.plot(trials, values, markevery=marked(len(values), rank), **look.line())
+        if look.front:
+            axes.fill_between(trials, low, high, color=look.colour, alpha=0.15, linewidth=0)
+        ends.append(End(float(values[-1]), look, f"{look.label} {values[-1]:.3g}", rank))
+    label_ends(axes, ends, results.trials)
+    title = f"{results.name}: best {results.cost} cost so far, median over runs"
+    headline(figure, LEFT_IN, title, IN_FRONT)
+    return style.save_png(figure, path)
 
 
 ROW_IN = 0.38

@@ -91,10 +91,7 @@ def _walkers(
 
 
 def report_text(results: Results, numbers: Numbers, stores: Mapping[str, Path] = NO_STORES) -> str:
-    """The document; it links the figures beside it.
-
-    `stores` are folders of the stores that the arms read, by key, where they are known.
-    """
+    """The document; it links the figures beside it. `stores` as `saw` takes them."""
     parts = [
         f"# {results.name}",
         _state(results),
@@ -279,10 +276,7 @@ def arms_text(numbers: Numbers) -> str:
 
 
 def arms_documents(numbers: Numbers, stores: Mapping[str, Path]) -> list[dict[str, Any]]:
-    """The same as plain values, with what each arm's store (of `stores`, folders by key) saw.
-
-    A first walker that most runs lack is None.
-    """
+    """The same as plain values, and what each arm saw; None for a first walker that most lack."""
     return [
         {
             "arm": arm.arm,

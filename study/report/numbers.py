@@ -18,7 +18,6 @@ from study.experiment.arms import ARMS, OUR_ARM, PAPER_ARM, Kind
 from study.report.runs import ArmRuns, Results
 
 Floats = NDArray[np.float64]
-Curve = tuple[Floats, Floats, Floats]  # its points and the ends of their intervals, each [t]
 
 CONFIDENCE = 0.95
 ENDS = (0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE))  # as quantiles
@@ -66,8 +65,8 @@ def median(values: ArrayLike) -> Interval:
     return Interval(float(np.median(known)), low, high)
 
 
-def curve(values: Floats) -> Curve:
-    """Median over runs of curves [r, t], with the bootstrap interval of each point."""
+def curve(values: Floats) -> tuple[Floats, Floats, Floats]:
+    """Median over runs of curves [r, t], and the ends of each point's bootstrap interval, [t]."""
     low, high = np.array([_bootstrap(runs, CURVE_RESAMPLES) for runs in values.T]).T
     return np.median(values, axis=0), low, high
 
