@@ -31,7 +31,7 @@ from study.cli import ProgressBar
 from study.experiment.arms import with_store
 from study.experiment.compare import Outcome, Progress, Request, compare
 from study.experiment.experiment import Experiment, read_experiment
-from study.experiment.identity import PACKAGES
+from study.experiment.folder import PACKAGES
 from study.experiment.robots import (
     compare_robots,
     is_of_robots,

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from storage.tables import read_any
-from study.experiment.experiment import COST_FUNCTIONS, NAME_PATTERN
+from study.experiment.experiment import COST_FUNCTIONS, NAME_PATTERN, store_digest
 from study.experiment.folder import (
     EXPERIMENT_NAME,
     RESULTS_NAME,
@@ -28,8 +28,8 @@ from study.experiment.folder import (
     as_if_gone_on,
     in_order,
     table_files,
+    without_gaps,
 )
-from study.experiment.stores import store_digest
 from taichi_nmm.checks import Check, anything, by_name, each, flag, number, text, word
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, json_document, reading
@@ -114,6 +114,8 @@ class Results:
 def read_results(folder: str | Path) -> Results:
     """Read the folder of a comparison, finished or not.
 
+    An arm is read from the table or from its checkpoint, whichever has more trials.
+
     Raises:
         InputError: no such folder, no trials in it, or a table or document that cannot be used.
     """
@@ -121,7 +123,13 @@ def read_results(folder: str | Path) -> Results:
     if (folder / ROBOTS_NAME).exists():
         allowed = "a comparison of the walker; on robots, compare has written report.md there"
         raise InputError("folder", str(folder), allowed)
-    arms = read_arms(folder, COLUMNS)
+    if not is_folder(folder):
+        raise InputError("folder", str(folder), "the output folder of taichi-nmm compare")
+    arms: dict[str, pa.Table] = {}
+    for path in table_files(folder):
+        for arm, rows in _by_arm(read_trials(path, COLUMNS)).items():
+            if arm not in arms or len(arms[arm]) < len(rows):
+                arms[arm] = rows
     if not arms:
         allowed = f"the output of taichi-nmm compare: {RESULTS_NAME}, with trials"
         raise InputError("folder", str(folder), allowed)
@@ -147,24 +155,6 @@ def runs_of(trials: pa.Table) -> dict[str, ArmRuns]:
     return {arm: _arm_runs("trials", arm, rows, None, len(rows)) for arm, rows in arms.items()}
 
 
-def read_arms(folder: Path, columns: Sequence[str]) -> dict[str, pa.Table]:
-    """Columns of each arm's trials, by run and trial.
-
-    An arm is read from the table or from its checkpoint, whichever has more trials.
-
-    Raises:
-        InputError: no such folder, or as `read_trials`.
-    """
-    if not is_folder(folder):
-        raise InputError("folder", str(folder), "the output folder of taichi-nmm compare")
-    arms: dict[str, pa.Table] = {}
-    for path in table_files(folder):
-        for arm, rows in _by_arm(read_trials(path, columns)).items():
-            if arm not in arms or len(arms[arm]) < len(rows):
-                arms[arm] = rows
-    return arms
-
-
 def _by_arm(table: pa.Table) -> dict[str, pa.Table]:
     """The rows of each arm, in the order of the arms' names, runs and trials."""
     ordered = in_order([table])
@@ -176,11 +166,10 @@ def _arm_runs(
     source: str, arm: str, table: pa.Table, proposal_ms: float | None, found: int
 ) -> ArmRuns:
     """Arrays of one arm's table: `found` trials were made, the others are repeated."""
-    runs, counts = np.unique(table["run"].to_numpy(), return_counts=True)
-    trial = table["trial"].to_numpy()
-    if not np.array_equal(trial, np.concatenate([np.arange(count) for count in counts])):
+    if not without_gaps(table):
         raise InputError(source, f"arm {arm}", "trials 0, 1, 2, ... of each run, each once")
-    shared, shape = trial < counts.min(), (len(runs), -1)
+    runs, counts = np.unique(table["run"].to_numpy(), return_counts=True)
+    shared, shape = table["trial"].to_numpy() < counts.min(), (len(runs), -1)
     best, walks = (table[name].to_numpy()[shared] for name in ("best_cost", "walked"))
     best, walks = best.reshape(shape), walks.astype(bool).reshape(shape)
     repeated = len(table) - found
