@@ -31,15 +31,14 @@ from study.cli import ProgressBar
 from study.experiment.arms import with_store
 from study.experiment.compare import Outcome, Progress, Request, compare
 from study.experiment.experiment import Experiment, read_experiment
-from study.experiment.identity import PACKAGES
+from study.experiment.folder import PACKAGES
 from study.experiment.robots import (
     compare_robots,
     is_of_robots,
     read_robots,
     refuse_walkers_options,
 )
-from study.report.markdown import arms_documents, arms_text
-from study.report.notes import dashboard_summary
+from study.report.markdown import arms_documents, arms_text, dashboard_summary
 from study.report.numbers import numbers
 from study.report.robots import RobotResults
 from study.report.runs import read_facts, read_results

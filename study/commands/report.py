@@ -11,8 +11,8 @@ bad input, 130 interrupted.
 from argparse import Namespace
 
 from storage.commit import require_named
+from study.report.figures import REPORT_NAME, write_overview, write_report
 from study.report.runs import known_stores, read_results
-from study.report.writing import REPORT_NAME, write_overview, write_report
 from taichi_nmm.errors import InputError
 
 

@@ -11,12 +11,11 @@ from typing import Any, Literal
 
 from optuna.samplers import BaseSampler, TPESampler
 
-from storage.store import Store, open_store
+from storage.store import open_store
 from study.experiment import samplers
-from study.experiment.experiment import SUCCESS_SPEED_MPS, Experiment
+from study.experiment.experiment import SUCCESS_SPEED_MPS, Experiment, candidates, check_store
 from study.experiment.features import IN_WORLDS, RANKING, WORLDS, definition_of
 from study.experiment.samplers import Task
-from study.experiment.stores import candidates, check_store
 from study.sampler.draws import Purpose, seed_32bit
 from study.sampler.random_sampler import ReproducibleRandomSampler
 from study.sampler.sampler import PAPER, FeatureKernelSampler
@@ -175,23 +174,19 @@ def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
     if not arm.store:
         return NOTHING
     in_worlds = arm.feature in IN_WORLDS
+    grounds: dict[str, dict[str, None]] = {}
     try:
-        return _of_store(open_store(stores[arm.store]), in_worlds=in_worlds)
+        store = open_store(stores[arm.store])
+        base = store.specification
+        known = {"robust": base.get("robust"), **base.get("families", {})}
+        families = store.families if in_worlds else ()
+        for setting in (base, *(known[name] for name in families)):
+            percent = 100.0 * setting["body"]["disturbance"]
+            body = f"bodies disturbed by {percent:g} %" if percent else "undisturbed body"
+            body += ", in worlds that differ" * ("world" in setting)
+            ground = str(setting["terrain"]["name"])
+            name = "level ground" if ground == "flat" else ground
+            grounds.setdefault(body, {})[name] = None  # once each, in their order
     except (KeyError, TypeError, InputError):  # of another simulator, or edited
         return f"base setting of the store {arm.store}{', and its families' * in_worlds}"
-
-
-def _of_store(store: Store, *, in_worlds: bool) -> str:
-    """The base setting, and, if it is read in worlds, the settings of its families."""
-    specification = store.specification
-    known = {"robust": specification.get("robust"), **specification.get("families", {})}
-    families = store.families if in_worlds else ()
-    grounds: dict[str, dict[str, None]] = {}
-    for setting in (specification, *(known[name] for name in families)):
-        percent = 100.0 * setting["body"]["disturbance"]
-        body = f"bodies disturbed by {percent:g} %" if percent else "undisturbed body"
-        body += ", in worlds that differ" * ("world" in setting)
-        ground = str(setting["terrain"]["name"])
-        name = "level ground" if ground == "flat" else ground
-        grounds.setdefault(body, {})[name] = None  # once each, in their order
     return "; ".join(f"{body}: {'; '.join(found)}" for body, found in grounds.items())

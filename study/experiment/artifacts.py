@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import optuna
-from numpy.typing import NDArray
 from optuna.storages import RDBStorage
 
 from storage.commit import TEMPORARY_SUFFIX, writable
@@ -18,8 +17,7 @@ from storage.databases.studies import read_errors
 from storage.folder import remove
 from study.experiment.database import opened
 from study.experiment.experiment import Experiment
-from study.experiment.folder import live_artifacts
-from study.experiment.identity import fingerprint
+from study.experiment.folder import fingerprint, live_artifacts
 from study.experiment.trials import outcome_text, simulate_trials
 from study.pictures import write_strip
 
@@ -47,35 +45,20 @@ def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, o
     with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
     remove(folder, f".*{TEMPORARY_SUFFIX}")
-    if file.exists() or _draw(experiment, run, gains, title, file):
-        _attach(study.study_name, best.number, title, file.name, url)
-
-
-def _draw(
-    experiment: Experiment, run: int, gains: NDArray[np.float64], title: str, file: Path
-) -> bool:
-    """Draw a walk, of the searched parameters; whether there was anything to draw."""
-    (trajectory,) = simulate_trials(
-        experiment,
-        [run],
-        gains[np.newaxis],
-        record=True,
-        duration_s=min(RECORDED_S, experiment.conditions.duration_s),
-        record_rate_hz=RECORD_RATE_HZ,
-    ).trajectories
-    if not np.isfinite(trajectory.q).all(axis=1).any():
-        return False
-    write_strip(file, trajectory, experiment.terrain(run), title, STRIP_DPI)
-    return True
-
-
-def _attach(study_name: str, number: int, title: str, file: str, url: str) -> None:
-    """Register the file with the trial, as `optuna.artifacts.upload_artifact` would."""
-    value = json.dumps({"artifact_id": file, **STRIP, "encoding": None})
+    if not file.exists():
+        (trajectory,) = simulate_trials(
+            experiment, [run], gains[np.newaxis], record=True, record_rate_hz=RECORD_RATE_HZ,
+            duration_s=min(RECORDED_S, experiment.conditions.duration_s),
+        ).trajectories  # fmt: skip
+        if not np.isfinite(trajectory.q).all(axis=1).any():
+            return
+        write_strip(file, trajectory, experiment.terrain(run), title, STRIP_DPI)
+    # As `optuna.artifacts.upload_artifact` would register the file with the trial.
+    value = json.dumps({"artifact_id": file.name, **STRIP, "encoding": None})
     with opened(url) as storage, read_errors(url):
-        attach(storage, [(study_name, number, f"artifacts:{file}", value)])
+        attach(storage, [(study.study_name, best.number, f"artifacts:{file.name}", value)])
         # In any case: a call that was killed may have attached the file alone.
-        _note(storage, study_name, number, title, file)
+        _note(storage, study.study_name, best.number, title, file.name)
 
 
 def _note(storage: RDBStorage, study_name: str, number: int, title: str, file: str) -> None:

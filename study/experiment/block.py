@@ -21,17 +21,19 @@ from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment
 from study.experiment.folder import (
     NOTES,
+    PROPOSAL_TIME,
     STATE_SCHEMA,
+    THETA_REF,
     Key,
     by_study,
     gains_of,
     outcomes_of,
-    state_table,
     walkers,
 )
 from study.experiment.one_study import OneStudy, shown
-from study.experiment.trials import costs, finite, simulate_trials
+from study.experiment.trials import KEPT, costs, finite, simulate_trials, walked
 from study.sampler.history import OFF_TABLE, ROW_ATTRIBUTE
+from taichi_nmm.result import END_REASONS
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.void]
@@ -55,13 +57,9 @@ class Walks:
     def walk(
         self, experiment: Experiment, runs: Sequence[int], gains: Floats
     ) -> tuple[Rows, Floats]:
-        """Rows of the simulator, finite, and costs of n trials, [n]; new ones are simulated.
-
-        Of runs [n] and their searched parameters [n, 16 + k].
-        """
+        """Rows of the simulator, finite, and costs of n trials, [n]; new ones are simulated."""
         keys = [(run, tried.tobytes()) for run, tried in zip(runs, gains, strict=True)]
-        first = {key: place for place, key in reversed(list(enumerate(keys)))}
-        new = sorted(place for key, place in first.items() if key not in self._found)
+        new = [k for k, key in enumerate(keys) if key not in self._found and key not in keys[:k]]
         if new:
             tried = [runs[place] for place in new]
             rows = finite(simulate_trials(experiment, tried, gains[new]).rows)
@@ -147,16 +145,22 @@ def _round(experiment: Experiment, studies: list[OneStudy], walks: Walks) -> pa.
     for place, study in enumerate(studies):
         study.tell(float(cost[place]), rows[place : place + 1])
     columns = {
+        "experiment": [experiment.name] * len(gains),
         "arm": [study.arm.name for study in studies],
         "run": runs,
         "trial": trials,
+        THETA_REF.name: np.full(len(gains), THETA_REF.default),
+        **dict(zip(experiment.names, gains.T, strict=True)),
         "row": [noted.get(ROW_ATTRIBUTE, OFF_TABLE) for noted in notes],
         "cost": cost,
         "best_cost": [study.study.best_value for study in studies],
-        "proposal_s": seconds,
-        NOTES: notes,
+        "walked": walked(rows),
+        "end_reason": np.array(END_REASONS)[rows["end_reason"]],
+        **{name: rows[name] for name in KEPT},
+        PROPOSAL_TIME: seconds,
+        NOTES: [json.dumps(noted) for noted in notes],
     }
-    return state_table(experiment, columns, gains, rows)
+    return pa.table(columns, schema=STATE_SCHEMA)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from storage.pool import Cluster, Pool
 from study.experiment.arms import check_arms
 from study.experiment.block import Advanced, Block, advance
 from study.experiment.database import Summarise, check_database, export, note_worths
-from study.experiment.experiment import Experiment
+from study.experiment.experiment import Experiment, store_path
 from study.experiment.folder import (
     DATABASE_NAME,
     RESULT_SCHEMA,
@@ -25,11 +25,12 @@ from study.experiment.folder import (
     ExperimentFolder,
     Key,
     by_study,
+    deciding_packages,
+    document,
     in_order,
+    machine,
     walkers,
 )
-from study.experiment.identity import deciding_packages, document, machine
-from study.experiment.stores import store_path
 from taichi_nmm import checks
 from taichi_nmm.walker_simulator import Walker
 
@@ -144,12 +145,9 @@ class Outcome:
 
 
 def compare(
-    experiment: Experiment,
-    request: Request,
-    report: Callable[[Progress], None],
-    summarise: Summarise | None = None,
-    pool: Pool | None = None,
-) -> Outcome:
+    experiment: Experiment, request: Request, report: Callable[[Progress], None],
+    summarise: Summarise | None = None, pool: Pool | None = None,
+) -> Outcome:  # fmt: skip
     """Run an experiment, or what is missing of it, and write its tables.
 
     `report` is called whenever a stretch of trials is finished. Without `summarise` the
@@ -160,14 +158,11 @@ def compare(
             `check_database`; later: see `advance`.
         KeyboardInterrupt: finished trials are kept.
     """
-    asked = {
-        "runs": experiment.runs if request.runs is None else request.runs,
-        "trials": experiment.trials if request.trials is None else request.trials,
-        "workers": request.workers,
-    }
-    for name, value in asked.items():
+    count = experiment.runs if request.runs is None else request.runs
+    trials = experiment.trials if request.trials is None else request.trials
+    for name, value in (("runs", count), ("trials", trials), ("workers", request.workers)):
         checks.whole(1)(name, value)
-    runs, trials = range(asked["runs"]), asked["trials"]
+    runs = range(count)
     arms = check_arms(experiment, request.arms or experiment.arms, trials)
     identity = document(experiment, arms)
     url = request.storage or file_url(request.out / DATABASE_NAME)
@@ -220,13 +215,9 @@ def compare(
 
 
 def _go_on(
-    experiment: Experiment,
-    finished: FinishedTrials,
-    trials: int,
-    pool: Pool,
-    report: Callable[[Progress], None],
-    commit: Callable[[bool], None],
-) -> None:
+    experiment: Experiment, finished: FinishedTrials, trials: int, pool: Pool,
+    report: Callable[[Progress], None], commit: Callable[[bool], None],
+) -> None:  # fmt: skip
     """Work until every study has its trials."""
     experiment = experiment.on_one_thread() if pool.shares_machine else experiment
     stores = {key: pool.there(path) for key, path in experiment.stores.items()}
@@ -254,12 +245,9 @@ def _go_on(
 
 
 def work_through(
-    pool: Pool,
-    work: Callable[[Unit], Found],
-    units: Iterable[Unit],
-    take: Callable[[Unit, Found], Iterable[Unit]],
-    commit: Callable[[bool], None],
-) -> None:
+    pool: Pool, work: Callable[[Unit], Found], units: Iterable[Unit],
+    take: Callable[[Unit, Found], Iterable[Unit]], commit: Callable[[bool], None],
+) -> None:  # fmt: skip
     """Do units of work, and those that follow from them.
 
     `take` keeps the outcome of a unit, and gives the units that follow from it. `commit` writes all

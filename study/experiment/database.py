@@ -30,8 +30,7 @@ from storage.databases.studies import (
 )
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name, summary_name
-from study.experiment.folder import as_if_gone_on, by_study
-from study.experiment.identity import LIVE_ATTRIBUTE, fingerprint
+from study.experiment.folder import LIVE_ATTRIBUTE, as_if_gone_on, by_study, fingerprint
 from study.experiment.live_study import require_notes, require_written
 from study.experiment.one_study import note_worth
 from study.experiment.trials import ATTRIBUTES, metric_name
@@ -39,7 +38,6 @@ from study.sampler.history import ROW_ATTRIBUTE
 from taichi_nmm.errors import InputError
 
 CONFIG_ATTRIBUTE = "experiment_config"
-
 
 Summarise = Callable[[str, pa.Table, bool, Mapping[str, int]], str]
 """Makes a note, in Markdown, of an experiment's name, its results, whether these are all, and the
@@ -60,10 +58,20 @@ def export(
     with opened(url) as storage:
         _check(experiment, storage, url)
         write_studies(storage, _new_studies(experiment, trials, trial_counts(storage)))
-        if summarise is not None:
-            shown = as_if_gone_on(trials) if experiment.until_walker else trials
-            note = summarise(experiment.name, shown, final, study_ids(storage))
-            _show(experiment, storage, url, note)
+        if summarise is None:
+            return
+        shown = as_if_gone_on(trials) if experiment.until_walker else trials
+        note = summarise(experiment.name, shown, final, study_ids(storage))
+        from optuna_dashboard import save_note  # a second, once a minute
+
+        name, metric = summary_name(experiment.name), metric_name(experiment.cost)
+        with read_errors(url):
+            study = optuna.create_study(storage=storage, study_name=name, load_if_exists=True)
+            name_metric(study, metric)
+            known = study.user_attrs
+        if CONFIG_ATTRIBUTE not in known:
+            study.set_user_attr(CONFIG_ATTRIBUTE, fingerprint(experiment))
+        save_note(study, note)
 
 
 @contextmanager
@@ -132,25 +140,10 @@ def _new_studies(
             )
             for row in rows.slice(first).to_pylist()
         ]
-        user_attrs = {"experiment": experiment.name, "arm": arm, "run": run}
-        user_attrs[CONFIG_ATTRIBUTE] = fingerprint(experiment)
         first, metric = min(first, len(rows)), metric_name(experiment.cost)
-        yield FinishedStudy(name, new, first=first, user_attrs=user_attrs, metric=metric)
-
-
-def _show(experiment: Experiment, storage: RDBStorage, url: str, note: str) -> None:
-    """Write the summary study, whose note compares the arms."""
-    from optuna_dashboard import save_note  # a second, once a minute
-
-    with read_errors(url):
-        study = optuna.create_study(
-            storage=storage, study_name=summary_name(experiment.name), load_if_exists=True
-        )
-        name_metric(study, metric_name(experiment.cost))
-        known = study.user_attrs
-    if CONFIG_ATTRIBUTE not in known:
-        study.set_user_attr(CONFIG_ATTRIBUTE, fingerprint(experiment))
-    save_note(study, note)
+        known = {"experiment": experiment.name, "arm": arm, "run": run,
+                 CONFIG_ATTRIBUTE: fingerprint(experiment)}  # fmt: skip
+        yield FinishedStudy(name, new, first=first, user_attrs=known, metric=metric)
 
 
 def note_worths(

@@ -1,12 +1,13 @@
-"""An experiment: the bodies, the grounds and the cost that every study of it shares.
+"""An experiment: the bodies, the grounds and the cost that its studies share, and its stores.
 
 This is the one reader of experiments' configurations: one study, many, and a single walk all take
-the same file.
+the same file. The stores that its arms read are checked before the work, and read once a process.
 """
 
+import hashlib
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,11 @@ from typing import Any
 import numpy as np
 from optuna.distributions import FloatDistribution
 
+from storage.store import MANIFEST_NAME, Manifest, Store, open_store
+from storage.tables import file_hash
+from study.experiment.features import check_feature, feature_table
 from study.sampler.draws import Purpose, stream
+from study.sampler.table import FeatureTable
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.conditions import Conditions, read_conditions
 from taichi_nmm.config import Table, read_toml
@@ -34,9 +39,6 @@ SUMMARY = "/summary"  # end of a study's name that has no trials and compares ot
 MOST_TRIALS = 100_000
 SEARCHABLE = ("theta_ref",)  # low-level gains that have a column in the results
 
-TABLE = "table"  # of a configuration, that a field stands in
-DECIDES_NOTHING = {"decides": False}  # of a field: it may grow, or its content is known by digest
-
 
 @dataclass(frozen=True)
 class Experiment:
@@ -49,13 +51,14 @@ class Experiment:
     name: str  # a study is called name/arm/run-NNN
     seed: int  # of bodies, grounds and samplers: run r draws from (seed, purpose, r)
     searched: tuple[str, ...]  # low-level gains that are searched beside the 16 gains
-    cost: str = field(metadata={TABLE: "objective"})  # "smooth" or "walking", the paper's two
+    cost: str  # "smooth" or "walking", the paper's two
     conditions: Conditions
     until_walker: bool = False  # a study ends with its first walker, where others have all trials
-    runs: int = field(default=50, metadata=DECIDES_NOTHING)  # each a body and a ground
-    trials: int = field(default=100, metadata=DECIDES_NOTHING)  # of each arm in each run, at most
-    arms: tuple[str, ...] = field(default=(), metadata=DECIDES_NOTHING)  # that are compared
-    stores: Mapping[str, Path] = field(default_factory=dict, hash=False, metadata=DECIDES_NOTHING)
+    # The rest decides nothing: it may grow, or its content is known by digest (`as_written`).
+    runs: int = 50  # each a body and a ground
+    trials: int = 100  # of each arm in each run, at most
+    arms: tuple[str, ...] = ()  # that are compared
+    stores: Mapping[str, Path] = field(default_factory=dict, hash=False)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -186,19 +189,77 @@ def read_name(table: Table, name: str) -> str:
 
 
 def as_written(experiment: Experiment) -> dict[str, Any]:
-    """All that decides trials, as the tables of a configuration; `experiment_of` reads it back.
+    """All that decides trials, as the tables of a configuration; `experiment_of` reads it back."""
+    # A switch that is off changes no digest of before there was one.
+    switches = {"until_walker": True} if experiment.until_walker else {}
+    return {
+        "name": experiment.name,
+        "seed": experiment.seed,
+        "searched": list(experiment.searched),
+        "objective": {"cost": experiment.cost},
+        **experiment.conditions.as_written(),
+        **switches,
+    }
 
-    It is made of the fields themselves, so that none can be forgotten.
+
+def candidates(experiment: Experiment, store: str, feature: str) -> FeatureTable:
+    """The rows of a store with a feature, for studies of an experiment.
+
+    Raises:
+        InputError: the configuration names no such store, or it cannot be read.
     """
-    tables: dict[str, Any] = {}
-    for each in fields(experiment):
-        value = getattr(experiment, each.name)
-        if value is False:  # a switch that is off changes no digest of before there was one
-            continue
-        if isinstance(value, Conditions):
-            tables |= value.as_written()
-        elif TABLE in each.metadata:
-            tables.setdefault(each.metadata[TABLE], {})[each.name] = value
-        elif each.metadata.get("decides", True):
-            tables[each.name] = list(value) if isinstance(value, tuple) else value
-    return tables
+    path = store_path(experiment, store)
+    written = path / MANIFEST_NAME if path.is_dir() else path
+    try:
+        written_ns = written.stat().st_mtime_ns
+    except OSError:
+        written_ns = 0  # opening the store tells what is missing
+    return _candidates(path, written_ns, feature, experiment.parameters, experiment.cost)
+
+
+@lru_cache(maxsize=16)
+def _candidates(
+    path: Path, _written_ns: int, feature: str, parameters: tuple[Parameter, ...], cost: str
+) -> FeatureTable:
+    return feature_table(open_store(path), feature, search_space(parameters), cost)
+
+
+def store_path(experiment: Experiment, store: str) -> Path:
+    """Where the store of that name is.
+
+    Raises:
+        InputError: the configuration does not name it.
+    """
+    if store not in experiment.stores:
+        known = ", ".join(experiment.stores) or "none"
+        allowed = f"a folder in the configuration's [stores], which has {known}"
+        raise InputError(f"stores.{store}", "missing", allowed)
+    return experiment.stores[store]
+
+
+def check_store(experiment: Experiment, store: str, feature: str) -> Store:
+    """Open a store, and see that it has the experiment's parameters and this feature.
+
+    Raises:
+        InputError: no such store, not a finished store, other parameters or bounds, or no such
+            column.
+    """
+    opened = open_store(store_path(experiment, store))
+    searched = tuple(opened.specification["gains"])
+    if set(searched) != set(experiment.names):
+        more = [name for name in searched if name not in experiment.names]
+        less = [name for name in experiment.names if name not in searched]
+        found = f"{opened.path} {'with' if more else 'without'} {(more or less)[0]}"
+        allowed = f"a store of {' and '.join(('the 16 gains', *experiment.searched))}"
+        raise InputError(f"stores.{store}", found, allowed)
+    opened.require_bounds()
+    check_feature(feature, opened)
+    return opened
+
+
+def store_digest(path: Path) -> str:
+    """SHA-256 of a store's content: of its manifest's hashes, or of the one file that it is."""
+    if not path.is_dir():
+        return file_hash(path)
+    hashes = Manifest.read(path).hashes
+    return hashlib.sha256("\n".join(hashes.values()).encode()).hexdigest()

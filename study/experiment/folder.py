@@ -1,4 +1,7 @@
-"""The folder of an experiment, and its tables. The folder is the state of a comparison.
+"""The identity of an experiment, and its folder with its tables: the state of a comparison.
+
+The identity is all that decides the trials, as JSON values. There is one such document: the folder,
+a study database and a live study all keep it, or its digest, and refuse to go on with another.
 
 experiment.json         written first: what is compared on what, with which stores and versions
 arms/NAME.parquet       all finished trials of an arm, rewritten whole at each checkpoint
@@ -12,10 +15,13 @@ The tables of arms have two columns more than the results: the seconds that the 
 its notes in the trial, from which a stopped study is set up again.
 """
 
-import json
-from collections.abc import Iterator
+import os
+import platform
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache, lru_cache
+from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
@@ -28,14 +34,17 @@ from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
 from storage.databases.studies import studies_path
 from storage.databases.urls import is_postgresql
 from storage.folder import Folder, remove
-from storage.tables import write_table
-from study.experiment.experiment import Experiment
-from study.experiment.identity import GROWING
-from study.experiment.trials import KEPT, OUTCOMES, walked
+from storage.tables import FORMAT, document_hash, write_table
+from study.experiment.arms import Arm
+from study.experiment.experiment import Experiment, as_written, store_digest, store_path
+from study.experiment.trials import KEPT, OUTCOMES
+from taichi_nmm import __version__
 from taichi_nmm.errors import InputError
+from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS
 from taichi_nmm.reading import json_document
 from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
+from taichi_nmm.walker_simulator import terrain_document
 
 EXPERIMENT_NAME = "experiment.json"
 ROBOTS_NAME = "robots.json"  # of a comparison on robots of another simulator
@@ -52,59 +61,21 @@ Key = tuple[str, int]  # arm, run: a study of an experiment
 THETA_REF = next(parameter for parameter in LOW_LEVEL_GAINS if parameter.name == "theta_ref")
 PROPOSAL_TIME = "proposal_s"
 NOTES = "notes"
-ARROW_TYPES = {"f8": pa.float64(), "i4": pa.int32()}
 
-
-def schema_of(*columns: tuple[str, pa.DataType]) -> pa.Schema:
-    """Columns without gaps."""
-    return pa.schema([pa.field(name, kind, nullable=False) for name, kind in columns])
-
-
-_COLUMNS: tuple[tuple[str, pa.DataType], ...] = (
-    ("experiment", pa.string()),
-    ("arm", pa.string()),
-    ("run", pa.int32()),
-    ("trial", pa.int32()),
-    *((name, pa.float64()) for name in GAIN_NAMES),
-    (THETA_REF.name, pa.float64()),
-    ("row", pa.int64()),
-    ("cost", pa.float64()),
-    ("best_cost", pa.float64()),
-    ("walked", pa.bool_()),
-    *((name, pa.float64()) for name in OUTCOMES),
-    ("end_reason", pa.string()),
-    *((name, ARROW_TYPES[kind]) for name, kind in SCORE_FIELDS),
-)
-RESULT_SCHEMA = schema_of(*_COLUMNS)
-STATE_SCHEMA = schema_of(*_COLUMNS, (PROPOSAL_TIME, pa.float64()), (NOTES, pa.string()))
-TIME_COLUMNS = ("arm", "run", "trial", PROPOSAL_TIME)
-
-
-def table_of(schema: pa.Schema, columns: dict[str, Any]) -> pa.Table:
-    """The columns of a schema, each a list or an array [n]; others are left out."""
-    return pa.table({name: columns[name] for name in schema.names}, schema=schema)
-
-
-def state_table(
-    experiment: Experiment, columns: dict[str, Any], gains: Floats, rows: NDArray[np.void]
-) -> pa.Table:
-    """Finished trials as a table of `STATE_SCHEMA`.
-
-    Of gains [n, 16 + k], the simulator's rows [n], and the other columns, notes as dictionaries.
-    """
-    return table_of(
-        STATE_SCHEMA,
-        {
-            **columns,
-            "experiment": [experiment.name] * len(gains),
-            THETA_REF.name: np.full(len(gains), THETA_REF.default),
-            **dict(zip(experiment.names, gains.T, strict=True)),
-            **{name: rows[name] for name in KEPT},
-            "end_reason": np.array(END_REASONS)[rows["end_reason"]],
-            "walked": walked(rows),
-            NOTES: [json.dumps(notes) for notes in columns[NOTES]],
-        },
+_FIELDS = [  # none has gaps
+    pa.field(name, kind, nullable=False)
+    for name, kind in (
+        ("experiment", pa.string()), ("arm", pa.string()), ("run", pa.int32()),
+        ("trial", pa.int32()), *((name, pa.float64()) for name in (*GAIN_NAMES, THETA_REF.name)),
+        ("row", pa.int64()), ("cost", pa.float64()), ("best_cost", pa.float64()),
+        ("walked", pa.bool_()), *((name, pa.float64()) for name in OUTCOMES),
+        ("end_reason", pa.string()),
+        *((name, pa.from_numpy_dtype(kind)) for name, kind in SCORE_FIELDS),
+        (PROPOSAL_TIME, pa.float64()), (NOTES, pa.string()),
     )
+]  # fmt: skip
+STATE_SCHEMA, RESULT_SCHEMA = pa.schema(_FIELDS), pa.schema(_FIELDS[:-2])
+TIME_COLUMNS = ("arm", "run", "trial", PROPOSAL_TIME)
 
 
 def walkers(table: pa.Table) -> set[Key]:
@@ -138,6 +109,14 @@ def in_order(tables: list[pa.Table]) -> pa.Table:
     return pa.concat_tables(tables).sort_by(keys).combine_chunks()
 
 
+def without_gaps(table: pa.Table) -> bool:
+    """Whether a table of one arm has the trials 0, 1, 2, ... of each run, in their order."""
+    run, trial = table["run"].to_numpy(), table["trial"].to_numpy()
+    counts = np.unique(run, return_counts=True)[1]
+    whole = np.concatenate([np.arange(0), *map(np.arange, counts)])
+    return bool((np.diff(run) >= 0).all()) and np.array_equal(trial, whole)
+
+
 def gains_of(experiment: Experiment, table: pa.Table) -> Floats:
     """The searched parameters of a table's trials, [n, 16 + k]."""
     columns = [table[name].to_numpy() for name in experiment.names]
@@ -156,7 +135,7 @@ def outcomes_of(table: pa.Table) -> NDArray[np.void]:
 def by_study(table: pa.Table) -> Iterator[tuple[str, int, pa.Table]]:
     """The trials of each study of a table, by arm and run: arm, run, its rows by trial.
 
-    Where studies begin is looked up in the sorted rows: Arrow's `group_by` promises no order.
+    Arrow's `group_by` promises no order.
     """
     ordered = in_order([table])
     keys = list(zip(ordered["arm"].to_pylist(), ordered["run"].to_pylist(), strict=True))
@@ -167,9 +146,7 @@ def by_study(table: pa.Table) -> Iterator[tuple[str, int, pa.Table]]:
 
 def table_files(folder: Path) -> list[Path]:
     """The final table of a comparison, if there is one, and the checkpoints of its arms."""
-    final = folder / RESULTS_NAME
-    checkpoints = sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))
-    return [*([final] if final.exists() else []), *checkpoints]
+    return [*folder.glob(RESULTS_NAME), *sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))]
 
 
 def live_artifacts(url: str, out: Path) -> Path:
@@ -181,13 +158,68 @@ def live_artifacts(url: str, out: Path) -> Path:
     return (out if is_postgresql(url) else studies_path(url).parent) / ARTIFACTS_NAME
 
 
+PACKAGES = (COMPILER, "optuna", "cma", "cmaes", "numpy", "scipy")
+FINGERPRINT_LENGTH = 16
+LIVE_ATTRIBUTE = "experiment"  # of a live study: its document; of a comparison's: a name
+
+
+def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
+    """The identity of an experiment. Runs and trials may grow, so they are no part of it.
+
+    Arms and stores are those of one call; a folder gathers them. The architecture is no part of
+    it either: what was begun on one machine may go on on another.
+    """
+    tables = as_written(experiment)
+    ground = tables.pop("terrain")
+    by_name = sorted(arms, key=lambda arm: arm.name)
+    stores = sorted({arm.store for arm in by_name if arm.store})
+    return {
+        "format": FORMAT,
+        "versions": versions(*deciding_packages(experiment)),
+        **tables,
+        "terrain": terrain_document((experiment.terrain(0),)),
+        "ground": ground,
+        "parameters": {p.name: [float(p.low), float(p.high)] for p in experiment.parameters},
+        "arms": {arm.name: arm.definition for arm in by_name},
+        "stores": {key: store_digest(store_path(experiment, key)) for key in stores},
+    }
+
+
+def deciding_packages(experiment: Experiment) -> tuple[str, ...]:
+    """Packages whose versions decide an experiment's trials."""
+    of_engine = ("mujoco",) if experiment.conditions.settings.engine == "mujoco" else ()
+    return *PACKAGES, *of_engine
+
+
+@cache
+def versions(*packages: str) -> dict[str, str]:
+    """The versions of this project and of packages that decide results."""
+    return {"taichi-nmm": __version__} | {name: version(name) for name in packages}
+
+
+@lru_cache(maxsize=16)
+def fingerprint(experiment: Experiment) -> str:
+    """A short digest of all that decides trials but the arms: for databases and file names."""
+    return document_hash(document(experiment, ()))[:FINGERPRINT_LENGTH]
+
+
+def machine() -> dict[str, Any]:
+    """The machine that runs the trials."""
+    return {
+        "system": platform.system(),
+        "processor": platform.machine(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+    }
+
+
 @dataclass(frozen=True)
 class ExperimentFolder(Folder):
     """The folder of a comparison; its document says what is compared on what."""
 
     KIND = "an experiment's"
     FIRST = EXPERIMENT_NAME
-    GROWING = GROWING
+    GROWING = ("arms", "stores")
 
     @classmethod
     @contextmanager
@@ -226,10 +258,7 @@ class ExperimentFolder(Folder):
         table = self.read_state(file, STATE_SCHEMA, content)
         if set(table["arm"].to_pylist()) - {name}:
             raise InputError("out", str(self.path / file), f"{content}, and of no other arm")
-        run, trial = table["run"].to_numpy(), table["trial"].to_numpy()
-        first = np.diff(run, prepend=run[:1] - 1) != 0
-        sound = trial[first] == 0, np.diff(trial)[~first[1:]] == 1, np.diff(run) >= 0
-        if not all(part.all() for part in sound):
+        if not without_gaps(table):
             allowed = "every run's trials in their order, without a gap"
             raise InputError("out", str(self.path / file), allowed)
         return table

@@ -145,12 +145,9 @@ def _named_gains(name: str, values: Mapping[str, Any]) -> NamedGains:
 
 
 def recorded_walk(
-    gains: NamedGains,
-    experiment: Experiment,
-    run: int,
-    rate_hz: float,
+    gains: NamedGains, experiment: Experiment, run: int, rate_hz: float,
     progress: Callable[[float, int], None] | None = None,
-) -> taichi_nmm.Result:
+) -> taichi_nmm.Result:  # fmt: skip
     """The result of one walker on the body and the ground of a run, with its trajectory.
 
     `progress` is as `taichi_nmm.simulate` takes it.
@@ -160,14 +157,8 @@ def recorded_walk(
     """
     conditions = experiment.conditions
     return taichi_nmm.simulate(
-        gains.gains,
-        low_level_gains=gains.low_level,
-        duration_s=conditions.duration_s,
-        bodies=experiment.body(run),
-        worlds=experiment.world(run),
-        terrains=experiment.terrain(run),
-        settings=conditions.settings,
-        record=[0],
-        record_rate_hz=rate_hz,
-        progress=progress,
-    )
+        gains.gains, low_level_gains=gains.low_level, duration_s=conditions.duration_s,
+        bodies=experiment.body(run), worlds=experiment.world(run),
+        terrains=experiment.terrain(run), settings=conditions.settings,
+        record=[0], record_rate_hz=rate_hz, progress=progress,
+    )  # fmt: skip

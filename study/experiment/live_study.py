@@ -27,7 +27,7 @@ from storage.databases.studies import name_metric, read_studies, require_lockabl
 from storage.tables import difference
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
-from study.experiment.identity import LIVE_ATTRIBUTE, document
+from study.experiment.folder import LIVE_ATTRIBUTE, document
 from study.experiment.one_study import FELL_ATTRIBUTE, SHOWN_ATTRIBUTE, LiveStudy, note_worth
 from study.experiment.trials import (
     ATTRIBUTES,
@@ -47,14 +47,9 @@ Report = Callable[[optuna.Study, FrozenTrial], None]
 
 
 def run_study(
-    experiment: Experiment,
-    arm: Arm,
-    run: int,
-    trials: int,
-    storage: BaseStorage,
-    report: Report | None = None,
-    crew: Crew | None = None,
-) -> optuna.Study:
+    experiment: Experiment, arm: Arm, run: int, trials: int, storage: BaseStorage,
+    report: Report | None = None, crew: Crew | None = None,
+) -> optuna.Study:  # fmt: skip
     """Run the study until it has `trials` finished trials, and return it.
 
     At the end its note in the dashboard says what the arm's features were worth, if it has any.
@@ -221,10 +216,7 @@ def _repeat(experiment: Experiment, study: optuna.Study, dead: list[FrozenTrial]
         study.tell(trial.number, state=TrialState.FAIL)
 
 
-RETRIED_ATTRIBUTE = "retry_history"  # Optuna's, of the system
-
-Form = dict[str, Callable[[str, Any], Any]]
-"""Checks of attributes by name."""
+Form = dict[str, checks.Check]  # of attributes, by name
 
 _number = checks.number()
 _numbers = checks.each(checks.optional(_number))
@@ -237,9 +229,9 @@ IF_THERE: Form = {
     SCORE_ATTRIBUTE: checks.optional(_number), FEATURES_ATTRIBUTE: _numbers,
     FELL_ATTRIBUTE: checks.flag, SHOWN_ATTRIBUTE: _numbers,
 }  # fmt: skip
-OF_OPTUNA: Form = {
+OF_OPTUNA: Form = {  # of the system
     FIXED_ATTRIBUTE: checks.by_name(checks.anything),
-    RETRIED_ATTRIBUTE: checks.each(checks.whole(0)),
+    "retry_history": checks.each(checks.whole(0)),
 }
 
 # The keys that optuna-dashboard keeps a note under, of a study or of a trial: a version, and parts.
@@ -267,8 +259,10 @@ def require_written(study: optuna.Study, experiment: Experiment) -> None:
                 check_distribution_compatibility(distribution, ours)
             except ValueError:  # Optuna would take no value of ours beside it
                 raise InputError(f"{prefix}: {name}", str(distribution), str(ours)) from None
-        _require(trial.user_attrs, IF_THERE, prefix)
-        _require(trial.system_attrs, OF_OPTUNA, prefix)
+        for form, found in ((IF_THERE, trial.user_attrs), (OF_OPTUNA, trial.system_attrs)):
+            for name, check in form.items():
+                if name in found:
+                    check(f"{prefix}: {name}", found[name])
 
 
 def _require_finished(trial: FrozenTrial, experiment: Experiment, prefix: str) -> None:
@@ -279,16 +273,10 @@ def _require_finished(trial: FrozenTrial, experiment: Experiment, prefix: str) -
     for parameter in experiment.parameters:
         ends = checks.number(parameter.low, parameter.high)
         ends(f"{prefix}: {parameter.name}", trial.params[parameter.name])
-    for name in FINISHED:
+    for name, check in FINISHED.items():
         if name not in trial.user_attrs:
             raise InputError(f"{prefix}: {name}", "missing", "the outcome of the walk")
-    _require(trial.user_attrs, FINISHED, prefix)
-
-
-def _require(found: dict[str, Any], form: Form, prefix: str) -> None:
-    for name, check in form.items():
-        if name in found:
-            check(f"{prefix}: {name}", found[name])
+        check(f"{prefix}: {name}", trial.user_attrs[name])
 
 
 def require_notes(study: str, storage: BaseStorage) -> None:

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import optuna
 from numpy.typing import NDArray
+from optuna.distributions import BaseDistribution
 from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, PartialFixedSampler, RandomSampler
-from optuna.trial import FrozenTrial, TrialState
+from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment
@@ -100,14 +101,10 @@ class OneStudy:
             own = self.noted()
             self._tell(cost, {name: value for name, value in noted.items() if name not in own})
             return
-        space = self._experiment.space
+        space: dict[str, BaseDistribution] = dict(self._experiment.space)
+        params: dict[str, Any] = dict(zip(space, gains, strict=True))
         self.study.add_trial(
-            optuna.create_trial(
-                params=dict(zip(space, gains, strict=True)),
-                distributions=dict(space),
-                value=cost,
-                user_attrs=noted,
-            )
+            create_trial(params=params, distributions=space, value=cost, user_attrs=noted)
         )
         self.trials += 1
 

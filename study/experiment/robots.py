@@ -8,7 +8,7 @@ Optuna's samplers, which begin with nothing or with the ranking's first rows.
 
 import sys
 from argparse import Namespace
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -32,17 +32,10 @@ from storage.store import open_store
 from storage.tables import difference
 from study.experiment.block import quiet
 from study.experiment.compare import work_through
-from study.experiment.experiment import (
-    MOST_RUNS,
-    MOST_TRIALS,
-    read_name,
-    study_name,
-)
+from study.experiment.experiment import MOST_RUNS, MOST_TRIALS, read_name, store_digest, study_name
 from study.experiment.features import table_of_worlds
-from study.experiment.folder import ROBOTS_NAME, by_study, in_order
-from study.experiment.identity import LIVE_ATTRIBUTE, versions
+from study.experiment.folder import LIVE_ATTRIBUTE, ROBOTS_NAME, by_study, in_order, versions
 from study.experiment.samplers import FIRST_ROWS
-from study.experiment.stores import store_digest
 from study.sampler.draws import Purpose, generator, name_key, seed_32bit, stream
 from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
@@ -161,12 +154,9 @@ def refuse_walkers_options(args: Namespace) -> None:
 
 
 def read_robots(
-    path: Path,
-    seed: int | None = None,
-    arms: str | None = None,
-    runs: int | None = None,
+    path: Path, seed: int | None = None, arms: str | None = None, runs: int | None = None,
     trials: int | None = None,
-) -> RobotExperiment:
+) -> RobotExperiment:  # fmt: skip
     """Read and check the configuration of a comparison; the other arguments override the file's.
 
     Arms are names between commas. Those that need PyTorch are left out where it is missing, unless
@@ -179,16 +169,14 @@ def read_robots(
     simulator = read_simulator(table, None)
     simulation, objective = table.table("simulation"), table.table("objective")
     costs = [name for name in simulator.scores if name != simulator.survived]
-    numbers = (
-        table.integer("seed"),
-        table.integer("runs", 50, 1, MOST_RUNS),
-        table.integer("trials", 30, 1, MOST_TRIALS),
-    )
-    chosen = zip((seed, runs, trials), numbers, strict=True)
-    seed, runs, trials = (own if given is None else given for given, own in chosen)
+
+    def number(given: int | None, *configured: Any) -> int:
+        own = table.integer(*configured)
+        return own if given is None else given
+
     experiment = RobotExperiment(
         name=read_name(table, path.stem),
-        seed=seed,
+        seed=number(seed, "seed"),
         simulator=simulator,
         rule=simulator.read_worlds(table),
         store=Path(table.text("store")),
@@ -196,8 +184,8 @@ def read_robots(
         cost=objective.text("cost", choices=(*costs, simulator.survived)),
         fell_cost=objective.number("fell_cost", low=1e-9),
         noise=objective.number("noise", 0.0, 0.0, 1.0),
-        runs=runs,
-        trials=trials,
+        runs=number(runs, "runs", 50, 1, MOST_RUNS),
+        trials=number(trials, "trials", 30, 1, MOST_TRIALS),
         arms=_read_arms(table.texts("arms", tuple(ARMS)), arms),
     )
     for each in (simulation, objective, table):
@@ -216,14 +204,13 @@ def _read_arms(configured: tuple[str, ...], asked: str | None) -> tuple[str, ...
         if name not in ARMS:
             raise InputError("arm", name, f"one of {', '.join(ARMS)}")
     chosen = tuple(dict.fromkeys(named or ARMS))
-    if find_spec("torch") is None:
-        for name in set(NEED_TORCH) & set(chosen):
-            if asked is not None:
-                raise InputError("arm", name, "PyTorch installed (pip install torch), or another")
-        if set(NEED_TORCH) & set(chosen):
-            print("GPSampler is left out: it needs PyTorch (pip install torch)", file=sys.stderr)
-        chosen = tuple(name for name in chosen if name not in NEED_TORCH)
-    return chosen
+    lacking = [name for name in chosen if name in NEED_TORCH and find_spec("torch") is None]
+    if not lacking:
+        return chosen
+    if asked is not None:
+        raise InputError("arm", lacking[0], "PyTorch installed (pip install torch), or another")
+    print("GPSampler is left out: it needs PyTorch (pip install torch)", file=sys.stderr)
+    return tuple(name for name in chosen if name not in lacking)
 
 
 class RobotsFolder(Folder):
@@ -235,13 +222,8 @@ class RobotsFolder(Folder):
     FILES: ClassVar[tuple[str, ...]] = (TRIALS_NAME, "report.md", "report.png")
 
 
-@dataclass(frozen=True)
-class Robot:
-    """A unit of work: a robot, and the arms whose trials it lacks."""
-
-    experiment: RobotExperiment
-    run: int
-    arms: tuple[str, ...]
+Unit = tuple[RobotExperiment, int]
+"""Of work: a robot, by its run, and the arms of the experiment whose trials it lacks."""
 
 
 def compare_robots(
@@ -258,21 +240,21 @@ def compare_robots(
     with RobotsFolder.claim(out, experiment.document) as folder:
         pool.agree(out)
         kept = [folder.read_state(TRIALS_NAME, experiment.schema, "trials")]
-        done = _studies(kept[0], experiment.trials)
+        known = by_study(kept[0])
+        done = {(arm, run) for arm, run, trials in known if len(trials) >= experiment.trials}
         wanted = {(arm, run) for arm in experiment.arms for run in range(experiment.runs)}
-        units = []
+        there, units = replace(experiment, store=pool.there(experiment.store)), []
         for run in range(experiment.runs):
-            missing = tuple(arm for arm in experiment.arms if (arm, run) not in done)
-            if missing:
-                there = replace(experiment, store=pool.there(experiment.store))
-                units.append(Robot(there, run, missing))
+            if missing := tuple(arm for arm in experiment.arms if (arm, run) not in done):
+                units.append((replace(there, arms=missing), run))
         report(len(wanted & done), len(wanted))
 
-        def take(unit: Robot, found: pa.Table) -> Iterator[Robot]:
+        def take(unit: Unit, found: pa.Table) -> tuple[()]:
+            alone, run = unit
             kept.append(found)
-            done.update((arm, unit.run) for arm in unit.arms)
+            done.update((arm, run) for arm in alone.arms)
             report(len(wanted & done), len(wanted))
-            yield from ()
+            return ()
 
         def commit(goes_on: bool) -> None:
             folder.write_state(TRIALS_NAME, _in_order(kept))
@@ -303,23 +285,23 @@ class Runs:
 
     def rows(self, points: Floats) -> NDArray[np.void]:
         """The simulator's rows of points, [n]."""
-        experiment, keys = self._experiment, [point.tobytes() for point in points]
-        first = {key: place for place, key in reversed(list(enumerate(keys)))}
-        if new := sorted(place for key, place in first.items() if key not in self._known):
-            found, _ = run_points(
-                experiment.simulator, points[new], self._world, 1, experiment.duration_s
-            )
-            self._known |= {keys[k]: row.copy() for k, row in zip(new, found[:, 0], strict=True)}
-        return np.array([self._known[key] for key in keys])
+        known, keys = self._known, [point.tobytes() for point in points]
+        new = [k for k, key in enumerate(keys) if key not in known and key not in keys[:k]]
+        if new:
+            simulator, duration_s = self._experiment.simulator, self._experiment.duration_s
+            found, _ = run_points(simulator, points[new], self._world, 1, duration_s)
+            known |= {keys[k]: row.copy() for k, row in zip(new, found[:, 0], strict=True)}
+        return np.array([known[key] for key in keys])
 
 
-def try_robot(unit: Robot) -> pa.Table:
+def try_robot(unit: Unit) -> pa.Table:
     """All trials of a robot's arms: all propose, the robot runs, all are told, and again."""
-    experiment, survived = unit.experiment, unit.experiment.simulator.survived
+    experiment, run = unit
+    survived = experiment.simulator.survived
     columns: dict[str, list[Any]] = {name: [] for name in experiment.schema.names}
-    with _ready(unit.arms):
-        runs = Runs(experiment, unit.run)
-        studies = {arm: _study(experiment, arm, unit.run) for arm in unit.arms}
+    with _ready(experiment.arms):
+        runs = Runs(experiment, run)
+        studies = {arm: _study(experiment, arm, run) for arm in experiment.arms}
         for trial in range(experiment.trials):
             asked, points = runs.ask(studies.values())
             rows = runs.rows(points)
@@ -328,19 +310,16 @@ def try_robot(unit: Robot) -> pa.Table:
             for place, (arm, study) in enumerate(studies.items()):
                 study.tell(asked[place], float(measured[place]))
                 told = (costs[place], measured[place], rows[place][survived], *points[place])
-                values = (arm, unit.run, trial, *map(float, told))
+                values = (arm, run, trial, *map(float, told))
                 for column, value in zip(columns.values(), values, strict=True):
                     column.append(value)
     return pa.table(columns, experiment.schema)
 
 
 def live_study(
-    experiment: RobotExperiment,
-    arm: str,
-    run: int,
-    storage: BaseStorage,
+    experiment: RobotExperiment, arm: str, run: int, storage: BaseStorage,
     report: Callable[[optuna.Study, FrozenTrial], None],
-) -> optuna.Study:
+) -> optuna.Study:  # fmt: skip
     """Run an arm on a robot as a study of a database, or go on with it, until it has its trials.
 
     `report` is called with each trial. One process at a time runs a study.
@@ -373,12 +352,9 @@ def live_study(
 
 
 def _study(
-    experiment: RobotExperiment,
-    arm: str,
-    run: int,
-    storage: BaseStorage | None = None,
+    experiment: RobotExperiment, arm: str, run: int, storage: BaseStorage | None = None,
     name: str | None = None,
-) -> optuna.Study:
+) -> optuna.Study:  # fmt: skip
     """The study of an arm on a robot, which begins with the rows that the arm is given."""
     table = candidates(experiment)
     chosen, seed = ARMS[arm], seed_32bit(experiment.seed, Purpose.SAMPLER, name_key(arm), run)
@@ -391,7 +367,9 @@ def _study(
         study.enqueue_trial(left.params)
     begun = len(study.get_trials(False, (TrialState.COMPLETE, TrialState.WAITING)))
     first = experiment.trials if chosen.first is None else chosen.first
-    for row in _ranking(table)[begun:first].tolist():
+    mean = table.rows.ensemble(maximise=False).columns[:, -1]  # over the worlds
+    ranking = table.rows.numbers[np.argsort(mean, kind="stable")]  # the best first, [m]
+    for row in ranking[begun:first].tolist():
         study.enqueue_trial(table.rows.as_parameters(row))
     return study
 
@@ -413,28 +391,16 @@ def candidates(experiment: RobotExperiment) -> FeatureTable:
     Raises:
         InputError: a store without families, or that has not kept the cost in each world.
     """
-    asked = experiment.store, experiment.simulator.survived, experiment.cost, experiment.fell_cost
-    return _candidates(*asked)
+    survived = experiment.simulator.survived
+    return _candidates(experiment.store, survived, experiment.cost, experiment.fell_cost)
 
 
 @lru_cache(maxsize=4)
 def _candidates(path: Path, survived: str, cost: str, fell_cost: float) -> FeatureTable:
-    return table_of_worlds(
-        open_store(path),
-        lambda given, horizon_s: costs_of(given[survived], given[cost], fell_cost),
-    )
+    def costs(given: Mapping[str, Floats], horizon_s: float) -> Floats:
+        return costs_of(given[survived], given[cost], fell_cost)
 
-
-def _ranking(table: FeatureTable) -> NDArray[np.int64]:
-    """Rows by their mean cost over the worlds, the best first, [m]."""
-    order = np.argsort(table.rows.ensemble(maximise=False).columns[:, -1], kind="stable")
-    return table.rows.numbers[order]
-
-
-def _studies(trials: pa.Table, count: int) -> set[tuple[str, int]]:
-    """Arms and runs that have so many trials."""
-    last = trials.filter(trials["trial"].to_numpy() == count - 1)
-    return set(zip(last["arm"].to_pylist(), last["run"].to_pylist(), strict=True))
+    return table_of_worlds(open_store(path), costs)
 
 
 def _in_order(kept: list[pa.Table]) -> pa.Table:

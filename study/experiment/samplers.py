@@ -17,8 +17,7 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, CmaEsSampler
 from optuna.trial import FrozenTrial, TrialState
 
-from study.experiment.experiment import Experiment
-from study.experiment.stores import candidates
+from study.experiment.experiment import Experiment, candidates
 from study.sampler.draws import Purpose, generator, seed_32bit, turn
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from study.sampler.policy import set_attributes
@@ -171,7 +170,10 @@ class WarmCmaEsSampler(RowSampler):
         while len(tried) >= self._told + len(self._asked):
             told = tried[self._told : self._told + len(self._asked)]
             for point, each in zip(self._asked, told, strict=True):
-                self._require_asked(point, each)
+                for name, value in self._values(point).items():
+                    if (found := each.params[name]) != value:
+                        allowed = f"{value!r}, which pycma proposes there"
+                        raise InputError(f"trial {each.number}: {name}", found, allowed)
             self._search.tell(self._asked, [each.values[0] for each in told])
             self._told += len(told)
             self._asked = self._search.ask()
@@ -195,10 +197,3 @@ class WarmCmaEsSampler(RowSampler):
     def _values(self, point: Floats) -> dict[str, Any]:
         space = self._table.rows.space
         return space.values(space.from_fractions(point[None])[0])
-
-    def _require_asked(self, point: Floats, trial: FrozenTrial) -> None:
-        """Refuse trials that this sampler has not proposed."""
-        for name, value in self._values(point).items():
-            if trial.params[name] != value:
-                allowed = f"{value!r}, which pycma proposes there"
-                raise InputError(f"trial {trial.number}: {name}", trial.params[name], allowed)

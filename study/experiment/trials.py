@@ -31,14 +31,10 @@ ATTRIBUTES = (
 
 
 def simulate_trials(
-    experiment: Experiment,
-    runs: ArrayLike,
-    gains: NDArray[np.float64],
+    experiment: Experiment, runs: ArrayLike, gains: NDArray[np.float64],
     record: bool | Sequence[int] = False,
-    *,
-    duration_s: float | None = None,
-    record_rate_hz: float = 100.0,
-) -> Result:
+    *, duration_s: float | None = None, record_rate_hz: float = 100.0,
+) -> Result:  # fmt: skip
     """Simulate n trials at once.
 
     Args:

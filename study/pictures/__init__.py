@@ -10,11 +10,5 @@ from study.pictures.scene import LARGE, SMALL, Film
 from study.pictures.strip import write_strip
 
 __all__ = [
-    "LARGE",
-    "SMALL",
-    "Film",
-    "find_ffmpeg",
-    "write_gait_cycle",
-    "write_movie",
-    "write_strip",
-]
+    "LARGE", "SMALL", "Film", "find_ffmpeg", "write_gait_cycle", "write_movie", "write_strip",
+]  # fmt: skip

@@ -22,20 +22,17 @@ from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
 from study.pictures import style
-from study.pictures.stick_figure import finite
+from study.pictures.stick_figure import LEFT, finite
 from taichi_nmm.result import EVENT_KINDS, MUSCLES, Trajectory
 
 SOURCE = "human ± 1 sd, approximate, after Winter (1991)"
 EMG_SOURCE = "human EMG on, approximate, after Perry (1992)"
-
 
 Array = NDArray[np.float64]
 
 PERCENT: Array = np.linspace(0.0, 100.0, 201)
 SETTLING_STRIDES = 3  # the first ones still carry the initial state
 FEWEST_STRIDES = 3
-
-LEFT = 0
 STRIKE, TAKE_OFF = EVENT_KINDS.index("strike"), EVENT_KINDS.index("takeoff")
 
 
@@ -49,7 +46,7 @@ class Strides:
     vertical_bw: Array  # ground force on the left foot over body weight, [n, p]
     forward_bw: Array
     activation: Array  # [7, n, p] in the order of `MUSCLES`
-    take_off_percent: Array  # when the foot leaves the ground, [k] of strides that have it
+    take_off_percent: Array  # when the foot first leaves the ground, [k] of strides that have it
     duration_s: Array  # [n]
 
     def __len__(self) -> int:
@@ -78,6 +75,8 @@ def left_strides(trajectory: Trajectory, body_weight_n: float) -> Strides:
         return np.interp(times + lag_s, trajectory.time_s, column)
 
     force = trajectory.ground_force_n / body_weight_n
+    take_offs = _times(trajectory, TAKE_OFF)
+    first = np.append(take_offs, np.inf)[np.searchsorted(take_offs, starts, side="right")]
     return Strides(
         hip_flexion_deg=-cut(joints[:, 0]),
         knee_flexion_deg=cut(joints[:, 1]),
@@ -85,7 +84,7 @@ def left_strides(trajectory: Trajectory, body_weight_n: float) -> Strides:
         vertical_bw=cut(force[:, 1], half_interval_s),
         forward_bw=cut(force[:, 0], half_interval_s),
         activation=np.array([cut(trajectory.activation[:, m]) for m in range(len(MUSCLES))]),
-        take_off_percent=_take_offs(trajectory, starts, ends),
+        take_off_percent=(100.0 * (first - starts) / (ends - starts))[first < ends],
         duration_s=ends - starts,
     )
 
@@ -95,16 +94,6 @@ def _times(trajectory: Trajectory, kind: int) -> Array:
     events = trajectory.events
     wanted = (events["side"] == LEFT) & (events["kind"] == kind)
     return np.sort(events["time_s"][wanted])
-
-
-def _take_offs(trajectory: Trajectory, starts: Array, ends: Array) -> Array:
-    """Percent of the stride at the first take-off within each."""
-    take_offs = _times(trajectory, TAKE_OFF)
-    percents = []
-    for start, end in zip(starts, ends, strict=True):
-        within = take_offs[(take_offs > start) & (take_offs < end)]
-        percents += [100.0 * (time - start) / (end - start) for time in within[:1]]
-    return np.array(percents)
 
 
 SIZE_IN = (8.8, 9.6)
@@ -159,21 +148,18 @@ def write_gait_cycle(
     strides = left_strides(finite(trajectory), body_weight_n)
     figure = style.new_figure(*SIZE_IN)
     grid = figure.subplots(4, 3, gridspec_kw=GRID)
-    panels = iter(grid.flat)
-    for name, panel in PANELS.items():
-        axes = next(panels)
+    places = iter(grid.flat)
+    for (name, panel), axes in zip(PANELS.items(), places, strict=False):
         mean, sd = panel.at(PERCENT)
         axes.fill_between(PERCENT, mean - sd, mean + sd, color=style.HUMAN, alpha=0.35, linewidth=0)
         axes.plot(PERCENT, mean, color=style.FAINT, linewidth=1.0, linestyle="--")
-        _draw_model(axes, getattr(strides, name), strides)
-        _finish(axes, panel.title, panel.unit)
+        _draw_model(axes, getattr(strides, name), strides, panel.title, panel.unit)
         _scale(axes, panel, getattr(strides, name))
-    for muscle, words in PEOPLE["muscles"].items():
-        axes = next(panels)
+    for (muscle, words), axes in zip(PEOPLE["muscles"].items(), places, strict=False):
         for start, end in EMG_ON_PERCENT[muscle]:
             axes.axvspan(start, end, color=style.EMG, alpha=0.6, linewidth=0, zorder=0.5)
-        _draw_model(axes, strides.activation[MUSCLES.index(muscle)], strides)
-        _finish(axes, f"{muscle}, {words}", "activation (1)")
+        curves = strides.activation[MUSCLES.index(muscle)]
+        _draw_model(axes, curves, strides, f"{muscle}, {words}", "activation (1)")
         axes.set(ylim=(0.0, 1.05), yticks=[0.0, 0.5, 1.0])
     for axes in grid[-1]:
         axes.set_xlabel("stride (%)", fontsize=style.TEXT_PT, color=style.INK)
@@ -181,19 +167,14 @@ def write_gait_cycle(
     return style.save_png(figure, path)
 
 
-def _draw_model(axes: Axes, curves: Array, strides: Strides) -> None:
-    if not strides.enough:
-        return
-    mean, sd = curves.mean(axis=0), curves.std(axis=0)
-    axes.fill_between(PERCENT, mean - sd, mean + sd, color=style.MODEL, alpha=0.3, linewidth=0)
-    axes.plot(PERCENT, mean, color=style.MODEL, linewidth=1.6)
-    if len(strides.take_off_percent):
-        axes.axvline(
-            strides.take_off_percent.mean(), color=style.MODEL, linewidth=0.9, linestyle=":"
-        )
-
-
-def _finish(axes: Axes, title: str, unit: str) -> None:
+def _draw_model(axes: Axes, curves: Array, strides: Strides, title: str, unit: str) -> None:
+    if strides.enough:
+        mean, sd = curves.mean(axis=0), curves.std(axis=0)
+        axes.fill_between(PERCENT, mean - sd, mean + sd, color=style.MODEL, alpha=0.3, linewidth=0)
+        axes.plot(PERCENT, mean, color=style.MODEL, linewidth=1.6)
+        if len(strides.take_off_percent):
+            percent = strides.take_off_percent.mean()
+            axes.axvline(percent, color=style.MODEL, linewidth=0.9, linestyle=":")
     style.tidy(axes)
     axes.set(xlim=(0.0, 100.0), xticks=[0, 20, 40, 60, 80, 100])
     axes.set_title(title, loc="left", fontsize=style.TEXT_PT, color=style.INK, weight="bold")
@@ -218,16 +199,15 @@ def _scale(axes: Axes, panel: Panel, curves: Array) -> None:
 
 
 def _caption(figure: Figure, strides: Strides, title: str) -> None:
-    handles: list[Line2D | Patch] = [
+    model = [
+        Line2D([], [], color=style.MODEL, linewidth=1.6, label="model ± 1 sd"),
+        Line2D([], [], color=style.MODEL, linewidth=0.9, linestyle=":", label="model toe-off"),
+    ]
+    handles = [
+        *(model if strides.enough else []),
         Patch(facecolor=style.HUMAN, alpha=0.35, label=SOURCE),
         Patch(facecolor=style.EMG, alpha=0.6, label=EMG_SOURCE),
     ]
-    if strides.enough:
-        handles = [
-            Line2D([], [], color=style.MODEL, linewidth=1.6, label="model ± 1 sd"),
-            Line2D([], [], color=style.MODEL, linewidth=0.9, linestyle=":", label="model toe-off"),
-            *handles,
-        ]
     figure.text(0.012, 0.978, title, fontsize=style.TITLE_PT, color=style.INK, va="top")
     figure.text(0.012, 0.953, subtitle(strides), fontsize=style.TEXT_PT, color=style.INK, va="top")
     figure.legend(
@@ -238,15 +218,12 @@ def _caption(figure: Figure, strides: Strides, title: str) -> None:
 
 def subtitle(strides: Strides) -> str:
     """How many strides the curves are of, or why there are no curves."""
+    count = len(strides)
     if not strides.enough:
-        return (
-            f"{len(strides)} whole strides after settling: too few for a mean "
-            f"({FEWEST_STRIDES} are needed); the human ranges alone are shown."
-        )
-    return (
-        f"Left leg, heel strike to heel strike: {len(strides)} strides of "
-        f"{strides.duration_s.mean():.2f} s."
-    )
+        needed = f"too few for a mean ({FEWEST_STRIDES} are needed)"
+        return f"{count} whole strides after settling: {needed}; the human ranges alone are shown."
+    mean_s = strides.duration_s.mean()
+    return f"Left leg, heel strike to heel strike: {count} strides of {mean_s:.2f} s."
 
 
 ACCURACY = {"deg": 3.0, "bw": 0.05}  # of the published tables: `study.pictures.gait_cycle`
@@ -269,9 +246,6 @@ def human_distances(strides: Strides) -> dict[str, Distance]:
         mean, sd = panel.at(PERCENT)
         difference = getattr(strides, name).mean(axis=0) - mean
         scaled = difference / np.maximum(sd, ACCURACY[name.rpartition("_")[2]])
-        found[name] = Distance(_root_mean_square(difference), _root_mean_square(scaled))
+        rms = [float(np.sqrt(np.mean(np.square(each)))) for each in (difference, scaled)]
+        found[name] = Distance(*rms)
     return found
-
-
-def _root_mean_square(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

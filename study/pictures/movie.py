@@ -39,15 +39,9 @@ def find_ffmpeg() -> str:
 
 
 def write_movie(
-    path: str | Path,
-    trajectory: Trajectory,
-    terrain: Terrain,
-    seconds: float = 8.0,
-    title: str = "",
-    *,
-    film: Film = LARGE,
-    program: str | None = None,
-) -> Path:
+    path: str | Path, trajectory: Trajectory, terrain: Terrain, seconds: float = 8.0,
+    title: str = "", *, film: Film = LARGE, program: str | None = None,
+) -> Path:  # fmt: skip
     """Film the last `seconds` of a walk in real time, with the forces of the ground.
 
     Args:
@@ -62,30 +56,14 @@ def write_movie(
     Raises:
         InputError: no ffmpeg that works, or the file cannot be written.
     """
-    path = Path(path)
     encoder = program or find_ffmpeg()
-
-    def write(temporary: Path) -> None:
-        _encode(encoder, frames(trajectory, terrain, seconds, title, film), temporary, film)
-
-    def check(temporary: Path) -> None:
-        if temporary.stat().st_size == 0:
-            raise OSError("the film was not written")
-
-    commit(path, write, check)
-    return path
+    return _write(path, encoder, frames(trajectory, terrain, seconds, title, film), film)
 
 
 def film_run(
-    path: str | Path,
-    simulator: "MujocoSimulator",
-    point: Mapping[str, Any],
-    world: Mapping[str, float],
-    seconds: float,
-    *,
-    film: Film = LARGE,
-    program: str | None = None,
-) -> Path:
+    path: str | Path, simulator: "MujocoSimulator", point: Mapping[str, Any],
+    world: Mapping[str, float], seconds: float, *, film: Film = LARGE, program: str | None = None,
+) -> Path:  # fmt: skip
     """Film a run of a robot in MuJoCo, in real time, by the camera that its model names first.
 
     Args:
@@ -104,9 +82,7 @@ def film_run(
     model, states = simulator.states(point, world, seconds)
     times_s = np.arange(0.0, len(states) * simulator.control_step_s, 1.0 / film.rate_hz)
     shown = [states[int(time_s / simulator.control_step_s)] for time_s in times_s]
-    path = Path(path)
-    commit(path, lambda to: _encode(encoder, _drawn(model, shown, film), to, film), lambda to: None)
-    return path
+    return _write(path, encoder, _drawn(model, shown, film), film)
 
 
 def _drawn(model: Any, states: list[Any], film: Film) -> Iterator[bytes]:
@@ -126,6 +102,18 @@ def _drawn(model: Any, states: list[Any], film: Film) -> Iterator[bytes]:
             mujoco.mj_forward(model, data)
             renderer.update_scene(data, camera=0 if model.ncam else -1)
             yield renderer.render().tobytes()
+
+
+def _write(path: str | Path, program: str, pictures: Iterator[bytes], film: Film) -> Path:
+    """The film of these frames, whole or not at all."""
+
+    def check(temporary: Path) -> None:
+        if temporary.stat().st_size == 0:
+            raise OSError("the film was not written")
+
+    path = Path(path)
+    commit(path, lambda temporary: _encode(program, pictures, temporary, film), check)
+    return path
 
 
 def _encode(program: str, pictures: Iterator[bytes], path: Path, film: Film) -> None:

@@ -4,7 +4,7 @@ Matplotlib takes 25 ms for a frame, Pillow 2. Shapes are drawn twice as large an
 edges are smooth; text is drawn at its size. Pillow comes with Matplotlib, and so does the font.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,14 +16,11 @@ from PIL import Image, ImageDraw, ImageFont
 
 from study.pictures import style
 from study.pictures.stick_figure import (
-    FOOT_WIDTH_M,
     HEAD_RADIUS_M,
     LEFT,
     RIGHT,
-    SHANK_WIDTH_M,
-    THIGH_WIDTH_M,
     TRUNK_WIDTH_M,
-    Leg,
+    Bone,
     at_times,
     finite,
     last_seconds,
@@ -68,13 +65,14 @@ class Canvas:
         width = max(round(width_px * SMOOTHING), 1)
         self._draw.line(self._pixels(points_m), fill=colour, width=width)
 
-    def capsule(self, start_m: Array, end_m: Array, width_m: float, fill: Colour) -> None:
-        """A thick line with round ends."""
-        self.polygon(capsule(start_m, end_m, width_m), fill)
-
     def disc(self, centre_m: Array, radius_m: float, fill: Colour) -> None:
         """A filled circle."""
         self.polygon(centre_m + radius_m * np.stack([np.cos(CIRCLE), np.sin(CIRCLE)], -1), fill)
+
+    def bones(self, parts: Iterable[Bone], fill: Colour) -> None:
+        """Thick lines with round ends."""
+        for start_m, end_m, width_m in parts:
+            self.polygon(capsule(start_m, end_m, width_m), fill)
 
     def finish(self) -> None:
         """Shrink the shapes to the picture's size."""
@@ -168,9 +166,7 @@ def frames(
 ) -> Iterator[bytes]:
     """RGB frames of the last `seconds`, as bytes."""
     motion = motion_of(finite(trajectory), terrain, seconds, film.rate_hz)
-    scene = Scene(motion, terrain, title, film.size_px)
-    for number in range(len(motion.time_s)):
-        yield scene.picture(number)
+    yield from map(Scene(motion, terrain, title, film.size_px).picture, range(len(motion.time_s)))
 
 
 def motion_of(trajectory: Trajectory, terrain: Terrain, seconds: float, rate_hz: int) -> Motion:
@@ -197,7 +193,7 @@ class Scene:
         self._unit_px = size_px[0] / FULL_WIDTH_PX
         self._outlines = [muscle_outlines(motion.q, side) for side in (LEFT, RIGHT)]
         colours = matplotlib.colormaps[style.ACTIVATION_MAP](motion.activation, bytes=True)
-        self._colours = [[tuple(map(int, c[:3])) for c in frame] for frame in colours]
+        self._colours = [[tuple(c) for c in frame] for frame in colours[..., :3].tolist()]
         self._bar = self._activation_bar()
 
     def picture(self, number: int) -> bytes:
@@ -212,7 +208,7 @@ class Scene:
             foot = pressure_point(q, side)
             force = FORCE_M_PER_N * motion.force_n[number, 2 * side : 2 * side + 2]
             if np.hypot(*force) > FORCE_WIDTH_M:
-                canvas.capsule(foot, foot + force, FORCE_WIDTH_M, style.MODEL)
+                canvas.bones([(foot, foot + force, FORCE_WIDTH_M)], style.MODEL)
         metres = self._draw_ground(canvas, left_m, bottom_m)
         canvas.finish()
         self._write(canvas, number, metres)
@@ -223,11 +219,11 @@ class Scene:
         q = self._motion.q[number]
         near, far = leg(q, LEFT), leg(q, RIGHT)
         shoulder, head = trunk(q)
-        _draw_bones(canvas, far, style.FAR_LIMB)
+        canvas.bones(far.bones(), style.FAR_LIMB)
         self._draw_muscles(canvas, number, RIGHT, style.FAINT)
-        canvas.capsule(near.hip, shoulder, TRUNK_WIDTH_M, style.NEAR_LIMB)
+        canvas.bones([(near.hip, shoulder, TRUNK_WIDTH_M)], style.NEAR_LIMB)
         canvas.disc(head, HEAD_RADIUS_M, style.NEAR_LIMB)
-        _draw_bones(canvas, near, style.NEAR_LIMB)
+        canvas.bones(near.bones(), style.NEAR_LIMB)
         self._draw_muscles(canvas, number, LEFT, style.INK)
         for joint in (near.hip, near.knee, near.ankle):
             canvas.disc(joint, JOINT_RADIUS_M, style.INK)
@@ -273,24 +269,15 @@ class Scene:
         low, high, size = 0.55 * height, 0.15 * height, self._text_px(14)
         colours = matplotlib.colormaps[style.ACTIVATION_MAP]
         for y in range(round(high), round(low)):
-            red, green, blue, _ = colours((low - y) / (low - high), bytes=True)
-            line = [0.35 * width, y, 0.47 * width, y]
-            draw.line(line, fill=(int(red), int(green), int(blue)))
+            colour = tuple(map(int, colours((low - y) / (low - high), bytes=True)[:3]))
+            draw.line([0.35 * width, y, 0.47 * width, y], fill=colour)
         for value in (0.0, 0.5, 1.0):
             at = (0.52 * width, low + value * (high - low))
             draw.text(at, f"{value:.1f}", fill=style.INK, font=font(size), anchor="lm")
-        words = Image.new("RGBA", (height, size * 2))
-        ImageDraw.Draw(words).text(
-            (0.65 * height, 0), "muscle activation (1)", style.INK, font(size), "ma"
-        )
+        words, at = Image.new("RGBA", (height, size * 2)), (0.65 * height, 0)
+        ImageDraw.Draw(words).text(at, "muscle activation (1)", style.INK, font(size), "ma")
         bar.alpha_composite(words.rotate(90, expand=True), (width - 2 * size, 0))
         return bar
-
-
-def _draw_bones(canvas: Canvas, joints: Leg, colour: str) -> None:
-    canvas.capsule(joints.hip, joints.knee, THIGH_WIDTH_M, colour)
-    canvas.capsule(joints.knee, joints.ankle, SHANK_WIDTH_M, colour)
-    canvas.capsule(joints.heel, joints.ball, FOOT_WIDTH_M, colour)
 
 
 def pressure_point(q: Array, side: int) -> Array:

@@ -6,6 +6,7 @@ Muscle paths are for the eye: plausible origins and insertions, not the moment a
 """
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -13,7 +14,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
@@ -23,10 +23,12 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES, Trajectory
 
 Array = NDArray[np.float64]
+Bone = tuple[Array, Array, float]  # its ends, each [2], and its width in metres
 
 LEFT, RIGHT = 0, 1
 FULL_ACTIVATION = Normalize(0.0, 1.0)
-TRUNK_WIDTH_M, THIGH_WIDTH_M, SHANK_WIDTH_M, FOOT_WIDTH_M = 0.15, 0.09, 0.06, 0.04
+TRUNK_WIDTH_M = 0.15
+WIDTHS_M = (0.09, 0.06, 0.04)  # of thigh, shank and foot
 
 
 def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> PolyCollection:
@@ -38,19 +40,15 @@ def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> PolyCo
     near, far = leg(q, LEFT), leg(q, RIGHT)
     shoulder, head = trunk(q)
     pixels = axes.transData.transform([(0.0, 0.0), (1.0, 0.0)])
-    points_per_m = float((pixels[1, 0] - pixels[0, 0]) * 72.0 / _figure_of(axes).dpi)
+    points_per_m = float((pixels[1, 0] - pixels[0, 0]) * 72.0 / axes.figure.dpi)
 
-    def bones(lines: list[Array], widths_m: tuple[float, ...], colour: str, above: float) -> None:
-        widths = [points_per_m * width for width in widths_m]
+    def bones(parts: Sequence[Bone], colour: str, above: float) -> None:
+        lines = [np.array([start, end]) for start, end, _ in parts]
+        widths = [points_per_m * width_m for *_, width_m in parts]
         drawn = LineCollection(
             lines, colors=colour, capstyle="round", linewidths=widths, zorder=layer + above
         )
         axes.add_collection(drawn, autolim=False)
-
-    def leg_bones(joints: Leg, colour: str, above: float) -> None:
-        chain = joints.chain()
-        widths = (THIGH_WIDTH_M, SHANK_WIDTH_M, FOOT_WIDTH_M)
-        bones([chain[0:2], chain[1:3], chain[3:5]], widths, colour, above)
 
     def muscles(side: int, edge: str, above: float) -> PolyCollection:
         drawn = PolyCollection(
@@ -61,13 +59,13 @@ def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> PolyCo
         axes.add_collection(drawn, autolim=False)
         return drawn
 
-    leg_bones(far, style.FAR_LIMB, 0.0)
+    bones(far.bones(), style.FAR_LIMB, 0.0)
     muscles(RIGHT, style.FAINT, 0.1)
-    bones([np.array([q[:2], shoulder])], (TRUNK_WIDTH_M,), style.NEAR_LIMB, 0.2)
+    bones([(q[:2], shoulder, TRUNK_WIDTH_M)], style.NEAR_LIMB, 0.2)
     axes.add_patch(
         Circle((head[0], head[1]), HEAD_RADIUS_M, facecolor=style.NEAR_LIMB, zorder=layer + 0.2)
     )
-    leg_bones(near, style.NEAR_LIMB, 0.3)
+    bones(near.bones(), style.NEAR_LIMB, 0.3)
     shown = muscles(LEFT, style.INK, 0.4)
     axes.plot(*near.chain()[:3].T, "o", color=style.INK, ms=2.0, zorder=layer + 0.5)
     return shown
@@ -75,16 +73,10 @@ def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> PolyCo
 
 def activation_bar(axes: Axes, muscles: PolyCollection) -> None:
     """The colour bar of the activations, in axes of its own."""
-    bar = _figure_of(axes).colorbar(muscles, cax=axes, ticks=[0, 0.5, 1])
+    bar = axes.figure.colorbar(muscles, cax=axes, ticks=[0, 0.5, 1])
     bar.set_label("muscle activation (1)", fontsize=style.SMALL_PT, color=style.INK)
     bar.ax.tick_params(labelsize=style.SMALL_PT, colors=style.INK, length=2)
     bar.outline.set_visible(False)
-
-
-def _figure_of(axes: Axes) -> Figure:
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    return figure
 
 
 SHOULDER_M = 0.50  # above the hip, along the trunk
@@ -92,7 +84,6 @@ HEAD_M = 0.69  # centre of the head; the trunk link is 0.80 m long
 HEAD_RADIUS_M = 0.105
 
 SEGMENTS = ("hat", "thigh", "shank", "foot")
-HAT, THIGH, SHANK, FOOT = range(4)
 LEG_COLUMNS = ((2, 3, 4, 5), (2, 6, 7, 8))  # th of HAT, thigh, shank, foot in q; left, right
 
 DRAWN = tomllib.loads(Path(__file__).with_name("muscle_paths.toml").read_text(encoding="utf-8"))
@@ -112,6 +103,11 @@ class Leg:
     def chain(self) -> Array:
         """Hip, knee, ankle, heel, ball, [..., 5, 2]; the ankle lies on the foot's line."""
         return np.stack([self.hip, self.knee, self.ankle, self.heel, self.ball], axis=-2)
+
+    def bones(self) -> list[Bone]:
+        """Thigh, shank and foot of one pose."""
+        ends = (self.hip, self.knee), (self.knee, self.ankle), (self.heel, self.ball)
+        return [(*pair, width) for pair, width in zip(ends, WIDTHS_M, strict=True)]
 
 
 def down(angle: Array) -> Array:
@@ -148,11 +144,12 @@ def muscle_outlines(q: Array, side: int) -> list[Array]:
 
 def _frames(q: Array, side: int) -> list[tuple[Array, Array, Array]]:
     """Origin, axis and front of HAT, thigh, shank and foot, each [..., 2]."""
-    angles = [q[..., column] for column in LEG_COLUMNS[side]]
+    hat, thigh, shank, foot = (q[..., column] for column in LEG_COLUMNS[side])
     joints = leg(q, side)
-    axes = [-down(angles[HAT]), down(angles[THIGH]), down(angles[SHANK]), forward(angles[FOOT])]
-    fronts = [forward(angle) for angle in angles[:FOOT]] + [-down(angles[FOOT])]
-    return list(zip((joints.hip, joints.hip, joints.knee, joints.ankle), axes, fronts, strict=True))
+    return [
+        (joints.hip, -down(hat), forward(hat)), (joints.hip, down(thigh), forward(thigh)),
+        (joints.knee, down(shank), forward(shank)), (joints.ankle, forward(foot), -down(foot)),
+    ]  # fmt: skip
 
 
 def _path(frames: list[tuple[Array, Array, Array]], name: str) -> Array:

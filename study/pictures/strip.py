@@ -50,12 +50,6 @@ class Stretch:
     poses_s: Array  # times of the poses, [n]
     frame: tuple[float, float, float, float]  # limits of the picture in m: x from, to; z from, to
 
-    @property
-    def size_m(self) -> tuple[float, float]:
-        """Width and height of the frame."""
-        low_x, high_x, low_z, high_z = self.frame
-        return high_x - low_x, high_z - low_z
-
     def draw(self, axes: Axes, hip_colour: str) -> PolyCollection:
         """Draw poses, ghosts and ground to the frame; return muscles, for `activation_bar`."""
         style.tidy(axes)
@@ -66,22 +60,17 @@ class Stretch:
         activation = at_times(self.trajectory, self.trajectory.activation, self.poses_s)
         for number in range(len(q)):
             muscles = draw_walker(axes, q[number], activation[number], layer=3.0 + number)
-        self._draw_ghosts(axes, hip_colour)
+        times_s = np.arange(self.poses_s[0], self.poses_s[-1], GHOST_INTERVAL_S)
+        if len(times_s):  # the left leg and the hip's path between, as in a chronophotograph
+            near = leg(at_times(self.trajectory, self.trajectory.q, times_s), LEFT)
+            lines = list(near.chain()[:, [0, 1, 2, 4]])
+            thin = LineCollection(lines, colors=style.FAINT, linewidths=0.4, alpha=0.55, zorder=1.5)
+            axes.add_collection(thin, autolim=False)
+            axes.plot(*near.hip.T, color=hip_colour, linewidth=0.8, zorder=1.6)
         x = np.linspace(low_x, high_x, 2000)
         _draw_ground(axes, x, self.terrain.height(x), low_z)
         axes.set_ylabel("height (m)", fontsize=style.TEXT_PT, color=style.INK)
         return muscles
-
-    def _draw_ghosts(self, axes: Axes, hip_colour: str) -> None:
-        """The left leg and the hip's path between the poses, as in a chronophotograph."""
-        times_s = np.arange(self.poses_s[0], self.poses_s[-1], GHOST_INTERVAL_S)
-        if not len(times_s):
-            return
-        near = leg(at_times(self.trajectory, self.trajectory.q, times_s), LEFT)
-        chains = list(near.chain()[:, [0, 1, 2, 4]])
-        thin = LineCollection(chains, colors=style.FAINT, linewidths=0.4, alpha=0.55, zorder=1.5)
-        axes.add_collection(thin, autolim=False)
-        axes.plot(*near.hip.T, color=hip_colour, linewidth=0.8, zorder=1.6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,12 +102,9 @@ def last_stretch(trajectory: Trajectory, terrain: Terrain, width_m: float | None
 
 
 def write_strip(
-    path: str | Path,
-    trajectory: Trajectory,
-    terrain: Terrain,
-    title: str = "",
+    path: str | Path, trajectory: Trajectory, terrain: Terrain, title: str = "",
     dpi: int = style.PNG_DPI,
-) -> Path:
+) -> Path:  # fmt: skip
     """Draw the last metres of a walk as poses at their places, muscles coloured by activation.
 
     Below, where the ground is not level, its profile from the first sample on. A walker that fell
@@ -148,8 +134,9 @@ def strips_figure(
     x = [part.trajectory.q[:, 0] for part in parts]
     from_m, to_m = min(each.min() for each in x), max(each.max() for each in x) + 1.0
     with_profile = np.ptp(terrain.height(np.linspace(from_m, to_m, 4000))) > LEVEL_M
-    strip_in = [part.size_m[1] * SCALE_IN_PER_M for part in parts]
-    wide_in = parts[0].size_m[0] * SCALE_IN_PER_M
+    low_x, high_x, *_ = parts[0].frame
+    strip_in = [(part.frame[3] - part.frame[2]) * SCALE_IN_PER_M for part in parts]
+    wide_in = (high_x - low_x) * SCALE_IN_PER_M
     width = LEFT_IN + wide_in + RIGHT_IN
     height = TITLE_IN + sum(strip_in) + len(parts) * (TITLE_IN + AXIS_IN)
     height += (PROFILE_IN + AXIS_IN + 0.1) * with_profile

@@ -6,6 +6,7 @@ bend. Numbers have as many digits as needed to read the same float64 back.
 """
 
 import tomllib
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,57 +28,52 @@ SEGMENTS = ("thigh", "shank", "foot")
 COORDINATES = (
     "x_m", "z_m", "hat_rad", *(f"{segment}_{side}_rad" for side in SIDES for segment in SEGMENTS),
 )  # fmt: skip
-JOINTS = tuple(
-    f"{side}_{joint}_rad"
-    for side in SIDES
-    for joint in ("hip_extension", "knee_flexion", "ankle_plantarflexion")
-)
+OWN_JOINTS = ("hip_extension", "knee_flexion", "ankle_plantarflexion")
+SIDED = [(side, muscle) for side in SIDES for muscle in MUSCLES]
 
 
 def own_columns(trajectory: Trajectory) -> Columns:
     """All samples, by names with units; signs as in `Trajectory`."""
-    sides = [(side, muscle) for side in SIDES for muscle in MUSCLES]
-    named = (
+    return _columns("time_s", trajectory, [
         (COORDINATES, trajectory.q),
         ([f"{name}ps" for name in COORDINATES], trajectory.qdot),
-        (JOINTS, trajectory.joint_rad),
-        ([f"{side}_{muscle}_activation" for side, muscle in sides], trajectory.activation),
-        ([f"{side}_{muscle}_force_n" for side, muscle in sides], trajectory.muscle_force_n),
+        ([f"{side}_{joint}_rad" for side in SIDES for joint in OWN_JOINTS], trajectory.joint_rad),
+        ([f"{side}_{muscle}_activation" for side, muscle in SIDED], trajectory.activation),
+        ([f"{side}_{muscle}_force_n" for side, muscle in SIDED], trajectory.muscle_force_n),
         ([f"{side}_ground_{axis}_n" for side in SIDES for axis in "xz"], trajectory.ground_force_n),
         ([f"{side}_stance" for side in SIDES], trajectory.stance.astype(np.float64)),
-    )
-    columns = {"time_s": trajectory.time_s}
-    for names, values in named:
-        columns |= dict(zip(names, values.T, strict=True))
-    return columns
+    ])  # fmt: skip
 
 
 def coordinates(trajectory: Trajectory) -> Columns:
     """Generalised coordinates of OpenSim's model, angles in degrees."""
     joints = -np.rad2deg(trajectory.joint_rad)  # extension, flexion, plantarflexion: all clockwise
-    columns = {
-        "time": trajectory.time_s,
-        "pelvis_tilt": -np.rad2deg(trajectory.q[:, 2]),
-        "pelvis_tx": trajectory.q[:, 0],
-        "pelvis_ty": trajectory.q[:, 1],
-    }
-    for side, first in (("r", 3), ("l", 0)):
-        for place, joint in enumerate(OPENSIM_JOINTS):
-            columns[f"{joint}_{side}"] = joints[:, first + place]
-    return columns | {"lumbar_extension": np.zeros(len(trajectory.time_s))}
+    return _columns("time", trajectory, [
+        (["pelvis_tilt"], -np.rad2deg(trajectory.q[:, 2:3])),
+        (["pelvis_tx", "pelvis_ty"], trajectory.q[:, :2]),
+        ([f"{joint}_r" for joint in OPENSIM_JOINTS], joints[:, 3:]),
+        ([f"{joint}_l" for joint in OPENSIM_JOINTS], joints[:, :3]),
+        (["lumbar_extension"], np.zeros((len(joints), 1))),
+    ])  # fmt: skip
 
 
 def forces(trajectory: Trajectory) -> Columns:
     """Forces of the ground, and activation and force of each muscle, by OpenSim's names."""
-    sides = [(side, muscle) for side in SIDES for muscle in MUSCLES]
-    columns = {"time": trajectory.time_s}
-    names = [f"ground_force_{side}_{axis}" for side in SIDES for axis in ("vx", "vy")]
-    columns |= dict(zip(names, trajectory.ground_force_n.T, strict=True))
-    for quantity, values in (
-        ("activation", trajectory.activation),
-        ("tendon_force", trajectory.muscle_force_n),
-    ):
-        names = [f"{OPENSIM['muscles'][muscle]}_{side}.{quantity}" for side, muscle in sides]
+    muscles = [f"{OPENSIM['muscles'][muscle]}_{side}" for side, muscle in SIDED]
+    return _columns("time", trajectory, [
+        ([f"ground_force_{side}_{axis}" for side in SIDES for axis in ("vx", "vy")],
+         trajectory.ground_force_n),
+        ([f"{name}.activation" for name in muscles], trajectory.activation),
+        ([f"{name}.tendon_force" for name in muscles], trajectory.muscle_force_n),
+    ])  # fmt: skip
+
+
+def _columns(
+    time: str, trajectory: Trajectory, named: Iterable[tuple[Sequence[str], NDArray[np.float64]]]
+) -> Columns:
+    """The time, and the columns of arrays [t, k] by their names, k each."""
+    columns = {time: trajectory.time_s}
+    for names, values in named:
         columns |= dict(zip(names, values.T, strict=True))
     return columns
 

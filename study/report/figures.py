@@ -1,7 +1,8 @@
-"""Figures: best cost against trials, and a dot a run at its first walker.
+"""Writes a report, or the overview of several, into its folder: the words, and two figures.
 
-Colour shows the kind of an arm, marker and dash the arm; three arms stand in front. In a grey print
-width and dash show the lines in front, and the label at its end names every line.
+They are best cost against trials, and a dot a run at its first walker. Colour shows the kind of an
+arm, marker and dash the arm; three arms stand in front. In a grey print width and dash show the
+lines in front, and the label at its end names every line.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,23 +13,83 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
+from storage.commit import commit_json, commit_text, together
 from study.experiment.arms import OUR_ARM, PAPER_ARM
 from study.pictures import style
-from study.report.markdown import count_text
-from study.report.numbers import Interval, best_peer, by_rank, curve, kind_of, label_of, median
+from study.report.markdown import NO_STORES, condensed_table, count_text, overview_text, report_text
+from study.report.numbers import (
+    Interval,
+    Numbers,
+    best_peer,
+    by_rank,
+    curve,
+    kind_of,
+    label_of,
+    median,
+    numbers,
+)
 from study.report.runs import ArmRuns, Results
 
 Floats = NDArray[np.float64]
 
-# Of arms: three in front, by their role; all others by their kind, their labels in a darker shade.
-FRONT = {"paper": style.BLUE, "best": style.VERMILION, "peer": style.BLACK}
-FRONT_DASH: dict[str, Any] = {"paper": (0, (6, 1.6)), "best": "solid", "peer": (0, (2.2, 1.4))}
-BACK = {"ours": "#6F9FC6", "peer": style.FAINT, "control": "#C69250"}
-BACK_TEXT = {"ours": "#35658C", "peer": "#5A616A", "control": "#85591C"}
-BACK_DASH: dict[str, Any] = {"ours": "solid", "peer": (0, (4, 2)), "control": (0, (1, 1.5))}
+REPORT_NAME = "report"
+
+
+def write_report(
+    results: Results, folder: Path | None = None, stores: Mapping[str, Path] = NO_STORES
+) -> Numbers:
+    """Write report.md, summary.json and the figures of one experiment, all of them or none.
+
+    The folder is by default `report` in the experiment's own; `stores` as `saw` takes them.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    found = numbers(results)
+    document = {
+        "complete": results.complete,
+        "trials_found": results.found,
+        "trials_planned": results.planned,
+        "cost": results.cost,
+        **found.as_dict(),
+    }
+    with together(folder or results.folder / REPORT_NAME) as new:
+        write_best_cost(new / "best-cost.png", results)
+        write_first_walker(new / "first-walker.png", results)
+        commit_json(new / "summary.json", document)
+        commit_text(new / "report.md", report_text(results, found, stores))
+    return found
+
+
+def write_overview(folder: Path, experiments: Sequence[Numbers]) -> None:
+    """Write overview.md and overview.json of several experiments, both or none.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    parts = [f"## {each.experiment}\n\n{condensed_table(each)}\n" for each in experiments]
+    text = "\n".join([f"# {len(experiments)} experiments\n", overview_text(experiments), *parts])
+    with together(folder) as new:
+        document = {"experiments": [each.as_dict() for each in experiments]}
+        commit_json(new / "overview.json", document)
+        commit_text(new / "overview.md", text)
+
+
+# Colour, colour of the label, and dash of arms: of three in front, by their role; of all others by
+# their kind.
+FRONT: dict[str, tuple[str, str, Any]] = {
+    "paper": (style.BLUE, style.BLUE, (0, (6, 1.6))),
+    "best": (style.VERMILION, style.VERMILION, "solid"),
+    "peer": (style.BLACK, style.BLACK, (0, (2.2, 1.4))),
+}
+BACK: dict[str, tuple[str, str, Any]] = {
+    "ours": ("#6F9FC6", "#35658C", "solid"),
+    "peer": (style.FAINT, "#5A616A", (0, (4, 2))),
+    "control": ("#C69250", "#85591C", (0, (1, 1.5))),
+}
 MARKERS = "osD^vPX<>ph*dH8"
 
 
@@ -63,10 +124,7 @@ def looks(arms: Mapping[str, ArmRuns]) -> dict[str, Look]:
     members = dict.fromkeys(BACK, 0)  # arms of a kind so far: each has another marker
     for arm in arms:
         role, kind = front.get(arm), kind_of(arm)
-        if role is not None:
-            drawn = FRONT[role], FRONT[role], FRONT_DASH[role]
-        else:
-            drawn = BACK[kind], BACK_TEXT[kind], BACK_DASH[kind]
+        drawn = FRONT[role] if role else BACK[kind]
         marker = MARKERS[members[kind] % len(MARKERS)]
         found[arm] = Look(label_of(arm), *drawn, marker, front=role is not None)
         members[kind] += 1
@@ -95,7 +153,7 @@ def trial_axis(axes: Axes, trials: int) -> None:
     axes.set_xlim(1.0 / 1.06, trials * 1.04)
     axes.xaxis.set_major_locator(FixedLocator(trial_ticks(trials)))
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.set_xlabel("trials", fontsize=style.TEXT_PT, color=style.INK)
 
 
@@ -121,13 +179,11 @@ def marked(trials: int, place: int) -> list[int]:
 
 def label_ends(axes: Axes, ends: Sequence[End], x: float) -> None:
     """Write the labels right of the lines that end at `x`, moved apart where they would overlap."""
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    figure.canvas.draw()
-    point = figure.dpi / POINTS_AN_INCH
+    axes.figure.canvas.draw()
+    point = axes.figure.dpi / POINTS_AN_INCH
     ends = sorted(ends, key=lambda end: (end.y, end.rank))
     pixels = np.array([axes.transData.transform((x, end.y))[1] for end in ends])
-    low, high = axes.get_window_extent().y0, axes.get_window_extent().y1
+    low, high = axes.get_window_extent().intervaly
     places = spread_out(np.clip(pixels, low, high), LABEL_SPACING_PT * point, low, high)
     for end, own, place in zip(ends, pixels, places, strict=True):
         axes.annotate(
@@ -180,38 +236,12 @@ def write_best_cost(path: Path, results: Results) -> Path:
     figure = style.new_figure(LEFT_IN + PANEL_IN + LABELS_IN, height_in)
     axes = style.axes_at(figure, LEFT_IN, 0.5, PANEL_IN, height_in - MARGINS_IN)
     style.tidy(axes)
-    _cost_axis(axes, results)
-    label_ends(axes, _draw_arms(axes, results), results.trials)
-    title = f"{results.name}: best {results.cost} cost so far, median over runs"
-    headline(figure, LEFT_IN, title, IN_FRONT)
-    return style.save_png(figure, path)
-
-
-def _draw_arms(axes: Axes, results: Results) -> list[End]:
-    """Draw the line of each arm, worst first, with bands for those in front; return their ends.
-
-    Where lines end at one place, the best label is lowest.
-    """
-    styles, ends = looks(results.arms), []
-    order = by_rank(results.arms)
-    for arm in sorted(order[::-1], key=lambda name: styles[name].front):
-        values, low, high = curve(results.arms[arm].best)
-        look, rank = styles[arm], order.index(arm)
-        trials = np.arange(1, len(values) + 1)
-        axes.plot(trials, values, markevery=marked(len(values), rank), **look.line())
-        if look.front:
-            axes.fill_between(trials, low, high, color=look.colour, alpha=0.15, linewidth=0)
-        ends.append(End(float(values[-1]), look, f"{look.label} {values[-1]:.3g}", rank))
-    return ends
-
-
-def _cost_axis(axes: Axes, results: Results) -> None:
     trial_axis(axes, results.trials)
     axes.set_ylabel(f"best {results.cost} cost so far", fontsize=style.TEXT_PT, color=style.INK)
     if results.cost == "smooth":
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_locator(NullLocator())
     else:
         axes.set_ylim(0.0, 315.0)
@@ -221,6 +251,20 @@ def _cost_axis(axes: Axes, results: Results) -> None:
             xytext=(4, -2), textcoords="offset points", va="top", fontsize=style.SMALL_PT,
             color=style.INK, zorder=2.0,
         )  # fmt: skip
+    # Worst first; of lines that end at one place, the best label is lowest.
+    styles, order, ends = looks(results.arms), by_rank(results.arms), []
+    for arm in sorted(order[::-1], key=lambda name: styles[name].front):
+        values, low, high = curve(results.arms[arm].best)
+        look, rank = styles[arm], order.index(arm)
+        trials = np.arange(1, len(values) + 1)
+        axes.plot(trials, values, markevery=marked(len(values), rank), **look.line())
+        if look.front:
+            axes.fill_between(trials, low, high, color=look.colour, alpha=0.15, linewidth=0)
+        ends.append(End(float(values[-1]), look, f"{look.label} {values[-1]:.3g}", rank))
+    label_ends(axes, ends, results.trials)
+    title = f"{results.name}: best {results.cost} cost so far, median over runs"
+    headline(figure, LEFT_IN, title, IN_FRONT)
+    return style.save_png(figure, path)
 
 
 ROW_IN = 0.38
@@ -284,29 +328,22 @@ def _draw_row(axes: Axes, trials: int, row: int, arm: ArmRuns, look: Look) -> No
     found = np.sort(arm.first_walker[np.isfinite(arm.first_walker)])
     x, y = piles(trial_places(found, trials))
     axes.plot(x, row + y, "o", ms=DOT_PT, color=look.colour, markeredgewidth=0.0, zorder=3)
-    _draw_none(axes, row, len(arm.runs) - len(found), look)
+    index = np.arange(len(arm.runs) - len(found))  # of runs without a walker: dots in columns
+    step = min(STEP, (TO - NONE_FROM - 2.0 * STEP) / max(-(-len(index) // PILE), 1))
+    right = NONE_FROM + STEP + step * (index // PILE)
+    down = row + DOTS_AT + PITCH * (index % PILE - 0.5 * (PILE - 1))
+    axes.plot(right, down, "o", ms=DOT_PT - 0.6, markerfacecolor="none",
+              markeredgecolor=look.colour, markeredgewidth=0.7, zorder=3)  # fmt: skip
     interval = median(arm.first_walker)
     _draw_median(axes, trials, row, interval)
-    middle = count_text(interval.value, arm.trials)
     weight = "bold" if look.front else "normal"
     for place, words, side in (
         (FROM - 0.02, look.label, "right"),
-        (MEDIAN_AT, middle, "center"),
+        (MEDIAN_AT, count_text(interval.value, arm.trials), "center"),
         (RUNS_AT, f"{len(found)}/{len(arm.runs)}", "center"),
     ):
         axes.text(place, row, words, ha=side, va="center", fontsize=style.TEXT_PT,
                   color=look.text, fontweight=weight)  # fmt: skip
-
-
-def _draw_none(axes: Axes, row: int, count: int, look: Look) -> None:
-    """Runs without a walker, as open dots in columns."""
-    index = np.arange(count)
-    columns = int(np.ceil(count / PILE))
-    step = min(STEP, (TO - NONE_FROM - 2.0 * STEP) / max(columns, 1))
-    x = NONE_FROM + STEP + step * (index // PILE)
-    axes.plot(x, row + DOTS_AT + PITCH * (index % PILE - 0.5 * (PILE - 1)), "o", ms=DOT_PT - 0.6,
-              markerfacecolor="none", markeredgecolor=look.colour, markeredgewidth=0.7,
-              zorder=3)  # fmt: skip
 
 
 def _draw_median(axes: Axes, trials: int, row: int, interval: Interval) -> None:

@@ -1,30 +1,30 @@
-"""The words of a report: an experiment, several side by side, and the table `compare` prints."""
+"""All words about results: a report, an overview, a table of `compare`, a note of the dashboard."""
 
 import html
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import astuple
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from study.experiment.arms import ARMS, OUR_ARM, PAPER_ARM, Kind, saw
+from study.experiment.experiment import study_name
 from study.report.numbers import (
     COMPARED_AFTER,
     RESAMPLES,
     ArmNumbers,
-    Comparison,
     Interval,
     Numbers,
-    PairedTest,
     kind_of,
     label_of,
     plain,
 )
-from study.report.runs import Results
+from study.report.runs import ArmRuns, Results, runs_of
 
-SECONDS_A_MINUTE = 60.0
 NO_STORES: Mapping[str, Path] = MappingProxyType({})
 ABSENT = "-"
 UNKNOWN = "not recorded"
@@ -61,26 +61,27 @@ def _estimate(interval: Interval | None, form: str = ".3g") -> list[str]:
     """Two cells: an estimate and its interval."""
     if interval is None:
         return [ABSENT, ABSENT]
-    value, low, high = (format(x, form) for x in (interval.value, interval.low, interval.high))
+    value, low, high = (format(x, form) for x in astuple(interval))
     return [value, f"{low} to {high}"]
 
 
 def _first_walker(arm: ArmNumbers) -> list[str]:
     """Two cells: the median trial of the first walker and its interval."""
-    first = arm.first_walker
-    value, low, high = (count_text(x, arm.trials) for x in (first.value, first.low, first.high))
+    value, low, high = (count_text(x, arm.trials) for x in astuple(arm.first_walker))
     return [value, f"{low} to {high}"]
 
 
-def _walkers(numbers: Numbers, limits: Sequence[int]) -> tuple[list[str], list[list[str]]]:
+def _walkers(
+    numbers: Numbers, limits: Sequence[int], name: Callable[[str], str]
+) -> tuple[list[str], list[list[str]]]:
     """Header and a row an arm: runs with a walker, when, and how many within so many trials."""
     header = [
-        "runs", "runs with a walker", "interval of their share, %", "first walker, median trial",
-        "interval", *(f"within {limit}" for limit in limits),
+        "arm", "runs", "runs with a walker", "interval of their share, %",
+        "first walker, median trial", "interval", *(f"within {limit}" for limit in limits),
     ]  # fmt: skip
     rows = [
         [
-            str(arm.runs), str(arm.walkers),
+            name(arm.arm), str(arm.runs), str(arm.walkers),
             f"{100 * arm.share.low:.0f} to {100 * arm.share.high:.0f}", *_first_walker(arm),
             *(str(arm.within.get(limit, ABSENT)) for limit in limits),
         ]
@@ -89,15 +90,8 @@ def _walkers(numbers: Numbers, limits: Sequence[int]) -> tuple[list[str], list[l
     return header, rows
 
 
-def report_text(
-    results: Results,
-    numbers: Numbers,
-    stores: Mapping[str, Path] = NO_STORES,
-) -> str:
-    """The document; it links the figures beside it.
-
-    `stores` are folders of the stores that the arms read, by key, where they are known.
-    """
+def report_text(results: Results, numbers: Numbers, stores: Mapping[str, Path] = NO_STORES) -> str:
+    """The document; it links the figures beside it. `stores` as `saw` takes them."""
     parts = [
         f"# {results.name}",
         _state(results),
@@ -137,9 +131,7 @@ def _state(results: Results) -> str:
 
 def _reached(numbers: Numbers) -> str:
     limits = sorted({limit for arm in numbers.arms for limit in arm.within})
-    header, rows = _walkers(numbers, limits)
-    labelled = [[_label(arm.arm), *row] for arm, row in zip(numbers.arms, rows, strict=True)]
-    return table(["arm", *header], labelled)
+    return table(*_walkers(numbers, limits, _label))
 
 
 def _costs(numbers: Numbers, cost: str) -> str:
@@ -160,30 +152,23 @@ def _tests(numbers: Numbers) -> list[str]:
     if not numbers.comparisons:
         return []
     header = ["arm", "trials", f"best cost less that of {numbers.reference}, median", "interval"]
-    for test in ("Wilcoxon", "McNemar"):
-        header += [f"{test}: pairs", "differ", "Holm", "p"]
-    rows = [
-        [
-            _label(each.arm), str(each.after), *_estimate(each.difference, "+.3g"),
-            *_test_cells(each.cost, each.cost_p_holm),
-            *_test_cells(each.walkers, each.walkers_p_holm),
-        ]
-        for each in numbers.comparisons
-    ]  # fmt: skip
+    for name in ("Wilcoxon", "McNemar"):
+        header += [f"{name}: pairs", "differ", "Holm", "p"]
+    rows = []
+    for each in numbers.comparisons:
+        row = [_label(each.arm), str(each.after), *_estimate(each.difference, "+.3g")]
+        for test, holm in ((each.cost, each.cost_p_holm), (each.walkers, each.walkers_p_holm)):
+            row += [str(test.pairs), str(test.unequal), _p_text(holm), _p_text(test.p)]
+        rows.append(row)
     return [f"## Against `{numbers.reference}`", WORDS["tests"], table(header, rows)]
 
 
-def _test_cells(test: PairedTest, holm: float) -> list[str]:
-    return [str(test.pairs), str(test.unequal), _p_text(holm), _p_text(test.p)]
-
-
 def _saw(numbers: Numbers, stores: Mapping[str, Path]) -> str:
-    rows = [
-        [_label(each.arm), ARMS[each.arm].summary, saw(ARMS[each.arm], stores)]
-        if each.arm in ARMS
-        else [_label(each.arm), UNKNOWN, UNKNOWN]
-        for each in numbers.arms
-    ]
+    rows = []
+    for name in (each.arm for each in numbers.arms):
+        arm = ARMS.get(name)
+        known = [UNKNOWN, UNKNOWN] if arm is None else [arm.summary, saw(arm, stores)]
+        rows.append([_label(name), *known])
     return table(["arm", "what it is", "what its store saw"], rows, "---")
 
 
@@ -220,7 +205,7 @@ def _wall_time(sessions: list[dict[str, Any]]) -> str:
     seconds = sum(float(each.get("wall_s", 0.0)) for each in sessions)
     trials = sum(int(each.get("trials", 0)) for each in sessions)
     times = f" in {len(sessions)} sessions" if len(sessions) > 1 else ""
-    return f"{seconds / SECONDS_A_MINUTE:.1f} min for {trials:,} trials{times}"
+    return f"{seconds / 60.0:.1f} min for {trials:,} trials{times}"
 
 
 def _words(values: dict[str, Any] | None) -> str:
@@ -249,10 +234,8 @@ def overview_text(experiments: Sequence[Numbers]) -> str:
             cells = {arm.arm: cell(arm) for arm in each.arms}
             rows.append([each.experiment, *(cells.get(arm, "") for arm in arms)])
         parts += [f"{title}:", table(header, rows)]
-    remark = (
-        "`> T`: no more than half of the runs had a walker in T trials. Intervals below are 95 %."
-    )
-    return "\n\n".join([*parts, remark]) + "\n"
+    remark = "`> T`: no more than half of the runs had a walker in T trials."
+    return "\n\n".join([*parts, f"{remark} Intervals below are 95 %."]) + "\n"
 
 
 def arms_of(experiments: Sequence[Numbers]) -> list[str]:
@@ -266,29 +249,16 @@ def arms_of(experiments: Sequence[Numbers]) -> list[str]:
 def condensed_table(experiment: Numbers) -> str:
     """A row an arm, best first."""
     against = {(each.arm, each.after): each for each in experiment.comparisons}
-    header, rows = _walkers(experiment, SHOWN_WITHIN)
-    header = ["arm", *header]
+    header, rows = _walkers(experiment, SHOWN_WITHIN, "`{}`".format)
     for after in COMPARED_AFTER:
-        header += [
-            f"best cost after {after}, median",
-            f"less that of `{experiment.reference}`",
-            "p",
-        ]
-    rows = [
-        [f"`{arm.arm}`", *row, *(
-            cell for after in COMPARED_AFTER
-            for cell in _cost_cells(arm.cost_after.get(after), against.get((arm.arm, after)))
-        )]
-        for arm, row in zip(experiment.arms, rows, strict=True)
-    ]  # fmt: skip
+        less = f"less that of `{experiment.reference}`"
+        header += [f"best cost after {after}, median", less, "p"]
+        for arm, row in zip(experiment.arms, rows, strict=True):
+            cost, known = arm.cost_after.get(after), against.get((arm.arm, after))
+            difference = ABSENT if known is None else f"{known.difference.value:+.3g}"
+            p = ABSENT if known is None else _p_text(known.cost_p_holm)
+            row += [ABSENT if cost is None else f"{cost.value:.4g}", difference, p]
     return table(header, rows)
-
-
-def _cost_cells(cost: Interval | None, against: Comparison | None) -> list[str]:
-    known = ABSENT if cost is None else f"{cost.value:.4g}"
-    if against is None:
-        return [known, ABSENT, ABSENT]
-    return [known, f"{against.difference.value:+.3g}", _p_text(against.cost_p_holm)]
 
 
 HEADER = "arm                runs  with a walker  first (median)  best cost (median)  ms a trial"
@@ -296,23 +266,17 @@ HEADER = "arm                runs  with a walker  first (median)  best cost (med
 
 def arms_text(numbers: Numbers) -> str:
     """A table of the arms, in the order of their names."""
-    return "\n".join([HEADER, *map(_line, _by_name(numbers))])
-
-
-def _line(arm: ArmNumbers) -> str:
-    first = count_text(arm.first_walker.value, arm.trials)
-    time = ABSENT if arm.proposal_ms is None else f"{arm.proposal_ms:.1f}"
-    return (
-        f"{arm.arm:<18} {arm.runs:>4}  {arm.walkers:>13}  {first:>14}"
-        f"  {arm.best_cost.value:>18.4f}  {time:>10}"
-    )
+    lines = [HEADER]
+    for arm in _by_name(numbers):
+        first = count_text(arm.first_walker.value, arm.trials)
+        time = ABSENT if arm.proposal_ms is None else f"{arm.proposal_ms:.1f}"
+        best = f"{arm.best_cost.value:>18.4f}  {time:>10}"
+        lines.append(f"{arm.arm:<18} {arm.runs:>4}  {arm.walkers:>13}  {first:>14}  {best}")
+    return "\n".join(lines)
 
 
 def arms_documents(numbers: Numbers, stores: Mapping[str, Path]) -> list[dict[str, Any]]:
-    """The same as plain values, with what each arm's store (of `stores`, folders by key) saw.
-
-    A first walker that most runs lack is None.
-    """
+    """The same as plain values, and what each arm saw; None for a first walker that most lack."""
     return [
         {
             "arm": arm.arm,
@@ -330,3 +294,47 @@ def arms_documents(numbers: Numbers, stores: Mapping[str, Path]) -> list[dict[st
 
 def _by_name(numbers: Numbers) -> list[ArmNumbers]:
     return sorted(numbers.arms, key=lambda arm: arm.arm)
+
+
+DASHBOARD = "/dashboard"  # where optuna-dashboard serves its pages
+
+
+def dashboard_summary(name: str, trials: pa.Table, final: bool, studies: Mapping[str, int]) -> str:
+    """The note of an experiment's summary study, as `study.experiment.database.Summarise`.
+
+    Of each arm those rows of the results table count that all its runs have. The note is renewed
+    once a minute while the experiment runs: medians only, no resampling. Its second table links to
+    the studies, of which the dashboard lists hundreds.
+    """
+    arms = list(runs_of(trials).values())
+    state = "all trials" if final else "so far; the experiment is running or was stopped"
+    heads, rows = ["arm", "runs", "walked", "walked, %", "first walker", "best cost"], []
+    for arm in arms:
+        first = count_text(float(np.median(arm.first_walker)), arm.trials)
+        percent, best = 100 * arm.walkers / len(arm.runs), np.median(arm.best[:, -1])
+        counts = str(len(arm.runs)), str(arm.walkers), f"{percent:.0f}"
+        rows.append([arm.arm, *counts, first, f"{best:.4g}"])
+    tables = {"table": table(heads, rows), "links": _links(name, arms, studies)}
+    return str(WORDS["note"].format(name=name, trials=len(trials), state=state, **tables))
+
+
+def _links(experiment: str, arms: Sequence[ArmRuns], studies: Mapping[str, int]) -> str:
+    """A row a run and a column an arm: best costs, linked to the studies that are in `studies`."""
+    rows = []
+    for run in sorted({int(run) for arm in arms for run in arm.runs}):
+        names = [study_name(experiment, arm.arm, run) for arm in arms]
+        known = [str(studies[name]) for name in names if name in studies]
+        cells = [_cell(arm, run, studies.get(name)) for arm, name in zip(arms, names, strict=True)]
+        together = f"[compare]({DASHBOARD}/compare-studies?ids={','.join(known)})"
+        rows.append([str(run), *cells, together if len(known) > 1 else ""])
+    return table(["run", *(arm.arm for arm in arms), "all arms"], rows)
+
+
+def _cell(arm: ArmRuns, run: int, number: int | None) -> str:
+    """The best cost of an arm in a run."""
+    place = np.flatnonzero(arm.runs == run)
+    if not len(place):
+        return ""
+    cost = f"{arm.best[place[0], -1]:.4g}"
+    cost = f"**{cost}**" if np.isfinite(arm.first_walker[place[0]]) else cost
+    return cost if number is None else f"[{cost}]({DASHBOARD}/studies/{number})"

@@ -18,7 +18,6 @@ from study.experiment.arms import ARMS, OUR_ARM, PAPER_ARM, Kind
 from study.report.runs import ArmRuns, Results
 
 Floats = NDArray[np.float64]
-Curve = tuple[Floats, Floats, Floats]  # its points and the ends of their intervals, each [t]
 
 CONFIDENCE = 0.95
 ENDS = (0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE))  # as quantiles
@@ -66,8 +65,8 @@ def median(values: ArrayLike) -> Interval:
     return Interval(float(np.median(known)), low, high)
 
 
-def curve(values: Floats) -> Curve:
-    """Median over runs of curves [r, t], with the bootstrap interval of each point."""
+def curve(values: Floats) -> tuple[Floats, Floats, Floats]:
+    """Median over runs of curves [r, t], and the ends of each point's bootstrap interval, [t]."""
     low, high = np.array([_bootstrap(runs, CURVE_RESAMPLES) for runs in values.T]).T
     return np.median(values, axis=0), low, high
 
@@ -208,6 +207,8 @@ def numbers(results: Results) -> Numbers:
 
 
 def _arm_numbers(arm: ArmRuns) -> ArmNumbers:
+    ended = arm.walkers == len(arm.runs)
+    limits = [limit for limit in WITHIN if limit <= arm.trials or ended]
     return ArmNumbers(
         arm=arm.arm,
         family=kind_of(arm.arm),
@@ -217,17 +218,11 @@ def _arm_numbers(arm: ArmRuns) -> ArmNumbers:
         walkers=arm.walkers,
         share=wilson(arm.walkers, len(arm.runs)),
         first_walker=median(arm.first_walker),
-        within=_within(arm),
+        within={k: int(arm.has_walker[:, min(k, arm.trials) - 1].sum()) for k in limits},
         cost_after={k: median(arm.best[:, k - 1]) for k in COST_AFTER if k <= arm.trials},
         best_cost=median(arm.best[:, -1]),
         proposal_ms=arm.proposal_ms,
     )
-
-
-def _within(arm: ArmRuns) -> dict[int, int]:
-    ended = arm.walkers == len(arm.runs)
-    known = [limit for limit in WITHIN if limit <= arm.trials or ended]
-    return {limit: int(arm.has_walker[:, min(limit, arm.trials) - 1].sum()) for limit in known}
 
 
 def _comparisons(arms: list[ArmRuns], reference: ArmRuns) -> Iterator[Comparison]:
@@ -245,12 +240,9 @@ def _comparisons(arms: list[ArmRuns], reference: ArmRuns) -> Iterator[Comparison
             compared = Comparison(arm.arm, after, cost, cost.p, difference, walkers, walkers.p)
             found.setdefault(after, []).append(compared)
     for after in sorted(found):
-        alike = found[after]
-        cost_p, walkers_p = (
-            holm([test.p for test in tests])
-            for tests in ([each.cost for each in alike], [each.walkers for each in alike])
-        )
-        for each, of_cost, of_walkers in zip(alike, cost_p, walkers_p, strict=True):
+        cost_p = holm([each.cost.p for each in found[after]])
+        walkers_p = holm([each.walkers.p for each in found[after]])
+        for each, of_cost, of_walkers in zip(found[after], cost_p, walkers_p, strict=True):
             yield replace(each, cost_p_holm=of_cost, walkers_p_holm=of_walkers)
 
 

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from storage.tables import read_any
-from study.experiment.experiment import COST_FUNCTIONS, NAME_PATTERN
+from study.experiment.experiment import COST_FUNCTIONS, NAME_PATTERN, store_digest
 from study.experiment.folder import (
     EXPERIMENT_NAME,
     RESULTS_NAME,
@@ -28,8 +28,8 @@ from study.experiment.folder import (
     as_if_gone_on,
     in_order,
     table_files,
+    without_gaps,
 )
-from study.experiment.stores import store_digest
 from taichi_nmm.checks import Check, anything, by_name, each, flag, number, text, word
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, json_document, reading
@@ -114,6 +114,8 @@ class Results:
 def read_results(folder: str | Path) -> Results:
     """Read the folder of a comparison, finished or not.
 
+    An arm is read from the table or from its checkpoint, whichever has more trials.
+
     Raises:
         InputError: no such folder, no trials in it, or a table or document that cannot be used.
     """
@@ -121,7 +123,13 @@ def read_results(folder: str | Path) -> Results:
     if (folder / ROBOTS_NAME).exists():
         allowed = "a comparison of the walker; on robots, compare has written report.md there"
         raise InputError("folder", str(folder), allowed)
-    arms = read_arms(folder, COLUMNS)
+    if not is_folder(folder):
+        raise InputError("folder", str(folder), "the output folder of taichi-nmm compare")
+    arms: dict[str, pa.Table] = {}
+    for path in table_files(folder):
+        for arm, rows in _by_arm(read_trials(path, COLUMNS)).items():
+            if arm not in arms or len(arms[arm]) < len(rows):
+                arms[arm] = rows
     if not arms:
         allowed = f"the output of taichi-nmm compare: {RESULTS_NAME}, with trials"
         raise InputError("folder", str(folder), allowed)
@@ -134,8 +142,7 @@ def read_results(folder: str | Path) -> Results:
         for arm, rows in arms.items()
     }
     name = next(iter(arms.values()))["experiment"][0].as_py()
-    cost = facts.get("objective", {}).get("cost", "smooth")
-    return Results(folder, name, cost, runs, facts)
+    return Results(folder, name, facts.get("objective", {}).get("cost", "smooth"), runs, facts)
 
 
 def runs_of(trials: pa.Table) -> dict[str, ArmRuns]:
@@ -146,24 +153,6 @@ def runs_of(trials: pa.Table) -> dict[str, ArmRuns]:
     """
     arms = _by_arm(trials.select(COLUMNS))
     return {arm: _arm_runs("trials", arm, rows, None, len(rows)) for arm, rows in arms.items()}
-
-
-def read_arms(folder: Path, columns: Sequence[str]) -> dict[str, pa.Table]:
-    """Columns of each arm's trials, by run and trial.
-
-    An arm is read from the table or from its checkpoint, whichever has more trials.
-
-    Raises:
-        InputError: no such folder, or as `read_trials`.
-    """
-    if not is_folder(folder):
-        raise InputError("folder", str(folder), "the output folder of taichi-nmm compare")
-    arms: dict[str, pa.Table] = {}
-    for path in table_files(folder):
-        for arm, rows in _by_arm(read_trials(path, columns)).items():
-            if arm not in arms or len(arms[arm]) < len(rows):
-                arms[arm] = rows
-    return arms
 
 
 def _by_arm(table: pa.Table) -> dict[str, pa.Table]:
@@ -177,24 +166,14 @@ def _arm_runs(
     source: str, arm: str, table: pa.Table, proposal_ms: float | None, found: int
 ) -> ArmRuns:
     """Arrays of one arm's table: `found` trials were made, the others are repeated."""
-    runs, counts = np.unique(table["run"].to_numpy(), return_counts=True)
-    trial = table["trial"].to_numpy()
-    if not np.array_equal(trial, np.concatenate([np.arange(count) for count in counts])):
+    if not without_gaps(table):
         raise InputError(source, f"arm {arm}", "trials 0, 1, 2, ... of each run, each once")
-    shared = trial < counts.min()
-
-    def square(name: str) -> NDArray[Any]:
-        return np.asarray(table[name].to_numpy()[shared].reshape(len(runs), -1))
-
-    return ArmRuns(
-        arm=arm,
-        runs=runs.astype(np.int64),
-        best=square("best_cost"),
-        walks=square("walked").astype(bool),
-        found=found,
-        proposal_ms=proposal_ms,
-        repeated=len(table) - found,
-    )
+    runs, counts = np.unique(table["run"].to_numpy(), return_counts=True)
+    shared, shape = table["trial"].to_numpy() < counts.min(), (len(runs), -1)
+    best, walks = (table[name].to_numpy()[shared] for name in ("best_cost", "walked"))
+    best, walks = best.reshape(shape), walks.astype(bool).reshape(shape)
+    repeated = len(table) - found
+    return ArmRuns(arm, runs.astype(np.int64), best, walks, found, proposal_ms, repeated)
 
 
 def _proposal_times(folder: Path) -> dict[str, float]:
@@ -225,17 +204,6 @@ SESSION: dict[str, Check] = {
 }  # fmt: skip
 
 
-def read_document(path: Path) -> dict[str, Any]:
-    """A JSON object; empty where there is no such file.
-
-    Raises:
-        InputError: it cannot be read, or is something else than an object.
-    """
-    if not path.exists():
-        return {}
-    return json_document(path.name, path, "a readable JSON object")
-
-
 def read_facts(folder: Path) -> dict[str, Any]:
     """Both documents of the folder as one; empty where there are none.
 
@@ -246,9 +214,10 @@ def read_facts(folder: Path) -> dict[str, Any]:
     if not is_folder(folder):
         return facts
     for name, form in FORM.items():
-        document = _without_nulls(read_document(folder / name))
-        _require_form(document, form, name)
-        facts |= document
+        if (folder / name).exists():
+            document = _without_nulls(json_document(name, folder / name, "a readable JSON object"))
+            _require_form(document, form, name)
+            facts |= document
     for place, session in enumerate(facts.get("sessions", [])):
         _require_form(session, SESSION, f"{RUN_NAME}: sessions[{place}]")
     return facts
@@ -308,9 +277,9 @@ def _require_column(column: pa.ChunkedArray, name: str, path: Path) -> None:
         raise InputError(field, "NaN, infinite or larger", allowed)
     if kind is COUNTS and len(column) and pc.min(column).as_py() < 0:
         raise InputError(field, pc.min(column).as_py(), allowed)
-    for name in pc.unique(column).to_pylist() if kind is NAMES else ():
-        if not re.fullmatch(NAME_PATTERN, name):
-            raise InputError(field, name, allowed)
+    for value in pc.unique(column).to_pylist() if kind is NAMES else ():
+        if not re.fullmatch(NAME_PATTERN, value):
+            raise InputError(field, value, allowed)
 
 
 def known_stores(results: Results) -> dict[str, Path]:

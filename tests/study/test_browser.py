@@ -15,7 +15,7 @@ import pytest
 from study.experiment import artifacts
 from study.experiment.artifacts import draw_best
 from study.experiment.database import export
-from study.report.notes import dashboard_summary
+from study.report.markdown import dashboard_summary
 from taichi_nmm.result import Result
 from tests.browser import save
 from tests.study import synthetic_gait

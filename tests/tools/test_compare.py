@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from study.experiment import compare
-from study.experiment.stores import store_digest
+from study.experiment.experiment import store_digest
 from tests.study import fake_walker
 from tests.tools.conftest import Command, Simulator, Tool
 from tests.tools.running import finish, start

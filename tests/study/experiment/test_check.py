@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from study.experiment.arms import ARMS, check_arms, find_arm, with_store
-from study.experiment.experiment import Experiment
-from study.experiment.stores import candidates, check_store, store_path
+from study.experiment.experiment import Experiment, candidates, check_store, store_path
 from tests.study import fake_walker
 from tests.study.conftest import refused
 

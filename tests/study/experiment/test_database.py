@@ -13,9 +13,8 @@ from storage.databases.bulk import study_ids, trial_counts
 from storage.databases.studies import open_studies
 from study.experiment.database import check_database, export
 from study.experiment.experiment import Experiment
-from study.experiment.folder import as_if_gone_on
-from study.experiment.identity import fingerprint
-from study.report.notes import dashboard_summary
+from study.experiment.folder import as_if_gone_on, fingerprint
+from study.report.markdown import dashboard_summary
 from taichi_nmm.parameters import GAINS
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Ground

@@ -9,9 +9,8 @@ import pytest
 
 from study.experiment import experiment as experiments
 from study.experiment.arms import find_arm
-from study.experiment.experiment import Experiment, as_written, read_experiment
+from study.experiment.experiment import Experiment, as_written, read_experiment, store_path
 from study.experiment.robots import is_of_robots
-from study.experiment.stores import store_path
 from study.options import config_path, shipped_configs
 from taichi_nmm.config import Table
 from taichi_nmm.parameters import GAIN_NAMES

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from storage.store import open_store
 from study.experiment import features
 from study.experiment.arms import ARMS, check_arms
-from study.experiment.stores import candidates
+from study.experiment.experiment import candidates
 from tests.study import fake_walker
 from tests.study.conftest import refused
 

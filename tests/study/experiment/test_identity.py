@@ -10,7 +10,7 @@ import pytest
 from storage.tables import difference
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, as_written, experiment_of
-from study.experiment.identity import document, fingerprint, versions
+from study.experiment.folder import document, fingerprint, versions
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.config import Table
 from taichi_nmm.kernel_cache import COMPILER

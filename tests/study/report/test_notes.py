@@ -6,7 +6,7 @@ import pyarrow as pa
 
 from study.experiment.arms import ARMS
 from study.experiment.experiment import study_name
-from study.report.notes import dashboard_summary
+from study.report.markdown import dashboard_summary
 from tests.study.report import synthetic
 
 

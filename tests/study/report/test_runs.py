@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from study.experiment.stores import store_digest
+from study.experiment.experiment import store_digest
 from study.report.markdown import facts
 from study.report.runs import Results, known_stores, read_results, runs_of
 from taichi_nmm.errors import InputError

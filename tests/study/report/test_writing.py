@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from storage.commit import together
-from study.report import writing
+from study.report import figures
+from study.report.figures import write_report
 from study.report.runs import Results
-from study.report.writing import write_report
 from taichi_nmm.errors import InputError
 from tests.study.report.synthetic import arm, counted
 
@@ -23,7 +23,7 @@ def test_a_failed_report_changes_nothing(tmp_path: Path, monkeypatch: pytest.Mon
         path.touch()
         raise InputError("disk", "full", "space")
 
-    monkeypatch.setattr(writing, "write_best_cost", fails)
+    monkeypatch.setattr(figures, "write_best_cost", fails)
     (tmp_path / "report.md").write_text("an older one")
     with pytest.raises(InputError, match="disk"):
         write_report(counted(arm("random", [np.inf], trials=2)), folder=tmp_path)
