@@ -26,9 +26,9 @@ from study.sampler.diagnostics import (
     likeness_of,
     worth_of,
 )
+from study.sampler.draws import ReproducibleRandomSampler, new_seed
 from study.sampler.gp import KERNELS, SIMILARITY, WORLDS
 from study.sampler.policy import Features, Options, one_thread
-from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
 from study.sampler.space_policy import SpacePolicy
 from study.sampler.table import FeatureTable
 from study.sampler.table_policy import TablePolicy
