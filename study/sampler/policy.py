@@ -1,16 +1,8 @@
 """The common part of proposals from a table and from a space.
 
-The first trials come before there is a model: they try both ends of the features, or follow the
-end that the user names.
-
-| | first trials |
-|---|---|
-| a feature's good end is known (`prior`) | the best `RANKED` of that ranking, in its order |
-| features without a prior | both ends of what they have in common |
-| a kernel that takes features as they are, or none; a similarity | `RANDOM`, at random |
-
-What features have in common is their first principal component: candidates at its ends are extreme
-by most of them at once. Where several features predict the cost, the good end is one of the two.
+The first trials come before there is a model: with a `prior` they are the best `RANKED` of that
+ranking; with features the `ENDS` of their first principal component, where candidates are extreme
+by most of them at once, so that one end is good where several predict the cost; else `RANDOM` ones.
 """
 
 import warnings
@@ -77,9 +69,9 @@ NOTHING = Proposal({}, {})
 
 
 class Policy:
-    """A maker of proposals for the trials of any study: the common part of the two.
+    """A maker of proposals, which follow from the trials alone.
 
-    Proposals follow from the trials alone: another process, without these memories, makes the same.
+    Another process, without these memories, makes the same.
     """
 
     def __init__(self, options: Options, seed: int, independent: BaseSampler) -> None:
@@ -116,12 +108,9 @@ class Policy:
         return self._proposals.pop((trial.number, trial.datetime_start), None)
 
     def merit(self, prior_mean: PriorMean | None, features: Floats, turn: int) -> Floats:
-        """How good each candidate is as one of the first trials, [m]; equal where any will do.
+        """How good each is as one of the first trials, [m], by features in standard units [m, k].
 
-        Args:
-            prior_mean: of the option `prior`.
-            features: in standard units, [m, k].
-            turn: of the trial; the first are the ends.
+        Equal where any will do.
         """
         if prior_mean is not None:
             return prior_mean.merit(features)
@@ -129,57 +118,51 @@ class Policy:
             return np.zeros(len(features))
         return (1.0 if turn % ENDS == 0 else -1.0) * _common(features)
 
-    def plain_model(
-        self,
-        prior_mean: PriorMean | None,
-        parameters: int,
-        seen: Points,
-        cost: Floats,
-        ensemble: Relation | None = None,
-    ) -> Model:
-        """The model after finished trials alone, whatever limits they have."""
-        limits, running = np.empty((len(cost), 0)), seen.take(np.arange(0))
-        kernel, known = self.options.kernel, self.known
-        return Model(kernel, prior_mean, parameters, seen, cost, limits, running, known, ensemble)
-
     def model(
         self,
         prior_mean: PriorMean | None,
         parameters: int,
         history: History,
         seen: Points,
-        running: Points,
-        own_turn: int,
         ensemble: Relation | None = None,
+        running: Points | None = None,
+        own_turn: int = 0,
     ) -> Model:
-        """The model of one trial, after the trials of a history, at the points where they were."""
-        plain = self.plain_model(prior_mean, parameters, seen, history.cost, ensemble)
-        success = self.options.success
-        model = replace(
-            plain,
-            limits=read_limits(history.trials),
-            running=running,
-            success=None if success is None else history.sign * success,
+        """The model of one trial, after the trials of a history, at the points where they were.
+
+        Without `running`, that of finished trials alone, whatever limits they have.
+        """
+        kernel, cost, nowhere = self.options.kernel, history.cost, seen.take(np.arange(0))
+        no_limits = np.empty((len(cost), 0))
+        model = Model(
+            kernel, prior_mean, parameters, seen, cost, no_limits, nowhere, self.known, ensemble
         )
-        kept = history.cost[model.feasible]
+        if running is None:
+            return model
+        success = self.options.success
+        success = None if success is None else history.sign * success
+        limits = read_limits(history.trials)
+        model = replace(model, limits=limits, running=running, success=success)
+        kept = cost[model.feasible]
         if self.learns_trust and is_doubtful(kept, own_turn, prior_mean is not None):
             return replace(model, kernel=NEARNESS, prior_mean=None)
         return model
 
     def present_of(
         self,
-        trials: tuple[FrozenTrial, ...],
-        rows: tuple[int | None, ...],
+        history: History,
         names: Sequence[str],
         features: Floats,
         model: Model,
+        rows: tuple[int | None, ...],
         first: Mapping[int, Floats] = MappingProxyType({}),
     ) -> Present:
         """See `Present`."""
         has_prior = model.prior_mean is not None
-        is_doubted = any(is_doubtful(model.costs, turn, has_prior) for turn in (0, 1))
-        is_doubted = is_doubted and self.learns_trust
-        return Present(trials, rows, tuple(names), features, model, is_doubted, first)
+        is_doubted = self.learns_trust and any(
+            is_doubtful(model.costs, turn, has_prior) for turn in (0, 1)
+        )
+        return Present(history.trials, rows, tuple(names), features, model, is_doubted, first)
 
     def rng(self, purpose: Purpose, turn: int) -> np.random.Generator:
         """The generator of one draw of one trial."""
@@ -216,7 +199,7 @@ def call_features(
         function: of the user.
         points: as rows of `study.sampler.space`.
         width: k, where it is known.
-        to_choose: one of the points is to be proposed; else gaps in all of them are no error.
+        to_choose: one of the points is to be proposed; else gaps in all are no error.
 
     Raises:
         InputError: the function raised (its exception is the cause), or returned something else.
@@ -233,10 +216,11 @@ def call_features(
         raise InputError("features(params)", name, "an array of numbers [n, k]") from None
     features = features[:, None] if features.ndim == 1 else features
     expected = f"[{len(points)}, {'k' if width is None else width}]"
-    if features.ndim != 2 or len(features) != len(points) or width not in (None, features.shape[1]):
-        raise InputError("features(params).shape", features.shape, expected)
-    if not features.shape[1]:
-        raise InputError("features(params).shape", features.shape, "at least one feature")
+    shape = features.shape
+    if len(shape) != 2 or shape[0] != len(points) or width not in (None, shape[1]):
+        raise InputError("features(params).shape", shape, expected)
+    if not shape[1]:
+        raise InputError("features(params).shape", shape, "at least one feature")
     if to_choose and len(features) and np.isnan(features).any(axis=1).all():
         raise InputError("features(params)", "no row without NaN", f"finite numbers {expected}")
     return features

@@ -69,8 +69,12 @@ class SpacePolicy(Policy):
         space = Space.of(search_space).pinned(values_of(trial))
         try:
             self._require_declared(study, trial, search_space)
+            history, own_turn = read_history(study, trial, space), turn(study, trial)
             with one_thread():
-                point, features = self._choose(study, trial, space)
+                if len(history.cost) < self.first_trials:
+                    point, features = self._first(space, own_turn)
+                else:
+                    point, features = self._best(space, history, own_turn)
         except InputError as error:
             self.misfit(error)
             draw = self.independent.sample_independent
@@ -103,14 +107,10 @@ class SpacePolicy(Policy):
         if not len(history.cost):
             return None
         rng = self.rng(Purpose.CANDIDATES, turn(study, trial))
-        points = self._candidates(space, history, rng)
-        features, shown, _ = self._features(points, history)
-        scale, prior_mean = self._scale(features), self._prior_mean(features)
-        seen = _placed(scale, shown, space, history.parameters)
-        model = self.plain_model(prior_mean, len(space), seen, history.cost)
-        names = _names(features)
-        trials, rows = history.trials, (None,) * len(history.trials)
-        return self.present_of(trials, rows, names, shown, model)
+        features, shown, _ = self._features(self._candidates(space, history, rng), history)
+        seen = _placed(self._scale(features), shown, space, history.parameters)
+        model = self.model(self._prior_mean(features), len(space), history, seen)
+        return self.present_of(history, _names(features), shown, model, (None,) * len(shown))
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Nothing is noted."""
@@ -128,9 +128,7 @@ class SpacePolicy(Policy):
 
         The latest finished trial that was proposed here tells.
         """
-        declared = self.options.space
-        if declared is None:
-            return
+        declared = self.options.space or {}
         for name, distribution in declared.items():
             if name not in search_space and self.function is not None:
                 allowed = "a parameter left free: the feature function needs all of them"
@@ -145,18 +143,8 @@ class SpacePolicy(Policy):
                     raise error
                 return
 
-    def _choose(
-        self, study: optuna.Study, trial: FrozenTrial, space: Space
-    ) -> tuple[Floats, Floats]:
-        """A point [d] and its features [k]: at random at first, then the best by the model."""
-        own_turn = turn(study, trial)
-        history = read_history(study, trial, space)
-        if len(history.cost) < self.first_trials:
-            return self._first(space, own_turn)
-        return self._best(space, history, own_turn)
-
     def _first(self, space: Space, own_turn: int) -> tuple[Floats, Floats]:
-        """A point before there is a model."""
+        """A point [d] before there is a model, and its features [k]."""
         rng = self.rng(Purpose.STARTUP_POINT, own_turn)
         if self.function is None:
             return anywhere(space, 1, rng)[0], np.empty(0)
@@ -169,20 +157,18 @@ class SpacePolicy(Policy):
         return points[best], features[best]
 
     def _best(self, space: Space, history: History, own_turn: int) -> tuple[Floats, Floats]:
-        """The best of points anywhere and near the incumbents; without features, also of points
-        near those, round by round."""
+        """The best of points anywhere and near the incumbents, and its features.
+
+        Without features, also of points near those, round by round.
+        """
         rng = self.rng(Purpose.CANDIDATES, own_turn)
         points = self._candidates(space, history, rng)
         features, shown, running = self._features(points, history)
         scale = self._scale(features)
-        model = self.model(
-            self._prior_mean(features),
-            len(space),
-            history,
-            _placed(scale, shown, space, history.parameters),
-            _placed(scale, running, space, history.running),
-            own_turn,
-        )
+        seen = _placed(scale, shown, space, history.parameters)
+        elsewhere = _placed(scale, running, space, history.running)
+        sizes = self._prior_mean(features), len(space)
+        model = self.model(*sizes, history, seen, None, elsewhere, own_turn)
         taken = np.vstack([history.parameters, history.running])
         known = np.asarray(~np.isnan(features).any(axis=1))
         new = not_among(points, taken) & known
