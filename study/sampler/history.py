@@ -15,14 +15,13 @@ import optuna
 from numpy.typing import NDArray
 from optuna.distributions import (
     BaseDistribution,
-    CategoricalDistribution,
     FloatDistribution,
     IntDistribution,
 )
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
-from study.sampler.space import Space
+from study.sampler.space import Number, Space
 from study.sampler.table import Rows
 from study.sampler.transforms import clip_infinities, squarable
 from taichi_nmm.errors import InputError
@@ -169,8 +168,7 @@ def row_of(table: Rows, trial: FrozenTrial) -> int | None:
 def noted_features(trial: FrozenTrial) -> list[float] | None:
     """The features that were left in a trial of a point off the table; None without such a note.
 
-    What was left with the number of a row is that row's: a trial that did something else has not
-    these features.
+    What was left with the number of a row is that row's.
     """
     noted = trial.user_attrs.get(FEATURES_ATTRIBUTE)
     is_off = trial.user_attrs.get(ROW_ATTRIBUTE, OFF_TABLE) == OFF_TABLE
@@ -227,9 +225,9 @@ def as_suggested_rows(rows: Rows, suggested: Mapping[str, BaseDistribution]) -> 
     distributions = list(rows.space.distributions)
     for column, name in enumerate(rows.names):
         own, theirs = distributions[column], suggested.get(name)
-        if not isinstance(own, FloatDistribution | IntDistribution) or own.log:
+        if not isinstance(own, Number) or own.log:
             continue
-        if not isinstance(theirs, FloatDistribution | IntDistribution) or not theirs.log:
+        if not isinstance(theirs, Number) or not theirs.log:
             continue
         if own.step not in (None, 1) or rows.outside(column, theirs) is not None:
             continue
@@ -246,18 +244,17 @@ def shown_misfit(
 ) -> InputError | None:
     """The misfit of a table that earlier trials have shown; None without any.
 
-    Args:
-        rows: of the table.
-        suggested: how the study is known to suggest its parameters, or some of them.
-        study: whose latest finished trial may have suggested some of them only.
+    `suggested` is how they suggested its parameters, or some of them; the latest finished one may
+    have suggested some of them only.
     """
     for column, name in enumerate(rows.names):
         error = distribution_misfit(rows, column, suggested[name]) if name in suggested else None
         if error is not None:
             return error
     trial = _latest(study)
-    some = trial is not None and any(name in trial.params for name in rows.names)
-    return not_suggested(rows.names, trial) if trial is not None and some else None
+    if trial is None or not any(name in trial.params for name in rows.names):
+        return None
+    return not_suggested(rows.names, trial)
 
 
 def proves_fit(rows: Rows, study: optuna.Study) -> bool:
@@ -295,8 +292,7 @@ def distribution_misfit(rows: Rows, column: int, suggested: BaseDistribution) ->
         return None
     name, own = rows.names[column], rows.space.distributions[column]
     value = rows.as_parameters(outside)[name]
-    is_choice = isinstance(suggested, CategoricalDistribution)
-    what = "choices that hold" if is_choice else "a range that holds"
+    what = "a range that holds" if isinstance(suggested, Number) else "choices that hold"
     allowed = f"{what} all rows: row {outside} has {value!r} (the table: {own}, or as space= says)"
     return InputError(name, str(suggested), allowed)
 

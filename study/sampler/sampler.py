@@ -1,9 +1,4 @@
-"""Samplers for candidates of which some are known to be alike: the contract with Optuna.
-
-A Gaussian process of cost over features (of a table's rows, or of any point by a function) and over
-the parameters themselves predicts the cost of each candidate; the one of the largest expected
-improvement comes next. `table_policy` and `space_policy` choose it, `history` reads the study.
-"""
+"""Samplers for candidates of which some are known to be alike: the contract with Optuna."""
 
 import inspect
 from collections.abc import Collection, Mapping, Sequence
@@ -43,19 +38,14 @@ OFF_GRID = 1500  # points near the best trials, where worlds say what rows cost
 PAPER: dict[str, Any] = {"kernel": "rbf"}
 
 
-def _no_constraints(field: str, value: object) -> None:
-    """Name the successor of the option, which is gone since 0.3.0."""
-    if value is not None:
-        raise InputError(
-            field, value, "None: call trial.set_constraint(key, value) in the objective"
-        )
-
-
-def _mask(field: str, value: Any) -> NDArray[np.bool_]:
-    """Which rows of a table: [n] flags."""
-    if not isinstance(value, np.ndarray) or value.ndim != 1 or value.dtype != bool:
-        raise InputError(field, value, "an array of flags, one a row")
-    return value
+_MASK = checks.that(
+    lambda value: isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype == bool,
+    "an array of flags, one a row",
+)
+# Names the successor of the option, which is gone since 0.3.0.
+_NO_CONSTRAINTS = checks.that(
+    lambda value: value is None, "None: call trial.set_constraint(key, value) in the objective"
+)
 
 
 class FeatureKernelSampler(BaseSampler):
@@ -148,8 +138,8 @@ class FeatureKernelSampler(BaseSampler):
         extra_parameters=checks.each(checks.text),
         independent_sampler=checks.optional(checks.instance(BaseSampler)),
         success=checks.optional(checks.number()),
-        allowed=checks.optional(_mask),
-        constraints_func=_no_constraints,
+        allowed=checks.optional(_MASK),
+        constraints_func=_NO_CONSTRAINTS,
     )
     def __init__(
         self,
@@ -352,41 +342,39 @@ def _require_sense(
     kernel: str,
 ) -> None:
     """Refuse options that do not go together."""
-    has_function = function is not None
-    off_grid, prior = options.off_grid, options.prior
 
     def refuse(is_wrong: object, field: str, value: object, allowed: str) -> None:
         if is_wrong:
             raise InputError(field, value, allowed)
 
-    if options.kernel.worlds:
+    off_grid, prior, mask = options.off_grid, options.prior, options.allowed
+    given, worlds, of_features = "given", options.kernel.worlds, options.kernel.of_features
+    if worlds:
         allowed = "none beside outcomes in worlds or a similarity, which do its work"
-        refuse(has_function, "feature_function", "given", allowed)
+        refuse(function is not None, "feature_function", given, allowed)
         refuse(prior is not None, "prior", prior, allowed)
-    mask, is_table = options.allowed, isinstance(features, FeatureTable)
-    refuse(mask is not None and not is_table, "allowed", "given", "none without a table")
     if isinstance(features, FeatureTable):
-        rows = len(features.rows)
-        refuse(mask is not None and mask.shape != (rows,), "allowed", "another size", f"[{rows}]")
-        refuse(mask is not None and off_grid, "off_grid", off_grid, "0 beside `allowed` rows")
-        without = not has_function and not options.kernel.worlds
+        rows, pool = len(features.rows), options.kernel == SIMILARITY
+        if mask is not None:
+            refuse(mask.shape != (rows,), "allowed", "another size", f"[{rows}]")
+            refuse(off_grid, "off_grid", off_grid, "0 beside `allowed` rows")
+        without = function is None and not worlds
         refuse(off_grid and without, "off_grid", off_grid, "0 without a feature_function")
-        pool = options.kernel == SIMILARITY
         refuse(off_grid and pool, "off_grid", off_grid, "0: a similarity knows its rows alone")
-        refuse(options.space is not None, "space", "given", "none: a table knows its own")
-        no_features = options.kernel.of_features and not options.kernel.worlds
-        no_features = no_features and not features.rows.feature_names
-        refuse(no_features, "kernel", kernel, "none, or euclidean: the table has no features")
+        refuse(options.space is not None, "space", given, "none: a table knows its own")
+        lacking = of_features and not worlds and not features.rows.feature_names
+        refuse(lacking, "kernel", kernel, "none, or euclidean: the table has no features")
         return
+    refuse(mask is not None, "allowed", given, "none without a table")
     allowed = "none: only a table needs it beside `features`"
-    refuse(has_function, "feature_function", "given", allowed)
-    if features is not None:
-        allowed = "a FeatureTable, a function, or None"
-        refuse(not callable(features), "features", type(features).__name__, allowed)
-        return
-    refuse(options.kernel.of_features, "kernel", kernel, "euclidean: there are no features")
-    refuse(prior is not None, "prior", prior, "none without features")
-    refuse(off_grid, "off_grid", off_grid, "0: points are off any grid without features")
+    refuse(function is not None, "feature_function", given, allowed)
+    if features is None:
+        refuse(of_features, "kernel", kernel, "euclidean: there are no features")
+        refuse(prior is not None, "prior", prior, "none without features")
+        refuse(off_grid, "off_grid", off_grid, "0: points are off any grid without features")
+    elif not callable(features):
+        name = type(features).__name__
+        raise InputError("features", name, "a FeatureTable, a function, or None")
 
 
 def _call_text(given: Mapping[str, Any]) -> str:

@@ -57,8 +57,7 @@ class Space:
         """A trial's values as one row [d]; None where one is missing, or of no use here."""
         row = np.empty(len(self))
         for column, name in enumerate(self.names):
-            number = self.number(column, values[name]) if name in values else None
-            if number is None:
+            if name not in values or (number := self.number(column, values[name])) is None:
                 return None
             row[column] = number
         return row
@@ -90,10 +89,8 @@ class Space:
 
         Values outside the ranges are moved to the edge or, with `beyond`, lie outside the cube.
         """
-        parts = [
-            _to_unit(distribution, values if beyond else _moved_inside(distribution, values))
-            for distribution, values in zip(self.distributions, rows.T, strict=True)
-        ]
+        columns = zip(self.distributions, rows.T, strict=True)
+        parts = [_to_unit(distribution, values, beyond) for distribution, values in columns]
         cube = np.hstack(parts) if parts else np.zeros((len(rows), 0))
         return cube if beyond else np.clip(cube, 0.0, 1.0)
 
@@ -114,8 +111,7 @@ class Space:
             if isinstance(distribution, CategoricalDistribution):
                 fractions[:, column] = (values + 0.5) / len(distribution.choices)
             else:
-                unit = _to_unit(distribution, _moved_inside(distribution, values))
-                fractions[:, column] = np.clip(unit[:, 0], 0.0, 1.0)
+                fractions[:, column] = np.clip(_to_unit(distribution, values)[:, 0], 0.0, 1.0)
         return fractions
 
 
@@ -158,7 +154,7 @@ def as_suggested(distribution: BaseDistribution, value: Any) -> Any:
     """
     if isinstance(distribution, CategoricalDistribution):
         return distribution.choices[int(distribution.to_internal_repr(value))]
-    assert isinstance(distribution, FloatDistribution | IntDistribution)
+    assert isinstance(distribution, Number)
     if not _is_number(value) or not bool(_taken(distribution, np.array([value], float))[0]):
         raise ValueError(f"{value!r} is not in {distribution}")
     return round(value) if isinstance(distribution, IntDistribution) else float(value)
@@ -169,13 +165,9 @@ def first_not_taken(
 ) -> int | None:
     """The first of the values [n] of one parameter that another distribution does not hold.
 
-    Args:
-        own: the distribution that the values are of.
-        values: as rows have them.
-        suggested: the other.
+    Values are as rows of their own distribution have them.
     """
-    numeric = FloatDistribution | IntDistribution
-    if isinstance(own, numeric) and isinstance(suggested, numeric):
+    if isinstance(own, Number) and isinstance(suggested, Number):
         outside = np.flatnonzero(~_taken(suggested, values))
         return int(outside[0]) if len(outside) else None
     distinct, first = np.unique(values, return_index=True)
@@ -208,21 +200,17 @@ def _external(distribution: BaseDistribution, value: float) -> Any:
     return distribution.to_external_repr(value)
 
 
-def _moved_inside(distribution: BaseDistribution, values: Floats) -> Floats:
-    """One parameter [n], numbers outside its range moved to its ends."""
-    if isinstance(distribution, CategoricalDistribution):
-        return values
-    assert isinstance(distribution, FloatDistribution | IntDistribution)
-    return np.clip(values, distribution.low, distribution.high)
+def _to_unit(distribution: BaseDistribution, values: Floats, beyond: bool = False) -> Floats:
+    """One parameter in the unit cube, [n, 1] or, categorical, [n, choices].
 
-
-def _to_unit(distribution: BaseDistribution, values: Floats) -> Floats:
-    """One parameter in the unit cube, [n, 1] or, categorical, [n, choices]."""
+    Numbers outside the range are moved to its ends, unless they may lie `beyond`.
+    """
     if isinstance(distribution, CategoricalDistribution):
         choices = np.arange(len(distribution.choices))
         return np.asarray(CHOICE_LENGTH * (values[:, None] == choices).astype(np.float64))
-    assert isinstance(distribution, FloatDistribution | IntDistribution)
+    assert isinstance(distribution, Number)
     low, high = _ends(distribution)
+    values = values if beyond else np.clip(values, distribution.low, distribution.high)
     if high <= low:  # a range of one value: any other is as far away as can be
         return np.where(values == distribution.low, 0.0, np.inf)[:, None]
     values = np.log(np.maximum(values, np.finfo(float).tiny)) if distribution.log else values
@@ -234,7 +222,7 @@ def _from_fraction(distribution: BaseDistribution, fractions: Floats) -> Floats:
     if isinstance(distribution, CategoricalDistribution):
         last = len(distribution.choices) - 1
         return np.minimum(np.floor(fractions * len(distribution.choices)), last)
-    assert isinstance(distribution, FloatDistribution | IntDistribution)
+    assert isinstance(distribution, Number)
     low, high = _ends(distribution)
     values = low + fractions * (high - low)
     values = np.exp(values) if distribution.log else values
