@@ -23,7 +23,7 @@ from optuna.distributions import (
 
 from study.sampler.space import Space, first_not_taken
 from study.sampler.transforms import columns_of, let_go, new_matrix
-from study.sampler.worlds import Better, Outcomes, Worlds
+from study.sampler.worlds import Better, Outcomes, Worlds, matrix_of
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, reading
@@ -42,26 +42,13 @@ MOST_WAITING_BYTES = 2**28  # written to a matrix that may be a file's, before m
 def checked_columns(
     parameters: Mapping[str, ArrayLike],
     features: ArrayLike | None,
-    feature_names: Sequence[str] | None,
-    bounds: Bounds | None,
-    space: Mapping[str, BaseDistribution] | None,
+    feature_names: Sequence[str] | None = None,
+    bounds: Bounds | None = None,
+    space: Mapping[str, BaseDistribution] | None = None,
     outcomes: Outcomes | None = None,
     better: Better | None = None,
 ) -> Content:
-    """The content of a table of n rows, d parameters and k features.
-
-    Args:
-        parameters: d columns by name, [n] each.
-        features: [n, k], or [n] for one; None beside outcomes: there are none.
-        feature_names: k names; None: feature_0, feature_1, ...
-        bounds: (low, high) of some numeric parameters, by name.
-        space: distributions of some parameters, by name.
-        outcomes: in simulated worlds.
-        better: which of these are good, if they are not costs in the units of the study's values.
-
-    Raises:
-        InputError: naming the column and row that cannot be used.
-    """
+    """The content of a table; arguments and errors are those of `FeatureTable.from_arrays`."""
     if not parameters:
         raise InputError("table.parameters", "none", "at least one column")
     bounds, space = bounds or {}, space or {}
@@ -88,7 +75,7 @@ def checked_columns(
     raw = new_matrix(len(matrix), len(parameters))
     distributions: dict[str, BaseDistribution] = {}
     for (name, values), column in zip(parameters.items(), columns_of(raw), strict=True):
-        column[:], distribution = parameter_column(name, values, len(matrix), space.get(name))
+        column[:], distribution = _parameter_column(name, values, len(matrix), space.get(name))
         if name in bounds:
             if isinstance(distribution, CategoricalDistribution):
                 allowed = "none: the parameter is categorical"
@@ -101,16 +88,12 @@ def checked_columns(
     return space_of_rows, raw, names, matrix, worlds
 
 
-def parameter_column(
+def _parameter_column(
     name: str, values: ArrayLike, length: int, given: BaseDistribution | None
 ) -> tuple[Floats, BaseDistribution]:
-    """A parameter's column as numbers [n] (categorical: indices), and its distribution.
+    """A parameter's column as numbers [length] (categorical: indices), and its distribution.
 
-    Args:
-        name: of the parameter.
-        values: [n], without gaps.
-        length: n.
-        given: its distribution; None: floats, integers or choices, as the values are.
+    None is given: floats, integers or choices, as the values are.
     """
     try:
         column = np.asarray(checks.unmasked(values))
@@ -126,7 +109,14 @@ def parameter_column(
         given is None and column.dtype.kind not in "iuf"
     ):
         return _choices(name, column, given)
-    numbers = _finite(name, column)
+    try:
+        numbers = column.astype(np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"table.{name}", str(column[0]), "numbers") from None
+    bad = np.flatnonzero(~np.isfinite(numbers))
+    if len(bad):
+        raise InputError(f"table.{name}[{bad[0]}]", float(numbers[bad[0]]), "a finite number")
+    numbers += 0.0  # no negative zero: rows are compared by their bits
     if given is not None:
         return numbers, given
     low, high = float(numbers.min()), float(numbers.max())
@@ -137,28 +127,10 @@ def parameter_column(
 
 def feature_matrix(features: ArrayLike | None, names: Sequence[str] | None) -> Floats:
     """Features as [n, k]; NaN is a gap, infinity a value."""
-    try:
-        matrix = np.array(checks.unmasked(features), dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError("table.features", type(features).__name__, "numbers, [n, k]") from None
-    matrix = matrix[:, None] if matrix.ndim == 1 else matrix
-    if matrix.ndim != 2 or not matrix.size:
-        raise InputError("table.features.shape", matrix.shape, "[n, k], n and k at least 1")
+    matrix = matrix_of("table.features", features, "k")
     if names is not None and len(names) != matrix.shape[1]:
         raise InputError("table.feature_names", list(names), f"{matrix.shape[1]} names")
     return matrix
-
-
-def _finite(name: str, column: NDArray[Any]) -> Floats:
-    """A column as finite floats, [n], or an error that names the first row that is none."""
-    try:
-        numbers = column.astype(np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"table.{name}", str(column[0]), "numbers") from None
-    bad = np.flatnonzero(~np.isfinite(numbers))
-    if len(bad):
-        raise InputError(f"table.{name}[{bad[0]}]", float(numbers[bad[0]]), "a finite number")
-    return numbers + 0.0  # no negative zero: rows are compared by their bits
 
 
 def _choices(
@@ -222,8 +194,8 @@ class FileColumns:
     """Where a table was read from."""
 
     path: Path  # a Parquet file, a folder of them, or a store
-    features: tuple[str, ...]  # k columns
-    parameters: tuple[str, ...] | None  # d columns; None: those of the store
+    features: Sequence[str]  # k columns
+    parameters: Sequence[str] | None  # d columns; None: those of the store
     space: Mapping[str, BaseDistribution] | None  # distributions of some parameters
     bounds: Bounds | None  # (low, high) of some parameters; None: those that a store was made with
 
@@ -266,14 +238,10 @@ class FileColumns:
 def store_parameters(
     ranges: Mapping[str, Mapping[str, Any]], matrix: Floats
 ) -> tuple[dict[str, NDArray[Any]], dict[str, tuple[float, float]], dict[str, BaseDistribution]]:
-    """The parameters of a store as studies suggest them.
+    """The parameters of a store as studies suggest them, of columns [n, p]; a choice is its number.
 
-    Args:
-        ranges: of each parameter, as the store's specification has them.
-        matrix: the columns, [n, p]; a choice is its number.
-
-    Returns:
-        Columns by name, [n] each; bounds of plain floats; distributions of all others.
+    Columns by name, [n] each; bounds of plain floats; distributions of all others. `ranges` are
+    those of the store's specification.
     """
     columns: dict[str, NDArray[Any]] = dict(zip(ranges, matrix.T, strict=True))
     bounds, space = {}, {}

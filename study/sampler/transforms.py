@@ -277,12 +277,7 @@ def is_doubtful(cost: Floats, turn: int, has_prior: bool) -> bool:
     best cost is older than `PATIENCE` trials, every other trial is left to the parameters alone,
     until one of either kind is better than all before (win-stay, lose-shift: Robbins 1952). From
     then on a feature that misleads costs half the trials, as where the two take turns (Antonova et
-    al. 2018).
-
-    Args:
-        cost: of the finished trials that kept their limits, in their order, [n].
-        turn: number of the trial.
-        has_prior: the user has said which end of a feature is good.
+    al. 2018). Costs [n] are those of the finished trials that kept their limits, in their order.
     """
     if not len(cost):
         return False
