@@ -136,7 +136,10 @@ def feature_matrix(features: ArrayLike | None, names: Sequence[str] | None) -> F
 def _choices(
     name: str, column: NDArray[Any], given: CategoricalDistribution | None
 ) -> tuple[Floats, CategoricalDistribution]:
-    """Indices of choices: those given, or the values in the order in which they appear."""
+    """Indices of choices: those given, or the values in the order in which they appear.
+
+    What may be a gap is refused: NaN, and None that does not stand among words or flags.
+    """
     listed = column.tolist()
     if given is not None and None in given.choices:  # pandas has NaN for it
         listed = [None if _is_gap(value) else value for value in listed]
@@ -144,7 +147,13 @@ def _choices(
         if not isinstance(value, Hashable):
             raise InputError(f"table.{name}[{row}]", value, "a number, a word or a flag")
     if given is None:
-        _require_no_gap(name, listed)
+        others = [value for value in listed if value is not None and not _is_gap(value)]
+        words = bool(others) and all(isinstance(value, str | bool) for value in others)
+        choice = f"space={{{name!r}: CategoricalDistribution([...])}}"
+        for row, value in enumerate(listed):
+            if _is_gap(value) or (value is None and not words):
+                allowed = f"a value; or None as a choice: {choice}"
+                raise InputError(f"table.{name}[{row}]", value, allowed)
     choices = tuple(dict.fromkeys(listed)) if given is None else given.choices
     index = {choice: float(place) for place, choice in enumerate(choices)}
     for row, value in enumerate(listed):
@@ -159,18 +168,6 @@ def _is_gap(value: Any) -> bool:
         return bool(value != value)
     except (TypeError, ValueError):  # pandas.NA, which is not even unequal
         return True
-
-
-def _require_no_gap(name: str, values: list[Any]) -> None:
-    """Refuse what may be a gap: NaN, and None that does not stand among words or flags."""
-    others = [value for value in values if value is not None and not _is_gap(value)]
-    words = bool(others) and all(isinstance(value, str | bool) for value in others)
-    for row, value in enumerate(values):
-        if _is_gap(value) or (value is None and not words):
-            allowed = (
-                f"a value; or None as a choice: space={{{name!r}: CategoricalDistribution([...])}}"
-            )
-            raise InputError(f"table.{name}[{row}]", value, allowed)
 
 
 def _require_inside(space: Space, parameters: Floats) -> None:

@@ -13,11 +13,7 @@ from typing import Any
 import numpy as np
 import optuna
 from numpy.typing import NDArray
-from optuna.distributions import (
-    BaseDistribution,
-    FloatDistribution,
-    IntDistribution,
-)
+from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
@@ -107,17 +103,10 @@ def read_history(
     trials = tuple(trial for trial, _, _ in placed[TrialState.COMPLETE])
     values = np.array([trial.values[0] for trial in trials], dtype=np.float64)
     sign = -1.0 if study.direction is StudyDirection.MAXIMIZE else 1.0
-    fixed = values_of(before)
-    return History(
-        trials,
-        *points(TrialState.COMPLETE),
-        sign * clip_infinities(values),
-        sign,
-        *points(TrialState.RUNNING),
-        tried,
-        tuple(unplaced),
-        {name: fixed[name] for name in space.names if name in fixed},
-    )
+    costs, settled = sign * clip_infinities(values), values_of(before)
+    fixed = {name: settled[name] for name in space.names if name in settled}
+    done, running = points(TrialState.COMPLETE), points(TrialState.RUNNING)
+    return History(trials, *done, costs, sign, *running, tried, tuple(unplaced), fixed)
 
 
 def _looked_up(

@@ -70,15 +70,12 @@ class FeatureKernelSampler(BaseSampler):
     of the rows over the worlds are a part of the model (`study.sampler.worlds`). On a pool of which
     a similarity is known, that alone is the model (`study.sampler.similarity`).
 
-    v, s, t, the length scales and the noise maximise the marginal likelihood times a prior
-    (`study.sampler.gp`): what explains nothing gets no weight. Once no trial has been better
-    than all before for some time, every other one is left to g alone
-    (`study.sampler.transforms`), so that features that mislead cost half the trials from then on.
-    Trials running elsewhere are conditioned on as if they had shown what is expected of them.
-
-    Constraints are those that the objective names by `trial.set_constraint(key, value)`, feasible
-    where the value is <= 0. Improvement is multiplied by the probability that all are kept
-    (Gelbart, Snoek, Adams 2014).
+    v, s, t, the length scales and the noise are learned (`study.sampler.gp`). Once no trial has
+    been better than all before for some time, every other one is left to g alone
+    (`study.sampler.transforms`). Trials running elsewhere are conditioned on as if they had shown
+    what is expected of them. Constraints are those that the objective names by
+    `trial.set_constraint(key, value)`, feasible where the value is <= 0: improvement is multiplied
+    by the probability that all are kept (Gelbart, Snoek, Adams 2014).
 
     What it promises: everything is recomputed from the study's trials, and each draw is seeded by
     the seed and the trial, so a resumed study or another process proposes the same. FAIL and PRUNED

@@ -108,8 +108,9 @@ class SpacePolicy(Policy):
             return None
         rng = self.rng(Purpose.CANDIDATES, turn(study, trial))
         features, shown, _ = self._features(self._candidates(space, history, rng), history)
-        seen = _placed(self._scale(features), shown, space, history.parameters)
-        model = self.model(self._prior_mean(features), len(space), history, seen)
+        scale, prior_mean = self._scales(features)
+        seen = _placed(scale, shown, space, history.parameters)
+        model = self.model(prior_mean, len(space), history, seen)
         return self.present_of(history, _names(features), shown, model, (None,) * len(shown))
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
@@ -150,8 +151,8 @@ class SpacePolicy(Policy):
             return anywhere(space, 1, rng)[0], np.empty(0)
         points = anywhere(space, CANDIDATES, rng)
         features = call_features(self.function, points)
-        standard = self._scale(features).standard(features)
-        merit = self.merit(self._prior_mean(features), standard, own_turn)
+        scale, prior_mean = self._scales(features)
+        merit = self.merit(prior_mean, scale.standard(features), own_turn)
         merit[np.isnan(features).any(axis=1)] = -np.inf
         best = argmax_random_tie(merit, rng)
         return points[best], features[best]
@@ -164,11 +165,10 @@ class SpacePolicy(Policy):
         rng = self.rng(Purpose.CANDIDATES, own_turn)
         points = self._candidates(space, history, rng)
         features, shown, running = self._features(points, history)
-        scale = self._scale(features)
+        scale, prior_mean = self._scales(features)
         seen = _placed(scale, shown, space, history.parameters)
         elsewhere = _placed(scale, running, space, history.running)
-        sizes = self._prior_mean(features), len(space)
-        model = self.model(*sizes, history, seen, None, elsewhere, own_turn)
+        model = self.model(prior_mean, len(space), history, seen, None, elsewhere, own_turn)
         taken = np.vstack([history.parameters, history.running])
         known = np.asarray(~np.isnan(features).any(axis=1))
         new = not_among(points, taken) & known
@@ -210,14 +210,10 @@ class SpacePolicy(Policy):
             known[place] = values
         return features[:m], known, features[m : m + r]
 
-    def _scale(self, features: Floats) -> Scale:
-        """The scale of features [m, k] of points anywhere."""
-        by_order = self.options.kernel.by_order
-        return NormalScores.of(features) if by_order else Standard.of(features)
-
-    def _prior_mean(self, features: Floats) -> PriorMean | None:
-        """The prior mean by one of the features [m, k]."""
-        return PriorMean.of(self.options.prior, _names(features))
+    def _scales(self, features: Floats) -> tuple[Scale, PriorMean | None]:
+        """The scale of features [m, k] of points anywhere, and the prior mean by one of them."""
+        scale = NormalScores if self.options.kernel.by_order else Standard
+        return scale.of(features), PriorMean.of(self.options.prior, _names(features))
 
 
 def _placed(scale: Scale, features: Floats, space: Space, parameters: Floats) -> Points:

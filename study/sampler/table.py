@@ -222,17 +222,12 @@ class Rows:
         """Those of rows [n, ...] that may be proposed; a copy only where that leaves some out."""
         return values if len(self.numbers) == len(self) else values[self.numbers]
 
-    @cached_property
-    def _kept(self) -> dict[Any, Any]:
-        """Results of `_once`."""
-        return {}
-
     def _once(self, key: Any, made: Callable[[], T]) -> T:
         """A result that each proposal needs, computed in the first one."""
-        if key not in self._kept:
-            self._kept[key] = made()
-        kept: T = self._kept[key]
-        return kept
+        kept: dict[Any, T] = self.__dict__.setdefault("_kept", {})
+        if key not in kept:
+            kept[key] = made()
+        return kept[key]
 
     @cached_property
     def _known(self) -> NDArray[np.bool_]:
@@ -274,13 +269,10 @@ def _hash(parameters: Floats) -> NDArray[np.uint64]:
     return hashes
 
 
-def _frame(field: str, value: Any) -> Any:
-    """Anything that has columns by name, as data frames do; no package of them is loaded."""
-    if isinstance(value, type) or not hasattr(value, "columns"):
-        raise InputError(field, value, "a pandas data frame")
-    return value
-
-
+# Anything that has columns by name, as data frames do; no package of them is loaded.
+IS_FRAME = checks.that(
+    lambda value: not isinstance(value, type) and hasattr(value, "columns"), "a pandas data frame"
+)
 COLUMN_CHECKS = {
     "path": checks.path,
     "features": checks.each(checks.text),
@@ -442,7 +434,7 @@ class FeatureTable:
         return cls(Rows(space, raw, (), np.empty((len(factor), 0)), alike=factor))
 
     @classmethod
-    @checks.checked(frame=_frame, parameters=checks.each(checks.text), **COLUMN_CHECKS)
+    @checks.checked(frame=IS_FRAME, parameters=checks.each(checks.text), **COLUMN_CHECKS)
     def from_dataframe(
         cls,
         frame: "pandas.DataFrame",

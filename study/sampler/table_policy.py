@@ -14,7 +14,6 @@ import optuna
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
-from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
 from study.sampler.acquisition import Model, argmax_random_tie
@@ -228,13 +227,12 @@ class TablePolicy(Policy):
         A trial that was enqueued with the row, and still waits, has it too; one that has the number
         and did something else has not.
         """
-        for other in study.get_trials(deepcopy=False):
-            if other.number == trial.number:
-                continue
-            claims = other.user_attrs.get(ROW_ATTRIBUTE) == row
-            if (claims or other.state is TrialState.WAITING) and row_of(self.rows, other) == row:
-                return False
-        return True
+        return not any(
+            (other.user_attrs.get(ROW_ATTRIBUTE) == row or other.state is TrialState.WAITING)
+            and row_of(self.rows, other) == row
+            for other in study.get_trials(deepcopy=False)
+            if other.number != trial.number
+        )
 
     def _take_back(self, study: optuna.Study, trial: FrozenTrial, notes: Mapping[str, Any]) -> None:
         """Mark a trial with these notes as no row: notes cannot be removed."""
@@ -263,9 +261,9 @@ class TablePolicy(Policy):
             self._refuse_exhausted(history)
             return None
         if len(history.cost) < self.first_trials and offered.any():
-            return self._first_row(offered, own_turn, self._ensemble(study))
+            return self._first_row(offered, own_turn, self._ensemble(history))
         try:
-            return self._best_candidate(history, offered, own_turn, self._ensemble(study))
+            return self._best_candidate(history, offered, own_turn)
         except InputError as error:  # of the feature function
             self.misfit(error)
             return None
@@ -284,11 +282,10 @@ class TablePolicy(Policy):
         looked_at = self.options.kernel.of_features or self.options.prior is not None
         return self.function is not None or self.rows.worlds is not None or not looked_at
 
-    def _ensemble(self, study: optuna.Study) -> Relation | None:
+    def _ensemble(self, history: History) -> Relation | None:
         """The worlds, with costs that are minimised; None where they do not count."""
-        if not self.options.kernel.worlds:
-            return None
-        return self.rows.ensemble(maximise=study.direction is StudyDirection.MAXIMIZE)
+        worlds = self.options.kernel.worlds
+        return self.rows.ensemble(maximise=history.sign < 0) if worlds else None
 
     def _first_row(self, offered: Mask, own_turn: int, ensemble: Relation | None) -> Proposal:
         """A row before there is a model, of equal ones any."""
@@ -301,9 +298,7 @@ class TablePolicy(Policy):
         best = argmax_random_tie(merit, self.rng(Purpose.STARTUP_ROW, own_turn))
         return self._of_row(int(rows.numbers[best]))
 
-    def _best_candidate(
-        self, history: History, offered: Mask, own_turn: int, ensemble: Relation | None
-    ) -> Proposal:
+    def _best_candidate(self, history: History, offered: Mask, own_turn: int) -> Proposal:
         """The candidate of the largest utility after some trials, of equal ones any.
 
         Raises:
@@ -316,32 +311,28 @@ class TablePolicy(Policy):
                 f"prior: the {RANKED} rows that it ranks first cost more than the median of the "
                 f"trials; is the sign of {self.options.prior!r} right? See sampler.worth(study)"
             )
-        model = self._model(history, own_turn, ensemble)
-        points, free = self._points(ensemble), offered[rows.numbers]
+        model = self._model(history, own_turn)
+        points, free = self._points(model.ensemble), offered[rows.numbers]
         utility = np.full(len(free), -np.inf)
         if free.any():
             utility = model.utility(points, free, self.rng(Purpose.CANDIDATES, own_turn))
         if self.options.off_grid:
-            value, off = self._off_table(history, utility, model, own_turn, ensemble)
+            value, off = self._off_table(history, utility, model, own_turn)
             if not free.any() or value > utility.max():
                 return off
         best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
         return self._of_row(int(rows.numbers[best]))
 
-    def _model(self, history: History, own_turn: int, ensemble: Relation | None) -> Model:
+    def _model(self, history: History, own_turn: int) -> Model:
         """The model of one trial."""
+        ensemble = self._ensemble(history)
         seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
         running = self._seen(history.running, history.running_rows, (), ensemble)
         sizes = self.prior_mean, len(self.rows.space)
         return self.model(*sizes, history, seen, ensemble, running, own_turn)
 
     def _off_table(
-        self,
-        history: History,
-        utility: Floats,
-        model: Model,
-        own_turn: int,
-        ensemble: Relation | None,
+        self, history: History, utility: Floats, model: Model, own_turn: int
     ) -> tuple[float, Proposal]:
         """The best of some points near the best rows and trials, and its utility.
 
@@ -365,7 +356,7 @@ class TablePolicy(Policy):
             placed = self._placed(near, features)
         else:
             unit = space.unit(near)
-            mixed = rows.mixed(self._points(ensemble).features, unit, space.unit(centres))
+            mixed = rows.mixed(self._points(model.ensemble).features, unit, space.unit(centres))
             placed = Points(mixed, unit)
         rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
         utility = model.utility(placed, new, rng)
@@ -444,7 +435,8 @@ class TablePolicy(Policy):
     def present(self, study: optuna.Study) -> Present:
         """See `Present`."""
         self._adopt(suggested_so_far(self.own_rows.names, study))
-        history, ensemble = self._history(study, next_trial(study)), self._ensemble(study)
+        history = self._history(study, next_trial(study))
+        ensemble = self._ensemble(history)
         shown = self._features(history.parameters, history.rows, history.trials)
         seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
         model = self.model(self.prior_mean, len(self.rows.space), history, seen, ensemble)
@@ -461,11 +453,10 @@ class TablePolicy(Policy):
     ) -> Prediction:
         """See `FeatureKernelSampler.predict`."""
         self._adopt(suggested_so_far(self.own_rows.names, study))
-        rows, ensemble = self.rows, self._ensemble(study)
-        history = self._history(study, next_trial(study))
-        model = self._model(history, len(history.cost), ensemble)
+        rows, history = self.rows, self._history(study, next_trial(study))
+        model = self._model(history, len(history.cost))
         if params is None:
-            return prediction_of(model, self._points(ensemble), rows.numbers, history.sign)
+            return prediction_of(model, self._points(model.ensemble), rows.numbers, history.sign)
         places = np.empty((len(params), len(rows.names)))
         for place, values in enumerate(params):
             known = rows.space.row(values)
@@ -474,7 +465,7 @@ class TablePolicy(Policy):
             places[place] = known
         found = [OFF_TABLE if (row := rows.find(v)) is None else row for v in params]
         numbers = np.array(found, dtype=np.int64)
-        points = self._seen(places, numbers, (), ensemble)
+        points = self._seen(places, numbers, (), model.ensemble)
         return prediction_of(model, points, numbers, history.sign)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
