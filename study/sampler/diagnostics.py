@@ -52,7 +52,6 @@ class RankCorrelation:
     errors: float  # r in standard errors, on the scale of z
 
     def __str__(self) -> str:
-        """The value and its interval."""
         return f"{self.value:+.2f} ({self.low:+.2f} to {self.high:+.2f})"
 
     @classmethod
@@ -144,7 +143,6 @@ class Worth:
         return max(sure, key=lambda one: abs(one[1].errors), default=None)
 
     def __str__(self) -> str:
-        """A table for people."""
         rows = [HEAD, *self._rows()]
         width = max(len(name) for name, _ in rows)
         lines = [f"{name:<{width}}  {r}" for name, r in rows]
@@ -228,7 +226,7 @@ def _of_prior(present: Present) -> Iterator[str]:
 
 
 def _errors(model: Model) -> Errors | None:
-    """Errors of the model, as shares of the constant's; None where all trials cost the same.
+    """None where all trials cost the same.
 
     The model without features is the same learned where all trials have the same features. The
     sampler's own model over the parameters alone learns no mean, and would fall behind also where
@@ -336,7 +334,6 @@ class Best:
     trials: int
 
     def __str__(self) -> str:
-        """In a sentence."""
         row = "" if self.row is None else f", row {self.row}"
         return (
             f"Trial {self.number}{row}: {self.value:.4g} ({self.low:.4g} to {self.high:.4g}), "

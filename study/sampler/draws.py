@@ -97,7 +97,6 @@ class ReproducibleRandomSampler(RandomSampler):
 
     @checks.checked(seed=checks.optional(checks.whole(0, checks.LARGEST_SEED)))
     def __init__(self, *, seed: int | None = None) -> None:
-        """Remember the seed."""
         super().__init__()  # whose stream is never begun
         self._seed = new_seed() if seed is None else seed
 

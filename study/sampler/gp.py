@@ -368,7 +368,7 @@ def learn(covariance: Covariance, x: Floats, y: Floats) -> Floats:
         start[-1] += shift
         result = scipy.optimize.minimize(
             lambda theta: misfit(covariance, x, y, theta),
-            np.clip(start, covariance.bounds[:, 0], covariance.bounds[:, 1]),
+            np.clip(start, *covariance.bounds.T),
             jac=True,
             method="L-BFGS-B",
             bounds=covariance.bounds,

@@ -257,7 +257,6 @@ def proves_fit(rows: Rows, study: optuna.Study) -> bool:
 
 
 def _latest(study: optuna.Study) -> FrozenTrial | None:
-    """The finished trial of the highest number."""
     trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     return trials[-1] if trials else None
 

@@ -6,13 +6,12 @@ by most of them at once, so that one end is good where several predict the cost;
 """
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache
 from importlib import import_module
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -24,13 +23,12 @@ from optuna.trial import FrozenTrial
 from threadpoolctl import ThreadpoolController
 
 from study.sampler.acquisition import Learned, Model
-from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, generator
 from study.sampler.gp import ADDITIVE, NEARNESS, WORLDS, Kernel
 from study.sampler.history import History, read_limits
 from study.sampler.similarity import Relation
 from study.sampler.transforms import Points, PriorMean, is_doubtful
-from study.sampler.worlds import matrix_of
+from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -74,7 +72,10 @@ class Policy:
     Another process, without these memories, makes the same.
     """
 
-    def __init__(self, options: Options, seed: int, independent: BaseSampler) -> None:
+    def __init__(
+        self, function: Features | None, options: Options, seed: int, independent: BaseSampler
+    ) -> None:
+        self.function = function  # of points; None: they have no features, but rows may have
         self.options = options
         self.seed = seed
         self.independent = independent  # for what is not proposed here
@@ -148,21 +149,9 @@ class Policy:
             return replace(model, kernel=NEARNESS, prior_mean=None)
         return model
 
-    def present_of(
-        self,
-        history: History,
-        names: Sequence[str],
-        features: Floats,
-        model: Model,
-        rows: tuple[int | None, ...],
-        first: Mapping[int, Floats] = MappingProxyType({}),
-    ) -> Present:
-        """See `Present`."""
-        has_prior = model.prior_mean is not None
-        is_doubted = self.learns_trust and any(
-            is_doubtful(model.costs, turn, has_prior) for turn in (0, 1)
-        )
-        return Present(history.trials, rows, tuple(names), features, model, is_doubted, first)
+    def doubts(self, model: Model) -> bool:
+        """Whether every other trial is left to the parameters at present."""
+        return self.learns_trust and is_doubtful(model.costs, 1, model.prior_mean is not None)
 
     def rng(self, purpose: Purpose, turn: int) -> np.random.Generator:
         """The generator of one draw of one trial."""
@@ -209,10 +198,17 @@ def call_features(
     except Exception as error:
         what = f"{type(error).__name__}: {error}"
         raise InputError("features(params)", what, "features [n, k], no exception") from error
-    features = matrix_of("features(params)", returned, "k")
-    expected = f"[{len(points)}, {'k' if width is None else width}]"
-    if len(features) != len(points) or width not in (None, features.shape[1]):
-        raise InputError("features(params).shape", features.shape, expected)
+    try:
+        features = np.array(checks.unmasked(returned), dtype=np.float64)
+    except (TypeError, ValueError):
+        name = type(returned).__name__
+        raise InputError("features(params)", name, "an array of numbers [n, k]") from None
+    features = features[:, None] if features.ndim == 1 else features
+    shape, expected = features.shape, f"[{len(points)}, {'k' if width is None else width}]"
+    if len(shape) != 2 or shape[0] != len(points) or width not in (None, shape[1]):
+        raise InputError("features(params).shape", shape, expected)
+    if not shape[1]:
+        raise InputError("features(params).shape", shape, "at least one feature")
     if to_choose and np.isnan(features).any(axis=1).all():
         raise InputError("features(params)", "no row without NaN", f"finite numbers {expected}")
     return features

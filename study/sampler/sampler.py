@@ -155,7 +155,6 @@ class FeatureKernelSampler(BaseSampler):
         allowed: NDArray[np.bool_] | None = None,
         constraints_func: None = None,
     ) -> None:
-        """Check the options; nothing is computed yet."""
         given = dict(locals())
         self._kernel = kernel if kernel is not None else DEFAULT_KERNELS[features is None]
         if self._kernel not in KERNELS:
@@ -182,7 +181,6 @@ class FeatureKernelSampler(BaseSampler):
         self._call = _call_text(given | {"seed": seed})
 
     def __repr__(self) -> str:
-        """A call that makes an equal sampler, with its seed."""
         return f"{type(self).__name__}({self._call})"
 
     @property
@@ -318,8 +316,7 @@ class DoGSampler(FeatureKernelSampler):
         k(x, x') = exp(-(phi(x) - phi(x'))^2 / 2),
 
     the score phi of each having been computed beforehand, on a grid from which candidates come.
-    Scale, length scale and noise are learned; everything else is as in the paper. Expected
-    improvement is compared by its logarithm, which has the same maximum and does not underflow.
+    Scale, length scale and noise are learned; everything else is as in the paper.
 
     Args:
         table: parameter sets and their score (or scores, with one length scale for all).
@@ -328,7 +325,6 @@ class DoGSampler(FeatureKernelSampler):
     """
 
     def __init__(self, table: FeatureTable, *, seed: int | None = None, **options: Any) -> None:
-        """As `FeatureKernelSampler`, with other defaults."""
         super().__init__(table, seed=seed, **PAPER | options)
 
 

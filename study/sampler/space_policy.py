@@ -6,7 +6,6 @@ import numpy as np
 import optuna
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
-from optuna.samplers import BaseSampler
 from optuna.search_space import intersection_search_space
 from optuna.trial import FrozenTrial
 
@@ -22,8 +21,6 @@ from study.sampler.history import (
     values_of,
 )
 from study.sampler.policy import (
-    Features,
-    Options,
     Policy,
     Proposal,
     call_features,
@@ -44,12 +41,6 @@ REFINEMENTS = 3  # rounds of points near the best candidates, where features cos
 
 class SpacePolicy(Policy):
     """Points of a space, with features by a function or without."""
-
-    def __init__(
-        self, function: Features | None, options: Options, seed: int, independent: BaseSampler
-    ) -> None:
-        super().__init__(options, seed, independent)
-        self.function = function
 
     def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
         """The declared space, or the parameters that all finished trials share."""
@@ -111,7 +102,8 @@ class SpacePolicy(Policy):
         scale, prior_mean = self._scales(features)
         seen = _placed(scale, shown, space, history.parameters)
         model = self.model(prior_mean, len(space), history, seen)
-        return self.present_of(history, _names(features), shown, model, (None,) * len(shown))
+        names, rows, doubts = _names(features), (None,) * len(shown), self.doubts(model)
+        return Present(history.trials, rows, names, shown, model, doubts, {})
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Nothing is noted."""
@@ -221,6 +213,6 @@ def _placed(scale: Scale, features: Floats, space: Space, parameters: Floats) ->
     return Points(scale.standard(features), space.unit(parameters))
 
 
-def _names(features: Floats) -> list[str]:
+def _names(features: Floats) -> tuple[str, ...]:
     """Names of features [m, k] of a function, which gives none."""
-    return [f"feature_{column}" for column in range(features.shape[1])]
+    return tuple(f"feature_{column}" for column in range(features.shape[1]))

@@ -470,7 +470,6 @@ class FeatureTable:
         return len(self.rows)
 
     def __repr__(self) -> str:
-        """Its size and features; nothing is read for it."""
         return f"{type(self).__name__}({self._size})"
 
     def __getstate__(self) -> dict[str, Any]:
@@ -479,14 +478,11 @@ class FeatureTable:
 
 
 def _warn_of(rows: Rows) -> None:
-    """Warn of what the table leaves out."""
     said = []
-    if incomplete := int((~rows._known).sum()):
-        said.append(
-            f"{incomplete} rows that lack more than half of their features are not proposed"
-        )
-    if duplicates := int((~rows._first).sum()):
-        said.append(f"{duplicates} rows repeat the parameters of another and are not proposed")
+    if count := int((~rows._known).sum()):
+        said.append(f"{count} rows that lack more than half of their features are not proposed")
+    if count := int((~rows._first).sum()):
+        said.append(f"{count} rows repeat the parameters of another and are not proposed")
     flags = zip(rows.feature_names, rows._informative, strict=True)
     if empty := [name for name, informative in flags if not informative]:
         said.append(f"features without information are ignored: {', '.join(empty)}")

@@ -92,9 +92,8 @@ class TablePolicy(Policy):
         seed: int,
         independent: BaseSampler,
     ) -> None:
-        super().__init__(options, seed, independent)
+        super().__init__(function, options, seed, independent)
         self._table = table
-        self.function = function  # of points off the table; None: there are none
         self._suggested: Rows | None = None
         self._looked_up: LookedUp = {}
         self.prior_mean = PriorMean.of(options.prior, self.own_rows.feature_names)
@@ -269,8 +268,6 @@ class TablePolicy(Policy):
             return None
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
-        """The history that a trial is proposed from."""
-
         def has_place(other: FrozenTrial) -> bool:
             return self._places_all or noted_features(other) is not None
 
@@ -324,7 +321,6 @@ class TablePolicy(Policy):
         return self._of_row(int(rows.numbers[best]))
 
     def _model(self, history: History, own_turn: int) -> Model:
-        """The model of one trial."""
         ensemble = self._ensemble(history)
         seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
         running = self._seen(history.running, history.running_rows, (), ensemble)
@@ -365,9 +361,7 @@ class TablePolicy(Policy):
         return float(utility[chosen]), Proposal(space.values(near[chosen]), notes)
 
     def _of_row(self, row: int) -> Proposal:
-        """A row as a proposal."""
-        rows = self.rows
-        return Proposal(rows.as_parameters(row), notes_of(row, rows.features[row]))
+        return Proposal(self.rows.as_parameters(row), notes_of(row, self.rows.features[row]))
 
     def _points(self, ensemble: Relation | None = None) -> Points:
         """Rows that may be proposed, with coordinates only where the kernel uses them."""
@@ -446,7 +440,8 @@ class TablePolicy(Policy):
             best = np.argsort(-merit, kind="stable")[:RANKED]
             first = {row: self.rows.features[row] for row in self.rows.numbers[best].tolist()}
         rows = tuple(row_of(self.rows, trial) for trial in history.trials)
-        return self.present_of(history, self.rows.feature_names, shown, model, rows, first)
+        names, doubts = self.rows.feature_names, self.doubts(model)
+        return Present(history.trials, rows, names, shown, model, doubts, first)
 
     def predict(
         self, study: optuna.Study, params: Sequence[Mapping[str, Any]] | None

@@ -227,9 +227,8 @@ def _scores(known: Floats, values: Floats) -> Floats:
     """Scores of values [m] among known ones [n], ascending."""
     if not len(known):
         return np.zeros(len(values))
-    rank = np.searchsorted(known, values, side="left") + np.searchsorted(
-        known, values, side="right"
-    )
+    below = np.searchsorted(known, values, side="left")
+    rank = below + np.searchsorted(known, values, side="right")
     return _at_ranks(np.clip(0.5 * (rank + 1.0), 1.0, len(known)), len(known))
 
 
@@ -237,10 +236,9 @@ def _scores(known: Floats, values: Floats) -> Floats:
 class PriorMean:
     """The mean of the process before any trial, from the option `prior`.
 
-    The option names the good end of a feature. Until trials say otherwise, the cost is expected to
-    fall by one standard deviation for each standard deviation of the feature, with the uncertainty
-    of `gp.SLOPE` about the slope: m(x) = -SLOPE phi(x), in standard units (Rasmussen, Williams
-    2006, section 2.7; Cully et al. 2015 use a simulated performance as the mean of theirs).
+    The option names the good end of a feature. Until trials say otherwise, m(x) = -SLOPE phi(x), in
+    standard units, with the uncertainty of `gp.SLOPE` about the slope (Rasmussen, Williams 2006,
+    section 2.7; Cully et al. 2015 use a simulated performance as the mean of theirs).
     """
 
     column: int  # of the feature
