@@ -21,7 +21,7 @@ from optuna.distributions import (
     json_to_distribution,
 )
 
-from study.sampler.space import Space, first_not_taken
+from study.sampler.space import Number, Space, first_not_taken
 from study.sampler.transforms import columns_of, let_go, new_matrix
 from study.sampler.worlds import Better, Outcomes, Worlds, matrix_of
 from taichi_nmm import checks
@@ -173,16 +173,12 @@ def _is_gap(value: Any) -> bool:
 def _require_inside(space: Space, parameters: Floats) -> None:
     """Refuse rows that their own distribution does not hold."""
     named = space.as_dict().items()
-    for (name, distribution), values in zip(named, columns_of(parameters), strict=True):
-        if isinstance(distribution, CategoricalDistribution):
+    for (name, own), values in zip(named, columns_of(parameters), strict=True):
+        if not isinstance(own, Number) or (row := first_not_taken(own, values, own)) is None:
             continue
-        row = first_not_taken(distribution, values, distribution)
-        if row is None:
-            continue
-        low, high = distribution.low, distribution.high  # type: ignore[attr-defined]
-        value, allowed = float(values[row]), f"a value of {distribution}"
-        if not low <= value <= high:
-            allowed = f"{low:g} to {high:g}"
+        value = float(values[row])
+        is_inside = own.low <= value <= own.high
+        allowed = f"a value of {own}" if is_inside else f"{own.low:g} to {own.high:g}"
         raise InputError(f"table.{name}[{row}]", value, allowed)
 
 
@@ -282,11 +278,7 @@ def _read(path: Path, names: Sequence[str]) -> "pa.Table":
 
 
 def _fill(matrices: Sequence[Floats], tables: "Iterable[pa.Table]") -> None:
-    """Write the columns of tables, which follow one another, into matrices side by side.
-
-    Raises:
-        InputError: a column is none of numbers.
-    """
+    """Write the columns of tables, which follow one another, into matrices side by side."""
     first, waiting = 0, 0
     for table in tables:
         rows = slice(first, first + len(table))

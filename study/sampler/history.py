@@ -65,15 +65,10 @@ def read_history(
     has_place: Callable[[FrozenTrial], bool] = lambda trial: True,
     known: LookedUp | None = None,
 ) -> History:
-    """The history that the trial `before` is proposed from.
+    """The history that the trial `before`, which is left out itself, is proposed from.
 
-    Args:
-        study: whose trials are read.
-        before: left out itself.
-        space: parameters that a trial must have to be learned from.
-        table: where rows are looked up.
-        has_place: whether a trial that is no row can be learned from.
-        known: trials that were looked up before in this table; new ones are added.
+    A trial must have the parameters of the space to be learned from, and be a row of the table or
+    have a place off it. Trials that were looked up before in the table are known, new ones added.
     """
     known = {} if known is None else known
     tried = np.zeros(0 if table is None else len(table), dtype=bool)

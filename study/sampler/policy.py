@@ -184,14 +184,8 @@ def call_features(
 ) -> Floats:
     """Features [n, k] of points [n, d], by one call; NaN is a gap, infinity a value.
 
-    Args:
-        function: of the user.
-        points: as rows of `study.sampler.space`.
-        width: k, where it is known.
-        to_choose: one of the points is to be proposed; else gaps in all are no error.
-
-    Raises:
-        InputError: the function raised (its exception is the cause), or returned something else.
+    `width` is k, where it is known. Gaps in all points are an error if one is to be proposed, as
+    is what the function raises (its exception is the cause), and all that is not [n, k].
     """
     try:
         returned = function(points.copy())

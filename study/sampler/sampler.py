@@ -121,7 +121,7 @@ class FeatureKernelSampler(BaseSampler):
             values enqueued that no row has, or a function that raises or returns other than finite
             [n, k]. At a trial's end: it has not suggested all of the table (strict).
         TableExhaustedError: in a trial, when no row is left (strict).
-        ValueError: in a trial of a study with several objectives.
+        ValueError: a study with several objectives.
     """
 
     @checks.checked(
@@ -202,7 +202,6 @@ class FeatureKernelSampler(BaseSampler):
 
         Raises:
             InputError: there are no features, or their function raises.
-            ValueError: the study has several objectives.
         """
         self._raise_error_if_multi_objective(study)
         if not self.has_features:
@@ -225,7 +224,6 @@ class FeatureKernelSampler(BaseSampler):
 
         Raises:
             InputError: no finished trial can be learned from.
-            ValueError: the study has several objectives.
         """
         self._raise_error_if_multi_objective(study)
         with one_thread():
@@ -250,7 +248,6 @@ class FeatureKernelSampler(BaseSampler):
 
         Raises:
             InputError: the sampler has no table, or parameters that it cannot have.
-            ValueError: the study has several objectives.
         """
         self._raise_error_if_multi_objective(study)
         if not isinstance(self._policy, TablePolicy):
@@ -373,9 +370,7 @@ def _require_sense(
 def _call_text(given: Mapping[str, Any]) -> str:
     """The arguments of `FeatureKernelSampler` that are not its defaults, as in a call."""
     parts = []
-    for name, parameter in inspect.signature(FeatureKernelSampler.__init__).parameters.items():
-        if name == "self":
-            continue
+    for name, parameter in inspect.signature(FeatureKernelSampler).parameters.items():
         value, default = given[name], parameter.default
         if value is default or (type(value) is type(default) and bool(value == default)):
             continue

@@ -74,9 +74,8 @@ class Space:
 
     def pinned(self, values: Mapping[str, Any]) -> "Space":
         """The space, with these values of some parameters in all new points."""
-        columns = [c for c, name in enumerate(self.names) if name in values]
-        numbers = [self.number(c, values[self.names[c]]) for c in columns]
-        pins = zip(columns, numbers, strict=True)
+        named = [(c, name) for c, name in enumerate(self.names) if name in values]
+        pins = [(column, self.number(column, values[name])) for column, name in named]
         return replace(self, pins=tuple((c, n) for c, n in pins if n is not None))
 
     def values(self, row: Floats) -> dict[str, Any]:
@@ -149,8 +148,7 @@ def not_among(points: Floats, taken: Floats) -> NDArray[np.bool_]:
 def as_suggested(distribution: BaseDistribution, value: Any) -> Any:
     """A value in the form of a distribution: of its type, or the equal one of its choices.
 
-    Raises:
-        ValueError: the distribution does not have it.
+    It is a ValueError if the distribution does not have it.
     """
     if isinstance(distribution, CategoricalDistribution):
         return distribution.choices[int(distribution.to_internal_repr(value))]

@@ -1,5 +1,6 @@
 """Proposals from a whole space: points anywhere, and near the best trials."""
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ class SpacePolicy(Policy):
             return {}
         space = Space.of(search_space).pinned(values_of(trial))
         try:
-            self._require_declared(study, trial, search_space)
+            self._require_declared(study, search_space)
             history, own_turn = read_history(study, trial, space), turn(study, trial)
             with one_thread():
                 if len(history.cost) < self.first_trials:
@@ -114,9 +115,7 @@ class SpacePolicy(Policy):
         if proposal is not None and not proposal.values.items() <= trial.params.items():
             set_attributes(study, trial, dict.fromkeys(proposal.notes))
 
-    def _require_declared(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
-    ) -> None:
+    def _require_declared(self, study: optuna.Study, search_space: Collection[str]) -> None:
         """Refuse parameters of the declared space that are fixed, or were not suggested before.
 
         The latest finished trial that was proposed here tells.
@@ -129,8 +128,6 @@ class SpacePolicy(Policy):
         names = [name for name in search_space if name in declared]
         for other in reversed(study.get_trials(deepcopy=False)):
             is_ours = self.function is None or FEATURES_ATTRIBUTE in other.user_attrs
-            if other.number == trial.number or not other.state.is_finished():
-                continue
             if other.values is not None and is_ours:
                 if (error := not_suggested(names, other)) is not None:
                     raise error

@@ -296,11 +296,7 @@ class TablePolicy(Policy):
         return self._of_row(int(rows.numbers[best]))
 
     def _best_candidate(self, history: History, offered: Mask, own_turn: int) -> Proposal:
-        """The candidate of the largest utility after some trials, of equal ones any.
-
-        Raises:
-            InputError: of the feature function.
-        """
+        """The candidate of the largest utility after some trials, of equal ones any."""
         rows = self.rows
         first, enough = history.cost[:RANKED], len(history.cost) > 2 * RANKED
         if self.prior_mean is not None and enough and first.min() > np.median(history.cost):
@@ -416,10 +412,9 @@ class TablePolicy(Policy):
         """An error or a warning: no row is left, or none that has the fixed values."""
         if history.fixed:
             error = no_row_has(self.rows, history.fixed)
-            if not self._places_all:
-                self.misfit(error)
-            else:
-                self.warn(f"{error}; the independent sampler takes over")
+            if self.options.strict and not self._places_all:
+                raise error
+            self.warn(f"{error}; the independent sampler takes over")
             return
         message = f"all {len(self.rows)} rows of the table have been tried"
         if self.options.strict:

@@ -246,11 +246,7 @@ class PriorMean:
 
     @classmethod
     def of(cls, prior: str | None, names: Sequence[str]) -> "PriorMean | None":
-        """The prior mean of an option and the features' names; None without the option.
-
-        Raises:
-            InputError: there is no such feature.
-        """
+        """The prior mean of an option and the features' names; None without the option."""
         if prior is None:
             return None
         sign, name = (-1.0, prior[1:]) if prior not in names and prior[:1] == "-" else (1.0, prior)
@@ -287,11 +283,7 @@ def is_doubtful(cost: Floats, turn: int, has_prior: bool) -> bool:
 
 
 def new_matrix(rows: int, columns: int) -> Floats:
-    """An [n, d] matrix without content.
-
-    Raises:
-        InputError: a large one, for which the folder of temporary files has no space.
-    """
+    """An [n, d] matrix without content; a large one is a file, for which there must be space."""
     if rows * columns <= MOST_IN_MEMORY:
         return np.empty((rows, columns))
     size = rows * columns * np.dtype(np.float64).itemsize
