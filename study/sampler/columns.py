@@ -1,8 +1,4 @@
-"""Columns of arrays, files and stores, checked: the content of a table.
-
-Parameters become numbers with a distribution, features a matrix; then each row has to lie within
-the bounds and distributions.
-"""
+"""Columns of arrays, files and stores, checked: the content of a table."""
 
 import json
 from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -83,9 +79,14 @@ def checked_columns(
             distribution = type(distribution)(*bounds[name])  # type: ignore[call-arg]
         let_go(np.asarray(values))
         distributions[name] = distribution
-    space_of_rows = Space.of(distributions)
-    _require_inside(space_of_rows, raw)
-    return space_of_rows, raw, names, matrix, worlds
+    for (name, own), values in zip(distributions.items(), columns_of(raw), strict=True):
+        if not isinstance(own, Number) or (row := first_not_taken(own, values, own)) is None:
+            continue
+        value = float(values[row])
+        is_inside = own.low <= value <= own.high
+        allowed = f"a value of {own}" if is_inside else f"{own.low:g} to {own.high:g}"
+        raise InputError(f"table.{name}[{row}]", value, allowed)
+    return Space.of(distributions), raw, names, matrix, worlds
 
 
 def _parameter_column(
@@ -168,18 +169,6 @@ def _is_gap(value: Any) -> bool:
         return bool(value != value)
     except (TypeError, ValueError):  # pandas.NA, which is not even unequal
         return True
-
-
-def _require_inside(space: Space, parameters: Floats) -> None:
-    """Refuse rows that their own distribution does not hold."""
-    named = space.as_dict().items()
-    for (name, own), values in zip(named, columns_of(parameters), strict=True):
-        if not isinstance(own, Number) or (row := first_not_taken(own, values, own)) is None:
-            continue
-        value = float(values[row])
-        is_inside = own.low <= value <= own.high
-        allowed = f"a value of {own}" if is_inside else f"{own.low:g} to {own.high:g}"
-        raise InputError(f"table.{name}[{row}]", value, allowed)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ A study that is resumed, or continued by another process, therefore draws what i
 also by the sampler here, whereas Optuna's own `RandomSampler` walks along one stream.
 """
 
+import secrets
 import warnings
 from enum import IntEnum
 from typing import Any
@@ -83,11 +84,6 @@ def turn(study: optuna.Study, trial: FrozenTrial) -> int:
     return number - sum(repetition < number for repetition in originals)
 
 
-def new_seed() -> int:
-    """A seed from the machine's entropy, for those who do not name one."""
-    return int(np.random.SeedSequence().generate_state(1, np.uint64)[0])
-
-
 class ReproducibleRandomSampler(RandomSampler):
     """Optuna's `RandomSampler`, seeded anew for each parameter of each trial.
 
@@ -98,7 +94,7 @@ class ReproducibleRandomSampler(RandomSampler):
     @checks.checked(seed=checks.optional(checks.whole(0, checks.LARGEST_SEED)))
     def __init__(self, *, seed: int | None = None) -> None:
         super().__init__()  # whose stream is never begun
-        self._seed = new_seed() if seed is None else seed
+        self._seed = secrets.randbits(64) if seed is None else seed
 
     def sample_independent(
         self,

@@ -6,7 +6,7 @@ another way than the table has it: by another kind, scale or range. Its values c
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,13 +62,14 @@ def read_history(
     before: FrozenTrial,
     space: Space,
     table: Rows | None = None,
-    has_place: Callable[[FrozenTrial], bool] = lambda trial: True,
+    places_all: bool = True,
     known: LookedUp | None = None,
 ) -> History:
     """The history that the trial `before`, which is left out itself, is proposed from.
 
-    A trial must have the parameters of the space to be learned from, and be a row of the table or
-    have a place off it. Trials that were looked up before in the table are known, new ones added.
+    A trial must have the parameters of the space to be learned from. If it is no row of the table,
+    it must also have features, unless all have a place. Trials that were looked up before in the
+    table are known, new ones added.
     """
     known = {} if known is None else known
     tried = np.zeros(0 if table is None else len(table), dtype=bool)
@@ -83,7 +84,7 @@ def read_history(
             tried[row] = True
         if trial.state not in placed:
             continue
-        if row is None and has_place(trial):
+        if row is None and (places_all or noted_features(trial) is not None):
             row = OFF_TABLE
         if row is not None and parameters is not None:
             placed[trial.state].append((trial, parameters, row))

@@ -117,12 +117,14 @@ class Policy:
             return prior_mean.merit(features)
         if not self.learns_trust or turn >= ENDS:  # of a batch, when the ends are taken
             return np.zeros(len(features))
-        return (1.0 if turn % ENDS == 0 else -1.0) * _common(features)
+        centred = features - features.mean(axis=0)
+        first = np.linalg.eigh(centred.T @ centred)[1][:, -1]  # principal component
+        first = first if first.sum() >= 0 else -first  # more of most features
+        return np.asarray((1.0 if turn % ENDS == 0 else -1.0) * (centred @ first))
 
     def model(
         self,
         prior_mean: PriorMean | None,
-        parameters: int,
         history: History,
         seen: Points,
         ensemble: Relation | None = None,
@@ -134,10 +136,8 @@ class Policy:
         Without `running`, that of finished trials alone, whatever limits they have.
         """
         kernel, cost, nowhere = self.options.kernel, history.cost, seen.take(np.arange(0))
-        no_limits = np.empty((len(cost), 0))
-        model = Model(
-            kernel, prior_mean, parameters, seen, cost, no_limits, nowhere, self.known, ensemble
-        )
+        no_limits, d = np.empty((len(cost), 0)), history.parameters.shape[1]
+        model = Model(kernel, prior_mean, d, seen, cost, no_limits, nowhere, self.known, ensemble)
         if running is None:
             return model
         success = self.options.success
@@ -169,14 +169,6 @@ class Policy:
         if kind not in self._said:
             self._said.add(kind)
             warnings.warn(message, UserWarning, stacklevel=2)
-
-
-def _common(features: Floats) -> Floats:
-    """Candidates [m, k] along their first principal component, more of most features first, [m]."""
-    centred = features - features.mean(axis=0)
-    _, directions = np.linalg.eigh(centred.T @ centred)
-    first = directions[:, -1]
-    return np.asarray(centred @ (first if first.sum() >= 0 else -first))
 
 
 def call_features(

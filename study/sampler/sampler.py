@@ -1,6 +1,7 @@
 """Samplers for candidates of which some are known to be alike: the contract with Optuna."""
 
 import inspect
+import secrets
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -21,7 +22,7 @@ from study.sampler.diagnostics import (
     likeness_of,
     worth_of,
 )
-from study.sampler.draws import ReproducibleRandomSampler, new_seed
+from study.sampler.draws import ReproducibleRandomSampler
 from study.sampler.gp import KERNELS, SIMILARITY, WORLDS
 from study.sampler.policy import Features, Options, one_thread
 from study.sampler.space_policy import SpacePolicy
@@ -170,14 +171,14 @@ class FeatureKernelSampler(BaseSampler):
         extra = frozenset(extra_parameters)
         options = Options(chosen, prior, off_grid, space, extra, strict, success, allowed)
         _require_sense(features, feature_function, options, self._kernel)
-        seed = new_seed() if seed is None else seed
-        independent = independent_sampler or ReproducibleRandomSampler(seed=seed)
-        self._independent = independent
+        seed = secrets.randbits(64) if seed is None else seed
+        self._independent = independent_sampler or ReproducibleRandomSampler(seed=seed)
+        common = options, seed, self._independent
         self._policy: TablePolicy | SpacePolicy
         if isinstance(features, FeatureTable):
-            self._policy = TablePolicy(features, feature_function, options, seed, independent)
+            self._policy = TablePolicy(features, feature_function, *common)
         else:
-            self._policy = SpacePolicy(features, options, seed, independent)
+            self._policy = SpacePolicy(features, *common)
         self._call = _call_text(given | {"seed": seed})
 
     def __repr__(self) -> str:

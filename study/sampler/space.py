@@ -168,10 +168,9 @@ def first_not_taken(
     if isinstance(own, Number) and isinstance(suggested, Number):
         outside = np.flatnonzero(~_taken(suggested, values))
         return int(outside[0]) if len(outside) else None
-    distinct, first = np.unique(values, return_index=True)
-    for value, place in sorted(zip(distinct, first, strict=True), key=lambda pair: pair[1]):
+    for place in np.sort(np.unique(values, return_index=True)[1]).tolist():
         try:
-            as_suggested(suggested, _external(own, float(value)))
+            as_suggested(suggested, _external(own, float(values[place])))
         except ValueError:
             return int(place)
     return None

@@ -102,7 +102,7 @@ class SpacePolicy(Policy):
         features, shown, _ = self._features(self._candidates(space, history, rng), history)
         scale, prior_mean = self._scales(features)
         seen = _placed(scale, shown, space, history.parameters)
-        model = self.model(prior_mean, len(space), history, seen)
+        model = self.model(prior_mean, history, seen)
         names, rows, doubts = _names(features), (None,) * len(shown), self.doubts(model)
         return Present(history.trials, rows, names, shown, model, doubts, {})
 
@@ -157,7 +157,7 @@ class SpacePolicy(Policy):
         scale, prior_mean = self._scales(features)
         seen = _placed(scale, shown, space, history.parameters)
         elsewhere = _placed(scale, running, space, history.running)
-        model = self.model(prior_mean, len(space), history, seen, None, elsewhere, own_turn)
+        model = self.model(prior_mean, history, seen, None, elsewhere, own_turn)
         taken = np.vstack([history.parameters, history.running])
         known = np.asarray(~np.isnan(features).any(axis=1))
         new = not_among(points, taken) & known

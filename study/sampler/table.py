@@ -273,12 +273,11 @@ def _hash(parameters: Floats) -> NDArray[np.uint64]:
 IS_FRAME = checks.that(
     lambda value: not isinstance(value, type) and hasattr(value, "columns"), "a pandas data frame"
 )
-COLUMN_CHECKS = {
-    "path": checks.path,
-    "features": checks.each(checks.text),
+SPACE_CHECKS = {
     "space": checks.optional(checks.by_name(checks.instance(BaseDistribution))),
     "bounds": checks.optional(checks.by_name(checks.interval())),
 }
+COLUMN_CHECKS = SPACE_CHECKS | {"path": checks.path, "features": checks.each(checks.text)}
 
 
 class FeatureTable:
@@ -342,9 +341,8 @@ class FeatureTable:
         "table.",
         parameters=checks.by_name(checks.anything),
         feature_names=checks.optional(checks.each(checks.text)),
-        space=COLUMN_CHECKS["space"],
-        bounds=COLUMN_CHECKS["bounds"],
         better=checks.optional(checks.word("lower", "higher")),
+        **SPACE_CHECKS,
     )
     def from_arrays(
         cls,

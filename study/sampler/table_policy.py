@@ -127,9 +127,7 @@ class TablePolicy(Policy):
         fixed, names = values_of(trial), self.own_rows.names
         if all(name in fixed for name in names):
             return {}  # nothing of the table is left to choose
-        suggested = suggested_so_far(names, study)
-        self._adopt(suggested)
-        misfit = None
+        suggested, misfit = self._adopt(study), None
         if not self.options.strict:
             finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
             if finished and not any(name in finished[-1].params for name in names):
@@ -170,11 +168,13 @@ class TablePolicy(Policy):
             self._refuse(study, trial, error)
         return self.independent.sample_independent(study, trial, name, distribution)
 
-    def _adopt(self, suggested: dict[str, BaseDistribution]) -> None:
-        """Put the rows on the logarithmic scales that the study suggests."""
+    def _adopt(self, study: optuna.Study) -> dict[str, BaseDistribution]:
+        """Put the rows on the logarithmic scales that the study suggests: what it suggests."""
+        suggested = suggested_so_far(self.own_rows.names, study)
         rows = as_suggested_rows(self.own_rows, suggested)
         if rows.space.distributions != self.rows.space.distributions:
             self._suggested = rows
+        return suggested
 
     def _refuse(self, study: optuna.Study, trial: FrozenTrial, error: InputError) -> None:
         """Propose nothing of the table for this trial; an error, or a warning (not strict)."""
@@ -268,10 +268,8 @@ class TablePolicy(Policy):
             return None
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
-        def has_place(other: FrozenTrial) -> bool:
-            return self._places_all or noted_features(other) is not None
-
-        return read_history(study, trial, self.rows.space, self.rows, has_place, self._looked_up)
+        rows = self.rows
+        return read_history(study, trial, rows.space, rows, self._places_all, self._looked_up)
 
     @property
     def _places_all(self) -> bool:
@@ -320,8 +318,7 @@ class TablePolicy(Policy):
         ensemble = self._ensemble(history)
         seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
         running = self._seen(history.running, history.running_rows, (), ensemble)
-        sizes = self.prior_mean, len(self.rows.space)
-        return self.model(*sizes, history, seen, ensemble, running, own_turn)
+        return self.model(self.prior_mean, history, seen, ensemble, running, own_turn)
 
     def _off_table(
         self, history: History, utility: Floats, model: Model, own_turn: int
@@ -423,12 +420,12 @@ class TablePolicy(Policy):
 
     def present(self, study: optuna.Study) -> Present:
         """See `Present`."""
-        self._adopt(suggested_so_far(self.own_rows.names, study))
+        self._adopt(study)
         history = self._history(study, next_trial(study))
         ensemble = self._ensemble(history)
         shown = self._features(history.parameters, history.rows, history.trials)
         seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
-        model = self.model(self.prior_mean, len(self.rows.space), history, seen, ensemble)
+        model = self.model(self.prior_mean, history, seen, ensemble)
         first = {}
         if self.prior_mean is not None:
             merit = self.prior_mean.merit(self._points().features)
@@ -442,7 +439,7 @@ class TablePolicy(Policy):
         self, study: optuna.Study, params: Sequence[Mapping[str, Any]] | None
     ) -> Prediction:
         """See `FeatureKernelSampler.predict`."""
-        self._adopt(suggested_so_far(self.own_rows.names, study))
+        self._adopt(study)
         rows, history = self.rows, self._history(study, next_trial(study))
         model = self._model(history, len(history.cost))
         if params is None:

@@ -1,10 +1,5 @@
 """Candidates, trials and costs as a Gaussian process takes them, and what users say of features.
 
-`Points` are features in standard units beside coordinates in the unit cube. `NormalScores` uses
-nothing of a feature but the order of its values: heavy tails, infinities, and units do not matter.
-`Standard` is affine, as in the paper. `PriorMean` holds the option `prior`, and `is_doubtful`
-decides whether a trial follows the features.
-
 Tables may have tens of millions of rows. A proposal needs all features, and of the parameters those
 of a few rows. So the parameters of a large table lie in a file without a name, a column after the
 other, which ends with the process; memory holds what is used.
@@ -154,8 +149,9 @@ class Standard:
 class NormalScores:
     """Phi^-1 of the share of rows below (Blom 1958), equal values sharing theirs, unit variance.
 
-    A feature that some rows lack has a column more: whether a row has it. Those follow the k
-    columns of scores, in the order of the features, each pattern of gaps once.
+    Only the order of values counts: heavy tails, infinities and units do not matter. A feature
+    that some rows lack has a column more: whether a row has it. Those follow the k columns of
+    scores, in the order of the features, each pattern of gaps once.
     """
 
     known: tuple[Floats, ...]  # values of each feature in ascending order, k of them, without gaps
@@ -267,11 +263,11 @@ def is_doubtful(cost: Floats, turn: int, has_prior: bool) -> bool:
     """Whether this trial is left to the parameters: features are followed while they succeed.
 
     The likelihood cannot tell a feature that follows the cost everywhere from one that follows it
-    everywhere but at its best: both explain the trials. What tells them apart is success. Once the
-    best cost is older than `PATIENCE` trials, every other trial is left to the parameters alone,
-    until one of either kind is better than all before (win-stay, lose-shift: Robbins 1952). From
-    then on a feature that misleads costs half the trials, as where the two take turns (Antonova et
-    al. 2018). Costs [n] are those of the finished trials that kept their limits, in their order.
+    everywhere but at its best; success can. Once the best cost is older than `PATIENCE` trials,
+    every other trial is left to the parameters alone, until one of either kind is better than all
+    before (win-stay, lose-shift: Robbins 1952). From then on a feature that misleads costs half the
+    trials, as where the two take turns (Antonova et al. 2018). Costs [n] are those of the finished
+    trials that kept their limits, in their order.
     """
     if not len(cost):
         return False

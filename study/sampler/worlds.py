@@ -50,9 +50,7 @@ class Worlds:
     def of(cls, outcomes: Outcomes, better: Better | None = None) -> "Worlds":
         """The worlds of outcomes [n, w] (or [n]: one world), or of such outcomes by family.
 
-        Raises:
-            InputError: naming the family: no numbers, other rows than the other families', or no
-                row that has its costs in all worlds.
+        Refused are, by family: no numbers, other rows than the others', no row without gaps.
         """
         families = outcomes if isinstance(outcomes, Mapping) else {"world": outcomes}
         if not families:
