@@ -267,7 +267,7 @@ def _read(path: Path, names: Sequence[str]) -> "pa.Table":
 
 
 def _fill(matrices: Sequence[Floats], tables: "Iterable[pa.Table]") -> None:
-    """Write the columns of tables, which follow one another, into matrices side by side."""
+    """Write columns of tables, which follow one another, into matrices; refuse but numbers."""
     first, waiting = 0, 0
     for table in tables:
         rows = slice(first, first + len(table))

@@ -242,7 +242,7 @@ class PriorMean:
 
     @classmethod
     def of(cls, prior: str | None, names: Sequence[str]) -> "PriorMean | None":
-        """The prior mean of an option and the features' names; None without the option."""
+        """The prior mean of an option; an InputError where no feature has its name."""
         if prior is None:
             return None
         sign, name = (-1.0, prior[1:]) if prior not in names and prior[:1] == "-" else (1.0, prior)
